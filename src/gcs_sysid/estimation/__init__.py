@@ -1,0 +1,1 @@
+"""From regression rows to parameters: statistics, fit, uncertainty."""

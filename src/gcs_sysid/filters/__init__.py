@@ -1,0 +1,1 @@
+"""Signal processing: complementary filter, tracking differentiators, windows."""

@@ -1,0 +1,1 @@
+"""The vehicle: its airframe, its parameters and its equations of motion."""

@@ -1,0 +1,257 @@
+"""The airframe: where the rotors are, which way they turn, and what is known of the scale."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcs_sysid.errors import InputError
+
+RotorInput = Literal["auto", "speed", "command"]
+AnchorName = Literal["mass", "k_T", "T_max"]
+ANCHORS: dict[AnchorName, str] = {"mass": "kg", "k_T": "N s^2", "T_max": "N"}
+"""The values that can set the scale, with their units."""
+
+SIMULATION_TABLE = "simulation"
+"""A table for the emulator alone. This reader drops it unread: truth never gets in here."""
+
+
+@dataclass(frozen=True)
+class Rotor:
+    """One rotor.
+
+    Attributes:
+        x: metres forward of the geometric centre.
+        y: metres to the right of it.
+        spin: +1 counter-clockwise seen from above (the s_i of the yaw equation), -1 clockwise.
+    """
+
+    x: float
+    y: float
+    spin: int
+
+
+@dataclass(frozen=True)
+class CommandRange:
+    """How actuator outputs map to the rotor's command u in 0..1, and u to thrust."""
+
+    min: float = 1000.0
+    max: float = 2000.0
+    thrust_curve: float | None = None
+    """c of T/T_max = (1 - c) u + c u^2; None: to be identified."""
+
+
+@dataclass(frozen=True)
+class Airframe:
+    """What is known of a vehicle before it flies.
+
+    Attributes:
+        name: as in the file.
+        rotors: in the autopilot's motor order.
+        rotor_input: which telemetry carries the rotors' inputs.
+        command: the range of actuator outputs.
+        mass: kg, or None.
+        k_T: N s^2, or None.
+        T_max: N, or None.
+    """
+
+    name: str
+    rotors: tuple[Rotor, ...]
+    rotor_input: RotorInput = "auto"
+    command: CommandRange = CommandRange()
+    mass: float | None = None
+    k_T: float | None = None
+    T_max: float | None = None
+
+    @property
+    def geometry(self) -> NDArray[np.float64]:
+        """(3, n) matrix of x, y and spin of every rotor."""
+        return np.array([[r.x, r.y, float(r.spin)] for r in self.rotors]).T
+
+    @property
+    def arm(self) -> float:
+        """Mean distance of the rotors from the geometric centre, in m."""
+        return sum(math.hypot(r.x, r.y) for r in self.rotors) / len(self.rotors)
+
+    def anchor(self) -> tuple[AnchorName, float] | None:
+        """The scale anchor given, or None."""
+        for name in ANCHORS:
+            value: float | None = getattr(self, name)
+            if value is not None:
+                return name, value
+        return None
+
+    def with_anchor(self, name: AnchorName, value: float) -> "Airframe":
+        """The same airframe with this anchor alone in force.
+
+        Raises:
+            InputError: the value is not a positive number.
+        """
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"{name} must be a positive number ({ANCHORS[name]}), got {value}")
+        cleared: dict[str, float | None] = dict.fromkeys(ANCHORS)
+        cleared[name] = value
+        return replace(self, **cleared)  # type: ignore[arg-type]
+
+    def with_arm(self, metres: float) -> "Airframe":
+        """The same layout scaled so that the mean rotor distance is `metres`.
+
+        Raises:
+            InputError: the length is not a positive number.
+        """
+        if not (math.isfinite(metres) and metres > 0):
+            raise InputError(f"--arm must be a positive length in m, got {metres}")
+        k = metres / self.arm
+        return replace(self, rotors=tuple(Rotor(r.x * k, r.y * k, r.spin) for r in self.rotors))
+
+
+def builtin_names() -> list[str]:
+    """Names of the airframes that come with the program, sorted."""
+    folder = resources.files("gcs_sysid.model") / "airframes"
+    return sorted(f.name[:-5] for f in folder.iterdir() if f.name.endswith(".toml"))
+
+
+def load_airframe(name_or_path: str) -> Airframe:
+    """Read an airframe by built-in name, or from a TOML file.
+
+    Raises:
+        InputError: no such name or file, or the file is not a valid airframe.
+    """
+    return parse_airframe(*read_airframe_table(name_or_path))
+
+
+def read_airframe_table(name_or_path: str) -> tuple[dict[str, Any], str]:
+    """Read an airframe's TOML and tell where it came from, without judging its content.
+
+    Raises:
+        InputError: no such name or file, or the text is not TOML.
+    """
+    if name_or_path in builtin_names():
+        where = f"built-in airframe {name_or_path!r}"
+        text = (
+            resources.files("gcs_sysid.model") / "airframes" / f"{name_or_path}.toml"
+        ).read_text(encoding="utf-8")
+    else:
+        path = Path(name_or_path)
+        where = str(path)
+        if path.suffix != ".toml" and not path.exists():
+            raise InputError(
+                f"no airframe {name_or_path!r}: name a .toml file or one of "
+                + ", ".join(builtin_names())
+            )
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "not UTF-8 text"
+            raise InputError(f"{where}: cannot read the airframe file: {reason}") from error
+    try:
+        return tomllib.loads(text), where
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{where}: not valid TOML: {error}") from error
+
+
+def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
+    """Make an airframe of a parsed TOML table.
+
+    Args:
+        table: the parsed file.
+        where: file name for messages.
+
+    Raises:
+        InputError: a key is unknown, missing or has a value that makes no sense.
+    """
+    known = {"name", "rotor_input", "command", "rotor", *ANCHORS, SIMULATION_TABLE}
+    _reject_unknown(table, known, where)
+    rotor_input = table.get("rotor_input", "auto")
+    if rotor_input not in ("auto", "speed", "command"):
+        raise InputError(
+            f"{where}: rotor_input must be 'auto', 'speed' or 'command', got {rotor_input!r}"
+        )
+    anchors: dict[str, float] = {
+        name: _positive(table[name], f"{where}: {name}") for name in ANCHORS if name in table
+    }
+    if len(anchors) > 1:
+        raise InputError(
+            f"{where}: give one scale only, not {' and '.join(anchors)} together; "
+            "the others are identified from it"
+        )
+    return Airframe(
+        name=str(table.get("name", Path(where).stem)),
+        rotors=_rotors(table.get("rotor"), where),
+        rotor_input=rotor_input,
+        command=_command(table.get("command", {}), f"{where}: [command]"),
+        **anchors,
+    )
+
+
+def _rotors(entries: object, where: str) -> tuple[Rotor, ...]:
+    if not isinstance(entries, list) or len(entries) < 4:
+        raise InputError(f"{where}: at least four [[rotor]] tables are needed, in motor order")
+    if len(entries) > 32:
+        raise InputError(f"{where}: {len(entries)} rotors; more than 32 are not supported")
+    rotors = []
+    for i, entry in enumerate(entries, 1):
+        at = f"{where}: [[rotor]] number {i}"
+        if not isinstance(entry, dict):
+            raise InputError(f"{at}: must be a table with x, y and spin")
+        _reject_unknown(entry, {"x", "y", "spin"}, at)
+        for key in ("x", "y", "spin"):
+            if key not in entry:
+                raise InputError(f"{at}: {key} is missing")
+        spin = {"ccw": 1, "cw": -1}.get(str(entry["spin"]).lower())
+        if spin is None:
+            raise InputError(f"{at}: spin must be 'ccw' or 'cw', got {entry['spin']!r}")
+        rotors.append(
+            Rotor(_number(entry["x"], f"{at}: x"), _number(entry["y"], f"{at}: y"), spin)
+        )
+    layout = np.array([[1.0, r.x, r.y, r.spin] for r in rotors])
+    # Without full rank the rotors cannot make all three torques and the thrust apart.
+    if np.linalg.matrix_rank(layout / np.maximum(np.abs(layout).max(axis=0), 1e-9)) < 4:
+        raise InputError(
+            f"{where}: these rotors cannot control roll, pitch, yaw and thrust apart; "
+            "check positions and spins"
+        )
+    return tuple(rotors)
+
+
+def _command(table: object, where: str) -> CommandRange:
+    if not isinstance(table, dict):
+        raise InputError(f"{where} must be a table")
+    _reject_unknown(table, {"min", "max", "thrust_curve"}, where)
+    low = _number(table.get("min", 1000.0), f"{where} min")
+    high = _number(table.get("max", 2000.0), f"{where} max")
+    if not high > low:
+        raise InputError(f"{where}: max ({high:g}) must be larger than min ({low:g})")
+    curve = table.get("thrust_curve")
+    if curve is not None:
+        curve = _number(curve, f"{where} thrust_curve")
+        if not 0.0 <= curve <= 1.0:
+            raise InputError(f"{where}: thrust_curve must lie in 0..1, got {curve:g}")
+    return CommandRange(low, high, curve)
+
+
+def _reject_unknown(table: Mapping[str, Any], known: set[str], where: str) -> None:
+    for key in table:
+        if key not in known:
+            raise InputError(
+                f"{where}: unknown key {key!r}; known are {', '.join(sorted(known))}"
+            )
+
+
+def _number(value: object, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{where} must be a number, got {value!r}")
+    return float(value)
+
+
+def _positive(value: object, where: str) -> float:
+    number = _number(value, where)
+    if number <= 0:
+        raise InputError(f"{where} must be positive, got {number:g}")
+    return number

@@ -1,0 +1,44 @@
+"""Telemetry records: what a vehicle measured, freed of how it was sent.
+
+This is the border between the telemetry side (which makes records from MAVLink
+messages or log entries) and the session's chain (which knows nothing of MAVLink).
+All values are SI, all axes body FRD or world NED, all times the vehicle's own clock.
+"""
+
+from enum import StrEnum
+from typing import NamedTuple
+
+
+class Stream(StrEnum):
+    """The kinds of record, each with the layout of its `values`."""
+
+    IMU = "imu"
+    """gyro x, y, z (rad/s), specific force x, y, z (m/s^2)."""
+    ATTITUDE = "attitude"
+    """unit quaternion w, x, y, z, body to world."""
+    ROTOR_SPEED = "rotor_speed"
+    """measured speed of each rotor (rad/s), in the autopilot's motor order from `offset` on."""
+    ROTOR_COMMAND = "rotor_command"
+    """actuator outputs in the autopilot's own unit, in motor order from `offset` on."""
+    VELOCITY = "velocity"
+    """north, east, down velocity (m/s), then north, east, down position (m)."""
+    IN_AIR = "in_air"
+    """1.0 while the autopilot says that it flies, else 0.0."""
+    ARMED = "armed"
+    """1.0 while armed, else 0.0 (from HEARTBEAT, stamped with the last time heard)."""
+
+
+class Record(NamedTuple):
+    """One sample of one stream.
+
+    Attributes:
+        stream: what the values are.
+        t: time in seconds on the vehicle's clock.
+        values: the numbers, laid out as `Stream` says.
+        offset: index of the first rotor that `values` holds (rotor streams only).
+    """
+
+    stream: Stream
+    t: float
+    values: tuple[float, ...]
+    offset: int = 0

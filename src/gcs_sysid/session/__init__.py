@@ -1,0 +1,1 @@
+"""From records to estimates: the one chain that serves live, replay, logs and tests."""

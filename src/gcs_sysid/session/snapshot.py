@@ -1,0 +1,91 @@
+"""Immutable pictures of a running session, for screens and headless output."""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcs_sysid.session.result import Result
+
+
+class LinkState(StrEnum):
+    """What the link is doing, in words a pilot reads."""
+
+    WAITING = "waiting"
+    """Open, but no vehicle has spoken yet."""
+    CONNECTED = "connected"
+    LOST = "lost"
+    """A vehicle spoke before and is silent now."""
+    ENDED = "ended"
+    """The stream ended (log read, emulator done, connection closed)."""
+
+
+@dataclass(frozen=True)
+class LinkStatus:
+    """Health of the link to the vehicle."""
+
+    state: LinkState
+    url: str
+    vehicle: str = ""
+    """Such as "PX4 quadrotor 1:1"."""
+    rates: dict[str, float] = field(default_factory=dict)
+    """Messages a second of vehicle time over the last seconds, by message name."""
+    asked: dict[str, float] = field(default_factory=dict)
+    """Rates asked for by SET_MESSAGE_INTERVAL, by message name."""
+    received: int = 0
+    """Valid frames so far."""
+    rejected: int = 0
+    """Frames or bytes that failed their checksum or made no frame."""
+    unknown: int = 0
+    """Frames of message types that the dialect does not hold."""
+    lost_percent: float = 0.0
+    recording: str = ""
+    """Path of the recording, empty when none is made."""
+    bytes_per_second: float = 0.0
+
+
+@dataclass(frozen=True)
+class Course:
+    """How the estimates moved over time: one row an instant.
+
+    Attributes:
+        t: (n,) seconds since the start of the session, vehicle clock.
+        value: name -> (n,) values, NaN where there was none.
+        std: name -> (n,) standard deviations.
+    """
+
+    t: NDArray[np.float64]
+    value: dict[str, NDArray[np.float64]]
+    std: dict[str, NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something worth a line in the event log."""
+
+    t: float
+    """Seconds since the start of the session, vehicle clock."""
+    text: str
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """One instant of a running session. Nothing in it changes afterwards."""
+
+    t: float
+    """Seconds since the first record, vehicle clock."""
+    used_seconds: float
+    """Seconds of flight that the estimate rests on."""
+    flying: bool
+    result: Result
+    course: Course
+    link: LinkStatus
+    attitude: tuple[float, float, float] | None = None
+    """Roll, pitch, yaw in rad, from the complementary filter."""
+    rates: tuple[float, float, float] | None = None
+    """Body rates p, q, r in rad/s."""
+    rotor_speeds: tuple[float, ...] = ()
+    """rad/s, motor order."""
+    events: tuple[Event, ...] = ()
+    """The latest last; at most a few hundred are kept."""

@@ -1,0 +1,1 @@
+"""Everything that speaks MAVLink: dialect, frames, links, recordings, and records."""
