@@ -207,9 +207,7 @@ def _rotors(entries: object, where: str) -> tuple[Rotor, ...]:
         spin = {"ccw": 1, "cw": -1}.get(str(entry["spin"]).lower())
         if spin is None:
             raise InputError(f"{at}: spin must be 'ccw' or 'cw', got {entry['spin']!r}")
-        rotors.append(
-            Rotor(_number(entry["x"], f"{at}: x"), _number(entry["y"], f"{at}: y"), spin)
-        )
+        rotors.append(Rotor(_number(entry["x"], f"{at}: x"), _number(entry["y"], f"{at}: y"), spin))
     layout = np.array([[1.0, r.x, r.y, r.spin] for r in rotors])
     # Without full rank the rotors cannot make all three torques and the thrust apart.
     if np.linalg.matrix_rank(layout / np.maximum(np.abs(layout).max(axis=0), 1e-9)) < 4:
@@ -239,9 +237,7 @@ def _command(table: object, where: str) -> CommandRange:
 def _reject_unknown(table: Mapping[str, Any], known: set[str], where: str) -> None:
     for key in table:
         if key not in known:
-            raise InputError(
-                f"{where}: unknown key {key!r}; known are {', '.join(sorted(known))}"
-            )
+            raise InputError(f"{where}: unknown key {key!r}; known are {', '.join(sorted(known))}")
 
 
 def _number(value: object, where: str) -> float:

@@ -1,0 +1,124 @@
+"""The loop that flies a mission and talks: paced by the clock, or as fast as it goes."""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+from gcs_sysid.errors import InputError
+from sim_bridge.autopilot import BOOT_US, STEP_US, Autopilot
+from sim_bridge.links import Link
+from sim_bridge.simulation import Simulation
+
+LISTEN_STEPS = 4
+"""Physics steps between looks at what has arrived."""
+
+
+class Pace:
+    """Holds the flight to the clock.
+
+    A late loop catches up: what counts is the time since the start, not since the last step.
+    """
+
+    def __init__(self, speed: float) -> None:
+        self._speed = speed
+        self._start = time.monotonic()
+
+    def wait(self, flown: float) -> None:
+        """Wait until this many seconds of flight are due."""
+        ahead = self._start + flown / self._speed - time.monotonic()
+        if ahead > 0.0:
+            time.sleep(ahead)
+
+
+class TruthFile:
+    """The true parameters in force, as JSON: written at the start and after every change."""
+
+    def __init__(self, path: Path | None, simulation: Simulation) -> None:
+        self._path = path
+        self._sim = simulation
+        self._written = -1
+        self.update()
+
+    def update(self) -> None:
+        """Write the file when something has changed since the last time."""
+        if self._path is None or len(self._sim.done) == self._written:
+            return
+        self._written = len(self._sim.done)
+        content = self._sim.vehicle.truth()
+        events = [
+            {
+                "t": change.time,
+                "time_usec": BOOT_US + round(change.time * 1e6),
+                "kind": change.kind,
+                "before": before.truth(),
+                "after": after.truth(),
+            }
+            for change, before, after in self._sim.done
+        ]
+        if events:
+            content["events"] = events
+        try:
+            self._path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"cannot write {self._path}: {error.strerror}") from error
+
+
+def fly(
+    simulation: Simulation,
+    autopilot: Autopilot,
+    links: list[Link],
+    duration: float,
+    speed: float,
+    truth: TruthFile,
+) -> None:
+    """Fly to the end of the mission, sending and answering all the way.
+
+    Args:
+        simulation: at its start.
+        autopilot: what speaks.
+        links: where to.
+        duration: s.
+        speed: times real time; infinity for as fast as it goes.
+        truth: kept up to date.
+    """
+    pace = Pace(speed)
+    progress = Progress(duration)
+    steps = round(duration * 1e6 / STEP_US)
+    for tick in range(steps + 1):
+        if tick:
+            simulation.step()
+        frames = autopilot.poll(tick)
+        if tick % LISTEN_STEPS == 0:
+            pace.wait(simulation.time)
+            for link in links:
+                arrived = link.receive()
+                if arrived:
+                    frames += autopilot.receive(arrived, tick)
+            truth.update()
+            progress.show(simulation.time)
+        if frames:
+            stamp = BOOT_US + tick * STEP_US
+            for link in links:
+                link.send(frames, stamp)
+    progress.end()
+
+
+class Progress:
+    """One line on standard error, when that is a terminal."""
+
+    def __init__(self, duration: float) -> None:
+        self._duration = duration
+        self._on = sys.stderr.isatty()
+        self._next = 0.0
+
+    def show(self, flown: float) -> None:
+        """Show the time flown, once a second of flight."""
+        if self._on and flown >= self._next:
+            self._next += 1.0
+            print(f"\r{flown:5.0f} s of {self._duration:.0f} s", end="", file=sys.stderr)
+
+    def end(self) -> None:
+        """Leave the line."""
+        if self._on:
+            print(file=sys.stderr)

@@ -1,0 +1,148 @@
+"""The true vehicle: every parameter the emulated flight obeys.
+
+A value is a float for one vehicle, or an array of shape (N,) for an ensemble of N.
+"""
+
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+
+from gcs_sysid.model.airframe import CommandRange, Rotor
+from gcs_sysid.model.parameters import GRAVITY
+
+Value = Any
+"""A float, or a float array of shape (N,): the physics is written once for both."""
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """True parameters, names and symbols as in results (SI).
+
+    Attributes:
+        name: of the airframe.
+        rotors: positions from the geometric centre and spins, in the autopilot's motor order.
+        mass: m, kg.
+        Ixx: element of the inertia matrix J about the CG, kg m^2; so are the five that follow.
+        k_T: thrust over rotor speed squared, N s^2.
+        k_M: torque over rotor speed squared, N m s^2.
+        T_max: thrust of one rotor at full command, N.
+        thrust_curve: c of T/T_max = (1 - c) u + c u^2 in steady state.
+        cg_x: alpha, CG from the geometric centre, forward, m.
+        cg_y: beta, CG from the geometric centre, to the right, m.
+        motor_lag: first-order time constant from command to rotor speed, s.
+        rotational_damping: d of the torque -d w, N m s.
+        rotor_inertia: J_r of one rotor about its axis, kg m^2.
+        linear_drag: D of the force -D v, N s/m.
+        imu_x: IMU from the CG, forward, m; imu_y to the right, imu_z down.
+        command: range of the actuator outputs.
+    """
+
+    name: str
+    rotors: tuple[Rotor, ...]
+    mass: Value
+    Ixx: Value
+    Iyy: Value
+    Izz: Value
+    k_T: Value
+    k_M: Value
+    T_max: Value
+    Ixy: Value = 0.0
+    Iyz: Value = 0.0
+    Ixz: Value = 0.0
+    cg_x: Value = 0.0
+    cg_y: Value = 0.0
+    thrust_curve: Value = 0.0
+    motor_lag: Value = 0.0
+    rotational_damping: Value = 0.0
+    rotor_inertia: Value = 0.0
+    linear_drag: Value = 0.0
+    imu_x: Value = 0.0
+    imu_y: Value = 0.0
+    imu_z: Value = 0.0
+    command: CommandRange = field(default_factory=CommandRange)
+
+    def truth(self) -> dict[str, Any]:
+        """The parameters under the names that results use, for a truth file."""
+        return {
+            "mass": self.mass,
+            **{name: getattr(self, name) for name in ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz")},
+            "cg_x": self.cg_x,
+            "cg_y": self.cg_y,
+            "k_T": self.k_T,
+            "k_M": self.k_M,
+            "T_max": self.T_max,
+            "thrust_curve": self.thrust_curve,
+            "moment_ratio": self.k_M / self.k_T,
+            "rotational_damping": self.rotational_damping,
+            "rotor_inertia": self.rotor_inertia,
+            "linear_drag": self.linear_drag,
+            "motor_lag": self.motor_lag,
+            # Rotor speeds and IMU samples of one instant carry the same stamp here.
+            "rotor_delay": 0.0,
+        }
+
+    def with_mass_factor(self, factor: float) -> "Vehicle":
+        """The same vehicle with its mass multiplied; inertia and CG stay."""
+        return replace(self, mass=self.mass * factor)
+
+    def command_of(self, speed: Value) -> Value:
+        """Command u in 0..1 that gives this rotor speed (rad/s) in steady state.
+
+        Solves (1 - c) u + c u^2 = k_T Omega^2 / T_max; the form below holds for c = 0 too.
+        """
+        share = self.k_T * speed * speed / self.T_max
+        linear = 1.0 - self.thrust_curve
+        root = linear * linear + 4.0 * self.thrust_curve * share
+        return 2.0 * share / (linear + root**0.5 + 1e-300)
+
+
+def stack_vehicles(vehicles: list[Vehicle]) -> Vehicle:
+    """One vehicle whose values are arrays of shape (N,): an ensemble of the given ones.
+
+    All must have the same rotors.
+
+    Raises:
+        ValueError: the layouts differ.
+    """
+    first = vehicles[0]
+    if any(v.rotors != first.rotors for v in vehicles):
+        raise ValueError("an ensemble needs vehicles with the same rotors")
+    fixed = {"name", "rotors", "command"}
+    arrays: dict[str, Any] = {
+        f.name: np.array([getattr(v, f.name) for v in vehicles], dtype=float)
+        for f in fields(Vehicle)
+        if f.name not in fixed
+    }
+    return replace(first, **arrays)
+
+
+def allocation(vehicle: Vehicle) -> list[list[Value]]:
+    """Per rotor, the shares of (T, M_x, M_y, M_z) that make up its thrust in N.
+
+    The pseudo-inverse of the map from thrusts to wrench about the CG: exact for four rotors,
+    of least squared thrust for more.
+    """
+    v = vehicle
+    moment_ratio = np.asarray(v.k_M / v.k_T, dtype=float)
+    cg_x, cg_y, moment_ratio = np.broadcast_arrays(v.cg_x, v.cg_y, moment_ratio)
+    effect = np.stack(
+        [
+            np.stack(
+                [np.ones(cg_x.shape), -(r.y - cg_y), r.x - cg_x, r.spin * moment_ratio], axis=-1
+            )
+            for r in v.rotors
+        ],
+        axis=-1,
+    )
+    mix = np.linalg.pinv(effect)
+    return [
+        [float(x) if x.ndim == 0 else x for x in np.moveaxis(mix[..., i, :], -1, 0)]
+        for i in range(len(v.rotors))
+    ]
+
+
+def hover_thrusts(vehicle: Vehicle) -> list[Value]:
+    """Thrust of every rotor in steady hover, N."""
+    weight = vehicle.mass * GRAVITY
+    return [share[0] * weight for share in allocation(vehicle)]

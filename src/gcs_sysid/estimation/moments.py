@@ -1,0 +1,91 @@
+"""The recursive least squares memory: sums of products of rows, kept in batches.
+
+Every estimate here is the minimiser of a cost that is quadratic in the data, so the sum of
+z z' over all rows z = [inputs, outputs] is a sufficient statistic: the information form of
+recursive least squares. Keeping that sum for each second or so of flight, instead of only the
+total, costs little and tells how much the score varies from batch to batch, which is what an
+honest covariance needs when residuals are coloured; and it lets a fit be checked on batches it
+has not seen.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Moments:
+    """Second moments of rows, in batches of equally many rows; bounded memory.
+
+    When `max_batches` are full, neighbours are merged and batches become twice as long.
+
+    Args:
+        shape: leading shape of one moment matrix, then its width twice: (..., m, m).
+        rows_per_batch: rows summed in one batch.
+        max_batches: an even number.
+    """
+
+    def __init__(self, shape: Sequence[int], rows_per_batch: int, max_batches: int = 512) -> None:
+        self._rows_per_batch = rows_per_batch
+        self._batches = np.zeros((max_batches, *shape))
+        self._counts = np.zeros(max_batches, dtype=np.int64)
+        self._full = 0
+
+    @property
+    def rows(self) -> int:
+        """Rows added so far."""
+        return int(self._counts.sum())
+
+    @property
+    def batches(self) -> Array:
+        """(k, ..., m, m) sums of the batches begun so far, oldest first (a view)."""
+        return self._batches[: self._begun]
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """(k,) rows in each batch (a view)."""
+        return self._counts[: self._begun]
+
+    @property
+    def total(self) -> Array:
+        """(..., m, m) sum over all rows."""
+        total: Array = self.batches.sum(axis=0)
+        return total
+
+    def add(self, rows: Array) -> None:
+        """Add rows of shape (..., n, m), in time order.
+
+        The sums do not depend on how rows are grouped in calls, but for rounding.
+        """
+        n, start = rows.shape[-2], 0
+        while start < n:
+            if self._full == len(self._batches):
+                self._merge()
+            room = self._rows_per_batch - int(self._counts[self._full])
+            part = rows[..., start : start + room, :]
+            self._batches[self._full] += np.swapaxes(part, -1, -2) @ part
+            self._counts[self._full] += part.shape[-2]
+            start += part.shape[-2]
+            if self._counts[self._full] == self._rows_per_batch:
+                self._full += 1
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._batches[:] = 0.0
+        self._counts[:] = 0
+        self._full = 0
+
+    @property
+    def _begun(self) -> int:
+        return self._full + int(self._full < len(self._counts) and self._counts[self._full] > 0)
+
+    def _merge(self) -> None:
+        half = len(self._batches) // 2
+        self._batches[:half] = self._batches[0::2] + self._batches[1::2]
+        self._counts[:half] = self._counts[0::2] + self._counts[1::2]
+        self._batches[half:] = 0.0
+        self._counts[half:] = 0
+        self._rows_per_batch *= 2
+        self._full = half

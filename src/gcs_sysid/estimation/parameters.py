@@ -1,0 +1,174 @@
+"""From relative estimates and one scale anchor to physical parameters, with status."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.airframe import AnchorName
+
+Array = NDArray[np.float64]
+Status = Literal["identified", "given", "weak", "unobservable"]
+
+CORE = ("mass", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M")
+"""What a complete identification with rotor speeds consists of."""
+
+IDENTIFIED_BELOW = 0.05
+"""Standard deviation over reference value, below which a parameter counts as identified."""
+UNOBSERVABLE_ABOVE = 0.5
+"""The same, above which the data say nothing useful."""
+
+WEAK_BELOW_R2 = 0.8
+"""Share of an axis' angular acceleration explained, below which nothing there is identified."""
+UNOBSERVABLE_BELOW_R2 = 0.5
+"""The same, below which it is not even weak.
+
+Where gusts or unmodelled torques move the vehicle more than its rotors do, the controller's
+reaction to them is mistaken for the vehicle's response, and intervals are confidently wrong."""
+
+_AXES: dict[str, tuple[int, ...]] = {
+    "Ixx": (0,),
+    "Iyy": (1,),
+    "Izz": (2,),
+    "Ixy": (0, 1),
+    "Iyz": (1, 2),
+    "Ixz": (0, 2),
+    "k_M": (2,),
+    "moment_ratio": (2,),
+    "rotational_damping": (0, 1, 2),
+    "rotor_inertia": (0, 1, 2),
+}
+"""The axes whose fit a parameter rests on. (The CG rests on the mean torque: on none.)"""
+
+
+@dataclass(frozen=True)
+class Value:
+    """A parameter's value, standard deviation and status; None where there is nothing."""
+
+    value: float | None
+    std: float | None
+    status: Status
+
+
+NOTHING = Value(None, None, "unobservable")
+
+
+def physical_parameters(
+    anchor: tuple[AnchorName, float],
+    rotation: RotationFit | None,
+    translation: TranslationFit | None,
+    arm: float,
+) -> dict[str, Value]:
+    """Physical parameters of the fits, at the anchor's scale.
+
+    Args:
+        anchor: the known value that sets the scale, mass in kg or k_T in N s^2.
+        rotation: relative to k_T; None while there is none.
+        translation: k_T / m and D / m; None while there is none.
+        arm: m, mean rotor distance: the yardstick for CG and moment ratio.
+    """
+    names = [*CORE, "moment_ratio", "rotational_damping", "rotor_inertia", "linear_drag"]
+    out = dict.fromkeys(names, NOTHING)
+    kind, known = anchor
+    out[kind] = Value(known, 0.0, "given")
+    if rotation is not None:
+        # Lengths need no scale at all.
+        for name, index, yardstick in (
+            ("cg_x", rb.CG_X, 0.2 * arm),
+            ("cg_y", rb.CG_Y, 0.2 * arm),
+            ("moment_ratio", rb.MOMENT_RATIO, None),
+        ):
+            value, std = float(rotation.theta[index]), float(rotation.std[index])
+            out[name] = _judged(value, std, abs(value) if yardstick is None else yardstick)
+    if translation is None:
+        return out
+    relative = translation.kappa_std / translation.kappa if translation.kappa > 0 else math.inf
+    if not relative < 1.0:
+        return out
+    if kind == "mass":
+        k_T, mass = known * translation.kappa, known
+        k_T_spread = relative
+        out["k_T"] = _judged(k_T, k_T * relative, k_T)
+    else:
+        k_T, mass = known, known / translation.kappa
+        k_T_spread = 0.0
+        out["mass"] = _judged(mass, mass * relative, mass)
+    if math.isfinite(translation.delta):
+        drag, std = mass * translation.delta, mass * translation.delta_std
+        out["linear_drag"] = _judged(drag, std, max(abs(drag), 0.05 * mass))
+    if rotation is not None:
+        out |= _scaled(rotation, k_T, k_T_spread)
+        out |= {
+            n: _doubted(out[n], float(rotation.r_squared[list(a)].min())) for n, a in _AXES.items()
+        }
+    return out
+
+
+def _scaled(rotation: RotationFit, k_T: float, spread: float) -> dict[str, Value]:
+    """Inertia and coefficients: relative values times k_T."""
+    values = rotation.theta * k_T
+    std = np.hypot(rotation.std * k_T, values * spread)
+    Ixx, Iyy, Izz = (float(v) for v in values[:3])
+    scales = {
+        "Ixx": Ixx,
+        "Iyy": Iyy,
+        "Izz": Izz,
+        # A product matters against the moments it couples.
+        "Ixy": 0.3 * math.sqrt(Ixx * Iyy),
+        "Iyz": 0.3 * math.sqrt(Iyy * Izz),
+        "Ixz": 0.3 * math.sqrt(Ixx * Izz),
+        # Damping matters against inertia at 1 rad/s; a rotor against a hundredth of the body.
+        "rotational_damping": max(abs(float(values[rb.DAMPING])), Ixx),
+        "rotor_inertia": max(abs(float(values[rb.ROTOR_INERTIA])), 0.002 * Izz),
+    }
+    out = {
+        name: _judged(float(values[i]), float(std[i]), scale)
+        for name, scale in scales.items()
+        for i in (rb.THETA.index(name),)
+    }
+    k_M = float(values[rb.MOMENT_RATIO])
+    out["k_M"] = _judged(k_M, float(std[rb.MOMENT_RATIO]), abs(k_M))
+    return out
+
+
+def _judged(value: float, std: float, yardstick: float) -> Value:
+    if not (math.isfinite(value) and math.isfinite(std)):
+        return NOTHING
+    ratio = std / yardstick if yardstick > 0.0 else math.inf
+    if ratio < IDENTIFIED_BELOW:
+        return Value(value, std, "identified")
+    return Value(value, std, "weak" if ratio < UNOBSERVABLE_ABOVE else "unobservable")
+
+
+def _doubted(value: Value, r_squared: float) -> Value:
+    """The value with its status lowered where the model explains too little."""
+    if value.status == "given" or r_squared >= WEAK_BELOW_R2:
+        return value
+    status: Status = "weak" if r_squared >= UNOBSERVABLE_BELOW_R2 else "unobservable"
+    return replace(value, status=status if value.status != "unobservable" else value.status)
+
+
+def verdict(parameters: Mapping[str, Value]) -> tuple[str, tuple[str, ...]]:
+    """One word for the whole, and why it is not better."""
+    missing = [n for n in CORE if parameters[n].status == "unobservable"]
+    weak = [n for n in CORE if parameters[n].status == "weak"]
+    reasons = []
+    if missing:
+        reasons.append(f"the data do not tell {', '.join(missing)}")
+    if weak:
+        reasons.append(f"only roughly known: {', '.join(weak)}")
+    if {"Izz", "k_M"} <= set(missing) | set(weak):
+        reasons.append(
+            "Izz and k_M share one scale: only rotation about several axes at once, "
+            "such as roll and yaw together, tells them apart"
+        )
+    identified = [n for n in CORE if parameters[n].status == "identified"]
+    if not identified:
+        return "refused", tuple(reasons)
+    return ("partial" if reasons else "identified"), tuple(reasons)

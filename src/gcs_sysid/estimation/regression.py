@@ -1,0 +1,172 @@
+"""From aligned signals to regression rows: products, window, leak.
+
+All signals of both sides pass the same linear filter, so its lag cancels: a symmetric window
+(`gcs_sysid.filters.windows`), and for the rotation then perhaps a leaky sum. The leak
+integrates both sides again: gyro noise, which differentiation made grow with frequency, becomes
+nearly white, which is what least squares weighs best. Where noise of the rotor speeds
+dominates, no leak is better; the estimator carries both and takes the more certain one.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from gcs_sysid.estimation import translation
+from gcs_sysid.filters.windows import cosine_window
+from gcs_sysid.model import attitude, rigid_body
+from gcs_sysid.model.parameters import GRAVITY
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Aligned signals on the uniform grid; NaN marks what is missing or must not be used.
+
+    Attributes:
+        gyro: (n, 3) as measured, rad/s.
+        rates: (n, 3) without bias, rad/s.
+        speeds: (n, rotors) rad/s.
+        attitude: (n, 4) body to world.
+        force: (n, 3) specific force, m/s^2.
+        velocity: (n, 3) north, east, down, m/s.
+    """
+
+    gyro: Array
+    rates: Array
+    speeds: Array
+    attitude: Array
+    force: Array
+    velocity: Array
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Regression rows, NaN where a window held a sample that must not be used.
+
+    Attributes:
+        rotation: (n, rotation.WIDTH).
+        momentum: (n, 3, translation.WIDTH), one for each world axis.
+        accelerometer: (n, translation.WIDTH).
+    """
+
+    rotation: Array
+    momentum: Array
+    accelerometer: Array
+
+
+_AVERAGED = rigid_body.N_SIGNALS - 1  # all but dH, which is differentiated
+
+
+class RowMaker:
+    """Makes rows of samples, block by block, as if all samples had come at once.
+
+    Args:
+        geometry: (3, rotors) of the airframe.
+        dt: s between samples.
+        half_width: s, half of the window.
+    """
+
+    def __init__(self, geometry: Array, dt: float, half_width: float) -> None:
+        half = max(2, round(half_width / dt))
+        self._geometry = geometry
+        self._window = cosine_window(half, dt)
+        self.step = max(1, half // 4)
+        """Samples between rows: four rows in half a window lose next to nothing."""
+        self._pending = np.empty((0, _FORCE + 1))
+
+    def restart(self) -> None:
+        """Forget what a gap separates from the next samples."""
+        self._pending = self._pending[:0]
+
+    def update(self, samples: Samples) -> Rows:
+        """Rows of the windows that end within these samples."""
+        signals = np.concatenate([self._pending, self._signals(samples)])
+        count = max((len(signals) - self._window.length) // self.step + 1, 0)
+        self._pending = signals[count * self.step :]
+        if count == 0:
+            average = np.empty((0, signals.shape[1]))
+            derivative = np.empty((0, len(_DERIVED)))
+        else:
+            average = self._window.apply(signals, self.step)
+            derivative = self._window.apply(signals[:, _DERIVED], self.step, derivative=True)
+        momentum = np.empty((count, 3, translation.WIDTH))
+        momentum[:, :, 0] = average[:, _LIFT]
+        momentum[:, :, 1] = average[:, _VELOCITY]
+        momentum[:, :, 2] = 1.0
+        momentum[:, :, 3] = derivative[:, 4:7]
+        momentum[:, 2, 3] -= GRAVITY
+        still, one = np.zeros(count), np.ones(count)
+        return Rows(
+            np.concatenate([average[:, :_AVERAGED], derivative[:, :4]], axis=1),
+            momentum,
+            np.stack([average[:, 2], still, one, average[:, _FORCE]], axis=1),
+        )
+
+    def _signals(self, s: Samples) -> Array:
+        rotors, H = rigid_body.rotor_signals(self._geometry, s.speeds)
+        p, q = s.rates[:, 0], s.rates[:, 1]
+        down = attitude.rotate(s.attitude, np.array([0.0, 0.0, 1.0]))
+        return np.column_stack(
+            [
+                rotors,
+                rigid_body.rate_products(s.rates),
+                s.rates,
+                q * H,
+                p * H,
+                H,
+                s.gyro,
+                down * rotors[:, 2:3],
+                s.velocity,
+                s.force[:, 2],
+            ]
+        )
+
+
+class LeakySum:
+    """Leaky sums of rows, over each run of complete ones; incomplete rows are dropped.
+
+    Args:
+        width: of a row.
+        row_time: s between rows.
+        memory: s; 0 passes rows as they are.
+    """
+
+    def __init__(self, width: int, row_time: float, memory: float) -> None:
+        self._decay = float(np.exp(-row_time / memory)) if memory > 0.0 else 0.0
+        self._sum = np.zeros(width)
+
+    def restart(self) -> None:
+        """Start from nothing; as both sides do so at once, no transient arises."""
+        self._sum = np.zeros_like(self._sum)
+
+    def update(self, rows: Array) -> Array:
+        """(n, width) rows to at most as many."""
+        out = []
+        for run, complete in runs(np.isfinite(rows).all(axis=1)):
+            if not complete:
+                self.restart()
+                continue
+            start = (self._decay * self._sum)[None, :]
+            summed, _ = lfilter([1.0], [1.0, -self._decay], rows[run], axis=0, zi=start)
+            self._sum = summed[-1]
+            out.append(summed)
+        return np.concatenate(out) if out else rows[:0]
+
+
+def runs(mask: NDArray[np.bool_]) -> list[tuple[slice, bool]]:
+    """The slices of a mask within which it does not change, with its value there."""
+    edges = [0, *(np.flatnonzero(np.diff(mask.astype(np.int8))) + 1), len(mask)]
+    return [(slice(a, b), bool(mask[a])) for a, b in pairwise(edges) if b > a]
+
+
+# Columns of the signals that the window takes.
+_H = _AVERAGED
+_GYRO = slice(_H + 1, _H + 4)
+_LIFT = slice(_H + 4, _H + 7)
+_VELOCITY = slice(_H + 7, _H + 10)
+_FORCE = _H + 10
+_DERIVED = np.r_[_H, _GYRO, _VELOCITY]

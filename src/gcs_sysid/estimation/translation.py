@@ -1,0 +1,140 @@
+"""Thrust over mass, and drag over mass, from momentum balance or from the accelerometer.
+
+Momentum balance in world axes, averaged with the same window on both sides:
+
+    v' - g z = -kappa (R z) sum O - delta (v - wind),    kappa = k_T / m, delta = D / m
+
+Gravity is the yardstick: over a flight the mean vertical acceleration is nearly nothing, so
+kappa does not suffer from an accelerometer's bias. Where the vehicle sends no velocity, the
+accelerometer itself, f = -kappa sum O z + bias, serves as second source; its bias is then part
+of the uncertainty.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcs_sysid.estimation.uncertainty import sandwich
+
+Array = NDArray[np.float64]
+
+WIDTH = 4
+"""Width of a row [thrust direction times sum O, velocity, 1, output], one for each axis."""
+
+ACCELEROMETER_BIAS_STD = 0.05
+"""m/s^2, what a calibrated MEMS accelerometer's bias may be when nothing else is known."""
+
+TILT_ERROR_SHARE = 2e-4
+"""Relative error of kappa that attitude errors of 0.02 rad rms leave: 1 - mean cosine."""
+
+
+@dataclass(frozen=True)
+class TranslationFit:
+    """Thrust and drag over mass.
+
+    Attributes:
+        kappa: k_T / m in N s^2/kg.
+        kappa_std: its standard deviation.
+        delta: D / m in 1/s; NaN when the source is the accelerometer.
+        delta_std: its standard deviation.
+        source: what they rest on.
+    """
+
+    kappa: float
+    kappa_std: float
+    delta: float
+    delta_std: float
+    source: Literal["momentum", "accelerometer"]
+
+
+def fit_momentum(batches: Array, counts: NDArray[np.int64]) -> TranslationFit | None:
+    """Fit the momentum balance.
+
+    Args:
+        batches: (k, 3, WIDTH, WIDTH) moments of north, east and down rows.
+        counts: (k,) rows in each.
+
+    Returns:
+        The fit, or None with too few rows.
+    """
+    # Wind in the horizontal is a nuisance; a vertical one would be taken for thrust.
+    layout = np.zeros((3, 3, 4))  # unknowns: -kappa, -delta, wind north, wind east
+    layout[:, 0, 0] = layout[:, 1, 1] = 1.0
+    layout[0, 2, 2] = layout[1, 2, 3] = 1.0
+    solution = _weighted_fit(batches, counts, layout)
+    if solution is None:
+        return None
+    estimate, covariance = solution
+    std = np.sqrt(np.diag(covariance))
+    kappa = -float(estimate[0])
+    kappa_std = float(np.hypot(std[0], TILT_ERROR_SHARE * kappa))
+    return TranslationFit(kappa, kappa_std, -float(estimate[1]), float(std[1]), "momentum")
+
+
+def fit_accelerometer(batches: Array, counts: NDArray[np.int64]) -> TranslationFit | None:
+    """Fit thrust over mass to the accelerometer's z axis alone.
+
+    Args:
+        batches: (k, WIDTH, WIDTH) moments of rows [sum O, 0, 1, f_z].
+        counts: (k,) rows in each.
+    """
+    layout = np.zeros((1, 3, 1))
+    layout[0, 0, 0] = 1.0
+    solution = _weighted_fit(batches[:, None], counts, layout)
+    if solution is None:
+        return None
+    estimate, covariance = solution
+    total = batches.sum(axis=0)
+    mean_thrust = total[0, 2] / max(total[2, 2], 1e-300)
+    bias_std = ACCELEROMETER_BIAS_STD / max(abs(mean_thrust), 1e-300)
+    std = float(np.hypot(np.sqrt(covariance[0, 0]), bias_std))
+    return TranslationFit(-float(estimate[0]), std, np.nan, np.nan, "accelerometer")
+
+
+def _weighted_fit(
+    batches: Array, counts: NDArray[np.int64], layout: Array
+) -> tuple[Array, Array] | None:
+    """Least squares over several axes that share unknowns, weighted by each axis' residual.
+
+    Args:
+        batches: (k, axes, WIDTH, WIDTH).
+        counts: (k,).
+        layout: (axes, inputs, unknowns): inputs of an axis as combinations of unknowns.
+
+    Returns:
+        Unknowns and their covariance, corrected for coloured residuals.
+    """
+    if counts.sum() < 50:
+        return None
+    total = batches.sum(axis=0)
+    axes, inputs, unknowns = layout.shape
+    weight = np.ones(axes)
+    estimate = np.zeros(unknowns)
+    for _ in range(20):
+        normal = np.zeros((unknowns, unknowns))
+        right = np.zeros(unknowns)
+        for a in range(axes):
+            L = layout[a]
+            normal += weight[a] * L.T @ total[a, :inputs, :inputs] @ L
+            right += weight[a] * L.T @ total[a, :inputs, 3]
+        d = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        scaled = normal / np.outer(d, d) + 1e-12 * np.eye(unknowns)
+        updated = np.linalg.solve(scaled, right / d) / d
+        new_weight = np.empty(axes)
+        for a in range(axes):
+            row = np.append(-layout[a] @ updated, 1.0)
+            variance = row @ total[a] @ row / counts.sum()
+            new_weight[a] = 1.0 / max(variance, 1e-12 * total[a, 3, 3] / counts.sum(), 1e-300)
+        done = np.allclose(updated, estimate, rtol=1e-13, atol=0.0)
+        estimate, weight = updated, new_weight
+        if done:
+            break
+    scores = np.zeros((len(batches), unknowns))
+    for a in range(axes):
+        L = layout[a]
+        residual = batches[:, a, :inputs, 3] - batches[:, a, :inputs, :inputs] @ (L @ estimate)
+        scores += weight[a] * residual @ L
+    bread = np.linalg.inv(scaled)
+    return estimate, sandwich(bread, scores / d) / np.outer(d, d)

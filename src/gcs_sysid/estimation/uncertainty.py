@@ -1,0 +1,30 @@
+"""Covariance that stays true when residuals are coloured."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def sandwich(bread: Array, scores: Array) -> Array:
+    """Covariance of an estimate from the scatter of its batch scores.
+
+    Args:
+        bread: (p, p) inverse information.
+        scores: (k, p) gradient of the cost, batch by batch, in time order.
+
+    Returns:
+        (p, p); never below `bread`'s own variances, which white residuals would give.
+    """
+    k, p = scores.shape
+    meat = scores.T @ scores
+    if k > 2:
+        lagged = scores[1:].T @ scores[:-1]
+        meat = meat + 0.5 * (lagged + lagged.T)
+        # At the minimum the scores are smaller than the errors by what was fitted.
+        meat *= k / max(k - p / 3.0, 1.0)
+    covariance = bread @ meat @ bread
+    short = np.diag(bread) / np.maximum(np.diag(covariance), 1e-300)
+    grow = np.sqrt(np.maximum(short, 1.0))
+    result: Array = covariance * np.outer(grow, grow)
+    return result

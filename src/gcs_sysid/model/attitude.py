@@ -1,0 +1,72 @@
+"""Quaternions (w, x, y, z; body to world, Hamilton) and Euler angles (ZYX), vectorised.
+
+Every function takes and returns arrays whose last axis is the quaternion or vector.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def multiply(a: Array, b: Array) -> Array:
+    """Quaternion product a b, shapes (..., 4)."""
+    aw, ax, ay, az = np.moveaxis(a, -1, 0)
+    bw, bx, by, bz = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(q: Array) -> Array:
+    """The inverse rotation of unit quaternions (..., 4)."""
+    return q * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def from_rotation_vector(v: Array) -> Array:
+    """Unit quaternions of rotation vectors (..., 3) in rad."""
+    half = 0.5 * np.linalg.norm(v, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * v], axis=-1)
+
+
+def to_rotation_vector(q: Array) -> Array:
+    """Rotation vectors (..., 3) in rad of unit quaternions, angles up to pi."""
+    q = np.where(q[..., :1] < 0.0, -q, q)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[..., :1])
+    safe = np.where(sine > 1e-12, sine, 1.0)
+    return np.where(sine > 1e-12, angle / safe, 2.0) * q[..., 1:]
+
+
+def rotate(q: Array, v: Array) -> Array:
+    """Body vectors (..., 3) in world axes."""
+    w, u = q[..., :1], q[..., 1:]
+    t = 2.0 * np.cross(u, v)
+    return v + w * t + np.cross(u, t)
+
+
+def to_euler(q: Array) -> Array:
+    """(..., 3) roll, pitch, yaw in rad."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    return np.stack(
+        [
+            np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+            np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
+            np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+        ],
+        axis=-1,
+    )
+
+
+def align_signs(q: Array) -> Array:
+    """(n, 4) the same rotations with signs such that neighbours are close."""
+    if len(q) < 2:
+        return q
+    flips = np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0.0, -1.0, 1.0)
+    return q * np.concatenate([[1.0], np.cumprod(flips)])[:, None]

@@ -1,0 +1,181 @@
+"""Rotation of a multirotor as equations that estimators can use.
+
+    J w' + w x (J w + h) + h' = M,        h = -J_r H z,   H = sum s_i Omega_i
+    M = sum (r_i - r_cg) x (-T_i z) + sum s_i k_M Omega_i^2 z,   T_i = k_T Omega_i^2
+
+Body axes are forward, right, down; s_i = +1 for a rotor that turns counter-clockwise seen
+from above. J holds matrix elements, so products of inertia carry no minus sign.
+
+One common factor on J, k_T, k_M, damping and J_r changes no signal. Everything here is
+therefore *relative*: divided by the thrust coefficient k_T (with commands as the input, by
+T_max). `theta` is
+
+    [Ixx, Iyy, Izz, Ixy, Iyz, Ixz] / k_T,  cg_x, cg_y,  k_M/k_T,  damping / k_T,  J_r / k_T
+
+The **forward form** is w' = Q(theta) x with x the `SIGNALS` below, Q = J^-1 B(theta) and B
+linear in theta: the noisy derivative is the output, known signals are the inputs.
+The **direct form** (the article's) moves everything known to the right-hand side.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+THETA = (
+    "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz",
+    "cg_x", "cg_y", "moment_ratio", "rotational_damping", "rotor_inertia",
+)  # fmt: skip
+"""Names of theta's entries (relative to k_T, except lengths)."""
+
+N_THETA = len(THETA)
+N_INERTIA = 6
+CG_X, CG_Y, MOMENT_RATIO, DAMPING, ROTOR_INERTIA = range(N_INERTIA, N_THETA)
+
+SIGNALS = (
+    "roll", "pitch", "thrust", "yaw",  # -sum y O, sum x O, sum O, sum s O, with O = Omega^2
+    "qr", "rp", "pq", "pp", "qq", "rr",
+    "p", "q", "r",
+    "qH", "pH", "dH",  # H = sum s Omega and its derivative
+)  # fmt: skip
+"""Names of the forward form's inputs."""
+
+N_SIGNALS = len(SIGNALS)
+_COLUMN = {name: i for i, name in enumerate(SIGNALS)}
+
+
+def _inertia_basis() -> Array:
+    basis = np.zeros((N_INERTIA, 3, 3))
+    for k, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))):
+        basis[k, i, j] = basis[k, j, i] = 1.0
+    return basis
+
+
+def _input_basis() -> tuple[Array, Array]:
+    """B(theta) = constant + sum theta_k slope[k]: right-hand side of J w' = B x."""
+    constant = np.zeros((3, N_SIGNALS))
+    slope = np.zeros((N_THETA, 3, N_SIGNALS))
+
+    def put(k: int, row: int, signal: str, value: float) -> None:
+        slope[k, row, _COLUMN[signal]] += value
+
+    constant[0, _COLUMN["roll"]] = 1.0
+    constant[1, _COLUMN["pitch"]] = 1.0
+    # -(w x J w), term by term.
+    ixx, iyy, izz, ixy, iyz, ixz = range(N_INERTIA)
+    put(iyy, 0, "qr", 1.0)
+    put(izz, 0, "qr", -1.0)
+    put(ixy, 0, "rp", 1.0)
+    put(ixz, 0, "pq", -1.0)
+    put(iyz, 0, "qq", -1.0)
+    put(iyz, 0, "rr", 1.0)
+    put(izz, 1, "rp", 1.0)
+    put(ixx, 1, "rp", -1.0)
+    put(ixy, 1, "qr", -1.0)
+    put(iyz, 1, "pq", 1.0)
+    put(ixz, 1, "pp", 1.0)
+    put(ixz, 1, "rr", -1.0)
+    put(ixx, 2, "pq", 1.0)
+    put(iyy, 2, "pq", -1.0)
+    put(ixz, 2, "qr", 1.0)
+    put(iyz, 2, "rp", -1.0)
+    put(ixy, 2, "pp", -1.0)
+    put(ixy, 2, "qq", 1.0)
+    # Thrust acts at the geometric centre, the CG is (cg_x, cg_y) from it.
+    put(CG_Y, 0, "thrust", 1.0)
+    put(CG_X, 1, "thrust", -1.0)
+    put(MOMENT_RATIO, 2, "yaw", 1.0)
+    for row, rate in enumerate("pqr"):
+        put(DAMPING, row, rate, -1.0)
+    put(ROTOR_INERTIA, 0, "qH", 1.0)
+    put(ROTOR_INERTIA, 1, "pH", -1.0)
+    put(ROTOR_INERTIA, 2, "dH", 1.0)
+    return constant, slope
+
+
+INERTIA_BASIS = _inertia_basis()
+"""(6, 3, 3): J = sum theta_k basis[k]."""
+INPUT_CONSTANT, INPUT_SLOPE = _input_basis()
+
+
+def inertia_matrix(elements: Array) -> Array:
+    """The 3 x 3 matrix of [Ixx, Iyy, Izz, Ixy, Iyz, Ixz] (any unit)."""
+    xx, yy, zz, xy, yz, xz = elements[:N_INERTIA]
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def is_physical(elements: Array) -> bool:
+    """Whether a rigid body can have this inertia matrix.
+
+    That is so when the second-moment matrix tr(J)/2 - J is positive definite, which holds both
+    J > 0 and the triangle inequality of the principal moments.
+    """
+    J = inertia_matrix(elements)
+    return bool(np.linalg.eigvalsh(0.5 * np.trace(J) * np.eye(3) - J)[0] > 0.0)
+
+
+def forward_matrix(theta: Array) -> Array:
+    """Q(theta) of w' = Q x, shape (3, N_SIGNALS), theta of shape (N_THETA,).
+
+    Raises:
+        numpy.linalg.LinAlgError: the inertia matrix is singular.
+    """
+    B = INPUT_CONSTANT + np.tensordot(theta, INPUT_SLOPE, 1)
+    return np.linalg.solve(inertia_matrix(theta), B)
+
+
+def forward_jacobian(theta: Array) -> tuple[Array, Array]:
+    """Q(theta) and its derivative dQ/dtheta, shape (N_THETA, 3, N_SIGNALS)."""
+    J_inv = np.linalg.inv(inertia_matrix(theta))
+    Q = J_inv @ (INPUT_CONSTANT + np.tensordot(theta, INPUT_SLOPE, 1))
+    slope = INPUT_SLOPE.copy()
+    slope[:N_INERTIA] -= INERTIA_BASIS @ Q
+    return Q, J_inv @ slope
+
+
+def rotor_signals(geometry: Array, speeds: Array) -> tuple[Array, Array]:
+    """The four torque and thrust signals, and H.
+
+    Args:
+        geometry: (3, n_rotors) x, y, spin (`Airframe.geometry`).
+        speeds: (..., n_rotors) rad/s.
+
+    Returns:
+        (..., 4) roll, pitch, thrust, yaw in rad^2/s^2 (m rad^2/s^2 for the first two), and
+        (...) H = sum s_i Omega_i in rad/s.
+    """
+    x, y, s = geometry
+    mix = np.stack([-y, x, np.ones_like(x), s], axis=1)
+    return (speeds * speeds) @ mix, speeds @ s
+
+
+def rate_products(rates: Array) -> Array:
+    """(..., 6) qr, rp, pq, pp, qq, rr of (..., 3) body rates."""
+    p, q, r = np.moveaxis(rates, -1, 0)
+    return np.stack([q * r, r * p, p * q, p * p, q * q, r * r], axis=-1)
+
+
+def direct_rows(rates: Array, accelerations: Array, rotors: Array) -> tuple[Array, Array]:
+    """The article's regression, corrected: phi theta = y, three rows a sample.
+
+    Args:
+        rates: (n, 3) p, q, r in rad/s.
+        accelerations: (n, 3) their derivatives in rad/s^2.
+        rotors: (n, 4) roll, pitch, thrust, yaw as of `rotor_signals`.
+
+    Returns:
+        phi (n, 3, 9) for [Ixx, Iyy, Izz, Ixy, Iyz, Ixz] / k_T, cg_x, cg_y, k_M/k_T, and
+        y (n, 3), whose third row is zero: noise in the accelerations pulls this form's
+        estimates of everything in that row towards zero.
+    """
+    p, q, r = rates.T
+    dp, dq, dr = accelerations.T
+    roll, pitch, thrust, yaw = rotors.T
+    zero = np.zeros_like(p)
+    rows = [
+        [dp, -q * r, q * r, dq - r * p, q * q - r * r, dr + p * q, zero, -thrust, zero],
+        [r * p, dq, -r * p, dp + q * r, dr - p * q, r * r - p * p, thrust, zero, zero],
+        [-p * q, p * q, dr, p * p - q * q, dq + r * p, dp - q * r, zero, zero, -yaw],
+    ]
+    phi = np.array(rows).transpose(2, 0, 1)
+    return phi, np.stack([roll, pitch, zero], axis=1)

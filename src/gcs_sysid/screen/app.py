@@ -1,0 +1,285 @@
+"""The live screen's application: polls a snapshot source, answers keys."""
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from typing import ClassVar
+
+from textual.app import App, SystemCommand
+from textual.binding import Binding, BindingType
+from textual.screen import Screen
+from textual.theme import Theme
+
+from gcs_sysid.errors import GcsSysidError
+from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.help import HelpScreen
+from gcs_sysid.screen.main import MainScreen
+from gcs_sysid.screen.source import SnapshotSource
+from gcs_sysid.screen.view import View
+from gcs_sysid.screen.widgets.pages import PAGES, PageBar
+from gcs_sysid.screen.widgets.parameters import ParameterRow, ParameterTable
+from gcs_sysid.screen.widgets.status import AnswerLine
+from gcs_sysid.session.snapshot import Event, LinkState, Snapshot
+
+POLL_SECONDS = 0.2
+"""At most five redraws a second."""
+
+DARK = Theme(
+    name="gcs-dark",
+    dark=True,
+    primary="#3d8bd9",
+    secondary="#5a7fa3",
+    accent="#f0b429",
+    success="#57c285",
+    warning="#f0b429",
+    error="#e0607e",
+    foreground="#e4e8ec",
+    background="#101418",
+    surface="#151a20",
+    panel="#232c36",
+)
+LIGHT = Theme(
+    name="gcs-light",
+    dark=False,
+    primary="#1769c2",
+    secondary="#44617d",
+    accent="#1769c2",
+    success="#1f9d4d",
+    warning="#c07a00",
+    error="#d61f55",
+    foreground="#14191e",
+    background="#f1f4f7",
+    surface="#ffffff",
+    panel="#e3e9ef",
+)
+"""Bright ground for sunlight on a field."""
+
+
+class SysidApp(App[None]):
+    """The live screen on a snapshot source.
+
+    Args:
+        source: the session.
+        truth: true values by parameter name, where the vehicle is an emulator that tells them.
+        title: shown until the vehicle has a name.
+        time_source: seconds that only grow; tests put their own here.
+    """
+
+    CSS_PATH = "screen.tcss"
+    ENABLE_COMMAND_PALETTE = True
+    # The keys of the main screen are in main.py; this one works everywhere.
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("ctrl+c,ctrl+q", "quit", "Quit", show=False, priority=True),
+    ]
+
+    def __init__(
+        self,
+        source: SnapshotSource,
+        truth: Mapping[str, float] | None = None,
+        title: str = "gcs-sysid",
+        time_source: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__()
+        self.source = source
+        self.truth: Mapping[str, float] = dict(truth or {})
+        self.title = title
+        self.selected = ""
+        self.paused = False
+        self._time = time_source
+        self._snapshot: Snapshot | None = None
+        self._exponents: dict[str, int] = {}
+        self._heard = (-1, time_source())
+        self._last_event: Event | None = None
+        self._marks = 0
+        self._main = MainScreen(title)
+        self.register_theme(DARK)
+        self.register_theme(LIGHT)
+        self.theme = DARK.name
+
+    # -- the flow of snapshots
+
+    def get_default_screen(self) -> Screen[None]:
+        """The main screen."""
+        return self._main
+
+    def on_mount(self) -> None:
+        """Start polling."""
+        self.set_interval(POLL_SECONDS, self.poll)
+
+    def on_ready(self) -> None:
+        """Draw at once, without waiting for the first tick."""
+        self.poll(force=True)
+
+    def poll(self, force: bool = False) -> None:
+        """Take the newest snapshot and draw it, if there is something new to draw."""
+        snapshot = self.source.latest()
+        if snapshot is not None and snapshot.link.received != self._heard[0]:
+            self._heard = (snapshot.link.received, self._time())
+        if self.paused and not force:
+            return
+        changed = snapshot is not self._snapshot
+        # While a link is silent nothing arrives, yet the time of silence grows.
+        lost = snapshot is not None and snapshot.link.state is LinkState.LOST
+        if not (changed or lost or force):
+            return
+        if not self.paused:
+            self._snapshot = snapshot
+            self._report_newest_event()
+        self.draw()
+
+    def draw(self) -> None:
+        """Draw the present view."""
+        if self._snapshot is not None:
+            self._exponents = fmt.choose_exponents(
+                self._snapshot.result, self.truth, self._exponents
+            )
+        names = self._names()
+        if self.selected not in names:
+            self.selected = self._first_choice()
+        self._main.show(
+            View(
+                snapshot=self._snapshot,
+                truth=self.truth,
+                selected=self.selected,
+                exponents=self._exponents,
+                silence=self._time() - self._heard[1],
+                paused=self.paused,
+            )
+        )
+
+    def _names(self) -> list[str]:
+        if self._snapshot is None:
+            return []
+        return [parameter.name for parameter, _ in fmt.rows(self._snapshot.result)]
+
+    def _first_choice(self) -> str:
+        """The first parameter that is being identified: a given one has no course to watch."""
+        if self._snapshot is None:
+            return ""
+        found = fmt.rows(self._snapshot.result)
+        free = [p.name for p, estimate in found if estimate.status != "given"]
+        return (free or self._names() or [""])[0]
+
+    def _report_newest_event(self) -> None:
+        newest = self._snapshot.events[-1] if self._snapshot and self._snapshot.events else None
+        if newest is not None and newest != self._last_event:
+            self._answer_line.say(newest.text, newest.t)
+        self._last_event = newest
+
+    # -- answers
+
+    @property
+    def _answer_line(self) -> AnswerLine:
+        return self._main.query_one(AnswerLine)
+
+    def say(self, text: str) -> None:
+        """Answer an action with a sentence above the footer."""
+        self._answer_line.say(text, None if self._snapshot is None else self._snapshot.t)
+
+    def _ask(self, action: Callable[[], str]) -> None:
+        """Do something with the source, and say what came of it, even if it failed."""
+        try:
+            self.say(action())
+        except (GcsSysidError, OSError) as error:
+            self.say(f"Not done: {error}")
+
+    # -- actions
+
+    async def action_quit(self) -> None:
+        """End the session and leave."""
+        self.source.stop()
+        self.exit()
+
+    def action_select(self, step: int) -> None:
+        """Choose the next or previous parameter for the plot."""
+        names = self._names()
+        if not names:
+            self.say("No parameters yet to choose from.")
+            return
+        self._select(names[(names.index(self.selected) + step) % len(names)])
+
+    def _select(self, name: str) -> None:
+        self.selected = name
+        self.draw()
+        self._main.query_one(ParameterTable).reveal(name)
+        self.say(f"Plot: {fmt.label(name)}")
+
+    def action_reset(self) -> None:
+        """Start the estimate anew."""
+
+        def reset() -> str:
+            self.source.reset()
+            return "Reset: the estimate starts anew."
+
+        self._ask(reset)
+
+    def action_mark(self) -> None:
+        """Mark the present instant with a number; a pilot has no hand free to type."""
+
+        def mark() -> str:
+            self.source.mark(f"mark {self._marks + 1}")
+            self._marks += 1
+            return f"Marked: mark {self._marks}"
+
+        self._ask(mark)
+
+    def action_record(self) -> None:
+        """Start or stop recording."""
+        self._ask(self.source.toggle_recording)
+
+    def action_pause(self) -> None:
+        """Freeze the display, or let it go on."""
+        self.paused = not self.paused
+        self.say("Display paused." if self.paused else "Display goes on.")
+        self.poll(force=True)
+
+    def action_toggle_dark(self) -> None:
+        """Dark or light; from any other theme, to the one of opposite brightness."""
+        wanted = LIGHT if self.current_theme.dark else DARK
+        self.theme = wanted.name
+        self.say("Light theme." if wanted is LIGHT else "Dark theme.")
+
+    def action_page(self, step: int) -> None:
+        """The next page, on a small terminal."""
+        pages = list(PAGES)
+        self.action_go(pages[(pages.index(self._main.page) + step) % len(pages)])
+
+    def action_go(self, page: str) -> None:
+        """A page by name, on a small terminal."""
+        if not self._main.paged:
+            self.say("All panels are on the screen; pages are for small terminals.")
+            return
+        self._main.select_page(page)
+        self.say(f"Page: {PAGES[page]}")
+
+    def action_scroll_events(self, step: int) -> None:
+        """Scroll the event log."""
+        log = self._main.query_one("#events")
+        log.scroll_relative(y=step * max(1, log.size.height - 1), animate=False)
+
+    def action_help(self) -> None:
+        """Show the help screen."""
+        self.push_screen(HelpScreen())
+
+    def on_parameter_row_chosen(self, message: ParameterRow.Chosen) -> None:
+        """A click on a parameter chooses it."""
+        self._select(message.parameter_name)
+
+    def on_page_bar_chosen(self, message: PageBar.Chosen) -> None:
+        """A click on a page title shows the page."""
+        self.action_go(message.page)
+
+    def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:
+        """The actions, in the command palette."""
+        yield SystemCommand("Mark", "Mark this instant in the events", self.action_mark)
+        yield SystemCommand("Reset", "Forget what was gathered, estimate anew", self.action_reset)
+        yield SystemCommand("Record", "Start or stop recording", self.action_record)
+        yield SystemCommand("Pause", "Freeze the display or let it go on", self.action_pause)
+        yield SystemCommand("Dark/light", "Switch the brightness", self.action_toggle_dark)
+        yield SystemCommand("Help", "Keys and statuses", self.action_help)
+        for name in self._names():
+            yield SystemCommand(
+                f"Plot {fmt.label(name)}",
+                "Show its convergence",
+                lambda name=name: self._select(name),
+            )
+        yield from super().get_system_commands(screen)

@@ -1,0 +1,65 @@
+"""The help screen: what the keys do and what the statuses mean."""
+
+from typing import ClassVar
+
+from textual.app import ComposeResult
+from textual.binding import BindingType
+from textual.containers import VerticalScroll
+from textual.content import Content
+from textual.screen import ModalScreen
+from textual.widgets import Static
+
+from gcs_sysid.screen import formatting as fmt
+
+KEYS = (
+    ("↑ ↓  j k", "choose the parameter in the plot (or click on it)"),
+    ("tab  1-4", "next page, on a small terminal"),
+    ("m", "write a mark into the events and the recording"),
+    ("r", "reset: forget what was gathered, estimate anew"),
+    ("R  ctrl+r", "start or stop recording"),
+    ("p", "pause the display; the identification goes on"),
+    ("d", "dark or light"),
+    ("pgup pgdn", "scroll the events"),
+    ("ctrl+p", "command palette"),
+    ("?", "this help"),
+    ("q", "quit"),
+)
+
+STATUSES = (
+    ("identified", "the data determine it; the interval says how well"),
+    ("given", "put in by you (the scale), not identified"),
+    ("weak", "seen, but the interval is wide: fly more of its motion"),
+    ("unobservable", "this flight says nothing about it; ignore the number"),
+)
+
+
+def help_text() -> Content:
+    """The whole help."""
+    parts: list[str | tuple[str, str]] = [("Keys\n", "bold underline")]
+    for key, meaning in KEYS:
+        parts += [(f"{key:<11}", "bold $text-primary"), f" {meaning}\n"]
+    parts.append(("Status\n", "bold underline"))
+    for status, meaning in STATUSES:
+        sign, style = fmt.STATUS_SIGN[status], fmt.STATUS_STYLE[status]  # type: ignore[index]
+        parts += [(f"{sign} {status:<13}", f"bold {style}"), f" {meaning}\n"]
+    parts.append("± is half the 95 % interval, in the value's unit and in % of it.")
+    return Content.assemble(*parts)
+
+
+class HelpScreen(ModalScreen[None]):
+    """Help over the main screen; any of its keys closes it."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        ("escape,question_mark,q,enter,space", "dismiss", "Close help"),
+    ]
+
+    def compose(self) -> ComposeResult:
+        """One box in the middle."""
+        with VerticalScroll(id="help-box") as box:
+            box.border_title = "Help"
+            box.border_subtitle = "esc closes"
+            yield Static(help_text())
+
+    def on_click(self) -> None:
+        """A click anywhere closes it too."""
+        self.dismiss()

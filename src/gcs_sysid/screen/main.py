@@ -1,0 +1,142 @@
+"""The main screen: lays the panels out for the terminal's size and passes views on to them."""
+
+from typing import ClassVar
+
+from textual import events
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Container
+from textual.screen import Screen
+from textual.widget import Widget
+from textual.widgets import Footer
+
+from gcs_sysid.screen.view import Panel, View
+from gcs_sysid.screen.widgets.attitude import AttitudePanel
+from gcs_sysid.screen.widgets.convergence import Convergence
+from gcs_sysid.screen.widgets.event_log import EventLog
+from gcs_sysid.screen.widgets.link import LinkPanel
+from gcs_sysid.screen.widgets.pages import PAGES, PageBar
+from gcs_sysid.screen.widgets.parameters import ParameterTable
+from gcs_sysid.screen.widgets.status import AnswerLine, Banner, StatusLine
+
+COLUMNS_WIDTH, COLUMNS_HEIGHT = 118, 34
+"""From this size on, all panels stand side by side; below it, pages."""
+WIDE_WIDTH = 160
+"""From this width on, the right side has two columns of its own."""
+TALL_HEIGHT = 40
+"""From this height on, the first page holds the plot too."""
+
+
+def layout_classes(width: int, height: int) -> set[str]:
+    """The CSS classes of a terminal size."""
+    classes = set()
+    if width < COLUMNS_WIDTH or height < COLUMNS_HEIGHT:
+        classes.add("-paged")
+        if height >= TALL_HEIGHT:
+            classes.add("-tall")
+    elif width >= WIDE_WIDTH:
+        classes.add("-wide")
+    return classes
+
+
+class MainScreen(Screen[None]):
+    """Parameters, plot, link, attitude, events."""
+
+    # Nothing here takes the focus, so that every key means the same everywhere.
+    AUTO_FOCUS = None
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("q", "app.quit", "Quit"),
+        Binding("down,j", "app.select(1)", "Select", key_display="↑↓"),
+        Binding("up,k", "app.select(-1)", "Select", show=False),
+        Binding("tab", "app.page(1)", "Page", key_display="tab"),
+        Binding("shift+tab", "app.page(-1)", "Page", show=False),
+        Binding("m", "app.mark", "Mark"),
+        Binding("r", "app.reset", "Reset"),
+        Binding("R,ctrl+r", "app.record", "Record", key_display="R"),
+        Binding("p", "app.pause", "Pause"),
+        Binding("d", "app.toggle_dark", "Dark/light"),
+        Binding("question_mark", "app.help", "Help", key_display="?"),
+        Binding("pageup", "app.scroll_events(-1)", "Scroll events", show=False),
+        Binding("pagedown", "app.scroll_events(1)", "Scroll events", show=False),
+        *(
+            Binding(str(n), f"app.go('{page}')", title, show=False)
+            for n, (page, title) in enumerate(PAGES.items(), start=1)
+        ),
+    ]
+
+    def __init__(self, title: str) -> None:
+        super().__init__(classes="page-parameters")
+        self.page = "parameters"
+        self._view: View | None = None
+        # In the order of drawing; a new panel is added here, in compose and in the style sheet.
+        self._status, self._banner = StatusLine(title), Banner()
+        self._table, self._plot = ParameterTable(), Convergence()
+        self._link, self._attitude, self._events = LinkPanel(), AttitudePanel(), EventLog()
+        self._panels: list[Panel] = [
+            self._status,
+            self._banner,
+            self._table,
+            self._plot,
+            self._link,
+            self._attitude,
+            self._events,
+        ]
+
+    def compose(self) -> ComposeResult:
+        """The panels; where they stand is up to the style sheet."""
+        yield self._status
+        yield self._banner
+        yield PageBar()
+        with Container(id="body"):
+            with Container(id="left"):
+                yield self._table
+                yield self._plot
+            with Container(id="right"):
+                with Container(id="vehicle"):
+                    yield self._link
+                    yield self._attitude
+                yield self._events
+        yield AnswerLine()
+        yield Footer(compact=True, show_command_palette=False)
+
+    def on_mount(self) -> None:
+        """Choose the layout before the first drawing."""
+        self._lay_out(self.app.size.width, self.app.size.height)
+
+    def on_resize(self, event: events.Resize) -> None:
+        """Choose the layout for the new size."""
+        self._lay_out(event.size.width, event.size.height)
+
+    def _lay_out(self, width: int, height: int) -> None:
+        wanted = layout_classes(width, height)
+        for name in ("-paged", "-tall", "-wide"):
+            self.set_class(name in wanted, name)
+        self.call_after_refresh(self._show_again)
+
+    @property
+    def paged(self) -> bool:
+        """Whether the terminal is too small for all panels at once."""
+        return self.has_class("-paged")
+
+    def select_page(self, page: str) -> None:
+        """Show another page (seen only on small terminals, kept for when it shrinks)."""
+        for name in PAGES:
+            self.set_class(name == page, f"page-{name}")
+        self.page = page
+        self.query_one(PageBar).select(page)
+        self._show_again()
+
+    def show(self, view: View) -> None:
+        """Bring everything that is visible up to date; hidden panels cost nothing."""
+        self._view = view
+        for panel in self._panels:
+            if isinstance(panel, Banner) or _displayed(panel):
+                panel.show(view)
+
+    def _show_again(self) -> None:
+        if self._view is not None:
+            self.show(self._view)
+
+
+def _displayed(panel: Panel) -> bool:
+    return isinstance(panel, Widget) and all(node.display for node in panel.ancestors_with_self)

@@ -1,0 +1,68 @@
+"""What every panel is given to draw: one snapshot and how the user wants to see it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from gcs_sysid.model.parameters import Parameter
+from gcs_sysid.screen import formatting
+from gcs_sysid.session.result import Estimate
+from gcs_sysid.session.snapshot import LinkState, Snapshot
+
+
+@dataclass(frozen=True)
+class View:
+    """One snapshot with the choices made on the screen."""
+
+    snapshot: Snapshot | None
+    """None until the source has its first one."""
+    truth: Mapping[str, float]
+    """The true values by name, empty where nobody knows them."""
+    selected: str
+    """Name of the parameter in the convergence plot."""
+    exponents: Mapping[str, int]
+    """Power of ten by unit."""
+    silence: float = 0.0
+    """Seconds since the link last brought something."""
+    paused: bool = False
+    """The display is frozen; the session is not."""
+
+    def estimate(self, name: str) -> tuple[Parameter, Estimate] | None:
+        """A parameter of the result by name."""
+        if self.snapshot is None:
+            return None
+        for parameter, estimate in formatting.rows(self.snapshot.result):
+            if parameter.name == name:
+                return parameter, estimate
+        return None
+
+    def notice(self) -> tuple[str, str] | None:
+        """The sentence for the banner and its level (`info`, `warning` or `error`), if any."""
+        if self.snapshot is None:
+            return "Opening the link ...", "info"
+        link = self.snapshot.link
+        if self.paused:
+            return "Display paused, the identification goes on. p: resume", "info"
+        if link.state is LinkState.WAITING:
+            return (
+                f"Listening on {link.url} — no vehicle has spoken yet. "
+                "Is the emulator or the telemetry forwarding on?",
+                "warning",
+            )
+        if link.state is LinkState.LOST:
+            return (
+                f"Link lost: silent for {formatting.duration(self.silence)}. "
+                "The numbers stand; listening goes on.",
+                "error",
+            )
+        if link.state is LinkState.ENDED:
+            return "Stream ended, numbers final; q to quit", "info"
+        return None
+
+
+class Panel(Protocol):
+    """A part of the screen that draws a view."""
+
+    def show(self, view: View) -> None:
+        """Bring the panel up to date; does nothing where nothing it shows has changed."""
+        ...

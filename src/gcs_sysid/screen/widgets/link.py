@@ -1,0 +1,98 @@
+"""The link panel: state, rates got and asked per message, losses, recording."""
+
+from textual.app import ComposeResult
+from textual.containers import VerticalScroll
+from textual.content import Content
+from textual.widgets import Static
+
+from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.view import View
+from gcs_sysid.session.snapshot import LinkStatus
+
+Part = tuple[str, str]
+
+ENOUGH = 0.9
+"""A message that comes at less than this fraction of the rate asked for is marked."""
+
+
+def facts(link: LinkStatus) -> list[tuple[str, str, str]]:
+    """Name, text and style of each line above the messages."""
+    return [
+        ("state", f"{fmt.LINK_SIGN[link.state]} {link.state}", fmt.LINK_STYLE[link.state]),
+        ("link", link.url, ""),
+        ("vehicle", link.vehicle or "none yet", ""),
+        ("received", f"{fmt.grouped(link.received)}, {fmt.data_rate(link.bytes_per_second)}", ""),
+        (
+            "lost",
+            f"{link.lost_percent:.1f} %, rejected {fmt.grouped(link.rejected)}",
+            "$text-warning" if link.lost_percent >= 1.0 or link.rejected else "",
+        ),
+        *([("unknown", f"{fmt.grouped(link.unknown)} frames", "")] if link.unknown else []),
+        ("record", link.recording or "off", "bold $text-error" if link.recording else ""),
+    ]
+
+
+def message_line(name: str, got: float, asked: float | None, width: int) -> list[Part]:
+    """One message with its rates; a sign says whether it comes as asked."""
+    room = max(8, width - 14)
+    shown = name if len(name) <= room else name[: room - 1] + "…"
+    parts = [(f"{shown:<{room}}{got:6.1f}", "")]
+    if asked is None:
+        return [*parts, (" " * 6, "")]
+    low = got < ENOUGH * asked
+    return [
+        *parts,
+        (f"{asked:6.0f}", fmt.MUTED),
+        (" !" if low else " ✓", "bold $text-warning" if low else "$text-success"),
+    ]
+
+
+class LinkPanel(VerticalScroll, can_focus=False):
+    """Health of the link; scrolls where a vehicle sends more than fits."""
+
+    BORDER_TITLE = "Link"
+
+    def __init__(self) -> None:
+        super().__init__(id="link")
+        self._view: View | None = None
+        self._shown: list[list[Part]] = []
+
+    def compose(self) -> ComposeResult:
+        """One text for all lines."""
+        yield Static(id="link-lines")
+
+    def show(self, view: View) -> None:
+        """Bring the panel up to date."""
+        self._view = view
+        lines = self._lines(view)
+        if lines != self._shown:
+            grown = len(lines) != len(self._shown)
+            self._shown = lines
+            text = Content("\n").join([Content.assemble(*line) for line in lines])
+            self.query_one("#link-lines", Static).update(text, layout=grown)
+
+    def on_resize(self) -> None:
+        """Lay the columns out anew."""
+        if self._view is not None:
+            self.show(self._view)
+
+    def _lines(self, view: View) -> list[list[Part]]:
+        if view.snapshot is None:
+            return [[("no link yet", fmt.MUTED)]]
+        link = view.snapshot.link
+        room = self.content_size.width or 36
+        width = min(room, 44)
+        lines: list[list[Part]] = []
+        for name, text, style in facts(link):
+            # The end of a path or an address says more than its beginning.
+            shown = text if len(text) <= room - 9 else "…" + text[max(1, len(text) - room + 10) :]
+            lines.append([(f"{name:<9}", fmt.MUTED), (shown, style)])
+        # What was asked for first: the identification needs it.
+        names = sorted(set(link.rates) | set(link.asked), key=lambda n: (n not in link.asked, n))
+        if names:
+            lines.append([(f"{'message':<{max(8, width - 14)}}{'Hz':>6}{'asked':>6}", fmt.MUTED)])
+        lines += [
+            message_line(name, link.rates.get(name, 0.0), link.asked.get(name), width)
+            for name in names
+        ]
+        return lines

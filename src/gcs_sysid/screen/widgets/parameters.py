@@ -1,0 +1,207 @@
+"""The parameter table: value, interval, unit, status, and the error where the truth is known."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from textual import events
+from textual.app import ComposeResult
+from textual.containers import VerticalScroll
+from textual.content import Content
+from textual.message import Message
+from textual.widget import Widget
+from textual.widgets import Static
+
+from gcs_sysid.model.parameters import Parameter
+from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.view import View
+from gcs_sysid.session.result import Estimate
+
+Cell = tuple[str, str]
+"""Text of exactly the column's width, and its style."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: its head, and how to write its cell for a parameter."""
+
+    head: str
+    cell: Callable[[View, Parameter, Estimate], Cell]
+    needs_truth: bool = False
+    extra: bool = False
+    """Pleasant but not needed: shown only where there is room for all columns."""
+
+
+def _exponent(view: View, parameter: Parameter) -> int:
+    return view.exponents.get(parameter.unit, 0)
+
+
+def _value(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    value, half = fmt.value_and_half(estimate, _exponent(view, parameter))
+    if estimate.status == "given":
+        return f"{value}   {half}", "bold"
+    return f"{value} ± {half}", fmt.MUTED if estimate.status == "unobservable" else "bold"
+
+
+def _unit(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    return fmt.scaled_unit(parameter.unit, _exponent(view, parameter)).ljust(11), ""
+
+
+def _percent(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    return fmt.percent(fmt.relative_half(estimate)).rjust(6), ""
+
+
+def _status(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    status = estimate.status
+    return f"{fmt.STATUS_SIGN[status]} {status}".ljust(14), fmt.STATUS_STYLE[status]
+
+
+def _converged(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    done = 1.0 if estimate.status == "given" else fmt.converged(fmt.relative_half(estimate))
+    return fmt.bar(done, 10), f"{fmt.STATUS_STYLE[estimate.status]} on $panel"
+
+
+def _truth(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    if parameter.name not in view.truth:
+        return " " * fmt.NUMBER_WIDTH, ""
+    return fmt.aligned(view.truth[parameter.name] / 10.0 ** _exponent(view, parameter), 3), ""
+
+
+def _error(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    truth = view.truth.get(parameter.name)
+    if not truth or estimate.value is None or estimate.status == "given":
+        return " " * 7, ""
+    return fmt.percent(estimate.value / truth - 1.0, signed=True).rjust(7), ""
+
+
+COLUMNS = (
+    Column("   value ± 95 %    ", _value),
+    Column("unit       ", _unit),
+    Column("  ± % ", _percent),
+    Column("status        ", _status),
+    Column("converged ", _converged, extra=True),
+    Column("   truth", _truth, needs_truth=True),
+    Column("  error", _error, needs_truth=True),
+)
+"""In this order from left to right; later ones (change against a baseline) go here."""
+
+
+NAME_HEAD = " name    "
+
+
+def _columns(truth: bool, width: int) -> list[Column]:
+    wanted = [c for c in COLUMNS if truth or not c.needs_truth]
+    if len(NAME_HEAD) + sum(len(c.head) + 1 for c in wanted) > width:
+        wanted = [c for c in wanted if not c.extra]
+    return wanted
+
+
+def _line(name: Cell, cells: list[Cell]) -> Content:
+    return Content.assemble(name, *(part for cell in cells for part in (" ", cell)))
+
+
+class ParameterRow(Widget):
+    """One parameter, on one line."""
+
+    class Chosen(Message):
+        """The user clicked on a parameter."""
+
+        def __init__(self, name: str) -> None:
+            super().__init__()
+            self.parameter_name = name
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.parameter_name = name
+        self.cells: list[Cell] = []
+
+    def show(
+        self, view: View, columns: list[Column], parameter: Parameter, estimate: Estimate
+    ) -> None:
+        """Write the cells anew; the terminal is touched only where a text has changed."""
+        chosen = view.selected == parameter.name
+        cells = [
+            (("▸" if chosen else " ") + fmt.label(parameter.name).ljust(8), "bold" * chosen),
+            *(column.cell(view, parameter, estimate) for column in columns),
+        ]
+        self.set_class(chosen, "-selected")
+        if cells != self.cells:
+            self.cells = cells
+            self.tooltip = f"{parameter.symbol}: {parameter.meaning}"
+            self.refresh()
+
+    def render(self) -> Content:
+        """The line."""
+        return _line(self.cells[0], self.cells[1:]) if self.cells else Content("")
+
+    def on_click(self) -> None:
+        """Choose this parameter for the plot."""
+        self.post_message(self.Chosen(self.parameter_name))
+
+
+class ParameterTable(Widget):
+    """All parameters of the result, and below them why a verdict is not better."""
+
+    BORDER_TITLE = "Parameters"
+
+    def __init__(self) -> None:
+        super().__init__(id="parameters")
+        self._names: list[str] = []
+        self._rows: dict[str, ParameterRow] = {}
+        self._view: View | None = None
+        self._columns: list[Column] = []
+        self._reasons = ""
+
+    def compose(self) -> ComposeResult:
+        """Head, rows, reasons."""
+        yield Static(id="parameters-head")
+        yield VerticalScroll(Static("No estimate yet.", id="parameters-empty"), can_focus=False)
+        yield Static(id="reasons")
+
+    def on_resize(self, event: events.Resize) -> None:
+        """Choose the columns anew."""
+        if self._view is not None:
+            self.show(self._view)
+
+    def show(self, view: View) -> None:
+        """Bring the table up to date."""
+        self._view = view
+        columns = _columns(bool(view.truth), self.content_size.width)
+        if columns != self._columns:
+            self._columns = columns
+            head = _line((NAME_HEAD, ""), [(c.head, "") for c in columns])
+            self.query_one("#parameters-head", Static).update(head)
+        found = [] if view.snapshot is None else fmt.rows(view.snapshot.result)
+        names = [parameter.name for parameter, _ in found]
+        if names != self._names:
+            self._names = names
+            self._rebuild(names)
+        for parameter, estimate in found:
+            self._rows[parameter.name].show(view, columns, parameter, estimate)
+        self._show_reasons(view)
+
+    def _rebuild(self, names: list[str]) -> None:
+        holder = self.query_one(VerticalScroll)
+        for name in [name for name in self._rows if name not in names]:
+            self._rows.pop(name).remove()
+        for place, name in enumerate(names):
+            if name not in self._rows:
+                self._rows[name] = ParameterRow(name)
+                # Names come in a fixed order, so a new one goes behind those that stand already.
+                if place == 0:
+                    holder.mount(self._rows[name], before=0)
+                else:
+                    holder.mount(self._rows[name], after=self._rows[names[place - 1]])
+        self.query_one("#parameters-empty").display = not names
+
+    def _show_reasons(self, view: View) -> None:
+        reasons = "" if view.snapshot is None else fmt.one_line(view.snapshot.result.reasons)
+        if reasons != self._reasons:
+            self._reasons = reasons
+            line = self.query_one("#reasons", Static)
+            line.display = bool(reasons)
+            line.update(Content.assemble(("why  ", "bold"), reasons))
+
+    def reveal(self, name: str) -> None:
+        """Scroll a parameter into view."""
+        if name in self._rows:
+            self._rows[name].scroll_visible(animate=False)

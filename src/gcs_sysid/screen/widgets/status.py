@@ -1,0 +1,98 @@
+"""The top line (vehicle, link, flight, verdict), the banner below it, and the line of answers."""
+
+from textual.content import Content
+from textual.widgets import Static
+
+from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.view import View
+
+Part = tuple[str, str]
+
+
+class StatusLine(Static):
+    """One line that says at a glance how the session stands."""
+
+    def __init__(self, title: str) -> None:
+        super().__init__(id="status")
+        self.title_text = title
+        self._parts: list[Part] = []
+
+    def show(self, view: View) -> None:
+        """Bring the line up to date."""
+        parts = self._parts_of(view)
+        if parts != self._parts:
+            self._parts = parts
+            self.refresh()
+
+    def _parts_of(self, view: View) -> list[Part]:
+        snapshot = view.snapshot
+        if snapshot is None:
+            return [(self.title_text, "bold"), ("○ opening", "$text-warning")]
+        link, result = snapshot.link, snapshot.result
+        flight = "flying" if snapshot.flying else "on ground"
+        verdict = f"{fmt.VERDICT_SIGN[result.verdict]} {result.verdict}"
+        parts = [
+            (link.vehicle or self.title_text, "bold"),
+            (f"{fmt.LINK_SIGN[link.state]} {link.state}", fmt.LINK_STYLE[link.state]),
+            (f"{fmt.clock(snapshot.t)} {flight}", ""),
+            (f"used {fmt.clock(snapshot.used_seconds)}", ""),
+            (verdict, f"bold {fmt.VERDICT_STYLE[result.verdict]}"),
+        ]
+        if link.recording:
+            parts.append(("◉ REC", "bold $text-error"))
+        return parts
+
+    def render(self) -> Content:
+        """The parts, as many as the width takes; the first (a name) is cut when it must be."""
+        width = max(1, self.size.width - 2)
+        parts = list(self._parts)
+        while len(parts) > 2 and sum(len(text) + 2 for text, _ in parts[1:]) + 8 > width:
+            parts.pop(3 if len(parts) > 4 else 2)
+        rest = sum(len(text) + 2 for text, _ in parts[1:])
+        pieces: list[Content | tuple[str, str]] = []
+        for index, (text, style) in enumerate(parts):
+            if index == 0:
+                room = max(1, width - rest)
+                text = text if len(text) <= room else text[: room - 1] + "…"
+            else:
+                pieces.append(("  ", ""))
+            pieces.append((text, style))
+        return Content(" ") + Content.assemble(*pieces)
+
+
+class Banner(Static):
+    """What the user should know before reading on; hidden while all is well."""
+
+    LEVELS = ("info", "warning", "error")
+
+    def __init__(self) -> None:
+        super().__init__(id="banner")
+        self._shown: tuple[str, str] | None = None
+        self.display = False
+
+    def show(self, view: View) -> None:
+        """Bring the banner up to date."""
+        notice = view.notice()
+        if notice == self._shown:
+            return
+        self._shown = notice
+        self.display = notice is not None
+        if notice is not None:
+            text, level = notice
+            for name in self.LEVELS:
+                self.set_class(name == level, f"-{name}")
+            self.update(Content(text))
+
+
+class AnswerLine(Static):
+    """The line above the footer: the answer to the last key, or the newest event."""
+
+    def __init__(self) -> None:
+        super().__init__(id="answer")
+        self.text = ""
+
+    def say(self, text: str, t: float | None = None) -> None:
+        """Put a sentence on the line, with the session's time where there is one."""
+        self.text = text
+        stamp = "" if t is None else f"{fmt.clock_tenths(t)} "
+        self.update(Content.assemble((stamp, fmt.MUTED), text))

@@ -1,0 +1,248 @@
+"""The live session: a thread from the link to immutable snapshots."""
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.session.result import Result
+from gcs_sysid.session.snapshot import LinkState, LinkStatus, Snapshot
+from gcs_sysid.telemetry.link import Link, Receiver
+from gcs_sysid.telemetry.outgoing import Gate
+from gcs_sysid.telemetry.requests import StreamRequests, default_rates
+from gcs_sysid.telemetry.tlog import TlogWriter, unused_path
+
+_POLL = 0.05
+"""s; the longest that an action of the user waits."""
+_PUBLISH_EVERY = 0.2
+"""s between snapshots."""
+_LOST_AFTER = 3.0
+"""s of silence after which the link counts as lost."""
+_DRAINED_AFTER = 0.7
+"""s of silence after the sender's end, before the session ends too."""
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """What a user may set for a live session.
+
+    Attributes:
+        rate: Hz to ask for, for IMU and rotors.
+        listen_only: send nothing at all.
+        wanted: system and perhaps component; None: the first autopilot heard.
+        duration: s of wall clock after which the session ends; None: never.
+        refit_interval: s of vehicle time between estimates.
+    """
+
+    rate: float = 250.0
+    listen_only: bool = False
+    wanted: tuple[int, int | None] | None = None
+    duration: float | None = None
+    refit_interval: float = 0.1
+
+
+class LiveSession:
+    """Receives, records, identifies and publishes, in a thread of its own.
+
+    Wall-clock time decides only when to publish and when to call the link silent; the numbers
+    come from the vehicle's clock and the order of the frames alone.
+
+    Args:
+        link: open; the session closes it.
+        airframe: with a scale anchor.
+        options: settings.
+        record_to: recording; None for none. An existing file is never overwritten.
+        sender_gone: tells that whoever sends has ended (an emulator that exited).
+        on_result: called in the session's thread about once a second of vehicle time.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        airframe: Airframe,
+        options: LiveOptions,
+        record_to: Path | None = None,
+        sender_gone: Callable[[], bool] | None = None,
+        on_result: Callable[[Result], None] | None = None,
+    ) -> None:
+        self.final: Result | None = None
+        """The last result, once the session has ended."""
+        self.problem: Exception | None = None
+        """What ended the session against its will."""
+        self._link = link
+        self._options = options
+        self._receiver = Receiver(link)
+        self._gate = Gate(link.send, listen_only=options.listen_only)
+        self._requests = StreamRequests(self._gate, default_rates(options.rate))
+        self._pipeline = Pipeline(
+            airframe,
+            str(link.url),
+            options.wanted,
+            ChainOptions(course_interval=options.refit_interval),
+        )
+        self._writer = TlogWriter(record_to) if record_to else None
+        self._recording_stem = record_to or Path("logs") / "session.tlog"
+        self._sender_gone = sender_gone
+        self._on_result = on_result
+        self._actions: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._stop = threading.Event()
+        self._latest: Snapshot | None = None
+        self._heard_at: float | None = None
+        self._told_result_at = 0.0
+        self._followed: tuple[int, int] | None = None
+        self._told_problem = ""
+        self._thread = threading.Thread(target=self._run, name="session", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._publish(LinkState.WAITING)
+        self._thread.start()
+
+    def latest(self) -> Snapshot | None:
+        """The newest snapshot."""
+        return self._latest
+
+    def stop(self) -> None:
+        """End the session and wait until everything is written."""
+        self._stop.set()
+        if self._thread.is_alive() and threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def join(self, timeout: float | None = None) -> bool:
+        """Wait for the end; whether it has come."""
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    def mark(self, text: str) -> None:
+        """Write a mark into the event log."""
+        self._actions.put(lambda: self._pipeline.chain.note(text))
+
+    def reset(self) -> None:
+        """Forget the estimate and start anew."""
+        self._actions.put(self._pipeline.chain.reset)
+
+    def toggle_recording(self) -> str:
+        """Start or stop recording; says which."""
+        writer = self._writer
+        if writer is not None and writer.recording:
+            self._actions.put(self._stop_recording)
+            return f"recording {writer.path} stopped"
+        path = unused_path(self._recording_stem)
+        self._actions.put(lambda: self._start_recording(path))
+        return f"recording to {path}"
+
+    def _run(self) -> None:
+        try:
+            self._loop()
+        except Exception as problem:  # noqa: BLE001 - handed to the main thread, which tells it
+            self.problem = problem
+        finally:
+            self._requests.close()
+            self._link.close()
+            if self._writer:
+                self._writer.close()
+            self.final = self._pipeline.finish()
+            self._publish(LinkState.ENDED)
+
+    def _loop(self) -> None:
+        began = time.monotonic()
+        published = began
+        while not self._stop.is_set():
+            frames = self._receiver.poll(_POLL)
+            now = time.monotonic()
+            if frames:
+                if self._writer:
+                    self._writer.write(time.time_ns() // 1000, frames)
+                self._pipeline.intake.garbage_bytes = self._receiver.garbage_bytes
+                self._pipeline.take(frames)
+                if self._pipeline.intake.vehicle is not None:
+                    self._heard_at = now
+            self._follow_vehicle()
+            while not self._actions.empty():
+                self._actions.get()()
+            self._requests.tick(
+                now, self._pipeline.intake.vehicle, self._pipeline.intake.monitor.rates
+            )
+            self._tell_recording_problem()
+            state = self._state(now)
+            if now - published >= _PUBLISH_EVERY:
+                self._publish(state)
+                published = now
+            self._tell_result()
+            if self._ended(now, began):
+                return
+
+    def _ended(self, now: float, began: float) -> bool:
+        if self._link.ended:
+            return True
+        if self._options.duration is not None and now - began >= self._options.duration:
+            return True
+        if self._sender_gone is not None and self._sender_gone():
+            return now - (self._heard_at or began) >= _DRAINED_AFTER
+        return False
+
+    def _follow_vehicle(self) -> None:
+        vehicle = self._pipeline.intake.vehicle
+        if vehicle is not None and vehicle.address != self._followed:
+            self._followed = vehicle.address
+            self._receiver.follow(vehicle.address)
+
+    def _state(self, now: float) -> LinkState:
+        if self._heard_at is None:
+            return LinkState.WAITING
+        return LinkState.LOST if now - self._heard_at > _LOST_AFTER else LinkState.CONNECTED
+
+    def _tell_result(self) -> None:
+        t = self._pipeline.chain.t
+        if self._on_result is not None and t - self._told_result_at >= 1.0:
+            self._told_result_at = t
+            self._on_result(self._pipeline.result())
+
+    def _tell_recording_problem(self) -> None:
+        if self._writer and self._writer.problem != self._told_problem:
+            self._told_problem = self._writer.problem
+            self._pipeline.chain.note(self._told_problem)
+
+    def _start_recording(self, path: Path) -> None:
+        self._writer = TlogWriter(path)
+        self._pipeline.chain.note(self._writer.problem or f"recording to {path}")
+
+    def _stop_recording(self) -> None:
+        if self._writer:
+            self._writer.close()
+            self._pipeline.chain.note(f"recording {self._writer.path} stopped")
+            self._writer = None
+
+    def _publish(self, state: LinkState) -> None:
+        chain, intake = self._pipeline.chain, self._pipeline.intake
+        health = intake.health()
+        recording = self._writer is not None and self._writer.recording
+        self._latest = Snapshot(
+            t=chain.t,
+            used_seconds=chain.used_seconds,
+            flying=chain.flying,
+            result=self.final or self._pipeline.result(),
+            course=chain.course,
+            link=LinkStatus(
+                state=state,
+                url=str(self._link.url),
+                vehicle=str(intake.vehicle or ""),
+                rates=health.rates,
+                asked=dict(self._requests.asked),
+                received=health.received,
+                rejected=health.rejected,
+                unknown=health.unknown,
+                lost_percent=health.lost_percent,
+                recording=str(self._writer.path) if self._writer and recording else "",
+                bytes_per_second=health.bytes_per_second,
+            ),
+            attitude=chain.attitude,
+            rates=chain.rates,
+            rotor_speeds=chain.rotor_speeds,
+            events=chain.events,
+        )

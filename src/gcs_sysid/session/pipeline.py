@@ -1,0 +1,73 @@
+"""Frames in, estimates out: the telemetry intake and the chain, tied together.
+
+Live sessions and log analyses are two ways to drive this one class, which is why they end with
+the same numbers.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.session.result import Result
+from gcs_sysid.telemetry.frames import Frame
+from gcs_sysid.telemetry.intake import Intake
+
+
+class Pipeline:
+    """From the frames of a link or log to results.
+
+    Args:
+        airframe: with a scale anchor.
+        source: what the result names as its source.
+        wanted: system and perhaps component to listen to; None: the first autopilot heard.
+        options: of the chain.
+    """
+
+    def __init__(
+        self,
+        airframe: Airframe,
+        source: str,
+        wanted: tuple[int, int | None] | None = None,
+        options: ChainOptions | None = None,
+    ) -> None:
+        self.source = source
+        self.intake = Intake(wanted)
+        self.chain = Chain(airframe, options)
+        self._events: list[dict[str, Any]] = []
+
+    def take(self, frames: Iterable[Frame]) -> bool:
+        """Take frames in the order received. Returns whether the estimate was renewed."""
+        renewed = False
+        for frame in frames:
+            record = self.intake.frame(frame)
+            if record is not None and self.chain.feed(record):
+                renewed = True
+        for event in self.intake.take_events():
+            self.chain.note(event.text)
+            if event.kind != "vehicle":
+                self._events.append({"t": self.chain.t, "kind": event.kind, "text": event.text})
+        return renewed
+
+    def result(self) -> Result:
+        """The latest estimate."""
+        return self._complete(self.chain.result())
+
+    def finish(self) -> Result:
+        """The final estimate, from all that was taken."""
+        return self._complete(self.chain.finish())
+
+    def _complete(self, result: Result) -> Result:
+        vehicle = self.intake.vehicle
+        reasons = result.reasons
+        if vehicle is None:
+            reasons = ("no autopilot's heartbeat was heard", *reasons)
+        return replace(
+            result,
+            source=self.source,
+            reasons=reasons,
+            vehicle=vehicle.as_dict() if vehicle else {},
+            events=tuple(self._events),
+            telemetry={**self.intake.as_dict(), **result.telemetry},
+        )

@@ -1,0 +1,98 @@
+"""The vehicle's clock, from the stamps in its messages.
+
+Three kinds of stamp come: 64-bit microseconds, 32-bit milliseconds (wrap after 49.7 days) and
+32-bit microseconds (SERVO_OUTPUT_RAW: wrap after 71.6 minutes). All are put on one axis,
+seconds since the vehicle's boot. The wall clock has no part in it.
+"""
+
+JUMP_BACK = 1.0
+"""s. A stamp further back than this is a reboot, not reordering on the way."""
+JUMP_AHEAD = 10.0
+"""s. A stamp further ahead than this needs a second one that agrees: an outage of the link
+looks the same as one corrupted or forged stamp."""
+AGREE = 5.0
+"""s. How near the second stamp must be to the first to confirm a jump."""
+UNIX_FROM = 1e9
+"""s. A larger stamp is Unix time: some senders give that in time_usec."""
+
+_WRAP_MS = 2**32 * 1e-3
+_WRAP_US = 2**32 * 1e-6
+
+
+class VehicleClock:
+    """Follows one vehicle's clock.
+
+    Attributes:
+        now: the latest time heard, s; None before the first stamp.
+        started: the first time heard since boot or since listening, s.
+        reboots: how often the clock was set back for good.
+        doubted: stamps refused because they jumped and nothing confirmed them.
+    """
+
+    def __init__(self) -> None:
+        self.now: float | None = None
+        self.started: float | None = None
+        self.reboots = 0
+        self.doubted = 0
+        self._unix_minus_boot: float | None = None
+        self._suspect: float | None = None
+
+    def stamp_us64(self, time_usec: int) -> float | None:
+        """Time of a 64-bit stamp in us, s; None when it is not to be believed."""
+        t = time_usec * 1e-6
+        if t > UNIX_FROM:
+            if self._unix_minus_boot is None:
+                return None
+            t -= self._unix_minus_boot
+        return self._follow(t) if time_usec else None
+
+    def stamp_ms32(self, time_boot_ms: int) -> float | None:
+        """Time of a 32-bit stamp in ms, s; None when it is not to be believed."""
+        if not time_boot_ms:
+            return None
+        return self._follow(self._unwrap(time_boot_ms * 1e-3, _WRAP_MS))
+
+    def stamp_us32(self, time_usec: int) -> float | None:
+        """Time of a 32-bit stamp in us, s; None while no other stamp tells the wraps.
+
+        Such stamps wrap too often to drive the clock, so they only follow it.
+        """
+        if self.now is None:
+            return None
+        t = self._unwrap(time_usec * 1e-6, _WRAP_US)
+        return t if abs(t - self.now) < JUMP_AHEAD else None
+
+    def system_time(self, time_unix_usec: int, time_boot_ms: int) -> None:
+        """Learn how Unix time and time since boot hang together, from SYSTEM_TIME."""
+        unix = time_unix_usec * 1e-6
+        # Kept once known: GPS corrects Unix time in flight, and the axis must not jump.
+        if self._unix_minus_boot is None and unix > UNIX_FROM and time_boot_ms:
+            self._unix_minus_boot = unix - time_boot_ms * 1e-3
+
+    def _unwrap(self, t: float, wrap: float) -> float:
+        """Put a wrapped stamp into the turn nearest to the clock."""
+        if self.now is None:
+            return t
+        return t + wrap * max(0, round((self.now - t) / wrap))
+
+    def _follow(self, t: float) -> float | None:
+        now = self.now
+        if now is None:
+            self.now = self.started = t
+            return t
+        if now - JUMP_BACK <= t <= now + JUMP_AHEAD:
+            if t > now:
+                self.now = t
+            self._suspect = None
+            return t
+        if self._suspect is None or abs(t - self._suspect) > AGREE:
+            self._suspect = t
+            self.doubted += 1
+            return None
+        self._suspect = None
+        self.now = t
+        if t < now:
+            self.reboots += 1
+            self.started = t
+            self._unix_minus_boot = None
+        return t

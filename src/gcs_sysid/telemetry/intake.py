@@ -1,0 +1,106 @@
+"""From frames to records of one vehicle: the part that live sessions and logs share."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from gcs_sysid.records import Record
+from gcs_sysid.telemetry.decode import RecordDecoder
+from gcs_sysid.telemetry.frames import Frame, Validity
+from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
+from gcs_sysid.telemetry.vehicles import Vehicle, VehicleSelector
+
+
+@dataclass(frozen=True)
+class IntakeEvent:
+    """Something that happened on the way."""
+
+    t: float
+    """Vehicle time, s; after a reboot in the new count."""
+    kind: str
+    """"vehicle" (chosen) or "reboot"."""
+    text: str
+
+
+class Intake:
+    """Takes the frames of a link or a log, gives the records of the chosen vehicle.
+
+    Frames from before the vehicle's first heartbeat make no records.
+
+    Attributes:
+        selector: who was heard, who was chosen.
+        decoder: makes the records; its `dropped` and `clock` are worth showing.
+        monitor: counts and rates.
+        garbage_bytes: set by the caller, from `Receiver` or `TlogReader`.
+    """
+
+    def __init__(self, wanted: tuple[int, int | None] | None = None) -> None:
+        self.selector = VehicleSelector(wanted)
+        self.decoder = RecordDecoder()
+        self.monitor = Monitor()
+        self.garbage_bytes = 0
+        self._events: list[IntakeEvent] = []
+
+    @property
+    def vehicle(self) -> Vehicle | None:
+        """The chosen vehicle; None until it has sent a heartbeat."""
+        return self.selector.chosen
+
+    @property
+    def clock(self) -> float | None:
+        """The latest time on the vehicle's clock, s."""
+        return self.decoder.clock.now
+
+    def frames(self, frames: Iterable[Frame]) -> list[Record]:
+        """Take frames in the order received; the records they make."""
+        records: list[Record] = []
+        for frame in frames:
+            record = self.frame(frame)
+            if record is not None:
+                records.append(record)
+        return records
+
+    def frame(self, frame: Frame) -> Record | None:
+        """Take one frame; the record it makes, if any."""
+        self.monitor.take(frame)
+        if frame.valid is not Validity.OK:
+            chosen = self.selector.chosen
+            if chosen is not None and (frame.system, frame.component) == chosen.address:
+                self.monitor.take_chosen(frame, self.clock)
+            return None
+        known = self.selector.chosen is not None
+        if not self.selector.take(frame):
+            return None
+        clock = self.decoder.clock
+        reboots = clock.reboots
+        before = clock.now
+        record = self.decoder.decode(frame)
+        if not known:
+            self._note("vehicle", f"{self.selector.chosen} heard")
+        if clock.reboots != reboots:
+            self._note("reboot", f"the vehicle's clock went back from {before:.1f} s: reboot")
+        self.monitor.take_chosen(frame, clock.now)
+        if record is not None:
+            self.monitor.take_record(record)
+        return record
+
+    def take_events(self) -> list[IntakeEvent]:
+        """What happened since this was last asked."""
+        events, self._events = self._events, []
+        return events
+
+    def health(self) -> LinkHealth:
+        """Figures of the moment, for the live screen."""
+        return self.monitor.health(self.garbage_bytes)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The result's `telemetry`."""
+        return {
+            **self.monitor.as_dict(map(str, self.selector.systems.values()), self.garbage_bytes),
+            "reboots": self.decoder.clock.reboots,
+            "dropped": dict(self.decoder.dropped),
+        }
+
+    def _note(self, kind: str, text: str) -> None:
+        self._events.append(IntakeEvent(self.clock or 0.0, kind, text))
+        del self._events[:-1000]  # nobody asks: keep it bounded

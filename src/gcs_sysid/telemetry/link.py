@@ -1,0 +1,373 @@
+"""Links to a vehicle: UDP, TCP and serial, named as MAVProxy users name them.
+
+The transport is our own, thin, on `socket` and pyserial, not pymavlink's `mavutil`, which is
+unsound for this tool: it sets SO_REUSEADDR on UDP, so that a port in use is shared in silence
+and each program loses what the other gets; it answers to every address that ever spoke, so that
+a stranger on the port receives the requests too; it keeps the small default receive buffer and
+reads a datagram a call; it prints to standard output; it sleeps while it connects; and to
+import it loads every message of every dialect. pymavlink packs and unpacks, here it ends.
+
+`send` is called by `outgoing.Gate` alone, which decides what may be sent.
+"""
+
+import contextlib
+import errno
+import select
+import socket
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import serial
+
+from gcs_sysid.errors import LinkError
+from gcs_sysid.telemetry.frames import Frame, FrameScanner
+from gcs_sysid.telemetry.urls import LinkUrl
+
+RECEIVE_BUFFER = 4 * 2**20
+"""Bytes asked of the system: 4 s of a flood of 1 MB/s while something else has the processor."""
+LARGEST_DATAGRAM = 65536
+DATAGRAMS_AT_ONCE = 512
+STREAM_PIECE = 65536
+CONNECT_TIMEOUT = 5.0
+"""s."""
+
+Address = tuple[str, int]
+
+
+class Chunk(NamedTuple):
+    """Bytes that arrived: one datagram, or a piece of a stream."""
+
+    data: bytes
+    source: Address | None
+    """Who sent the datagram; None on streams."""
+
+
+class Link(ABC):
+    """An open link.
+
+    Attributes:
+        url: what it was opened from.
+        datagrams: whether chunks are datagrams, each beginning on a frame boundary.
+        ended: the other side closed it, or the device is gone.
+        unsent: messages that could not be sent.
+    """
+
+    datagrams = False
+
+    def __init__(self, url: LinkUrl) -> None:
+        self.url = url
+        self.ended = False
+        self.unsent = 0
+
+    @abstractmethod
+    def receive(self, timeout: float) -> list[Chunk]:
+        """Wait up to `timeout` s and return all that has arrived; empty when nothing has."""
+
+    @abstractmethod
+    def send(self, data: bytes) -> None:
+        """Send one frame. Only `outgoing.Gate` calls this. Never raises: see `unsent`."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Give the port back."""
+
+    def answer_to(self, source: Address | None) -> None:  # noqa: B027 - most have no choice
+        """Send to this address from now on, where the link has a choice."""
+
+    def __enter__(self) -> "Link":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class UdpLink(Link):
+    """Datagrams, listening (`udpin`) or speaking first (`udpout`)."""
+
+    datagrams = True
+
+    def __init__(self, url: LinkUrl) -> None:
+        super().__init__(url)
+        family, address = _resolve(url, socket.SOCK_DGRAM)
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        self._to: Address | None = None
+        try:
+            self._socket.setblocking(False)
+            with contextlib.suppress(OSError):  # some systems refuse more than their limit
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+            if url.kind == "udpin":
+                self._socket.bind(address)
+            else:
+                # Bound at once: an unbound socket cannot be waited for.
+                self._socket.bind(("", 0))
+                self._to = address
+        except OSError as error:
+            self._socket.close()
+            raise _cannot_open(url, error) from error
+
+    @property
+    def port(self) -> int:
+        """Local port number."""
+        return int(self._socket.getsockname()[1])
+
+    def receive(self, timeout: float) -> list[Chunk]:
+        """Datagrams that have arrived, in order."""
+        readable, _, _ = select.select([self._socket], [], [], max(0.0, timeout))
+        chunks: list[Chunk] = []
+        while readable and len(chunks) < DATAGRAMS_AT_ONCE:
+            try:
+                data, source = self._socket.recvfrom(LARGEST_DATAGRAM)
+            except BlockingIOError:
+                break
+            except ConnectionError:
+                continue  # the answer "nobody listens there" to something that we sent
+            chunks.append(Chunk(data, source[:2]))
+        return chunks
+
+    def send(self, data: bytes) -> None:
+        """Send to the vehicle's address; nowhere while it is not known."""
+        if self._to is None:
+            self.unsent += 1
+            return
+        try:
+            self._socket.sendto(data, self._to)
+        except OSError:  # network gone for the moment; the next heartbeat tries again
+            self.unsent += 1
+
+    def answer_to(self, source: Address | None) -> None:
+        """Send to this address from now on (`udpin`); `udpout` keeps to what the user named."""
+        if self.url.kind == "udpin" and source is not None:
+            self._to = source
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._socket.close()
+
+
+class TcpLink(Link):
+    """A TCP connection, ours (`tcp`) or one that comes in (`tcpin`)."""
+
+    def __init__(self, url: LinkUrl) -> None:
+        super().__init__(url)
+        self._listener: socket.socket | None = None
+        self._peer: socket.socket | None = None
+        try:
+            if url.kind == "tcp":
+                self._take(socket.create_connection((url.host, url.port), CONNECT_TIMEOUT))
+            else:
+                family, address = _resolve(url, socket.SOCK_STREAM)
+                self._listener = socket.create_server(address, family=family, backlog=1)
+                self._listener.setblocking(False)
+        except OSError as error:
+            raise _cannot_open(url, error) from error
+
+    @property
+    def port(self) -> int:
+        """Local port number."""
+        open_socket = self._listener or self._peer
+        return int(open_socket.getsockname()[1]) if open_socket else 0
+
+    def _take(self, peer: socket.socket) -> None:
+        peer.setblocking(False)
+        peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with contextlib.suppress(OSError):
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+        self._peer = peer
+
+    def receive(self, timeout: float) -> list[Chunk]:
+        """Bytes that have arrived; takes a waiting connection first."""
+        waiting = self._peer or self._listener
+        if waiting is None:
+            return []
+        readable, _, _ = select.select([waiting], [], [], max(0.0, timeout))
+        if not readable:
+            return []
+        if self._peer is None and self._listener is not None:
+            with contextlib.suppress(OSError):  # it hung up again before it was taken
+                self._take(self._listener.accept()[0])
+            return []
+        assert self._peer is not None
+        try:
+            data = self._peer.recv(STREAM_PIECE)
+        except BlockingIOError:
+            return []
+        except OSError:
+            data = b""
+        if data:
+            return [Chunk(data, None)]
+        self._peer.close()
+        self._peer = None
+        self.ended = self._listener is None  # else wait for the next connection
+        return []
+
+    def send(self, data: bytes) -> None:
+        """Send to the peer, if there is one."""
+        if self._peer is None:
+            self.unsent += 1
+            return
+        try:
+            # A few bytes a second: should they not fit at once, the peer has stopped reading.
+            self._peer.sendall(data)
+        except OSError:
+            self.unsent += 1
+
+    def close(self) -> None:
+        """Hang up."""
+        for open_socket in (self._peer, self._listener):
+            if open_socket is not None:
+                open_socket.close()
+        self._peer = self._listener = None
+
+
+class SerialLink(Link):
+    """A serial port. Waits by pyserial's own timeout: `select` on it works on POSIX alone."""
+
+    def __init__(self, url: LinkUrl) -> None:
+        super().__init__(url)
+        try:
+            # Exclusive: two programs on one port take each other's bytes.
+            self._serial = serial.Serial(
+                url.device, url.baud, timeout=0.0, write_timeout=0.5, exclusive=True
+            )
+        except (OSError, ValueError) as error:  # SerialException is an OSError
+            raise _cannot_open(url, error) from error
+
+    def receive(self, timeout: float) -> list[Chunk]:
+        """Bytes that have arrived."""
+        if self.ended:
+            return []
+        try:
+            self._serial.timeout = max(0.0, timeout)
+            data = self._serial.read(1)
+            if data:
+                data += self._serial.read(min(self._serial.in_waiting, STREAM_PIECE))
+        except (OSError, TypeError):  # unplugged; pyserial's TypeError: closed while reading
+            self.ended = True
+            return []
+        return [Chunk(bytes(data), None)] if data else []
+
+    def send(self, data: bytes) -> None:
+        """Write to the port."""
+        try:
+            self._serial.write(data)
+        except OSError:
+            self.unsent += 1
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._serial.close()
+
+
+def open_link(url: LinkUrl) -> Link:
+    """Open a link.
+
+    Raises:
+        LinkError: one line saying what is wrong and what to do.
+    """
+    if url.kind == "serial":
+        return SerialLink(url)
+    return UdpLink(url) if url.kind in ("udpin", "udpout") else TcpLink(url)
+
+
+def _resolve(url: LinkUrl, kind: socket.SocketKind) -> tuple[socket.AddressFamily, Address]:
+    try:
+        found = socket.getaddrinfo(url.host, url.port, type=kind)
+    except OSError as error:
+        raise _cannot_open(url, error) from error
+    # IPv4 first: "localhost" means 127.0.0.1 to nearly every autopilot and simulator.
+    found.sort(key=lambda entry: entry[0] != socket.AF_INET)
+    family, *_, address = found[0]
+    return family, (str(address[0]), int(address[1]))
+
+
+def _cannot_open(url: LinkUrl, error: Exception) -> LinkError:
+    """Say what is wrong, where, and what to do."""
+    number = getattr(error, "errno", None)
+    if isinstance(error, socket.gaierror):
+        return LinkError(f"{url}: no address found for {url.host!r}; check the spelling")
+    if url.kind == "serial":
+        if number == errno.EACCES or "PermissionError" in str(error):
+            hint = "no permission; on Linux add yourself to the group dialout and log in again"
+        elif number == errno.ENOENT or "FileNotFoundError" in str(error):
+            hint = "no such device; is it plugged in?"
+        elif "exclusively lock" in str(error) or number == errno.EBUSY:
+            hint = "in use by another program; close that first"
+        else:
+            hint = f"{getattr(error, 'strerror', None) or error}"
+        return LinkError(f"cannot open {url.device}: {hint}")
+    if number == errno.EADDRINUSE:
+        hint = "the port is in use; close the other ground station or take another port"
+    elif number == errno.ECONNREFUSED:
+        hint = "connection refused; is the vehicle or simulator running and listening there?"
+    elif number == errno.EACCES:
+        hint = "no permission for that port; take one from 1024 on"
+    elif number == errno.EADDRNOTAVAIL:
+        hint = f"{url.host} is no address of this machine; 0.0.0.0 listens on all"
+    elif isinstance(error, TimeoutError):
+        hint = f"no answer within {CONNECT_TIMEOUT:.0f} s; check host and port"
+    else:
+        hint = getattr(error, "strerror", None) or str(error)
+    return LinkError(f"cannot open {url}: {hint}")
+
+
+class Receiver:
+    """Reads frames from a link, and points its answers at the vehicle.
+
+    Each sender of datagrams has a scanner of its own, so that a stranger's garbage cannot
+    cut the vehicle's frames.
+
+    Attributes:
+        received_bytes: all bytes that arrived.
+    """
+
+    MOST_SENDERS = 64
+
+    def __init__(self, link: Link) -> None:
+        self.received_bytes = 0
+        self._link = link
+        self._vehicle: tuple[int, int] | None = None
+        self._scanners: dict[Address | None, FrameScanner] = {}
+        self._garbage_of_dropped = 0
+
+    def follow(self, vehicle: tuple[int, int]) -> None:
+        """Answer from now on to the address that the vehicle (sysid, compid) speaks from."""
+        self._vehicle = vehicle
+
+    def poll(self, timeout: float) -> list[Frame]:
+        """Wait up to `timeout` s for bytes; the frames that they complete."""
+        frames: list[Frame] = []
+        for data, source in self._link.receive(timeout):
+            self.received_bytes += len(data)
+            scanner = self._scanner(source)
+            if not self._link.datagrams:
+                frames += scanner.feed(data)
+                continue
+            found = scanner.scan(data)
+            frames += found
+            if found and self._speaks_for_vehicle(found):
+                self._link.answer_to(source)
+        if self._link.ended:
+            for scanner in self._scanners.values():
+                frames += scanner.flush()
+        return frames
+
+    @property
+    def garbage_bytes(self) -> int:
+        """Bytes that were part of no frame."""
+        return self._garbage_of_dropped + sum(s.garbage_bytes for s in self._scanners.values())
+
+    def _speaks_for_vehicle(self, frames: Iterable[Frame]) -> bool:
+        vehicle = self._vehicle
+        return vehicle is None or any(
+            (frame.system, frame.component) == vehicle for frame in frames if frame.valid == "ok"
+        )
+
+    def _scanner(self, source: Address | None) -> FrameScanner:
+        scanner = self._scanners.get(source)
+        if scanner is None:
+            if len(self._scanners) >= self.MOST_SENDERS:
+                oldest = self._scanners.pop(next(iter(self._scanners)))
+                self._garbage_of_dropped += oldest.garbage_bytes
+            scanner = self._scanners[source] = FrameScanner()
+        return scanner

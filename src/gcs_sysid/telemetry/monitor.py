@@ -1,0 +1,242 @@
+"""Health of the telemetry: what comes, how often, and what does not.
+
+Everything is counted by the vehicle's clock, so that a live session and the analysis of its
+recording show the same figures.
+"""
+
+from collections import Counter, deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from gcs_sysid.records import Record, Stream
+from gcs_sysid.telemetry.frames import Frame, Validity
+from gcs_sysid.telemetry.messages import message_name
+
+WINDOW = 5.0
+"""s of vehicle time that rates are taken over."""
+STEP = 0.5
+"""s. Messages are counted in steps of this length."""
+REORDERED = 64
+"""A sequence number up to this far behind is late, not lost (PX4 has several senders)."""
+GAP = 0.1
+"""s. A pause of the IMU longer than this, and than five of its usual steps, is a gap."""
+GAPS_KEPT = 100
+
+
+class SequenceCount:
+    """Estimates the messages lost from one sender, by its sequence numbers.
+
+    How far the newest number has moved is compared with how many distinct ones came, so that
+    late ones are not lost. An outage of more than 255 messages shows modulo 256.
+    """
+
+    def __init__(self) -> None:
+        self.received = 0
+        self.expected = 0
+        self._newest: int | None = None
+        self._seen = 0  # bit n: the number n behind the newest came
+
+    def take(self, sequence: int) -> None:
+        """Count one message."""
+        if self._newest is None:
+            self._newest, self._seen, self.received, self.expected = sequence, 1, 1, 1
+            return
+        behind = (self._newest - sequence) % 256
+        if behind < REORDERED:
+            if not self._seen >> behind & 1:
+                self._seen |= 1 << behind
+                self.received += 1
+                # A late one from before the first was not expected either.
+                self.expected = max(self.expected, self.received)
+            return
+        ahead = 256 - behind
+        self._newest = sequence
+        self._seen = (self._seen << ahead | 1) & ((1 << REORDERED) - 1)
+        self.received += 1
+        self.expected += ahead
+
+    def follows(self, sequence: int) -> bool:
+        """Whether a number is among the next few: believable in a damaged frame."""
+        return self._newest is not None and 0 < (sequence - self._newest) % 256 <= 8
+
+    @property
+    def lost(self) -> int:
+        """Messages that were sent and did not come."""
+        return self.expected - self.received
+
+
+@dataclass(frozen=True)
+class LinkHealth:
+    """Figures of the moment, named as in `session.snapshot.LinkStatus`."""
+
+    rates: dict[str, float] = field(default_factory=dict)
+    """Messages a second of vehicle time by name."""
+    received: int = 0
+    rejected: int = 0
+    unknown: int = 0
+    lost_percent: float = 0.0
+    bytes_per_second: float = 0.0
+
+
+class Monitor:
+    """Counts the frames of a session.
+
+    Attributes:
+        counts: message name -> messages of the vehicle.
+        received: frames whose checksum is right, of all systems.
+        bad_crc: frames whose checksum is wrong.
+        unknown: frames of types that nobody here knows.
+        gaps: (t, length) in s of pauses in the IMU stream, the latest ones.
+        gap_count: how many there were.
+    """
+
+    def __init__(self) -> None:
+        self.received = 0
+        self.bad_crc = 0
+        self.unknown = 0
+        self.gaps: deque[tuple[float, float]] = deque(maxlen=GAPS_KEPT)
+        self.gap_count = 0
+        self._counts: Counter[int] = Counter()
+        # Of the chosen vehicle alone: what it forwards from other systems was numbered for
+        # another link and shows gaps where nothing was lost.
+        self._sequence = SequenceCount()
+        # Steps of vehicle time: (number of the step, message id -> messages, bytes).
+        self._steps: deque[tuple[int, Counter[int], list[int]]] = deque()
+        self._first: float | None = None
+        self._spans = 0.0  # s of vehicle time before the last reboot
+        self._now: float | None = None
+        self._imu_last: float | None = None
+        self._imu_step = 0.0
+
+    def take(self, frame: Frame) -> None:
+        """Count a frame of any validity and sender."""
+        if frame.valid is Validity.OK:
+            self.received += 1
+        elif frame.valid is Validity.UNKNOWN:
+            self.unknown += 1
+        else:
+            self.bad_crc += 1
+
+    def take_chosen(self, frame: Frame, now: float | None) -> None:
+        """Count a frame of the chosen vehicle; `now` is its clock after that frame."""
+        if frame.valid is not Validity.BAD_CRC:
+            self._sequence.take(frame.sequence)
+            self._counts[frame.message_id] += 1
+        elif self._sequence.follows(frame.sequence):
+            self._sequence.take(frame.sequence)  # it came, although nobody can read it
+        if now is not None and frame.valid is not Validity.BAD_CRC:
+            self._count_step(frame, now)
+
+    def _count_step(self, frame: Frame, now: float) -> None:
+        if self._now is not None and self._first is not None and now < self._now - STEP:
+            self._spans += self._now - self._first
+            self._first = None
+            self._steps.clear()
+            self._imu_last = None
+        if self._first is None:
+            self._first = now
+        self._now = now
+        step = int(now / STEP)
+        if not self._steps or self._steps[-1][0] != step:
+            self._steps.append((step, Counter(), [0]))
+            while self._steps[0][0] < step - WINDOW / STEP:
+                self._steps.popleft()
+        _, counts, size = self._steps[-1]
+        counts[frame.message_id] += 1
+        size[0] += len(frame.raw)
+
+    def take_record(self, record: Record) -> None:
+        """Watch the IMU for gaps."""
+        if record.stream is not Stream.IMU:
+            return
+        if self._imu_last is not None:
+            step = record.t - self._imu_last
+            if step <= 0.0:
+                return
+            if step > max(GAP, 5.0 * self._imu_step):
+                if self._imu_step:
+                    self.gaps.append((self._imu_last, step))
+                    self.gap_count += 1
+                self._imu_step = self._imu_step or step
+            else:
+                self._imu_step += 0.02 * (step - self._imu_step) if self._imu_step else step
+        self._imu_last = record.t
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Message name -> messages of the vehicle."""
+        return {message_name(i): n for i, n in sorted(self._counts.items())}
+
+    @property
+    def lost(self) -> int:
+        """Messages of the chosen vehicle that did not come."""
+        return self._sequence.lost
+
+    @property
+    def lost_percent(self) -> float:
+        """`lost` as a part of what was sent, in percent."""
+        expected = self._sequence.expected
+        return 100.0 * self.lost / expected if expected else 0.0
+
+    @property
+    def span(self) -> float:
+        """Vehicle time covered, s, added up over reboots."""
+        if self._now is None or self._first is None:
+            return self._spans
+        return self._spans + self._now - self._first
+
+    def rates(self) -> dict[str, float]:
+        """Messages a second over the last whole steps of the window, by name."""
+        return self.health().rates
+
+    def _window(self) -> tuple[Counter[int], int, float]:
+        """Messages by id, bytes, and s of the whole steps in the window."""
+        whole = list(self._steps)[:-1]  # the last step still fills
+        begun_inside = self._first is not None and whole and whole[0][0] == int(self._first / STEP)
+        if begun_inside and len(whole) > 1:
+            whole = whole[1:]
+        total: Counter[int] = Counter()
+        size = 0
+        for _, counts, step_size in whole:
+            total.update(counts)
+            size += step_size[0]
+        # Steps without any message are silence, and count.
+        seconds = (self._steps[-1][0] - whole[0][0]) * STEP if whole else 0.0
+        return total, size, seconds
+
+    def health(self, garbage_bytes: int = 0) -> LinkHealth:
+        """Figures of the moment. Garbage counts as one rejection a started 64 bytes."""
+        counts, size, seconds = self._window()
+        return LinkHealth(
+            rates={message_name(i): n / seconds for i, n in sorted(counts.items())}
+            if seconds
+            else {},
+            received=self.received,
+            rejected=self.bad_crc + -(-garbage_bytes // 64),
+            unknown=self.unknown,
+            lost_percent=self.lost_percent,
+            bytes_per_second=size / seconds if seconds else 0.0,
+        )
+
+    def as_dict(self, systems: Iterable[str] = (), garbage_bytes: int = 0) -> dict[str, Any]:
+        """The result's `telemetry`: figures of the whole flight."""
+        span = self.span
+        return {
+            "duration": span,
+            "systems": list(systems),
+            "messages": {
+                name: {"count": n, "rate": n / span if span > 0.0 else None}
+                for name, n in self.counts.items()
+            },
+            "received": self.received,
+            "unknown": self.unknown,
+            "bad_crc": self.bad_crc,
+            "garbage_bytes": garbage_bytes,
+            "lost": self.lost,
+            "lost_percent": self.lost_percent,
+            "imu_gaps": {
+                "count": self.gap_count,
+                "last": [{"t": t, "length": length} for t, length in self.gaps],
+            },
+        }

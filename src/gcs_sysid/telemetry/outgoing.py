@@ -1,0 +1,155 @@
+"""The one place that decides what may be sent to a vehicle.
+
+A tool that only listens can do no harm, and this one must not do more than ask: its heartbeat,
+requests for message rates, requests for what describes the vehicle, time synchronisation, and
+reading of parameters. Nothing that moves, arms, configures or restarts a vehicle can pass.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from gcs_sysid.errors import GcsSysidError
+from gcs_sysid.telemetry.dialect import mavlink
+
+OWN_SYSTEM = 245
+"""Not 255: autopilots tie their failsafe to the ground station of that number, so that
+quitting this tool could trip it."""
+OWN_COMPONENT: int = mavlink.MAV_COMP_ID_MISSIONPLANNER
+
+# What describes the vehicle and has no effect on it.
+_MAY_BE_REQUESTED = frozenset(
+    {mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, mavlink.MAVLINK_MSG_ID_PROTOCOL_VERSION}
+)
+LONGEST_INTERVAL = 60_000_000
+"""us. Nobody needs a stream slower than one a minute."""
+
+
+class NotAllowedError(GcsSysidError):
+    """Something was about to be sent that must never be."""
+
+
+def _is_harmless_heartbeat(message: Any) -> bool:
+    return bool(
+        message.type == mavlink.MAV_TYPE_GCS
+        and message.autopilot == mavlink.MAV_AUTOPILOT_INVALID
+        and message.base_mode == 0
+        and message.custom_mode == 0
+    )
+
+
+def _is_harmless_command(message: Any) -> bool:
+    parameters = [getattr(message, f"param{i}") for i in range(1, 8)]
+    if not all(math.isfinite(value) for value in parameters) or message.target_system == 0:
+        return False
+    wanted, value, *rest = parameters
+    if wanted != int(wanted) or any(rest):
+        return False
+    if message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+        # 0 asks for the vehicle's own rate, -1 would switch the message off.
+        return int(wanted) in mavlink.mavlink_map and 0 <= value <= LONGEST_INTERVAL
+    if message.command == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
+        return int(wanted) in mavlink.mavlink_map and value == 0
+    if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
+        return int(wanted) in _MAY_BE_REQUESTED and value == 0
+    return False
+
+
+def _always(_message: Any) -> bool:
+    return True
+
+
+_ALLOWED: dict[int, Callable[[Any], bool]] = {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: _is_harmless_heartbeat,
+    mavlink.MAVLINK_MSG_ID_COMMAND_LONG: _is_harmless_command,
+    mavlink.MAVLINK_MSG_ID_TIMESYNC: _always,
+    mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ: _always,
+    mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: _always,
+}
+
+
+def is_allowed(message: Any) -> bool:
+    """Whether a message of the dialect may be sent at all."""
+    check = _ALLOWED.get(message.id)
+    return check is not None and check(message)
+
+
+class Gate:
+    """The only way out: everything that is sent passes through `send`.
+
+    Attributes:
+        listen_only: when set, nothing at all is sent.
+        sent: messages sent so far.
+        version: the MAVLink version spoken, 1 or 2: as the vehicle speaks.
+    """
+
+    def __init__(self, send_bytes: Callable[[bytes], None], *, listen_only: bool = False) -> None:
+        self.listen_only = listen_only
+        self.sent = 0
+        self.version = 2
+        self._send_bytes = send_bytes
+        self._packer = mavlink.MAVLink(None, srcSystem=OWN_SYSTEM, srcComponent=OWN_COMPONENT)
+
+    def send(self, message: Any) -> bool:
+        """Send one message of the dialect; False when only listening.
+
+        Raises:
+            NotAllowedError: for anything that is not on the short list above.
+        """
+        if not is_allowed(message):
+            raise NotAllowedError(f"{message.msgname} must never be sent to a vehicle")
+        if self.listen_only:
+            return False
+        raw = bytes(message.pack(self._packer, force_mavlink1=self.version == 1))
+        self._packer.seq = (self._packer.seq + 1) % 256
+        self._send_bytes(raw)
+        self.sent += 1
+        return True
+
+    def heartbeat(self) -> bool:
+        """Say that a ground station is here (once a second)."""
+        return self.send(
+            mavlink.MAVLink_heartbeat_message(
+                mavlink.MAV_TYPE_GCS,
+                mavlink.MAV_AUTOPILOT_INVALID,
+                base_mode=0,
+                custom_mode=0,
+                system_status=mavlink.MAV_STATE_ACTIVE,
+                mavlink_version=3,
+            )
+        )
+
+    def _command(self, target: tuple[int, int], command: int, p1: float, p2: float = 0.0) -> bool:
+        return self.send(
+            mavlink.MAVLink_command_long_message(
+                *target, command, 0, float(p1), float(p2), 0.0, 0.0, 0.0, 0.0, 0.0
+            )
+        )
+
+    def set_message_interval(
+        self, target: tuple[int, int], message_id: int, interval_us: int
+    ) -> bool:
+        """Ask for a message every `interval_us`; 0 restores the vehicle's own rate."""
+        return self._command(target, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, interval_us)
+
+    def get_message_interval(self, target: tuple[int, int], message_id: int) -> bool:
+        """Ask at which interval a message is sent."""
+        return self._command(target, mavlink.MAV_CMD_GET_MESSAGE_INTERVAL, message_id)
+
+    def request_message(self, target: tuple[int, int], message_id: int) -> bool:
+        """Ask once for a message that describes the vehicle."""
+        return self._command(target, mavlink.MAV_CMD_REQUEST_MESSAGE, message_id)
+
+    def timesync(self, ts1_ns: int) -> bool:
+        """Ask for the vehicle's time; `ts1_ns` is our own, in ns."""
+        return self.send(mavlink.MAVLink_timesync_message(tc1=0, ts1=ts1_ns))
+
+    def read_parameter(self, target: tuple[int, int], name: str) -> bool:
+        """Ask for one parameter by name (at most 16 characters)."""
+        return self.send(
+            mavlink.MAVLink_param_request_read_message(*target, name.encode("ascii")[:16], -1)
+        )
+
+    def read_all_parameters(self, target: tuple[int, int]) -> bool:
+        """Ask for all parameters."""
+        return self.send(mavlink.MAVLink_param_request_list_message(*target))

@@ -1,0 +1,81 @@
+"""Names of links, as MAVProxy and pymavlink users write them."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from gcs_sysid.errors import InputError
+
+FORMS = (
+    "udpin:HOST:PORT (listen), udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT "
+    "or a serial device such as /dev/ttyUSB0 or COM3"
+)
+_NETWORK_KINDS = ("udpin", "udpout", "udp", "tcpin", "tcp")
+_SERIAL_NAME = re.compile(r"/dev/|/tmp/|COM\d+$|\\\\\.\\COM\d+$", re.IGNORECASE)
+_LOG_SUFFIXES = {".tlog", ".ulg", ".bin", ".log", ".rlog"}
+
+
+@dataclass(frozen=True)
+class LinkUrl:
+    """A link as the user named it, taken apart."""
+
+    kind: str
+    """"udpin", "udpout", "tcp", "tcpin" or "serial"."""
+    text: str
+    host: str = ""
+    port: int = 0
+    device: str = ""
+    baud: int = 0
+
+    @property
+    def speaks_first(self) -> bool:
+        """Whether the vehicle is silent until it hears us, so that listening alone is in vain."""
+        return self.kind == "udpout"
+
+    def __str__(self) -> str:
+        return self.text
+
+
+def parse_url(text: str, baud: int = 115200) -> LinkUrl:
+    """Understand a link's name.
+
+    Raises:
+        InputError: one line saying what is wrong with it.
+    """
+    text = text.strip()
+    if not text:
+        raise InputError(f"no link given: use {FORMS}")
+    kind, colon, rest = text.partition(":")
+    kind = kind.lower()
+    if colon and kind in _NETWORK_KINDS:
+        host, port = _host_and_port(rest.removeprefix("//"), text)
+        # `udp:` listens, as in pymavlink.
+        return LinkUrl("udpin" if kind == "udp" else kind, text, host, port)
+    if Path(text).suffix.lower() in _LOG_SUFFIXES:
+        raise InputError(f"{text} is a log, not a link: use gcs-sysid analyze {text}")
+    device, comma, own_baud = text.partition(",")
+    if _SERIAL_NAME.match(device) or Path(device).is_char_device():
+        if comma:
+            if not own_baud.isdecimal():
+                raise InputError(f"{text}: the baud rate must be a number, not {own_baud!r}")
+            baud = int(own_baud)
+        if baud <= 0:
+            raise InputError(f"{text}: the baud rate must be positive, not {baud}")
+        return LinkUrl("serial", text, device=device, baud=baud)
+    if colon and text.count(":") == 1 and rest.isdecimal():
+        host, port = _host_and_port(text, text)
+        return LinkUrl("udpin", text, host, port)  # as in pymavlink
+    raise InputError(f"cannot understand the link {text!r}: use {FORMS}")
+
+
+def _host_and_port(text: str, whole: str) -> tuple[str, int]:
+    host, colon, port_text = text.rpartition(":")
+    if not colon or not host:
+        raise InputError(f"{whole}: write the link as KIND:HOST:PORT, such as udpin:0.0.0.0:14550")
+    if not port_text.isdecimal() or not 0 < int(port_text) < 65536:
+        raise InputError(f"{whole}: the port must be a number from 1 to 65535, not {port_text!r}")
+    if host.startswith("[") and host.endswith("]"):
+        host = host[1:-1]
+    elif ":" in host:
+        raise InputError(f"{whole}: write an IPv6 address in brackets, as udpin:[::1]:14550")
+    return host, int(port_text)

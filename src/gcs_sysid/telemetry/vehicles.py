@@ -1,0 +1,138 @@
+"""Which of the systems heard is the vehicle."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.frames import Frame
+from gcs_sysid.telemetry.messages import picker
+
+_heartbeat = picker("HEARTBEAT", "type", "autopilot")
+
+MOST_SYSTEMS = 256
+"""Systems kept in the table: a hostile sender can claim 65 536 of them."""
+
+_AUTOPILOT_KEYS = {
+    mavlink.MAV_AUTOPILOT_PX4: ("px4", "PX4"),
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: ("ardupilot", "ArduPilot"),
+}
+_TYPE_WORDS = {mavlink.MAV_TYPE_GCS: "ground station", mavlink.MAV_TYPE_GENERIC: "vehicle"}
+# What carries an autopilot's heartbeat but is never the vehicle.
+_NOT_VEHICLES = {
+    mavlink.MAV_TYPE_GCS,
+    mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+    mavlink.MAV_TYPE_GIMBAL,
+    mavlink.MAV_TYPE_CAMERA,
+    mavlink.MAV_TYPE_ANTENNA_TRACKER,
+    mavlink.MAV_TYPE_ADSB,
+}
+
+
+def autopilot_key(autopilot: int) -> str:
+    """Short lower-case name, as in the result: "px4", "ardupilot", ..."""
+    if autopilot in _AUTOPILOT_KEYS:
+        return _AUTOPILOT_KEYS[autopilot][0]
+    entry = mavlink.enums["MAV_AUTOPILOT"].get(autopilot)
+    return entry.name.removeprefix("MAV_AUTOPILOT_").lower() if entry else str(autopilot)
+
+
+def _autopilot_name(autopilot: int) -> str:
+    if autopilot in _AUTOPILOT_KEYS:
+        return _AUTOPILOT_KEYS[autopilot][1]
+    if autopilot == mavlink.MAV_AUTOPILOT_INVALID:
+        return ""
+    return autopilot_key(autopilot).replace("_", " ")
+
+
+def _type_name(vehicle_type: int) -> str:
+    if vehicle_type in _TYPE_WORDS:
+        return _TYPE_WORDS[vehicle_type]
+    entry = mavlink.enums["MAV_TYPE"].get(vehicle_type)
+    if entry is None:
+        return f"type {vehicle_type}"
+    return str(entry.name).removeprefix("MAV_TYPE_").lower().replace("_", " ")
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A system that was heard, with what its heartbeat says."""
+
+    system: int
+    component: int
+    vehicle_type: int | None = None
+    """MAV_TYPE; None while no heartbeat came."""
+    autopilot: int | None = None
+    """MAV_AUTOPILOT; None while no heartbeat came."""
+
+    @property
+    def address(self) -> tuple[int, int]:
+        """(sysid, compid)."""
+        return self.system, self.component
+
+    @property
+    def key(self) -> str:
+        """Such as "px4" or "ardupilot"; empty while unknown."""
+        return "" if self.autopilot is None else autopilot_key(self.autopilot)
+
+    def __str__(self) -> str:
+        words = []
+        if self.autopilot is not None and self.vehicle_type is not None:
+            words = [_autopilot_name(self.autopilot), _type_name(self.vehicle_type)]
+        return " ".join([*filter(None, words), f"{self.system}:{self.component}"])
+
+    def as_dict(self) -> dict[str, int | str]:
+        """The result's `vehicle`."""
+        return {"sysid": self.system, "compid": self.component, "autopilot": self.key}
+
+
+class VehicleSelector:
+    """Chooses the vehicle: the one wanted, else the first autopilot that sends a heartbeat.
+
+    Attributes:
+        chosen: the vehicle, None until it has sent a heartbeat.
+        systems: (sysid, compid) -> all that was heard, in the order heard.
+        frames: (sysid, compid) -> valid frames of each.
+    """
+
+    def __init__(self, wanted: tuple[int, int | None] | None = None) -> None:
+        self.chosen: Vehicle | None = None
+        self.systems: dict[tuple[int, int], Vehicle] = {}
+        self.frames: dict[tuple[int, int], int] = {}
+        self._wanted = wanted
+
+    def take(self, frame: Frame) -> bool:
+        """Note a frame whose checksum is right; True when it is the chosen vehicle's."""
+        who = (frame.system, frame.component)
+        if who in self.systems:
+            self.frames[who] += 1
+        elif len(self.systems) < MOST_SYSTEMS:
+            self.systems[who] = Vehicle(*who)
+            self.frames[who] = 1
+        if frame.message_id == 0:
+            self._hear(who, *_heartbeat(frame.payload))
+        chosen = self.chosen
+        return chosen is not None and who == chosen.address
+
+    def _hear(self, who: tuple[int, int], vehicle_type: int, autopilot: int) -> None:
+        vehicle = Vehicle(*who, vehicle_type, autopilot)
+        if who in self.systems:
+            self.systems[who] = vehicle
+        if self.chosen is None and self._fits(vehicle):
+            self.chosen = vehicle
+
+    def _fits(self, vehicle: Vehicle) -> bool:
+        autopilot = (
+            vehicle.autopilot != mavlink.MAV_AUTOPILOT_INVALID
+            and vehicle.vehicle_type not in _NOT_VEHICLES
+        )
+        if self._wanted is None:
+            return autopilot
+        system, component = self._wanted
+        if vehicle.system != system:
+            return False
+        # A component named by the user is taken at its word.
+        return autopilot if component is None else vehicle.component == component
+
+    def others(self) -> Iterable[Vehicle]:
+        """All systems heard except the chosen one."""
+        return (vehicle for vehicle in self.systems.values() if vehicle != self.chosen)

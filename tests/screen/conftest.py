@@ -1,0 +1,86 @@
+"""The screen on a fake session, and helpers to read what a terminal would show."""
+
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from dataclasses import dataclass
+
+import pytest
+from rich.segment import Segment
+from textual.pilot import Pilot
+
+from gcs_sysid.screen import SysidApp
+from gcs_sysid.screen.widgets.status import AnswerLine
+from gcs_sysid.session.snapshot import Snapshot
+
+from . import fake
+
+
+class Clock:
+    """Seconds that pass only when a test says so."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@dataclass
+class Running:
+    """The app under test with all that a test asks of it."""
+
+    app: SysidApp
+    pilot: Pilot[None]
+    source: fake.FakeSource
+    clock: Clock
+
+    def segments(self) -> list[list[Segment]]:
+        """What the terminal shows. Textual has no public way to ask for it but as SVG."""
+        return [list(strip) for strip in self.app.screen._compositor.render_strips()]
+
+    def lines(self) -> list[str]:
+        return ["".join(s.text for s in line).rstrip() for line in self.segments()]
+
+    def text(self) -> str:
+        return "\n".join(self.lines()) + "\n"
+
+    def answer(self) -> str:
+        return self.app.screen_stack[0].query_one(AnswerLine).text
+
+    async def press(self, *keys: str) -> None:
+        await self.pilot.press(*keys)
+        await self.settle()
+
+    async def settle(self) -> None:
+        """Let messages and the drawings they ask for go through."""
+        await self.pilot.pause()
+        await self.pilot.pause()
+
+    async def serve(self, snapshot: Snapshot | None) -> None:
+        """Put another snapshot into the source and let the app see it."""
+        self.source.snapshot = snapshot
+        self.app.poll()
+        await self.settle()
+
+
+RunScreen = Callable[..., AbstractAsyncContextManager[Running]]
+
+
+@pytest.fixture
+def run_screen() -> RunScreen:
+    """Start the app on a snapshot, in a terminal of a given size."""
+
+    @asynccontextmanager
+    async def run(
+        first: Snapshot | None,
+        size: tuple[int, int] = (80, 24),
+        truth: Mapping[str, float] | None = fake.TRUTH,
+    ) -> AsyncIterator[Running]:
+        source, clock = fake.FakeSource(first), Clock()
+        app = SysidApp(source, truth, time_source=clock)
+        async with app.run_test(size=size) as pilot:
+            running = Running(app, pilot, source, clock)
+            await running.settle()
+            yield running
+
+    return run

@@ -1,0 +1,215 @@
+"""A session that is not one: fixed, realistic snapshots of the paper's quadrotor.
+
+No test module: the tests get it through the fixtures in conftest.py, and `tools/screenshot.py`
+loads `source` and `TRUTH` from here.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.session.result import Estimate, Result, Scale, Status
+from gcs_sysid.session.snapshot import Course, Event, LinkState, LinkStatus, Snapshot
+
+TRUTH = {
+    "mass": 1.5,
+    "Ixx": 0.0165,
+    "Iyy": 0.0167,
+    "Izz": 0.0294,
+    "Ixy": 0.00135,
+    "Iyz": 0.00254,
+    "Ixz": -0.00166,
+    "cg_x": 0.10,
+    "cg_y": 0.05,
+    "k_T": 2.05e-4,
+    "k_M": 6.14e-6,
+    "moment_ratio": 6.14e-6 / 2.05e-4,
+    "rotational_damping": 0.0,
+    "rotor_inertia": 0.0,
+}
+
+# name: value over truth, std over truth, status
+_STATE: dict[str, tuple[float, float, Status]] = {
+    "mass": (1.0, 0.0, "given"),
+    "Ixx": (1.0032, 0.0025, "identified"),
+    "Iyy": (0.9971, 0.0031, "identified"),
+    "Izz": (1.024, 0.041, "weak"),
+    "Ixy": (0.988, 0.011, "identified"),
+    "Iyz": (1.019, 0.052, "weak"),
+    "Ixz": (1.006, 0.014, "identified"),
+    "cg_x": (1.0004, 0.0006, "identified"),
+    "cg_y": (0.9993, 0.0008, "identified"),
+    "k_T": (1.0006, 0.0004, "identified"),
+    "k_M": (0.93, 0.9, "unobservable"),
+    "moment_ratio": (0.93, 0.9, "unobservable"),
+}
+
+_UNITS = {"mass": "kg", "cg_x": "m", "cg_y": "m", "k_T": "N s^2", "k_M": "N m s^2"}
+_UNITS |= {"moment_ratio": "m", "rotational_damping": "N m s", "rotor_inertia": "kg m^2"}
+
+
+def estimates() -> dict[str, Estimate]:
+    """Parameters of every status, one of them without any value."""
+    found = {
+        name: Estimate(
+            TRUTH[name] * factor, abs(TRUTH[name]) * std, _UNITS.get(name, "kg m^2"), status
+        )
+        for name, (factor, std, status) in _STATE.items()
+    }
+    found["rotational_damping"] = Estimate(2.1e-3, 3.4e-3, "N m s", "weak")
+    found["rotor_inertia"] = Estimate(None, None, "kg m^2", "unobservable")
+    return found
+
+
+def result() -> Result:
+    """A result half way through the flight."""
+    return Result(
+        verdict="partial",
+        reasons=("Izz, Iyz: fly more yaw", "k_M: unobservable without yaw acceleration"),
+        source="udpin:0.0.0.0:14550",
+        vehicle={"sysid": 1, "compid": 1, "autopilot": "px4"},
+        scale=Scale("mass", 1.5, "kg"),
+        rotor_input="speed",
+        parameters=estimates(),
+        timing={"rotor_delay": Estimate(0.0118, 0.0004, "s", "identified")},
+    )
+
+
+def course(duration: float = 42.0) -> Course:
+    """A decaying oscillation onto the final values, with a band that narrows."""
+    t = np.arange(0.5, duration, 0.1)
+    values, stds = {}, {}
+    for index, (name, estimate) in enumerate(estimates().items()):
+        if estimate.value is None or estimate.std is None:
+            continue
+        shape = np.exp(-t / 4.0) * np.cos(0.9 * t + index)
+        values[name] = estimate.value * (1.0 + 0.25 * shape * (estimate.status != "given"))
+        stds[name] = estimate.std * np.sqrt(duration / t) * (1.0 + 6.0 * np.exp(-t / 6.0))
+        values[name][:5] = np.nan
+        stds[name][:5] = np.nan
+    return Course(t=t, value=values, std=stds)
+
+
+def link(state: LinkState = LinkState.CONNECTED, **changes: object) -> LinkStatus:
+    """A link with one message that comes too slowly."""
+    return replace(
+        LinkStatus(
+            state=state,
+            url="udpin:0.0.0.0:14550",
+            vehicle="PX4 quadrotor 1:1",
+            rates={
+                "HEARTBEAT": 1.0,
+                "HIGHRES_IMU": 249.8,
+                "ATTITUDE_QUATERNION": 49.9,
+                "ESC_STATUS": 99.7,
+                "ACTUATOR_OUTPUT_STATUS": 38.2,
+                "LOCAL_POSITION_NED": 30.0,
+                "SERVO_OUTPUT_RAW": 0.0,
+            },
+            asked={
+                "HIGHRES_IMU": 250.0,
+                "ATTITUDE_QUATERNION": 50.0,
+                "ESC_STATUS": 100.0,
+                "ACTUATOR_OUTPUT_STATUS": 50.0,
+            },
+            received=18_934,
+            rejected=3,
+            unknown=0,
+            lost_percent=0.2,
+            recording="logs/2025-06-01_101502.tlog",
+            bytes_per_second=38_420.0,
+        ),
+        **changes,  # type: ignore[arg-type]
+    )
+
+
+def snapshot() -> Snapshot:
+    """The vehicle in flight, 42 s after the first record."""
+    return Snapshot(
+        t=42.3,
+        used_seconds=31.0,
+        flying=True,
+        result=result(),
+        course=course(),
+        link=link(),
+        attitude=(math.radians(12.4), math.radians(-5.1), math.radians(87.0)),
+        rates=(0.41, -0.22, 0.05),
+        rotor_speeds=(101.3, 71.9, 94.4, 118.0),
+        events=(
+            Event(0.0, "first message from PX4 quadrotor 1:1"),
+            Event(0.4, "asked for HIGHRES_IMU at 250 Hz"),
+            Event(6.2, "took off"),
+            Event(31.2, "Ixx identified"),
+            Event(38.0, "gap of 0.3 s in ESC_STATUS"),
+        ),
+    )
+
+
+def waiting() -> Snapshot:
+    """A link on which nobody has spoken."""
+    return Snapshot(
+        t=0.0,
+        used_seconds=0.0,
+        flying=False,
+        result=replace(result(), verdict="refused", reasons=(), parameters={}, timing={}),
+        course=Course(np.array([]), {}, {}),
+        link=LinkStatus(state=LinkState.WAITING, url="udpin:0.0.0.0:14550"),
+    )
+
+
+def bare() -> Snapshot:
+    """A vehicle that speaks, but of which nothing is known yet: no values, no course."""
+    nothing = {n: Estimate(None, None, e.unit, "unobservable") for n, e in estimates().items()}
+    return replace(
+        snapshot(),
+        flying=False,
+        used_seconds=0.0,
+        result=replace(result(), parameters=nothing, timing={}, verdict="refused"),
+        course=Course(np.array([]), {}, {}),
+        attitude=None,
+        rates=None,
+        rotor_speeds=(),
+        events=(),
+    )
+
+
+class FakeSource:
+    """A source that serves one snapshot and notes what is asked of it."""
+
+    def __init__(self, first: Snapshot | None) -> None:
+        self.snapshot = first
+        self.calls: list[str] = []
+        self.recording = True
+        self.broken = False
+
+    def latest(self) -> Snapshot | None:
+        return self.snapshot
+
+    def mark(self, text: str) -> None:
+        self._note(f"mark {text!r}")
+        if self.snapshot is not None:
+            events = (*self.snapshot.events, Event(self.snapshot.t, text))
+            self.snapshot = replace(self.snapshot, events=events)
+
+    def reset(self) -> None:
+        self._note("reset")
+
+    def toggle_recording(self) -> str:
+        self._note("record")
+        self.recording = not self.recording
+        return "recording to logs/next.tlog" if self.recording else "recording stopped"
+
+    def stop(self) -> None:
+        self._note("stop")
+
+    def _note(self, call: str) -> None:
+        if self.broken:
+            raise InputError("the disk is full")
+        self.calls.append(call)
+
+
+def source() -> FakeSource:
+    """What `tools/screenshot.py` shows."""
+    return FakeSource(snapshot())

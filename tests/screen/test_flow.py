@@ -1,0 +1,168 @@
+"""What the screen makes of snapshots: states of the link, changes, sizes."""
+
+import itertools
+from dataclasses import replace
+
+import pytest
+
+from gcs_sysid.screen.main import layout_classes
+from gcs_sysid.screen.widgets.parameters import ParameterRow
+from gcs_sysid.session.result import Estimate
+from gcs_sysid.session.snapshot import Event, LinkState
+
+from . import fake
+
+
+async def test_before_the_first_snapshot(run_screen):
+    async with run_screen(None) as s:
+        assert "Opening the link" in s.text()
+        await s.serve(fake.snapshot())
+        assert "Opening the link" not in s.text()
+        assert "identified" in s.text()
+
+
+async def test_nobody_has_spoken(run_screen):
+    async with run_screen(fake.waiting()) as s:
+        text = " ".join(s.text().split())
+        assert (
+            "Listening on udpin:0.0.0.0:14550 — no vehicle has spoken yet. "
+            "Is the emulator or the telemetry forwarding on?"
+        ) in text
+
+
+async def test_a_lost_link_counts_the_silence(run_screen):
+    async with run_screen(fake.snapshot()) as s:
+        s.clock.now += 7.0
+        await s.serve(replace(fake.snapshot(), link=fake.link(LinkState.LOST)))
+        assert "silent for 7 s" in s.text()
+        s.clock.now += 60.0
+        s.app.poll()  # the same snapshot: nothing arrives, but time passes
+        await s.settle()
+        assert "silent for 1 min 7 s" in s.text()
+        await s.serve(replace(fake.snapshot(), link=fake.link(received=20_000)))
+        assert "silent" not in s.text()
+
+
+async def test_the_end_of_the_stream(run_screen):
+    async with run_screen(replace(fake.snapshot(), link=fake.link(LinkState.ENDED))) as s:
+        assert "Stream ended, numbers final; q to quit" in s.text()
+
+
+async def test_a_vehicle_of_which_nothing_is_known_yet(run_screen):
+    for page in "1234":
+        async with run_screen(fake.bare()) as s:
+            await s.press(page)
+    async with run_screen(fake.bare(), size=(200, 50)) as s:
+        assert "no attitude yet" in s.text()
+        assert "no course to plot yet" in s.text()
+
+
+async def test_without_truth_there_are_no_columns_for_it(run_screen):
+    async with run_screen(fake.snapshot(), truth=None) as s:
+        assert "truth" not in s.text()
+        assert "error" not in s.text()
+
+
+async def test_the_same_snapshot_is_not_drawn_again(run_screen, monkeypatch):
+    async with run_screen(fake.snapshot()) as s:
+        drawn = []
+        monkeypatch.setattr(s.app, "draw", lambda: drawn.append(1))
+        s.app.poll()
+        s.app.poll()
+        assert drawn == []
+        await s.serve(fake.snapshot())
+        assert drawn == [1]
+
+
+async def test_only_rows_that_changed_are_drawn_again(run_screen, monkeypatch):
+    async with run_screen(fake.snapshot()) as s:
+        drawn = []
+        monkeypatch.setattr(
+            ParameterRow, "refresh", lambda row, *a, **k: drawn.append(row.parameter_name)
+        )
+        result = fake.result()
+        result.parameters["Izz"] = Estimate(0.031, 0.0001, "kg m^2", "identified")
+        s.source.snapshot = replace(fake.snapshot(), result=result)
+        s.app.poll()
+        assert drawn == ["Izz"]
+
+
+async def test_parameters_come_and_go(run_screen):
+    """A vehicle that turns out to have no rotor speeds: other parameters, in their order."""
+    async with run_screen(fake.snapshot()) as s:
+        result = fake.result()
+        found = dict(result.parameters)
+        del found["k_T"], found["k_M"]
+        found["T_max"] = Estimate(7.2, 0.1, "N", "identified")
+        await s.serve(replace(fake.snapshot(), result=replace(result, parameters=found)))
+        names = [line[1:9].strip() for line in s.lines()]
+        assert "k_T" not in names
+        assert names.index("cg_y") < names.index("T_max") < names.index("k_M/k_T")
+        await s.serve(fake.snapshot())
+        names = [line[1:9].strip() for line in s.lines()]
+        assert "T_max" not in names
+        assert names.index("cg_y") + 1 == names.index("k_T")
+
+
+async def test_a_new_event_reaches_the_line_above_the_footer(run_screen):
+    async with run_screen(fake.snapshot()) as s:
+        events = (*fake.snapshot().events, Event(41.0, "landed"))
+        await s.serve(replace(fake.snapshot(), events=events))
+        assert s.answer() == "landed"
+
+
+async def test_event_text_is_never_taken_for_markup(run_screen):
+    text = "param [red]X[/] set [/bold] [0]"
+    async with run_screen(replace(fake.snapshot(), events=(Event(1.0, text),))) as s:
+        assert text in s.text()
+        await s.press("4")
+        assert s.text().count(text) == 1
+
+
+@pytest.mark.parametrize(
+    ("size", "classes"),
+    [
+        ((80, 24), {"-paged"}),
+        ((80, 50), {"-paged", "-tall"}),
+        ((200, 24), {"-paged"}),
+        ((120, 40), set()),
+        ((200, 50), {"-wide"}),
+    ],
+)
+def test_layout_of_a_size(size, classes):
+    assert layout_classes(*size) == classes
+
+
+async def test_a_terminal_that_grows_and_shrinks(run_screen):
+    async with run_screen(fake.snapshot(), size=(80, 24)) as s:
+        sizes = [(200, 50), (20, 5), (120, 40), (1, 1), (80, 10), (100, 60), (300, 100), (80, 24)]
+        before = s.text()
+        for size, page in zip(sizes, itertools.cycle("1234"), strict=False):
+            await s.press(page)
+            await s.pilot.resize_terminal(*size)
+            await s.settle()
+        await s.press("1")
+        assert s.lines()[2:-2] == before.split("\n")[2:-3]
+
+
+async def test_a_tall_small_terminal_shows_table_and_plot(run_screen):
+    async with run_screen(fake.snapshot(), size=(80, 50)) as s:
+        assert "10⁻³ kg m²" in s.text()
+        assert "95 % band" in s.text()
+
+
+async def test_wide_terminals_show_how_far_each_parameter_has_come(run_screen):
+    async with run_screen(fake.snapshot(), size=(200, 50)) as s:
+        assert "converged" in s.text()
+
+
+async def test_the_final_plot_is_drawn_though_it_came_soon_after_the_last(run_screen):
+    """Drawings of the plot are rationed; the last one must not be lost."""
+    async with run_screen(fake.snapshot()) as s:
+        await s.press("2")
+        await s.serve(replace(fake.snapshot(), course=fake.course(90.0)))
+        for _ in range(50):
+            await s.pilot.pause(0.05)
+            if "80" in s.lines()[-4]:
+                break
+        assert "80" in s.lines()[-4]

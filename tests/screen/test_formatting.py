@@ -1,0 +1,130 @@
+import math
+
+import pytest
+
+from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.session.result import Estimate
+
+from . import fake
+
+
+@pytest.mark.parametrize(
+    ("unit", "exponent", "text"),
+    [
+        ("kg m^2", 0, "kg m²"),
+        ("kg m^2", -3, "10⁻³ kg m²"),
+        ("N m s^2", -6, "10⁻⁶ N m s²"),
+        ("m", -3, "mm"),
+        ("s", -3, "ms"),
+        ("m", 0, "m"),
+        ("1", 0, ""),
+        ("1", -3, "10⁻³"),
+        ("N s/m", 0, "N s/m"),
+    ],
+)
+def test_unit_with_its_power(unit, exponent, text):
+    assert fmt.scaled_unit(unit, exponent) == text
+
+
+@pytest.mark.parametrize(
+    ("magnitude", "previous", "exponent"),
+    [
+        (0.0294, None, -3),
+        (2.05e-4, None, -6),
+        (6.14e-6, None, -6),
+        (1.5, None, 0),
+        (0.7e-3, -3, -3),  # held, though 700e-6 would do
+        (0.4e-3, -3, -6),
+        (1.2, -3, 0),
+        (0.0, None, 0),
+        (math.inf, -3, -3),
+    ],
+)
+def test_power_is_engineering_and_held(magnitude, previous, exponent):
+    assert fmt.engineering_exponent(magnitude, previous) == exponent
+
+
+def test_one_power_for_all_parameters_of_a_unit():
+    chosen = fmt.choose_exponents(fake.result(), fake.TRUTH, {})
+    assert chosen["kg m^2"] == -3
+    assert chosen["kg"] == 0
+    assert chosen["m"] == -3
+
+
+def test_an_absurd_unobservable_value_does_not_set_the_power():
+    result = fake.result()
+    result.parameters["rotor_inertia"] = Estimate(4.0e5, 1e9, "kg m^2", "unobservable")
+    assert fmt.choose_exponents(result, {}, {})["kg m^2"] == -3
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "exponent", "texts"),
+    [
+        (0.016553, 0.0000413, -3, ("  16.553", "  0.081 ")),
+        (0.0301, 0.00123, -3, ("  30.1  ", "  2.4   ")),
+        (5.7e-6, 5.6e-6, -6, ("   6    ", " 11    ")),
+        (-0.00167, 0.0000235, -3, ("  -1.670", "  0.046 ")),
+        (None, None, -3, ("   ?    ", "  ?    ")),
+        (1.0, math.inf, 0, ("   1.000", "  ?    ")),
+        (1.0, math.nan, 0, ("   1.000", "  ?    ")),
+        (3.0e9, 4.0e9, 0, ("   3e+09", "  8e+09")),
+    ],
+)
+def test_digits_follow_the_interval(value, std, exponent, texts):
+    estimate = Estimate(value, std, "kg m^2", "weak")
+    written = fmt.value_and_half(estimate, exponent)
+    assert [text.strip() for text in written] == [text.strip() for text in texts]
+    assert [len(text) for text in written] == [fmt.NUMBER_WIDTH, fmt.NUMBER_WIDTH - 1]
+
+
+def test_decimal_points_stand_in_one_column():
+    values = [fmt.aligned(v, d) for v, d in ((16.553, 3), (-1.67, 2), (205.12, 1))]
+    assert {value.index(".") for value in values} == {fmt.WHOLE_WIDTH}
+
+
+@pytest.mark.parametrize(
+    ("fraction", "signed", "text"),
+    [
+        (0.00487, False, "0.49 %"),
+        (0.0999, False, "9.99 %"),
+        (0.1234, False, "12.3 %"),
+        (1.9, False, "190 %"),
+        (12.0, False, ">999 %"),
+        (math.inf, False, ">999 %"),
+        (None, False, ""),
+        (-0.0029, True, "-0.29 %"),
+        (0.024, True, "+2.40 %"),
+        (-50.0, True, "<-999 %"),
+    ],
+)
+def test_percent(fraction, signed, text):
+    assert fmt.percent(fraction, signed) == text
+    assert len(text) <= 7
+
+
+def test_bar_fills_in_eighths_and_keeps_its_width():
+    assert fmt.bar(0.0, 4) == "    "
+    assert fmt.bar(1.7, 4) == "████"
+    assert fmt.bar(0.5, 3) == "█▌ "
+
+
+@pytest.mark.parametrize(
+    ("relative", "fraction"), [(None, 0.0), (2.0, 0.0), (1.0, 0.0), (0.1, 0.5), (0.001, 1.0)]
+)
+def test_converged_is_logarithmic(relative, fraction):
+    assert fmt.converged(relative) == pytest.approx(fraction)
+
+
+def test_times():
+    assert fmt.clock(62.9) == "01:02"
+    assert fmt.clock_tenths(59.96) == "01:00.0"
+    assert fmt.duration(125.4) == "2 min 5 s"
+    assert fmt.duration(4.9) == "4 s"
+
+
+def test_every_status_has_its_own_sign():
+    assert len(set(fmt.STATUS_SIGN.values())) == len(fmt.STATUS_SIGN)
+
+
+def test_labels_fit_their_column():
+    assert all(len(fmt.label(name)) <= 8 for name in (*fmt.PARAMETERS, *fmt.TIMING))

@@ -1,0 +1,109 @@
+"""Frames made by pymavlink's own packer, for all telemetry tests."""
+
+import random
+from pathlib import Path
+
+import pytest
+
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.frames import read_frame
+
+SHARED_LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
+
+
+class Sender:
+    """A system that packs messages with running sequence numbers."""
+
+    def __init__(self, system=1, component=1, dialect=mavlink):
+        self.dialect = dialect
+        self.packer = dialect.MAVLink(None, srcSystem=system, srcComponent=component)
+
+    def raw(self, message, version=2):
+        raw = bytes(message.pack(self.packer, force_mavlink1=version == 1))
+        self.packer.seq = (self.packer.seq + 1) % 256
+        return raw
+
+    def frame(self, message, version=2):
+        frame = read_frame(self.raw(message, version))
+        assert frame is not None
+        return frame
+
+    def heartbeat(self, **changes):
+        fields = {
+            "type": mavlink.MAV_TYPE_QUADROTOR,
+            "autopilot": mavlink.MAV_AUTOPILOT_PX4,
+            "base_mode": 0,
+            "custom_mode": 0,
+            "system_status": mavlink.MAV_STATE_ACTIVE,
+        } | changes
+        return self.frame(mavlink.MAVLink_heartbeat_message(**fields, mavlink_version=3))
+
+    def imu(self, t, gyro=(0.1, 0.2, 0.3), acc=(0.0, 0.0, -9.8), imu_id=0):
+        return self.frame(
+            mavlink.MAVLink_highres_imu_message(
+                round(t * 1e6), *acc, *gyro, 0, 0, 0, 1013.0, 0, 0, 20.0, 63, imu_id
+            )
+        )
+
+    def attitude(self, t, roll=0.0, pitch=0.0, yaw=0.0):
+        return self.frame(
+            mavlink.MAVLink_attitude_message(round(t * 1e3), roll, pitch, yaw, 0, 0, 0)
+        )
+
+
+def random_message(cls, rng):
+    """A message of a class with random values in every field; finite floats."""
+    values = []
+    for field, kind in zip(cls.fieldnames, cls.fieldtypes, strict=True):
+        count = cls.array_lengths[cls.ordered_fieldnames.index(field)]
+        if kind == "char":
+            text = "".join(rng.choices("ABCxyz_09 ", k=rng.randrange(0, max(1, count) + 1)))
+            values.append(text.encode())
+            continue
+        some = [_random_value(kind, rng) for _ in range(max(1, count))]
+        values.append(some if count else some[0])
+    return cls(*values)
+
+
+def _random_value(kind, rng):
+    if kind in ("float", "double"):
+        return rng.choice([0.0, rng.uniform(-1e6, 1e6)])
+    bits = int("".join(filter(str.isdigit, kind)))
+    low, high = (0, 2**bits - 1) if kind.startswith("u") else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    return rng.choice([0, 0, low, high, rng.randint(low, high)])
+
+
+@pytest.fixture
+def sender():
+    return Sender()
+
+
+@pytest.fixture
+def make_sender():
+    return Sender
+
+
+@pytest.fixture
+def make_message():
+    return random_message
+
+
+@pytest.fixture
+def stream():
+    """A stretch of telemetry: (bytes, frames), versions mixed."""
+    rng = random.Random(7)
+    source = Sender()
+    classes = list(mavlink.mavlink_map.values())
+    raws = []
+    for _ in range(60):
+        cls = rng.choice(classes)
+        version = 2 if cls.id > 255 else rng.choice([1, 2])
+        raws.append(source.raw(random_message(cls, rng), version))
+    return b"".join(raws), [read_frame(raw) for raw in raws]
+
+
+@pytest.fixture
+def shared_logs():
+    if not SHARED_LOGS.is_dir():
+        pytest.skip("no ../shared/logs beside the project")
+    return SHARED_LOGS

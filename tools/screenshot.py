@@ -1,0 +1,109 @@
+r"""Save a picture (SVG) of the live screen, drawn without a terminal.
+
+    python tools/screenshot.py --factory tests/screen/fake.py:source \
+        --truth tests/screen/fake.py:TRUTH --size 120x40 --keys j,j -o docs/screen.svg
+    python tools/screenshot.py --pickle snapshot.pickle -o docs/screen.svg
+
+A factory is `FILE.py:NAME`, NAME being a function that returns a `SnapshotSource`. A pickle holds
+one `Snapshot`; open only pickles of your own making.
+"""
+
+import argparse
+import asyncio
+import importlib.util
+import pickle
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from gcs_sysid.screen import SnapshotSource, SysidApp
+from gcs_sysid.session.snapshot import Snapshot
+
+
+class Still:
+    """A source that serves one snapshot for ever."""
+
+    def __init__(self, snapshot: Snapshot) -> None:
+        self.snapshot = snapshot
+
+    def latest(self) -> Snapshot | None:
+        """The snapshot."""
+        return self.snapshot
+
+    def mark(self, text: str) -> None:
+        """Nothing to mark."""
+
+    def reset(self) -> None:
+        """Nothing to reset."""
+
+    def toggle_recording(self) -> str:
+        """Nothing to record."""
+        return "nothing to record"
+
+    def stop(self) -> None:
+        """Nothing to stop."""
+
+
+def without_remote_fonts(svg: str) -> str:
+    """Drop the font faces, which Textual's export loads from a CDN, and name local fonts."""
+    svg = re.sub(r"<!--.*?-->\s*", "", svg, flags=re.DOTALL)
+    svg = re.sub(r"@font-face\s*\{.*?\}\s*", "", svg, flags=re.DOTALL)
+    return svg.replace("Fira Code", "DejaVu Sans Mono, Menlo, Consolas")
+
+
+async def capture(
+    source: SnapshotSource,
+    truth: Mapping[str, float] | None = None,
+    size: tuple[int, int] = (120, 40),
+    light: bool = False,
+    keys: Sequence[str] = (),
+) -> str:
+    """The screen as SVG text, after some keys."""
+    app = SysidApp(source, truth)
+    async with app.run_test(size=size) as pilot:
+        if light:
+            app.action_toggle_dark()
+        await pilot.press(*keys)
+        await pilot.pause()
+        return without_remote_fonts(app.export_screenshot(title=app.title))
+
+
+def load(spec: str) -> Any:
+    """The object that `FILE.py:NAME` names."""
+    path, _, name = spec.rpartition(":")
+    module_spec = importlib.util.spec_from_file_location("screenshot_source", path)
+    if module_spec is None or module_spec.loader is None:
+        raise SystemExit(f"cannot load {path}")
+    module = importlib.util.module_from_spec(module_spec)
+    sys.modules["screenshot_source"] = module
+    module_spec.loader.exec_module(module)
+    return getattr(module, name)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--factory", help="FILE.py:NAME, a function that returns a source")
+    what.add_argument("--pickle", type=Path, help="file with one pickled Snapshot")
+    parser.add_argument("--truth", help="FILE.py:NAME, a mapping of true values")
+    parser.add_argument("--size", default="120x40", help="columns x rows (default: %(default)s)")
+    parser.add_argument("--light", action="store_true", help="the light theme")
+    parser.add_argument("--keys", default="", help="keys to press first, with commas between")
+    parser.add_argument("-o", "--out", type=Path, required=True, help="SVG file to write")
+    options = parser.parse_args()
+    if options.pickle is not None:
+        source: SnapshotSource = Still(pickle.loads(options.pickle.read_bytes()))
+    else:
+        source = load(options.factory)()
+    truth = load(options.truth) if options.truth else None
+    columns, _, rows = options.size.partition("x")
+    keys = [key for key in options.keys.split(",") if key]
+    svg = asyncio.run(capture(source, truth, (int(columns), int(rows)), options.light, keys))
+    options.out.write_text(svg, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
