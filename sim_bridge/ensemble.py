@@ -50,7 +50,7 @@ class Flight:
 
     @property
     def interval(self) -> float:
-        """s between samples."""
+        """Seconds between samples."""
         return float(self.t[1] - self.t[0])
 
     def repeated(self, count: int) -> "Flight":

@@ -90,20 +90,17 @@ def test_the_band_covers_its_cells_and_no_others():
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "wanted", "labels"),
+    ("low", "high", "wanted", "written"),
     [
         (16.32, 16.78, 4, ["16.4", "16.6"]),
         (0.0, 42.0, 5, ["0", "10", "20", "30", "40"]),
-        (-0.011, 0.011, 2, ["-0.00", "0.00"]),
+        (-0.011, 0.011, 3, ["-0.01", "0.00", "0.01"]),
     ],
 )
-def test_ticks_are_round(low, high, wanted, labels):
-    ticks, written = nice_ticks(low, high, wanted)
-    if labels[0] != "-0.00":
-        assert written == labels
-    assert all(low <= tick <= high for tick in ticks)
-    assert len(ticks) <= wanted + 1
-    assert "-0" not in {text.rstrip("0").rstrip(".") for text in written}
+def test_ticks_are_round(low, high, wanted, written):
+    ticks, labels = nice_ticks(low, high, wanted)
+    assert labels == written
+    assert ticks == pytest.approx([float(label) for label in labels])
 
 
 def ground(lines):
@@ -150,5 +147,5 @@ def test_a_slow_message_is_marked_by_a_sign():
 
 def test_a_long_message_name_is_cut():
     line = "".join(text for text, _ in message_line("X" * 40, 1.0, None, 36))
-    assert len(line) == 34 or len(line) == 36
+    assert len(line) == 34  # two columns less: nothing was asked, so there is no sign
     assert "…" in line

@@ -69,7 +69,9 @@ def _random_value(kind, rng):
     if kind in ("float", "double"):
         return rng.choice([0.0, rng.uniform(-1e6, 1e6)])
     bits = int("".join(filter(str.isdigit, kind)))
-    low, high = (0, 2**bits - 1) if kind.startswith("u") else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    low, high = (
+        (0, 2**bits - 1) if kind.startswith("u") else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    )
     return rng.choice([0, 0, low, high, rng.randint(low, high)])
 
 

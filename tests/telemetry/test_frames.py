@@ -1,6 +1,7 @@
 """The scanner finds every good frame, never a wrong one, and never raises."""
 
 import random
+from itertools import pairwise
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -20,7 +21,7 @@ def scan_all(data, cuts=()):
     scanner = FrameScanner()
     frames = []
     edges = [0, *sorted(cuts), len(data)]
-    for start, stop in zip(edges, edges[1:], strict=False):
+    for start, stop in pairwise(edges):
         frames += scanner.feed(data[start:stop])
     frames += scanner.flush()
     return frames, scanner
@@ -153,7 +154,7 @@ def test_a_frame_of_version_1_has_its_header(make_sender):
 
 
 def test_a_garbage_datagram_does_not_desynchronise_the_next(stream):
-    data, expected = stream
+    _, expected = stream
     rng = random.Random(1)
     scanner = FrameScanner()
     found = []

@@ -34,10 +34,10 @@ def test_a_payload_longer_than_the_definition_is_read_up_to_it(sender):
 
 def test_picked_fields_are_the_fields_named(sender):
     esc = sender.frame(
-        mavlink.MAVLink_esc_status_message(4, 1_000_000, [1, -2, 3, 0], [0.0] * 4, [0.0] * 4)
+        mavlink.MAVLink_esc_status_message(0, 1_000_000, [1, -2, 3, 0], [0.0] * 4, [0.0] * 4)
     )
     assert len(esc.payload) < LAYOUTS[291].size
-    assert picker("ESC_STATUS", "index", "rpm")(esc.payload) == (4, 1, -2, 3, 0)
+    assert picker("ESC_STATUS", "index", "rpm")(esc.payload) == (0, 1, -2, 3, 0)
 
 
 def test_names_of_own_other_and_unknown_messages():

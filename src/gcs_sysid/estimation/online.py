@@ -3,14 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import rotation, translation
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.regression import LeakySum, RowMaker, Samples
 from gcs_sysid.model import rigid_body
-
-Array = NDArray[np.float64]
 
 MIN_MOMENTUM_SECONDS = 5.0
 """Flight time from which momentum balance beats the accelerometer's bias."""

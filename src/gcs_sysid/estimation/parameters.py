@@ -6,14 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import AnchorName
 
-Array = NDArray[np.float64]
 Status = Literal["identified", "given", "weak", "unobservable"]
 
 CORE = ("mass", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M")

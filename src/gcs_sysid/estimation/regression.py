@@ -11,15 +11,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation import translation
 from gcs_sysid.filters.windows import cosine_window
 from gcs_sysid.model import attitude, rigid_body
 from gcs_sysid.model.parameters import GRAVITY
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -146,7 +144,7 @@ class LeakySum:
     def update(self, rows: Array) -> Array:
         """(n, width) rows to at most as many."""
         out = []
-        for run, complete in runs(np.isfinite(rows).all(axis=1)):
+        for run, complete in runs(complete_rows(rows)):
             if not complete:
                 self.restart()
                 continue
@@ -157,7 +155,13 @@ class LeakySum:
         return np.concatenate(out) if out else rows[:0]
 
 
-def runs(mask: NDArray[np.bool_]) -> list[tuple[slice, bool]]:
+def complete_rows(values: Array) -> Mask:
+    """(n,) whether nothing is missing in each row of (n, width) values."""
+    mask: Mask = np.asarray(np.isfinite(values).all(axis=1))
+    return mask
+
+
+def runs(mask: Mask) -> list[tuple[slice, bool]]:
     """The slices of a mask within which it does not change, with its value there."""
     edges = [0, *(np.flatnonzero(np.diff(mask.astype(np.int8))) + 1), len(mask)]
     return [(slice(a, b), bool(mask[a])) for a, b in pairwise(edges) if b > a]

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.uncertainty import sandwich
 from gcs_sysid.model import rigid_body as rb
-
-Array = NDArray[np.float64]
 
 N_X = rb.N_SIGNALS
 WIDTH = N_X + 3
@@ -48,7 +47,8 @@ class RotationFit:
     @property
     def std(self) -> Array:
         """(N_THETA,) standard deviations."""
-        return np.sqrt(np.diag(self.covariance))
+        std: Array = np.sqrt(np.diag(self.covariance))
+        return std
 
 
 def fit_rotation(

@@ -16,9 +16,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.uncertainty import sandwich
-
-Array = NDArray[np.float64]
 
 WIDTH = 4
 """Width of a row [thrust direction times sum O, velocity, 1, output], one for each axis."""

@@ -1,9 +1,8 @@
 """Covariance that stays true when residuals are coloured."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gcs_sysid.arrays import Array
 
 
 def sandwich(bread: Array, scores: Array) -> Array:

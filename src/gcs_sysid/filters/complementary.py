@@ -11,12 +11,10 @@ no Euler angle in it. What remains of e on average is the gyro's bias, which an 
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from gcs_sysid.arrays import Array
 from gcs_sysid.model import attitude
-
-Array = NDArray[np.float64]
 
 DEFAULT_K_P = 1.0
 """1/s; between 0.5 and 2 is best for the noise of common sensors."""

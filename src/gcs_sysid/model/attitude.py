@@ -4,9 +4,8 @@ Every function takes and returns arrays whose last axis is the quaternion or vec
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gcs_sysid.arrays import Array
 
 
 def multiply(a: Array, b: Array) -> Array:
@@ -26,7 +25,8 @@ def multiply(a: Array, b: Array) -> Array:
 
 def conjugate(q: Array) -> Array:
     """The inverse rotation of unit quaternions (..., 4)."""
-    return q * np.array([1.0, -1.0, -1.0, -1.0])
+    inverse: Array = q * np.array([1.0, -1.0, -1.0, -1.0])
+    return inverse
 
 
 def from_rotation_vector(v: Array) -> Array:
@@ -69,4 +69,5 @@ def align_signs(q: Array) -> Array:
     if len(q) < 2:
         return q
     flips = np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0.0, -1.0, 1.0)
-    return q * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
+    aligned: Array = q * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
+    return aligned

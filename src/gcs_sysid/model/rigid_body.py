@@ -18,9 +18,8 @@ The **direct form** (the article's) moves everything known to the right-hand sid
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gcs_sysid.arrays import Array
 
 THETA = (
     "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz",

@@ -35,9 +35,7 @@ def analyze_log(
     """
     if path.suffix.lower() in (".ulg", ".bin"):
         raise InputError(f"{path}: {path.suffix} logs cannot be read yet; give a .tlog")
-    pipeline = Pipeline(
-        airframe, str(path), wanted, options or ChainOptions(course_interval=None)
-    )
+    pipeline = Pipeline(airframe, str(path), wanted, options or ChainOptions(course_interval=None))
     reader = read_tlog(path)
     size = max(path.stat().st_size, 1)
     done = 0

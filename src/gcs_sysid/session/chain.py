@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.online import Fit, OnlineEstimator, Tuning
 from gcs_sysid.estimation.parameters import NOTHING, Value, physical_parameters, verdict
-from gcs_sysid.estimation.regression import Samples, runs
+from gcs_sysid.estimation.regression import Samples, complete_rows, runs
 from gcs_sysid.filters.complementary import ComplementaryFilter
 from gcs_sysid.model import attitude
 from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName
@@ -23,8 +23,6 @@ from gcs_sysid.records import Record, Stream
 from gcs_sysid.session.result import Estimate, Result, Scale
 from gcs_sysid.session.snapshot import Course, Event
 from gcs_sysid.session.timebase import Block, TimeBase
-
-Array = NDArray[np.float64]
 
 _MAX_EVENTS = 300
 _MAX_COURSE = 4096
@@ -255,7 +253,7 @@ class Chain:
         """Complementary filter over the runs in which both sources are there."""
         assert self._filter is not None
         out = np.full_like(reference, np.nan)
-        there = np.isfinite(gyro).all(axis=1) & np.isfinite(reference).all(axis=1)
+        there = complete_rows(gyro) & complete_rows(reference)
         for run, both in runs(there):
             if both:
                 out[run] = self._filter.update(gyro[run], reference[run])
@@ -272,12 +270,12 @@ class Chain:
                 speeds[:, offset : offset + width] = values[:, :width]
         return speeds
 
-    def _in_flight(self, block: Block, speeds: Array, n: int) -> NDArray[np.bool_]:
+    def _in_flight(self, block: Block, speeds: Array, n: int) -> Mask:
         in_air = block.values.get((Stream.IN_AIR, 0))
         if in_air is not None:
             return in_air[:, 0] > 0.5
         armed = block.values.get((Stream.ARMED, 0))
-        turning = (speeds > 0.0).all(axis=1)
+        turning: Mask = np.asarray((speeds > 0.0).all(axis=1))
         return turning if armed is None else turning & (armed[:, 0] > 0.5)
 
     def _show(self, samples: Samples) -> None:
@@ -294,4 +292,3 @@ class Chain:
 def _stream(block: Block, stream: Stream, n: int, width: int) -> Array:
     values = block.values.get((stream, 0))
     return np.full((n, width), np.nan) if values is None else values
-

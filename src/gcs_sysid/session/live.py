@@ -107,6 +107,10 @@ class LiveSession:
         """The newest snapshot."""
         return self._latest
 
+    def request_stop(self) -> None:
+        """End the session soon; returns at once."""
+        self._stop.set()
+
     def stop(self) -> None:
         """End the session and wait until everything is written."""
         self._stop.set()
@@ -166,7 +170,7 @@ class LiveSession:
             while not self._actions.empty():
                 self._actions.get()()
             self._requests.tick(
-                now, self._pipeline.intake.vehicle, self._pipeline.intake.monitor.rates
+                now, self._pipeline.intake.vehicle, self._pipeline.intake.monitor.rates()
             )
             self._tell_recording_problem()
             state = self._state(now)

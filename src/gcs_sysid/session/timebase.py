@@ -10,11 +10,10 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gcs_sysid.arrays import Array
 from gcs_sysid.records import Record, Stream
 
-Array = NDArray[np.float64]
 Key = tuple[Stream, int]
 
 STEP_SAMPLES = 64

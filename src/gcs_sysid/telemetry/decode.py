@@ -97,10 +97,6 @@ class RecordDecoder:
             self._outputs_seen = False
         return record
 
-    def uses(self, message_id: int) -> bool:
-        """Whether records are made from messages of this type."""
-        return message_id in self._readers
-
     def _record(
         self, stream: Stream, t: float | None, values: tuple[float, ...], offset: int = 0
     ) -> Record | None:

@@ -70,8 +70,11 @@ _ALLOWED: dict[int, Callable[[Any], bool]] = {
 
 def is_allowed(message: Any) -> bool:
     """Whether a message of the dialect may be sent at all."""
-    check = _ALLOWED.get(message.id)
-    return check is not None and check(message)
+    # Not `message.id`: some messages have a field of that name, which hides the type.
+    message_id = message.get_msgId()
+    check = _ALLOWED.get(message_id)
+    of_that_type = type(message) is mavlink.mavlink_map.get(message_id)
+    return check is not None and of_that_type and check(message)
 
 
 class Gate:

@@ -60,13 +60,14 @@ class TlogWriter:
         self._done = 0
         self._stopped = False
         self._file: BinaryIO | None = None
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = open(self.path, "wb" if overwrite else "xb", buffering=0)  # noqa: SIM115
-        except FileExistsError as error:
+        if not overwrite and self.path.exists():
             raise InputError(
                 f"{self.path} exists already and is not overwritten: give another file name"
-            ) from error
+            )
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            # "x": even a file that appears at this moment is not overwritten.
+            self._file = open(self.path, "wb" if overwrite else "xb", buffering=0)  # noqa: SIM115
         except OSError as error:
             self.problem = f"not recording: cannot write {self.path} ({error.strerror})"
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)

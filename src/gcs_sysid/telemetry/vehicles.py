@@ -1,6 +1,5 @@
 """Which of the systems heard is the vehicle."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from gcs_sysid.telemetry.dialect import mavlink
@@ -132,7 +131,3 @@ class VehicleSelector:
             return False
         # A component named by the user is taken at its word.
         return autopilot if component is None else vehicle.component == component
-
-    def others(self) -> Iterable[Vehicle]:
-        """All systems heard except the chosen one."""
-        return (vehicle for vehicle in self.systems.values() if vehicle != self.chosen)

@@ -1,0 +1,155 @@
+"""The options of every command, and their checks."""
+
+import argparse
+import math
+from typing import TYPE_CHECKING
+
+from gcs_sysid.errors import InputError
+
+if TYPE_CHECKING:
+    from gcs_sysid.model.airframe import Airframe
+
+
+def positive(text: str) -> float:
+    """An argparse type: a finite number above zero."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f"must be a positive number, got {text!r}")
+    return value
+
+
+def not_negative(text: str) -> float:
+    """An argparse type: a finite number, zero or more."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= 0.0):
+        raise argparse.ArgumentTypeError(f"must be a number of zero or more, got {text!r}")
+    return value
+
+
+def vehicle_address(text: str) -> tuple[int, int | None]:
+    """An argparse type: SYSID or SYSID:COMPID."""
+    system, _, component = text.partition(":")
+    try:
+        address = int(system), int(component) if component else None
+    except ValueError:
+        address = (0, None)
+    if not 1 <= address[0] <= 255 or not (address[1] is None or 0 <= address[1] <= 255):
+        raise argparse.ArgumentTypeError(
+            f"must be SYSID or SYSID:COMPID with numbers up to 255, got {text!r}"
+        )
+    return address
+
+
+def rate(text: str) -> float:
+    """An argparse type: a message rate in Hz."""
+    value = positive(text)
+    if not 1.0 <= value <= 2000.0:
+        raise argparse.ArgumentTypeError(f"must lie between 1 and 2000 Hz, got {text!r}")
+    return value
+
+
+def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    group = parser.add_argument_group("vehicle and scale")
+    group.add_argument(
+        "--airframe",
+        metavar="NAME|FILE",
+        default=default,
+        help="built-in name (paper, px4-quad-x, ...) or .toml file"
+        + (f" (default {default})" if default else ""),
+    )
+    group.add_argument("--arm", type=positive, metavar="M", help="scale rotor distance to M metres")
+    scale = group.add_mutually_exclusive_group()
+    scale.add_argument("--mass", type=positive, metavar="KG", help="weighed mass as the scale")
+    scale.add_argument("--k-t", type=positive, metavar="N_S2", help="known k_T as the scale")
+    scale.add_argument(
+        "--t-max", type=positive, metavar="N", help="known thrust of a rotor at full command"
+    )
+
+
+def add_demo(parser: argparse.ArgumentParser) -> None:
+    """Options of `demo`."""
+    _add_airframe(parser, "paper")
+    parser.add_argument("--headless", action="store_true", help="print instead of the screen")
+    parser.add_argument(
+        "--speed", choices=("1", "max"), default="1", help="1: real time; max: as fast as it can"
+    )
+    parser.add_argument("--mission", choices=("paper", "all-axes", "hover"), default="all-axes")
+    parser.add_argument("--noise", choices=("none", "paper", "white", "mems"), default="mems")
+    parser.add_argument("--sigma", type=not_negative, help="noise of paper and white, rad, rad/s")
+    parser.add_argument("--rate", type=rate, default=250.0, metavar="HZ")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--duration", type=positive, metavar="S", help="length of the flight")
+    parser.add_argument("--mass-step", metavar="T:FACTOR", help="change the mass in flight")
+    parser.add_argument("--json", metavar="FILE", help="snapshots, one a line; - is stdout")
+    parser.add_argument("--record", metavar="FILE", help="record the flight to a .tlog")
+
+
+def add_live(parser: argparse.ArgumentParser) -> None:
+    """Options of `live`."""
+    parser.add_argument("url", metavar="URL", help="such as udpin:0.0.0.0:14550")
+    _add_airframe(parser)
+    parser.add_argument("--baud", type=int, default=115200, help="of a serial port")
+    parser.add_argument("--record", metavar="FILE", help="default: a dated .tlog under logs/")
+    parser.add_argument("--no-record", action="store_true", help="keep no recording")
+    parser.add_argument("--listen-only", action="store_true", help="send nothing at all")
+    parser.add_argument(
+        "--rate", type=rate, default=250.0, metavar="HZ", help="to ask for (default 250)"
+    )
+    parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
+    parser.add_argument("--headless", action="store_true", help="print instead of the screen")
+    parser.add_argument("--json", metavar="FILE", help="snapshots, one a line; - is stdout")
+    parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
+    parser.add_argument("--truth", metavar="FILE", help="true parameters, to show beside")
+
+
+def add_analyze(parser: argparse.ArgumentParser) -> None:
+    """Options of `analyze`."""
+    parser.add_argument("logs", nargs="+", metavar="LOG")
+    _add_airframe(parser)
+    parser.add_argument("--json", metavar="FILE", help="write the result; - is stdout")
+    parser.add_argument("--start", type=not_negative, default=0.0, metavar="S")
+    parser.add_argument("--end", type=positive, default=math.inf, metavar="S")
+    parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
+    parser.add_argument("--truth", metavar="FILE", help="true parameters, to show beside")
+
+
+def airframe_of(options: argparse.Namespace) -> "Airframe":
+    """The airframe with its anchor, as the options say.
+
+    Raises:
+        InputError: there is none, or nothing sets the scale.
+    """
+    from gcs_sysid.model.airframe import builtin_names, load_airframe
+
+    if options.airframe is None:
+        raise InputError(
+            "which airframe? Give --airframe FILE.toml or one of "
+            + ", ".join(builtin_names())
+            + " (with --arm for its size)"
+        )
+    airframe = load_airframe(options.airframe)
+    if options.arm is not None:
+        airframe = airframe.with_arm(options.arm)
+    if options.mass is not None:
+        airframe = airframe.with_anchor("mass", options.mass)
+    elif options.k_t is not None:
+        airframe = airframe.with_anchor("k_T", options.k_t)
+    elif options.t_max is not None:
+        airframe = airframe.with_anchor("T_max", options.t_max)
+    anchor = airframe.anchor()
+    if anchor is None:
+        raise InputError(
+            "nothing sets the scale: weigh the vehicle and give --mass KG (or --k-t VALUE), "
+            "because IMU and rotor speeds alone do not tell heavy and strong from light and weak"
+        )
+    if anchor[0] == "T_max":
+        raise InputError(
+            "T_max cannot set the scale with rotor speeds as the input; give --mass or --k-t"
+        )
+    return airframe

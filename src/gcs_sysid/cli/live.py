@@ -1,0 +1,179 @@
+"""`gcs-sysid live`: identify a vehicle while it flies."""
+
+import argparse
+import contextlib
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from datetime import datetime
+from pathlib import Path
+from types import FrameType
+from typing import TextIO
+
+from gcs_sysid.cli import arguments, output
+from gcs_sysid.errors import GcsSysidError, InputError
+from gcs_sysid.session.live import LiveOptions, LiveSession
+from gcs_sysid.session.result import Result
+from gcs_sysid.session.snapshot import LinkState, Snapshot
+from gcs_sysid.telemetry.link import open_link
+from gcs_sysid.telemetry.tlog import unused_path
+from gcs_sysid.telemetry.urls import parse_url
+
+_SAY_EVERY = 1.0
+"""s between lines of the headless output."""
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    airframe = arguments.airframe_of(options)
+    truth = output.read_truth(options.truth) if options.truth else None
+    if options.record and options.no_record:
+        raise InputError("--record and --no-record exclude each other")
+    link = open_link(parse_url(options.url, options.baud))
+    try:
+        session = LiveSession(
+            link,
+            airframe,
+            LiveOptions(
+                rate=options.rate,
+                listen_only=options.listen_only,
+                wanted=options.vehicle,
+                duration=options.duration,
+            ),
+            record_to=recording_path(options),
+            on_result=(writer := JsonLines(options.json)).write,
+        )
+    except GcsSysidError:
+        link.close()
+        raise
+    return follow(session, writer, truth, headless=options.headless)
+
+
+def recording_path(options: argparse.Namespace) -> Path | None:
+    """Where to record: as asked, else a dated file under logs/."""
+    if options.no_record:
+        return None
+    if options.record:
+        return Path(options.record)
+    return unused_path(Path("logs") / f"{datetime.now():%Y-%m-%d_%H-%M-%S}.tlog")
+
+
+class JsonLines:
+    """Writes results as JSON, one a line; nothing without a path.
+
+    Args:
+        path: file, `-` for standard output, or None.
+    """
+
+    def __init__(self, path: str | None) -> None:
+        self.to_stdout = path == "-"
+        self._file: TextIO | None = output.open_output(path) if path else None
+
+    def write(self, result: Result) -> None:
+        """Write one line."""
+        if self._file:
+            print(result.dumps(indent=None), file=self._file, flush=True)
+
+    def close(self) -> None:
+        """Close the file (not standard output)."""
+        if self._file and not self.to_stdout:
+            self._file.close()
+
+
+def follow(
+    session: LiveSession,
+    writer: JsonLines,
+    truth: Mapping[str, float] | None,
+    *,
+    headless: bool,
+    late_truth: Callable[[], Mapping[str, float] | None] | None = None,
+) -> int:
+    """Show a session until it ends, then print its final numbers.
+
+    Args:
+        session: not yet started.
+        writer: gets the final result as its last line.
+        truth: shown beside the estimates.
+        headless: print instead of the screen.
+        late_truth: gives the truth in force at the end, when that may have changed.
+
+    Returns:
+        Exit status: 1 when the session ended without an answer.
+    """
+    # Without a terminal there is no screen to draw on.
+    on_screen = not headless and sys.stdin.isatty() and sys.stdout.isatty()
+    if on_screen:
+        from gcs_sysid.screen.app import SysidApp
+
+        session.start()
+        try:
+            SysidApp(session, truth).run()
+        finally:
+            session.stop()
+    else:
+        with _stop_on_signals(session):
+            session.start()
+            _say_until_end(session)
+    if session.problem is not None:
+        raise session.problem
+    assert session.final is not None
+    if late_truth is not None:
+        truth = late_truth() or truth
+    writer.write(session.final)
+    writer.close()
+    if not writer.to_stdout:
+        print(output.result_table(session.final, truth))
+    latest = session.latest()
+    if latest and latest.link.recording:
+        print(f"recorded to {latest.link.recording}", file=sys.stderr)
+    return 1 if session.final.verdict == "refused" else 0
+
+
+@contextlib.contextmanager
+def _stop_on_signals(session: LiveSession) -> Iterator[None]:
+    """Ctrl-C and SIGTERM end the session cleanly, with its result."""
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        session.request_stop()
+
+    before = {n: signal.signal(n, stop) for n in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _say_until_end(session: LiveSession) -> None:
+    """One line a second on standard error."""
+    said = -_SAY_EVERY
+    last = ""
+    while not session.join(0.1):
+        now = time.monotonic()
+        snapshot = session.latest()
+        if snapshot is None or now - said < _SAY_EVERY:
+            continue
+        line = status_line(snapshot)
+        if line != last:
+            print(line, file=sys.stderr, flush=True)
+        said, last = now, line
+
+
+def status_line(snapshot: Snapshot) -> str:
+    """The state of a session in one line."""
+    link = snapshot.link
+    if link.state is LinkState.WAITING:
+        return f"listening on {link.url}: no vehicle has spoken yet"
+    words = [f"{snapshot.t:7.1f} s", link.vehicle or link.url]
+    if link.state is not LinkState.CONNECTED:
+        words.append(str(link.state.value))
+    words.append(snapshot.result.verdict)
+    for name in ("Ixx", "Iyy", "Izz", "k_T", "k_M"):
+        estimate = snapshot.result.parameters.get(name)
+        if estimate is None or estimate.value is None or estimate.std is None:
+            words.append(f"{name} -")
+        else:
+            share = 196.0 * estimate.std / abs(estimate.value) if estimate.value else 999.0
+            words.append(f"{name} {estimate.value:.4g} ±{min(share, 999.0):.1f}%")
+    return "  ".join(words)

@@ -1,0 +1,79 @@
+"""Parsing, and one place that turns errors into one line and an exit status.
+
+Each command's module is imported only when that command runs, so that `--help` and `--version`
+need neither NumPy nor Textual.
+"""
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from gcs_sysid import __version__
+from gcs_sysid.cli import arguments
+from gcs_sysid.errors import GcsSysidError
+
+PROGRAM = "gcs-sysid"
+DONE, NO_ANSWER, USAGE = 0, 1, 2
+"""Exit statuses: done; the data do not allow an answer; wrong usage or unreadable input."""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The whole command line."""
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM,
+        description="Identify a multirotor's mass properties and rotor coefficients from "
+        "MAVLink: live, or from a recorded flight.",
+        epilog=f"Start with:  {PROGRAM} demo",
+    )
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+
+    demo = commands.add_parser(
+        "demo",
+        help="fly the bundled emulator and identify it",
+        description="Starts the emulator and identifies it live. Ends with estimate, truth and "
+        "error for every parameter.",
+    )
+    arguments.add_demo(demo)
+    live = commands.add_parser(
+        "live",
+        help="identify a vehicle while it flies",
+        description="Identifies live from a MAVLink link, such as udpin:0.0.0.0:14550, "
+        "udpout:HOST:PORT, tcp:HOST:PORT or /dev/ttyUSB0.",
+    )
+    arguments.add_live(live)
+    analyze = commands.add_parser(
+        "analyze",
+        help="identify from recorded flights",
+        description="Identifies from .tlog recordings.",
+    )
+    arguments.add_analyze(analyze)
+    return parser
+
+
+def run(argv: Sequence[str]) -> int:
+    """Parse and run; errors become one line on standard error and a status."""
+    parser = build_parser()
+    try:
+        options = parser.parse_args(argv)
+    except SystemExit as stop:  # argparse has printed its line
+        return stop.code if isinstance(stop.code, int) else USAGE
+    if options.command is None:
+        parser.print_help(sys.stderr)
+        return USAGE
+    try:
+        command = importlib.import_module(f"gcs_sysid.cli.{options.command}")
+        status: int = command.run(options)
+        sys.stdout.flush()
+        return status
+    except GcsSysidError as error:
+        print(f"{PROGRAM}: error: {error}", file=sys.stderr)
+        return USAGE
+    except BrokenPipeError:
+        # Whoever read the output has gone; keep Python from complaining at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except KeyboardInterrupt:
+        return 130

@@ -1,0 +1,182 @@
+"""The part that live sessions and logs share: choosing, decoding, counting."""
+
+import random
+
+import pytest
+
+from gcs_sysid.records import Stream
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.frames import FrameScanner
+from gcs_sysid.telemetry.intake import Intake
+from gcs_sysid.telemetry.tlog import TlogWriter, read_tlog
+from gcs_sysid.telemetry.vehicles import VehicleSelector
+
+
+def ground_station(make_sender):
+    return make_sender(255, 190).heartbeat(
+        type=mavlink.MAV_TYPE_GCS, autopilot=mavlink.MAV_AUTOPILOT_INVALID
+    )
+
+
+def test_the_first_autopilot_heard_is_chosen(make_sender):
+    selector = VehicleSelector()
+    vehicle = make_sender(3, 1)
+    assert not selector.take(ground_station(make_sender))
+    assert not selector.take(vehicle.imu(1.0))
+    assert selector.chosen is None
+    assert selector.take(vehicle.heartbeat())
+    assert selector.take(vehicle.imu(1.0))
+    assert not selector.take(make_sender(4, 1).heartbeat())
+    assert not selector.take(make_sender(3, 100).imu(1.0))
+    assert str(selector.chosen) == "PX4 quadrotor 3:1"
+    assert selector.chosen.as_dict() == {"sysid": 3, "compid": 1, "autopilot": "px4"}
+    assert str(next(iter(selector.systems.values()))) == "ground station 255:190"
+
+
+@pytest.mark.parametrize(("wanted", "chosen"), [((4, None), (4, 1)), ((4, 2), (4, 2))])
+def test_the_vehicle_wanted_is_chosen(make_sender, wanted, chosen):
+    selector = VehicleSelector(wanted)
+    for who in [(3, 1), (4, 1), (4, 2)]:
+        selector.take(make_sender(*who).heartbeat())
+    assert selector.chosen.address == chosen
+
+
+def test_other_autopilots_have_names(make_sender):
+    selector = VehicleSelector()
+    ardupilot = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+    selector.take(make_sender().heartbeat(autopilot=ardupilot, type=mavlink.MAV_TYPE_HEXAROTOR))
+    assert str(selector.chosen) == "ArduPilot hexarotor 1:1"
+    assert selector.chosen.key == "ardupilot"
+
+
+def test_the_table_of_systems_is_bounded(make_sender):
+    selector = VehicleSelector()
+    for system in range(1, 256):
+        for component in (1, 2, 3):
+            selector.take(make_sender(system, component).heartbeat())
+    assert len(selector.systems) <= 256
+
+
+def test_records_come_from_the_chosen_vehicle_alone(make_sender):
+    intake = Intake()
+    vehicle, other = make_sender(1, 1), make_sender(2, 1)
+    frames = [vehicle.imu(0.9), vehicle.heartbeat(), other.heartbeat()]
+    for i in range(10):
+        frames += [vehicle.imu(1.0 + 0.004 * i), other.imu(50.0 + 0.004 * i)]
+    records = intake.frames(frames)
+    assert [r.t for r in records if r.stream is Stream.IMU] == pytest.approx(
+        [1.0 + 0.004 * i for i in range(10)]
+    )
+    assert [event.kind for event in intake.take_events()] == ["vehicle"]
+    assert intake.take_events() == []
+
+
+def test_a_reboot_is_told(sender):
+    intake = Intake()
+    intake.frames([sender.heartbeat(), sender.imu(100.0), sender.imu(1.0), sender.imu(1.01)])
+    event = intake.take_events()[-1]
+    assert (event.kind, event.t) == ("reboot", pytest.approx(1.01))
+    assert "100.0 s" in event.text
+
+
+def test_rates_are_by_the_vehicles_clock(sender):
+    intake = Intake()
+    intake.frames([sender.heartbeat()])
+    for i in range(2000):
+        intake.frames([sender.imu(50.0 + 0.004 * i)])
+        if i % 5 == 0:
+            intake.frames([sender.attitude(50.0 + 0.004 * i)])
+    health = intake.health()
+    assert health.rates["HIGHRES_IMU"] == pytest.approx(250.0, rel=0.01)
+    assert health.rates["ATTITUDE"] == pytest.approx(50.0, rel=0.02)
+    # 62 + 12 (trimmed: its zeros) bytes and more; the frames themselves tell.
+    assert health.bytes_per_second > 250 * 50
+    assert (health.lost_percent, health.rejected, health.unknown) == (0.0, 0, 0)
+    assert intake.as_dict()["messages"]["HIGHRES_IMU"]["count"] == 2000
+
+
+def test_reordered_frames_are_not_lost_and_lost_ones_are(sender):
+    rng = random.Random(5)
+    frames = [sender.heartbeat(), *(sender.imu(1.0 + 0.004 * i) for i in range(3000))]
+    order = sorted(range(len(frames)), key=lambda i: i + rng.uniform(0.0, 4.0) * (i > 0))
+    late = Intake()
+    late.frames(frames[i] for i in order)
+    assert late.monitor.lost == 0
+    thinned = Intake()
+    thinned.frames(f for i, f in enumerate(frames) if i == 0 or rng.random() > 0.05)
+    assert 110 < thinned.monitor.lost < 190
+    assert thinned.health().lost_percent == pytest.approx(5.0, abs=1.3)
+    doubled = Intake()
+    doubled.frames(f for f in frames for _ in range(2))
+    assert doubled.monitor.lost == 0
+
+
+def test_pauses_of_the_imu_are_gaps(sender):
+    intake = Intake()
+    intake.frames([sender.heartbeat()])
+    times = [1.0 + 0.004 * i for i in range(500)]
+    intake.frames(sender.imu(t if t < 2.0 else t + 0.7) for t in times)
+    gaps = intake.as_dict()["imu_gaps"]
+    assert gaps["count"] == 1
+    assert gaps["last"][0]["length"] == pytest.approx(0.704, abs=1e-3)
+
+
+def test_damaged_and_unknown_frames_are_counted_and_make_no_records(sender):
+    scanner = FrameScanner()
+    damaged = bytearray(sender.imu(1.0).raw)
+    damaged[20] ^= 1
+    unknown = bytearray(sender.imu(1.0).raw)
+    unknown[7:10] = (60_999).to_bytes(3, "little")
+    data = sender.heartbeat().raw + damaged + unknown + sender.imu(1.1).raw
+    intake = Intake()
+    records = intake.frames([*scanner.feed(data), *scanner.flush()])
+    assert [record.t for record in records] == [pytest.approx(1.1)]
+    health = intake.health()
+    assert (health.received, health.rejected, health.unknown) == (2, 1, 1)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_recording_gives_the_live_sessions_records_and_counts(tmp_path, sender, seed):
+    rng = random.Random(seed)
+    raws = [sender.heartbeat().raw]
+    for i in range(600):
+        raws.append(sender.imu(1.0 + 0.004 * i, gyro=(rng.gauss(0, 1), 0.5, 0.1)).raw)
+        raws.append(sender.attitude(1.0 + 0.004 * i, roll=rng.gauss(0, 0.1)).raw)
+    data = bytearray(b"".join(raws))
+    for _ in range(30):
+        data[rng.randrange(100, len(data))] ^= 1 << rng.randrange(8)
+    scanner, live = FrameScanner(), Intake()
+    path = tmp_path / "flight.tlog"
+    records = []
+    with TlogWriter(path) as writer:
+        at = 0
+        while at < len(data):
+            step = rng.randrange(1, 500)
+            frames = scanner.feed(bytes(data[at : at + step]))
+            records += live.frames(frames)
+            writer.write(at, frames)
+            at += step
+    offline = Intake()
+    assert offline.frames(frame for _, frame in read_tlog(path)) == records
+    assert offline.as_dict() == live.as_dict()
+    assert len(records) > 1100
+
+
+@pytest.mark.parametrize(
+    ("name", "vehicle", "streams"),
+    [
+        ("px4-esc-cg.tlog", "PX4 quadrotor 1:1", set(Stream)),
+        ("px4-sih-default.tlog", "PX4 quadrotor 1:1", set(Stream) - {Stream.ROTOR_SPEED}),
+        ("ardupilot-sitl.tlog", "ArduPilot quadrotor 1:1", set(Stream) - {Stream.ROTOR_SPEED}),
+    ],
+)
+def test_recorded_flights_give_their_streams_and_lost_nothing(shared_logs, name, vehicle, streams):
+    intake = Intake()
+    frames = (f for _, (_, f) in zip(range(50_000), read_tlog(shared_logs / name), strict=False))
+    records = intake.frames(frames)
+    assert str(intake.vehicle) == vehicle
+    assert {record.stream for record in records} == streams
+    assert intake.monitor.lost_percent < 0.05
+    assert intake.decoder.clock.reboots == 0
+    times = [record.t for record in records if record.stream is Stream.IMU]
+    assert times == sorted(times)

@@ -1,0 +1,248 @@
+"""Links by name, over real sockets and a real serial path."""
+
+import os
+import socket
+
+import pytest
+
+from gcs_sysid.errors import InputError, LinkError
+from gcs_sysid.telemetry.link import Receiver, open_link
+from gcs_sysid.telemetry.outgoing import Gate
+from gcs_sysid.telemetry.urls import LinkUrl, parse_url
+
+WAIT = 5.0
+"""s: a bound for what comes at once on loopback; nothing waits for it to pass."""
+
+
+def free_port(kind=socket.SOCK_DGRAM):
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def receive(receiver, count):
+    frames = []
+    for _ in range(200):
+        frames += receiver.poll(WAIT / 100)
+        if len(frames) >= count:
+            break
+    return frames
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "host", "port"),
+    [
+        ("udpin:0.0.0.0:14550", "udpin", "0.0.0.0", 14550),
+        ("udp:127.0.0.1:14550", "udpin", "127.0.0.1", 14550),
+        ("127.0.0.1:14550", "udpin", "127.0.0.1", 14550),
+        ("udpout:drone.local:14550", "udpout", "drone.local", 14550),
+        ("tcp:127.0.0.1:5760", "tcp", "127.0.0.1", 5760),
+        ("tcpin:0.0.0.0:5760", "tcpin", "0.0.0.0", 5760),
+        ("udpin:[::1]:14550", "udpin", "::1", 14550),
+        ("udpin://0.0.0.0:14550", "udpin", "0.0.0.0", 14550),
+        (" UDPIN:0.0.0.0:14550 ", "udpin", "0.0.0.0", 14550),
+    ],
+)
+def test_network_links_are_named_as_in_mavproxy(text, kind, host, port):
+    url = parse_url(text)
+    assert (url.kind, url.host, url.port) == (kind, host, port)
+    assert str(url) == text.strip()
+
+
+@pytest.mark.parametrize(
+    ("text", "device", "baud"),
+    [
+        ("/dev/ttyUSB0", "/dev/ttyUSB0", 921600),
+        ("/dev/ttyACM0,57600", "/dev/ttyACM0", 57600),
+        ("COM3", "COM3", 921600),
+        ("/dev/serial/by-id/usb-3D_Robotics:0", "/dev/serial/by-id/usb-3D_Robotics:0", 921600),
+    ],
+)
+def test_serial_links_are_devices_with_a_baud_rate(text, device, baud):
+    url = parse_url(text, baud=921600)
+    assert (url.kind, url.device, url.baud) == ("serial", device, baud)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "no link given"),
+        ("nonsense", "cannot understand the link 'nonsense'"),
+        ("http://example.com", "cannot understand"),
+        ("udpin:", "write the link as"),
+        ("udpin:14550", "write the link as"),
+        ("udpin:0.0.0.0:", "the port must be a number"),
+        ("udpin:0.0.0.0:port", "the port must be a number"),
+        ("udpout:host:0", "the port must be a number"),
+        ("tcp:host:70000", "the port must be a number"),
+        ("tcp:host:-1", "the port must be a number"),
+        ("udpin:::1:14550", "in brackets"),
+        ("/dev/ttyUSB0,fast", "baud rate must be a number"),
+        ("/dev/ttyUSB0,0", "baud rate must be positive"),
+        ("flight.tlog", "use gcs-sysid analyze"),
+    ],
+)
+def test_a_bad_name_gives_its_line(text, says):
+    with pytest.raises(InputError) as caught:
+        parse_url(text)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_datagrams_come_as_they_were_sent_and_answers_go_to_the_vehicle(stream):
+    _, expected = stream
+    port = free_port()
+    with (
+        open_link(parse_url(f"udpin:127.0.0.1:{port}")) as link,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+    ):
+        vehicle.settimeout(WAIT)
+        stranger.setblocking(False)
+        stranger.bind(("127.0.0.1", 0))
+        receiver = Receiver(link)
+        receiver.follow((1, 1))
+        gate = Gate(link.send)
+        gate.heartbeat()  # nobody to send it to yet
+        assert link.unsent == 1
+        for frame in expected:
+            stranger.sendto(b"\xfd\x20garbage", ("127.0.0.1", port))
+            vehicle.sendto(frame.raw, ("127.0.0.1", port))
+        assert receive(receiver, len(expected)) == expected
+        stranger.sendto(b"more garbage", ("127.0.0.1", port))
+        receiver.poll(WAIT)
+        assert receiver.garbage_bytes > 100
+        gate.heartbeat()
+        assert vehicle.recv(100)[0] == 0xFD
+        with pytest.raises(BlockingIOError):
+            stranger.recv(100)
+
+
+def test_a_stranger_who_poses_as_another_system_gets_no_answers(sender, make_sender):
+    port = free_port()
+    with (
+        open_link(parse_url(f"udpin:127.0.0.1:{port}")) as link,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+    ):
+        vehicle.settimeout(WAIT)
+        receiver = Receiver(link)
+        receiver.follow((1, 1))
+        vehicle.sendto(sender.heartbeat().raw, ("127.0.0.1", port))
+        receive(receiver, 1)
+        other.sendto(make_sender(9, 1).heartbeat().raw, ("127.0.0.1", port))
+        receive(receiver, 1)
+        Gate(link.send).heartbeat()
+        assert vehicle.recv(100)
+
+
+def test_udpout_speaks_first_and_hears_the_answer(sender):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        vehicle.bind(("127.0.0.1", 0))
+        vehicle.settimeout(WAIT)
+        url = parse_url(f"udpout:127.0.0.1:{vehicle.getsockname()[1]}")
+        assert url.speaks_first
+        with open_link(url) as link:
+            Gate(link.send).heartbeat()
+            _, address = vehicle.recvfrom(100)
+            beat = sender.heartbeat()
+            vehicle.sendto(beat.raw, address)
+            assert receive(Receiver(link), 1) == [beat]
+
+
+def test_udpout_to_where_nobody_listens_goes_on():
+    with open_link(parse_url(f"udpout:127.0.0.1:{free_port()}")) as link:
+        for _ in range(3):
+            Gate(link.send).heartbeat()
+            assert link.receive(0.01) == []
+        assert not link.ended
+
+
+def test_tcp_gives_all_frames_and_then_its_end(stream):
+    data, expected = stream
+    with (
+        socket.create_server(("127.0.0.1", 0)) as server,
+        open_link(parse_url(f"tcp:127.0.0.1:{server.getsockname()[1]}")) as link,
+    ):
+        vehicle, _ = server.accept()
+        with vehicle:
+            vehicle.settimeout(WAIT)
+            for at in range(0, len(data), 100):
+                vehicle.sendall(data[at : at + 100])
+            receiver = Receiver(link)
+            assert receive(receiver, len(expected)) == expected
+            Gate(link.send).heartbeat()
+            assert vehicle.recv(100)[0] == 0xFD
+        for _ in range(100):
+            receiver.poll(WAIT / 100)
+            if link.ended:
+                break
+        assert link.ended
+        assert receiver.poll(0.0) == []
+        link.send(b"into the void")
+        assert link.unsent == 1
+
+
+def test_tcpin_takes_one_connection_after_another(sender):
+    port = free_port(socket.SOCK_STREAM)
+    with open_link(parse_url(f"tcpin:127.0.0.1:{port}")) as link:
+        receiver = Receiver(link)
+        for _ in range(2):
+            with socket.create_connection(("127.0.0.1", port)) as vehicle:
+                beat = sender.heartbeat()
+                vehicle.sendall(beat.raw)
+                assert receive(receiver, 1) == [beat]
+        assert not link.ended
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo terminals here")
+def test_serial_carries_frames_both_ways_and_notices_unplugging(stream):
+    data, expected = stream
+    vehicle, port = os.openpty()
+    name = os.ttyname(port)
+    with open_link(LinkUrl("serial", name, device=name, baud=921600)) as link:
+        os.close(port)
+        receiver = Receiver(link)
+        frames = []
+        for at in range(0, len(data), 512):
+            os.write(vehicle, data[at : at + 512])
+            frames += receiver.poll(0.01)
+        frames += receive(receiver, len(expected) - len(frames))
+        assert frames == expected
+        Gate(link.send).heartbeat()
+        assert os.read(vehicle, 100)[0] == 0xFD
+        os.close(vehicle)
+        for _ in range(100):
+            receiver.poll(0.01)
+            if link.ended:
+                break
+        assert link.ended
+        link.send(b"into the void")
+
+
+def test_a_port_in_use_gives_its_line():
+    port = free_port()
+    with open_link(parse_url(f"udpin:127.0.0.1:{port}")):
+        with pytest.raises(LinkError, match="in use") as caught:
+            open_link(parse_url(f"udpin:127.0.0.1:{port}"))
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("/dev/ttyDoesNotExist", "no such device"),
+        ("udpin:192.0.2.1:14550", "no address of this machine"),
+        ("tcp:no-such-host.invalid:5760", "no address found"),
+    ],
+)
+def test_a_link_that_cannot_be_opened_gives_its_line(text, says):
+    with pytest.raises(LinkError, match=says) as caught:
+        open_link(parse_url(text))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_refused_connection_gives_its_line():
+    port = free_port(socket.SOCK_STREAM)
+    with pytest.raises(LinkError, match="connection refused"):
+        open_link(parse_url(f"tcp:127.0.0.1:{port}"))

@@ -1,0 +1,149 @@
+"""Only what cannot harm is ever sent."""
+
+import ast
+import random
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import all as everything
+
+import gcs_sysid
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.frames import read_frame
+from gcs_sysid.telemetry.messages import unpack
+from gcs_sysid.telemetry.outgoing import Gate, NotAllowedError, is_allowed
+
+PACKAGE = Path(gcs_sysid.__file__).parent
+ALLOWED = {"HEARTBEAT", "COMMAND_LONG", "TIMESYNC", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST"}
+ALLOWED_COMMANDS = {510, 511, 512}
+
+
+@pytest.fixture
+def sent():
+    return []
+
+
+@pytest.fixture
+def gate(sent):
+    return Gate(sent.append)
+
+
+def command(number, p1=105.0, p2=0.0, rest=(0.0,) * 5, target=(1, 1)):
+    return mavlink.MAVLink_command_long_message(*target, number, 0, p1, p2, *rest)
+
+
+@pytest.mark.parametrize("cls", mavlink.mavlink_map.values(), ids=lambda cls: cls.msgname)
+def test_no_other_message_can_be_sent(cls, gate, sent, make_message):
+    rng = random.Random(1)
+    for _ in range(50):
+        message = make_message(cls, rng)
+        if cls.msgname in ALLOWED - {"HEARTBEAT", "COMMAND_LONG"}:
+            assert gate.send(message)
+        elif not is_allowed(message):
+            with pytest.raises(NotAllowedError):
+                gate.send(message)
+    if cls.msgname not in ALLOWED:
+        assert not sent
+
+
+def test_no_other_command_can_be_sent():
+    numbers = set(everything.enums["MAV_CMD"]) | set(range(0, 65536, 7)) | ALLOWED_COMMANDS
+    names = set(mavlink.mavlink_map) | {0.0, 1.0, 148.0, 300.0}
+    passing = {n for n in numbers for p1 in names if is_allowed(command(n, float(p1)))}
+    assert passing == ALLOWED_COMMANDS
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        command(511, 105.0, -1.0),  # would switch a message off
+        command(511, 105.0, 1e9),
+        command(511, 60_999.0, 4000.0),
+        command(511, 105.5, 4000.0),
+        command(511, float("nan"), 4000.0),
+        command(511, 105.0, 4000.0, rest=(1.0, 0.0, 0.0, 0.0, 0.0)),
+        command(511, 105.0, 4000.0, target=(0, 0)),
+        command(512, 105.0),
+        mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3),  # would pose as a vehicle
+        mavlink.MAVLink_heartbeat_message(6, 8, 128, 0, 4, 3),
+    ],
+)
+def test_harmful_forms_of_allowed_messages_are_refused(message, gate, sent):
+    with pytest.raises(NotAllowedError, match="must never be sent"):
+        gate.send(message)
+    assert not sent
+
+
+def speak(gate):
+    return [
+        gate.heartbeat(),
+        gate.set_message_interval((1, 1), 105, 4000),
+        gate.set_message_interval((1, 1), 105, 0),
+        gate.get_message_interval((1, 1), 105),
+        gate.request_message((1, 1), 148),
+        gate.timesync(123),
+        gate.read_parameter((1, 1), "INS_GYRO_FILTER"),
+        gate.read_all_parameters((1, 1)),
+    ]
+
+
+def test_everything_the_gate_offers_passes_and_is_ours(gate, sent):
+    assert all(speak(gate))
+    frames = [read_frame(raw) for raw in sent]
+    assert all(frame.valid == "ok" for frame in frames)
+    assert {(frame.system, frame.component) for frame in frames} == {(245, 190)}
+    assert [frame.sequence for frame in frames] == list(range(8))
+    interval = unpack(76, frames[1].payload)
+    assert (interval["command"], interval["param1"], interval["param2"]) == (511, 105.0, 4000.0)
+
+
+def test_listening_only_sends_nothing_at_all(sent):
+    gate = Gate(sent.append, listen_only=True)
+    assert not any(speak(gate))
+    assert sent == []
+    with pytest.raises(NotAllowedError):
+        gate.send(command(400))
+
+
+def test_version_1_is_spoken_to_those_that_speak_it(gate, sent):
+    gate.version = 1
+    gate.heartbeat()
+    assert read_frame(sent[0]).version == 1
+
+
+def modules():
+    for path in sorted(PACKAGE.rglob("*.py")):
+        if path.name not in ("gcs_sysid_dialect.py", "known_messages.py"):
+            name = path.relative_to(PACKAGE).as_posix()
+            yield name, ast.parse(path.read_text(encoding="utf-8"))
+
+
+def test_no_other_module_writes_to_a_link_or_socket():
+    calls = {"send", "sendto", "sendall", "sendmsg", "send_bytes"}
+    writers = set()
+    for name, tree in modules():
+        for node in ast.walk(tree):
+            if (
+                isinstance(node, ast.Call)
+                and isinstance(node.func, ast.Attribute)
+                and node.func.attr in calls
+            ):
+                writers.add(name)
+    assert writers <= {"telemetry/link.py", "telemetry/outgoing.py"}
+
+
+def test_no_other_module_opens_a_socket_or_a_port():
+    users = set()
+    for name, tree in modules():
+        for node in ast.walk(tree):
+            imported = []
+            if isinstance(node, ast.Import):
+                imported = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                imported = [node.module or ""]
+            if any(i.split(".")[0] in ("socket", "serial", "asyncio") for i in imported) or any(
+                i == "pymavlink.mavutil" for i in imported
+            ):
+                users.add(name)
+    # Screens may use asyncio for their timers.
+    assert {user for user in users if not user.startswith("screen/")} <= {"telemetry/link.py"}
