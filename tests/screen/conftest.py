@@ -9,7 +9,6 @@ from rich.segment import Segment
 from textual.pilot import Pilot
 
 from gcs_sysid.screen import SysidApp
-from gcs_sysid.screen.widgets.status import AnswerLine
 from gcs_sysid.session.snapshot import Snapshot
 
 from . import fake
@@ -45,7 +44,7 @@ class Running:
         return "\n".join(self.lines()) + "\n"
 
     def answer(self) -> str:
-        return self.app.screen_stack[0].query_one(AnswerLine).text
+        return self.app._main.answer.text
 
     async def press(self, *keys: str) -> None:
         await self.pilot.press(*keys)

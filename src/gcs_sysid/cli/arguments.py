@@ -6,6 +6,9 @@ from typing import TYPE_CHECKING
 
 from gcs_sysid.errors import InputError
 
+ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-difference")
+"""Names of `estimation.article.METHODS` (a test compares); not imported, to start fast."""
+
 if TYPE_CHECKING:
     from gcs_sysid.model.airframe import Airframe
 
@@ -117,6 +120,13 @@ def add_analyze(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--end", type=positive, default=math.inf, metavar="S")
     parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
     parser.add_argument("--truth", metavar="FILE", help="true parameters, to show beside")
+    parser.add_argument(
+        "--method",
+        choices=("forward", "forward-td", *ARTICLE_METHODS),
+        default="forward",
+        help="forward (default), the same with a tracking differentiator instead of the window, "
+        "or a variant of the article's own chain, for study",
+    )
 
 
 def airframe_of(options: argparse.Namespace) -> "Airframe":

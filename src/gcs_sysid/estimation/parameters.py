@@ -118,9 +118,9 @@ def _scaled(rotation: RotationFit, k_T: float, spread: float) -> dict[str, Value
         "Iyy": Iyy,
         "Izz": Izz,
         # A product matters against the moments it couples.
-        "Ixy": 0.3 * math.sqrt(Ixx * Iyy),
-        "Iyz": 0.3 * math.sqrt(Iyy * Izz),
-        "Ixz": 0.3 * math.sqrt(Ixx * Izz),
+        "Ixy": 0.3 * math.sqrt(abs(Ixx * Iyy)),
+        "Iyz": 0.3 * math.sqrt(abs(Iyy * Izz)),
+        "Ixz": 0.3 * math.sqrt(abs(Ixx * Izz)),
         # Damping matters against inertia at 1 rad/s; a rotor against a hundredth of the body.
         "rotational_damping": max(abs(float(values[rb.DAMPING])), Ixx),
         "rotor_inertia": max(abs(float(values[rb.ROTOR_INERTIA])), 0.002 * Izz),

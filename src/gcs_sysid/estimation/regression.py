@@ -1,7 +1,7 @@
 """From aligned signals to regression rows: products, window, leak.
 
-All signals of both sides pass the same linear filter, so its lag cancels: a symmetric window
-(`gcs_sysid.filters.windows`), and for the rotation then perhaps a leaky sum. The leak
+All signals of both sides pass the same linear filter, so its lag cancels: a smoother
+(`gcs_sysid.filters.smoothers`), and for the rotation then perhaps a leaky sum. The leak
 integrates both sides again: gyro noise, which differentiation made grow with frequency, becomes
 nearly white, which is what least squares weighs best. Where noise of the rotor speeds
 dominates, no leak is better; the estimator carries both and takes the more certain one.
@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation import translation
-from gcs_sysid.filters.windows import cosine_window
+from gcs_sysid.filters.smoothers import Smoother
 from gcs_sysid.model import attitude, rigid_body
 from gcs_sysid.model.parameters import GRAVITY
 
@@ -56,52 +56,38 @@ class Rows:
     accelerometer: Array
 
 
-_AVERAGED = rigid_body.N_SIGNALS - 1  # all but dH, which is differentiated
-
-
 class RowMaker:
     """Makes rows of samples, block by block, as if all samples had come at once.
 
     Args:
         geometry: (3, rotors) of the airframe.
-        dt: s between samples.
-        half_width: s, half of the window.
+        smoother: the filter on both sides.
     """
 
-    def __init__(self, geometry: Array, dt: float, half_width: float) -> None:
-        half = max(2, round(half_width / dt))
+    def __init__(self, geometry: Array, smoother: Smoother) -> None:
         self._geometry = geometry
-        self._window = cosine_window(half, dt)
-        self.step = max(1, half // 4)
-        """Samples between rows: four rows in half a window lose next to nothing."""
-        self._pending = np.empty((0, _FORCE + 1))
+        self._smoother = smoother
 
     def restart(self) -> None:
         """Forget what a gap separates from the next samples."""
-        self._pending = self._pending[:0]
+        self._smoother.restart()
 
     def update(self, samples: Samples) -> Rows:
-        """Rows of the windows that end within these samples."""
-        signals = np.concatenate([self._pending, self._signals(samples)])
-        count = max((len(signals) - self._window.length) // self.step + 1, 0)
-        self._pending = signals[count * self.step :]
-        if count == 0:
-            average = np.empty((0, signals.shape[1]))
-            derivative = np.empty((0, len(_DERIVED)))
-        else:
-            average = self._window.apply(signals, self.step)
-            derivative = self._window.apply(signals[:, _DERIVED], self.step, derivative=True)
-        momentum = np.empty((count, 3, translation.WIDTH))
+        """The rows that these samples complete."""
+        average, derivative = self._smoother.update(self._signals(samples))
+        momentum = np.empty((len(average), 3, translation.WIDTH))
         momentum[:, :, 0] = average[:, _LIFT]
         momentum[:, :, 1] = average[:, _VELOCITY]
         momentum[:, :, 2] = 1.0
-        momentum[:, :, 3] = derivative[:, 4:7]
+        momentum[:, :, 3] = derivative[:, _VELOCITY]
         momentum[:, 2, 3] -= GRAVITY
-        still, one = np.zeros(count), np.ones(count)
+        accelerometer = np.ones((len(average), translation.WIDTH))
+        accelerometer[:, 0] = average[:, _THRUST]
+        accelerometer[:, 1] = 0.0
+        accelerometer[:, 3] = average[:, _FORCE]
+        inputs = average[:, :_H], derivative[:, _H : _H + 1]
         return Rows(
-            np.concatenate([average[:, :_AVERAGED], derivative[:, :4]], axis=1),
-            momentum,
-            np.stack([average[:, 2], still, one, average[:, _FORCE]], axis=1),
+            np.concatenate([*inputs, derivative[:, _GYRO]], axis=1), momentum, accelerometer
         )
 
     def _signals(self, s: Samples) -> Array:
@@ -167,10 +153,11 @@ def runs(mask: Mask) -> list[tuple[slice, bool]]:
     return [(slice(a, b), bool(mask[a])) for a, b in pairwise(edges) if b > a]
 
 
-# Columns of the signals that the window takes.
-_H = _AVERAGED
+# Columns of the signals that the smoother takes: the model's inputs, with H in the place of its
+# derivative, then the rest.
+_THRUST = rigid_body.SIGNALS.index("thrust")
+_H = rigid_body.SIGNALS.index("dH")
 _GYRO = slice(_H + 1, _H + 4)
 _LIFT = slice(_H + 4, _H + 7)
 _VELOCITY = slice(_H + 7, _H + 10)
 _FORCE = _H + 10
-_DERIVED = np.r_[_H, _GYRO, _VELOCITY]

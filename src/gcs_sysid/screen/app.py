@@ -16,8 +16,7 @@ from gcs_sysid.screen.main import MainScreen
 from gcs_sysid.screen.source import SnapshotSource
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.pages import PAGES, PageBar
-from gcs_sysid.screen.widgets.parameters import ParameterRow, ParameterTable
-from gcs_sysid.screen.widgets.status import AnswerLine
+from gcs_sysid.screen.widgets.parameters import ParameterRow
 from gcs_sysid.session.snapshot import Event, LinkState, Snapshot
 
 POLL_SECONDS = 0.2
@@ -43,7 +42,7 @@ LIGHT = Theme(
     primary="#1769c2",
     secondary="#44617d",
     accent="#0b5cad",
-    success="#1f9d4d",
+    success="#17803d",
     warning="#c07a00",
     error="#d61f55",
     foreground="#14191e",
@@ -102,15 +101,17 @@ class SysidApp(App[None]):
         return self._main
 
     def on_mount(self) -> None:
-        """Start polling."""
+        """Start polling; the first snapshot is drawn as soon as the screen stands."""
         self.set_interval(POLL_SECONDS, self.poll)
 
-    def on_ready(self) -> None:
-        """Draw at once, without waiting for the first tick."""
+    def on_main_screen_ready(self) -> None:
+        """Draw at once, without waiting for the next tick."""
         self.poll(force=True)
 
     def poll(self, force: bool = False) -> None:
         """Take the newest snapshot and draw it, if there is something new to draw."""
+        if not self._main.ready:  # a tick can come while the screen is built up or torn down
+            return
         snapshot = self.source.latest()
         if snapshot is not None and snapshot.link.received != self._heard[0]:
             self._heard = (snapshot.link.received, self._time())
@@ -162,18 +163,14 @@ class SysidApp(App[None]):
     def _report_newest_event(self) -> None:
         newest = self._snapshot.events[-1] if self._snapshot and self._snapshot.events else None
         if newest is not None and newest != self._last_event:
-            self._answer_line.say(newest.text, newest.t)
+            self._main.answer.say(newest.text, newest.t)
         self._last_event = newest
 
     # -- answers
 
-    @property
-    def _answer_line(self) -> AnswerLine:
-        return self._main.query_one(AnswerLine)
-
     def say(self, text: str) -> None:
         """Answer an action with a sentence above the footer."""
-        self._answer_line.say(text, None if self._snapshot is None else self._snapshot.t)
+        self._main.answer.say(text, None if self._snapshot is None else self._snapshot.t)
 
     def _ask(self, action: Callable[[], str]) -> None:
         """Do something with the source, and say what came of it, even if it failed."""
@@ -200,7 +197,7 @@ class SysidApp(App[None]):
     def _select(self, name: str) -> None:
         self.selected = name
         self.draw()
-        self._main.query_one(ParameterTable).reveal(name)
+        self._main.table.reveal(name)
         self.say(f"Plot: {fmt.label(name)}")
 
     def action_reset(self) -> None:
@@ -253,7 +250,7 @@ class SysidApp(App[None]):
 
     def action_scroll_events(self, step: int) -> None:
         """Scroll the event log."""
-        log = self._main.query_one("#events")
+        log = self._main.events
         log.scroll_relative(y=step * max(1, log.size.height - 1), animate=False)
 
     def action_help(self) -> None:

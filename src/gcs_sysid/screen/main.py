@@ -6,6 +6,7 @@ from textual import events
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Container
+from textual.message import Message
 from textual.screen import Screen
 from textual.widget import Widget
 from textual.widgets import Footer
@@ -64,44 +65,56 @@ class MainScreen(Screen[None]):
         ),
     ]
 
+    class Ready(Message):
+        """All panels stand and can be drawn."""
+
     def __init__(self, title: str) -> None:
         super().__init__(classes="page-parameters")
         self.page = "parameters"
         self._view: View | None = None
         # In the order of drawing; a new panel is added here, in compose and in the style sheet.
+        self.ready = False
+        self.answer = AnswerLine()
+        self._pages = PageBar()
         self._status, self._banner = StatusLine(title), Banner()
-        self._table, self._plot = ParameterTable(), Convergence()
-        self._link, self._attitude, self._events = LinkPanel(), AttitudePanel(), EventLog()
+        self.table, self._plot = ParameterTable(), Convergence()
+        self._link, self._attitude, self.events = LinkPanel(), AttitudePanel(), EventLog()
         self._panels: list[Panel] = [
             self._status,
             self._banner,
-            self._table,
+            self.table,
             self._plot,
             self._link,
             self._attitude,
-            self._events,
+            self.events,
         ]
 
     def compose(self) -> ComposeResult:
         """The panels; where they stand is up to the style sheet."""
         yield self._status
         yield self._banner
-        yield PageBar()
+        yield self._pages
         with Container(id="body"):
             with Container(id="left"):
-                yield self._table
+                yield self.table
                 yield self._plot
             with Container(id="right"):
                 with Container(id="vehicle"):
                     yield self._link
                     yield self._attitude
-                yield self._events
-        yield AnswerLine()
+                yield self.events
+        yield self.answer
         yield Footer(compact=True, show_command_palette=False)
 
     def on_mount(self) -> None:
-        """Choose the layout before the first drawing."""
+        """Choose the layout before the first drawing, then ask for it."""
         self._lay_out(self.app.size.width, self.app.size.height)
+        self.ready = True
+        self.post_message(self.Ready())
+
+    def on_unmount(self) -> None:
+        """Nothing may be drawn any more."""
+        self.ready = False
 
     def on_resize(self, event: events.Resize) -> None:
         """Choose the layout for the new size."""
@@ -123,7 +136,7 @@ class MainScreen(Screen[None]):
         for name in PAGES:
             self.set_class(name == page, f"page-{name}")
         self.page = page
-        self.query_one(PageBar).select(page)
+        self._pages.select(page)
         self._show_again()
 
     def show(self, view: View) -> None:

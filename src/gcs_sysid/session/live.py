@@ -95,6 +95,7 @@ class LiveSession:
         self._heard_at: float | None = None
         self._told_result_at = 0.0
         self._followed: tuple[int, int] | None = None
+        self._reboots = 0
         self._told_problem = ""
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
 
@@ -195,6 +196,10 @@ class LiveSession:
         if vehicle is not None and vehicle.address != self._followed:
             self._followed = vehicle.address
             self._receiver.follow(vehicle.address)
+        reboots = self._pipeline.intake.decoder.clock.reboots
+        if reboots != self._reboots:
+            self._reboots = reboots
+            self._requests.reboot()
 
     def _state(self, now: float) -> LinkState:
         if self._heard_at is None:

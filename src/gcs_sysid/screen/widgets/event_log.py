@@ -17,11 +17,12 @@ class EventLog(VerticalScroll, can_focus=False):
 
     def __init__(self) -> None:
         super().__init__(id="events")
+        self._text = Static(id="event-lines")
         self._events: tuple[Event, ...] | None = None
 
     def compose(self) -> ComposeResult:
         """One text for all lines: the log is short and changes rarely."""
-        yield Static(id="event-lines")
+        yield self._text
 
     def show(self, view: View) -> None:
         """Bring the log up to date, and follow its end unless the user has scrolled up."""
@@ -33,6 +34,6 @@ class EventLog(VerticalScroll, can_focus=False):
         lines = [
             Content.assemble((f"{fmt.clock_tenths(e.t)}  ", fmt.MUTED), e.text) for e in found
         ] or [Content.styled("nothing yet", fmt.MUTED)]
-        self.query_one("#event-lines", Static).update(Content("\n").join(lines))
+        self._text.update(Content("\n").join(lines))
         if at_end:
             self.scroll_end(animate=False)

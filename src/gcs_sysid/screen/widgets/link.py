@@ -54,12 +54,13 @@ class LinkPanel(VerticalScroll, can_focus=False):
 
     def __init__(self) -> None:
         super().__init__(id="link")
+        self._text = Static(id="link-lines")
         self._view: View | None = None
         self._shown: list[list[Part]] = []
 
     def compose(self) -> ComposeResult:
         """One text for all lines."""
-        yield Static(id="link-lines")
+        yield self._text
 
     def show(self, view: View) -> None:
         """Bring the panel up to date."""
@@ -69,7 +70,7 @@ class LinkPanel(VerticalScroll, can_focus=False):
             grown = len(lines) != len(self._shown)
             self._shown = lines
             text = Content("\n").join([Content.assemble(*line) for line in lines])
-            self.query_one("#link-lines", Static).update(text, layout=grown)
+            self._text.update(text, layout=grown)
 
     def on_resize(self) -> None:
         """Lay the columns out anew."""

@@ -145,6 +145,10 @@ class ParameterTable(Widget):
 
     def __init__(self) -> None:
         super().__init__(id="parameters")
+        self._head = Static(id="parameters-head")
+        self._holder = VerticalScroll(can_focus=False)
+        self._empty = Static("No estimate yet.", id="parameters-empty")
+        self._why = Static(id="reasons")
         self._names: list[str] = []
         self._rows: dict[str, ParameterRow] = {}
         self._view: View | None = None
@@ -153,9 +157,10 @@ class ParameterTable(Widget):
 
     def compose(self) -> ComposeResult:
         """Head, rows, reasons."""
-        yield Static(id="parameters-head")
-        yield VerticalScroll(Static("No estimate yet.", id="parameters-empty"), can_focus=False)
-        yield Static(id="reasons")
+        yield self._head
+        with self._holder:
+            yield self._empty
+        yield self._why
 
     def on_resize(self, event: events.Resize) -> None:
         """Choose the columns anew."""
@@ -169,7 +174,7 @@ class ParameterTable(Widget):
         if columns != self._columns:
             self._columns = columns
             head = _line((NAME_HEAD, ""), [(c.head, "") for c in columns])
-            self.query_one("#parameters-head", Static).update(head)
+            self._head.update(head)
         found = [] if view.snapshot is None else fmt.rows(view.snapshot.result)
         names = [parameter.name for parameter, _ in found]
         if names != self._names:
@@ -180,7 +185,6 @@ class ParameterTable(Widget):
         self._show_reasons(view)
 
     def _rebuild(self, names: list[str]) -> None:
-        holder = self.query_one(VerticalScroll)
         for name in [name for name in self._rows if name not in names]:
             self._rows.pop(name).remove()
         for place, name in enumerate(names):
@@ -188,18 +192,17 @@ class ParameterTable(Widget):
                 self._rows[name] = ParameterRow(name)
                 # Names come in a fixed order, so a new one goes behind those that stand already.
                 if place == 0:
-                    holder.mount(self._rows[name], before=0)
+                    self._holder.mount(self._rows[name], before=0)
                 else:
-                    holder.mount(self._rows[name], after=self._rows[names[place - 1]])
-        self.query_one("#parameters-empty").display = not names
+                    self._holder.mount(self._rows[name], after=self._rows[names[place - 1]])
+        self._empty.display = not names
 
     def _show_reasons(self, view: View) -> None:
         reasons = "" if view.snapshot is None else fmt.one_line(view.snapshot.result.reasons)
         if reasons != self._reasons:
             self._reasons = reasons
-            line = self.query_one("#reasons", Static)
-            line.display = bool(reasons)
-            line.update(Content.assemble(("why  ", "bold"), reasons))
+            self._why.display = bool(reasons)
+            self._why.update(Content.assemble(("why  ", "bold"), reasons))
 
     def reveal(self, name: str) -> None:
         """Scroll a parameter into view."""

@@ -5,6 +5,7 @@ from textual.widgets import Static
 
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
+from gcs_sysid.session.snapshot import LinkState
 
 Part = tuple[str, str]
 
@@ -29,11 +30,14 @@ class StatusLine(Static):
         if snapshot is None:
             return [(self.title_text, "bold"), ("○ opening", "$text-warning")]
         link, result = snapshot.link, snapshot.result
+        state = (f"{fmt.LINK_SIGN[link.state]} {link.state}", fmt.LINK_STYLE[link.state])
+        if link.state is LinkState.WAITING:  # no flight and no verdict to speak of
+            return [(self.title_text, "bold"), state]
         flight = "flying" if snapshot.flying else "on ground"
         verdict = f"{fmt.VERDICT_SIGN[result.verdict]} {result.verdict}"
         parts = [
             (link.vehicle or self.title_text, "bold"),
-            (f"{fmt.LINK_SIGN[link.state]} {link.state}", fmt.LINK_STYLE[link.state]),
+            state,
             (f"{fmt.clock(snapshot.t)} {flight}", ""),
             (f"used {fmt.clock(snapshot.used_seconds)}", ""),
             (verdict, f"bold {fmt.VERDICT_STYLE[result.verdict]}"),

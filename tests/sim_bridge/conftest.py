@@ -1,0 +1,52 @@
+"""Flights and decoders that several tests share."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gcs_sysid.telemetry.dialect import mavlink
+from sim_bridge.cli import main
+from sim_bridge.ensemble import Flight, fly_ensemble
+from sim_bridge.missions import MISSIONS
+from sim_bridge.vehicle import Vehicle
+from sim_bridge.vehicle_files import load_vehicle
+
+
+@pytest.fixture(scope="session")
+def paper_vehicle() -> Vehicle:
+    return load_vehicle("paper")
+
+
+@pytest.fixture(scope="session")
+def flights(paper_vehicle: Vehicle) -> dict[str, Flight]:
+    """The paper's vehicle through every mission, 50 samples a second, no noise."""
+    return {name: fly_ensemble(paper_vehicle, m, 50.0) for name, m in MISSIONS.items()}
+
+
+@pytest.fixture(scope="session")
+def tlog(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five seconds of the paper's mission with MEMS noise, all messages."""
+    path = tmp_path_factory.mktemp("tlog") / "flight.tlog"
+    assert main(["--duration", "5", "--tlog", str(path), "--seed", "7", "--noise", "mems"]) == 0
+    return path
+
+
+@pytest.fixture(scope="session")
+def read_tlog() -> Callable[[Path], Iterator[tuple[int, Any]]]:
+    """Reads a .tlog: record time (us) and message, decoded by pymavlink's own parser."""
+
+    def read(path: Path) -> Iterator[tuple[int, Any]]:
+        data = path.read_bytes()
+        parser = mavlink.MAVLink(None)
+        at = 0
+        while at < len(data):
+            size = 12 + data[at + 9]
+            yield (
+                int.from_bytes(data[at : at + 8], "big"),
+                parser.decode(bytearray(data[at + 8 : at + 8 + size])),
+            )
+            at += 8 + size
+
+    return read

@@ -1,0 +1,239 @@
+"""What is on the wire, read by pymavlink with the project's dialect."""
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gcs_sysid.telemetry.dialect import mavlink
+from sim_bridge.autopilot import EPOCH_US, Schedule
+from sim_bridge.cli import main
+from sim_bridge.dynamics import rotate_to_body
+from sim_bridge.instruments import quaternion_of
+from sim_bridge.vehicle import Vehicle
+from sim_bridge.wire import FrameWriter
+
+Read = Callable[[Path], Any]
+
+
+@pytest.fixture(scope="module")
+def records(tlog: Path, read_tlog: Read) -> list[tuple[int, Any]]:
+    return list(read_tlog(tlog))
+
+
+def of_type(records: list[tuple[int, Any]], name: str) -> list[Any]:
+    return [m for _, m in records if m.get_type() == name]
+
+
+def clock_us(message: Any) -> int | None:
+    """The vehicle's clock as the message carries it."""
+    for field, unit in (("time_usec", 1), ("time_boot_ms", 1000)):
+        if hasattr(message, field):
+            return int(getattr(message, field)) * unit
+    return None
+
+
+@pytest.mark.parametrize(
+    ("name", "hertz"),
+    [
+        ("HIGHRES_IMU", 250),
+        ("ESC_STATUS", 250),
+        ("ACTUATOR_OUTPUT_STATUS", 250),
+        ("SERVO_OUTPUT_RAW", 250),
+        ("ATTITUDE", 100),
+        ("ATTITUDE_QUATERNION", 100),
+        ("LOCAL_POSITION_NED", 50),
+        ("EXTENDED_SYS_STATE", 2),
+        ("HEARTBEAT", 1),
+        ("SYS_STATUS", 1),
+        ("SYSTEM_TIME", 1),
+        ("ESC_INFO", 1),
+        ("GLOBAL_POSITION_INT", 5),
+    ],
+)
+def test_message_set_and_rates(
+    records: list[tuple[int, Any]], name: str, hertz: float
+) -> None:
+    assert len(of_type(records, name)) == 5 * hertz + 1  # 0 s and 5 s included
+
+
+def test_records_carry_the_vehicle_clock_on_a_fixed_epoch(
+    records: list[tuple[int, Any]],
+) -> None:
+    for stamp, message in records:
+        clock = clock_us(message)
+        if clock is not None and message.get_type() != "SYSTEM_TIME":
+            assert stamp - EPOCH_US == clock
+    stamps = [stamp for stamp, _ in records]
+    assert stamps == sorted(stamps)
+    assert stamps[-1] - stamps[0] == 5_000_000
+
+
+def test_the_imu_comes_first_in_its_instant(records: list[tuple[int, Any]]) -> None:
+    seen: set[int] = set()
+    for stamp, message in records:
+        if stamp not in seen and (stamp - EPOCH_US) % 4000 == 0:
+            assert message.get_type() == "HIGHRES_IMU"
+        seen.add(stamp)
+
+
+def test_sequence_numbers_increase_by_one(records: list[tuple[int, Any]]) -> None:
+    numbers = [m.get_seq() for _, m in records]
+    assert numbers == [i % 256 for i in range(len(numbers))]
+    assert {(m.get_srcSystem(), m.get_srcComponent()) for _, m in records} == {(1, 1)}
+
+
+def test_it_says_that_it_is_a_flying_px4_quadrotor(records: list[tuple[int, Any]]) -> None:
+    heartbeat = of_type(records, "HEARTBEAT")[0]
+    assert heartbeat.type == mavlink.MAV_TYPE_QUADROTOR
+    assert heartbeat.autopilot == mavlink.MAV_AUTOPILOT_PX4
+    assert heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+    state = of_type(records, "EXTENDED_SYS_STATE")[0]
+    assert state.landed_state == mavlink.MAV_LANDED_STATE_IN_AIR
+
+
+def test_rotor_speeds_are_those_of_the_physics(
+    records: list[tuple[int, Any]], paper_vehicle: Vehicle
+) -> None:
+    first = of_type(records, "ESC_STATUS")[0]
+    speeds = np.array(first.rpm) * math.pi / 30.0
+    shares = paper_vehicle.k_T * speeds**2 / (1.5 * 9.80665)
+    np.testing.assert_allclose(shares, [0.4, 0.1, 0.3, 0.2], atol=0.01)
+    assert first.index == 0
+    assert all(v > 10.0 for v in first.voltage)
+    assert all(c > 0.0 for c in first.current)
+
+
+def test_commands_follow_the_thrust_curve(
+    records: list[tuple[int, Any]], paper_vehicle: Vehicle
+) -> None:
+    first = of_type(records, "ACTUATOR_OUTPUT_STATUS")[0]
+    assert first.active == 4
+    assert not any(first.actuator[4:])
+    u = (np.array(first.actuator[:4]) - 1000.0) / 1000.0
+    thrust = paper_vehicle.T_max * (0.5 * u + 0.5 * u * u)
+    np.testing.assert_allclose(thrust / (1.5 * 9.80665), [0.4, 0.1, 0.3, 0.2], atol=1e-6)
+    servo = of_type(records, "SERVO_OUTPUT_RAW")[0]
+    assert servo.servo1_raw == round(first.actuator[0])
+    assert servo.servo5_raw == 0
+
+
+def test_attitude_messages_agree(records: list[tuple[int, Any]]) -> None:
+    for a, q in zip(
+        of_type(records, "ATTITUDE"), of_type(records, "ATTITUDE_QUATERNION"), strict=True
+    ):
+        expected = quaternion_of(a.roll, a.pitch, a.yaw)
+        np.testing.assert_allclose((q.q1, q.q2, q.q3, q.q4), expected, atol=1e-6)
+        assert a.rollspeed == q.rollspeed
+
+
+def test_a_hexarotor_reports_two_groups(tmp_path: Path, read_tlog: Read) -> None:
+    path = tmp_path / "hexa.tlog"
+    assert main(["--airframe", "px4-hexa-x", "--tlog", str(path), "--duration", "1"]) == 0
+    records = list(read_tlog(path))
+    status = of_type(records, "ESC_STATUS")
+    assert [m.index for m in status[:4]] == [0, 4, 0, 4]
+    assert all(status[0].rpm)
+    assert [bool(x) for x in status[1].rpm] == [True, True, False, False]
+    assert of_type(records, "HEARTBEAT")[0].type == mavlink.MAV_TYPE_HEXAROTOR
+    assert of_type(records, "ACTUATOR_OUTPUT_STATUS")[0].active == 6
+    info = of_type(records, "ESC_INFO")[0]
+    assert (info.count, info.info) == (6, 0b111111)
+
+
+def test_same_seed_same_bytes(tmp_path: Path, tlog: Path) -> None:
+    again, other = tmp_path / "again.tlog", tmp_path / "other.tlog"
+    options = ["--duration", "5", "--noise", "mems"]
+    assert main([*options, "--seed", "7", "--tlog", str(again)]) == 0
+    assert main([*options, "--seed", "8", "--tlog", str(other)]) == 0
+    assert again.read_bytes() == tlog.read_bytes()
+    assert other.read_bytes() != tlog.read_bytes()
+
+
+def test_a_low_rate_lowers_all_fast_streams(tmp_path: Path, read_tlog: Read) -> None:
+    path = tmp_path / "slow.tlog"
+    assert main(["--rate", "20", "--tlog", str(path), "--duration", "2"]) == 0
+    records = list(read_tlog(path))
+    for name in ("HIGHRES_IMU", "ATTITUDE", "ESC_STATUS", "LOCAL_POSITION_NED"):
+        assert len(of_type(records, name)) == 41, name
+
+
+def test_truth_is_flat_and_has_every_name(tmp_path: Path) -> None:
+    truth = tmp_path / "t.json"
+    options = ["--tlog", str(tmp_path / "f.tlog"), "--duration", "2", "--truth", str(truth)]
+    assert main(options) == 0
+    content = json.loads(truth.read_text())
+    assert content["mass"] == 1.5
+    assert all(isinstance(v, float) for v in content.values())
+    assert {"rotor_delay", "motor_lag", "moment_ratio", "T_max"} <= set(content)
+
+
+def test_truth_after_a_mass_step_is_that_at_the_end(tmp_path: Path) -> None:
+    truth = tmp_path / "t.json"
+    options = ["--tlog", str(tmp_path / "f.tlog"), "--duration", "2", "--truth", str(truth)]
+    assert main([*options, "--mass-step", "1:1.2"]) == 0
+    content = json.loads(truth.read_text())
+    assert content["mass"] == pytest.approx(1.8)
+    (event,) = content["events"]
+    assert (event["t"], event["kind"]) == (1.0, "mass_change")
+    assert event["before"]["mass"] == 1.5
+    assert event["after"]["mass"] == pytest.approx(1.8)
+    assert event["time_usec"] == 21_000_000
+
+
+def test_frames_equal_pymavlinks() -> None:
+    writer = FrameWriter(3, 7)
+    reference = mavlink.MAVLink(None, 3, 7)
+    writer.sequence = reference.seq = 254
+    pairs = [
+        (
+            (mavlink.MAVLink_heartbeat_message, 0, 2, 12, 128, 4, 3),
+            mavlink.MAVLink_heartbeat_message(2, 12, 128, 0, 4, 3),
+        ),
+        (
+            (mavlink.MAVLink_timesync_message, 0, 0),
+            mavlink.MAVLink_timesync_message(0, 0),
+        ),
+        (
+            (
+                mavlink.MAVLink_esc_status_message,
+                *(12345678, 1, -2, 3, 4),
+                *(1.0, 2.0, 3.0, 4.0, 0.5, 0.25, 0.0, 0.0, 0),
+            ),
+            mavlink.MAVLink_esc_status_message(
+                0, 12345678, [1, -2, 3, 4], [1.0, 2.0, 3.0, 4.0], [0.5, 0.25, 0.0, 0.0]
+            ),
+        ),
+    ]
+    for arguments, message in pairs:
+        assert writer.frame(*arguments) == message.pack(reference)
+        reference.seq = (reference.seq + 1) % 256
+
+
+def test_streams_keep_their_mean_rate_on_the_physics_grid() -> None:
+    schedule = Schedule()
+    schedule.add(1, 160.0, list)
+    schedule.add(2, 333.0, list)
+    taken: dict[int, list[int]] = {1: [], 2: []}
+    for tick in range(10_000):
+        for stream in schedule.take(tick):
+            taken[stream.msgid].append(tick)
+    assert len(taken[1]) == 1600
+    assert set(np.diff(taken[1])) == {6, 7}
+    assert len(taken[2]) == 3330
+
+
+def test_quaternion_and_rotation_agree() -> None:
+    q = quaternion_of(0.1, -0.2, 2.0)
+    # North seen from the body, by the ZYX rotation matrix's first row.
+    c, s = math.cos, math.sin
+    expected = (
+        c(-0.2) * c(2.0),
+        s(0.1) * s(-0.2) * c(2.0) - c(0.1) * s(2.0),
+        c(0.1) * s(-0.2) * c(2.0) + s(0.1) * s(2.0),
+    )
+    np.testing.assert_allclose(rotate_to_body(q, (1.0, 0.0, 0.0)), expected, atol=1e-12)
