@@ -181,22 +181,20 @@ def run(args: argparse.Namespace) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; the exit status."""
-    parser = make_parser()
-    args = parser.parse_args(argv)
+    """Run the command; the exit status. For the main thread: it takes SIGTERM while it runs."""
+    args = make_parser().parse_args(argv)
 
     def stop(signum: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    signal.signal(signal.SIGTERM, stop)
+    before = signal.signal(signal.SIGTERM, stop)
     try:
         run(args)
     except KeyboardInterrupt:
         return 0
-    except GcsSysidError as error:
+    except (GcsSysidError, OSError) as error:
         print(f"sim-bridge: error: {error}", file=sys.stderr)
         return 2
-    except OSError as error:
-        print(f"sim-bridge: error: {error}", file=sys.stderr)
-        return 2
+    finally:
+        signal.signal(signal.SIGTERM, before)
     return 0

@@ -1,15 +1,16 @@
 """What the autopilot measures: the simulated truth with sensor noise, sampled on demand.
 
-A sensor read twice at one instant gives one sample, so that messages of one instant agree.
+A sensor's error is drawn once an instant, so that messages of one instant agree. Messages that
+only repeat what another has measured ask for the last error (`fresh=False`) and so do not move
+the random sequence.
 """
 
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_bridge.autopilot import BOOT_US, STEP_US
 from sim_bridge.sensors import Channel
 from sim_bridge.simulation import Simulation
 
@@ -29,74 +30,68 @@ class Instruments:
     def __init__(self, simulation: Simulation, channels: dict[str, Channel]) -> None:
         self.simulation = simulation
         self._channels = channels
-        self._taken: dict[str, tuple[int, Any]] = {}
-        self._gyro_noise: Sample = [0.0, 0.0, 0.0]
+        self._drawn: dict[str, tuple[int, Sample]] = {}
+
+    @property
+    def now_us(self) -> int:
+        """The vehicle's clock, us since it was switched on."""
+        return BOOT_US + self.simulation.tick * STEP_US
+
+    @property
+    def now_ms(self) -> int:
+        """The same in ms, as 32 bits hold it."""
+        return (self.now_us // 1000) & 0xFFFFFFFF
 
     def retime(self, sensor: str, interval: float) -> None:
         """The sensor is now read every so many seconds."""
         self._channels[sensor].retime(interval)
 
-    def _once(self, sensor: str, read: Callable[[], Any]) -> Any:
+    def _noise(self, sensor: str, fresh: bool) -> Sample:
+        """The sensor's error: drawn once an instant, or its last one where that will do."""
         tick = self.simulation.tick
-        taken = self._taken.get(sensor)
-        if taken is None or taken[0] != tick:
-            taken = (tick, read())
-            self._taken[sensor] = taken
-        return taken[1]
+        drawn = self._drawn.get(sensor)
+        if drawn is None or (fresh and drawn[0] != tick):
+            drawn = (tick, self._channels[sensor].next())
+            self._drawn[sensor] = drawn
+        return drawn[1]
 
     def inertial(self) -> tuple[Sample, Sample]:
         """Gyro (rad/s) and accelerometer (m/s^2), body axes."""
-        reading: tuple[Sample, Sample] = self._once("inertial", self._inertial)
-        return reading
-
-    def _inertial(self) -> tuple[Sample, Sample]:
         s = self.simulation
         (p, q, r), (x, y, z) = s.dynamics.imu(s.state, s.targets, s.disturbance)
-        noise = self._gyro_noise = self._channels["gyro"].next()
-        error = self._channels["accelerometer"].next()
+        noise = self._noise("gyro", True)
+        error = self._noise("accelerometer", True)
         return (
             [p + noise[0], q + noise[1], r + noise[2]],
             [x + error[0], y + error[1], z + error[2]],
         )
 
-    def attitude(self) -> Sample:
+    def attitude(self, fresh: bool = True) -> Sample:
         """Roll, pitch and yaw, rad."""
-        angles: Sample = self._once("attitude", self._attitude)
-        return angles
-
-    def _attitude(self) -> Sample:
         a, b, c, d = self.simulation.state.quaternion
-        noise = self._channels["attitude"].next()
+        noise = self._noise("attitude", fresh)
         roll = math.atan2(2.0 * (a * b + c * d), 1.0 - 2.0 * (b * b + c * c))
         pitch = math.asin(max(-1.0, min(1.0, 2.0 * (a * c - d * b))))
         yaw = math.atan2(2.0 * (a * d + b * c), 1.0 - 2.0 * (c * c + d * d))
         return [roll + noise[0], pitch + noise[1], wrap(yaw + noise[2])]
 
     def rates(self) -> Sample:
-        """Body rates as the attitude filter has them: the gyro with its newest error, rad/s."""
+        """Body rates as the attitude filter has them: the gyro with its last error, rad/s."""
         p, q, r = self.simulation.state.rates
-        noise = self._gyro_noise
+        noise = self._noise("gyro", False)
         return [p + noise[0], q + noise[1], r + noise[2]]
 
     def rotor_speeds(self) -> Sample:
         """Measured rotor speeds, rad/s, never below zero."""
-        speeds: Sample = self._once("rotor", self._rotor_speeds)
-        return speeds
-
-    def _rotor_speeds(self) -> Sample:
-        noise = self._channels["rotor"].next()
+        noise = self._noise("rotor", True)
         return [
             max(0.0, speed + n)
             for speed, n in zip(self.simulation.state.speeds, noise, strict=True)
         ]
 
-    def velocity(self) -> Sample:
+    def velocity(self, fresh: bool = True) -> Sample:
         """Velocity, NED, m/s."""
-        velocity: Sample = self._once("velocity", self._velocity)
-        return velocity
-
-    def _velocity(self) -> Sample:
-        noise = self._channels["velocity"].next()
+        noise = self._noise("velocity", fresh)
         return [v + n for v, n in zip(self.simulation.state.velocity, noise, strict=True)]
 
     def commands(self) -> Sample:

@@ -48,7 +48,7 @@ class Running:
 
     async def press(self, *keys: str) -> None:
         await self.pilot.press(*keys)
-        await self.settle()
+        await self.pilot.pause()
 
     async def settle(self) -> None:
         """Let messages and the drawings they ask for go through."""

@@ -99,15 +99,13 @@ async def test_dark_and_light(run_screen):
         assert s.app.current_theme.dark
 
 
-@pytest.mark.parametrize("close", ["escape", "question_mark", "q", "enter"])
-async def test_help_opens_and_closes(run_screen, close):
+async def test_help_opens_and_closes(run_screen):
     async with run_screen(fake.snapshot()) as s:
-        await s.press("question_mark")
-        assert isinstance(s.app.screen, HelpScreen)
-        text = s.text()
-        assert all(status in text for status in ("identified", "given", "weak", "unobservable"))
-        await s.press(close)
-        assert isinstance(s.app.screen, MainScreen)
+        for close in ("escape", "question_mark", "q", "enter"):
+            await s.press("question_mark")
+            assert isinstance(s.app.screen, HelpScreen)
+            await s.press(close)
+            assert isinstance(s.app.screen, MainScreen)
         assert s.source.calls == []
 
 
@@ -128,15 +126,13 @@ async def test_tab_goes_through_the_pages_and_back(run_screen):
         assert s.app.get_default_screen().page == "events"
 
 
-@pytest.mark.parametrize(
-    ("key", "text"),
-    [("1", "10⁻³ kg m²"), ("2", "95 % band"), ("3", "HIGHRES_IMU"), ("4", "took off")],
-)
-async def test_numbers_choose_a_page(run_screen, key, text):
+async def test_numbers_choose_a_page(run_screen):
+    shown = {"2": "95 % band", "3": "rotor 3", "4": "took off", "1": "unobservable  "}
     async with run_screen(fake.snapshot()) as s:
-        await s.press("3" if key != "3" else "1")
-        await s.press(key)
-        assert text in s.text()
+        for key, text in shown.items():
+            await s.press(key)
+            assert [text in s.text() for text in shown.values()].count(True) == 1
+            assert text in s.text()
 
 
 async def test_pages_are_for_small_terminals(run_screen):

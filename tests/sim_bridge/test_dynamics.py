@@ -208,9 +208,7 @@ def test_accelerometer_off_the_cg_reads_the_motion_of_its_place(paper_vehicle: V
     places = [np.array(s.position) + matrix(s.quaternion) @ arm for s in states]
     acceleration = (places[0] - 2 * places[1] + places[2]) / h**2 - [0.0, 0.0, GRAVITY]
     _, force = dynamics.imu(states[1], targets)
-    np.testing.assert_allclose(
-        force, matrix(states[1].quaternion).T @ acceleration, atol=2e-4
-    )
+    np.testing.assert_allclose(force, matrix(states[1].quaternion).T @ acceleration, atol=2e-4)
 
 
 def test_payload_hook_changes_the_physics_only_from_then_on(paper_vehicle: Vehicle) -> None:

@@ -55,9 +55,7 @@ def clock_us(message: Any) -> int | None:
         ("GLOBAL_POSITION_INT", 5),
     ],
 )
-def test_message_set_and_rates(
-    records: list[tuple[int, Any]], name: str, hertz: float
-) -> None:
+def test_message_set_and_rates(records: list[tuple[int, Any]], name: str, hertz: float) -> None:
     assert len(of_type(records, name)) == 5 * hertz + 1  # 0 s and 5 s included
 
 

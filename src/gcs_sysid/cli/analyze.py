@@ -41,8 +41,11 @@ def run(options: argparse.Namespace) -> int:
         text = json.dumps(
             documents[0] if len(documents) == 1 else documents, indent=2, allow_nan=False
         )
-        with output.open_output(options.json) as file:
-            print(text, file=file)
+        if options.json == "-":
+            print(text)
+        else:
+            with output.open_output(options.json) as file:
+                print(text, file=file)
     return 1 if any(result.verdict == "refused" for result in results) else 0
 
 

@@ -1,6 +1,7 @@
 """The airframe: where the rotors are, which way they turn, and what is known of the scale."""
 
 import math
+import sys
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -168,6 +169,9 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
     """
     known = {"name", "rotor_input", "command", "rotor", *ANCHORS, SIMULATION_TABLE}
     _reject_unknown(table, known, where)
+    name = table.get("name", Path(where).stem)
+    if not isinstance(name, str):
+        raise InputError(f"{where}: name must be text, got {name!r}")
     rotor_input = table.get("rotor_input", "auto")
     if rotor_input not in ("auto", "speed", "command"):
         raise InputError(
@@ -182,7 +186,7 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
             "the others are identified from it"
         )
     return Airframe(
-        name=str(table.get("name", Path(where).stem)),
+        name=name,
         rotors=_rotors(table.get("rotor"), where),
         rotor_input=rotor_input,
         command=_command(table.get("command", {}), f"{where}: [command]"),
@@ -241,8 +245,13 @@ def _reject_unknown(table: Mapping[str, Any], known: set[str], where: str) -> No
 
 
 def _number(value: object, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{where} must be a number, got {value!r}")
+    # TOML's integers have no limit, floats have.
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float)
+        or not abs(value) <= sys.float_info.max
+    ):
+        raise InputError(f"{where} must be a number, got {value!r:.40}")
     return float(value)
 
 

@@ -37,12 +37,14 @@ class ChainOptions:
     Attributes:
         tuning: of the estimator.
         course_interval: s between refits for the estimate's course; None: only at the end.
+        tick: s of vehicle time between blocks; the estimate does not depend on it.
         start: s after the first record; earlier records are not used.
         end: s after the first record; later ones are not used.
     """
 
     tuning: Tuning = field(default_factory=Tuning)
     course_interval: float | None = 0.5
+    tick: float = 0.1
     start: float = 0.0
     end: float = float("inf")
 
@@ -71,7 +73,7 @@ class Chain:
         self.flying = False
         self.t = 0.0
         """Seconds of the vehicle's clock since the first record."""
-        self._time_base = TimeBase()
+        self._time_base = TimeBase(options.tick)
         self._estimator: OnlineEstimator | None = None
         self._filter: ComplementaryFilter | None = None
         self._first: float | None = None

@@ -1,0 +1,50 @@
+# Everything runs in .venv, made on first use. `make help` lists the targets.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+
+.PHONY: help demo test quick check bench bench-accuracy screenshot sample clean
+.DEFAULT_GOAL := help
+
+help: ## list the targets
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
+
+$(INSTALLED): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "Python 3.11 or newer is needed; name one with: make PYTHON=python3.12 ..." >&2; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+demo: $(INSTALLED) ## fly the emulator and identify it on the live screen
+	$(BIN)/gcs-sysid demo
+
+test: $(INSTALLED) ## all tests
+	$(BIN)/python -m pytest
+
+quick: $(INSTALLED) ## the tests without whole flights
+	$(BIN)/python -m pytest -m "not slow"
+
+check: $(INSTALLED) ## lint, format, types, import contracts
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(INSTALLED) ## cost of emulator and chain, as ratios
+	$(BIN)/python benchmarks/cost.py
+
+bench-accuracy: $(INSTALLED) ## Monte Carlo over seeds: the README's accuracy table
+	$(BIN)/python benchmarks/accuracy.py
+
+screenshot: $(INSTALLED) ## the README's picture of the screen
+	$(BIN)/python tools/screenshot.py --demo docs/screen.svg
+
+sample: $(INSTALLED) ## the sample flight under logs/
+	$(BIN)/sim-bridge --airframe paper --mission paper --noise paper --sigma 0.02 --rate 20 \
+	  --seed 1 --speed max --tlog logs/sample.tlog --truth logs/sample.truth.json
+
+clean: ## remove the virtual environment and caches
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -1,0 +1,102 @@
+"""What the emulator and the chain cost, in processor time: `make bench`.
+
+Prints a table. Bars are ratios to the flight's own length, so they mean the same on any machine
+that can fly it in real time at all.
+"""
+
+import os
+import resource
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.telemetry.intake import Intake
+from gcs_sysid.telemetry.tlog import read_tlog
+
+RATE = 250
+FLIGHT = ["--airframe", "paper", "--mission", "paper", "--noise", "mems", "--rate", str(RATE)]
+
+
+def children_seconds() -> float:
+    """Processor time of all child processes that have ended, s."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def run(*words: str) -> float:
+    """Run a command; its processor time in s."""
+    before = children_seconds()
+    done = subprocess.run([sys.executable, "-m", *words], check=False, capture_output=True)
+    if done.returncode not in (0, 1):  # 1: half a second of flight allows no answer
+        sys.exit(done.stderr.decode())
+    return children_seconds() - before
+
+
+def emulator(folder: Path) -> tuple[Path, float]:
+    """Write a flight to a file; the file, and real time over processor time."""
+    log = folder / "flight.tlog"
+    start_up = run("sim_bridge", "--version")
+    spent = run("sim_bridge", *FLIGHT, "--speed", "max", "--tlog", str(log))
+    return log, 62.0 / (spent - start_up)
+
+
+def chain_rates(log: Path) -> dict[str, float]:
+    """IMU samples a second through the chain, refit at 10 Hz, by block length."""
+    intake = Intake()
+    records = intake.frames(frame for _, frame in read_tlog(log))
+    samples = sum(record.stream == "imu" for record in records)
+    rates = {}
+    for name, tick in (("blocks of 0.1 s", 0.1), ("sample by sample", 1.0 / RATE)):
+        chain = Chain(load_airframe("paper"), ChainOptions(course_interval=0.1, tick=tick))
+        began = time.process_time()
+        for record in records:
+            chain.feed(record)
+        chain.finish()
+        rates[name] = samples / (time.process_time() - began)
+    return rates
+
+
+def live_share(seconds: float = 30.0) -> float:
+    """Processor share of a headless live session at real time."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    flying = subprocess.Popen(
+        [sys.executable, "-m", "sim_bridge", *FLIGHT]
+        + ["--connect", f"udpout:127.0.0.1:{port}", "--duration", str(2 * seconds)],
+    )
+    try:
+        live = ["gcs_sysid", "live", f"udpin:127.0.0.1:{port}", "--airframe", "paper"]
+        live += ["--headless", "--no-record", "--json", os.devnull]
+        start_up = run(*live, "--duration", "0.5")
+        return (run(*live, "--duration", str(seconds + 0.5)) - start_up) / seconds
+    finally:
+        flying.terminate()
+        flying.wait()
+
+
+def main() -> None:
+    """Print the table."""
+    with tempfile.TemporaryDirectory() as folder:
+        log, speed = emulator(Path(folder))
+        rates = chain_rates(log)
+    rows = [
+        ("emulator, full 250 Hz message set, to file", f"{speed:.1f} x real time", ">= 5"),
+        ("live, headless, 250 Hz IMU", f"{100 * live_share():.1f} % of a core", "<= 25 %"),
+        *(
+            (f"chain with refit at 10 Hz, {name}", f"{rate:.0f} samples/s", "")
+            for name, rate in rates.items()
+        ),
+    ]
+    print(f"{'what':<50}{'measured':>22}{'bar':>10}")
+    for what, measured, bar in rows:
+        print(f"{what:<50}{measured:>22}{bar:>10}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,189 @@
+"""Airframe files: what is read, and the one line for each thing that is wrong."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import (
+    ANCHORS,
+    builtin_names,
+    load_airframe,
+    parse_airframe,
+    read_airframe_table,
+)
+
+ROTORS = """
+[[rotor]]
+x = 0.2
+y = 0.3
+spin = "ccw"
+[[rotor]]
+x = -0.2
+y = -0.3
+spin = "CCW"
+[[rotor]]
+x = 0.2
+y = -0.3
+spin = "cw"
+[[rotor]]
+x = -0.2
+y = 0.3
+spin = "cw"
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Writes an airframe file; gives its path."""
+
+    def write(text):
+        path = tmp_path / "quad.toml"
+        path.write_text(text)
+        return str(path)
+
+    return write
+
+
+@pytest.mark.parametrize("name", builtin_names())
+def test_builtin_airframes_load(name):
+    airframe = load_airframe(name)
+    x, y, spin = airframe.geometry
+    assert airframe.name == name
+    assert len(airframe.rotors) >= 4
+    # Symmetric about the centre, with as many rotors turning either way.
+    np.testing.assert_allclose([x.sum(), y.sum(), spin.sum()], 0.0, atol=1e-12)
+    assert airframe.arm == pytest.approx(np.hypot(x, y).mean())
+
+
+def test_paper_airframe_is_table_1():
+    airframe = load_airframe("paper")
+    assert airframe.anchor() == ("mass", 1.5)
+    # Rows of MODEL.md's table by PX4 motor number: front right, rear left, front left, rear right.
+    expected = [(0.25, 0.25, 1), (-0.25, -0.25, 1), (0.25, -0.25, -1), (-0.25, 0.25, -1)]
+    assert [dataclasses.astuple(r) for r in airframe.rotors] == expected
+
+
+def test_a_full_file_is_read(write):
+    path = write(
+        'name = "mine"\nmass = 2\nrotor_input = "command"\n'
+        "[command]\nmin = 0\nmax = 1\nthrust_curve = 0.3\n" + ROTORS
+    )
+    airframe = load_airframe(path)
+    assert airframe.name == "mine"
+    assert airframe.rotor_input == "command"
+    assert dataclasses.astuple(airframe.command) == (0.0, 1.0, 0.3)
+    assert airframe.anchor() == ("mass", 2.0)
+    assert airframe.rotors[1] == (airframe.rotors[0].__class__(-0.2, -0.3, 1))
+
+
+def test_defaults_of_a_minimal_file(write):
+    airframe = load_airframe(write(ROTORS))
+    assert airframe.name == "quad"
+    assert airframe.rotor_input == "auto"
+    assert dataclasses.astuple(airframe.command) == (1000.0, 2000.0, None)
+    assert airframe.anchor() is None
+
+
+def test_the_emulators_table_is_dropped_unread(write):
+    truth = "[simulation]\nIxx = 'no number'\nwhatever = [1, 2]\n"
+    with_it, without = load_airframe(write(ROTORS + truth)), load_airframe(write(ROTORS))
+    assert with_it == without
+    table, where = read_airframe_table(write(ROTORS + truth))
+    assert "simulation" in table
+    assert parse_airframe(table, where) == without
+
+
+WRONG = {
+    "unknown key": ("color = 3\n" + ROTORS, "'color'"),
+    "misspelt anchor": ("k_t = 1e-4\n" + ROTORS, "'k_t'"),
+    "unknown command key": (ROTORS + "[command]\ncurve = 1\n", "'curve'"),
+    "unknown rotor key": (ROTORS + "z = 1\n", "'z'"),
+    "mass is text": ("mass = 'heavy'\n" + ROTORS, "mass"),
+    "mass is negative": ("mass = -1\n" + ROTORS, "mass"),
+    "mass is zero": ("mass = 0.0\n" + ROTORS, "mass"),
+    "mass is nan": ("mass = nan\n" + ROTORS, "mass"),
+    "mass is a bool": ("mass = true\n" + ROTORS, "mass"),
+    "mass is beyond floats": ("mass = 1" + "0" * 400 + "\n" + ROTORS, "mass"),
+    "k_T is infinite": ("k_T = inf\n" + ROTORS, "k_T"),
+    "T_max is text": ("T_max = '5'\n" + ROTORS, "T_max"),
+    "two anchors": ("mass = 1\nk_T = 1e-4\n" + ROTORS, "mass and k_T"),
+    "rotor_input": ("rotor_input = 'rpm'\n" + ROTORS, "rotor_input"),
+    "name is a number": ("name = 5\n" + ROTORS, "name"),
+    "no rotors": ("mass = 1\n", "[[rotor]]"),
+    "three rotors": (ROTORS.rsplit("[[rotor]]", 1)[0], "[[rotor]]"),
+    "too many rotors": (ROTORS * 9, "36 rotors"),
+    "rotor is a number": ("rotor = [1, 2, 3, 4]\n", "number 1"),
+    "rotor is a table": ("[rotor]\nx = 1\n", "[[rotor]]"),
+    "x missing": (ROTORS.replace("x = -0.2\n", "", 1), "number 2: x"),
+    "spin missing": (ROTORS.replace('spin = "cw"\n', "", 1), "number 3: spin"),
+    "x is text": (ROTORS.replace("x = 0.2", "x = 'a'", 1), "number 1: x"),
+    "y is infinite": (ROTORS.replace("y = 0.3", "y = inf", 1), "number 1: y"),
+    "spin is a number": (ROTORS.replace('"ccw"', "1", 1), "number 1: spin"),
+    "all spins alike": (ROTORS.replace('"cw"', '"ccw"'), "spins"),
+    "all on one line": (ROTORS.replace("y = -0.3", "y = 0").replace("y = 0.3", "y = 0"), "roll"),
+    "all in one place": (
+        ROTORS.replace("-0.", "0.").replace("x = 0.2", "x = 0").replace("y = 0.3", "y = 0"),
+        "positions",
+    ),
+    "command is a number": ("command = 3\n" + ROTORS, "[command]"),
+    "command range": (ROTORS + "[command]\nmin = 2000\nmax = 1000\n", "[command]: max"),
+    "command min": (ROTORS + "[command]\nmin = 'low'\n", "[command] min"),
+    "thrust_curve": (ROTORS + "[command]\nthrust_curve = 1.5\n", "thrust_curve"),
+    "not TOML": ("mass == 1\n" + ROTORS, "TOML"),
+}
+
+
+@pytest.mark.parametrize(("text", "names"), WRONG.values(), ids=WRONG.keys())
+def test_what_is_wrong_gives_one_line_with_file_and_key(write, text, names):
+    path = write(text)
+    with pytest.raises(InputError) as error:
+        load_airframe(path)
+    message = str(error.value)
+    assert "\n" not in message
+    assert path in message
+    assert names in message
+
+
+def test_a_name_that_is_none_lists_the_builtin_ones():
+    with pytest.raises(InputError, match="no airframe 'nonesuch'") as error:
+        load_airframe("nonesuch")
+    assert all(name in str(error.value) for name in builtin_names())
+
+
+def test_unreadable_files(tmp_path):
+    with pytest.raises(InputError, match=r"missing\.toml: cannot read"):
+        load_airframe(str(tmp_path / "missing.toml"))
+    with pytest.raises(InputError, match="cannot read"):
+        load_airframe(str(tmp_path))
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="not UTF-8"):
+        load_airframe(str(binary))
+
+
+@pytest.mark.parametrize("name", ANCHORS)
+def test_with_anchor_leaves_that_one_alone_in_force(name):
+    airframe = load_airframe("paper").with_anchor(name, 3.0)
+    assert airframe.anchor() == (name, 3.0)
+    assert [getattr(airframe, other) for other in ANCHORS if other != name] == [None, None]
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
+def test_with_anchor_and_arm_want_positive_numbers(value):
+    airframe = load_airframe("paper")
+    with pytest.raises(InputError, match="mass must be a positive number"):
+        airframe.with_anchor("mass", value)
+    with pytest.raises(InputError, match="--arm must be a positive length"):
+        airframe.with_arm(value)
+
+
+def test_with_arm_scales_the_layout_and_keeps_the_rest():
+    before = load_airframe("paper")
+    after = before.with_arm(0.1)
+    assert after.arm == pytest.approx(0.1, rel=1e-14)
+    np.testing.assert_allclose(after.geometry[:2], before.geometry[:2] * 0.1 / before.arm)
+    np.testing.assert_array_equal(after.geometry[2], before.geometry[2])
+    assert dataclasses.replace(after, rotors=before.rotors) == before

@@ -1,0 +1,81 @@
+"""The command line: what it refuses, and how."""
+
+from pathlib import Path
+
+import pytest
+
+from gcs_sysid import __version__
+from sim_bridge.cli import main, make_parser
+
+
+def run(options: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
+    try:
+        status = main(options.split())
+    except SystemExit as exit_:
+        status = int(exit_.code or 0)
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--mission figure8", "invalid choice: 'figure8'"),
+        ("--airframe nope", "no airframe 'nope'"),
+        ("--airframe nope.toml", "cannot read the airframe file"),
+        ("--noise pink", "invalid choice: 'pink'"),
+        ("--rate 0", "--rate: must be positive"),
+        ("--rate 1001", "at most 1000 Hz"),
+        ("--speed fast", "--speed: must be a number"),
+        ("--speed -1", "--speed: must be positive"),
+        ("--sigma -0.1", "--sigma: must not be negative"),
+        ("--duration nan", "--duration: must be a number"),
+        ("--seed -1", "--seed: must be a whole number"),
+        ("--seed 1.5", "--seed: must be a whole number"),
+        ("--mass-step 3", "write T:FACTOR"),
+        ("--mass-step 3:0", "must be positive"),
+        ("--arm 0", "--arm: must be positive"),
+        ("--connect udpout:14550", "HOST:PORT is missing or wrong"),
+        ("--connect udpout:127.0.0.1:99999", "HOST:PORT is missing or wrong"),
+        ("--connect http://x:1", "cannot understand --connect"),
+        ("--connect /dev/ttyNOSUCH", "cannot open serial port"),
+        ("--connect udpin:203.0.113.1:14550", "cannot listen on UDP"),
+        ("--tlog /nosuch/f.tlog", "cannot write /nosuch/f.tlog"),
+        ("--truth /nosuch/t.json --tlog X", "cannot write /nosuch/t.json"),
+        ("--autopilot ardupilot", "not there yet"),
+        ("--frobnicate", "unrecognized arguments"),
+    ],
+)
+def test_bad_input_gets_one_line_and_status_2(
+    options: str, words: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    status, out, err = run(options.replace("X", str(tmp_path / "x.tlog")), capsys)
+    assert status == 2
+    assert out == ""
+    assert words in err
+    assert err.startswith("sim-bridge: error: ")
+    assert err.count("\n") == 1
+
+
+def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--version", capsys) == (0, f"sim-bridge {__version__}\n", "")
+    status, out, _ = run("--help", capsys)
+    assert status == 0
+    for action in make_parser()._actions:
+        assert action.option_strings[-1] in out
+        assert action.help, f"{action.option_strings} has no help"
+
+
+def test_a_flight_to_a_file_prints_nothing(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "f.tlog"
+    assert run(f"--tlog {path} --duration 0.5 --speed=max", capsys) == (0, "", "")
+    assert path.stat().st_size > 10_000
+
+
+def test_an_existing_file_is_replaced(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "f.tlog"
+    path.write_bytes(b"x" * 1_000_000)
+    run(f"--tlog {path} --duration 0.1", capsys)
+    assert path.stat().st_size < 100_000
