@@ -40,7 +40,7 @@ bench-accuracy: $(INSTALLED) ## Monte Carlo over seeds: the README's accuracy ta
 	$(BIN)/python benchmarks/accuracy.py
 
 screenshot: $(INSTALLED) ## the README's picture of the screen
-	$(BIN)/python tools/screenshot.py --demo docs/screen.svg
+	$(BIN)/python tools/screenshot.py --demo -o docs/screen.svg
 
 sample: $(INSTALLED) ## the sample flight under logs/
 	$(BIN)/sim-bridge --airframe paper --mission paper --noise paper --sigma 0.02 --rate 20 \

@@ -67,8 +67,10 @@ def live_share(seconds: float = 30.0) -> float:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     flying = subprocess.Popen(
-        [sys.executable, "-m", "sim_bridge", *FLIGHT]
-        + ["--connect", f"udpout:127.0.0.1:{port}", "--duration", str(2 * seconds)],
+        [
+            *(sys.executable, "-m", "sim_bridge", *FLIGHT),
+            *("--connect", f"udpout:127.0.0.1:{port}", "--duration", str(2 * seconds)),
+        ],
     )
     try:
         live = ["gcs_sysid", "live", f"udpin:127.0.0.1:{port}", "--airframe", "paper"]

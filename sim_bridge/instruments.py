@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_bridge.autopilot import BOOT_US, STEP_US
+from sim_bridge.dynamics import STEP
 from sim_bridge.sensors import Channel
 from sim_bridge.simulation import Simulation
 
 Sample = list[float]
-
-MAGNETIC_FIELD = (0.215, 0.010, 0.430)
-"""Gauss, NED: about that of central Europe."""
 
 
 class Instruments:
@@ -47,11 +45,17 @@ class Instruments:
         self._channels[sensor].retime(interval)
 
     def _noise(self, sensor: str, fresh: bool) -> Sample:
-        """The sensor's error: drawn once an instant, or its last one where that will do."""
+        """The sensor's error: drawn once an instant, or its last one where that will do.
+
+        The last one will not do for ever: when the message that draws is switched off, the
+        others draw for themselves.
+        """
         tick = self.simulation.tick
+        channel = self._channels[sensor]
         drawn = self._drawn.get(sensor)
-        if drawn is None or (fresh and drawn[0] != tick):
-            drawn = (tick, self._channels[sensor].next())
+        oldest = 0.0 if fresh else 2.0 * channel.interval / STEP
+        if drawn is None or tick - drawn[0] > oldest:
+            drawn = (tick, channel.next())
             self._drawn[sensor] = drawn
         return drawn[1]
 

@@ -8,8 +8,9 @@ import numpy as np
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.autopilot import Schedule
 from sim_bridge.instruments import Instruments
-from sim_bridge.px4_messages import Px4Messages
+from sim_bridge.px4_messages import FlightMessages
 from sim_bridge.px4_parameters import parameter_table
+from sim_bridge.px4_status import StatusMessages
 from sim_bridge.sensors import make_channels
 from sim_bridge.simulation import Simulation
 from sim_bridge.wire import FrameWriter
@@ -56,7 +57,8 @@ class Px4:
         }
         channels = make_channels(noise, sigma, intervals, len(simulation.vehicle.rotors), seed)
         self._instruments = Instruments(simulation, channels)
-        self._messages = Px4Messages(self._instruments, self.writer)
+        self._flight = FlightMessages(self._instruments, self.writer)
+        self._status = StatusMessages(self._instruments, self.writer)
         self.schedule = self._streams(rate)
         self._handlers: dict[str, Callable[[Any], list[bytes]]] = {
             "COMMAND_LONG": self._command,
@@ -71,41 +73,38 @@ class Px4:
 
     def _streams(self, rate: float) -> Schedule:
         """The streams in the order of sending: the IMU first, as PX4's samples come first."""
-        make = self._messages
+        flight, status = self._flight, self._status
         attitude = min(rate, 100.0)
         position = min(rate, 50.0)
         schedule = Schedule()
         for msgid, hertz, maker in (
-            (mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, rate, make.highres_imu),
-            (mavlink.MAVLINK_MSG_ID_ATTITUDE, attitude, make.attitude),
-            (mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, attitude, make.attitude_quaternion),
-            (mavlink.MAVLINK_MSG_ID_ESC_STATUS, rate, make.esc_status),
-            (mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS, rate, make.actuator_output_status),
-            (mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW, rate, make.servo_output_raw),
-            (mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, position, make.local_position_ned),
-            (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 5.0, make.global_position_int),
-            (mavlink.MAVLINK_MSG_ID_VFR_HUD, 4.0, make.vfr_hud),
-            (mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 2.0, make.extended_sys_state),
-            (mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, 2.0, make.gps_raw_int),
-            (mavlink.MAVLINK_MSG_ID_HEARTBEAT, 1.0, make.heartbeat),
-            (mavlink.MAVLINK_MSG_ID_SYS_STATUS, 1.0, make.sys_status),
-            (mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, 1.0, make.system_time),
-            (mavlink.MAVLINK_MSG_ID_ESC_INFO, 1.0, make.esc_info),
-            (mavlink.MAVLINK_MSG_ID_BATTERY_STATUS, 0.5, make.battery_status),
-            (mavlink.MAVLINK_MSG_ID_HOME_POSITION, 0.5, make.home_position),
-            (mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0.0, make.autopilot_version),
-            (mavlink.MAVLINK_MSG_ID_PROTOCOL_VERSION, 0.0, make.protocol_version),
+            (mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, rate, flight.highres_imu),
+            (mavlink.MAVLINK_MSG_ID_ATTITUDE, attitude, flight.attitude),
+            (mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, attitude, flight.attitude_quaternion),
+            (mavlink.MAVLINK_MSG_ID_ESC_STATUS, rate, flight.esc_status),
+            (mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS, rate, flight.actuator_output_status),
+            (mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW, rate, flight.servo_output_raw),
+            (mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, position, flight.local_position_ned),
+            (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 5.0, status.global_position_int),
+            (mavlink.MAVLINK_MSG_ID_VFR_HUD, 4.0, status.vfr_hud),
+            (mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 2.0, flight.extended_sys_state),
+            (mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, 2.0, status.gps_raw_int),
+            (mavlink.MAVLINK_MSG_ID_HEARTBEAT, 1.0, status.heartbeat),
+            (mavlink.MAVLINK_MSG_ID_SYS_STATUS, 1.0, status.sys_status),
+            (mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, 1.0, status.system_time),
+            (mavlink.MAVLINK_MSG_ID_ESC_INFO, 1.0, flight.esc_info),
+            (mavlink.MAVLINK_MSG_ID_BATTERY_STATUS, 0.5, status.battery_status),
+            (mavlink.MAVLINK_MSG_ID_HOME_POSITION, 0.5, status.home_position),
+            (mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0.0, status.autopilot_version),
+            (mavlink.MAVLINK_MSG_ID_PROTOCOL_VERSION, 0.0, status.protocol_version),
         ):
             schedule.add(msgid, hertz, maker)
         return schedule
 
     def poll(self, tick: int) -> list[bytes]:
         """Frames due at this physics step."""
-        due = self.schedule.take(tick)
-        if not due:
-            return due  # type: ignore[return-value]
-        frames = []
-        for stream in due:
+        frames: list[bytes] = []
+        for stream in self.schedule.take(tick):
             frames += stream.make()
         return frames
 
@@ -155,11 +154,11 @@ class Px4:
                     return mavlink.MAV_RESULT_DENIED, []
                 return accepted, stream.make()
             case mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
-                return accepted, self._messages.autopilot_version()
+                return accepted, self._status.autopilot_version()
             case mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION:
-                return accepted, self._messages.protocol_version()
+                return accepted, self._status.protocol_version()
             case mavlink.MAV_CMD_GET_HOME_POSITION:
-                return accepted, self._messages.home_position()
+                return accepted, self._status.home_position()
         return mavlink.MAV_RESULT_UNSUPPORTED, []
 
     def _set_interval(self, msgid: int, interval: float) -> int:
@@ -182,7 +181,7 @@ class Px4:
     def _timesync(self, message: Any) -> list[bytes]:
         if message.tc1 != 0:
             return []  # an answer to somebody else's question
-        now = self._messages.now_us * 1000
+        now = self._instruments.now_us * 1000
         return [self.writer.frame(mavlink.MAVLink_timesync_message, now, message.ts1)]
 
     def _ping(self, message: Any) -> list[bytes]:

@@ -3,6 +3,7 @@ r"""Save a picture (SVG) of the live screen, drawn without a terminal.
     python tools/screenshot.py --factory tests/screen/fake.py:source \
         --truth tests/screen/fake.py:TRUTH --size 120x40 --keys j,j -o docs/screen.svg
     python tools/screenshot.py --pickle snapshot.pickle -o docs/screen.svg
+    python tools/screenshot.py --demo -o docs/screen.svg
 
 A factory is `FILE.py:NAME`, NAME being a function that returns a `SnapshotSource`. A pickle holds
 one `Snapshot`; open only pickles of your own making.
@@ -12,14 +13,23 @@ import argparse
 import asyncio
 import importlib.util
 import pickle
+import queue
 import re
+import subprocess
 import sys
+import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from gcs_sysid.cli.output import read_truth
+from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.screen import SnapshotSource, SysidApp
+from gcs_sysid.session.live import LiveOptions, LiveSession
+from gcs_sysid.session.result import Result
 from gcs_sysid.session.snapshot import Snapshot
+from gcs_sysid.telemetry.link import TcpLink
+from gcs_sysid.telemetry.urls import LinkUrl
 
 
 class Still:
@@ -70,6 +80,34 @@ async def capture(
         return without_remote_fonts(app.export_screenshot(title=app.title))
 
 
+def demo_source() -> tuple[Still, dict[str, float]]:
+    """A snapshot 40 s into the demo flight, with the emulator's truth."""
+    link = TcpLink(LinkUrl("tcpin", "udpin:0.0.0.0:14550", host="127.0.0.1", port=0))
+    with tempfile.TemporaryDirectory() as folder:
+        truth = Path(folder) / "truth.json"
+        flight = ["--airframe", "paper", "--mission", "all-axes", "--noise", "mems", "--seed", "1"]
+        emulator = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "sim_bridge", *flight, "--speed", "max"),
+                *("--connect", f"tcp:127.0.0.1:{link.port}", "--truth", str(truth)),
+            ]
+        )
+        taken: queue.Queue[Snapshot] = queue.Queue()
+
+        def take(_result: Result) -> None:
+            snapshot = session.latest()
+            if snapshot is not None and snapshot.t > 40.0:
+                taken.put(snapshot)
+
+        session = LiveSession(link, load_airframe("paper"), LiveOptions(), on_result=take)
+        session.start()
+        snapshot = taken.get(timeout=120.0)
+        session.stop()
+        emulator.terminate()
+        emulator.wait()
+        return Still(snapshot), read_truth(str(truth))
+
+
 def load(spec: str) -> Any:
     """The object that `FILE.py:NAME` names."""
     path, _, name = spec.rpartition(":")
@@ -87,6 +125,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--factory", help="FILE.py:NAME, a function that returns a source")
+    what.add_argument("--demo", action="store_true", help="fly the emulator for it")
     what.add_argument("--pickle", type=Path, help="file with one pickled Snapshot")
     parser.add_argument("--truth", help="FILE.py:NAME, a mapping of true values")
     parser.add_argument("--size", default="120x40", help="columns x rows (default: %(default)s)")
@@ -94,11 +133,14 @@ def main() -> None:
     parser.add_argument("--keys", default="", help="keys to press first, with commas between")
     parser.add_argument("-o", "--out", type=Path, required=True, help="SVG file to write")
     options = parser.parse_args()
-    if options.pickle is not None:
-        source: SnapshotSource = Still(pickle.loads(options.pickle.read_bytes()))
+    truth = load(options.truth) if options.truth else None
+    source: SnapshotSource
+    if options.demo:
+        source, truth = demo_source()
+    elif options.pickle is not None:
+        source = Still(pickle.loads(options.pickle.read_bytes()))
     else:
         source = load(options.factory)()
-    truth = load(options.truth) if options.truth else None
     columns, _, rows = options.size.partition("x")
     keys = [key for key in options.keys.split(",") if key]
     svg = asyncio.run(capture(source, truth, (int(columns), int(rows)), options.light, keys))

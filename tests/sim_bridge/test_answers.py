@@ -72,6 +72,18 @@ def test_a_message_interval_is_set_told_and_put_back(desk: Desk) -> None:
     assert desk.counts(0.5)["HIGHRES_IMU"] == 25
 
 
+def test_attitude_keeps_its_noise_without_the_imu(desk: Desk) -> None:
+    desk.command(CMD["set"], mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, -1)
+    rates = set()
+    for _ in range(1000):
+        desk.simulation.step()
+        for frame in desk.autopilot.poll(desk.simulation.tick):
+            message = desk.parser.decode(bytearray(frame))
+            if message.get_type() == "ATTITUDE":
+                rates.add(message.rollspeed)
+    assert len(rates) > 15
+
+
 def test_an_interval_for_an_unknown_message_fails(desk: Desk) -> None:
     (ack,) = desk.command(CMD["set"], 9999, 5000)
     assert ack.result == mavlink.MAV_RESULT_FAILED

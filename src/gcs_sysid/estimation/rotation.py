@@ -70,9 +70,11 @@ def fit_rotation(
     rows = int(counts.sum())
     if rows < 3 * rb.N_THETA:
         return None
-    first = _starting_point(total) if start is None else start
-    if first is None:
+    starts = [s for s in (_starting_point(total), start) if s is not None]
+    if not starts:
         return None
+    # An earlier estimate from too little motion may lie in a valley of its own.
+    first = min(starts, key=lambda s: _cost(total, rows, s))
     limit = _MAX_ITERATIONS if start is None else _WARM_ITERATIONS
     theta, converged = _minimise(total, rows, first, limit)
     residual = _residual_moment(total, rb.forward_matrix(theta)) / rows
@@ -87,6 +89,11 @@ def _residual_moment(total: Array, Q: Array) -> Array:
     T = np.hstack([-Q, np.eye(3)])
     moment: Array = T @ total @ T.T
     return moment
+
+
+def _cost(total: Array, rows: int, theta: Array) -> float:
+    residual = _residual_moment(total, rb.forward_matrix(theta)) / rows
+    return float(np.linalg.slogdet(residual)[1])
 
 
 def _starting_point(total: Array) -> Array | None:

@@ -76,6 +76,7 @@ class ComplementaryFilter:
         """
         if len(rates) == 0:
             return reference
+        starts = self._last_reference is None
         if self._last_reference is None:
             self._last_reference = reference[0]
             self._last_rates = rates[0]
@@ -92,6 +93,8 @@ class ComplementaryFilter:
         moved = attitude.to_rotation_vector(
             attitude.multiply(before[1:], attitude.conjugate(before[:-1]))
         )
+        if starts:
+            turned[0] = 0.0  # no time has passed before the first sample
         a = np.exp(-self.k_p * self.dt)
         error, _ = lfilter([1.0], [1.0, -a], turned - moved, axis=0, zi=(a * self._error)[None, :])
         self._error = error[-1]

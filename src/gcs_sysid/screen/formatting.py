@@ -122,6 +122,11 @@ def engineering_exponent(magnitude: float, previous: int | None = None) -> int:
     return 3 * math.floor(math.log10(magnitude) / 3.0)
 
 
+def exponent_key(parameter: Parameter) -> str:
+    """What shares one power of ten: a unit; a rotor's inertia is too small for the body's."""
+    return parameter.name if parameter.name == "rotor_inertia" else parameter.unit
+
+
 def choose_exponents(
     result: Result, truth: Mapping[str, float], previous: Mapping[str, int]
 ) -> dict[str, int]:
@@ -134,9 +139,9 @@ def choose_exponents(
     for parameter, estimate in rows(result):
         group = unsure if estimate.status == "unobservable" else sure
         if estimate.value is not None and math.isfinite(estimate.value):
-            group.setdefault(parameter.unit, []).append(abs(estimate.value))
+            group.setdefault(exponent_key(parameter), []).append(abs(estimate.value))
         if parameter.name in truth:
-            sure.setdefault(parameter.unit, []).append(abs(truth[parameter.name]))
+            sure.setdefault(exponent_key(parameter), []).append(abs(truth[parameter.name]))
     chosen = dict(previous)
     for unit, values in {**unsure, **sure}.items():
         # Kilograms and plain numbers are read as they are at any size that flies.

@@ -147,7 +147,7 @@ class Convergence(PlotextPlot):
         if self.view is None or found is None:
             return ""
         parameter, estimate = found
-        exponent = self.view.exponents.get(parameter.unit, 0)
+        exponent = self.view.exponents.get(fmt.exponent_key(parameter), 0)
         value, half = (text.strip() for text in fmt.value_and_half(estimate, exponent))
         sign = "" if estimate.status == "given" else "± "
         unit = fmt.scaled_unit(parameter.unit, exponent)
@@ -162,7 +162,7 @@ class Convergence(PlotextPlot):
             return Text("")
         found = view.estimate(view.selected)
         course, truth = view.snapshot.course, view.truth.get(view.selected)
-        scale = 1.0 if found is None else 10.0 ** -view.exponents.get(found[0].unit, 0)
+        scale = 1.0 if found is None else 10.0 ** -view.exponents.get(fmt.exponent_key(found[0]), 0)
         whole = reduce_course(course, view.selected, width, scale)
         if whole is None:
             return Text(f"{fmt.label(view.selected)}: no course to plot yet")

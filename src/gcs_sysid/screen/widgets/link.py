@@ -11,6 +11,8 @@ from gcs_sysid.session.snapshot import LinkStatus
 
 Part = tuple[str, str]
 
+SCROLLBAR = 2
+"""Columns that the scroll bar takes when there are many messages."""
 ENOUGH = 0.9
 """A message that comes at less than this fraction of the rate asked for is marked."""
 
@@ -81,7 +83,7 @@ class LinkPanel(VerticalScroll, can_focus=False):
         if view.snapshot is None:
             return [[("no link yet", fmt.MUTED)]]
         link = view.snapshot.link
-        room = self.content_size.width or 36
+        room = (self.content_size.width or 36) - SCROLLBAR
         width = min(room, 44)
         lines: list[list[Part]] = []
         for name, text, style in facts(link):

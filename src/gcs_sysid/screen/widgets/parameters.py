@@ -32,7 +32,7 @@ class Column:
 
 
 def _exponent(view: View, parameter: Parameter) -> int:
-    return view.exponents.get(parameter.unit, 0)
+    return view.exponents.get(fmt.exponent_key(parameter), 0)
 
 
 def _value(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
