@@ -7,12 +7,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn
 
 import numpy as np
 
 from gcs_sysid import __version__
 from gcs_sysid.errors import GcsSysidError, InputError
+from gcs_sysid.usage import OneLineParser, not_negative, positive
 from sim_bridge.links import Link, TlogLink, open_link
 from sim_bridge.missions import MISSIONS
 from sim_bridge.px4 import Px4
@@ -24,46 +24,15 @@ from sim_bridge.vehicle_files import load_vehicle
 DEFAULT_CONNECT = "udpout:127.0.0.1:14550"
 
 
-class _Parser(argparse.ArgumentParser):
-    """Reports wrong usage as one line."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: error: {message}\n")
-
-
-def _positive(text: str) -> float:
-    value = _number(text)
-    if value <= 0.0:
-        raise argparse.ArgumentTypeError(f"must be positive, got {text!r}")
-    return value
-
-
-def _not_negative(text: str) -> float:
-    value = _number(text)
-    if value < 0.0:
-        raise argparse.ArgumentTypeError(f"must not be negative, got {text!r}")
-    return value
-
-
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"must be a number, got {text!r}")
-    return value
-
-
 def _rate(text: str) -> float:
-    value = _positive(text)
+    value = positive(text)
     if value > 1000.0:
         raise argparse.ArgumentTypeError(f"at most 1000 Hz, the rate of the physics; got {text!r}")
     return value
 
 
 def _speed(text: str) -> float:
-    return math.inf if text == "max" else _positive(text)
+    return math.inf if text == "max" else positive(text)
 
 
 def _seed(text: str) -> int:
@@ -80,12 +49,12 @@ def _mass_step(text: str) -> Change:
     time, colon, factor = text.partition(":")
     if not colon:
         raise argparse.ArgumentTypeError(f"write T:FACTOR, such as 30:1.2, got {text!r}")
-    return mass_step(_not_negative(time), _positive(factor))
+    return mass_step(not_negative(time), positive(factor))
 
 
 def make_parser() -> argparse.ArgumentParser:
     """The command line."""
-    parser = _Parser(
+    parser = OneLineParser(
         prog="sim-bridge",
         description="Emulate a multirotor that speaks MAVLink 2 as PX4 does.",
         allow_abbrev=False,
@@ -100,10 +69,10 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="NAME|FILE.toml",
         help="built-in airframe, or a file with a [simulation] table (default: paper)",
     )
-    add("--arm", type=_positive, metavar="M", help="scale the layout to this mean arm, in m")
+    add("--arm", type=positive, metavar="M", help="scale the layout to this mean arm, in m")
     add("--autopilot", choices=("px4", "ardupilot"), default="px4", help="default: px4")
     add("--mission", choices=sorted(MISSIONS), default="paper", help="default: paper")
-    add("--duration", type=_positive, metavar="S", help="s (default: the mission's length)")
+    add("--duration", type=positive, metavar="S", help="s (default: the mission's length)")
     add(
         "--mass-step",
         type=_mass_step,
@@ -114,7 +83,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add(
         "--turbulence",
-        type=_not_negative,
+        type=not_negative,
         metavar="W",
         help="body-rate wobble from gusts, rad/s rms (default: 0.02 in hover, else 0)",
     )
@@ -123,7 +92,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("--noise", choices=NOISE_MODELS, default="mems", help="sensor noise (default: mems)")
     add(
         "--sigma",
-        type=_not_negative,
+        type=not_negative,
         default=0.02,
         metavar="X",
         help="of paper and white noise, rad and rad/s (default: 0.02)",

@@ -5,34 +5,13 @@ import math
 from typing import TYPE_CHECKING
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.usage import not_negative, positive
 
 ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-difference")
 """Names of `estimation.article.METHODS` (a test compares); not imported, to start fast."""
 
 if TYPE_CHECKING:
     from gcs_sysid.model.airframe import Airframe
-
-
-def positive(text: str) -> float:
-    """An argparse type: a finite number above zero."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value > 0.0):
-        raise argparse.ArgumentTypeError(f"must be a positive number, got {text!r}")
-    return value
-
-
-def not_negative(text: str) -> float:
-    """An argparse type: a finite number, zero or more."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value >= 0.0):
-        raise argparse.ArgumentTypeError(f"must be a number of zero or more, got {text!r}")
-    return value
 
 
 def vehicle_address(text: str) -> tuple[int, int | None]:

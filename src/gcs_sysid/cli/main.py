@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from gcs_sysid import __version__
 from gcs_sysid.cli import arguments
 from gcs_sysid.errors import GcsSysidError
+from gcs_sysid.usage import OneLineParser
 
 PROGRAM = "gcs-sysid"
 DONE, NO_ANSWER, USAGE = 0, 1, 2
@@ -21,7 +22,7 @@ DONE, NO_ANSWER, USAGE = 0, 1, 2
 
 def build_parser() -> argparse.ArgumentParser:
     """The whole command line."""
-    parser = argparse.ArgumentParser(
+    parser = OneLineParser(
         prog=PROGRAM,
         description="Identify a multirotor's mass properties and rotor coefficients from "
         "MAVLink: live, or from a recorded flight.",

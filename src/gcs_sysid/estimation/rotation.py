@@ -22,6 +22,7 @@ WIDTH = N_X + 3
 _MAX_ITERATIONS = 60
 _WARM_ITERATIONS = 4
 _CONVERGED = 1e-12
+_EPSILON = 1e-15
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,9 @@ def fit_rotation(
 
 def _residual_moment(total: Array, Q: Array) -> Array:
     T = np.hstack([-Q, np.eye(3)])
-    moment: Array = T @ total @ T.T
+    # Without noise only rounding is left of the large terms: floored at that, it stays definite.
+    rounding = _EPSILON * (np.abs(T) @ np.sqrt(np.diag(total))) ** 2
+    moment: Array = T @ total @ T.T + np.diag(rounding)
     return moment
 
 

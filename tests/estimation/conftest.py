@@ -1,0 +1,119 @@
+"""A flight from a small simulator of its own: rigid body, motors, drag and wind by solve_ivp."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from gcs_sysid.estimation.regression import Samples
+from gcs_sysid.model import attitude
+
+G = 9.80665
+
+
+@dataclass
+class Truth:
+    """A vehicle; lengths in m, everything in SI."""
+
+    m: float = 1.5
+    J: tuple = (
+        (0.0165, 0.00135, -0.00166),
+        (0.00135, 0.0167, 0.00254),
+        (-0.00166, 0.00254, 0.0294),
+    )
+    cg: tuple = (0.1, 0.05)
+    k_T: float = 2.05e-4
+    k_M: float = 6.14e-6
+    damping: float = 0.004
+    rotor_inertia: float = 6e-5
+    drag: float = 0.25
+    wind: tuple = (3.0, -2.0, 0.0)
+    x: tuple = (0.25, -0.25, 0.25, -0.25)
+    y: tuple = (0.25, -0.25, -0.25, 0.25)
+    spin: tuple = (1, 1, -1, -1)
+
+    @property
+    def geometry(self):
+        return np.array([self.x, self.y, self.spin], dtype=float)
+
+    @property
+    def theta(self):
+        J = np.array(self.J)
+        inertia = [J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[1, 2], J[0, 2]]
+        k = self.k_T
+        return np.array(
+            [i / k for i in inertia]
+            + [*self.cg, self.k_M / k, self.damping / k, self.rotor_inertia / k]
+        )
+
+
+def rates_wanted(t):
+    """Smooth, incommensurate, on all axes at once."""
+    return np.array(
+        [
+            0.9 * np.sin(2.6 * t) + 0.5 * np.sin(9.1 * t + 1.0) * np.sin(1.1 * t),
+            0.9 * np.sin(3.7 * t + 2.0) + 0.5 * np.cos(7.3 * t),
+            0.7 * np.sin(1.9 * t + 0.5) + 0.4 * np.sin(5.9 * t),
+        ]
+    )
+
+
+def simulate(truth, seconds, dt):
+    """(Samples, specific force at the CG) on a grid of dt."""
+    J, z = np.array(truth.J), np.array([0.0, 0.0, 1.0])
+    r = np.column_stack([truth.x, truth.y, np.zeros(4)]) - [*truth.cg, 0.0]
+    s = np.array(truth.spin, dtype=float)
+    torque = np.cross(r, -truth.k_T * z) + np.outer(truth.k_M * s, z)  # (4, 3) a rotor, over O
+    mixer = np.linalg.inv(np.vstack([torque.T, np.full(4, truth.k_T)]))
+    wind = np.array(truth.wind)
+
+    def change(t, state):
+        w, Omega, q, v = state[:3], state[3:7], state[7:11], state[11:]
+        wanted = J @ (8.0 * (rates_wanted(t) - w))
+        thrust = truth.m * G * (1.0 + 0.2 * np.sin(1.3 * t))
+        command = np.sqrt(np.maximum(mixer @ np.append(wanted, thrust), 1e3))
+        Omega_dot = (command - Omega) / 0.03
+        h = -truth.rotor_inertia * (s @ Omega) * z
+        h_dot = -truth.rotor_inertia * (s @ Omega_dot) * z
+        M = Omega**2 @ torque - truth.damping * w
+        w_dot = np.linalg.solve(J, M - np.cross(w, J @ w + h) - h_dot)
+        p, qq, rr = w
+        q_dot = (
+            0.5
+            * np.array([[0, -p, -qq, -rr], [p, 0, rr, -qq], [qq, -rr, 0, p], [rr, qq, -p, 0]])
+            @ q
+        )
+        down = Rotation.from_quat(np.roll(q, -1)).apply(z)
+        force = -truth.k_T * (Omega @ Omega) * down - truth.drag * (v - wind)
+        return np.concatenate([w_dot, Omega_dot, q_dot, G * z + force / truth.m])
+
+    t = np.arange(round(seconds / dt)) * dt
+    hover = np.sqrt(mixer @ [0, 0, 0, truth.m * G])
+    start = np.concatenate([np.zeros(3), hover, [1.0, 0, 0, 0], np.zeros(3)])
+    # 1e-10: far below what any test asks of the estimates.
+    out = solve_ivp(change, (0.0, t[-1]), start, "DOP853", t, rtol=1e-10, atol=1e-10)
+    w, Omega, q, v = out.y[:3].T, out.y[3:7].T, out.y[7:11].T, out.y[11:].T
+    q = q / np.linalg.norm(q, axis=1, keepdims=True)
+    lift = truth.k_T / truth.m * np.sum(Omega**2, axis=1)
+    drag = attitude.rotate(attitude.conjugate(q), -truth.drag / truth.m * (v - wind))
+    force = drag - lift[:, None] * z
+    return Samples(gyro=w, rates=w, speeds=Omega, attitude=q, force=force, velocity=v)
+
+
+@pytest.fixture(scope="session")
+def truth():
+    return Truth()
+
+
+@pytest.fixture(scope="session")
+def flight(truth):
+    """30 s at 200 Hz, without any noise."""
+    return simulate(truth, 30.0, 0.005)
+
+
+@pytest.fixture(scope="session")
+def plain_flight(truth):
+    """The same by the article's model: without damping and rotor inertia."""
+    return simulate(replace(truth, damping=0.0, rotor_inertia=0.0), 30.0, 0.005)

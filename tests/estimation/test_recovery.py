@@ -1,0 +1,217 @@
+"""Rows and fits on flights whose truth is known."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.estimation import rotation, translation
+from gcs_sysid.estimation.article import METHODS, ArticleEstimator
+from gcs_sysid.estimation.moments import Moments
+from gcs_sysid.estimation.online import OnlineEstimator, Tuning
+from gcs_sysid.estimation.regression import LeakySum, RowMaker, Samples
+from gcs_sysid.filters.smoothers import DifferentiatorSmoother, WindowSmoother
+from gcs_sysid.model import rigid_body as rb
+
+DT = 0.005
+
+
+def part(samples, where):
+    return Samples(**{f.name: getattr(samples, f.name)[where] for f in fields(Samples)})
+
+
+def noisy(samples, sigma, seed):
+    noise = sigma * np.random.default_rng(seed).standard_normal(samples.gyro.shape)
+    return replace(samples, gyro=samples.gyro + noise, rates=samples.rates + noise)
+
+
+def rotation_fit(truth, samples, smoother, memory=0.0):
+    rows = RowMaker(truth.geometry, smoother).update(samples).rotation
+    rows = LeakySum(rotation.WIDTH, smoother.step * DT, memory).update(rows)
+    moments = Moments((rotation.WIDTH, rotation.WIDTH), 40)
+    moments.add(rows)
+    return rotation.fit_rotation(moments.batches, moments.counts)
+
+
+SIZE = np.array([80.0, 80.0, 140.0, 7.0, 12.0, 8.0, 0.1, 0.05, 0.03, 20.0, 0.3])
+"""Rough size of theta's entries: what an error is measured against."""
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.3])
+@pytest.mark.parametrize(
+    ("smoother", "bar"),
+    [
+        # The window is exact for all that it resolves; what is left is the minimiser's own floor.
+        (lambda: WindowSmoother(DT, 20), 1e-5),
+        # The differentiator draws straight lines between samples: (w dt)^2 / 12 = 2e-4 at 9 rad/s,
+        # the same on both sides but for what is left of its start.
+        (lambda: DifferentiatorSmoother(DT, 10.0), 2e-3),
+    ],
+    ids=["window", "td"],
+)
+def test_rotation_is_recovered_without_noise(truth, flight, smoother, bar, memory):
+    fit = rotation_fit(truth, flight, smoother(), memory)
+    assert fit.converged
+    assert np.abs((fit.theta - truth.theta) / SIZE).max() < bar
+    np.testing.assert_allclose(fit.r_squared, 1.0, atol=1e-5)
+
+
+def test_damping_and_rotor_inertia_matter_in_this_flight(truth, flight):
+    """Else the recovery above would not show that they are carried."""
+    Q = rb.forward_matrix(np.where(np.arange(rb.N_THETA) < rb.DAMPING, truth.theta, 0.0))
+    rows = RowMaker(truth.geometry, WindowSmoother(DT, 20)).update(flight).rotation
+    x, y = rows[:, : rb.N_SIGNALS], rows[:, rb.N_SIGNALS :]
+    exact = y - x @ rb.forward_matrix(truth.theta).T
+    without = y - x @ Q.T
+    assert np.abs(exact).max() < 1e-5
+    assert np.all(np.std(without, axis=0) > 0.02)
+
+
+def test_intervals_hold_the_truth_with_noise(truth, flight):
+    inside = []
+    for seed in range(12):
+        samples = noisy(flight, 0.02, seed)
+        fit = rotation_fit(truth, samples, WindowSmoother(DT, 20))
+        assert fit.converged
+        inside.append(np.abs(fit.theta - truth.theta) < 1.96 * fit.std)
+    # 132 verdicts, correlated within a seed: 95 % wanted, 85 to 100 % allowed.
+    assert 0.85 <= np.mean(inside) <= 1.0
+    # and the intervals are of use: Ixx and Iyy to better than 2 %
+    assert np.all(fit.std[:2] < 0.01 * fit.theta[:2])
+
+
+def test_a_start_near_the_minimum_leads_to_the_same_minimum(truth, flight):
+    rows = RowMaker(truth.geometry, WindowSmoother(DT, 20)).update(noisy(flight, 0.02, 1)).rotation
+    moments = Moments((rotation.WIDTH, rotation.WIDTH), 40)
+    moments.add(rows)
+    cold = rotation.fit_rotation(moments.batches, moments.counts)
+    start = cold.theta * 1.02
+    for _ in range(5):  # four steps each
+        warm = rotation.fit_rotation(moments.batches, moments.counts, start)
+        start = warm.theta
+    np.testing.assert_allclose(warm.theta / SIZE, cold.theta / SIZE, rtol=0.0, atol=1e-6)
+
+
+def test_no_fit_without_data_or_response(truth, flight):
+    assert rotation.fit_rotation(np.zeros((3, 19, 19)), np.array([5, 5, 5])) is None
+    # Gyro noise alone, whatever the rotors do: nothing responds in the right sense or at all.
+    still = replace(flight, gyro=-flight.gyro, rates=-flight.rates)
+    fit = rotation_fit(truth, still, WindowSmoother(DT, 20))
+    assert fit is None
+
+
+@pytest.mark.parametrize("step", [0.1, 0.37])
+def test_grouping_of_samples_does_not_matter(truth, flight, step):
+    estimators = [OnlineEstimator(truth.geometry, DT, Tuning()) for _ in range(2)]
+    n = len(flight.gyro)
+    estimators[0].update(flight)
+    for k in range(0, n, round(step / DT)):
+        estimators[1].update(part(flight, slice(k, k + round(step / DT))))
+    whole, parts = (e.fit() for e in estimators)
+    assert whole.seconds == parts.seconds > 25.0
+    # Sums in another order; the fit of a flight without noise amplifies the rounding.
+    np.testing.assert_allclose(
+        parts.rotation.theta / SIZE, whole.rotation.theta / SIZE, rtol=0.0, atol=1e-6
+    )
+    assert parts.translation.kappa == pytest.approx(whole.translation.kappa, rel=1e-9)
+
+
+def test_missing_samples_are_left_out(truth, flight):
+    """Half a second lost every four: less data, the same numbers."""
+    gone = (np.arange(len(flight.gyro)) % 800) < 100
+    holed = replace(flight, gyro=np.where(gone[:, None], np.nan, flight.gyro))
+    estimator = OnlineEstimator(truth.geometry, DT, Tuning())
+    estimator.update(holed)
+    fit = estimator.fit()
+    assert np.abs((fit.rotation.theta - truth.theta) / SIZE).max() < 1e-4
+    assert 15.0 < fit.seconds < 26.0
+
+
+def test_momentum_balance_is_recovered_without_noise(truth, flight):
+    estimator = OnlineEstimator(truth.geometry, DT, Tuning())
+    estimator.update(flight)
+    fit = estimator.fit().translation
+    assert fit.source == "momentum"
+    # Exact up to the window's resolution: drag and a steady wind are part of the model.
+    assert fit.kappa == pytest.approx(truth.k_T / truth.m, rel=1e-6)
+    assert fit.delta == pytest.approx(truth.drag / truth.m, rel=1e-4)
+    # The attitude's error share is never left out of the uncertainty.
+    assert fit.kappa_std >= translation.TILT_ERROR_SHARE * fit.kappa
+
+
+def test_without_velocity_the_accelerometer_serves(truth, flight):
+    bias = 0.03
+    blind = replace(
+        flight,
+        velocity=np.full_like(flight.velocity, np.nan),
+        force=flight.force + np.array([0.0, 0.0, bias]),
+    )
+    estimator = OnlineEstimator(truth.geometry, DT, Tuning())
+    estimator.update(blind)
+    fit = estimator.fit().translation
+    assert fit.source == "accelerometer"
+    assert np.isnan(fit.delta)
+    kappa = truth.k_T / truth.m
+    # A bias and the drag along z of a drifting vehicle are not in its model, but in its std.
+    assert abs(fit.kappa - kappa) < 2.0 * fit.kappa_std
+    assert fit.kappa_std < 0.01 * kappa
+
+
+def test_accelerometer_fit_is_least_squares():
+    rng = np.random.default_rng(1)
+    thrust = rng.uniform(5e4, 9e4, 400)
+    rows = np.column_stack([thrust, 0 * thrust, 1 + 0 * thrust, -1.4e-4 * thrust])
+    moments = Moments((4, 4), 40)
+    moments.add(rows)
+    fit = translation.fit_accelerometer(moments.batches, moments.counts)
+    assert fit.kappa == pytest.approx(1.4e-4, rel=1e-9)
+    # 0.05 m/s^2 of bias over the mean of f.
+    assert fit.kappa_std == pytest.approx(0.05 / thrust.mean(), rel=1e-6)
+
+
+def test_too_few_rows_make_no_translation():
+    moments = Moments((4, 4), 40)
+    moments.add(np.ones((49, 4)))
+    assert translation.fit_accelerometer(moments.batches, moments.counts) is None
+
+
+def article_fit(truth, samples, method, every=10):
+    estimator = ArticleEstimator(truth.geometry, DT * every, method)
+    estimator.update(part(samples, slice(None, None, every)))
+    return estimator.fit()
+
+
+def test_direct_form_with_central_differences_is_close_without_noise(truth, plain_flight):
+    fit = article_fit(truth, plain_flight, "central-difference", every=1)
+    error = np.abs((fit.theta[:9] - truth.theta[:9]) / SIZE[:9])
+    # Central differences are short by (w dt)^2 / 6 = 3e-4 at 9 rad/s.
+    assert error.max() < 3e-3
+
+
+def test_direct_form_is_drawn_to_zero_by_noise(truth, plain_flight):
+    """The third row has zero on its right: noise in the derivative pulls Izz and k_M to zero."""
+    izz, km = 2, rb.MOMENT_RATIO
+    shares = []
+    for seed in range(3):
+        fit = article_fit(truth, noisy(plain_flight, 0.02, seed), "central-difference")
+        shares.append(fit.theta[[izz, km]] / truth.theta[[izz, km]])
+        forward = rotation_fit(truth, noisy(plain_flight, 0.02, seed), WindowSmoother(DT, 20))
+        assert np.abs(forward.theta[[izz, km]] / truth.theta[[izz, km]] - 1.0).max() < 0.1
+    assert np.max(shares) < 0.8
+    assert np.min(shares) > -0.2
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_variant_of_the_article_gives_numbers(truth, plain_flight, method):
+    samples = part(noisy(plain_flight, 0.02, 1), slice(None, None, 10))
+    whole = ArticleEstimator(truth.geometry, 0.05, method)
+    whole.update(samples)
+    fit = whole.fit()
+    assert np.isfinite(fit.theta).all()
+    assert np.all(np.diag(fit.covariance) >= 0.0)
+    assert whole.seconds == pytest.approx(30.0)
+    if method != "central-difference":  # which needs the neighbours of a sample
+        parts = ArticleEstimator(truth.geometry, 0.05, method)
+        for k in range(0, len(samples.gyro), 7):
+            parts.update(part(samples, slice(k, k + 7)))
+        np.testing.assert_allclose(parts.fit().theta, fit.theta, rtol=1e-6)
