@@ -4,12 +4,14 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from gcs_sysid.estimation import rotation, translation
 from gcs_sysid.estimation.article import METHODS, ArticleEstimator
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.online import OnlineEstimator, Tuning
 from gcs_sysid.estimation.regression import LeakySum, RowMaker, Samples
+from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.filters.smoothers import DifferentiatorSmoother, WindowSmoother
 from gcs_sysid.model import rigid_body as rb
 
@@ -25,12 +27,18 @@ def noisy(samples, sigma, seed):
     return replace(samples, gyro=samples.gyro + noise, rates=samples.rates + noise)
 
 
-def rotation_fit(truth, samples, smoother, memory=0.0):
+def bank_of(truth, samples, smoother, memory=0.0):
+    """What the rotational fit takes, without noise of the rotor speeds: one leak, all delays."""
     rows = RowMaker(truth.geometry, smoother).update(samples).rotation
-    rows = LeakySum(rotation.WIDTH, smoother.step * DT, memory).update(rows)
-    moments = Moments((rotation.WIDTH, rotation.WIDTH), 40)
-    moments.add(rows)
-    return rotation.fit_rotation(moments.batches, moments.counts)
+    rows = LeakySum(smoother.step * DT, memory).update(rows)
+    moments = Moments((1, len(smoother.delays), rotation.WIDTH, rotation.WIDTH), 40)
+    moments.add(rows[None])
+    noise = np.zeros((1, rotation.WIDTH, rotation.WIDTH))
+    return moments.batches, moments.counts, smoother.delays, noise
+
+
+def rotation_fit(truth, samples, smoother, memory=0.0):
+    return rotation.fit_rotation(*bank_of(truth, samples, smoother, memory))
 
 
 SIZE = np.array([80.0, 80.0, 140.0, 7.0, 12.0, 8.0, 0.1, 0.05, 0.03, 20.0, 0.3])
@@ -59,7 +67,7 @@ def test_rotation_is_recovered_without_noise(truth, flight, smoother, bar, memor
 def test_damping_and_rotor_inertia_matter_in_this_flight(truth, flight):
     """Else the recovery above would not show that they are carried."""
     Q = rb.forward_matrix(np.where(np.arange(rb.N_THETA) < rb.DAMPING, truth.theta, 0.0))
-    rows = RowMaker(truth.geometry, WindowSmoother(DT, 20)).update(flight).rotation
+    (rows,) = RowMaker(truth.geometry, WindowSmoother(DT, 20)).update(flight).rotation
     x, y = rows[:, : rb.N_SIGNALS], rows[:, rb.N_SIGNALS :]
     exact = y - x @ rb.forward_matrix(truth.theta).T
     without = y - x @ Q.T
@@ -81,19 +89,21 @@ def test_intervals_hold_the_truth_with_noise(truth, flight):
 
 
 def test_a_start_near_the_minimum_leads_to_the_same_minimum(truth, flight):
-    rows = RowMaker(truth.geometry, WindowSmoother(DT, 20)).update(noisy(flight, 0.02, 1)).rotation
-    moments = Moments((rotation.WIDTH, rotation.WIDTH), 40)
-    moments.add(rows)
-    cold = rotation.fit_rotation(moments.batches, moments.counts)
-    start = cold.theta * 1.02
-    for _ in range(5):  # four steps each
-        warm = rotation.fit_rotation(moments.batches, moments.counts, start)
-        start = warm.theta
+    bank = bank_of(truth, noisy(flight, 0.02, 1), WindowSmoother(DT, 20))
+    cold = rotation.fit_rotation(*bank)
+    warm = replace(cold, theta=cold.theta * 1.02)
+    for _ in range(5):  # a few steps each
+        warm = rotation.fit_rotation(*bank, warm)
     np.testing.assert_allclose(warm.theta / SIZE, cold.theta / SIZE, rtol=0.0, atol=1e-6)
 
 
 def test_no_fit_without_data_or_response(truth, flight):
-    assert rotation.fit_rotation(np.zeros((3, 19, 19)), np.array([5, 5, 5])) is None
+    assert (
+        rotation.fit_rotation(
+            np.zeros((3, 1, 1, 19, 19)), np.array([5, 5, 5]), np.zeros(1), np.zeros((1, 19, 19))
+        )
+        is None
+    )
     # Gyro noise alone, whatever the rotors do: nothing responds in the right sense or at all.
     still = replace(flight, gyro=-flight.gyro, rates=-flight.rates)
     fit = rotation_fit(truth, still, WindowSmoother(DT, 20))
@@ -154,7 +164,7 @@ def test_without_velocity_the_accelerometer_serves(truth, flight):
     kappa = truth.k_T / truth.m
     # A bias and the drag along z of a drifting vehicle are not in its model, but in its std.
     assert abs(fit.kappa - kappa) < 2.0 * fit.kappa_std
-    assert fit.kappa_std < 0.01 * kappa
+    assert fit.kappa_std < 0.02 * kappa
 
 
 def test_accelerometer_fit_is_least_squares():
@@ -215,3 +225,53 @@ def test_every_variant_of_the_article_gives_numbers(truth, plain_flight, method)
         for k in range(0, len(samples.gyro), 7):
             parts.update(part(samples, slice(k, k + 7)))
         np.testing.assert_allclose(parts.fit().theta, fit.theta, rtol=1e-6)
+
+
+BANK = tuple(0.01 * k - 0.015 for k in range(8))
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.01, 0.0234, 0.04])
+def test_a_delay_of_the_rotors_is_found(truth, flight, delay):
+    """Speeds stamped late, by whole samples and by parts of one."""
+    t = np.arange(len(flight.speeds)) * DT
+    late = CubicSpline(t, flight.speeds)(np.maximum(t - delay, 0.0))
+    samples = part(noisy(replace(flight, speeds=late), 0.01, 1), slice(50, None))
+    fit = rotation_fit(truth, samples, WindowSmoother(DT, 20, BANK))
+    assert abs(fit.delay - delay) < 3.0 * fit.delay_std
+    assert fit.delay_std < 1e-3
+    assert np.all(np.abs(fit.theta - truth.theta) < 4.0 * fit.std)
+    if delay > 0.02:  # which matters: without it the estimate is far off
+        plain = rotation_fit(truth, samples, WindowSmoother(DT, 20))
+        assert abs(plain.theta[2] / truth.theta[2] - 1.0) > 0.1
+        assert abs(fit.theta[2] / truth.theta[2] - 1.0) < 0.05
+
+
+def test_noise_of_the_speeds_is_known_and_taken_out(truth, flight):
+    """2 rad/s on every rotor: the moments' surplus is what SpeedNoise says it is."""
+    rng = np.random.default_rng(1)
+    smoother = WindowSmoother(DT, 20)
+    clean = RowMaker(truth.geometry, smoother).update(flight).rotation[0]
+    speeds = flight.speeds + 2.0 * rng.standard_normal(flight.speeds.shape)
+    follower = SpeedNoise(truth.geometry, DT)
+    follower.update(speeds[:1000])
+    follower.update(speeds[1000:])
+    np.testing.assert_allclose(follower.std, 2.0, rtol=0.05)  # 6000 samples, correlated fourfold
+    surplus = np.zeros((rotation.WIDTH, rotation.WIDTH))
+    runs = 20
+    for _ in range(runs):
+        speeds = flight.speeds + 2.0 * rng.standard_normal(flight.speeds.shape)
+        rows = RowMaker(truth.geometry, WindowSmoother(DT, 20))
+        moved = rows.update(replace(flight, speeds=speeds)).rotation[0] - clean
+        surplus += moved.T @ moved / len(moved) / runs
+    said = follower.moments(smoother, 0.0)
+    torques = [0, 1, 2, 3, rb.SIGNALS.index("dH")]
+    # 20 flights of 1200 rows, half of them independent: a few percent.
+    np.testing.assert_allclose(np.diag(said)[torques], np.diag(surplus)[torques], rtol=0.1)
+
+
+def test_rounding_of_the_speeds_is_the_least_noise(truth):
+    follower = SpeedNoise(truth.geometry, 0.05)
+    assert np.all(follower.moments(WindowSmoother(0.05, 4), 0.0) == 0.0)
+    follower.update(np.full((500, 4), 100.0))
+    # A whole number of revolutions a minute: 0.105 rad/s, uniform.
+    np.testing.assert_allclose(follower.std, 2 * np.pi / 60 / np.sqrt(12))

@@ -32,10 +32,14 @@ def signals(missing=()):
 
 
 def rows_of(kind, v, cuts=()):
+    """Averages and derivatives."""
     smoother = make(kind)
     edges = [0, *sorted(cuts), len(v)]
-    parts = [smoother.update(v[a:b]) for a, b in pairwise(edges)]
-    return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+    parts = [smoother.update(v[a:b], 0) for a, b in pairwise(edges)]
+    return (
+        np.concatenate([p.average for p in parts]),
+        np.concatenate([p.derivative for p in parts]),
+    )
 
 
 @KINDS
@@ -80,7 +84,8 @@ def test_differentiator_rows_are_the_filter_at_every_step():
     for s, bandwidth in ((smoother, BANDWIDTH), (slow, 2.0)):
         expected = LinearDifferentiator(DT, bandwidth).update(v)
         settled = np.arange(N) >= LinearDifferentiator(DT, bandwidth).settling - 1
-        found = s.update(v)
+        rows = s.update(v, 0)
+        found = rows.average, rows.derivative
         for a, b in zip(found, expected, strict=True):
             np.testing.assert_array_equal(a, np.where(settled[:, None], b, np.nan)[:: s.step])
     assert filter_.settling < N
@@ -117,9 +122,10 @@ def test_missing_samples_spoil_the_differentiator_until_it_has_settled():
 def test_rows_after_a_restart_are_those_of_a_new_one(kind):
     v = signals()
     smoother = make(kind)
-    smoother.update(v[:101])
+    smoother.update(v[:101], 0)
     smoother.restart()
-    for a, b in zip(smoother.update(v[101:]), rows_of(kind, v[101:]), strict=True):
+    again = smoother.update(v[101:], 0)
+    for a, b in zip((again.average, again.derivative), rows_of(kind, v[101:]), strict=True):
         assert len(a) > 0
         np.testing.assert_array_equal(a, b)
 
@@ -135,3 +141,47 @@ def test_both_sides_agree_on_smooth_signals(kind):
         derivative, average, rtol=0.0, atol=1e-9 if kind == "window" else 1e-3
     )
     assert np.isfinite(average).sum() > 100
+
+
+DELAYS = (-0.01, 0.0, 0.03)
+
+
+@settings(max_examples=20, deadline=None)
+@given(cuts=st.lists(st.integers(0, N), max_size=6))
+def test_late_signals_are_taken_at_every_delay(cuts):
+    t = np.arange(N)[:, None] * DT
+    phase = np.array([0.0, 1.0, 2.0])
+    stamped_late = [np.sin(3.0 * (t - delay) + phase) for delay in DELAYS]
+    plain = WindowSmoother(DT, HALF, DELAYS).update(stamped_late[1], 2)
+    for k, v in enumerate(stamped_late):
+        smoother = WindowSmoother(DT, HALF, DELAYS)
+        edges = [0, *sorted(cuts), N]
+        parts = [smoother.update(v[a:b], 2) for a, b in pairwise(edges)]
+        for name in ("average", "derivative"):
+            late = np.concatenate([getattr(p, f"late_{name}") for p in parts], axis=1)
+            assert late.shape == (len(DELAYS), len(plain.average), 2)
+            # Put right by its own delay, the signal gives what it gives without any.
+            expected = getattr(plain, name)[:, :2]
+            np.testing.assert_allclose(late[k], expected, rtol=0.0, atol=1e-5)
+            for other in set(range(len(DELAYS))) - {k}:
+                assert np.abs(late[other] - expected).max() > 1e-2
+
+
+@KINDS
+@pytest.mark.parametrize("memory", [0.0, 0.3])
+def test_noise_gains_are_those_of_white_noise(kind, memory):
+    smoother = make(kind)
+    rows = smoother.update(np.random.default_rng(3).standard_normal((400, 200)), 0)
+    for gain, found in zip(
+        smoother.noise_gains(memory), (rows.average, rows.derivative), strict=True
+    ):
+        if memory:
+            summed = np.zeros_like(found)
+            first = np.flatnonzero(np.isfinite(found[:, 0]))[0]
+            decay = np.exp(-smoother.step * DT / memory)
+            for k in range(first, len(found)):
+                summed[k] = decay * summed[k - 1] + found[k]
+            found = summed
+        # 200 signals at one instant: their variance scatters by 10 %, over four instants by 5 %.
+        late = found[[-1, -len(found) // 4, -len(found) // 3, -len(found) // 2]]
+        assert np.var(late) == pytest.approx(gain, rel=0.25)

@@ -9,8 +9,8 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import article, rotation, translation
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.regression import LeakySum, RowMaker, Samples
+from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.filters.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
-from gcs_sysid.model import rigid_body
 
 MIN_MOMENTUM_SECONDS = 5.0
 """Flight time from which momentum balance beats the accelerometer's bias."""
@@ -27,6 +27,8 @@ class Tuning:
         min_half_samples: the window's half never has fewer samples than this.
         bandwidth: rad/s, R of the differentiator.
         leaks: s, memories of the leaky sums carried side by side; 0 for none.
+        delays: s, bank of rotor delays, equally spaced; one alone is taken as given.
+        settle_interval: s between full fits of a running course, which choose leak and delay.
         batch_time: s, length of a batch of moments.
     """
 
@@ -35,7 +37,9 @@ class Tuning:
     half_width: float = 0.1
     min_half_samples: int = 4
     bandwidth: float = 10.0
-    leaks: tuple[float, ...] = (0.0, 0.1, 0.3)
+    leaks: tuple[float, ...] = (0.0, 0.3, 1.0)
+    delays: tuple[float, ...] = tuple(0.01 * k - 0.015 for k in range(8))
+    settle_interval: float = 2.0
     batch_time: float = 1.0
 
 
@@ -65,18 +69,25 @@ class OnlineEstimator:
             smoother = DifferentiatorSmoother(dt, tuning.bandwidth)
         else:
             half = max(tuning.min_half_samples, round(tuning.half_width / dt))
-            smoother = WindowSmoother(dt, half)
+            smoother = WindowSmoother(dt, half, tuning.delays)
+        self._smoother = smoother
+        self._speed_noise = SpeedNoise(geometry, dt)
+        self._memories = tuning.leaks
         self._rows = RowMaker(geometry, smoother)
         self._row_time = smoother.step * dt
         per_batch = max(round(tuning.batch_time / self._row_time), 1)
-        self._leaks = [LeakySum(rotation.WIDTH, self._row_time, memory) for memory in tuning.leaks]
-        self._rotation = Moments((len(tuning.leaks), rotation.WIDTH, rotation.WIDTH), per_batch)
+        self._delays = smoother.delays
+        self._leaks = [LeakySum(self._row_time, memory) for memory in tuning.leaks]
+        bank = (len(tuning.leaks), len(self._delays))
+        self._rotation = Moments((*bank, rotation.WIDTH, rotation.WIDTH), per_batch)
+        self._settle_interval = tuning.settle_interval
+        self._latest: rotation.RotationFit | None = None
+        self._settled_at = -np.inf
         self._article = (
             None
             if tuning.method == "forward"
             else article.ArticleEstimator(geometry, dt, tuning.method)
         )
-        self._latest: list[Array | None] = [None] * len(tuning.leaks)
         self._momentum = Moments((3, translation.WIDTH, translation.WIDTH), per_batch)
         self._accelerometer = Moments((translation.WIDTH, translation.WIDTH), per_batch)
 
@@ -91,6 +102,7 @@ class OnlineEstimator:
     def update(self, samples: Samples) -> None:
         """Take a block of samples; the outcome does not depend on how they are grouped."""
         rows = self._rows.update(samples)
+        self._speed_noise.update(samples.speeds)
         self._rotation.add(np.stack([leak.update(rows.rotation) for leak in self._leaks]))
         if self._article:
             self._article.update(samples)
@@ -121,23 +133,19 @@ class OnlineEstimator:
         return Fit(self._fit_rotation(quick), trans, self.seconds)
 
     def _fit_rotation(self, quick: bool) -> rotation.RotationFit | None:
-        """The fit with the leak that leaves the least uncertainty."""
         if self._article:
             return self._article.fit()
-        fits = [
-            rotation.fit_rotation(
-                self._rotation.batches[:, i],
-                self._rotation.counts,
-                start=self._latest[i] if quick else None,
-            )
-            for i in range(len(self._leaks))
-        ]
+        start = None
+        if quick and self.seconds - self._settled_at < self._settle_interval:
+            start = self._latest
+        fit = rotation.fit_rotation(
+            self._rotation.batches, self._rotation.counts, self._delays, self._noise(), start
+        )
         if quick:
-            self._latest = [None if fit is None else fit.theta for fit in fits]
-        there = [fit for fit in fits if fit is not None]
-        return min(there, key=_uncertainty, default=None)
+            self._latest = fit
+            if start is None:
+                self._settled_at = self.seconds
+        return fit
 
-
-def _uncertainty(fit: rotation.RotationFit) -> float:
-    """Sum of log standard deviations of what makes up the core parameters."""
-    return float(np.sum(np.log(fit.std[: rigid_body.DAMPING])))
+    def _noise(self) -> Array:
+        return np.stack([self._speed_noise.moments(self._smoother, m) for m in self._memories])

@@ -46,7 +46,7 @@ class Rows:
     """Regression rows, NaN where a window held a sample that must not be used.
 
     Attributes:
-        rotation: (n, rotation.WIDTH).
+        rotation: (delays, n, rotation.WIDTH).
         momentum: (n, 3, translation.WIDTH), one for each world axis.
         accelerometer: (n, translation.WIDTH).
     """
@@ -74,21 +74,24 @@ class RowMaker:
 
     def update(self, samples: Samples) -> Rows:
         """The rows that these samples complete."""
-        average, derivative = self._smoother.update(self._signals(samples))
-        momentum = np.empty((len(average), 3, translation.WIDTH))
-        momentum[:, :, 0] = average[:, _LIFT]
-        momentum[:, :, 1] = average[:, _VELOCITY]
+        rows = self._smoother.update(self._signals(samples), _LATE)
+        n, delays = len(rows.average), len(self._smoother.delays)
+        rotation = np.empty((delays, n, rigid_body.N_SIGNALS + 3))
+        rotation[:, :, :_H] = rows.average[:, _INPUTS]
+        rotation[:, :, :4] = rows.late_average[:, :, :4]
+        rotation[:, :, _H] = rows.late_derivative[:, :, 4]
+        rotation[:, :, _H + 1 :] = rows.derivative[:, _GYRO]
+        momentum = np.empty((n, 3, translation.WIDTH))
+        momentum[:, :, 0] = rows.average[:, _LIFT]
+        momentum[:, :, 1] = rows.average[:, _VELOCITY]
         momentum[:, :, 2] = 1.0
-        momentum[:, :, 3] = derivative[:, _VELOCITY]
+        momentum[:, :, 3] = rows.derivative[:, _VELOCITY]
         momentum[:, 2, 3] -= GRAVITY
-        accelerometer = np.ones((len(average), translation.WIDTH))
-        accelerometer[:, 0] = average[:, _THRUST]
+        accelerometer = np.ones((n, translation.WIDTH))
+        accelerometer[:, 0] = rows.average[:, _THRUST]
         accelerometer[:, 1] = 0.0
-        accelerometer[:, 3] = average[:, _FORCE]
-        inputs = average[:, :_H], derivative[:, _H : _H + 1]
-        return Rows(
-            np.concatenate([*inputs, derivative[:, _GYRO]], axis=1), momentum, accelerometer
-        )
+        accelerometer[:, 3] = rows.average[:, _FORCE]
+        return Rows(rotation, momentum, accelerometer)
 
     def _signals(self, s: Samples) -> Array:
         rotors, H = rigid_body.rotor_signals(self._geometry, s.speeds)
@@ -97,11 +100,11 @@ class RowMaker:
         return np.column_stack(
             [
                 rotors,
+                H,
                 rigid_body.rate_products(s.rates),
                 s.rates,
                 q * H,
                 p * H,
-                H,
                 s.gyro,
                 down * rotors[:, 2:3],
                 s.velocity,
@@ -114,31 +117,34 @@ class LeakySum:
     """Leaky sums of rows, over each run of complete ones; incomplete rows are dropped.
 
     Args:
-        width: of a row.
         row_time: s between rows.
         memory: s; 0 passes rows as they are.
     """
 
-    def __init__(self, width: int, row_time: float, memory: float) -> None:
+    def __init__(self, row_time: float, memory: float) -> None:
         self._decay = float(np.exp(-row_time / memory)) if memory > 0.0 else 0.0
-        self._sum = np.zeros(width)
+        self._sum: Array | None = None
 
     def restart(self) -> None:
         """Start from nothing; as both sides do so at once, no transient arises."""
-        self._sum = np.zeros_like(self._sum)
+        self._sum = None
 
     def update(self, rows: Array) -> Array:
-        """(n, width) rows to at most as many."""
+        """(..., n, width) rows to at most as many; a row counts only if complete in all."""
+        others = tuple(i for i in range(rows.ndim) if i != rows.ndim - 2)
+        complete: Mask = np.asarray(np.isfinite(rows).all(axis=others))
         out = []
-        for run, complete in runs(complete_rows(rows)):
-            if not complete:
+        for run, there in runs(complete):
+            if not there:
                 self.restart()
                 continue
-            start = (self._decay * self._sum)[None, :]
-            summed, _ = lfilter([1.0], [1.0, -self._decay], rows[run], axis=0, zi=start)
-            self._sum = summed[-1]
-            out.append(summed)
-        return np.concatenate(out) if out else rows[:0]
+            part = rows[..., run, :]
+            if self._decay:
+                start = np.zeros_like(part[..., :1, :]) if self._sum is None else self._sum
+                part, _ = lfilter([1.0], [1.0, -self._decay], part, axis=-2, zi=self._decay * start)
+                self._sum = part[..., -1:, :]
+            out.append(part)
+        return np.concatenate(out, axis=-2) if out else rows[..., :0, :]
 
 
 def complete_rows(values: Array) -> Mask:
@@ -153,10 +159,11 @@ def runs(mask: Mask) -> list[tuple[slice, bool]]:
     return [(slice(a, b), bool(mask[a])) for a, b in pairwise(edges) if b > a]
 
 
-# Columns of the signals that the smoother takes: the model's inputs, with H in the place of its
-# derivative, then the rest.
-_THRUST = rigid_body.SIGNALS.index("thrust")
-_H = rigid_body.SIGNALS.index("dH")
+# Columns of the signals that the smoother takes: first those of the rotors, which may be late.
+_LATE = 5  # roll, pitch, thrust, yaw, H
+_THRUST = 2
+_H = rigid_body.SIGNALS.index("dH")  # in a row, the last input; H itself is no input
+_INPUTS = np.r_[0:4, 5 : _H + 1]
 _GYRO = slice(_H + 1, _H + 4)
 _LIFT = slice(_H + 4, _H + 7)
 _VELOCITY = slice(_H + 7, _H + 10)

@@ -23,7 +23,6 @@ def sandwich(bread: Array, scores: Array) -> Array:
         # At the minimum the scores are smaller than the errors by what was fitted.
         meat *= k / max(k - p / 3.0, 1.0)
     covariance = bread @ meat @ bread
-    short = np.diag(bread) / np.maximum(np.diag(covariance), 1e-300)
-    grow = np.sqrt(np.maximum(short, 1.0))
-    result: Array = covariance * np.outer(grow, grow)
+    short = np.maximum(np.diag(bread) - np.diag(covariance), 0.0)
+    result: Array = covariance + np.diag(short)
     return result

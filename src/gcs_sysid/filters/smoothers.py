@@ -4,13 +4,33 @@ A smoother takes blocks of samples and gives rows; both kinds of row come from o
 so their lag is the same. Samples may be missing (NaN): rows that they would touch are NaN.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.filters.differentiator import LinearDifferentiator
 from gcs_sysid.filters.windows import cosine_window
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """Rows of a smoother.
+
+    Attributes:
+        average: (rows, m).
+        derivative: (rows, m), 1/s.
+        late_average: (delays, rows, late), the late signals put right by each delay.
+        late_derivative: (delays, rows, late), 1/s.
+    """
+
+    average: Array
+    derivative: Array
+    late_average: Array
+    late_derivative: Array
 
 
 class Smoother(Protocol):
@@ -18,13 +38,21 @@ class Smoother(Protocol):
 
     step: int
     """Samples between rows."""
+    delays: Array
+    """(delays,) s, by which the first signals may be stamped late."""
+
+    def noise_gains(self, memory: float) -> tuple[float, float]:
+        """Variance of an average and of a derivative (1/s^2) over that of white noise on the
+        samples, when rows are then summed with a leak of `memory` s (0: not at all).
+        """
+        ...
 
     def restart(self) -> None:
         """What comes next does not join on to what came before."""
         ...
 
-    def update(self, signals: Array) -> tuple[Array, Array]:
-        """(n, m) samples to averages and derivatives, each (rows, m)."""
+    def update(self, signals: Array, late: int) -> Smoothed:
+        """(n, m) samples to rows; the first `late` signals are taken at every delay too."""
         ...
 
 
@@ -34,29 +62,46 @@ class WindowSmoother:
     Args:
         dt: s between samples.
         half: samples on either side of the centre.
+        delays: s, equally spaced.
     """
 
-    def __init__(self, dt: float, half: int) -> None:
-        self._window = cosine_window(half, dt)
+    def __init__(self, dt: float, half: int, delays: Sequence[float] = (0.0,)) -> None:
         # Four rows in half a window lose next to nothing.
         self.step = max(1, half // 4)
+        self.delays = np.array(delays)
+        room = half + int(np.ceil(np.max(np.abs(self.delays)) / dt - 1e-9))
+        window = cosine_window(half, dt)
+        self._window = window.delayed(0.0, dt, room) if room > half else window
+        moved = [window.delayed(d, dt, room) if d else self._window for d in delays]
+        self._late_taps = np.stack([w.average for w in moved] + [w.derivative for w in moved]).T
         self._pending: Array | None = None
+        self._dt = dt
+
+    def noise_gains(self, memory: float) -> tuple[float, float]:
+        """Variance of an average and of a derivative over that of white sample noise."""
+        taps = np.stack([self._window.average, self._window.derivative])
+        return _leaky_power(taps, self.step, self._dt, memory)
 
     def restart(self) -> None:
         """What comes next does not join on to what came before."""
         self._pending = None
 
-    def update(self, signals: Array) -> tuple[Array, Array]:
-        """(n, m) samples to averages and derivatives, each (rows, m)."""
+    def update(self, signals: Array, late: int) -> Smoothed:
+        """(n, m) samples to rows; the first `late` signals are taken at every delay too."""
         if self._pending is not None:
             signals = np.concatenate([self._pending, signals])
         count = max((len(signals) - self._window.length) // self.step + 1, 0)
         self._pending = signals[count * self.step :]
         if count == 0:
-            return signals[:0], signals[:0]
-        return (
-            self._window.apply(signals, self.step),
-            self._window.apply(signals, self.step, derivative=True),
+            none = np.empty((len(self.delays), 0, late))
+            return Smoothed(signals[:0], signals[:0], none, none)
+        windows = sliding_window_view(signals, self._window.length, axis=0)[:: self.step]
+        moved = np.moveaxis(windows[:, :late] @ self._late_taps, -1, 0)
+        return Smoothed(
+            windows @ self._window.average,
+            windows @ self._window.derivative,
+            moved[: len(self.delays)],
+            moved[len(self.delays) :],
         )
 
 
@@ -71,19 +116,30 @@ class DifferentiatorSmoother:
     def __init__(self, dt: float, bandwidth: float) -> None:
         self._filter = LinearDifferentiator(dt, bandwidth)
         self.step = max(1, round(0.25 / (bandwidth * dt)))
+        self.delays = np.zeros(1)
+        self._dt = dt
+        impulse = np.zeros((self._filter.settling + 2, 1))
+        impulse[1] = 1.0
+        response = LinearDifferentiator(dt, bandwidth).update(impulse)
+        self._taps = np.stack([z[1:, 0] for z in response])
         self._next_row = 0
         self._held: Array | None = None
         self._unsettled: Array = np.zeros(0)
+
+    def noise_gains(self, memory: float) -> tuple[float, float]:
+        """Variance of an average and of a derivative over that of white sample noise."""
+        return _leaky_power(self._taps, self.step, self._dt, memory)
 
     def restart(self) -> None:
         """What comes next does not join on to what came before."""
         self._filter.restart()
         self._held = None
 
-    def update(self, signals: Array) -> tuple[Array, Array]:
-        """(n, m) samples to averages and derivatives, each (rows, m)."""
+    def update(self, signals: Array, late: int) -> Smoothed:
+        """(n, m) samples to rows."""
         if len(signals) == 0:
-            return signals, signals
+            none = np.empty((1, 0, late))
+            return Smoothed(signals, signals, none, none)
         if self._held is None:
             self._held = np.zeros(signals.shape[1])
             self._unsettled = np.full(signals.shape[1], self._filter.settling)
@@ -106,4 +162,18 @@ class DifferentiatorSmoother:
         rows = slice(self._next_row, None, self.step)
         self._next_row = (self._next_row - len(signals)) % self.step
         settled = wait <= 0
-        return np.where(settled, z1, np.nan)[rows], np.where(settled, z2, np.nan)[rows]
+        average = np.where(settled, z1, np.nan)[rows]
+        derivative = np.where(settled, z2, np.nan)[rows]
+        return Smoothed(average, derivative, average[None, :, :late], derivative[None, :, :late])
+
+
+def _leaky_power(taps: Array, step: int, dt: float, memory: float) -> tuple[float, float]:
+    """Sum of squared weights of (2, n) taps, after a leaky sum over every `step`-th row."""
+    if memory > 0.0:
+        decay = np.exp(-step * dt / memory)
+        rows = int(np.ceil(12.0 / -np.log(decay)))
+        leak = np.zeros(rows * step)
+        leak[::step] = decay ** np.arange(rows)
+        taps = np.stack([np.convolve(t, leak) for t in taps])
+    average, derivative = (float(t @ t) for t in taps)
+    return average, derivative

@@ -12,7 +12,6 @@ with a finite memory: z1 is the average, z2 the derivative, and both have zero p
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from gcs_sysid.arrays import Array
 
@@ -36,10 +35,40 @@ class Window:
         """Samples the window spans."""
         return 2 * self.half + 1
 
-    def apply(self, signals: Array, step: int = 1, *, derivative: bool = False) -> Array:
-        """Slide along axis 0: (n, m) samples to ((n - length) // step + 1, m) values."""
-        taps = self.derivative if derivative else self.average
-        return sliding_window_view(signals, self.length, axis=0)[::step] @ taps
+    def delayed(self, delay: float, dt: float, half: int) -> "Window":
+        """The window for a signal whose stamps are `delay` s late, on `half` samples a side.
+
+        A sample stamped t shows what was at t - delay, so the window moves the other way. The
+        moved weights are corrected so that polynomials up to degree 2 n - 1, n = min(half, 5),
+        are averaged and differentiated as exactly as without the delay.
+
+        Raises:
+            ValueError: the delay does not fit into `half` samples.
+        """
+        room = half - self.half
+        shift = delay / dt
+        if abs(shift) > room + 1e-6:
+            raise ValueError(f"a delay of {delay} s needs more than {room} samples of room")
+        old = np.arange(-self.half, self.half + 1) / (half + 1)
+        new = np.arange(-half, half + 1) / (half + 1)
+        s = (np.arange(-half, half + 1) - shift) / (self.half + 1)
+        bell = np.where(np.abs(s) < 1.0, np.cos(0.5 * np.pi * np.clip(s, -1.0, 1.0)) ** 2, 0.0)
+        powers = np.arange(2 * min(self.half, 5))[:, None]
+        # Weights between two samples touch one sample more than the window itself.
+        moved = old + shift / (half + 1)
+
+        def fitted(weights: Array, guess: Array) -> Array:
+            wanted = (weights * moved**powers).sum(axis=1)
+            basis = new**powers
+            missing = wanted - basis @ guess
+            correction = np.linalg.lstsq((bell * basis) @ basis.T, missing, rcond=1e-12)[0]
+            result: Array = guess + bell * (correction @ basis)
+            return result
+
+        slope = np.where(np.abs(s) < 1.0, bell * np.sin(np.pi * np.clip(s, -1.0, 1.0)), 0.0)
+        slope = slope / (slope @ (new - shift / (half + 1)) * (half + 1) * dt)
+        average = fitted(self.average, bell**2 / (bell**2).sum())
+        return Window(half, average, fitted(self.derivative, slope))
 
 
 def cosine_window(half: int, dt: float) -> Window:

@@ -19,7 +19,7 @@ The **direct form** (the article's) moves everything known to the right-hand sid
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 
 THETA = (
     "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz",
@@ -95,41 +95,59 @@ def _input_basis() -> tuple[Array, Array]:
 INERTIA_BASIS = _inertia_basis()
 """(6, 3, 3): J = sum theta_k basis[k]."""
 INPUT_CONSTANT, INPUT_SLOPE = _input_basis()
+_FLAT_SLOPE = INPUT_SLOPE.reshape(N_THETA, -1)
+
+
+_ELEMENT = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])
 
 
 def inertia_matrix(elements: Array) -> Array:
-    """The 3 x 3 matrix of [Ixx, Iyy, Izz, Ixy, Iyz, Ixz] (any unit)."""
-    xx, yy, zz, xy, yz, xz = elements[:N_INERTIA]
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    """The 3 x 3 matrices of (..., 6 or more) [Ixx, Iyy, Izz, Ixy, Iyz, Ixz] (any unit)."""
+    matrix: Array = elements[..., _ELEMENT]
+    return matrix
 
 
-def is_physical(elements: Array) -> bool:
-    """Whether a rigid body can have this inertia matrix.
+def are_physical(elements: Array) -> Mask:
+    """(...) whether a rigid body can have the inertia matrices of (..., 6 or more) elements.
 
     That is so when the second-moment matrix tr(J)/2 - J is positive definite, which holds both
     J > 0 and the triangle inequality of the principal moments.
     """
     J = inertia_matrix(elements)
-    return bool(np.linalg.eigvalsh(0.5 * np.trace(J) * np.eye(3) - J)[0] > 0.0)
+    half_trace = 0.5 * np.trace(J, axis1=-2, axis2=-1)
+    largest = np.linalg.eigvalsh(J)[..., -1]
+    return np.asarray(half_trace - largest > 0.0)
+
+
+def is_physical(elements: Array) -> bool:
+    """Whether a rigid body can have this inertia matrix."""
+    return bool(are_physical(elements))
 
 
 def forward_matrix(theta: Array) -> Array:
-    """Q(theta) of w' = Q x, shape (3, N_SIGNALS), theta of shape (N_THETA,).
+    """Q(theta) of w' = Q x, shape (..., 3, N_SIGNALS), theta of shape (..., N_THETA).
 
     Raises:
-        numpy.linalg.LinAlgError: the inertia matrix is singular.
+        numpy.linalg.LinAlgError: an inertia matrix is singular.
     """
-    B = INPUT_CONSTANT + np.tensordot(theta, INPUT_SLOPE, 1)
-    return np.linalg.solve(inertia_matrix(theta), B)
+    Q: Array = np.linalg.inv(inertia_matrix(theta)) @ _input_matrix(theta)
+    return Q
 
 
 def forward_jacobian(theta: Array) -> tuple[Array, Array]:
-    """Q(theta) and its derivative dQ/dtheta, shape (N_THETA, 3, N_SIGNALS)."""
+    """Q(theta) and its derivative dQ/dtheta, shape (..., N_THETA, 3, N_SIGNALS)."""
     J_inv = np.linalg.inv(inertia_matrix(theta))
-    Q = J_inv @ (INPUT_CONSTANT + np.tensordot(theta, INPUT_SLOPE, 1))
-    slope = INPUT_SLOPE.copy()
-    slope[:N_INERTIA] -= INERTIA_BASIS @ Q
-    return Q, J_inv @ slope
+    Q = J_inv @ _input_matrix(theta)
+    slope = np.empty((*theta.shape[:-1], N_THETA, 3, N_SIGNALS))
+    slope[...] = INPUT_SLOPE
+    slope[..., :N_INERTIA, :, :] -= INERTIA_BASIS @ Q[..., None, :, :]
+    return Q, J_inv[..., None, :, :] @ slope
+
+
+def _input_matrix(theta: Array) -> Array:
+    """B(theta) of J w' = B x."""
+    B: Array = INPUT_CONSTANT + (theta @ _FLAT_SLOPE).reshape(*theta.shape[:-1], 3, N_SIGNALS)
+    return B
 
 
 def rotor_signals(geometry: Array, speeds: Array) -> tuple[Array, Array]:

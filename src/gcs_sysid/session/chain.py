@@ -13,7 +13,13 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.online import Fit, OnlineEstimator, Tuning
-from gcs_sysid.estimation.parameters import NOTHING, Value, physical_parameters, verdict
+from gcs_sysid.estimation.parameters import (
+    NOTHING,
+    Value,
+    physical_parameters,
+    rotor_delay,
+    verdict,
+)
 from gcs_sysid.estimation.regression import Samples, complete_rows, runs
 from gcs_sysid.filters.complementary import ComplementaryFilter
 from gcs_sysid.model import attitude
@@ -28,6 +34,8 @@ _MAX_EVENTS = 300
 _MAX_COURSE = 4096
 _MIN_SECONDS = 3.0
 """Flight time in s below which nothing is claimed."""
+_STEP_BACK = 1.0
+"""s; records further back than this are not late: the clock was set back."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +85,7 @@ class Chain:
         self._estimator: OnlineEstimator | None = None
         self._filter: ComplementaryFilter | None = None
         self._first: float | None = None
+        self._began = self._newest = 0.0
         self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self._seen: set[Stream] = set()
         self._next_refit = -np.inf
@@ -87,8 +96,13 @@ class Chain:
     def feed(self, record: Record) -> bool:
         """Take one record. Returns whether the estimate was renewed."""
         if self._first is None:
-            self._first = record.t
-        if not self.options.start <= record.t - self._first <= self.options.end:
+            self._first = self._began = self._newest = record.t
+        if record.t < self._newest - _STEP_BACK:
+            # The vehicle's clock was set back (a reboot); start and end go on counting.
+            self._began += record.t - self._newest
+            self._newest = record.t
+        self._newest = max(self._newest, record.t)
+        if not self.options.start <= max(record.t - self._began, 0.0) <= self.options.end:
             return False
         self._seen.add(record.stream)
         block = self._time_base.push(record)
@@ -164,12 +178,16 @@ class Chain:
                 for name, v in values.items()
             },
             timing={
-                "rotor_delay": Estimate(0.0, 0.0, TIMING["rotor_delay"].unit, "given"),
+                "rotor_delay": self._rotor_delay(),
             },
             events=(),
             validation={},
             telemetry=self._telemetry(),
         )
+
+    def _rotor_delay(self) -> Estimate:
+        value = rotor_delay(self._fit.rotation)
+        return Estimate(value.value, value.std, TIMING["rotor_delay"].unit, value.status)
 
     def _parameters(self) -> dict[str, Value]:
         fit = self._fit

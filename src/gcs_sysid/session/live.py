@@ -230,7 +230,10 @@ class LiveSession:
     def _publish(self, state: LinkState) -> None:
         chain, intake = self._pipeline.chain, self._pipeline.intake
         health = intake.health()
-        recording = self._writer is not None and self._writer.recording
+        writer = self._writer
+        recording = writer is not None and (
+            writer.recording or (state is LinkState.ENDED and not writer.problem)
+        )
         self._latest = Snapshot(
             t=chain.t,
             used_seconds=chain.used_seconds,
@@ -247,7 +250,7 @@ class LiveSession:
                 rejected=health.rejected,
                 unknown=health.unknown,
                 lost_percent=health.lost_percent,
-                recording=str(self._writer.path) if self._writer and recording else "",
+                recording=str(writer.path) if writer and recording else "",
                 bytes_per_second=health.bytes_per_second,
             ),
             attitude=chain.attitude,

@@ -23,7 +23,9 @@ _KEEP = 8
 _SAME = 5e-7
 """Times closer than this (s) are the same: stamps are whole microseconds."""
 _BREAK = 1.0
-"""An IMU silence longer than this (s), or a step back in time, starts the grid anew."""
+"""An IMU silence longer than this (s), or a step back in time by more, starts the grid anew."""
+_MOST = 4096
+"""Samples of each stream kept while no grid takes them (an IMU that is silent)."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +52,8 @@ class StreamBuffer:
         """Whether the last value holds (states) instead of being interpolated (signals)."""
         self.repeated = 0
         """Samples dropped because their stamp was not newer."""
-        self._t: deque[float] = deque()
-        self._values: deque[tuple[float, ...]] = deque()
+        self._t: deque[float] = deque(maxlen=_MOST)
+        self._values: deque[tuple[float, ...]] = deque(maxlen=_MOST)
         self._steps: deque[float] = deque(maxlen=STEP_SAMPLES)
 
     def push(self, t: float, values: tuple[float, ...]) -> None:
@@ -181,12 +183,13 @@ class TimeBase:
                 self.late += 1
             return None
         block = None
-        if self._started and not 0.0 <= record.t - self._newest <= _BREAK:
+        step = record.t - self._newest
+        if step < -_BREAK or (self._started and step > _BREAK):
             block = self.finish()
-            self._stop(clear=record.t < self._newest)
+            self._stop(clear=step < 0.0)
         imu = self._buffer(record)
         imu.push(record.t, record.values)
-        self._newest = record.t
+        self._newest = max(self._newest, record.t)
         if not self._started:
             self._try_start(imu)
         elif record.t >= self._next_tick:
@@ -230,6 +233,7 @@ class TimeBase:
         self.restarts += 1
         if clear:
             self._buffers.clear()
+            self._newest = -np.inf
 
     def _emit(self, horizon: float) -> Block | None:
         last = int(np.floor((horizon - self._origin) / self.dt + 1e-6))

@@ -1,0 +1,81 @@
+"""Noise of the rotor speeds, and what it adds to the moments.
+
+Noise on an input makes least squares underrate what that input does (errors in variables).
+Where the noise is known, its part of the moments is known too and is taken out again.
+"""
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.regression import complete_rows, runs
+from gcs_sysid.estimation.rotation import WIDTH
+from gcs_sysid.filters.smoothers import Smoother
+from gcs_sysid.model import rigid_body
+
+ROUNDING_STD = 2.0 * np.pi / 60.0 / np.sqrt(12.0)
+"""rad/s, of a speed sent as a whole number of revolutions a minute."""
+_FAST_ENOUGH = 0.012
+"""s. Below this sample time a rotor hardly moves within four samples, so that what is left of
+them after a parabola is taken out is noise; above, motion and noise cannot be told apart."""
+_THIRD_DIFFERENCE = 20.0
+"""1 + 9 + 9 + 1: variance of a third difference over that of white noise."""
+
+
+class SpeedNoise:
+    """Follows level and noise of the rotor speeds.
+
+    Args:
+        geometry: (3, rotors) of the airframe.
+        dt: s between samples.
+    """
+
+    def __init__(self, geometry: Array, dt: float) -> None:
+        self._geometry = geometry
+        self._dt = dt
+        rotors = geometry.shape[1]
+        self._samples = 0
+        self._sums = np.zeros((2, rotors))  # of Omega and Omega^2
+        self._differences = 0
+        self._difference_squares = np.zeros(rotors)
+
+    def update(self, speeds: Array) -> None:
+        """Take (n, rotors) speeds in rad/s; NaN where missing."""
+        for run, there in runs(complete_rows(speeds)):
+            if not there:
+                continue
+            part = speeds[run]
+            self._samples += len(part)
+            self._sums += part.sum(axis=0), (part * part).sum(axis=0)
+            third = np.diff(part, 3, axis=0)
+            self._differences += len(third)
+            self._difference_squares += (third * third).sum(axis=0)
+
+    @property
+    def std(self) -> Array:
+        """(rotors,) rad/s."""
+        floor = np.full(self._sums.shape[1], ROUNDING_STD)
+        if self._dt > _FAST_ENOUGH or self._differences < 100:
+            return floor
+        seen = np.sqrt(self._difference_squares / self._differences / _THIRD_DIFFERENCE)
+        std: Array = np.maximum(seen, floor)
+        return std
+
+    def moments(self, smoother: Smoother, memory: float) -> Array:
+        """(WIDTH, WIDTH) what the noise adds to the moments of one row.
+
+        Args:
+            smoother: that made the rows.
+            memory: s, of the leaky sum over the rows.
+        """
+        out = np.zeros((WIDTH, WIDTH))
+        if self._samples == 0:
+            return out
+        average, derivative = smoother.noise_gains(memory)
+        mean_square = self._sums[1] / self._samples
+        x, y, s = self._geometry
+        mix = np.stack([-y, x, np.ones_like(x), s])  # roll, pitch, thrust, yaw
+        variance = self.std**2
+        out[:4, :4] = average * (mix * (4.0 * mean_square * variance)) @ mix.T
+        h = rigid_body.SIGNALS.index("dH")
+        out[h, h] = derivative * variance.sum()
+        return out

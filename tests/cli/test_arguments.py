@@ -1,0 +1,181 @@
+"""Command lines that cannot be used: one line on standard error, exit status 2, no traceback."""
+
+import argparse
+import os
+import subprocess
+import sys
+
+import pytest
+
+from gcs_sysid.cli import arguments
+from gcs_sysid.cli.main import run
+from gcs_sysid.estimation import article
+
+ERROR = "gcs-sysid: error: "
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """A folder with things that are not what they should be; the tests run in it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty.tlog").write_bytes(b"")
+    (tmp_path / "text.tlog").write_text("this is no recording\n" * 20)
+    (tmp_path / "flight.ulg").write_bytes(b"ULog\x01\x12\x35")
+    (tmp_path / "flight.bin").write_bytes(b"\xa3\x95\x80")
+    (tmp_path / "folder.tlog").mkdir()
+    (tmp_path / "wrong-key.toml").write_text("colour = 3\n")
+    (tmp_path / "broken.toml").write_text("mass = = 3\n")
+    (tmp_path / "truth.json").write_text("[1, 2]")
+    (tmp_path / "broken.json").write_text("{")
+    (tmp_path / "taken.tlog").write_bytes(b"x")
+    return tmp_path
+
+
+PAPER = ("--airframe", "paper")
+NOWHERE = "udpin:127.0.0.1:1"
+
+CASES = {
+    "missing log": (["analyze", "missing.tlog", *PAPER], "missing.tlog"),
+    "empty log": (["analyze", "empty.tlog", *PAPER], "empty.tlog"),
+    "no log": (["analyze", "text.tlog", *PAPER], "text.tlog"),
+    "folder for a log": (["analyze", "folder.tlog", *PAPER], "folder.tlog"),
+    "no airframe": (["analyze", "a.tlog"], "--airframe"),
+    "no such airframe": (["analyze", "a.tlog", "--airframe", "nonesuch"], "'nonesuch'"),
+    "missing airframe file": (["analyze", "a.tlog", "--airframe", "no.toml"], "no.toml"),
+    "wrong key": (["analyze", "a.tlog", "--airframe", "wrong-key.toml"], "'colour'"),
+    "broken airframe": (["analyze", "a.tlog", "--airframe", "broken.toml"], "broken.toml"),
+    "no scale": (["analyze", "a.tlog", "--airframe", "px4-quad-x"], "--mass"),
+    "T_max for speeds": (["analyze", "a.tlog", *PAPER, "--t-max", "5"], "T_max"),
+    "end before start": (["analyze", "a.tlog", *PAPER, "--start", "9", "--end", "5"], "--end"),
+    "missing truth": (["analyze", "a.tlog", *PAPER, "--truth", "no.json"], "no.json"),
+    "truth is a list": (["analyze", "a.tlog", *PAPER, "--truth", "truth.json"], "truth.json"),
+    "broken truth": (["analyze", "a.tlog", *PAPER, "--truth", "broken.json"], "broken.json"),
+    "bad link": (["live", "nonsense", *PAPER], "'nonsense'"),
+    "bad port": (["live", "udpin:0.0.0.0:99999", *PAPER], "99999"),
+    "no port": (["live", "udpin:0.0.0.0", *PAPER], "udpin:0.0.0.0"),
+    "log for a link": (["live", "flight.tlog", *PAPER], "analyze"),
+    "no such device": (["live", "/dev/nonesuch", *PAPER], "/dev/nonesuch"),
+    "nobody listens": (["live", "tcp:127.0.0.1:1", *PAPER], "refused"),
+    "address elsewhere": (["live", "udpin:192.0.2.1:14550", *PAPER], "192.0.2.1"),
+    "live without airframe": (["live", NOWHERE], "--airframe"),
+    "live without scale": (["live", NOWHERE, "--airframe", "px4-quad-x"], "--mass"),
+    "record twice told": (
+        ["live", NOWHERE, *PAPER, "--record", "a.tlog", "--no-record"],
+        "--no-record",
+    ),
+    "bad baud": (["live", "/dev/ttyUSB0", *PAPER, "--baud", "0"], "baud"),
+    "demo of no airframe": (["demo", "--airframe", "nonesuch"], "'nonesuch'"),
+    "unknown command": (["fly"], "fly"),
+    "unknown option": (["analyze", "a.tlog", "--frobnicate"], "--frobnicate"),
+    "no log named": (["analyze"], "LOG"),
+    "no link named": (["live"], "URL"),
+    "mass is no number": (["analyze", "a.tlog", *PAPER, "--mass", "heavy"], "'heavy'"),
+    "mass is zero": (["analyze", "a.tlog", *PAPER, "--mass", "0"], "positive"),
+    "mass is nan": (["analyze", "a.tlog", *PAPER, "--mass", "nan"], "'nan'"),
+    "two scales": (["analyze", "a.tlog", *PAPER, "--mass", "1", "--k-t", "1"], "not allowed"),
+    "arm": (["analyze", "a.tlog", *PAPER, "--arm", "-1"], "--arm"),
+    "method": (["analyze", "a.tlog", *PAPER, "--method", "magic"], "'magic'"),
+    "start": (["analyze", "a.tlog", *PAPER, "--start", "-3"], "--start"),
+    "vehicle": (["analyze", "a.tlog", *PAPER, "--vehicle", "256"], "'256'"),
+    "rate": (["live", NOWHERE, *PAPER, "--rate", "1e9"], "2000"),
+    "duration": (["live", NOWHERE, *PAPER, "--duration", "0"], "--duration"),
+    "demo speed": (["demo", "--speed", "3"], "--speed"),
+}
+
+
+@pytest.mark.usefixtures("files")
+@pytest.mark.parametrize(("argv", "names"), CASES.values(), ids=CASES.keys())
+def test_wrong_usage_gives_one_line(argv, names, capsys):
+    assert run(argv) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(ERROR)
+    assert err.count("\n") == 1
+    assert names in err
+
+
+@pytest.mark.parametrize("log", ["flight.ulg", "flight.bin"])
+@pytest.mark.usefixtures("files")
+def test_logs_of_other_kinds_that_are_none(log, capsys):
+    assert run(["analyze", log, *PAPER]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(ERROR + log)
+    assert err.count("\n") == 1
+
+
+def test_recordings_are_never_overwritten(files, capsys):
+    # A free port, for what comes after the recording is opened.
+    assert run(["live", "udpin:127.0.0.1:45871", *PAPER, "--record", "taken.tlog"]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(ERROR + "taken.tlog exists already")
+    assert err.count("\n") == 1
+    assert (files / "taken.tlog").read_bytes() == b"x"
+
+
+def test_no_command_shows_the_help(capsys):
+    assert run([]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("usage: gcs-sysid")
+    assert "analyze" in err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["missing log", "wrong key", "bad link", "no scale"])
+def test_the_program_itself(case, files):
+    argv, names = CASES[case]
+    done = subprocess.run(
+        [sys.executable, "-m", "gcs_sysid", *argv], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith(ERROR)
+    assert done.stderr.count("\n") == 1
+    assert names in done.stderr
+
+
+@pytest.mark.parametrize("argument", ["--help", "--version", "analyze --help", "demo --help"])
+def test_help_and_version_load_nothing_heavy(argument):
+    code = (
+        "import sys\nfrom gcs_sysid.__main__ import main\nstatus = main(sys.argv[1:])\n"
+        "heavy = {'numpy', 'scipy', 'textual', 'pymavlink'} & set(sys.modules)\n"
+        "print(sorted(heavy), file=sys.stderr)\nsys.exit(status)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, *argument.split()], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0
+    assert done.stderr == "[]\n"
+    assert done.stdout.startswith(("usage: gcs-sysid", "gcs-sysid "))
+
+
+def test_help_fits_a_terminal_of_80_columns():
+    done = subprocess.run(
+        [sys.executable, "-m", "gcs_sysid", "live", "--help"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "COLUMNS": "80"},
+        timeout=60,
+    )
+    assert max(map(len, done.stdout.splitlines())) <= 80
+
+
+def test_names_of_the_articles_methods_are_the_estimators():
+    assert article.METHODS == arguments.ARTICLE_METHODS
+
+
+@pytest.mark.parametrize(
+    ("text", "address"), [("1", (1, None)), ("255:0", (255, 0)), ("7:190", (7, 190))]
+)
+def test_vehicle_address(text, address):
+    assert arguments.vehicle_address(text) == address
+
+
+@pytest.mark.parametrize("text", ["", "0", "256", "-1", "a", "1:", "1:256", "1:2:3", "1.5"])
+def test_no_vehicle_address(text):
+    if text == "1:":
+        assert arguments.vehicle_address(text) == (1, None)
+        return
+    with pytest.raises(argparse.ArgumentTypeError):
+        arguments.vehicle_address(text)

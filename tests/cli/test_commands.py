@@ -1,0 +1,270 @@
+"""Commands that do their work: what they print, write and return."""
+
+import json
+import math
+import re
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from gcs_sysid.cli.main import run
+from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.telemetry.tlog import TlogWriter, read_tlog
+
+PAPER = ("--airframe", "paper")
+ESTIMATE_KEYS = {"value", "std", "ci95", "unit", "status"}
+RESULT_KEYS = {
+    *("schema", "verdict", "reasons", "source", "vehicle", "scale", "rotor_input"),
+    *("parameters", "timing", "events", "segments", "validation", "telemetry"),
+}
+
+
+def read_strict(text):
+    """JSON without NaN and infinity."""
+    return json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} in the JSON"))
+
+
+def check_contract(result):
+    """A result is as INTERFACE.md says."""
+    assert result.keys() >= RESULT_KEYS
+    assert result["schema"] == "gcs-sysid/1"
+    assert result["verdict"] in ("identified", "partial", "refused")
+    assert all(isinstance(reason, str) for reason in result["reasons"])
+    assert bool(result["reasons"]) is (result["verdict"] != "identified")
+    assert result["vehicle"].keys() == {"sysid", "compid", "autopilot"}
+    assert result["scale"] == {"anchor": "mass", "value": 1.5, "unit": "kg"}
+    assert result["rotor_input"] in ("speed", "command")
+    for table, known in (("parameters", PARAMETERS), ("timing", TIMING)):
+        assert result[table].keys() <= known.keys()
+        for name, estimate in result[table].items():
+            assert estimate.keys() == ESTIMATE_KEYS
+            assert estimate["unit"] == known[name].unit
+            assert estimate["status"] in ("identified", "given", "weak", "unobservable")
+            value, std = estimate["value"], estimate["std"]
+            if value is None:
+                assert estimate["ci95"] is None
+            else:
+                half = [1.96 * std] * 2
+                low, high = estimate["ci95"]
+                assert [value - low, high - value] == pytest.approx(half, rel=1e-4)
+    for event in result["events"]:
+        assert event.keys() >= {"t", "kind"}
+
+
+@pytest.fixture
+def analyze(capsys):
+    """Runs `analyze`; (status, standard output, standard error)."""
+
+    def analyze(*argv):
+        status = run(["analyze", *map(str, argv)])
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return analyze
+
+
+@pytest.fixture
+def no_imu(paper_flight, tmp_path):
+    """A recording without its IMU messages."""
+    path = tmp_path / "no-imu.tlog"
+    with TlogWriter(path) as writer:
+        for time_us, frame in read_tlog(paper_flight.tlog):
+            if frame.message_id != 105:  # HIGHRES_IMU
+                writer.write(time_us, [frame])
+    return path
+
+
+def test_json_on_standard_output_is_the_contract_and_nothing_else(analyze, paper_flight):
+    status, out, err = analyze(paper_flight.tlog, *PAPER, "--json", "-")
+    assert (status, err) == (0, "")
+    result = read_strict(out)
+    check_contract(result)
+    assert result["verdict"] == "identified"
+    assert result["source"] == str(paper_flight.tlog)
+    wanted = {"mass", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M"}
+    assert wanted <= result["parameters"].keys()
+    truth = paper_flight.truth
+    assert all(
+        math.isclose(result["parameters"][n]["value"], truth[n], rel_tol=0.05) for n in wanted
+    )
+
+
+def test_table_shows_truth_and_error(analyze, paper_flight):
+    status, out, err = analyze(paper_flight.tlog, *PAPER, "--truth", paper_flight.truth_file)
+    assert (status, err) == (0, "")
+    head, *rows = out.splitlines()[2:]
+    assert head.split()[0] == "parameter"
+    assert "truth" in head
+    assert "error %" in head
+    table = {row.split()[0]: row.split() for row in rows if row}
+    assert set(table) == {n for n in PARAMETERS if n not in ("T_max", "thrust_curve")}
+    for name in ("Ixx", "Izz", "k_M"):
+        value, truth, error = (float(table[name][k]) for k in (1, -2, -1))
+        assert truth == pytest.approx(paper_flight.truth[name], rel=1e-5)
+        assert error == pytest.approx(100 * (value / truth - 1), abs=0.01)
+    assert max(map(len, out.splitlines())) < 110
+
+
+def test_json_in_a_file_comes_beside_the_table(analyze, paper_flight, tmp_path):
+    path = tmp_path / "result.json"
+    status, out, _ = analyze(paper_flight.tlog, *PAPER, "--json", path)
+    assert status == 0
+    assert out.startswith("identified: ")
+    check_contract(read_strict(path.read_text()))
+
+
+def test_two_logs_make_a_list(analyze, paper_flight):
+    status, out, _ = analyze(paper_flight.tlog, paper_flight.tlog, *PAPER, "--json", "-")
+    results = read_strict(out)
+    assert status == 0
+    assert results[0] == results[1]
+    check_contract(results[1])
+
+
+def test_a_log_without_imu_is_refused_with_the_reason(analyze, no_imu):
+    status, out, err = analyze(no_imu, *PAPER, "--json", "-")
+    assert status == 1
+    assert err.startswith(f"gcs-sysid: {no_imu}: cannot identify from this: ")
+    assert err.count("\n") == 1
+    assert "no IMU" in err
+    result = read_strict(out)
+    check_contract(result)
+    assert result["verdict"] == "refused"
+    assert any("no IMU" in reason for reason in result["reasons"])
+    status, out, err = analyze(no_imu, *PAPER)
+    assert (status, out) == (1, "")
+    assert "no IMU" in err
+
+
+def test_json_that_cannot_be_written(analyze, paper_flight, tmp_path):
+    status, _, err = analyze(paper_flight.tlog, *PAPER, "--json", tmp_path / "no" / "r.json")
+    assert status == 2
+    assert err.startswith("gcs-sysid: error: ")
+    assert err.count("\n") == 1
+
+
+def test_scale_and_size_from_the_command_line(analyze, paper_flight):
+    px4 = ("--airframe", "px4-quad-x", "--arm", str(0.25 * math.sqrt(2)), "--mass", "1.5")
+    by_size = read_strict(analyze(paper_flight.tlog, *px4, "--json", "-")[1])
+    plain = read_strict(analyze(paper_flight.tlog, *PAPER, "--json", "-")[1])
+    heavy = read_strict(analyze(paper_flight.tlog, *PAPER, "--mass", "3", "--json", "-")[1])
+    for name in ("Ixx", "Izz", "k_T", "k_M"):
+        value = plain["parameters"][name]["value"]
+        # The same layout, written with other roundings.
+        assert by_size["parameters"][name]["value"] == pytest.approx(value, rel=1e-6)
+        assert heavy["parameters"][name]["value"] == pytest.approx(2 * value, rel=1e-9)
+    assert heavy["scale"] == {"anchor": "mass", "value": 3.0, "unit": "kg"}
+
+
+@pytest.mark.parametrize("method", ["forward-td", "article", "article-stepwise"])
+def test_methods_for_study(analyze, paper_flight, method):
+    status, out, _ = analyze(paper_flight.tlog, *PAPER, "--method", method, "--json", "-")
+    result = read_strict(out)
+    assert status == 0
+    izz = result["parameters"]["Izz"]
+    if method == "forward-td":
+        assert izz["value"] == pytest.approx(paper_flight.truth["Izz"], rel=0.06)
+    else:  # drawn to zero, and not claimed
+        assert abs(izz["value"]) < 0.5 * paper_flight.truth["Izz"]
+        assert izz["status"] != "identified"
+
+
+def test_start_and_end(analyze, paper_flight):
+    argv = (paper_flight.tlog, *PAPER, "--start", "20", "--end", "40", "--json", "-")
+    result = read_strict(analyze(*argv)[1])
+    assert 10.0 < result["telemetry"]["used_seconds"] <= 20.0
+
+
+def program(*argv):
+    return [sys.executable, "-m", "gcs_sysid", *map(str, argv)]
+
+
+@pytest.mark.slow
+def test_the_program_itself_prints_json(paper_flight):
+    done = subprocess.run(
+        program("analyze", paper_flight.tlog, *PAPER, "--json", "-"),
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    check_contract(read_strict(done.stdout))
+
+
+@pytest.mark.slow
+def test_a_reader_that_goes_away_is_no_error(paper_flight):
+    argv = program("analyze", paper_flight.tlog, *PAPER, "--json", "-")
+    process = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    err = process.stderr.read()
+    assert process.wait(120) == 0
+    assert err == b""
+
+
+@pytest.mark.slow
+def test_live_where_nobody_speaks_says_so_and_goes_on(tmp_path):
+    """It is stopped by Ctrl-C, after it has said that it listens."""
+    argv = program("live", "udpin:127.0.0.1:45873", *PAPER, "--headless", "--json", "-")
+    process = subprocess.Popen(
+        argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+    )
+    first = process.stderr.readline()
+    assert first == "listening on udpin:127.0.0.1:45873: no vehicle has spoken yet\n"
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "Traceback" not in err
+    assert re.search(r"recorded to logs/.*\.tlog", err)
+    (line,) = out.splitlines()
+    result = read_strict(line)
+    assert result["verdict"] == "refused"
+    assert result["reasons"][0] == "no autopilot's heartbeat was heard"
+
+
+@pytest.mark.slow
+def test_live_ends_after_its_duration(tmp_path):
+    argv = ("live", "udpin:127.0.0.1:45875", *PAPER, "--headless", "--duration", "0.5")
+    done = subprocess.run(
+        program(*argv, "--no-record"), capture_output=True, text=True, cwd=tmp_path, timeout=60
+    )
+    assert done.returncode == 1
+    assert "no vehicle has spoken yet" in done.stderr
+    assert "no autopilot's heartbeat was heard" in done.stdout
+    assert not (tmp_path / "logs").exists()
+
+
+@pytest.mark.slow
+def test_demo_ends_with_estimate_truth_and_error(tmp_path):
+    record, lines = tmp_path / "demo.tlog", tmp_path / "demo.json"
+    argv = ("demo", "--headless", "--speed", "max", "--duration", "20")
+    done = subprocess.run(
+        program(*argv, "--record", record, "--json", lines),
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        timeout=300,
+    )
+    assert done.returncode == 0
+    head = next(text for text in done.stdout.splitlines() if text.startswith("parameter"))
+    assert "truth" in head
+    assert "error %" in head
+    row = next(text for text in done.stdout.splitlines() if text.startswith("Ixx")).split()
+    assert abs(float(row[-1])) < 3.0
+    results = [read_strict(text) for text in lines.read_text().splitlines()]
+    assert len(results) > 10
+    for result in results[1:]:
+        check_contract(result)
+    # The recording, analysed, says the same.
+    again = subprocess.run(
+        program("analyze", record, *PAPER, "--json", "-"),
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    last, analysed = results[-1]["parameters"], read_strict(again.stdout)["parameters"]
+    assert last.keys() == analysed.keys()
+    for name, estimate in last.items():
+        assert estimate["value"] == pytest.approx(analysed[name]["value"], rel=1e-9, abs=0.0)

@@ -1,0 +1,244 @@
+"""The chain from records to results, on the article's flight."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.estimation.online import Tuning
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.records import Record, Stream
+from gcs_sysid.session import chain as chain_module
+from gcs_sysid.session.chain import Chain, ChainOptions
+
+END_ONLY = ChainOptions(course_interval=None)
+
+
+def run(records, options=END_ONLY, airframe=None):
+    chain = Chain(airframe or load_airframe("paper"), options)
+    for record in records:
+        chain.feed(record)
+    return chain, chain.finish()
+
+
+def values(result):
+    return {n: e.value for n, e in result.parameters.items() if e.value is not None}
+
+
+@pytest.fixture(scope="module")
+def whole(paper_records):
+    return run(paper_records)[1]
+
+
+def test_it_identifies_the_flight(whole, paper_flight):
+    assert whole.verdict == "identified"
+    assert whole.reasons == ()
+    for name in ("Ixx", "Izz", "cg_x", "k_T", "k_M"):
+        assert whole.parameters[name].value == pytest.approx(paper_flight.truth[name], rel=0.05)
+    assert whole.telemetry["grid_rate"] == pytest.approx(20.0)
+    assert 55.0 < whole.telemetry["used_seconds"] < 64.0
+    assert {n: e.unit for n, e in whole.parameters.items()} == {
+        n: PARAMETERS[n].unit for n in whole.parameters
+    }
+
+
+@pytest.mark.parametrize("tick", [0.001, 0.05, 0.5, 1.0])
+def test_size_of_blocks_does_not_matter(paper_records, whole, tick):
+    _, other = run(paper_records, replace(END_ONLY, tick=tick))
+    for name, estimate in whole.parameters.items():
+        # Not exactly: the gyro's bias is renewed once a block. Measured: 1 % of the std.
+        bar = 0.05 * estimate.std
+        assert other.parameters[name].value == pytest.approx(estimate.value, rel=1e-12, abs=bar)
+        assert other.parameters[name].status == estimate.status
+
+
+def test_course_does_not_move_the_final_result(paper_records, whole):
+    chain, result = run(paper_records, ChainOptions(course_interval=0.5))
+    assert values(result) == values(whole)
+    course = chain.course
+    assert len(course.t) > 100
+    assert np.all(np.diff(course.t) > 0.49)
+    assert set(course.value) == set(course.std) == set(PARAMETERS)
+    # The last point is the quick fit of nearly all data: well within its own interval.
+    last = course.value["Ixx"][-1]
+    assert last == pytest.approx(whole.parameters["Ixx"].value, abs=whole.parameters["Ixx"].std)
+    assert run(paper_records)[0].course.t.size == 0
+
+
+def test_start_and_end_cut_the_records(paper_records):
+    first = paper_records[0].t
+    cut = [r for r in paper_records if 20.0 <= r.t - first <= 50.0]
+    _, asked = run(paper_records, replace(END_ONLY, start=20.0, end=50.0))
+    _, given = run(cut)
+    assert 20.0 < asked.telemetry["used_seconds"] <= 30.0
+    assert values(asked) == values(given)
+
+
+def without(records, *streams):
+    return [r for r in records if r.stream not in streams]
+
+
+@pytest.mark.parametrize(
+    ("gone", "reason"),
+    [(Stream.IMU, "no IMU data"), (Stream.ROTOR_SPEED, "no rotor speeds")],
+)
+def test_what_is_missing_is_the_reason(paper_records, gone, reason):
+    _, result = run(without(paper_records, gone))
+    assert result.verdict == "refused"
+    (said,) = [r for r in result.reasons if r.startswith("no ")]
+    assert said.startswith(reason)
+    assert set(values(result)) == {"mass"}
+    assert result.parameters["mass"].status == "given"
+
+
+def test_without_attitude_the_accelerometer_gives_the_scale(paper_records, whole):
+    _, result = run(without(paper_records, Stream.ATTITUDE))
+    assert result.parameters["linear_drag"].value is None
+    assert result.parameters["k_T"].std > whole.parameters["k_T"].std
+    assert result.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.02)
+    # and where that leaves something open, the missing attitude is named
+    first = paper_records[0].t
+    short = [r for r in paper_records if r.t - first < 6.0]
+    _, result = run(without(short, Stream.ATTITUDE))
+    assert result.verdict == "partial"
+    assert any("no attitude" in reason for reason in result.reasons)
+
+
+def test_no_records_at_all():
+    chain = Chain(load_airframe("paper"))
+    result = chain.finish()
+    assert result.verdict == "refused"
+    assert len(result.reasons) >= 3
+    assert chain.attitude is None
+    result.dumps()
+
+
+def test_velocity_is_not_needed(paper_records):
+    _, result = run(without(paper_records, Stream.VELOCITY))
+    assert result.parameters["linear_drag"].value is None
+    assert result.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.02)
+
+
+def test_nothing_is_estimated_while_it_does_not_fly(paper_records):
+    grounded = [
+        r._replace(values=(0.0,)) if r.stream is Stream.IN_AIR else r for r in paper_records
+    ]
+    chain, result = run(grounded)
+    assert not chain.flying
+    assert result.verdict == "refused"
+    assert any("too little flight" in reason for reason in result.reasons)
+    assert result.telemetry["used_seconds"] == 0.0
+    assert chain.attitude is not None  # shown on the ground too
+
+
+def test_armed_and_turning_rotors_serve_where_in_air_is_not_told(paper_records, whole):
+    _, result = run(without(paper_records, Stream.IN_AIR))
+    for name in ("Ixx", "Izz", "k_T"):
+        estimate = whole.parameters[name]
+        assert result.parameters[name].value == pytest.approx(estimate.value, abs=estimate.std)
+    disarmed = [r._replace(values=(0.0,)) if r.stream is Stream.ARMED else r for r in paper_records]
+    _, result = run(without(disarmed, Stream.IN_AIR))
+    assert result.verdict == "refused"
+
+
+def test_less_than_three_seconds_claim_nothing(paper_records):
+    # The grid starts after 64 samples (3.2 s) and the first window takes 0.4 s.
+    first = paper_records[0].t
+    _, result = run([r for r in paper_records if r.t - first < 2.5])
+    assert result.verdict == "refused"
+    assert "Ixx" not in values(result)
+
+
+def test_reset_forgets_and_goes_on(paper_records):
+    chain = Chain(load_airframe("paper"))
+    half = len(paper_records) // 2
+    for record in paper_records[:half]:
+        chain.feed(record)
+    assert chain.used_seconds > 20.0
+    chain.reset()
+    assert chain.used_seconds == 0.0
+    assert chain.course.t.size == 0
+    assert chain.events[-1].text == "estimate reset"
+    assert "Ixx" not in values(chain.result())
+    for record in paper_records[half:]:
+        chain.feed(record)
+    result = chain.finish()
+    assert 20.0 < result.telemetry["used_seconds"] < 35.0
+    assert result.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.05)
+
+
+@pytest.mark.parametrize("boot", [0.0, 1000.0])
+def test_a_reboot_in_the_middle_costs_little(paper_records, boot):
+    """The vehicle's clock starts again, below or above where the log began."""
+    first = paper_records[0].t
+    half = len(paper_records) // 2
+    second = [r._replace(t=r.t - paper_records[half].t + 0.5) for r in paper_records[half:]]
+    before = [r._replace(t=r.t - first + boot) for r in paper_records[:half]]
+    chain, result = run([*before, *second])
+    assert result.telemetry["restarts"] == 1
+    # 64 samples to learn the step again, and two windows.
+    assert result.telemetry["used_seconds"] > 55.0
+    assert chain.t == pytest.approx(paper_records[-1].t - first, abs=4.0)
+    assert result.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.02)
+    # A limit counts the time of the session, not of the clock.
+    _, cut = run([*before, *second], replace(END_ONLY, end=45.0))
+    assert 30.0 < cut.telemetry["used_seconds"] < 45.0
+
+
+def test_a_gap_is_bridged(paper_records, whole):
+    first = paper_records[0].t
+    _, result = run([r for r in paper_records if not 30.0 < r.t - first < 33.0])
+    assert result.telemetry["restarts"] == 1
+    assert result.verdict == "identified"
+    for name in ("Ixx", "Izz", "k_M"):
+        estimate = whole.parameters[name]
+        assert result.parameters[name].value == pytest.approx(estimate.value, abs=2 * estimate.std)
+
+
+@pytest.mark.parametrize("smoother", ["window", "td"])
+def test_both_smoothers_identify(paper_records, paper_flight, smoother):
+    _, result = run(paper_records, replace(END_ONLY, tuning=Tuning(smoother=smoother)))
+    for name in ("Ixx", "Iyy", "Izz", "k_M"):
+        assert result.parameters[name].value == pytest.approx(paper_flight.truth[name], rel=0.06)
+
+
+def test_an_anchor_in_k_T_gives_the_mass(paper_records, whole):
+    k_T = whole.parameters["k_T"].value
+    _, result = run(paper_records, airframe=load_airframe("paper").with_anchor("k_T", k_T))
+    assert result.scale.anchor == "k_T"
+    assert result.parameters["k_T"].status == "given"
+    expected = {n: pytest.approx(v, rel=1e-12) for n, v in values(whole).items()}
+    assert values(result) == expected
+
+
+def test_an_airframe_without_scale_is_refused():
+    with pytest.raises(ValueError, match="no scale anchor"):
+        Chain(load_airframe("px4-quad-x"))
+
+
+def test_course_and_events_are_bounded(paper_records, monkeypatch):
+    monkeypatch.setattr(chain_module, "_MAX_COURSE", 32)
+    chain, _ = run(paper_records, ChainOptions(course_interval=0.5))
+    course = chain.course
+    assert 16 <= len(course.t) <= 32
+    assert np.all(np.diff(course.t) > 0.0)
+    assert course.t[-1] > 55.0  # it still covers the whole flight
+    assert course.t[0] < 10.0
+    for k in range(2000):
+        chain.note(f"mark {k}")
+    assert len(chain.events) <= 500
+    assert chain.events[-1].text == "mark 1999"
+
+
+def test_rotor_records_in_two_parts_are_one_set(paper_records, whole):
+    split = []
+    for r in paper_records:
+        if r.stream is Stream.ROTOR_SPEED:
+            split += [
+                Record(r.stream, r.t, r.values[:2], 0),
+                Record(r.stream, r.t, r.values[2:4], 2),
+            ]
+        else:
+            split.append(r)
+    assert values(run(split)[1]) == values(whole)

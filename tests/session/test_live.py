@@ -1,0 +1,281 @@
+"""Live sessions over real sockets, and their recordings."""
+
+import dataclasses
+import socket
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.live import LiveOptions, LiveSession
+from gcs_sysid.session.snapshot import LinkState
+from gcs_sysid.telemetry.link import TcpLink, UdpLink
+from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.urls import LinkUrl
+
+LISTEN = LiveOptions(listen_only=True, refit_interval=1.0)
+"""Sends nothing, and refits seldom, which the final numbers do not depend on."""
+LONGEST = 120.0
+"""s; a session that has not ended by then never will."""
+
+
+@pytest.fixture(scope="module")
+def airframe():
+    return load_airframe("paper")
+
+
+@pytest.fixture
+def udp():
+    link = UdpLink(LinkUrl("udpin", "udpin:127.0.0.1", host="127.0.0.1", port=0))
+    yield link
+    link.close()
+
+
+@pytest.fixture
+def tcp():
+    link = TcpLink(LinkUrl("tcpin", "tcpin:127.0.0.1", host="127.0.0.1", port=0))
+    yield link
+    link.close()
+
+
+@pytest.fixture
+def emulator():
+    """Starts the emulator as a program; ends it with the test."""
+    started = []
+
+    def start(*options):
+        process = subprocess.Popen(
+            [sys.executable, "-m", "sim_bridge", "--airframe", "paper", *options],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.terminate()
+        process.communicate(timeout=20)
+
+
+def finish(session):
+    """Wait for a session's own end."""
+    ended = session.join(LONGEST)
+    session.stop()
+    assert ended
+    assert session.problem is None
+    return session.final
+
+
+def assert_same_numbers(a, b):
+    """Every value of two results equal within 1e-9 relative; all else exactly."""
+    assert a.verdict == b.verdict
+    assert a.reasons == b.reasons
+    assert a.parameters.keys() == b.parameters.keys()
+    for name, first in a.parameters.items():
+        second = b.parameters[name]
+        assert first.status == second.status
+        for x, y in ((first.value, second.value), (first.std, second.std)):
+            assert x == (None if y is None else pytest.approx(y, rel=1e-9, abs=0.0)), name
+    assert a.vehicle == b.vehicle
+    assert a.telemetry["used_seconds"] == b.telemetry["used_seconds"]
+    assert a.telemetry["messages"] == b.telemetry["messages"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("speed", ["1", "4"])
+def test_udp_session_and_its_recording_give_the_same_numbers(
+    udp, emulator, airframe, tmp_path, speed
+):
+    target = f"udpout:127.0.0.1:{udp.port}"
+    flight = ("--mission", "all-axes", "--rate", "100", "--seed", "1")
+    length = str(12 * int(speed))
+    process = emulator("--connect", target, *flight, "--speed", speed, "--duration", length)
+    path = tmp_path / "live.tlog"
+    gone = lambda: process.poll() is not None  # noqa: E731
+    session = LiveSession(udp, airframe, LiveOptions(rate=100.0), path, sender_gone=gone)
+    session.start()
+    final = finish(session)
+    assert process.returncode == 0
+    # 3 s of ground, start of the grid and windows are less than half of it.
+    assert final.telemetry["used_seconds"] > 0.5 * float(length)
+    assert final.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.05)
+    assert_same_numbers(final, analyze_log(path, airframe))
+    latest = session.latest()
+    assert latest.result == final
+    assert latest.link.state is LinkState.ENDED
+    assert latest.link.vehicle.endswith("1:1")
+    assert latest.link.received == sum(1 for _ in read_tlog(path))
+
+
+@pytest.mark.slow
+def test_whole_flight_over_tcp_at_full_speed(tcp, emulator, airframe, tmp_path):
+    """TCP holds the emulator back: nothing is lost, and the result is that of a file."""
+    path, truth = tmp_path / "live.tlog", tmp_path / "truth.json"
+    told = []
+    noise = ("--noise", "paper", "--sigma", "0.02", "--rate", "20", "--seed", "1")
+    target = ("--connect", f"tcp:127.0.0.1:{tcp.port}", "--truth", str(truth))
+    process = emulator("--mission", "paper", *noise, "--speed", "max", *target)
+    gone = lambda: process.poll() is not None  # noqa: E731
+    session = LiveSession(tcp, airframe, LISTEN, path, gone, told.append)
+    session.start()
+    final = finish(session)
+    assert process.wait(20) == 0
+    assert final.verdict == "identified"
+    assert final.telemetry["lost"] == 0
+    assert_same_numbers(final, analyze_log(path, airframe))
+    assert len(told) > 3  # once a second of flight at most; at full speed less often
+    assert told[-1].parameters["Ixx"].value == pytest.approx(0.0165, rel=0.02)
+
+
+def replay(path, port, address="127.0.0.1"):
+    """Send a recording's frames as datagrams, at a pace that a receive buffer holds."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for _, frame in read_tlog(path):
+            sender.sendto(frame.raw, (address, port))
+
+
+def test_replayed_recording_gives_the_same_numbers(udp, airframe, paper_flight, tmp_path):
+    path = tmp_path / "again.tlog"
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, path, sender_gone=sent.is_set)
+    session.start()
+    replay(paper_flight.tlog, udp.port)
+    sent.set()
+    final = finish(session)
+    again = analyze_log(path, airframe)
+    assert_same_numbers(final, again)
+    # The loopback and 4 MB of buffer lose nothing of 0.5 MB: it is the flight itself.
+    assert final.telemetry["lost"] == 0
+    assert_same_numbers(final, analyze_log(paper_flight.tlog, airframe))
+
+
+def test_a_silent_link_is_said_to_be_silent_until_it_speaks(udp, airframe, paper_flight):
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set)
+    assert session.latest() is None
+    session.start()
+    first = session.latest()
+    assert first.link.state is LinkState.WAITING
+    assert first.link.vehicle == ""
+    assert first.result.verdict == "refused"
+    assert not session.join(0.3)  # it goes on listening
+    assert session.latest().link.state is LinkState.WAITING
+    replay(paper_flight.tlog, udp.port)
+    sent.set()
+    assert finish(session).verdict == "identified"
+
+
+def test_duration_ends_a_session_that_hears_nobody(udp, airframe):
+    session = LiveSession(udp, airframe, LiveOptions(duration=0.2))
+    session.start()
+    final = finish(session)
+    assert final.verdict == "refused"
+    assert final.reasons[0] == "no autopilot's heartbeat was heard"
+    assert session.latest().link.state is LinkState.ENDED
+
+
+def test_stop_ends_a_session(udp, airframe):
+    session = LiveSession(udp, airframe, LiveOptions())
+    session.start()
+    session.request_stop()
+    assert finish(session).verdict == "refused"
+    session.stop()  # again does no harm
+
+
+def test_marks_and_reset_reach_the_event_log(udp, airframe, paper_flight, tmp_path):
+    session = LiveSession(udp, airframe, LISTEN)
+    session.mark("gust")
+    session.reset()
+    session.start()
+    session.request_stop()
+    finish(session)
+    # Asked before the start, done in the session's first round, or never if it ended first.
+    assert [e.text for e in session.latest().events] in (["gust", "estimate reset"], [])
+
+
+def test_actions_are_done_while_it_runs(udp, airframe, tmp_path):
+    session = LiveSession(udp, airframe, LiveOptions(listen_only=True, duration=1.0))
+    session._recording_stem = tmp_path / "toggled.tlog"
+    session.start()
+    session.mark("gust")
+    said = session.toggle_recording()
+    finish(session)
+    texts = [e.text for e in session.latest().events]
+    assert texts == ["gust", said]
+    assert said == f"recording to {tmp_path / 'toggled.tlog'}"
+    assert (tmp_path / "toggled.tlog").exists()
+
+
+def test_a_recording_that_cannot_be_made_is_a_note(udp, airframe, paper_flight, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    path = tmp_path / "file" / "below.tlog"
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, path, sender_gone=sent.is_set)
+    session.start()
+    replay(paper_flight.tlog, udp.port)
+    sent.set()
+    assert finish(session).verdict == "identified"
+    latest = session.latest()
+    assert latest.link.recording == ""
+    assert any("not recording" in e.text and str(path) in e.text for e in latest.events)
+
+
+def test_a_disk_that_fails_in_flight_is_a_note(udp, airframe, paper_flight, tmp_path, monkeypatch):
+    def full(_file, _data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("gcs_sysid.telemetry.tlog._write_all", full)
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, tmp_path / "a.tlog", sender_gone=sent.is_set)
+    session.start()
+    replay(paper_flight.tlog, udp.port)
+    sent.set()
+    assert finish(session).verdict == "identified"
+    assert any("No space left" in e.text for e in session.latest().events)
+
+
+def test_what_goes_wrong_in_the_thread_is_handed_over(udp, airframe, paper_flight):
+    def broken(_result):
+        raise BrokenPipeError
+
+    session = LiveSession(udp, airframe, LISTEN, on_result=broken)
+    session.start()
+    replay(paper_flight.tlog, udp.port)
+    assert session.join(LONGEST)
+    assert isinstance(session.problem, BrokenPipeError)
+    assert session.latest().link.state is LinkState.ENDED
+
+
+def test_snapshots_do_not_change(udp, airframe, paper_flight):
+    sent = threading.Event()
+    seen = []
+    session = LiveSession(
+        udp,
+        airframe,
+        LISTEN,
+        sender_gone=sent.is_set,
+        on_result=lambda _: seen.append((session.latest(), repr(session.latest()))),
+    )
+    session.start()
+    replay(paper_flight.tlog, udp.port)
+    sent.set()
+    finish(session)
+    assert len(seen) > 5
+    assert all(repr(snapshot) == before for snapshot, before in seen)
+    last = session.latest()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        last.t = 0.0
+    assert last.link.url == "udpin:127.0.0.1"
+    assert last.link.rates["HIGHRES_IMU"] == pytest.approx(20.0, rel=0.05)
+    assert last.link.rejected == last.link.unknown == 0
+    assert last.link.lost_percent == 0.0
+    assert last.link.bytes_per_second > 1000.0
+    assert len(last.attitude) == len(last.rates) == 3
+    assert len(last.rotor_speeds) == 4
+    assert last.used_seconds > 55.0
+    assert last.course.t[-1] <= last.t
