@@ -46,7 +46,7 @@ def test_the_articles_flight_is_identified(paper_flight, paper_result):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [2, 3, 4])
+@pytest.mark.parametrize("seed", [2, 3])
 def test_other_seeds_of_it(fly, airframe, seed):
     flight = fly("--mission", "paper", *AS_THE_ARTICLE, "--seed", str(seed))
     result = analyze_log(flight.tlog, airframe)

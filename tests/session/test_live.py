@@ -87,14 +87,10 @@ def assert_same_numbers(a, b):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("speed", ["1", "4"])
-def test_udp_session_and_its_recording_give_the_same_numbers(
-    udp, emulator, airframe, tmp_path, speed
-):
+def test_udp_session_and_its_recording_give_the_same_numbers(udp, emulator, airframe, tmp_path):
     target = f"udpout:127.0.0.1:{udp.port}"
     flight = ("--mission", "all-axes", "--rate", "100", "--seed", "1")
-    length = str(12 * int(speed))
-    process = emulator("--connect", target, *flight, "--speed", speed, "--duration", length)
+    process = emulator("--connect", target, *flight, "--speed", "4", "--duration", "30")
     path = tmp_path / "live.tlog"
     gone = lambda: process.poll() is not None  # noqa: E731
     session = LiveSession(udp, airframe, LiveOptions(rate=100.0), path, sender_gone=gone)
@@ -102,7 +98,7 @@ def test_udp_session_and_its_recording_give_the_same_numbers(
     final = finish(session)
     assert process.returncode == 0
     # 3 s of ground, start of the grid and windows are less than half of it.
-    assert final.telemetry["used_seconds"] > 0.5 * float(length)
+    assert final.telemetry["used_seconds"] > 15.0
     assert final.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.05)
     assert_same_numbers(final, analyze_log(path, airframe))
     latest = session.latest()

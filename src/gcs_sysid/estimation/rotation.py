@@ -209,7 +209,7 @@ def _finish(
             for d in (at - _PROBE, at + _PROBE)
         ]
         scores = np.column_stack([scores, (cost[0] - cost[1]) / (2.0 * _PROBE)])
-    d = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    d = _scales(hessian)
     # A direction that the data do not see at all keeps a huge, finite variance.
     bread = np.linalg.inv(hessian / np.outer(d, d) + 1e-12 * np.eye(len(d)))
     covariance = sandwich(bread, scores / d) / np.outer(d, d)
@@ -312,7 +312,7 @@ def _minimise(
             gradient, hessian = _with_delay(bank, delays, unknown[:, -1], moments, Q, G, W)
         else:
             gradient, hessian = _normal_equations(moments, Q, G, W)
-        d = np.sqrt(np.maximum(np.diagonal(hessian, axis1=-2, axis2=-1), 1e-300))
+        d = _scales(hessian)
         H = hessian / (d[:, :, None] * d[:, None, :]) + damping[:, None, None] * np.eye(p)
         step = np.linalg.solve(H, (gradient / d)[..., None])[..., 0]
         # How much the cost can still fall, in units of the likelihood.
@@ -383,6 +383,12 @@ def _scores(batches: Array, Q: Array, G: Array, W: Array) -> Array:
     WG = (W @ G).reshape(len(G), -1)
     scores: Array = (Ryx - Q @ Rxx).reshape(len(batches), -1) @ WG.T
     return scores
+
+
+def _scales(hessian: Array) -> Array:
+    """(..., p) square roots of the diagonal, 1 where there is no information at all."""
+    diagonal = np.diagonal(hessian, axis1=-2, axis2=-1)
+    return np.sqrt(np.where(diagonal > 1e-100, diagonal, 1.0))
 
 
 def _inverse_spd(S: Array) -> Array:
