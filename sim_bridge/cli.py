@@ -4,6 +4,7 @@ import argparse
 import math
 import signal
 import sys
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
@@ -107,7 +108,7 @@ def make_parser() -> argparse.ArgumentParser:
         help="udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or a serial "
         f"device (default: {DEFAULT_CONNECT}, or none with --tlog)",
     )
-    add("--baud", type=int, default=921600, help="of a serial device (default: 921600)")
+    add("--baud", type=int, default=115200, help="of a serial device (default: 115200)")
     add(
         "--speed",
         type=_speed,
@@ -117,6 +118,8 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add("--tlog", type=Path, metavar="FILE", help="write the flight straight to a .tlog")
     add("--truth", type=Path, metavar="FILE", help="write the true parameters as JSON")
+    # For a program that starts this one: however it ends, its pipe closes.
+    parser.add_argument("--until-stdin-closes", action="store_true", help=argparse.SUPPRESS)
     return parser
 
 
@@ -149,6 +152,11 @@ def run(args: argparse.Namespace) -> None:
             link.close()
 
 
+def _end_with_stdin() -> None:
+    sys.stdin.buffer.read()
+    signal.raise_signal(signal.SIGTERM)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; the exit status. For the main thread: it takes SIGTERM while it runs."""
     args = make_parser().parse_args(argv)
@@ -157,6 +165,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise KeyboardInterrupt
 
     before = signal.signal(signal.SIGTERM, stop)
+    if args.until_stdin_closes:
+        threading.Thread(target=_end_with_stdin, daemon=True).start()
     try:
         run(args)
     except KeyboardInterrupt:

@@ -1,6 +1,7 @@
 """The loop that flies a mission and talks: paced by the clock, or as fast as it goes."""
 
 import json
+import os
 import sys
 import time
 from pathlib import Path
@@ -59,7 +60,10 @@ class TruthFile:
         if events:
             content["events"] = events
         try:
-            self._path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+            # Whole or not at all: somebody may be waiting for the file.
+            part = self._path.with_name(self._path.name + ".part")
+            part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+            os.replace(part, self._path)
         except OSError as error:
             raise InputError(f"cannot write {self._path}: {error.strerror}") from error
 

@@ -113,16 +113,15 @@ def test_no_fit_without_data_or_response(truth, flight):
 @pytest.mark.parametrize("step", [0.1, 0.37])
 def test_grouping_of_samples_does_not_matter(truth, flight, step):
     estimators = [OnlineEstimator(truth.geometry, DT, Tuning()) for _ in range(2)]
-    n = len(flight.gyro)
-    estimators[0].update(flight)
+    n, measured = len(flight.gyro), noisy(flight, 0.02, 1)
+    estimators[0].update(measured)
     for k in range(0, n, round(step / DT)):
-        estimators[1].update(part(flight, slice(k, k + round(step / DT))))
+        estimators[1].update(part(measured, slice(k, k + round(step / DT))))
     whole, parts = (e.fit() for e in estimators)
     assert whole.seconds == parts.seconds > 25.0
-    # Sums in another order; the fit of a flight without noise amplifies the rounding.
-    np.testing.assert_allclose(
-        parts.rotation.theta / SIZE, whole.rotation.theta / SIZE, rtol=0.0, atol=1e-6
-    )
+    # Sums in another order; the minimiser stops at a small fraction of a standard deviation.
+    difference = np.abs(parts.rotation.theta - whole.rotation.theta)
+    assert np.all(difference < 1e-3 * whole.rotation.std)
     assert parts.translation.kappa == pytest.approx(whole.translation.kappa, rel=1e-9)
 
 
@@ -243,8 +242,8 @@ def test_a_delay_of_the_rotors_is_found(truth, flight, delay):
     assert np.all(np.abs(fit.theta - truth.theta) < 4.0 * fit.std + 0.02 * SIZE)
     if delay > 0.02:  # which matters: without it the estimate is far off
         plain = rotation_fit(truth, samples, WindowSmoother(DT, 20))
-        assert abs(plain.theta[2] / truth.theta[2] - 1.0) > 0.1
-        assert abs(fit.theta[2] / truth.theta[2] - 1.0) < 0.05
+        assert abs(plain.theta[2] / truth.theta[2] - 1.0) > 0.05
+        assert abs(fit.theta[2] / truth.theta[2] - 1.0) < 0.02
 
 
 def test_noise_of_the_speeds_is_known_and_taken_out(truth, flight):

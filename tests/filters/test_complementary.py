@@ -190,3 +190,13 @@ def test_restart_forgets_the_attitude_and_keeps_the_bias():
 def test_empty_block():
     filter_ = ComplementaryFilter(0.01)
     assert filter_.update(np.zeros((0, 3)), np.zeros((0, 4))).shape == (0, 4)
+
+
+def test_grouping_of_samples_does_not_matter_with_bias():
+    rates, q = fly(gentle, 0.02, 20.0)
+    whole, parts = ComplementaryFilter(0.02), ComplementaryFilter(0.02)
+    out = whole.update(rates + 0.03, q)
+    joined = [parts.update(rates[k : k + 7] + 0.03, q[k : k + 7]) for k in range(0, len(q), 7)]
+    assert np.abs(whole.bias).max() > 0.01
+    np.testing.assert_allclose(parts.bias, whole.bias, rtol=1e-12)
+    np.testing.assert_allclose(np.concatenate(joined), out, rtol=0.0, atol=1e-13)

@@ -9,7 +9,7 @@ from gcs_sysid.estimation.online import Tuning
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.records import Record, Stream
-from gcs_sysid.session import chain as chain_module
+from gcs_sysid.session import course as course_module
 from gcs_sysid.session.chain import Chain, ChainOptions
 
 END_ONLY = ChainOptions(course_interval=None)
@@ -215,7 +215,7 @@ def test_an_airframe_without_scale_is_refused():
 
 
 def test_course_and_events_are_bounded(paper_records, monkeypatch):
-    monkeypatch.setattr(chain_module, "_MAX_COURSE", 32)
+    monkeypatch.setattr(course_module, "MAX_POINTS", 32)
     chain, _ = run(paper_records, ChainOptions(course_interval=0.5))
     course = chain.course
     assert 16 <= len(course.t) <= 32

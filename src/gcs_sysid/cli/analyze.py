@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from gcs_sysid.cli import arguments, output
@@ -25,28 +26,39 @@ def run(options: argparse.Namespace) -> int:
         start=options.start,
         end=options.end,
     )
+    target = output.open_output(options.json) if options.json else None
     results: list[Result] = []
+    unreadable = 0
     for log in options.logs:
-        result = analyze_log(Path(log), airframe, options.vehicle, chain, output.progress_bar(log))
+        try:
+            result = analyze_log(
+                Path(log), airframe, options.vehicle, chain, output.progress_bar(log)
+            )
+        except InputError as error:
+            # The others may still be good.
+            print(f"gcs-sysid: error: {error}", file=sys.stderr)
+            unreadable += 1
+            continue
         results.append(result)
-        if result.verdict == "refused":
-            why = "; ".join(result.reasons)
-            print(f"gcs-sysid: {log}: cannot identify from this: {why}", file=sys.stderr)
-        if options.json != "-" and any(
-            e.value is not None and e.status != "given" for e in result.parameters.values()
-        ):
-            print(output.result_table(result, truth))
-    if options.json:
+        _print(log, result, truth, table=options.json != "-")
+    if target and results:
         documents = [result.as_json() for result in results]
-        text = json.dumps(
-            documents[0] if len(documents) == 1 else documents, indent=2, allow_nan=False
-        )
-        if options.json == "-":
-            print(text)
-        else:
-            with output.open_output(options.json) as file:
-                print(text, file=file)
+        document = documents[0] if len(options.logs) == 1 else documents
+        print(json.dumps(document, indent=2, allow_nan=False), file=target)
+    if target and target is not sys.stdout:
+        target.close()
+    if unreadable:
+        return 2
     return 1 if any(result.verdict == "refused" for result in results) else 0
+
+
+def _print(log: str, result: Result, truth: Mapping[str, float] | None, *, table: bool) -> None:
+    if result.verdict == "refused":
+        why = "; ".join(result.reasons)
+        print(f"gcs-sysid: {log}: cannot identify from this: {why}", file=sys.stderr)
+    known = any(e.value is not None and e.status != "given" for e in result.parameters.values())
+    if table and known:
+        print(output.result_table(result, truth))
 
 
 def _tuning(method: str) -> Tuning:

@@ -28,6 +28,14 @@ def vehicle_address(text: str) -> tuple[int, int | None]:
     return address
 
 
+def mass(text: str) -> float:
+    """An argparse type: kg of something that flies."""
+    value = positive(text)
+    if not 1e-3 <= value <= 1e5:
+        raise argparse.ArgumentTypeError(f"must lie between 0.001 and 100000 kg, got {text!r}")
+    return value
+
+
 def rate(text: str) -> float:
     """An argparse type: a message rate in Hz."""
     value = positive(text)
@@ -47,7 +55,7 @@ def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -
     )
     group.add_argument("--arm", type=positive, metavar="M", help="scale rotor distance to M metres")
     scale = group.add_mutually_exclusive_group()
-    scale.add_argument("--mass", type=positive, metavar="KG", help="weighed mass as the scale")
+    scale.add_argument("--mass", type=mass, metavar="KG", help="weighed mass as the scale")
     scale.add_argument("--k-t", type=positive, metavar="N_S2", help="known k_T as the scale")
     scale.add_argument(
         "--t-max", type=positive, metavar="N", help="known thrust of a rotor at full command"
@@ -76,7 +84,9 @@ def add_live(parser: argparse.ArgumentParser) -> None:
     """Options of `live`."""
     parser.add_argument("url", metavar="URL", help="such as udpin:0.0.0.0:14550")
     _add_airframe(parser)
-    parser.add_argument("--baud", type=int, default=115200, help="of a serial port")
+    parser.add_argument(
+        "--baud", type=int, default=115200, help="of a serial port (default 115200)"
+    )
     parser.add_argument("--record", metavar="FILE", help="default: a dated .tlog under logs/")
     parser.add_argument("--no-record", action="store_true", help="keep no recording")
     parser.add_argument("--listen-only", action="store_true", help="send nothing at all")

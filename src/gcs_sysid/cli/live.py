@@ -106,13 +106,15 @@ def follow(
     if on_screen:
         from gcs_sysid.screen.app import SysidApp
 
-        session.start()
-        try:
-            SysidApp(session, truth).run()
-        finally:
-            session.stop()
+        app = SysidApp(session, truth)
+        with _on_signals(app.exit):
+            session.start()
+            try:
+                app.run()
+            finally:
+                session.stop()
     else:
-        with _stop_on_signals(session):
+        with _on_signals(session.request_stop):
             session.start()
             _say_until_end(session)
     if session.problem is not None:
@@ -124,20 +126,21 @@ def follow(
     writer.close()
     if not writer.to_stdout:
         print(output.result_table(session.final, truth))
-    latest = session.latest()
-    if latest and latest.link.recording:
-        print(f"recorded to {latest.link.recording}", file=sys.stderr)
+    for line in session.recordings():
+        print(line, file=sys.stderr)
     return 1 if session.final.verdict == "refused" else 0
 
 
 @contextlib.contextmanager
-def _stop_on_signals(session: LiveSession) -> Iterator[None]:
-    """Ctrl-C and SIGTERM end the session cleanly, with its result."""
+def _on_signals(stop: Callable[[], None]) -> Iterator[None]:
+    """Ctrl-C, SIGTERM and a lost terminal end the session cleanly, with its result."""
 
-    def stop(_number: int, _frame: FrameType | None) -> None:
-        session.request_stop()
+    def act(_number: int, _frame: FrameType | None) -> None:
+        stop()
 
-    before = {n: signal.signal(n, stop) for n in (signal.SIGINT, signal.SIGTERM)}
+    names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows has no SIGHUP
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    before = {number: signal.signal(number, act) for number in numbers}
     try:
         yield
     finally:

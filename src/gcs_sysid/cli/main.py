@@ -78,3 +78,14 @@ def run(argv: Sequence[str]) -> int:
         return DONE
     except KeyboardInterrupt:
         return 130
+    except Exception as error:
+        # A defect. The user gets one line; whoever mends it sets GCS_SYSID_DEBUG.
+        if os.environ.get("GCS_SYSID_DEBUG"):
+            raise
+        kind = type(error).__name__
+        print(
+            f"{PROGRAM}: error: internal error ({kind}: {error}); "
+            "please report it, with GCS_SYSID_DEBUG=1 set",
+            file=sys.stderr,
+        )
+        return USAGE

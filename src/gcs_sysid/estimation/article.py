@@ -11,13 +11,12 @@ from typing import Literal
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.regression import Samples, complete_rows
+from gcs_sysid.estimation.regression import Samples, complete_rows, runs
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.filters.differentiator import (
     ARTICLE_A,
     ARTICLE_B,
     ARTICLE_R,
-    central_difference,
     nonlinear_differentiator,
 )
 from gcs_sysid.model import rigid_body as rb
@@ -93,19 +92,23 @@ class ArticleEstimator:
         self._rls = BlockRls(N_DIRECT)
         self._modes = [_Mode(np.zeros((N_DIRECT, N_DIRECT)), np.zeros(N_DIRECT)) for _ in range(3)]
         self._last: tuple[Array, tuple[Array, Array]] | None = None
+        self._held: tuple[Array, Array] | None = None
         self._samples = 0
 
     def restart(self) -> None:
         """A gap: the differentiator starts anew."""
         self._last = None
+        self._held = None
 
     def update(self, samples: Samples) -> None:
-        """Take a block of samples; incomplete ones are left out."""
-        there = complete_rows(samples.gyro) & complete_rows(samples.speeds)
-        gyro, speeds = samples.gyro[there], samples.speeds[there]
-        if len(gyro) == 0:
-            return
-        accelerations = self._differentiate(gyro)
+        """Take a block of samples; a missing one ends a run."""
+        for run, there in runs(complete_rows(samples.gyro) & complete_rows(samples.speeds)):
+            if there:
+                self._take(*self._differentiate(samples.gyro[run], samples.speeds[run]))
+            else:
+                self.restart()
+
+    def _take(self, gyro: Array, speeds: Array, accelerations: Array) -> None:
         rotors, _ = rb.rotor_signals(self._geometry, speeds)
         phi, y = rb.direct_rows(gyro, accelerations, rotors)
         for k in range(len(gyro)):
@@ -137,9 +140,14 @@ class ArticleEstimator:
             theta, covariance, np.full((3, 3), np.nan), np.zeros(3), self._samples, True
         )
 
-    def _differentiate(self, gyro: Array) -> Array:
+    def _differentiate(self, gyro: Array, speeds: Array) -> tuple[Array, Array, Array]:
+        """Samples with their accelerations; central differences come one sample late."""
         if self._method == "central-difference":
-            return central_difference(gyro, self._dt) if len(gyro) > 1 else np.zeros_like(gyro)
+            if self._held is not None:
+                gyro = np.vstack([self._held[0], gyro])
+                speeds = np.vstack([self._held[1], speeds])
+            self._held = gyro[-2:], speeds[-2:]
+            return gyro[1:-1], speeds[1:-1], (gyro[2:] - gyro[:-2]) / (2.0 * self._dt)
         before = self._last
         v = gyro if before is None else np.vstack([before[0], gyro])
         usual = self._method == "article-usual-td"
@@ -153,7 +161,7 @@ class ArticleEstimator:
             start=None if before is None else before[1],
         )
         self._last = (gyro[-1], (z1[-1], z2[-1]))
-        return z2 if before is None else z2[1:]
+        return gyro, speeds, z2 if before is None else z2[1:]
 
     def _stepwise(self) -> Array:
         """Solve for a few parameters at a time, the others held at what is known so far."""

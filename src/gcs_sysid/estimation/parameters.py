@@ -87,27 +87,24 @@ def physical_parameters(
         ):
             value, std = float(rotation.theta[index]), float(rotation.std[index])
             out[name] = _judged(value, std, abs(value) if yardstick is None else yardstick)
-    if translation is None:
-        return out
-    relative = translation.kappa_std / translation.kappa if translation.kappa > 0 else math.inf
-    if not relative < 1.0:
-        return out
-    if kind == "mass":
-        k_T, mass = known * translation.kappa, known
-        k_T_spread = relative
-        out["k_T"] = _judged(k_T, k_T * relative, k_T)
-    else:
-        k_T, mass = known, known / translation.kappa
-        k_T_spread = 0.0
-        out["mass"] = _judged(mass, mass * relative, mass)
-    if math.isfinite(translation.delta):
-        drag, std = mass * translation.delta, mass * translation.delta_std
-        out["linear_drag"] = _judged(drag, std, max(abs(drag), 0.05 * mass))
+    k_T, k_T_share = (known, 0.0) if kind == "k_T" else (None, math.inf)
+    if translation is not None and translation.kappa > 0.0:
+        kappa, share = translation.kappa, translation.kappa_std / translation.kappa
+        if share < 1.0:
+            if kind == "mass":
+                k_T, k_T_share, mass = known * kappa, share, known
+                out["k_T"] = _judged(k_T, k_T * share, k_T)
+            else:
+                mass = known / kappa
+                out["mass"] = _judged(mass, mass * share, mass)
+            if math.isfinite(translation.delta):
+                drag, std = mass * translation.delta, mass * translation.delta_std
+                out["linear_drag"] = _judged(drag, std, max(abs(drag), 0.05 * mass))
     if rotation is not None:
-        out |= _scaled(rotation, k_T, k_T_spread)
-        out |= {
-            n: _doubted(out[n], float(rotation.r_squared[list(a)].min())) for n, a in _AXES.items()
-        }
+        if k_T is not None:
+            out |= _scaled(rotation, k_T, k_T_share)
+        for name, axes in _AXES.items():
+            out[name] = _doubted(out[name], float(rotation.r_squared[list(axes)].min()))
     return out
 
 

@@ -18,6 +18,8 @@ from gcs_sysid.model import attitude
 
 DEFAULT_K_P = 1.0
 """1/s; between 0.5 and 2 is best for the noise of common sensors."""
+BIAS_INTERVAL = 0.1
+"""s between renewals of the bias."""
 DEFAULT_K_I = 0.05
 """1/s^2 for the gyro bias: settles in about 20 s."""
 
@@ -54,8 +56,13 @@ class ComplementaryFilter:
         self.k_p = k_p
         self.k_i = k_i
         self.bias = np.zeros(3)
-        """Gyro bias, rad/s, body axes."""
+        """Gyro bias, rad/s, body axes, as known after the last sample."""
+        self.biases = np.zeros((0, 3))
+        """(n, 3) the bias that was taken off each sample of the last block."""
         self._error = np.zeros(3)
+        self._error_sum = np.zeros(3)
+        self._bias_samples = max(1, round(BIAS_INTERVAL / dt))
+        self._until_bias = self._bias_samples
         self._last_reference: Array | None = None
         self._last_rates = np.zeros(3)
 
@@ -65,7 +72,7 @@ class ComplementaryFilter:
         self._error = np.zeros(3)
 
     def update(self, rates: Array, reference: Array) -> Array:
-        """Filter a block.
+        """Filter a block; how samples are grouped in blocks does not matter.
 
         Args:
             rates: (n, 3) gyro, rad/s.
@@ -74,8 +81,27 @@ class ComplementaryFilter:
         Returns:
             (n, 4) filtered attitude.
         """
-        if len(rates) == 0:
-            return reference
+        out = np.empty_like(reference)
+        self.biases = np.empty_like(rates)
+        done = 0
+        while done < len(rates):
+            # The bias is renewed after a fixed number of samples, not at the ends of blocks.
+            part = slice(done, min(len(rates), done + self._until_bias))
+            self.biases[part] = self.bias
+            error = self._follow(rates[part], reference[part])
+            out[part] = attitude.multiply(attitude.from_rotation_vector(error), reference[part])
+            in_body = attitude.rotate(attitude.conjugate(reference[part]), error)
+            self._error_sum += in_body.sum(axis=0)
+            self._until_bias -= len(error)
+            done = part.stop
+            if self._until_bias == 0:
+                self.bias = self.bias + self.k_i * self.dt * self._error_sum
+                self._error_sum = np.zeros(3)
+                self._until_bias = self._bias_samples
+        return out
+
+    def _follow(self, rates: Array, reference: Array) -> Array:
+        """(n, 3) rotation from reference to estimate, world axes, with the bias as it is."""
         starts = self._last_reference is None
         if self._last_reference is None:
             self._last_reference = reference[0]
@@ -83,11 +109,8 @@ class ComplementaryFilter:
         before = np.vstack([self._last_reference, reference])
         unbiased = np.vstack([self._last_rates, rates]) - self.bias
         middle = 0.5 * (unbiased[1:] + unbiased[:-1])
-        halfway = (
-            before[:-1]
-            + np.where(np.sum(before[1:] * before[:-1], axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
-            * before[1:]
-        )
+        same_sign = np.where(np.sum(before[1:] * before[:-1], axis=-1, keepdims=True) < 0, -1, 1)
+        halfway = before[:-1] + same_sign * before[1:]
         halfway /= np.linalg.norm(halfway, axis=-1, keepdims=True)
         turned = attitude.rotate(halfway, middle) * self.dt
         moved = attitude.to_rotation_vector(
@@ -96,12 +119,9 @@ class ComplementaryFilter:
         if starts:
             turned[0] = 0.0  # no time has passed before the first sample
         a = np.exp(-self.k_p * self.dt)
+        error: Array
         error, _ = lfilter([1.0], [1.0, -a], turned - moved, axis=0, zi=(a * self._error)[None, :])
         self._error = error[-1]
         self._last_reference = reference[-1]
         self._last_rates = rates[-1]
-        if self.k_i:
-            in_body = attitude.rotate(attitude.conjugate(reference), error)
-            self.bias = self.bias + self.k_i * self.dt * in_body.sum(axis=0)
-        filtered: Array = attitude.multiply(attitude.from_rotation_vector(error), reference)
-        return filtered
+        return error

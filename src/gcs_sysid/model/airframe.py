@@ -19,6 +19,9 @@ AnchorName = Literal["mass", "k_T", "T_max"]
 ANCHORS: dict[AnchorName, str] = {"mass": "kg", "k_T": "N s^2", "T_max": "N"}
 """The values that can set the scale, with their units."""
 
+MOST_ARM = 100.0
+"""m; a rotor further out than this is a slip of the pen."""
+
 SIMULATION_TABLE = "simulation"
 """A table for the emulator alone. This reader drops it unread: truth never gets in here."""
 
@@ -153,7 +156,7 @@ def read_airframe_table(name_or_path: str) -> tuple[dict[str, Any], str]:
             raise InputError(f"{where}: cannot read the airframe file: {reason}") from error
     try:
         return tomllib.loads(text), where
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
         raise InputError(f"{where}: not valid TOML: {error}") from error
 
 

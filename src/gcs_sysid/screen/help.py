@@ -14,7 +14,7 @@ from gcs_sysid.screen import formatting as fmt
 KEYS = (
     ("↑ ↓  j k", "choose the parameter in the plot (or click on it)"),
     ("tab  1-4", "next page, on a small terminal"),
-    ("m", "write a mark into the events and the recording"),
+    ("m", "write a mark into the events"),
     ("r", "reset: forget what was gathered, estimate anew"),
     ("R  ctrl+r", "start or stop recording"),
     ("p", "pause the display; the identification goes on"),

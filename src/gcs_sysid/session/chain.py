@@ -14,7 +14,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.online import Fit, OnlineEstimator, Tuning
 from gcs_sysid.estimation.parameters import (
-    NOTHING,
+    WEAK_BELOW_R2,
     Value,
     physical_parameters,
     rotor_delay,
@@ -26,12 +26,12 @@ from gcs_sysid.model import attitude
 from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
 from gcs_sysid.records import Record, Stream
+from gcs_sysid.session.course import CourseRecorder
 from gcs_sysid.session.result import Estimate, Result, Scale
 from gcs_sysid.session.snapshot import Course, Event
 from gcs_sysid.session.timebase import Block, TimeBase
 
 _MAX_EVENTS = 300
-_MAX_COURSE = 4096
 _MIN_SECONDS = 3.0
 """Flight time in s below which nothing is claimed."""
 _STEP_BACK = 1.0
@@ -90,7 +90,7 @@ class Chain:
         self._seen: set[Stream] = set()
         self._next_refit = -np.inf
         self._fit = Fit(None, None, 0.0)
-        self._course: list[tuple[float, dict[str, Value]]] = []
+        self._course = CourseRecorder()
         self._course_step = options.course_interval
 
     def feed(self, record: Record) -> bool:
@@ -145,26 +145,17 @@ class Chain:
     @property
     def course(self) -> Course:
         """How the estimates moved so far."""
-        t = np.array([c[0] for c in self._course])
-        names = PARAMETERS if self._course else ()
-
-        def series(name: str, field: str) -> Array:
-            raw = [getattr(c[1].get(name, NOTHING), field) for c in self._course]
-            return np.array([np.nan if v is None else v for v in raw])
-
-        return Course(
-            t,
-            {name: series(name, "value") for name in names},
-            {name: series(name, "std") for name in names},
-        )
+        return self._course.course()
 
     def result(self) -> Result:
         """The latest fit as a result."""
         values = self._parameters()
         word, reasons = verdict(values)
-        reasons = (*self._data_reasons(), *reasons)
-        if word == "refused" or self._fit.rotation is None:
-            word = "refused"
+        first = self._data_reasons()
+        if self._fit.rotation is None:
+            word, reasons = "refused", first or reasons
+        else:
+            reasons = (*first, *reasons)
         kind, known = self.anchor
         return Result(
             verdict=word,  # type: ignore[arg-type]
@@ -205,21 +196,35 @@ class Chain:
         }
 
     def _data_reasons(self) -> tuple[str, ...]:
-        reasons = []
+        """What is missing, the first cause alone: the rest follows from it."""
+        if not self._seen:
+            if self._first is None:
+                return ("no telemetry that can be used",)
+            seconds = self._newest - self._began
+            return (f"nothing between --start and --end: the record lasts {seconds:.1f} s",)
         if Stream.IMU not in self._seen:
-            reasons.append("no IMU data (HIGHRES_IMU): ask the autopilot for it, or see --rate")
+            return ("no IMU data (HIGHRES_IMU): the autopilot must be asked for it",)
         if Stream.ROTOR_SPEED not in self._seen:
-            reasons.append("no rotor speeds (ESC_STATUS): the ESCs must send rpm telemetry")
+            return ("no rotor speeds (ESC_STATUS): the ESCs must send rpm telemetry",)
         if Stream.ATTITUDE not in self._seen:
-            reasons.append("no attitude (ATTITUDE or ATTITUDE_QUATERNION)")
-        if not reasons and self._fit.rotation is None:
-            reasons.append("too little flight with all the needed data together")
-        return tuple(reasons)
+            return ("no attitude (ATTITUDE or ATTITUDE_QUATERNION)",)
+        if self._fit.rotation is None:
+            return ("too little flight in which all the needed data came together",)
+        if self._fit.rotation.r_squared.min() < WEAK_BELOW_R2:
+            share = 100.0 * self._fit.rotation.r_squared.min()
+            return (
+                f"the rotors explain only {share:.0f} % of the motion on one axis: "
+                "fly it harder than the wind does, and check the motor order",
+            )
+        return ()
 
     def _take(self, block: Block) -> bool:
         assert self._first is not None
         samples = self._samples(block)
-        if self._estimator is None or abs(self._estimator.dt - self._time_base.dt) > 1e-9:
+        if self._estimator is None or self._estimator.dt != self._time_base.dt:
+            if self._estimator is not None:
+                old, new = 1.0 / self._estimator.dt, 1.0 / self._time_base.dt
+                self.note(f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate starts anew")
             self._estimator = OnlineEstimator(
                 self.airframe.geometry, self._time_base.dt, self.options.tuning
             )
@@ -235,11 +240,7 @@ class Chain:
             return False
         self._next_refit = self.t + self._course_step
         self._fit = self._estimator.fit(quick=True)
-        self._course.append((self.t, self._parameters()))
-        if len(self._course) > _MAX_COURSE:
-            # Half the points and from now on half as often: bounded, whatever the flight.
-            self._course = self._course[::2]
-            self._course_step *= 2.0
+        self._course.append(self.t, self._parameters())
         return True
 
     def _samples(self, block: Block) -> Samples:
@@ -248,14 +249,13 @@ class Chain:
         gyro, force = imu[:, :3], imu[:, 3:]
         reference = _stream(block, Stream.ATTITUDE, n, 4)
         reference = reference / np.linalg.norm(reference, axis=1, keepdims=True)
-        if self._filter is None or abs(self._filter.dt - self._time_base.dt) > 1e-9:
+        if self._filter is None or self._filter.dt != self._time_base.dt:
             bias = self._filter.bias if self._filter else np.zeros(3)
             self._filter = ComplementaryFilter(self._time_base.dt)
             self._filter.bias = bias
         elif block.fresh:
             self._filter.restart()
-        bias = self._filter.bias
-        filtered = self._attitude(gyro, reference)
+        filtered, bias = self._attitude(gyro, reference)
         speeds = self._speeds(block, n)
         flying = self._in_flight(block, speeds, n)
         self.flying = bool(flying[-1])
@@ -269,17 +269,20 @@ class Chain:
             velocity=_stream(block, Stream.VELOCITY, n, 6)[:, :3],
         )
 
-    def _attitude(self, gyro: Array, reference: Array) -> Array:
-        """Complementary filter over the runs in which both sources are there."""
+    def _attitude(self, gyro: Array, reference: Array) -> tuple[Array, Array]:
+        """Attitude and gyro bias, filtered over the runs in which both sources are there."""
         assert self._filter is not None
         out = np.full_like(reference, np.nan)
+        bias = np.empty_like(gyro)
         there = complete_rows(gyro) & complete_rows(reference)
         for run, both in runs(there):
             if both:
                 out[run] = self._filter.update(gyro[run], reference[run])
+                bias[run] = self._filter.biases
             else:
                 self._filter.restart()
-        return out
+                bias[run] = self._filter.bias
+        return out, bias
 
     def _speeds(self, block: Block, n: int) -> Array:
         rotors = len(self.airframe.rotors)

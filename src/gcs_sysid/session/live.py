@@ -94,6 +94,7 @@ class LiveSession:
         self._latest: Snapshot | None = None
         self._heard_at: float | None = None
         self._told_result_at = 0.0
+        self._written: list[TlogWriter] = []
         self._followed: tuple[int, int] | None = None
         self._reboots = 0
         self._told_problem = ""
@@ -129,7 +130,7 @@ class LiveSession:
 
     def reset(self) -> None:
         """Forget the estimate and start anew."""
-        self._actions.put(self._pipeline.chain.reset)
+        self._actions.put(self._pipeline.reset)
 
     def toggle_recording(self) -> str:
         """Start or stop recording; says which."""
@@ -141,6 +142,10 @@ class LiveSession:
         self._actions.put(lambda: self._start_recording(path))
         return f"recording to {path}"
 
+    def recordings(self) -> list[str]:
+        """A line for each recording of an ended session: where it is, or why it is not."""
+        return [w.problem or f"recorded to {w.path}" for w in self._written]
+
     def _run(self) -> None:
         try:
             self._loop()
@@ -151,7 +156,12 @@ class LiveSession:
             self._link.close()
             if self._writer:
                 self._writer.close()
-            self.final = self._pipeline.finish()
+                self._written.append(self._writer)
+            try:
+                self.final = self._pipeline.finish()
+            except Exception as problem:  # noqa: BLE001 - as above
+                self.problem = self.problem or problem
+                self.final = self._pipeline.result()
             self._publish(LinkState.ENDED)
 
     def _loop(self) -> None:
@@ -224,6 +234,7 @@ class LiveSession:
     def _stop_recording(self) -> None:
         if self._writer:
             self._writer.close()
+            self._written.append(self._writer)
             self._pipeline.chain.note(f"recording {self._writer.path} stopped")
             self._writer = None
 

@@ -12,7 +12,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.result import Result
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.intake import Intake
+from gcs_sysid.telemetry.intake import Intake, IntakeEvent
 
 
 class Pipeline:
@@ -42,13 +42,22 @@ class Pipeline:
         renewed = False
         for frame in frames:
             record = self.intake.frame(frame)
+            for event in self.intake.take_events():
+                self._take_event(event)
             if record is not None and self.chain.feed(record):
                 renewed = True
-        for event in self.intake.take_events():
-            self.chain.note(event.text)
-            if event.kind != "vehicle":
-                self._events.append({"t": self.chain.t, "kind": event.kind, "text": event.text})
         return renewed
+
+    def reset(self) -> None:
+        """Forget the estimate; the result tells that, because a recording does not."""
+        self.chain.reset()
+        text = "estimate reset by the user"
+        self._events.append({"t": self.chain.t, "kind": "reset", "text": text})
+
+    def _take_event(self, event: IntakeEvent) -> None:
+        self.chain.note(event.text)
+        if event.kind != "vehicle":
+            self._events.append({"t": self.chain.t, "kind": event.kind, "text": event.text})
 
     def result(self) -> Result:
         """The latest estimate."""
@@ -62,7 +71,9 @@ class Pipeline:
         vehicle = self.intake.vehicle
         reasons = result.reasons
         if vehicle is None:
-            reasons = ("no autopilot's heartbeat was heard", *reasons)
+            others = ", ".join(map(str, self.intake.selector.systems.values()))
+            heard = f"; heard: {others}" if others else ""
+            reasons = (f"no heartbeat of the wanted autopilot was heard{heard}",)
         return replace(
             result,
             source=self.source,

@@ -24,6 +24,8 @@ _SAME = 5e-7
 """Times closer than this (s) are the same: stamps are whole microseconds."""
 _BREAK = 1.0
 """An IMU silence longer than this (s), or a step back in time by more, starts the grid anew."""
+_SAME_RATE = 0.1
+"""Relative change of the IMU's interval that a pause may bring without a new grid step."""
 _MOST = 4096
 """Samples of each stream kept while no grid takes them (an IMU that is silent)."""
 
@@ -220,8 +222,10 @@ class TimeBase:
     def _try_start(self, imu: StreamBuffer) -> None:
         if not imu.is_steady:
             return
-        # Whole microseconds, as the stamps are.
-        self.dt = max(round(imu.interval * 1e6), 1) * 1e-6
+        # Whole microseconds, as the stamps are. After a pause the old step is kept where it still
+        # fits: what was learnt with it then still counts.
+        if not (self.dt and abs(imu.interval / self.dt - 1.0) < _SAME_RATE):
+            self.dt = max(round(imu.interval * 1e6), 1) * 1e-6
         self._origin = imu.oldest if self._fresh and not self.restarts else self._newest
         self._next_index = 0
         self._next_tick = self._newest + self.tick

@@ -1,0 +1,463 @@
+"""The offline estimator: maximum likelihood of a whole record, and its Cramer-Rao bound.
+
+The rotation is a stochastic state-space model (`gcs_sysid.estimation.innovations`):
+
+    w at the next sample = F(w, speeds; theta) + process noise,    gyro = w + bias + noise
+
+with F the integral of w' = Q(theta) x over one sample (`gcs_sysid.estimation.propagation`).
+Where the process noise is nothing this is the output-error method, otherwise filter error
+(Maine and Iliff, NASA RP-1168; Jategaonkar, Flight Vehicle System Identification, ch. 4, 5);
+levels and colours of the noises are what the record itself makes likeliest. First rates and
+gyro biases are states with priors, so that they are integrated out exactly.
+
+The likelihood is maximised by Gauss-Newton. The model is linearised about smoothed rates, not
+about the noisy gyro; residuals and sensitivities pass one whitening filter; their products are
+gradient and Fisher information.
+
+Noise of the rotor speeds is in regressors and residuals at once, which pulls estimates towards
+zero. The profile over the true speeds has no such pull: with L(theta) from speed noise to
+residual, E[gradient] = tr(dL' S^-1 L) and the noise's part in the information
+tr(dL' S^-1 dL) are taken out where the level is given (Fuller, Measurement Error Models, 1.2).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.innovations import (
+    AxisNoise,
+    Noise,
+    Whitener,
+    fit_noise,
+    initial_std,
+    make_whitener,
+    rough_noise,
+)
+from gcs_sysid.estimation.propagation import MIN_SAMPLES, Propagator, Transition
+from gcs_sysid.estimation.regression import Samples, complete_rows, runs
+from gcs_sysid.estimation.uncertainty import sandwich
+from gcs_sysid.model import rigid_body as rb
+
+MIN_RUN = 4 * MIN_SAMPLES
+"""Samples; shorter pieces between gaps say little and are left out."""
+_MAX_ITERATIONS = 25
+_NOISE_REFITS = 6
+"""The noise model may change in so many iterations, then it stays."""
+_SETTLED = 1e-3
+"""Standard deviations; a smaller step ends the search."""
+_WHITE = 0.01
+"""Residuals whiter than this p-value pass as white."""
+_LAGS = 20
+_BATCH_TIME = 1.0
+_RIDGE = 1e-12
+"""Of the scaled information: an unseen direction keeps a huge, finite variance."""
+
+Prior = tuple[Array, Array]
+"""(N_THETA,) mean and (N_THETA, N_THETA) information matrix; zeros where nothing is known."""
+
+
+@dataclass(frozen=True)
+class LikelihoodFit:
+    """The likeliest rotational parameters relative to k_T (`rigid_body.THETA`).
+
+    Attributes:
+        theta: (N_THETA,) estimate.
+        covariance: (N_THETA, N_THETA); from the scatter of the score where residuals are not
+            white.
+        bound: (N_THETA,) Cramer-Rao standard deviations of this flight with the fitted noise;
+            first rates, gyro biases and the prior, if any, included.
+        noise: of each axis, as fitted.
+        speed_process_std: (3,) rad/s^2, what the given rotor-speed noise does to the angular
+            acceleration of one sample; zeros if none was given.
+        whiteness: (3,) p-values of Ljung and Box on the whitened residuals of each axis: small
+            ones mean that the model leaves something unexplained.
+        lag_one: (3,) their autocorrelation at one sample.
+        log_likelihood: of the record, prior excluded.
+        rows: samples used.
+        seconds: rows times the sample time.
+        converged: whether the last step was negligible.
+    """
+
+    theta: Array
+    covariance: Array
+    bound: Array
+    noise: tuple[AxisNoise, AxisNoise, AxisNoise]
+    speed_process_std: Array
+    whiteness: Array
+    lag_one: Array
+    log_likelihood: float
+    rows: int
+    seconds: float
+    converged: bool
+
+    @property
+    def std(self) -> Array:
+        """(N_THETA,) standard deviations."""
+        std: Array = np.sqrt(np.diag(self.covariance))
+        return std
+
+
+def maximise_likelihood(
+    samples: Samples,
+    geometry: Array,
+    dt: float,
+    start: Array,
+    speed_std: float | Array | None = None,
+    prior: Prior | None = None,
+) -> LikelihoodFit | None:
+    """Fit theta, noise levels and noise colours to a whole record.
+
+    Args:
+        samples: on a uniform grid; NaN in gyro, rates or speeds marks gaps.
+        geometry: (3, rotors) of the airframe.
+        dt: s between samples.
+        start: (N_THETA,) the online estimate (`RotationFit.theta`), physical.
+        speed_std: rad/s, white noise of the rotor speeds, one value or (rotors,). None: what
+            of it shows is taken as unmodelled acceleration.
+        prior: on theta.
+
+    Returns:
+        The fit, or None if there is no piece of MIN_RUN samples without a gap, or fewer samples
+        than twice the unknowns.
+
+    Raises:
+        ValueError: `start` is no rigid body's inertia.
+    """
+    if not rb.is_physical(start):
+        raise ValueError("the starting point has an inertia that no rigid body has")
+    record = _Record(samples, geometry, dt, speed_std)
+    if record.rows < 2 * rb.N_THETA:
+        return None
+    return _search(record, start, prior)
+
+
+def cramer_rao_bound(
+    samples: Samples,
+    geometry: Array,
+    dt: float,
+    theta: Array,
+    noise: Noise,
+    speed_std: float | Array | None = None,
+) -> Array:
+    """(N_THETA,) least standard deviations possible on this flight with this noise.
+
+    Args:
+        samples: with true (or well smoothed) body rates in `rates`.
+        geometry: (3, rotors) of the airframe.
+        dt: s between samples.
+        theta: (N_THETA,) where to linearise.
+        noise: of the axes.
+        speed_std: rad/s, white noise of the rotor speeds.
+
+    Raises:
+        ValueError: there is no piece of MIN_RUN samples without a gap.
+    """
+    record = _Record(samples, geometry, dt, speed_std)
+    if record.rows == 0:
+        raise ValueError(f"no {MIN_RUN} samples without a gap")
+    point = _linearise(record, theta, record.rates)
+    information = _weigh(record, point, noise).information
+    bound: Array = np.sqrt(np.diag(_inverse(information)))
+    return bound
+
+
+# ---- the record ------------------------------------------------------------------------------
+
+
+class _Record:
+    """Gapless runs of a record, ready to be integrated.
+
+    Attributes:
+        gyro: of each run, (n, 3) less the complementary filter's mean bias, rad/s.
+        rates: of each run, (n, 3) rad/s.
+        speed_variance: (rotors,) (rad/s)^2; zeros if not given.
+    """
+
+    def __init__(
+        self, samples: Samples, geometry: Array, dt: float, speed_std: float | Array | None
+    ) -> None:
+        self.dt = dt
+        self.geometry = geometry
+        there = complete_rows(np.hstack([samples.gyro, samples.rates, samples.speeds]))
+        parts = [part for part, ok in runs(there) if ok and part.stop - part.start >= MIN_RUN]
+        self.gyro: list[Array] = []
+        self.rates: list[Array] = []
+        for part in parts:
+            gyro, rates = samples.gyro[part], samples.rates[part]
+            self.gyro.append(gyro - np.mean(gyro - rates, axis=0))
+            self.rates.append(rates)
+        self.propagators = [Propagator(geometry, samples.speeds[part], dt) for part in parts]
+        self.rows = sum(len(part) for part in self.gyro)
+        rotors = geometry.shape[1]
+        level = 0.0 if speed_std is None else np.asarray(speed_std, dtype=float)
+        self.speed_variance: Array = np.broadcast_to(level, (rotors,)) ** 2
+        squares = sum(np.sum(samples.speeds[part] ** 2, axis=0) for part in parts)
+        self._mean_square = np.zeros(rotors) + squares / max(self.rows, 1)
+
+    def speed_inputs(self) -> Array:
+        """(rotors, N_SIGNALS) what one standard deviation of each speed's noise does to the
+        signals of one sample, rms over the record; the derivative of H left out.
+        """
+        x, y, s = self.geometry
+        inputs = np.zeros((len(x), rb.N_SIGNALS))
+        size = 2.0 * np.sqrt(self._mean_square * self.speed_variance)
+        inputs[:, :4] = np.stack([-y, x, np.ones_like(x), s], axis=1) * size[:, None]
+        return inputs
+
+    def speed_process(self, theta: Array) -> Array:
+        """(3, 3) covariance of the angular acceleration that noise of the speeds makes."""
+        effect = self.speed_inputs() @ rb.forward_matrix(theta).T
+        covariance: Array = effect.T @ effect
+        return covariance
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Where the model is linearised."""
+
+    theta: Array
+    rates: list[Array]
+    transitions: list[Transition]
+
+
+def _linearise(record: _Record, theta: Array, rates: list[Array]) -> _Point:
+    transitions = [
+        propagator(theta, w) for propagator, w in zip(record.propagators, rates, strict=True)
+    ]
+    return _Point(theta, rates, transitions)
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """A linearised model, weighed by a noise model.
+
+    Attributes:
+        whiteners: of each run.
+        residuals: of each run, (n, 3), white and of unit variance if all is right.
+        sensitivities: of each run, (n, 3, N_THETA), their derivatives by theta.
+        excess: (N_THETA,) expected gradient at the truth, from noise of the speeds.
+        gradient: (N_THETA,) of the cost, half the sum of squared residuals, corrected.
+        scatter: (N_THETA, N_THETA) covariance of the gradient.
+        information: (N_THETA, N_THETA) expected slope of the gradient.
+        cost: minus the logarithm of the likelihood, but for a constant.
+    """
+
+    whiteners: list[Whitener]
+    residuals: list[Array]
+    sensitivities: list[Array]
+    excess: Array
+    gradient: Array
+    scatter: Array
+    information: Array
+    cost: float
+
+
+def _weigh(record: _Record, point: _Point, noise: Noise) -> _Weighed:
+    known = record.speed_process(point.theta)
+    rate_std = initial_std(noise, known, record.dt)
+    whiteners, residuals, sensitivities = [], [], []
+    gradient, scatter = np.zeros(rb.N_THETA), np.zeros((rb.N_THETA, rb.N_THETA))
+    cost = 0.0
+    for gyro, rates, by in zip(record.gyro, point.rates, point.transitions, strict=True):
+        whitener = make_whitener(noise, known, by.by_rate, rate_std, record.dt)
+        steps = np.concatenate([(by.rates - rates[1:])[..., None], by.by_theta], axis=2)
+        measured = np.zeros((len(gyro), *steps.shape[1:]))
+        measured[..., 0] = gyro - rates
+        white = whitener.whiten(measured, steps)
+        v, V = white[..., 0], white[..., 1:]
+        columns = V.reshape(-1, rb.N_THETA)
+        gradient += columns.T @ v.ravel()
+        scatter += columns.T @ columns
+        cost += 0.5 * (float(np.sum(v * v)) + whitener.log_determinant)
+        whiteners.append(whitener)
+        residuals.append(v)
+        sensitivities.append(V)
+    information, excess = scatter, np.zeros(rb.N_THETA)
+    if record.speed_variance.any():
+        excess, surplus = _speed_noise_terms(record, point, whiteners)
+        information = scatter - surplus
+    return _Weighed(
+        whiteners,
+        residuals,
+        sensitivities,
+        excess,
+        gradient - excess,
+        scatter,
+        information,
+        cost,
+    )
+
+
+def _speed_noise_terms(
+    record: _Record, point: _Point, whiteners: list[Whitener]
+) -> tuple[Array, Array]:
+    """What noise of the rotor speeds adds to gradient and information, by expectation.
+
+    The response to one sample's noise, taken in the middle of the longest run, stands for all.
+    """
+    longest = max(range(len(whiteners)), key=lambda i: len(point.rates[i]))
+    n = len(point.rates[longest])
+    steps = np.zeros((n - 1, 3, 6))
+    # Torque noise acts in the two intervals beside the sample, by halves; that of the change of
+    # H adds in one what it takes in the next.
+    for k, sign in ((n // 2 - 1, 1.0), (n // 2, -1.0)):
+        steps[k, :, :3] = 0.5 * record.dt * np.eye(3)
+        steps[k, :, 3:] = sign * np.eye(3)
+    white = whiteners[longest].whiten(np.zeros((n, 3, 6)), steps)
+    energy = np.einsum("nik,nil->kl", white, white)
+    Q, G = rb.forward_jacobian(point.theta)
+    torque = record.speed_inputs()
+    change = np.sqrt(record.speed_variance.sum())
+    dH = rb.SIGNALS.index("dH")
+    by_torque = np.einsum("kis,rs->kri", G, torque)
+    by_change = change * G[:, :, dH]
+    excess = np.einsum("kri,ij,rj->k", by_torque, energy[:3, :3], torque @ Q.T)
+    excess += by_change @ energy[3:, 3:] @ (change * Q[:, dH])
+    surplus = np.einsum("kri,ij,lrj->kl", by_torque, energy[:3, :3], by_torque)
+    surplus += by_change @ energy[3:, 3:] @ by_change.T
+    return record.rows * excess, record.rows * surplus
+
+
+# ---- the search ------------------------------------------------------------------------------
+
+
+def _search(record: _Record, start: Array, prior: Prior | None) -> LikelihoodFit:
+    mean, weight = prior or (start, np.zeros((rb.N_THETA, rb.N_THETA)))
+
+    def cost_of(weighed: _Weighed, theta: Array) -> float:
+        off = theta - mean
+        return weighed.cost + 0.5 * float(off @ weight @ off)
+
+    point = _linearise(record, start, record.rates)
+    noise = rough_noise(_defects(record, point), record.dt)
+    damping, converged = 0.0, False
+    for iteration in range(_MAX_ITERATIONS):
+        if 0 < iteration <= _NOISE_REFITS:
+            noise = _fit_noise(record, point)
+        weighed = _weigh(record, point, noise)
+        cost = cost_of(weighed, point.theta)
+        gradient = weighed.gradient + weight @ (point.theta - mean)
+        information = weighed.information + weight
+        while True:
+            step = -_inverse(information, damping) @ gradient
+            scale = np.sqrt(np.maximum(np.diag(weighed.scatter + weight), 1e-300))
+            if rb.is_physical(point.theta + step):
+                candidate = _moved(record, point, weighed, step)
+                settled = float(step @ (weighed.scatter + weight) @ step) < _SETTLED**2
+                # A step this small changes the cost by less than its linearisation's error.
+                if settled or float(np.max(np.abs(step) * scale)) < 1.0:
+                    break
+                if cost_of(_weigh(record, candidate, noise), candidate.theta) < cost + 0.01:
+                    break
+            damping = max(10.0 * damping, 1e-3)
+            if damping > 1e9:
+                settled = False
+                candidate = point
+                break
+        stuck = candidate is point
+        point = candidate
+        damping *= 0.1 if damping > 1e-6 else 0.0
+        if stuck or (settled and iteration > 1):
+            converged = not stuck
+            break
+    weighed = _weigh(record, point, noise)
+    return _conclude(record, point, noise, weighed, weight, converged)
+
+
+def _fit_noise(record: _Record, point: _Point) -> Noise:
+    known = np.diag(record.speed_process(point.theta))
+    return fit_noise(_defects(record, point), known, record.dt)
+
+
+def _defects(record: _Record, point: _Point) -> list[Array]:
+    """Of each run (n - 1, 3) increments of the gyro less those of the model, rad/s."""
+    return [
+        np.diff(gyro, axis=0) - (by.rates - rates[:-1])
+        for gyro, rates, by in zip(record.gyro, point.rates, point.transitions, strict=True)
+    ]
+
+
+def _moved(record: _Record, point: _Point, weighed: _Weighed, step: Array) -> _Point:
+    """The point a step of theta away, with the rates that are likeliest there."""
+    rates = []
+    for whitener, gyro, w, by in zip(
+        weighed.whiteners, record.gyro, point.rates, point.transitions, strict=True
+    ):
+        rates.append(w + whitener.smooth(gyro - w, by.rates - w[1:] + by.by_theta @ step))
+    return _linearise(record, point.theta + step, rates)
+
+
+def _conclude(
+    record: _Record,
+    point: _Point,
+    noise: Noise,
+    weighed: _Weighed,
+    weight: Array,
+    converged: bool,
+) -> LikelihoodFit:
+    v = np.concatenate(weighed.residuals)
+    # The noise's overall level once more, now with what the fit took counted.
+    level = float(np.sum(v * v)) / (v.size - rb.N_THETA)
+    bread = _inverse(weighed.information / level + weight)
+    bound = np.sqrt(np.diag(bread))
+    covariance = bread @ (weighed.scatter / level + weight) @ bread
+    autocorrelation = _autocorrelation(weighed.residuals, _LAGS)
+    whiteness = _ljung_box(autocorrelation, len(v))
+    if np.any(whiteness < _WHITE):
+        scores = _batch_scores(record, weighed) / level
+        coloured = sandwich(bread, scores)
+        missing = np.maximum(np.diag(covariance) - np.diag(coloured), 0.0)
+        covariance = coloured + np.diag(missing)
+    x, y, z = (axis.scaled(float(np.sqrt(level))) for axis in noise)
+    return LikelihoodFit(
+        theta=point.theta,
+        covariance=covariance,
+        bound=bound,
+        noise=(x, y, z),
+        speed_process_std=np.sqrt(np.diag(record.speed_process(point.theta))),
+        whiteness=whiteness,
+        lag_one=autocorrelation[0],
+        log_likelihood=-weighed.cost - 0.5 * v.size * float(np.log(2.0 * np.pi)),
+        rows=record.rows,
+        seconds=record.rows * record.dt,
+        converged=converged,
+    )
+
+
+def _batch_scores(record: _Record, weighed: _Weighed) -> Array:
+    length = max(1, round(_BATCH_TIME / record.dt))
+    parts = []
+    for v, V in zip(weighed.residuals, weighed.sensitivities, strict=True):
+        products = np.einsum("ni,nik->nk", v, V) - weighed.excess / record.rows
+        parts.append(np.add.reduceat(products, np.arange(0, len(v), length), axis=0))
+    return np.concatenate(parts)
+
+
+def _autocorrelation(residuals: list[Array], lags: int) -> Array:
+    """(lags, 3); products across gaps are left out."""
+    power = sum(np.sum(v * v, axis=0) for v in residuals)
+    sums = [
+        sum(np.sum(v[lag:] * v[:-lag], axis=0) for v in residuals) for lag in range(1, lags + 1)
+    ]
+    return np.array(sums) / power
+
+
+def _ljung_box(autocorrelation: Array, n: int) -> Array:
+    """(3,) p-values of (lags, 3) autocorrelations of n values."""
+    lags = np.arange(1, len(autocorrelation) + 1)[:, None]
+    statistic = n * (n + 2.0) * np.sum(autocorrelation**2 / (n - lags), axis=0)
+    p: Array = chi2.sf(statistic, len(autocorrelation))
+    return p
+
+
+def _inverse(information: Array, damping: float = 0.0) -> Array:
+    """Inverse of an information matrix whose entries differ in size, perhaps damped."""
+    d = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information / np.outer(d, d)
+    # Taking noise out can leave a direction that nothing moves without any information.
+    lowest = float(np.linalg.eigvalsh(scaled)[0])
+    ridge = damping + max(_RIDGE, _RIDGE - lowest)
+    inverse: Array = np.linalg.inv(scaled + ridge * np.eye(len(d))) / np.outer(d, d)
+    return inverse
