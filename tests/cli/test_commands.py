@@ -221,7 +221,7 @@ def test_live_where_nobody_speaks_says_so_and_goes_on(tmp_path):
     (line,) = out.splitlines()
     result = read_strict(line)
     assert result["verdict"] == "refused"
-    assert result["reasons"][0] == "no autopilot's heartbeat was heard"
+    assert "no heartbeat" in result["reasons"][0]
 
 
 @pytest.mark.slow
@@ -232,7 +232,7 @@ def test_live_ends_after_its_duration(tmp_path):
     )
     assert done.returncode == 1
     assert "no vehicle has spoken yet" in done.stderr
-    assert "no autopilot's heartbeat was heard" in done.stdout
+    assert "no heartbeat" in done.stdout
     assert not (tmp_path / "logs").exists()
 
 

@@ -218,7 +218,7 @@ def test_every_variant_of_the_article_gives_numbers(truth, plain_flight, method)
     fit = whole.fit()
     assert np.isfinite(fit.theta).all()
     assert np.all(np.diag(fit.covariance) >= 0.0)
-    assert whole.seconds == pytest.approx(30.0)
+    assert whole.seconds == pytest.approx(30.0, abs=0.11)  # two ends may be lost
     if method != "central-difference":  # which needs the neighbours of a sample
         parts = ArticleEstimator(truth.geometry, 0.05, method)
         for k in range(0, len(samples.gyro), 7):

@@ -171,7 +171,7 @@ def test_duration_ends_a_session_that_hears_nobody(udp, airframe):
     session.start()
     final = finish(session)
     assert final.verdict == "refused"
-    assert final.reasons[0] == "no autopilot's heartbeat was heard"
+    assert "no heartbeat" in final.reasons[0]
     assert session.latest().link.state is LinkState.ENDED
 
 

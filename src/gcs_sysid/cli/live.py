@@ -40,6 +40,7 @@ def run(options: argparse.Namespace) -> int:
                 listen_only=options.listen_only,
                 wanted=options.vehicle,
                 duration=options.duration,
+                refit_interval=refit_interval(options),
             ),
             record_to=recording_path(options),
             on_result=(writer := JsonLines(options.json)).write,
@@ -48,6 +49,11 @@ def run(options: argparse.Namespace) -> int:
         link.close()
         raise
     return follow(session, writer, truth, headless=options.headless)
+
+
+def refit_interval(options: argparse.Namespace) -> float:
+    """s of vehicle time between estimates: as often as somebody looks."""
+    return 0.5 if options.headless else 0.2
 
 
 def recording_path(options: argparse.Namespace) -> Path | None:

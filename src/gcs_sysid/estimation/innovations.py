@@ -14,7 +14,6 @@ filter for this model (Schweppe 1965; Jategaonkar, Flight Vehicle System Identif
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize
 
 from gcs_sysid.arrays import Array
 
@@ -29,6 +28,9 @@ MIN_STD = 1e-6
 """rad/s, of gyro noise; keeps everything definite where there is none."""
 _TAPER_LOSS = 35.0 / 18.0
 """Independent values that a Hann taper costs: neighbours in the spectrum are correlated."""
+_MAX_SCORING = 50
+_SCORING_GAIN = 1e-4
+"""Of log likelihood; less ends the search."""
 _MIN_RUN = 64
 """Samples in a run worth a spectrum."""
 
@@ -74,11 +76,11 @@ def fit_noise(defects: list[Array], known: Array, dt: float) -> Noise:
         known: (3,) variances of e, (rad/s^2)^2.
         dt: s between samples.
     """
-    spectra = [_spectrum(run) for run in defects if len(run) >= _MIN_RUN]
-    if not spectra:
+    long = [run for run in defects if len(run) >= _MIN_RUN]
+    if not long:
         return rough_noise(defects, dt)
-    frequency = np.concatenate([f for f, _ in spectra])
-    power = np.concatenate([p for _, p in spectra])
+    bins, powers = zip(*(_periodogram(run) for run in long), strict=True)
+    frequency, power = np.concatenate(bins, axis=1), np.concatenate(powers)
     x, y, z = (_fit_axis(frequency, power[:, i], float(known[i]), dt) for i in range(3))
     return x, y, z
 
@@ -92,64 +94,138 @@ def rough_noise(defects: list[Array], dt: float) -> Noise:
     return x, y, z
 
 
-def _spectrum(defects: Array) -> tuple[Array, Array]:
-    """(k,) frequencies in rad a sample and (k, 3) power, so scaled that white noise has its
-    variance. The Hann taper keeps power from leaking to where a high-pass leaves none.
+def _periodogram(defects: Array) -> tuple[Array, Array]:
+    """(3, k) frequencies of each bin and its neighbours in rad a sample, and (k, 3) power.
+
+    White noise has its variance as power. The Hann taper keeps power from leaking to where a
+    high-pass leaves none.
     """
     n = len(defects)
-    taper = np.hanning(n + 2)[1:-1, None]
-    transform = np.fft.rfft(defects * taper, axis=0)[1 : (n - 1) // 2 + 1]
-    power = np.abs(transform) ** 2 / np.sum(taper * taper)
-    return 2.0 * np.pi * np.arange(1, len(power) + 1) / n, power
+    taper = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(n) / n)[:, None]
+    bins = np.arange(1, (n - 1) // 2)
+    power = np.abs(np.fft.rfft(defects * taper, axis=0)[bins]) ** 2 / np.sum(taper * taper)
+    return 2.0 * np.pi / n * np.stack([bins - 1, bins, bins + 1]), power
+
+
+_HANN = np.array([1.0, 4.0, 1.0]) / 6.0
+"""What a Hann taper mixes into a bin's expected power from its neighbours and itself."""
 
 
 def _fit_axis(frequency: Array, power: Array, known: float, dt: float) -> AxisNoise:
     """Maximum likelihood of the spectrum (Whittle), the number of unknowns chosen by BIC."""
-    one, cos = 2.0 - 2.0 * np.cos(frequency), np.cos(frequency)
-    rotor = known * dt * dt * (2.0 + 2.0 * cos) / 4.0
-    floor = MIN_STD**2 * one
-
-    def unpack(values: Array, colour: str, process: bool) -> AxisNoise:
-        rest = list(values[1:])
-        # The level of unmodelled acceleration, relative to gyro noise, comes last.
-        u = float(np.exp(values[0] + rest.pop())) / dt if process else 0.0
-        white = float(np.exp(values[0]))
-        if colour == "white":
-            return AxisNoise(white, None, 0.0, u)
-        corner = float(np.exp(rest[0]))
-        if colour == "high-pass":
-            return AxisNoise(white, corner, 1.0, u)
-        a = float(np.exp(-corner * dt))
-        return AxisNoise(white, corner, a + (1.0 - a) / (1.0 + float(np.exp(-rest[1]))), u)
-
-    def misfit(values: Array, colour: str, process: bool) -> float:
-        noise = unpack(values, colour, process)
-        a, c = noise.pole(dt), noise.zero
-        gain = (1.0 + c * c - 2.0 * c * cos) / (1.0 + a * a - 2.0 * a * cos)
-        model = noise.white_std**2 * one * gain + (noise.process_std * dt) ** 2 + rotor + floor
-        return float(np.sum(np.log(model) + power / model)) / _TAPER_LOSS
-
-    level = 0.5 * np.log(np.mean(np.maximum(power, floor) / (one + 0.01)))
-    corner = np.log(5.0)
-    highest, lowest = np.log(1.0 / dt), np.log(0.05)
-    # log level; log corner; logit of where c is between a and 1; log process over gyro noise.
+    cos = np.cos(frequency)
+    one = 2.0 - 2.0 * cos
+    fixed = known * dt * dt * 0.5 * (1.0 + cos) + MIN_STD**2 * one
+    level = 0.5 * np.log(np.mean(np.maximum(power, fixed[1]) / (one[1] + 0.01)))
     # Gyro noise that is stronger at low frequency is not offered: it would pass for any motion
     # that the model misses, which is process noise.
-    candidates = [
-        ("white", [], []),
-        ("high-pass", [corner], [(lowest, highest)]),
-        ("partial", [corner, 1.0], [(lowest, highest), (-4.0, 8.0)]),
-    ]
-    best, best_score = AxisNoise(1.0, None, 0.0, 0.0), np.inf
-    for colour, start, bounds in candidates:
+    best, best_score = AxisNoise(MIN_STD, None, 0.0, 0.0), np.inf
+    for colour in (0, 1, 2):
         for process in (False, True):
-            x0 = np.array([level, *start, *([-1.5] if process else [])])
-            limits = [(level - 12.0, level + 6.0), *bounds, *([(-8.0, 8.0)] if process else [])]
-            found = minimize(misfit, x0, args=(colour, process), bounds=limits, method="L-BFGS-B")
-            score = float(found.fun) + 0.5 * len(x0) * np.log(len(power))
+            spectrum = _Spectrum(one, cos, fixed, dt, colour, process)
+            values = spectrum.start(float(level))
+            misfit, values = _maximise(spectrum, power, values)
+            score = misfit + 0.5 * len(values) * np.log(len(power))
             if score < best_score:
-                best, best_score = unpack(found.x, colour, process), score
+                best, best_score = spectrum.noise(values), score
     return replace(best, white_std=float(np.hypot(best.white_std, MIN_STD)))
+
+
+@dataclass(frozen=True)
+class _Spectrum:
+    """A family of spectra of gyro increments, over (3, k) frequencies: bins with neighbours.
+
+    Unknowns, in this order: log white_std; from colour 1 on log corner; with colour 2 the logit
+    of where c lies between a and 1; with process noise log of process_std dt.
+    """
+
+    one: Array
+    cos: Array
+    fixed: Array
+    dt: float
+    colour: int
+    process: bool
+
+    def start(self, level: float) -> Array:
+        """A first guess."""
+        colours = ([], [np.log(5.0)], [np.log(5.0), 1.0])[self.colour]
+        return np.array([level, *colours, *([level - 1.5] if self.process else [])])
+
+    def limits(self, values: Array) -> Array:
+        """Unknowns kept where they mean something."""
+        values = values.copy()
+        values[0] = np.clip(values[0], np.log(MIN_STD), 5.0)
+        if self.colour >= 1:
+            values[1] = np.clip(values[1], np.log(0.05), np.log(1.0 / self.dt))
+        if self.colour == 2:
+            values[2] = np.clip(values[2], -4.0, 8.0)
+        if self.process:
+            values[-1] = np.clip(values[-1], values[0] - 10.0, values[0] + 10.0)
+        return values
+
+    def noise(self, values: Array) -> AxisNoise:
+        """What the unknowns mean."""
+        white = float(np.exp(values[0]))
+        u = float(np.exp(values[-1])) / self.dt if self.process else 0.0
+        if self.colour == 0:
+            return AxisNoise(white, None, 0.0, u)
+        corner = float(np.exp(values[1]))
+        a = float(np.exp(-corner * self.dt))
+        c = 1.0 if self.colour == 1 else a + (1.0 - a) / (1.0 + float(np.exp(-values[2])))
+        return AxisNoise(white, corner, c, u)
+
+    def __call__(self, values: Array) -> tuple[Array, Array]:
+        """(k,) expected power and (k, unknowns) its derivatives."""
+        noise = self.noise(values)
+        a, c = noise.pole(self.dt), noise.zero
+        above = 1.0 + c * c - 2.0 * c * self.cos
+        below = 1.0 + a * a - 2.0 * a * self.cos
+        gyro = noise.white_std**2 * self.one * above / below
+        slopes = [2.0 * gyro]
+        if noise.corner is not None:
+            by_c = noise.white_std**2 * self.one * 2.0 * (c - self.cos) / below
+            by_a = -gyro * 2.0 * (a - self.cos) / below
+            share = (c - a) / (1.0 - a)
+            if self.colour == 2:
+                by_a = by_a + (1.0 - share) * by_c
+            slopes.append(by_a * -a * noise.corner * self.dt)
+            if self.colour == 2:
+                slopes.append(by_c * (1.0 - a) * share * (1.0 - share))
+        model = gyro + self.fixed
+        if self.process:
+            u = np.full_like(model, (noise.process_std * self.dt) ** 2)
+            model = model + u
+            slopes.append(2.0 * u)
+        mean: Array = np.tensordot(_HANN, model, 1)
+        return mean, np.stack([np.tensordot(_HANN, slope, 1) for slope in slopes], axis=1)
+
+
+def _maximise(spectrum: _Spectrum, power: Array, values: Array) -> tuple[float, Array]:
+    """Fisher scoring with Levenberg-Marquardt damping; minus log likelihood and the unknowns."""
+    damping = 1e-3
+    values = spectrum.limits(values)
+    model, slopes = spectrum(values)
+    misfit = float(np.sum(np.log(model) + power / model))
+    for _ in range(_MAX_SCORING):
+        relative = slopes / model[:, None]
+        gradient = relative.T @ (1.0 - power / model)
+        information = relative.T @ relative
+        diagonal = np.diag(np.diag(information) + 1e-9)
+        gain = 0.0
+        while damping < 1e6:
+            step = -np.linalg.solve(information + damping * diagonal, gradient)
+            candidate = spectrum.limits(values + np.clip(step, -1.5, 1.5))
+            new_model, new_slopes = spectrum(candidate)
+            new_misfit = float(np.sum(np.log(new_model) + power / new_model))
+            gain = misfit - new_misfit
+            if gain >= 0.0:
+                values, model, slopes, misfit = candidate, new_model, new_slopes, new_misfit
+                damping *= 0.1
+                break
+            damping *= 10.0
+        if gain < _SCORING_GAIN:
+            break
+    return misfit / _TAPER_LOSS, values
 
 
 # ---- the whitening filter --------------------------------------------------------------------

@@ -43,9 +43,12 @@ from gcs_sysid.model import rigid_body as rb
 MIN_RUN = 4 * MIN_SAMPLES
 """Samples; shorter pieces between gaps say little and are left out."""
 _MAX_ITERATIONS = 25
-_NOISE_REFITS = 6
+_NOISE_REFITS = 3
 """The noise model may change in so many iterations, then it stays."""
-_SETTLED = 1e-3
+_MAX_DAMPING = 1e9
+_SMALL = 0.3
+"""Standard deviations; a smaller step is taken unseen."""
+_SETTLED = 1e-2
 """Standard deviations; a smaller step ends the search."""
 _WHITE = 0.01
 """Residuals whiter than this p-value pass as white."""
@@ -332,35 +335,39 @@ def _search(record: _Record, start: Array, prior: Prior | None) -> LikelihoodFit
 
     point = _linearise(record, start, record.rates)
     noise = rough_noise(_defects(record, point), record.dt)
+    weighed: _Weighed | None = None
     damping, converged = 0.0, False
     for iteration in range(_MAX_ITERATIONS):
         if 0 < iteration <= _NOISE_REFITS:
-            noise = _fit_noise(record, point)
-        weighed = _weigh(record, point, noise)
+            noise, weighed = _fit_noise(record, point), None
+        if weighed is None:
+            weighed = _weigh(record, point, noise)
         cost = cost_of(weighed, point.theta)
         gradient = weighed.gradient + weight @ (point.theta - mean)
         information = weighed.information + weight
-        while True:
+        scatter = weighed.scatter + weight
+        found: _Point | None = None
+        while found is None and damping < _MAX_DAMPING:
             step = -_inverse(information, damping) @ gradient
-            scale = np.sqrt(np.maximum(np.diag(weighed.scatter + weight), 1e-300))
+            # In standard deviations, squared.
+            size = float(step @ scatter @ step)
             if rb.is_physical(point.theta + step):
                 candidate = _moved(record, point, weighed, step)
-                settled = float(step @ (weighed.scatter + weight) @ step) < _SETTLED**2
-                # A step this small changes the cost by less than its linearisation's error.
-                if settled or float(np.max(np.abs(step) * scale)) < 1.0:
-                    break
-                if cost_of(_weigh(record, candidate, noise), candidate.theta) < cost + 0.01:
-                    break
+                if size < _SMALL**2:
+                    # The cost changes by less than its linearisation's error.
+                    found, after = candidate, None
+                    continue
+                after = _weigh(record, candidate, noise)
+                if cost_of(after, candidate.theta) < cost + _SMALL**2:
+                    found = candidate
+                    continue
             damping = max(10.0 * damping, 1e-3)
-            if damping > 1e9:
-                settled = False
-                candidate = point
-                break
-        stuck = candidate is point
-        point = candidate
-        damping *= 0.1 if damping > 1e-6 else 0.0
-        if stuck or (settled and iteration > 1):
-            converged = not stuck
+        if found is None:
+            break
+        point, weighed = found, after
+        damping = 0.1 * damping if damping > 1e-6 else 0.0
+        if size < _SETTLED**2 and iteration > _NOISE_REFITS:
+            converged = True
             break
     weighed = _weigh(record, point, noise)
     return _conclude(record, point, noise, weighed, weight, converged)

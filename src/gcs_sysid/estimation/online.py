@@ -12,6 +12,7 @@ from gcs_sysid.estimation.regression import LeakySum, RowMaker, Samples
 from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.filters.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
 
+_SETTLE_GROWTH = 1.2
 MIN_MOMENTUM_SECONDS = 5.0
 """Flight time from which momentum balance beats the accelerometer's bias."""
 
@@ -28,7 +29,8 @@ class Tuning:
         bandwidth: rad/s, R of the differentiator.
         leaks: s, memories of the leaky sums carried side by side; 0 for none.
         delays: s, bank of rotor delays, equally spaced; one alone is taken as given.
-        settle_interval: s between full fits of a running course, which choose leak and delay.
+        settle_interval: s, least time between full fits of a running course, which choose
+            leak and delay; later they come when the record has grown by a fifth.
         batch_time: s, length of a batch of moments.
     """
 
@@ -82,7 +84,7 @@ class OnlineEstimator:
         self._rotation = Moments((*bank, rotation.WIDTH, rotation.WIDTH), per_batch)
         self._settle_interval = tuning.settle_interval
         self._latest: rotation.RotationFit | None = None
-        self._settled_at = -np.inf
+        self._settle_next = -np.inf
         self._article = (
             None
             if tuning.method == "forward"
@@ -136,7 +138,7 @@ class OnlineEstimator:
         if self._article:
             return self._article.fit()
         start = None
-        if quick and self.seconds - self._settled_at < self._settle_interval:
+        if quick and self.seconds < self._settle_next:
             start = self._latest
         fit = rotation.fit_rotation(
             self._rotation.batches, self._rotation.counts, self._delays, self._noise(), start
@@ -144,7 +146,9 @@ class OnlineEstimator:
         if quick:
             self._latest = fit
             if start is None:
-                self._settled_at = self.seconds
+                self._settle_next = max(
+                    self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds
+                )
         return fit
 
     def _noise(self) -> Array:

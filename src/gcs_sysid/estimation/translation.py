@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.uncertainty import sandwich
 
+_MAX_ITERATIONS = 20
 WIDTH = 4
 """Width of a row [thrust direction times sum O, velocity, 1, output], one for each axis."""
 
@@ -108,32 +109,29 @@ def _weighted_fit(
     if counts.sum() < 50:
         return None
     total = batches.sum(axis=0)
+    rows = counts.sum()
     axes, inputs, unknowns = layout.shape
+    turned = np.swapaxes(layout, 1, 2)
+    normals = turned @ total[:, :inputs, :inputs] @ layout
+    rights = (turned @ total[:, :inputs, 3:])[:, :, 0]
+    powers = total[:, 3, 3]
+    floor = np.maximum(1e-12 * powers / rows, 1e-300)
     weight = np.ones(axes)
     estimate = np.zeros(unknowns)
-    for _ in range(20):
-        normal = np.zeros((unknowns, unknowns))
-        right = np.zeros(unknowns)
-        for a in range(axes):
-            L = layout[a]
-            normal += weight[a] * L.T @ total[a, :inputs, :inputs] @ L
-            right += weight[a] * L.T @ total[a, :inputs, 3]
+    for _ in range(_MAX_ITERATIONS):
+        normal, right = np.tensordot(weight, normals, 1), weight @ rights
         d = np.sqrt(np.maximum(np.diag(normal), 1e-300))
         scaled = normal / np.outer(d, d) + 1e-12 * np.eye(unknowns)
         updated = np.linalg.solve(scaled, right / d) / d
-        new_weight = np.empty(axes)
-        for a in range(axes):
-            row = np.append(-layout[a] @ updated, 1.0)
-            variance = row @ total[a] @ row / counts.sum()
-            new_weight[a] = 1.0 / max(variance, 1e-12 * total[a, 3, 3] / counts.sum(), 1e-300)
-        done = np.allclose(updated, estimate, rtol=1e-13, atol=0.0)
-        estimate, weight = updated, new_weight
+        done = np.all(np.abs(updated - estimate) <= 1e-11 * np.abs(updated))
+        estimate = updated
+        variance = (powers - 2.0 * rights @ estimate + normals @ estimate @ estimate) / rows
+        weight = 1.0 / np.maximum(variance, floor)
         if done:
             break
-    scores = np.zeros((len(batches), unknowns))
-    for a in range(axes):
-        L = layout[a]
-        residual = batches[:, a, :inputs, 3] - batches[:, a, :inputs, :inputs] @ (L @ estimate)
-        scores += weight[a] * residual @ L
-    bread = np.linalg.inv(scaled)
+    residual = batches[:, :, :inputs, 3] - batches[:, :, :inputs, :inputs] @ layout @ estimate
+    scores = np.einsum("a,bai,aiu->bu", weight, residual, layout)
+    # The weights are in their final state only now.
+    normal = np.tensordot(weight, normals, 1)
+    bread = np.linalg.inv(normal / np.outer(d, d) + 1e-12 * np.eye(unknowns))
     return estimate, sandwich(bread, scores / d) / np.outer(d, d)

@@ -88,7 +88,7 @@ class Chain:
         self._began = self._newest = 0.0
         self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self._seen: set[Stream] = set()
-        self._next_refit = -np.inf
+        self._next_refit = 0.0
         self._fit = Fit(None, None, 0.0)
         self._course = CourseRecorder()
         self._course_step = options.course_interval
@@ -236,9 +236,9 @@ class Chain:
             self._first = float(block.t[0]) - self.t
         self.t = float(block.t[-1]) - self._first
         self._show(samples)
-        if self._course_step is None or self.t < self._next_refit:
+        if self._course_step is None or self.t < self._next_refit - 1e-6:
             return False
-        self._next_refit = self.t + self._course_step
+        self._next_refit = max(self._next_refit, self.t - self._course_step) + self._course_step
         self._fit = self._estimator.fit(quick=True)
         self._course.append(self.t, self._parameters())
         return True

@@ -43,7 +43,7 @@ class LiveOptions:
     listen_only: bool = False
     wanted: tuple[int, int | None] | None = None
     duration: float | None = None
-    refit_interval: float = 0.1
+    refit_interval: float = 0.2
 
 
 class LiveSession:
