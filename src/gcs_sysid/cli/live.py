@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def refit_interval(options: argparse.Namespace) -> float:
-    """s of vehicle time between estimates: as often as somebody looks."""
+    """Vehicle time between estimates in s: as often as somebody looks."""
     return 0.5 if options.headless else 0.2
 
 

@@ -14,6 +14,7 @@ filter for this model (Schweppe 1965; Jategaonkar, Flight Vehicle System Identif
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from gcs_sysid.arrays import Array
 
@@ -68,12 +69,13 @@ Noise = tuple[AxisNoise, AxisNoise, AxisNoise]
 # ---- choosing a noise model ------------------------------------------------------------------
 
 
-def fit_noise(defects: list[Array], known: Array, dt: float) -> Noise:
+def fit_noise(defects: list[Array], known: Array, floor: Array, dt: float) -> Noise:
     """The likeliest noise of each axis.
 
     Args:
         defects: for each run (n, 3) gyro increments less the model's, rad/s.
         known: (3,) variances of e, (rad/s^2)^2.
+        floor: (3,) least process_std, rad/s^2.
         dt: s between samples.
     """
     long = [run for run in defects if len(run) >= _MIN_RUN]
@@ -81,7 +83,9 @@ def fit_noise(defects: list[Array], known: Array, dt: float) -> Noise:
         return rough_noise(defects, dt)
     bins, powers = zip(*(_periodogram(run) for run in long), strict=True)
     frequency, power = np.concatenate(bins, axis=1), np.concatenate(powers)
-    x, y, z = (_fit_axis(frequency, power[:, i], float(known[i]), dt) for i in range(3))
+    x, y, z = (
+        _fit_axis(frequency, power[:, i], float(known[i]), float(floor[i]), dt) for i in range(3)
+    )
     return x, y, z
 
 
@@ -111,11 +115,13 @@ _HANN = np.array([1.0, 4.0, 1.0]) / 6.0
 """What a Hann taper mixes into a bin's expected power from its neighbours and itself."""
 
 
-def _fit_axis(frequency: Array, power: Array, known: float, dt: float) -> AxisNoise:
+def _fit_axis(
+    frequency: Array, power: Array, known: float, floor: float, dt: float
+) -> AxisNoise:
     """Maximum likelihood of the spectrum (Whittle), the number of unknowns chosen by BIC."""
     cos = np.cos(frequency)
     one = 2.0 - 2.0 * cos
-    fixed = known * dt * dt * 0.5 * (1.0 + cos) + MIN_STD**2 * one
+    fixed = known * dt * dt * 0.5 * (1.0 + cos) + (floor * dt) ** 2 + MIN_STD**2 * one
     level = 0.5 * np.log(np.mean(np.maximum(power, fixed[1]) / (one[1] + 0.01)))
     # Gyro noise that is stronger at low frequency is not offered: it would pass for any motion
     # that the model misses, which is process noise.
@@ -128,7 +134,11 @@ def _fit_axis(frequency: Array, power: Array, known: float, dt: float) -> AxisNo
             score = misfit + 0.5 * len(values) * np.log(len(power))
             if score < best_score:
                 best, best_score = spectrum.noise(values), score
-    return replace(best, white_std=float(np.hypot(best.white_std, MIN_STD)))
+    return replace(
+        best,
+        white_std=float(np.hypot(best.white_std, MIN_STD)),
+        process_std=float(np.hypot(best.process_std, floor)),
+    )
 
 
 @dataclass(frozen=True)
@@ -328,20 +338,20 @@ def make_whitener(
     F[:, _BIAS, _BIAS] = np.eye(3)
 
     covariances, gains = np.empty((n, _N, _N)), np.empty((n, _N, 3))
-    loops, S_all = np.empty((n, _N, _N)), np.empty((n, 3, 3))
+    S_all = np.empty((n, 3, 3))
     for k in range(n):
+        F_k = F[k]
         PH = P[:, _RATE] - P[:, _SLOW] + P[:, _BIAS]
         S = PH[_RATE] - PH[_SLOW] + PH[_BIAS] + R
-        K = (F[k] @ PH + C) @ np.linalg.inv(S)
-        covariances[k], gains[k], S_all[k] = P, K, S
-        # Joseph's form, which rounding cannot make negative.
-        loop = F[k] - _observe_adjoint_columns(K)
-        shared = K @ C.T
-        P = loop @ P @ loop.T + (Q - shared - shared.T + K @ R @ K.T)
+        cross = F_k @ PH + C
+        _, K_transposed, _ = dposv(S, cross.T)
+        covariances[k], gains[k], S_all[k] = P, K_transposed.T, S
+        P = F_k @ P @ F_k.T + Q - cross @ K_transposed
         P = 0.5 * (P + P.T)
-        loops[k] = loop
     factors = np.linalg.cholesky(0.5 * (S_all + np.swapaxes(S_all, 1, 2)))
     diagonal = np.diagonal(factors, axis1=1, axis2=2)
+    # F - K H
+    loops = F - np.concatenate([gains, -gains, gains], axis=-1)
     return Whitener(
         np.linalg.inv(factors), 2.0 * float(np.log(diagonal).sum()), loops, gains, covariances
     )
@@ -363,8 +373,3 @@ def _observe(states: Array) -> Array:
 def _observe_adjoint(values: Array) -> Array:
     """(..., 9, m) from (..., 3, m): the transpose of `_observe`."""
     return np.concatenate([values, -values, values], axis=-2)
-
-
-def _observe_adjoint_columns(gains: Array) -> Array:
-    """(..., 9, 9): gains (..., 9, 3) times what `_observe` does."""
-    return np.concatenate([gains, -gains, gains], axis=-1)

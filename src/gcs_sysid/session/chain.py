@@ -238,7 +238,9 @@ class Chain:
         self._show(samples)
         if self._course_step is None or self.t < self._next_refit - 1e-6:
             return False
-        self._next_refit = max(self._next_refit, self.t - self._course_step) + self._course_step
+        # On average at the interval asked for, although blocks end a little early or late.
+        self._next_refit = max(self._next_refit, self.t - 0.5 * self._course_step)
+        self._next_refit += self._course_step
         self._fit = self._estimator.fit(quick=True)
         self._course.append(self.t, self._parameters())
         return True
