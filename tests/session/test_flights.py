@@ -121,3 +121,9 @@ def test_results_are_values(paper_result):
         paper_result.verdict = "refused"
     with pytest.raises(dataclasses.FrozenInstanceError):
         paper_result.parameters["Ixx"].value = 1.0
+
+
+def test_a_flight_is_validated_in_its_result(paper_result):
+    shares = paper_result.validation["r_squared"]
+    assert set(shares) == {"roll", "pitch", "yaw"}
+    assert min(shares.values()) > 0.98

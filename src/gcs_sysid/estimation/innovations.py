@@ -115,9 +115,7 @@ _HANN = np.array([1.0, 4.0, 1.0]) / 6.0
 """What a Hann taper mixes into a bin's expected power from its neighbours and itself."""
 
 
-def _fit_axis(
-    frequency: Array, power: Array, known: float, floor: float, dt: float
-) -> AxisNoise:
+def _fit_axis(frequency: Array, power: Array, known: float, floor: float, dt: float) -> AxisNoise:
     """Maximum likelihood of the spectrum (Whittle), the number of unknowns chosen by BIC."""
     cos = np.cos(frequency)
     one = 2.0 - 2.0 * cos

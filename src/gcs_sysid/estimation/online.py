@@ -10,6 +10,7 @@ from gcs_sysid.estimation import article, rotation, translation
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.regression import LeakySum, RowMaker, Samples
 from gcs_sysid.estimation.speed_noise import SpeedNoise
+from gcs_sysid.estimation.validation import Validation, validate
 from gcs_sysid.filters.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
 
 _SETTLE_GROWTH = 1.2
@@ -53,6 +54,8 @@ class Fit:
     translation: translation.TranslationFit | None
     seconds: float
     """Flight time that it rests on."""
+    validation: Validation | None = None
+    """Only of full fits."""
 
 
 class OnlineEstimator:
@@ -132,7 +135,12 @@ class OnlineEstimator:
             trans = translation.fit_accelerometer(
                 self._accelerometer.batches, self._accelerometer.counts
             )
-        return Fit(self._fit_rotation(quick), trans, self.seconds)
+        validation = None
+        if not quick and self._article is None:
+            validation = validate(
+                self._rotation.batches, self._rotation.counts, self._delays, self._noise()
+            )
+        return Fit(self._fit_rotation(quick), trans, self.seconds, validation)
 
     def _fit_rotation(self, quick: bool) -> rotation.RotationFit | None:
         if self._article:

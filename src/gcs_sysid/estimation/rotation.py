@@ -155,7 +155,7 @@ def _scan(bank: Array, rows: int, delays: Array, theta: Array) -> tuple[Array, A
     return at_nodes.reshape(leaks, nodes, -1)[np.arange(leaks), best], delays[best]
 
 
-def _at(bank: Array, delays: Array, delay: Array) -> Array:
+def moments_at(bank: Array, delays: Array, delay: Array) -> Array:
     """Moments at any delay within the bank: Lagrange interpolation over its nodes.
 
     Args:
@@ -190,7 +190,7 @@ def _finish(
 ) -> RotationFit:
     """Covariance, residuals and explained share at a minimum; batches (k, delays, W, W)."""
     at = np.array([delay])
-    here = _at(batches[None], delays, at)[0]
+    here = moments_at(batches[None], delays, at)[0]
     total = here.sum(axis=0)
     Q, G = rb.forward_jacobian(theta)
     residual = _residual_moments(total, Q) / rows
@@ -205,7 +205,10 @@ def _finish(
         )
         hessian = hessian[0]
         cost = [
-            0.5 * np.einsum("ij,bij->b", W, _residual_moments(_at(batches[None], delays, d)[0], Q))
+            0.5
+            * np.einsum(
+                "ij,bij->b", W, _residual_moments(moments_at(batches[None], delays, d)[0], Q)
+            )
             for d in (at - _PROBE, at + _PROBE)
         ]
         scores = np.column_stack([scores, (cost[0] - cost[1]) / (2.0 * _PROBE)])
@@ -294,7 +297,7 @@ def _minimise(
     K, p = unknown.shape
 
     def evaluate(u: Array) -> tuple[Array, Array, Array, Array, Array]:
-        moments = _at(bank, delays, u[:, -1]) if with_delay else bank[:, 0]
+        moments = moments_at(bank, delays, u[:, -1]) if with_delay else bank[:, 0]
         Q, G = rb.forward_jacobian(u[:, : rb.N_THETA])
         S = _residual_moments(moments, Q) / rows
         cost = np.linalg.slogdet(S)[1]
@@ -342,7 +345,7 @@ def _with_delay(
 ) -> tuple[Array, Array]:
     """Normal equations with the delay as one more unknown, its part by differences."""
     gradient, hessian = _normal_equations(moments, Q, G, W)
-    early, late = (_at(bank, delays, delay + probe) for probe in (-_PROBE, _PROBE))
+    early, late = (moments_at(bank, delays, delay + probe) for probe in (-_PROBE, _PROBE))
     cost_early, cost_here, cost_late = (
         0.5 * np.einsum("kij,kij->k", W, _residual_moments(m, Q)) for m in (early, moments, late)
     )

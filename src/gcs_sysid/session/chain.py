@@ -88,7 +88,7 @@ class Chain:
         self._began = self._newest = 0.0
         self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self._seen: set[Stream] = set()
-        self._next_refit = 0.0
+        self._next_refit = -np.inf
         self._fit = Fit(None, None, 0.0)
         self._course = CourseRecorder()
         self._course_step = options.course_interval
@@ -172,7 +172,7 @@ class Chain:
                 "rotor_delay": self._rotor_delay(),
             },
             events=(),
-            validation={},
+            validation=self._validation(),
             telemetry=self._telemetry(),
         )
 
@@ -184,6 +184,17 @@ class Chain:
         fit = self._fit
         rot = fit.rotation if fit.seconds >= _MIN_SECONDS else None
         return physical_parameters(self.anchor, rot, fit.translation, self.airframe.arm)
+
+    def _validation(self) -> dict[str, Any]:
+        found = self._fit.validation
+        if found is None:
+            return {}
+        axes = ("roll", "pitch", "yaw")
+        return {
+            "fitted_share": found.fitted_share,
+            "r_squared": dict(zip(axes, found.r_squared.tolist(), strict=True)),
+            "theil": dict(zip(axes, found.theil.tolist(), strict=True)),
+        }
 
     def _telemetry(self) -> dict[str, Any]:
         base = self._time_base
@@ -239,8 +250,8 @@ class Chain:
         if self._course_step is None or self.t < self._next_refit - 1e-6:
             return False
         # On average at the interval asked for, although blocks end a little early or late.
-        self._next_refit = max(self._next_refit, self.t - 0.5 * self._course_step)
-        self._next_refit += self._course_step
+        behind = self.t - self._next_refit > self._course_step
+        self._next_refit = (self.t if behind else self._next_refit) + self._course_step
         self._fit = self._estimator.fit(quick=True)
         self._course.append(self.t, self._parameters())
         return True
