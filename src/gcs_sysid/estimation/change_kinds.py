@@ -40,7 +40,7 @@ class Cause:
         rotor: index of the failing rotor, else None.
         loss: share of its thrust that is gone, else 0.
         loss_std: of the loss.
-        mass_ratio: mass after over mass before, from the thrust residual alone.
+        mass_ratio: mass after over mass before, were it the mass.
         cg_shift: m, forward and right.
         explained: share of the residuals' weighted square that the cause explains.
     """
@@ -117,7 +117,9 @@ def find_cause(evidence: Evidence) -> Cause | None:
     values, std, left = fit(_body_columns(Q, x))
     relative = values[0] / max(kappa, 1e-300)  # (kappa - kappa') / kappa = 1 - m / m'
     mass_ratio = 1.0 / max(1.0 - relative, 0.1)
-    shift = (float(values[1]), float(values[2]))
+    # With inertia g times as large, J'^-1 = J^-1 / g: the inertia's column has 1/g - 1.
+    shrunk = max(1.0 + values[3], 0.1)
+    shift = (float(values[1] / shrunk), float(values[2] / shrunk))
     body = left + 4.0 * penalty
     losses = [
         fit(_rotor_columns(evidence.geometry[:, i], Q, kappa, squares[:, i]))
@@ -136,7 +138,8 @@ def find_cause(evidence: Evidence) -> Cause | None:
         abs(v) > max(_SURE * s, _MIN_CG) for v, s in zip(values[1:3], std[1:3], strict=True)
     )
     inertia = abs(values[3]) > max(_SURE * std[3], 0.03)
-    kind = _kind_of(mass, moved, inertia)
+    # Thrust alone cannot tell a heavier vehicle from a weaker rotor.
+    kind = _kind_of(mass, moved, inertia) if watched[1:3].all() else "change"
     return Cause(kind, None, 0.0, 0.0, float(mass_ratio), shift, 1.0 - left / whole)
 
 

@@ -20,6 +20,8 @@ MIN_SAMPLES = _DEGREE + 1
 """A run of fewer samples has no spline."""
 _MAX_STEP = 0.0125
 """s. Steps of Runge and Kutta (RK4): the error is (omega h)^4 / 2880, 1e-5 of a 5 Hz signal."""
+_REACH = 15
+"""Samples after which a spline has forgotten an impulse."""
 
 _COLUMN = {name: i for i, name in enumerate(rb.SIGNALS)}
 _N_ROTOR_SIGNALS = 4
@@ -50,13 +52,10 @@ class Propagator:
     """
 
     def __init__(self, geometry: Array, speeds: Array, dt: float) -> None:
-        n = len(speeds)
-        steps = max(1, math.ceil(dt / _MAX_STEP - 1e-9))
+        steps = _steps(dt)
         self._step = dt / steps
-        # In sample units: start and middle of every step, and the end of the last.
-        times = np.arange(n - 1)[None, :] + np.linspace(0.0, 1.0, 2 * steps + 1)[:, None]
-        spline = make_interp_spline(np.arange(n, dtype=float), speeds, k=_DEGREE)
-        at, slope = spline(times), spline(times, 1) / dt
+        at, slope = _interpolate(speeds, steps)
+        slope = slope / dt
         self._rotors, self._H = rb.rotor_signals(geometry, at)
         self._dH = slope @ geometry[2]
 
@@ -93,6 +92,33 @@ class Propagator:
         change = _rate_jacobian(Q, w, H) @ W
         change[:, :, 3:] += (x @ G_flat.T).reshape(len(w), 3, rb.N_THETA)
         return x @ Q.T, change
+
+
+def impulse_weights(dt: float) -> Array:
+    """(2 m,) what a unit in one sample adds to each interval's integral, as a share of dt.
+
+    The sample lies between the m-th interval and the next.
+    """
+    impulse = np.zeros((2 * _REACH + 1, 1))
+    impulse[_REACH] = 1.0
+    steps = _steps(dt)
+    at, _ = _interpolate(impulse, steps)
+    simpson = np.tile([2.0, 4.0], steps + 1)[: 2 * steps + 1]
+    simpson[[0, -1]] = 1.0
+    weights: Array = simpson @ at[..., 0] / (6.0 * steps)
+    return weights
+
+
+def _steps(dt: float) -> int:
+    return max(1, math.ceil(dt / _MAX_STEP - 1e-9))
+
+
+def _interpolate(values: Array, steps: int) -> tuple[Array, Array]:
+    """Values and slopes a sample, (2 steps + 1, n - 1, m): from start to end of each interval."""
+    n = len(values)
+    times = np.arange(n - 1)[None, :] + np.linspace(0.0, 1.0, 2 * steps + 1)[:, None]
+    spline = make_interp_spline(np.arange(n, dtype=float), values, k=_DEGREE)
+    return spline(times), spline(times, 1)
 
 
 def _rate_jacobian(Q: Array, w: Array, H: Array) -> Array:

@@ -4,6 +4,7 @@ Live sessions and log analyses are two ways to drive this one class, which is wh
 the same numbers.
 """
 
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
@@ -13,6 +14,8 @@ from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.result import Result
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.intake import Intake, IntakeEvent
+
+_MAX_EVENTS = 1000
 
 
 class Pipeline:
@@ -34,8 +37,9 @@ class Pipeline:
     ) -> None:
         self.source = source
         self.intake = Intake(wanted)
+        self._wanted = wanted
         self.chain = Chain(airframe, options)
-        self._events: list[dict[str, Any]] = []
+        self._events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
 
     def take(self, frames: Iterable[Frame]) -> bool:
         """Take frames in the order received. Returns whether the estimate was renewed."""
@@ -73,7 +77,8 @@ class Pipeline:
         if vehicle is None:
             others = ", ".join(map(str, self.intake.selector.systems.values()))
             heard = f"; heard: {others}" if others else ""
-            reasons = (f"no heartbeat of the wanted autopilot was heard{heard}",)
+            which = " the wanted" if self._wanted else " any"
+            reasons = (f"no heartbeat of{which} autopilot was heard{heard}",)
         return replace(
             result,
             source=self.source,

@@ -169,8 +169,12 @@ class TimeBase:
 
     @property
     def lag(self) -> float:
-        """How far the grid stays behind the newest IMU stamp, in s."""
-        return min(max(4.0 * self.dt, 0.04), 0.3)
+        """How far the grid stays behind the newest IMU stamp, in s.
+
+        Two samples of the slowest signal, so that the cubic has both its right neighbours.
+        """
+        slowest = max(b.interval for b in self._buffers.values() if not b.hold)
+        return min(max(4.0 * self.dt, 2.2 * slowest, 0.04), 0.3)
 
     @property
     def repeated(self) -> int:

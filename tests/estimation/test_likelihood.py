@@ -1,0 +1,218 @@
+"""The offline estimator on flights whose truth is known."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import make_interp_spline
+from scipy.signal import lfilter
+
+from gcs_sysid.estimation.innovations import BIAS_STD, AxisNoise
+from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximise_likelihood
+from gcs_sysid.estimation.regression import Samples
+from gcs_sysid.model import rigid_body as rb
+
+SIZE = np.array([80.0, 80.0, 140.0, 7.0, 12.0, 8.0, 0.1, 0.05, 0.03, 20.0, 0.3])
+"""Rough size of theta's entries: what an error is measured against."""
+
+
+def part(samples, where):
+    return Samples(**{f.name: getattr(samples, f.name)[where] for f in fields(Samples)})
+
+
+def with_noise(samples, noise):
+    return replace(samples, gyro=samples.gyro + noise, rates=samples.rates + noise)
+
+
+def white(samples, sigma, seed):
+    return sigma * np.random.default_rng(seed).standard_normal(samples.gyro.shape)
+
+
+def high_pass(samples, sigma, corner, dt, seed):
+    """White noise of this size through s / (s + corner), settled."""
+    drawn = np.random.default_rng(seed).standard_normal((len(samples.gyro) + 500, 3))
+    return sigma * lfilter([1.0, -1.0], [1.0, -np.exp(-corner * dt)], drawn, axis=0)[500:]
+
+
+@pytest.fixture(scope="module")
+def slow(flight):
+    """30 s at 40 Hz, and its sample time."""
+    return part(flight, slice(None, None, 5)), 0.025
+
+
+@pytest.fixture(scope="module")
+def start(truth):
+    """As far off as a poor online fit."""
+    return truth.theta * (1.0 + 0.02 * np.random.default_rng(3).uniform(-1.0, 1.0, rb.N_THETA))
+
+
+@pytest.mark.parametrize("every", [1, 5, 10])
+def test_exact_without_noise(truth, flight, start, every):
+    """At 20 Hz too, where two samples pass in a radian of the fastest signal."""
+    dt = 0.005 * every
+    fit = maximise_likelihood(part(flight, slice(None, None, every)), truth.geometry, dt, start)
+    assert fit.converged
+    assert np.abs((fit.theta - truth.theta) / SIZE).max() < 2e-4
+
+
+def test_intervals_and_bound_tell_the_errors(truth, slow, start):
+    samples, dt = slow
+    squares, inside = [], []
+    for seed in range(10):
+        noisy = with_noise(samples, white(samples, 0.02, seed))
+        fit = maximise_likelihood(noisy, truth.geometry, dt, start)
+        assert fit.converged
+        error = fit.theta - truth.theta
+        squares.append(error @ np.linalg.solve(fit.covariance, error))
+        inside.append(np.abs(error) < 1.96 * fit.std)
+        # White noise is recognised, so that the interval is the bound (or just above it).
+        assert np.all(fit.bound <= fit.std * (1.0 + 1e-9))
+        for axis in fit.noise:
+            # 1200 samples tell a standard deviation to 2 %: five of those, and one for what a
+            # needless colour would move.
+            assert axis.white_std == pytest.approx(0.02, rel=0.12)
+    # Ten sums of eleven squares: chi-square of 110, of which 99.9 % lie between 68 and 164.
+    assert 68.0 < np.sum(squares) < 164.0
+    assert np.mean(inside) > 0.88
+
+
+def test_colour_is_found_and_used(truth, slow, start):
+    samples, dt = slow
+    noisy = with_noise(samples, high_pass(samples, 0.02, 5.0, dt, seed=1))
+    fit = maximise_likelihood(noisy, truth.geometry, dt, start)
+    plain = maximise_likelihood(
+        with_noise(samples, white(samples, 0.02, 1)), truth.geometry, dt, start
+    )
+    for axis in fit.noise:
+        assert axis.corner == pytest.approx(5.0, rel=0.35)
+        assert axis.zero > 0.98
+    assert np.all(fit.whiteness > 1e-4)
+    assert np.abs((fit.theta - truth.theta) / fit.std).max() < 4.0
+    # Noise that avoids the low frequencies, where the motion is, harms less.
+    assert np.all(fit.bound < plain.bound)
+
+
+@pytest.mark.parametrize("colour", [None, 5.0])
+def test_bound_equals_the_dense_computation(truth, slow, colour):
+    """Against finite differences of the simulated record and its full covariance matrix."""
+    samples, dt = part(slow[0], slice(120)), slow[1]
+    n = len(samples.gyro)
+    sigma, process = 0.02, 0.1
+    axis = AxisNoise(sigma, colour, 0.0 if colour is None else 1.0, process)
+    bound = cramer_rao_bound(samples, truth.geometry, dt, truth.theta, (axis, axis, axis))
+
+    t = np.arange(n) * dt
+    spline = make_interp_spline(t, samples.speeds, k=5)
+    slope = spline.derivative()
+
+    def rates(theta, first):
+        Q = rb.forward_matrix(theta)
+
+        def change(now, w):
+            rotors, H = rb.rotor_signals(truth.geometry, spline(now))
+            dH = slope(now) @ truth.geometry[2]
+            return Q @ [*rotors, *rb.rate_products(w), *w, w[1] * H, w[0] * H, dH]
+
+        return solve_ivp(change, (0.0, t[-1]), first, "DOP853", t, rtol=1e-9, atol=1e-10).y.T
+
+    def slopes(function, at, steps):
+        columns = []
+        for k, step in enumerate(steps):
+            off = np.zeros(len(at))
+            off[k] = step
+            columns.append((function(at + off) - function(at - off)) / (2.0 * step))
+        return np.stack(columns, axis=-1)
+
+    first = samples.rates[0]
+    by_theta = slopes(lambda v: rates(v, first), truth.theta, 1e-3 * SIZE)
+    by_first = slopes(lambda v: rates(truth.theta, v), first, np.full(3, 1e-4))  # (n, 3, 3)
+
+    # Gyro noise: from its impulse response, begun long before.
+    a = 0.0 if colour is None else np.exp(-colour * dt)
+    response = lfilter([1.0, -axis.zero], [1.0, -a], np.eye(n + 800)[0])
+    lags = [sigma**2 * response[: n + 800 - k] @ response[k:] for k in range(n)]
+    lag = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    S = np.einsum("tu,ij->tiuj", np.array(lags)[lag], np.eye(3))
+    # Acceleration noise arrives at each sample and is carried on by the motion.
+    for k in range(1, n):
+        carried = np.zeros((n, 3, 3))
+        carried[k:] = by_first[k:] @ np.linalg.inv(by_first[k])
+        S += (process * dt) ** 2 * np.einsum("tik,ujk->tiuj", carried, carried)
+    # First rates and bias, with their priors, as part of the noise.
+    S += (100.0 * sigma) ** 2 * np.einsum("tik,ujk->tiuj", by_first, by_first)
+    S += BIAS_STD**2 * np.einsum("tu,ij->tiuj", np.ones((n, n)), np.eye(3))
+    X = by_theta.reshape(3 * n, rb.N_THETA) * SIZE
+    information = X.T @ np.linalg.solve(S.reshape(3 * n, 3 * n), X)
+    dense = SIZE * np.sqrt(np.diag(np.linalg.inv(information)))
+    np.testing.assert_allclose(bound, dense, rtol=0.01)
+
+
+def test_noise_of_speeds_does_not_bias(truth, flight):
+    """Strong enough that without its correction inertia would be too large by far."""
+    samples, dt, level = part(flight, slice(None, None, 2)), 0.01, 3.0
+    errors, uncorrected = [], []
+    for seed in range(4):
+        noise = level * np.random.default_rng(seed).standard_normal(samples.speeds.shape)
+        noisy = with_noise(
+            replace(samples, speeds=samples.speeds + noise), white(samples, 0.005, seed)
+        )
+        fit = maximise_likelihood(noisy, truth.geometry, dt, truth.theta, speed_std=level)
+        errors.append((fit.theta - truth.theta) / fit.std)
+        fit = maximise_likelihood(noisy, truth.geometry, dt, truth.theta)
+        uncorrected.append((fit.theta - truth.theta) / fit.std)
+    # Means of four standard normals: 3.3 standard deviations.
+    assert np.abs(np.mean(errors, axis=0)[:2]).max() < 1.65
+    assert np.all(np.mean(uncorrected, axis=0)[:2] > 2.0)
+
+
+def test_gaps_split_the_record(truth, slow, start):
+    samples, dt = slow
+    noisy = with_noise(samples, white(samples, 0.02, 5))
+    gone = np.zeros(len(samples.gyro), dtype=bool)
+    gone[400:440] = gone[800:810] = True
+    gone[820:830] = True  # leaves ten samples between two gaps: too few
+    holed = replace(noisy, gyro=np.where(gone[:, None], np.nan, noisy.gyro))
+    fit = maximise_likelihood(holed, truth.geometry, dt, start)
+    assert fit.rows == len(gone) - gone.sum() - 10
+    assert fit.seconds == pytest.approx(fit.rows * dt)
+    assert np.abs((fit.theta - truth.theta) / fit.std).max() < 4.0
+    whole = maximise_likelihood(noisy, truth.geometry, dt, start)
+    assert np.all(fit.bound[:6] > 0.98 * whole.bound[:6])
+    # 94 % of the record is left, in pieces whose first rates and biases are unknown.
+    assert np.all(fit.bound < 2.0 * whole.bound)
+
+
+def test_the_start_does_not_matter_and_runs_repeat(truth, slow, start):
+    samples, dt = slow
+    noisy = with_noise(samples, high_pass(samples, 0.02, 5.0, dt, seed=2))
+    fits = [
+        maximise_likelihood(noisy, truth.geometry, dt, s) for s in (start, start, 1.2 * truth.theta)
+    ]
+    np.testing.assert_array_equal(fits[0].theta, fits[1].theta)
+    np.testing.assert_array_equal(fits[0].covariance, fits[1].covariance)
+    assert np.abs((fits[2].theta - fits[0].theta) / fits[0].std).max() < 0.1
+
+
+def test_prior_enters_as_information(truth, slow, start):
+    samples, dt = slow
+    noisy = with_noise(samples, white(samples, 0.02, 7))
+    free = maximise_likelihood(noisy, truth.geometry, dt, start)
+    k = rb.MOMENT_RATIO
+    mean, weight = truth.theta.copy(), np.zeros((rb.N_THETA, rb.N_THETA))
+    weight[k, k] = (0.1 * free.std[k]) ** -2
+    held = maximise_likelihood(noisy, truth.geometry, dt, start, prior=(mean, weight))
+    assert held.std[k] == pytest.approx(0.1 * free.std[k], rel=0.05)
+    assert abs(held.theta[k] - mean[k]) < 0.3 * free.std[k]
+    # Izz is known with it, through the yaw equation.
+    assert held.std[2] < 0.8 * free.std[2]
+
+
+def test_nothing_to_fit(truth, slow, start):
+    samples, dt = slow
+    assert maximise_likelihood(part(samples, slice(20)), truth.geometry, dt, start) is None
+    with pytest.raises(ValueError, match="no rigid body"):
+        maximise_likelihood(samples, truth.geometry, dt, -start)
+    noise = AxisNoise(0.02, None, 0.0, 0.0)
+    with pytest.raises(ValueError, match="without a gap"):
+        cramer_rao_bound(part(samples, slice(20)), truth.geometry, dt, start, (noise, noise, noise))
