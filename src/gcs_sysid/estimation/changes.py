@@ -6,17 +6,18 @@ says of it, without a window that would add lag:
     thrust:            f_z + kappa sum Omega^2                     (m/s^2)
     roll, pitch, yaw:  increment of the gyro / dt - Q(theta) x     (rad/s^2, x by the trapezoid)
 
-Each is freed of its slowly tracked mean (accelerometer bias, trim) and divided by its own noise
-level, both learnt in flight. Two-sided CUSUM tests run on two scales: sample by sample with a
-large allowance (a mass step or payload shows within three samples, a spike of one or two does
-not), and on means over a quarter of a second with a smaller one (small steps). The means are
-divided by their own scatter, so gusts and coloured noise raise the level, not the alarm rate.
+Two-sided CUSUM tests run on two scales. The fast one looks at every sample's jump from a short
+baseline (bias, trim and gusts are in both) with a large allowance: a mass step or payload shows
+within three samples, a spike of one or two does not. The slow one looks at means over a quarter
+of a second, freed of the slowly tracked mean: smaller steps. Both divide by the scatter that
+just such values had in the flight so far, so that gusts and coloured noise raise the level, not
+the alarm rate.
 
 Mean and level move at frame borders only, and from whole frames: how samples are grouped into
 blocks changes nothing.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -26,6 +27,7 @@ from gcs_sysid.estimation.change_kinds import Cause, Evidence, find_cause
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.sequential import Baseline, Cusum, Level
 from gcs_sysid.model import rigid_body as rb
 
 Channel = Literal["thrust", "roll", "pitch", "yaw"]
@@ -46,6 +48,7 @@ class ChangeTuning:
         frame: s, length of the means of the slow test; level and mean move once a frame.
         warm_up: s of residuals before a channel is tested.
         memory: s over which mean and level are tracked.
+        baseline: s, and samples at least, of the baseline from which the fast test sees jumps.
         fast: allowance, clip and threshold sample by sample.
         slow: the same on frame means.
         least_share: floor of the noise level, as a share of the hover's thrust or of the
@@ -57,6 +60,7 @@ class ChangeTuning:
     frame: float = 0.25
     warm_up: float = 3.0
     memory: float = 5.0
+    baseline: tuple[float, int] = (0.08, 16)
     fast: tuple[float, float, float] = (4.0, 9.0, 11.0)
     slow: tuple[float, float, float] = (3.0, 8.0, 10.0)
     least_share: float = 0.005
@@ -83,97 +87,6 @@ class Change:
     size: float
     sigmas: float
     scale: Literal["fast", "slow"]
-
-
-class Cusum:
-    """Two-sided cumulative-sum tests on several channels.
-
-    Args:
-        channels: how many.
-        allowance: what a value may deviate without being counted.
-        clip: what a value counts at most, so that an outlier alone cannot alarm.
-        threshold: of the sum.
-    """
-
-    def __init__(self, channels: int, allowance: float, clip: float, threshold: float) -> None:
-        self.allowance, self.clip, self.threshold = allowance, clip, threshold
-        self._sum = np.zeros((channels, 2))
-        self._began = np.zeros((channels, 2), dtype=np.int64)
-
-    def clear(self) -> None:
-        """Forget all sums."""
-        self._sum[:] = 0.0
-
-    def update(self, values: Array, first: int) -> tuple[int, int, int] | None:
-        """Take (n, channels) values, NaN: no news; stops at the first alarm.
-
-        Args:
-            values: in noise levels.
-            first: index of the first row.
-
-        Returns:
-            Row of the alarm, its channel, and the index at which the sum left zero.
-        """
-        with np.errstate(invalid="ignore"):
-            beyond = np.abs(values) > self.allowance
-        if not beyond.any() and not self._sum.any():
-            return None
-        best: tuple[int, int, int] | None = None
-        for c in range(values.shape[1]):
-            if not beyond[:, c].any() and not self._sum[c].any():
-                continue
-            for side, sign in enumerate((1.0, -1.0)):
-                alarm = self._run(sign * values[:, c], first, c, side)
-                if alarm is not None and (best is None or alarm[0] < best[0]):
-                    best = alarm
-        return best
-
-    def _run(self, values: Array, first: int, c: int, side: int) -> tuple[int, int, int] | None:
-        total, began = float(self._sum[c, side]), int(self._began[c, side])
-        for i, value in enumerate(values.tolist()):
-            if value != value:
-                continue
-            if total == 0.0:
-                began = first + i
-            total = max(total + min(value, self.clip) - self.allowance, 0.0)
-            if total > self.threshold:
-                return i, c, began
-        self._sum[c, side], self._began[c, side] = total, began
-        return None
-
-
-class Level:
-    """Running mean and noise level of several channels, moved by whole frames."""
-
-    def __init__(self, channels: int, least_gain: float) -> None:
-        self.mean = np.zeros(channels)
-        self.variance = np.zeros(channels)
-        self.frames = np.zeros(channels, dtype=np.int64)
-        self._least_gain = least_gain
-
-    def forget(self, which: Mask) -> None:
-        """Start anew on some channels."""
-        self.frames[which] = 0
-
-    def update(self, frame: Array, floor: Array) -> None:
-        """Take a frame (n, channels); a channel with less than half of it present is held."""
-        for c in np.flatnonzero(2 * np.isfinite(frame).sum(axis=0) > len(frame)):
-            e = frame[np.isfinite(frame[:, c]), c]
-            if self.frames[c] == 0:
-                self.mean[c] = np.median(e)
-                # Rough: the frames that follow in the warm-up outweigh it.
-                self.variance[c] = max((1.5 * np.median(np.abs(e - self.mean[c]))) ** 2, 1e-12)
-            gain = max(1.0 / (self.frames[c] + 1), self._least_gain)
-            limit = 4.0 * max(np.sqrt(self.variance[c]), floor[c])
-            d = np.clip(e - self.mean[c], -limit, limit)
-            self.mean[c] += gain * d.mean()
-            self.variance[c] += gain * (np.mean(d * d) - self.variance[c])
-            self.frames[c] += 1
-
-    def std(self, floor: Array) -> Array:
-        """(channels,) noise level, at least the floor."""
-        std: Array = np.maximum(np.sqrt(self.variance), floor)
-        return std
 
 
 class ChangeDetector:
@@ -246,7 +159,7 @@ class ChangeDetector:
             watch = _axes_known(rot)
             Q = np.column_stack([rb.forward_matrix(rot.theta), np.zeros(3)])
             matrix[1:] = np.where(watch[:, None], Q, np.nan)
-            if abs(rot.delay) < self.tuning.max_delay:
+            if watch.any() and abs(rot.delay) < self.tuning.max_delay:
                 # To a quarter of a sample: a finer shift gains nothing, a whole one adds no lag.
                 self._shift = round(4.0 * rot.delay / self.dt) / 4.0
         # A channel that was watched already stays so, with the reference it had.
@@ -257,7 +170,11 @@ class ChangeDetector:
         moved[keep] = 0.0
         # What the new reference explains otherwise on average is no jump of the vehicle.
         self._level.mean += moved @ self._mean_x
+        self._baseline.last += moved @ self._mean_x
+        self._e += self._x @ moved.T
         self._level.forget(new)
+        self._level_of_jumps.forget(new)
+        self._baseline.last[new] = np.nan
         self._level_of_means.forget(new)
         self._matrix = matrix
         return self.armed
@@ -279,6 +196,8 @@ class ChangeDetector:
         if np.isfinite(self._matrix).any():
             y, x, squares = self._rows(self._next, stop)
             found = self._test(y - x @ np.nan_to_num(self._matrix).T, x, squares)
+            # A late rotor stream makes the detection wait for it; the onset is the IMU's time.
+            found = [replace(c, detected=c.detected + late * self.dt) for c in found]
         self._next = stop
         drop = max(self._next - self._history - self._base, 0)
         self._table = self._table[drop:]
@@ -289,10 +208,14 @@ class ChangeDetector:
         gain = self.tuning.frame / self.tuning.memory
         self._level = Level(4, gain)
         self._level_of_means = Level(4, gain)
+        self._level_of_jumps = Level(4, gain)
+        seconds, samples = self.tuning.baseline
+        self._baseline = Baseline(4, max(seconds / self.dt, samples))
         self._mean_x = np.zeros(_N_X)
         self._filled = 0
         self._e = np.full((self._frame, 4), np.nan)
-        self._x = np.full((self._frame, _N_X), np.nan)
+        self._jumps = np.full((self._frame, 4), np.nan)
+        self._x = np.zeros((self._frame, _N_X))
         self._evidence: Evidence | None = None
         self._floor = np.zeros(4)
         self._fast.clear()
@@ -358,22 +281,25 @@ class ChangeDetector:
         return np.asarray(level.frames >= self._frames_needed)
 
     def _test_samples(self, e: Array) -> Change | None:
-        ready = self._tested(self._level)
+        limit = np.where(
+            self._level.frames > 0, self.tuning.fast[1] * self._level.std(self._floor), np.inf
+        )
+        mean = self._level.mean
+        jumps = e - self._baseline.update(e, mean - limit, mean + limit)
+        self._jumps[self._filled : self._filled + len(e)] = jumps
+        ready = self._tested(self._level_of_jumps)
         if not ready.any():
             return None
-        std = self._level.std(self._floor)
-        z = np.where(ready, (e - self._level.mean) / np.where(ready, std, 1.0), np.nan)
+        std = self._level_of_jumps.std(self._floor)
+        z = np.where(ready, jumps / np.where(ready, std, 1.0), np.nan)
         alarm = self._fast.update(z, self._next)
         if alarm is None:
             return None
         row, c, began = alarm
         first = began - self._next
-        recent = z[max(first, 0) : row + 1, c]
-        if first < 0:  # it began in samples of this frame taken before, or a frame ago
-            begin = max(self._filled + first, 0)
-            earlier = (self._e[begin : self._filled, c] - self._level.mean[c]) / std[c]
-            recent = np.concatenate([earlier, recent])
-        sigmas = float(np.nanmedian(recent))
+        # It may have begun in samples taken before; then those of this frame alone count.
+        begin = max(self._filled + first, 0)
+        sigmas = float(np.nanmedian(self._jumps[begin : self._filled + row + 1, c]) / std[c])
         return Change(
             detected=(self._next + row) * self.dt,
             onset=began * self.dt,
@@ -407,11 +333,15 @@ class ChangeDetector:
                 sigmas=float(z[c]),
                 scale="slow",
             )
+        # While a deviation builds up in a sum, it is not learnt: it alarms, or decays.
+        learn = ~self._slow.rising
         # The mean of the means is zero by the tracking: only their scatter is learnt.
-        settled = self._level.frames >= 2
-        self._level_of_means.update(np.where(settled, mean, np.nan)[None], floor)
+        usable = learn & (self._level.frames >= 2)
+        self._level_of_means.update(np.where(usable, mean, np.nan)[None], floor)
         self._level_of_means.mean[:] = 0.0
-        self._level.update(self._e, self._floor)
+        self._level.update(np.where(learn, self._e, np.nan), self._floor)
+        self._level_of_jumps.update(self._jumps, self._floor)
+        self._level_of_jumps.mean[:] = 0.0
         return None
 
     def _move_floor(self) -> None:
@@ -435,8 +365,8 @@ class ChangeDetector:
         self.cause = None
         self._fast.clear()
         self._slow.clear()
-        std = self._level.std(self._floor)
-        std[~self._tested(self._level)] = np.inf
+        std = self._level_of_jumps.std(self._floor)
+        std[~self._tested(self._level_of_jumps)] = np.inf
         self._evidence = Evidence(
             self._geometry, self._matrix[1:, : rb.N_SIGNALS], -float(self._matrix[0, _SUM]), std
         )

@@ -3,12 +3,15 @@
 For each axis, with z^-1 the delay by one sample of dt,
 
     gyro = w + b + n,    n = (1 - c z^-1) / (1 - a z^-1) g,    g white, a = exp(-corner dt)
-    w at the next sample = model(w) + u - dt (e + e at the next sample) / 2
+    w at the next sample = model(w) + u - dt ((1 - f) e + f e at the next sample)
 
 n is white for c = a, and white noise through a high-pass s / (s + corner) for c = 1. e is what
 noise of the rotor speeds, known beforehand, does to the angular acceleration; u is white: wind
-and all that the model leaves out. The likelihood follows from the innovations of the Kalman
-filter for this model (Schweppe 1965; Jategaonkar, Flight Vehicle System Identification, ch. 5).
+and all that the model leaves out. A spline through noisy speeds, integrated over one interval,
+passes noise of low frequency by 1 - (omega dt)^2 / 12; so does f (1 - f) = 1/12.
+
+The likelihood follows from the innovations of the Kalman filter for this model (Schweppe 1965;
+Jategaonkar, Flight Vehicle System Identification, ch. 5).
 """
 
 from dataclasses import dataclass, replace
@@ -21,6 +24,8 @@ from gcs_sysid.arrays import Array
 _N = 9
 """States: w, the noise's slow part, the bias; three each."""
 _RATE, _SLOW, _BIAS = slice(0, 3), slice(3, 6), slice(6, 9)
+_NEXT = 0.5 - np.sqrt(0.25 - 1.0 / 12.0)
+"""f above."""
 BIAS_STD = 0.02
 """rad/s, prior of the gyro's bias around the complementary filter's."""
 _DIFFUSE = 100.0
@@ -119,7 +124,9 @@ def _fit_axis(frequency: Array, power: Array, known: float, floor: float, dt: fl
     """Maximum likelihood of the spectrum (Whittle), the number of unknowns chosen by BIC."""
     cos = np.cos(frequency)
     one = 2.0 - 2.0 * cos
-    fixed = known * dt * dt * 0.5 * (1.0 + cos) + (floor * dt) ** 2 + MIN_STD**2 * one
+    fixed = (
+        known * dt * dt * (1.0 - _NEXT * (1.0 - _NEXT) * one) + (floor * dt) ** 2 + MIN_STD**2 * one
+    )
     level = 0.5 * np.log(np.mean(np.maximum(power, fixed[1]) / (one[1] + 0.01)))
     # Gyro noise that is stronger at low frequency is not offered: it would pass for any motion
     # that the model misses, which is process noise.
@@ -316,14 +323,14 @@ def make_whitener(
     slow = np.array([axis.zero for axis in noise]) - pole
     unmodelled = np.array([axis.process_std * dt for axis in noise]) ** 2
 
-    # With w* = w + dt e / 2 as the state, noise of the rotor speeds is white; it is then in the
+    # With w* = w + f dt e as the state, noise of the rotor speeds is white; it is then in the
     # measurement too.
-    R = np.diag(white) + 0.25 * dt * dt * known
+    R = np.diag(white) + (_NEXT * dt) ** 2 * known
     Q = np.zeros((_N, _N))
     Q[_RATE, _RATE] = np.diag(unmodelled) + dt * dt * known
     Q[_SLOW, _SLOW] = np.diag(slow * slow * white)
     C = np.zeros((_N, 3))
-    C[_RATE] = 0.5 * dt * dt * known
+    C[_RATE] = _NEXT * dt * dt * known
     C[_SLOW] = np.diag(slow * white)
     P = np.zeros((_N, _N))
     P[_RATE, _RATE] = np.diag(rate_std**2)

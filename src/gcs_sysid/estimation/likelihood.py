@@ -35,23 +35,31 @@ from gcs_sysid.estimation.innovations import (
     make_whitener,
     rough_noise,
 )
-from gcs_sysid.estimation.propagation import MIN_SAMPLES, Propagator, Transition
+from gcs_sysid.estimation.propagation import (
+    SPLINE_END,
+    Propagator,
+    Transition,
+    impulse_weights,
+)
 from gcs_sysid.estimation.regression import Samples, complete_rows, runs
 from gcs_sysid.estimation.uncertainty import sandwich
 from gcs_sysid.model import rigid_body as rb
 
-MIN_RUN = 4 * MIN_SAMPLES
+MIN_RUN = 24
 """Samples; shorter pieces between gaps say little and are left out."""
-MODEL_PRECISION = 5e-4
+MODEL_PRECISION = 1.5e-4
 """Share of the angular acceleration that no model explains. Rotors that follow held commands
 (250 Hz, 30 ms lag) leave about that between any samples of their speeds."""
 _MAX_ITERATIONS = 25
 _NOISE_REFITS = 3
-"""The noise model may change in so many iterations, then it stays."""
+"""The noise model is fitted anew in so many first iterations, then where the search settles."""
+_MAX_REFITS = 6
+_ALIKE = 0.05
+"""Relative change of the noise's levels that moves no estimate."""
 _MAX_DAMPING = 1e9
 _SMALL = 0.3
 """Standard deviations; a smaller step is taken unseen."""
-_SETTLED = 1e-2
+_SETTLED = 0.02
 """Standard deviations; a smaller step ends the search."""
 _WHITE = 0.01
 """Residuals whiter than this p-value pass as white."""
@@ -81,7 +89,7 @@ class LikelihoodFit:
             ones mean that the model leaves something unexplained.
         lag_one: (3,) their autocorrelation at one sample.
         log_likelihood: of the record, prior excluded.
-        rows: samples used.
+        rows: samples used; the first and last few beside a gap are not.
         seconds: rows times the sample time.
         converged: whether the last step was negligible.
     """
@@ -191,7 +199,8 @@ class _Record:
         self.gyro: list[Array] = []
         self.rates: list[Array] = []
         for part in parts:
-            gyro, rates = samples.gyro[part], samples.rates[part]
+            inner = slice(part.start + SPLINE_END, part.stop - SPLINE_END)
+            gyro, rates = samples.gyro[inner], samples.rates[inner]
             self.gyro.append(gyro - np.mean(gyro - rates, axis=0))
             self.rates.append(rates)
         self.propagators = [Propagator(geometry, samples.speeds[part], dt) for part in parts]
@@ -244,10 +253,13 @@ class _Weighed:
         residuals: of each run, (n, 3), white and of unit variance if all is right.
         sensitivities: of each run, (n, 3, N_THETA), their derivatives by theta.
         excess: (N_THETA,) expected gradient at the truth, from noise of the speeds.
-        gradient: (N_THETA,) of the cost, half the sum of squared residuals, corrected.
+        gradient: (N_THETA,) of half the sum of squared residuals, corrected.
         scatter: (N_THETA, N_THETA) covariance of the gradient.
         information: (N_THETA, N_THETA) expected slope of the gradient.
-        cost: minus the logarithm of the likelihood, but for a constant.
+        squares: half the sum of squared residuals, what the gradient belongs to. Without the
+            determinant: noise of the speeds makes that change with theta, and the profile over
+            the true speeds has none.
+        log_determinant: of the innovations' covariances.
     """
 
     whiteners: list[Whitener]
@@ -257,7 +269,8 @@ class _Weighed:
     gradient: Array
     scatter: Array
     information: Array
-    cost: float
+    squares: float
+    log_determinant: float
 
 
 def _weigh(record: _Record, point: _Point, noise: Noise) -> _Weighed:
@@ -265,7 +278,7 @@ def _weigh(record: _Record, point: _Point, noise: Noise) -> _Weighed:
     rate_std = initial_std(noise, known, record.dt)
     whiteners, residuals, sensitivities = [], [], []
     gradient, scatter = np.zeros(rb.N_THETA), np.zeros((rb.N_THETA, rb.N_THETA))
-    cost = 0.0
+    squares = log_determinant = 0.0
     for gyro, rates, by in zip(record.gyro, point.rates, point.transitions, strict=True):
         whitener = make_whitener(noise, known, by.by_rate, rate_std, record.dt)
         steps = np.concatenate([(by.rates - rates[1:])[..., None], by.by_theta], axis=2)
@@ -276,7 +289,8 @@ def _weigh(record: _Record, point: _Point, noise: Noise) -> _Weighed:
         columns = V.reshape(-1, rb.N_THETA)
         gradient += columns.T @ v.ravel()
         scatter += columns.T @ columns
-        cost += 0.5 * (float(np.sum(v * v)) + whitener.log_determinant)
+        squares += 0.5 * float(np.sum(v * v))
+        log_determinant += whitener.log_determinant
         whiteners.append(whitener)
         residuals.append(v)
         sensitivities.append(V)
@@ -292,7 +306,8 @@ def _weigh(record: _Record, point: _Point, noise: Noise) -> _Weighed:
         gradient - excess,
         scatter,
         information,
-        cost,
+        squares,
+        log_determinant,
     )
 
 
@@ -306,11 +321,14 @@ def _speed_noise_terms(
     longest = max(range(len(whiteners)), key=lambda i: len(point.rates[i]))
     n = len(point.rates[longest])
     steps = np.zeros((n - 1, 3, 6))
-    # Torque noise acts in the two intervals beside the sample, by halves; that of the change of
-    # H adds in one what it takes in the next.
-    for k, sign in ((n // 2 - 1, 1.0), (n // 2, -1.0)):
-        steps[k, :, :3] = 0.5 * record.dt * np.eye(3)
-        steps[k, :, 3:] = sign * np.eye(3)
+    # Torque noise acts in the intervals around the sample; that of the change of H adds in one
+    # what it takes in the next.
+    weights = impulse_weights(record.dt)
+    reach = min(len(weights) // 2, n // 2)
+    for k in range(-reach, reach - 1):
+        steps[n // 2 + k, :, :3] = weights[len(weights) // 2 + k] * record.dt * np.eye(3)
+    steps[n // 2 - 1, :, 3:] = np.eye(3)
+    steps[n // 2, :, 3:] = -np.eye(3)
     white = whiteners[longest].whiten(np.zeros((n, 3, 6)), steps)
     energy = np.einsum("nik,nil->kl", white, white)
     Q, G = rb.forward_jacobian(point.theta)
@@ -334,14 +352,14 @@ def _search(record: _Record, start: Array, prior: Prior | None) -> LikelihoodFit
 
     def cost_of(weighed: _Weighed, theta: Array) -> float:
         off = theta - mean
-        return weighed.cost + 0.5 * float(off @ weight @ off)
+        return weighed.squares + 0.5 * float(off @ weight @ off)
 
     point = _linearise(record, start, record.rates)
     noise = rough_noise(_defects(record, point), record.dt)
     weighed: _Weighed | None = None
-    damping, converged = 0.0, False
+    damping, converged, refits = 0.0, False, 0
     for iteration in range(_MAX_ITERATIONS):
-        if 0 < iteration <= _NOISE_REFITS:
+        if 0 < iteration < _NOISE_REFITS:
             noise, weighed = _fit_noise(record, point), None
         if weighed is None:
             weighed = _weigh(record, point, noise)
@@ -368,14 +386,30 @@ def _search(record: _Record, start: Array, prior: Prior | None) -> LikelihoodFit
             damping = max(10.0 * damping, 1e-3)
         if found is None:
             break
-        if size < _SETTLED**2 and iteration >= _NOISE_REFITS:
-            converged = True
-            break
         point, weighed = found, after
+        if size < _SETTLED**2:
+            # Settled for this noise; is it still the likeliest?
+            refits += 1
+            latest = _fit_noise(record, point) if refits < _MAX_REFITS else noise
+            if _alike(noise, latest):
+                converged = True
+                break
+            noise, weighed = latest, None
         damping = 0.1 * damping if damping > 1e-6 else 0.0
     if weighed is None:
         weighed = _weigh(record, point, noise)
     return _conclude(record, point, noise, weighed, weight, converged)
+
+
+def _alike(one: Noise, other: Noise) -> bool:
+    """Whether two noise models weigh alike."""
+
+    def numbers(noise: Noise) -> Array:
+        return np.array([[n.white_std, n.process_std, n.corner or 1.0, n.zero] for n in noise])
+
+    a, b = numbers(one), numbers(other)
+    same = all((m.corner is None) == (n.corner is None) for m, n in zip(one, other, strict=True))
+    return same and bool(np.all(np.abs(a - b) <= _ALIKE * np.maximum(np.abs(a), np.abs(b))))
 
 
 def _fit_noise(record: _Record, point: _Point) -> Noise:
@@ -433,7 +467,8 @@ def _conclude(
         speed_process_std=np.sqrt(np.diag(record.speed_process(point.theta))),
         whiteness=whiteness,
         lag_one=autocorrelation[0],
-        log_likelihood=-weighed.cost - 0.5 * v.size * float(np.log(2.0 * np.pi)),
+        log_likelihood=-weighed.squares
+        - 0.5 * (weighed.log_determinant + v.size * float(np.log(2.0 * np.pi))),
         rows=record.rows,
         seconds=record.rows * record.dt,
         converged=converged,
@@ -455,7 +490,8 @@ def _autocorrelation(residuals: list[Array], lags: int) -> Array:
     sums = [
         sum(np.sum(v[lag:] * v[:-lag], axis=0) for v in residuals) for lag in range(1, lags + 1)
     ]
-    return np.array(sums) / power
+    ratio: Array = np.array(sums) / power
+    return ratio
 
 
 def _ljung_box(autocorrelation: Array, n: int) -> Array:

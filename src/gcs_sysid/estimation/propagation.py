@@ -16,8 +16,8 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.model import rigid_body as rb
 
 _DEGREE = 5
-MIN_SAMPLES = _DEGREE + 1
-"""A run of fewer samples has no spline."""
+SPLINE_END = 3
+"""Samples at either end of a run where the spline is less true; they start no interval."""
 _MAX_STEP = 0.0125
 """s. Steps of Runge and Kutta (RK4): the error is (omega h)^4 / 2880, 1e-5 of a 5 Hz signal."""
 _REACH = 15
@@ -47,14 +47,14 @@ class Propagator:
 
     Args:
         geometry: (3, rotors) of the airframe.
-        speeds: (n, rotors) rad/s, n >= MIN_SAMPLES.
+        speeds: (n + 2 SPLINE_END, rotors) rad/s: some more at either end than rates.
         dt: s between samples.
     """
 
     def __init__(self, geometry: Array, speeds: Array, dt: float) -> None:
         steps = _steps(dt)
         self._step = dt / steps
-        at, slope = _interpolate(speeds, steps)
+        at, slope = (v[:, SPLINE_END:-SPLINE_END] for v in _interpolate(speeds, steps))
         slope = slope / dt
         self._rotors, self._H = rb.rotor_signals(geometry, at)
         self._dH = slope @ geometry[2]
