@@ -118,8 +118,12 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add("--tlog", type=Path, metavar="FILE", help="write the flight straight to a .tlog")
     add("--truth", type=Path, metavar="FILE", help="write the true parameters as JSON")
-    # For a program that starts this one: however it ends, its pipe closes.
-    parser.add_argument("--until-stdin-closes", action="store_true", help=argparse.SUPPRESS)
+    # However a program that starts this one ends, its pipe closes.
+    parser.add_argument(
+        "--until-stdin-closes",
+        action="store_true",
+        help="end with standard input too, for programs that start this one",
+    )
     return parser
 
 
