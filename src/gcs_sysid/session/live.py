@@ -19,6 +19,10 @@ from gcs_sysid.telemetry.tlog import TlogWriter, unused_path
 
 _POLL = 0.05
 """s; the longest that an action of the user waits."""
+_ASK_EVERY = 0.2
+"""s between looks at the rates that arrive."""
+_FEW, _GATHER = 16, 0.004
+"""Frames in one go that are not worth waking for, and s to wait for more."""
 _PUBLISH_EVERY = 0.2
 """s between snapshots."""
 _LOST_AFTER = 3.0
@@ -167,6 +171,7 @@ class LiveSession:
     def _loop(self) -> None:
         began = time.monotonic()
         published = began
+        asked = began - _ASK_EVERY
         while not self._stop.is_set():
             frames = self._receiver.poll(_POLL)
             now = time.monotonic()
@@ -180,9 +185,10 @@ class LiveSession:
             self._follow_vehicle()
             while not self._actions.empty():
                 self._actions.get()()
-            self._requests.tick(
-                now, self._pipeline.intake.vehicle, self._pipeline.intake.monitor.rates()
-            )
+            if now - asked >= _ASK_EVERY:
+                asked = now
+                intake = self._pipeline.intake
+                self._requests.tick(now, intake.vehicle, intake.monitor.rates())
             self._tell_recording_problem()
             state = self._state(now)
             if now - published >= _PUBLISH_EVERY:
@@ -191,6 +197,9 @@ class LiveSession:
             self._tell_result()
             if self._ended(now, began):
                 return
+            if 0 < len(frames) < _FEW:
+                # Let datagrams gather in the system's buffer: waking for each costs most.
+                self._stop.wait(_GATHER)
 
     def _ended(self, now: float, began: float) -> bool:
         if self._link.ended:
