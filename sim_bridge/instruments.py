@@ -109,19 +109,6 @@ def wrap(angle: float) -> float:
     return math.remainder(angle, 2.0 * math.pi)
 
 
-def quaternion_of(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """Body-to-world quaternion (w, x, y, z) of ZYX angles."""
-    c_r, s_r = math.cos(0.5 * roll), math.sin(0.5 * roll)
-    c_p, s_p = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
-    c_y, s_y = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
-    return (
-        c_r * c_p * c_y + s_r * s_p * s_y,
-        s_r * c_p * c_y - c_r * s_p * s_y,
-        c_r * s_p * c_y + s_r * c_p * s_y,
-        c_r * c_p * s_y - s_r * s_p * c_y,
-    )
-
-
 def quaternion_of_arrays(angles: NDArray[np.float64]) -> NDArray[np.float64]:
     """The same for (..., 3) arrays of angles: (..., 4)."""
     c_r, c_p, c_y = np.moveaxis(np.cos(0.5 * angles), -1, 0)

@@ -6,9 +6,10 @@ Fields are passed in wire order, which is not the order of the definitions: see
 
 import math
 
+from gcs_sysid.model.attitude import from_euler
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.dynamics import rotate_to_body
-from sim_bridge.instruments import Instruments, quaternion_of
+from sim_bridge.instruments import Instruments
 from sim_bridge.px4_status import HOME, voltage
 from sim_bridge.wire import FrameWriter
 
@@ -79,7 +80,7 @@ class FlightMessages:
             self.writer.frame(
                 mavlink.MAVLink_attitude_quaternion_message,
                 self.instruments.now_ms,
-                *quaternion_of(*self.instruments.attitude()),
+                *from_euler(*self.instruments.attitude()),
                 *self.instruments.rates(),
                 0.0,
                 0.0,

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gcs_sysid.model.attitude import from_euler
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.autopilot import EPOCH_US, Schedule
 from sim_bridge.cli import main
 from sim_bridge.dynamics import rotate_to_body
-from sim_bridge.instruments import quaternion_of
 from sim_bridge.vehicle import Vehicle
 from sim_bridge.wire import FrameWriter
 
@@ -124,7 +124,7 @@ def test_attitude_messages_agree(records: list[tuple[int, Any]]) -> None:
     for a, q in zip(
         of_type(records, "ATTITUDE"), of_type(records, "ATTITUDE_QUATERNION"), strict=True
     ):
-        expected = quaternion_of(a.roll, a.pitch, a.yaw)
+        expected = from_euler(a.roll, a.pitch, a.yaw)
         np.testing.assert_allclose((q.q1, q.q2, q.q3, q.q4), expected, atol=1e-6)
         assert a.rollspeed == q.rollspeed
 
@@ -226,7 +226,7 @@ def test_streams_keep_their_mean_rate_on_the_physics_grid() -> None:
 
 
 def test_quaternion_and_rotation_agree() -> None:
-    q = quaternion_of(0.1, -0.2, 2.0)
+    q = from_euler(0.1, -0.2, 2.0)
     # North seen from the body, by the ZYX rotation matrix's first row.
     c, s = math.cos, math.sin
     expected = (

@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from gcs_sysid.model.attitude import from_euler
 from gcs_sysid.records import Record, Stream
-from gcs_sysid.telemetry.decode import RecordDecoder, quaternion_from_euler
+from gcs_sysid.telemetry.decode import RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 
 NAN = float("nan")
@@ -55,7 +56,7 @@ def test_a_second_imu_is_not_mixed_in(decoder, sender):
 
 @pytest.mark.parametrize("angles", [(0.0, 0.0, 0.0), (0.3, -0.4, 2.0), (-2.0, 1.2, -3.0)])
 def test_quaternions_are_the_euler_rotation_matrix(angles):
-    w, x, y, z = quaternion_from_euler(*angles)
+    w, x, y, z = from_euler(*angles)
     (sr, sp, sy), (cr, cp, cy) = np.sin(angles), np.cos(angles)
     yaw = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
     pitch = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])

@@ -3,6 +3,8 @@
 Every function takes and returns arrays whose last axis is the quaternion or vector.
 """
 
+import math
+
 import numpy as np
 
 from gcs_sysid.arrays import Array
@@ -49,6 +51,19 @@ def rotate(q: Array, v: Array) -> Array:
     w, u = q[..., :1], q[..., 1:]
     t = 2.0 * np.cross(u, v)
     return v + w * t + np.cross(u, t)
+
+
+def from_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """Unit quaternion w, x, y, z of one set of angles in rad (plain floats: once a message)."""
+    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
+    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
+    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
 
 
 def to_euler(q: Array) -> Array:

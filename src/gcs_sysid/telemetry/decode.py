@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Callable
 
+from gcs_sysid.model.attitude import from_euler
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.telemetry.clock import VehicleClock
 from gcs_sysid.telemetry.dialect import mavlink
@@ -38,21 +39,6 @@ _position = picker("LOCAL_POSITION_NED", "time_boot_ms", "vx", "vy", "vz", "x", 
 _landed = picker("EXTENDED_SYS_STATE", "landed_state")
 _heartbeat = picker("HEARTBEAT", "base_mode")
 _system_time = picker("SYSTEM_TIME", "time_unix_usec", "time_boot_ms")
-
-
-def quaternion_from_euler(
-    roll: float, pitch: float, yaw: float
-) -> tuple[float, float, float, float]:
-    """Quaternion w, x, y, z (body to world) of z-y-x Euler angles in rad."""
-    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
-    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
-    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
 
 
 class RecordDecoder:
@@ -125,7 +111,7 @@ class RecordDecoder:
             return None
         if t is not None:
             self._attitude_last = t
-        return self._quaternion_record(t, quaternion_from_euler(roll, pitch, yaw))
+        return self._quaternion_record(t, from_euler(roll, pitch, yaw))
 
     def _read_quaternion(self, payload: bytes) -> Record | None:
         time_boot_ms, w, x, y, z = _quaternion(payload)
