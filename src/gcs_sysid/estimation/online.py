@@ -8,6 +8,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import article, rotation, translation
 from gcs_sysid.estimation.moments import Moments
+from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.regression import LeakySum, RowMaker, Samples
 from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.estimation.validation import Validation, validate
@@ -69,6 +70,8 @@ class OnlineEstimator:
 
     def __init__(self, geometry: Array, dt: float, tuning: Tuning) -> None:
         self.dt = dt
+        self.prior: Prior | None = None
+        """What else is known about the rotation; may be set at any time."""
         smoother: Smoother
         if tuning.smoother == "td":
             smoother = DifferentiatorSmoother(dt, tuning.bandwidth)
@@ -136,27 +139,35 @@ class OnlineEstimator:
                 self._accelerometer.batches, self._accelerometer.counts
             )
         validation = None
+        noise = self._noise()
         if not quick and self._article is None:
             validation = validate(
-                self._rotation.batches, self._rotation.counts, self._delays, self._noise()
+                self._rotation.batches, self._rotation.counts, self._delays, noise, self.prior
             )
-        return Fit(self._fit_rotation(quick), trans, self.seconds, validation)
+        return Fit(self._fit_rotation(quick, noise), trans, self.seconds, validation)
 
-    def _fit_rotation(self, quick: bool) -> rotation.RotationFit | None:
+    def _fit_rotation(self, quick: bool, noise: Array) -> rotation.RotationFit | None:
         if self._article:
             return self._article.fit()
-        start = None
-        if quick and self.seconds < self._settle_next:
-            start = self._latest
+        moments, delays, latest = self._rotation, self._delays, self._latest
+        if quick and latest is not None and self.seconds < self._settle_next:
+            self._latest = rotation.follow_rotation(
+                moments.total[latest.leak],
+                moments.rows,
+                delays,
+                noise[latest.leak],
+                latest,
+                self.prior,
+            )
+            return self._latest
         fit = rotation.fit_rotation(
-            self._rotation.batches, self._rotation.counts, self._delays, self._noise(), start
+            moments.batches, moments.counts, delays, noise, prior=self.prior
         )
         if quick:
             self._latest = fit
-            if start is None:
-                self._settle_next = max(
-                    self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds
-                )
+            self._settle_next = max(
+                self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds
+            )
         return fit
 
     def _noise(self) -> Array:

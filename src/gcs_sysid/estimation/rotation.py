@@ -9,15 +9,21 @@ Moments come as a bank of hypotheses: the same rows with several leaks, and with
 signals taken at several delays. All are fitted at once, as stacked arrays. Between the delays of
 the bank the moments are interpolated (they are smooth, band-limited functions of the delay), so
 the delay is estimated to a small fraction of the bank's step.
+
+Rows are correlated, so that the cost overstates what it knows. A prior joins the search as it
+is, but in the outcome it is weighed against the information that the scatter of the batch
+scores leaves: the curvature-adjusted composite likelihood of Chandler and Bate (2007),
+Biometrika 94, 167-183.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.uncertainty import sandwich
+from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS, Prior
+from gcs_sysid.estimation.uncertainty import inflation, meat, symmetric_roots
 from gcs_sysid.model import rigid_body as rb
 
 N_X = rb.N_SIGNALS
@@ -29,13 +35,32 @@ DELAY_PRIOR_STD = 0.03
 
 _MAX_ITERATIONS = 40
 _SCAN_ITERATIONS = 8
-_WARM_ITERATIONS = 3
+_WARM_ITERATIONS = 6
+_FOLLOW_ITERATIONS = 2
 _CONVERGED = 1e-7
 """Steps smaller than this many standard deviations change nothing."""
+_FOLLOWED = 0.1
+"""The same, of a fit that follows a growing record."""
+_DAMPING, _LIGHT_DAMPING = 1e-4, 1e-9
 _EPSILON = 1e-15
 """Rounding of sums of products."""
-_PROBE = 1e-3
-"""s; step of differences with respect to the delay."""
+_HALVINGS = 20
+"""A step that leads out of the physical inertias is shortened so often, then not taken."""
+_IDENTITY = np.eye(3)
+_OUTPUTS = np.arange(N_X, WIDTH)
+
+
+@dataclass(frozen=True)
+class Footing:
+    """From where a later fit of the same, longer record goes on.
+
+    Attributes:
+        unknowns: (N_UNKNOWNS,) at the minimum of the cost.
+        inflation: (p, p) of the covariance, see `uncertainty.inflation`.
+    """
+
+    unknowns: Array
+    inflation: Array
 
 
 @dataclass(frozen=True)
@@ -52,6 +77,10 @@ class RotationFit:
         delay: s, of the rotor stream behind the IMU stream.
         delay_std: s; zero where the delay was not estimated.
         leak: index of the leak that left the least uncertainty.
+        data_std: (N_THETA,) standard deviations without the prior: huge where the flight alone
+            does not tell a parameter.
+        full_covariance: (N_UNKNOWNS, N_UNKNOWNS) of theta and the delay.
+        footing: what `follow_rotation` starts from.
     """
 
     theta: Array
@@ -63,6 +92,18 @@ class RotationFit:
     delay: float = 0.0
     delay_std: float = 0.0
     leak: int = 0
+    data_std: Array = field(default_factory=lambda: np.empty(0))
+    full_covariance: Array = field(default_factory=lambda: np.empty((0, 0)))
+    footing: Footing | None = None
+
+    def __post_init__(self) -> None:
+        if not self.data_std.size:
+            object.__setattr__(self, "data_std", self.std)
+        if not self.full_covariance.size:
+            full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+            full[: rb.N_THETA, : rb.N_THETA] = self.covariance
+            full[DELAY, DELAY] = self.delay_std**2
+            object.__setattr__(self, "full_covariance", full)
 
     @property
     def std(self) -> Array:
@@ -77,6 +118,7 @@ def fit_rotation(
     delays: Array,
     noise: Array,
     start: RotationFit | None = None,
+    prior: Prior | None = None,
 ) -> RotationFit | None:
     """Fit theta and the rotor delay to a bank of moments.
 
@@ -85,8 +127,9 @@ def fit_rotation(
         counts: (k,) rows in each.
         delays: (delays,) s, the bank's rotor delays, equally spaced.
         noise: (leaks, WIDTH, WIDTH) what known noise of the inputs adds to the moments of a row.
-        start: an earlier fit: a few steps from there, with its leak, follow a growing record at
-            little cost. None: from the data alone, to the minimum.
+        start: an earlier fit: a few steps from there, at every leak, at little cost. None: from
+            the data alone, to the minimum.
+        prior: what else is known.
 
     Returns:
         The fit, or None while the data cannot even start one (fewer rows than unknowns, or no
@@ -95,40 +138,57 @@ def fit_rotation(
     rows = int(counts.sum())
     if rows < 3 * rb.N_THETA:
         return None
-    if start is not None:
-        only = slice(start.leak, start.leak + 1)
-        batches, noise = batches[:, only], noise[only]
     bank = batches.sum(axis=0)
+    problem = _Problem(bank.reshape(*bank.shape[:2], -1), rows, delays, prior)
     middle = int(np.argmin(np.abs(delays)))
-    first = [_starting_point(moments[middle]) for moments in bank]
-    if any(theta is None for theta in first):
+    first = [_first_guess(m, rows, float(delays[middle]), prior) for m in bank[:, middle]]
+    if any(guess is None for guess in first):
         return None
-    theta = np.stack([t for t in first if t is not None])
+    unknowns = np.stack([guess for guess in first if guess is not None])
     if start is None:
-        theta, delay = _scan(bank, rows, delays, theta)
+        unknowns = _scan(problem, unknowns)
     else:
         # An earlier estimate from too little motion may lie in a valley of its own.
-        both = np.stack([theta[0], start.theta])
-        cost = _costs(np.repeat(bank[:1, middle], 2, axis=0), rows, both)
-        theta = both[[int(np.argmin(cost))]]
-        delay = np.array([start.delay])
+        earlier = np.tile(np.append(start.theta, start.delay), (len(bank), 1))
+        closer = problem.evaluate(earlier).cost < problem.evaluate(unknowns).cost
+        unknowns = np.where(closer[:, None], earlier, unknowns)
     limit = _MAX_ITERATIONS if start is None else _WARM_ITERATIONS
-    theta, delay, converged = _minimise(bank, rows, delays, theta, delay, limit)
-    fits = [
-        _finish(
-            batches[:, i],
-            rows,
-            delays,
-            noise[i],
-            theta[i],
-            float(delay[i]),
-            bool(converged[i]),
-            i,
-        )
-        for i in range(len(bank))
-    ]
-    best = min(fits, key=uncertainty)
-    return best if start is None else replace(best, leak=start.leak)
+    point, converged = _minimise(problem, unknowns, limit)
+    fits = []
+    for i in range(len(bank)):
+        outcome = _Outcome(problem, point, i, noise[i])
+        spread = inflation(outcome.roots[1], meat(outcome.scores(batches[:, i], counts)))
+        fits.append(outcome.fit(spread, bool(converged[i]), i))
+    return min(fits, key=uncertainty)
+
+
+def follow_rotation(
+    total: Array,
+    rows: int,
+    delays: Array,
+    noise: Array,
+    start: RotationFit,
+    prior: Prior | None = None,
+) -> RotationFit:
+    """Follow a growing record from an earlier fit: a step or two with its leak.
+
+    How far the score scatters is taken over from the earlier fit, as it hardly changes.
+
+    Args:
+        total: (delays, WIDTH, WIDTH) moments of all rows, with the leak of `start`.
+        rows: in them.
+        delays: (delays,) s.
+        noise: (WIDTH, WIDTH) as of `fit_rotation`.
+        start: a fit of the same record when it was shorter.
+        prior: what else is known.
+    """
+    assert start.footing is not None
+    problem = _Problem(total.reshape(1, len(delays), -1), rows, delays, prior)
+    point, converged = _minimise(
+        problem, start.footing.unknowns[None], _FOLLOW_ITERATIONS, _LIGHT_DAMPING, _FOLLOWED
+    )
+    outcome = _Outcome(problem, point, 0, noise)
+    return outcome.fit(start.footing.inflation, bool(converged[0]), start.leak)
 
 
 def uncertainty(fit: RotationFit) -> float:
@@ -136,123 +196,358 @@ def uncertainty(fit: RotationFit) -> float:
     return float(np.sum(np.log(fit.std[: rb.DAMPING])))
 
 
-def _scan(bank: Array, rows: int, delays: Array, theta: Array) -> tuple[Array, Array]:
-    """Fit at every delay of the bank; the best one and its theta, for each leak."""
-    leaks, nodes = bank.shape[:2]
-    if nodes == 1:
-        return theta, np.full(leaks, delays[0])
-    single = bank.reshape(leaks * nodes, 1, WIDTH, WIDTH)
-    at_nodes, _, _ = _minimise(
-        single,
-        rows,
-        delays[:1],
-        np.repeat(theta, nodes, axis=0),
-        np.zeros(leaks * nodes),
-        _SCAN_ITERATIONS,
-    )
-    cost = _costs(single[:, 0], rows, at_nodes).reshape(leaks, nodes)
-    best = np.argmin(cost + (delays / DELAY_PRIOR_STD) ** 2 / rows, axis=1)
-    return at_nodes.reshape(leaks, nodes, -1)[np.arange(leaks), best], delays[best]
-
-
-def moments_at(bank: Array, delays: Array, delay: Array) -> Array:
+def moments_at(bank: Array, delays: Array, delay: float) -> Array:
     """Moments at any delay within the bank: Lagrange interpolation over its nodes.
 
     Args:
-        bank: (K, delays, W, W) moments, or (K, batches, delays, W, W).
+        bank: (..., delays, W, W) moments.
         delays: (delays,) s.
-        delay: (K,) s, wanted.
+        delay: s, wanted.
     """
-    if len(delays) == 1:
-        single: Array = bank[..., 0, :, :]
-        return single
-    # A hair off the nodes: the barycentric form divides by the distance to them.
-    difference = delay[:, None] - delays
-    difference = np.where(np.abs(difference) < 1e-15, 1e-15, difference)
-    apart = delays[:, None] - delays[None, :] + np.eye(len(delays))
-    weights = 1.0 / (apart.prod(axis=1) * difference)
-    weights /= weights.sum(axis=1, keepdims=True)
-    flat = bank.reshape(*bank.shape[:-2], WIDTH * WIDTH)
-    extra = (1,) * (flat.ndim - 3)
-    between: Array = weights.reshape(len(delay), *extra, 1, len(delays)) @ flat
-    return between.reshape(*bank.shape[:-3], WIDTH, WIDTH)
+    weights = _Interpolation(delays).weights(np.array([delay]))[0, 0]
+    between: Array = np.tensordot(bank, weights, ([-3], [0]))
+    return between
 
 
-def _finish(
-    batches: Array,
-    rows: int,
-    delays: Array,
-    noise: Array,
-    theta: Array,
-    delay: float,
-    converged: bool,
-    leak: int,
-) -> RotationFit:
-    """Covariance, residuals and explained share at a minimum; batches (k, delays, W, W)."""
-    at = np.array([delay])
-    here = moments_at(batches[None], delays, at)[0]
-    total = here.sum(axis=0)
-    Q, G = rb.forward_jacobian(theta)
-    residual = _residual_moments(total, Q) / rows
-    W = _inverse_spd(residual)
-    scores = _scores(here, Q, G, W)
-    n = rb.N_THETA
-    if len(delays) == 1:
-        _, hessian = _normal_equations(total, Q, G, W)
-    else:
-        _, hessian = _with_delay(
-            batches.sum(axis=0)[None], delays, at, total[None], Q[None], G[None], W[None]
-        )
-        hessian = hessian[0]
-        cost = [
-            0.5
-            * np.einsum(
-                "ij,bij->b", W, _residual_moments(moments_at(batches[None], delays, d)[0], Q)
+class _Interpolation:
+    """Lagrange's polynomials over the nodes of a bank."""
+
+    def __init__(self, delays: Array) -> None:
+        self._middle = 0.5 * (delays[0] + delays[-1])
+        self._half = 0.5 * (delays[-1] - delays[0]) or 1.0
+        n = len(delays)
+        nodes = (delays - self._middle) / self._half
+        # Row k: the weights' part that goes with the k-th power.
+        self._powers = np.linalg.inv(nodes[:, None] ** np.arange(n)).copy()
+        self._exponents = np.arange(n)
+        slopes = np.zeros((2, n, n))
+        slopes[0, :-1] = self._powers[1:] * self._exponents[1:, None] / self._half
+        slopes[1, :-1] = slopes[0, 1:] * self._exponents[1:, None] / self._half
+        self._all = np.stack([self._powers, *slopes]).transpose(1, 0, 2).reshape(n, 3 * n)
+
+    def weights(self, delay: Array) -> Array:
+        """(K, 3, nodes) weights of the nodes at (K,) delays, and their two derivatives."""
+        x = (delay[:, None] - self._middle) / self._half
+        weights: Array = (x**self._exponents @ self._all).reshape(len(delay), 3, -1)
+        return weights
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Where the search stands, for K hypotheses.
+
+    Attributes:
+        unknowns: (K, N_UNKNOWNS).
+        cost: (K,) log det of the residual covariance, and the priors' part; all per row.
+        gradient: (K, p) downhill, of half the likelihood's cost, W as it is there.
+        hessian: (K, p, p) of the same, Gauss-Newton.
+        residual: (K, 3, 3) covariance of one row's residual.
+    """
+
+    unknowns: Array
+    cost: Array
+    gradient: Array
+    hessian: Array
+    residual: Array
+
+    def where(self, better: Mask, other: "_Point") -> "_Point":
+        """The other point for the hypotheses where that is better."""
+        if len(better) == 1:
+            return other if better[0] else self
+        return _Point(
+            *(
+                np.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
+                for new, old in zip(vars(other).values(), vars(self).values(), strict=True)
             )
-            for d in (at - _PROBE, at + _PROBE)
-        ]
-        scores = np.column_stack([scores, (cost[0] - cost[1]) / (2.0 * _PROBE)])
-    d = _scales(hessian)
-    # A direction that the data do not see at all keeps a huge, finite variance.
-    bread = np.linalg.inv(hessian / np.outer(d, d) + 1e-12 * np.eye(len(d)))
-    covariance = sandwich(bread, scores / d) / np.outer(d, d)
-    # Noise on the inputs makes least squares underrate them; what that does to the gradient is
-    # known, and one Newton step takes it back (first-order correction for errors in variables).
-    pull = np.zeros(len(d))
-    pull[:n] = -_gradient(rows * noise, Q, G, W)
-    corrected = theta + (bread @ (pull / d) / d)[:n]
-    if rb.is_physical(corrected):
-        theta = corrected
-    power = np.diag(total)[N_X:] / rows
-    return RotationFit(
-        theta=theta,
-        covariance=covariance[:n, :n],
-        residual_covariance=residual,
-        r_squared=1.0 - np.diag(residual) / np.maximum(power, 1e-300),
-        rows=rows,
-        converged=converged,
-        delay=delay,
-        delay_std=float(np.sqrt(covariance[n, n])) if len(delays) > 1 else 0.0,
-        leak=leak,
+        )
+
+
+class _Problem:
+    """Hypotheses that are fitted side by side.
+
+    Args:
+        bank: (K, delays, W * W) moments; with one delay alone, that is not fitted.
+        rows: in each.
+        delays: (delays,) s.
+        prior: what else is known.
+    """
+
+    def __init__(self, bank: Array, rows: int, delays: Array, prior: Prior | None) -> None:
+        self.bank = bank
+        self.rows = rows
+        self.delays = delays
+        self.prior = prior
+        self.with_delay = bank.shape[1] > 1
+        self.p = N_UNKNOWNS if self.with_delay else rb.N_THETA
+        self._interpolation = _Interpolation(delays) if self.with_delay else None
+
+    def weights(self, delay: Array) -> Array:
+        """(K, d, nodes): moments of the nodes make those at a delay, and their derivatives."""
+        if self._interpolation is None:
+            return np.ones((len(delay), 1, 1))
+        return self._interpolation.weights(delay)
+
+    def evaluate(self, unknowns: Array) -> _Point:
+        """Cost and its derivatives at (K, N_UNKNOWNS)."""
+        K, n, delay = len(unknowns), rb.N_THETA, unknowns[:, DELAY]
+        moments = (self.weights(delay) @ self.bank).reshape(K, -1, WIDTH, WIDTH)
+        Q, G = rb.forward_jacobian(unknowns[:, :n])
+        T = residual_maker(Q)
+        # Moments of residuals with rows: at this delay, and derivatives by the delay.
+        cross = T[:, None] @ moments
+        Tt = np.swapaxes(T, -1, -2)
+        residual = cross @ Tt[:, None]
+        S = (residual[:, 0] + _rounding(T, moments[:, 0])) / self.rows
+        cost = np.linalg.slogdet(S)[1]
+        W = _inverse_spd(S)
+        WG = (W[:, None] @ G).reshape(K, n, 3 * N_X)
+        GR = (G.reshape(K, n * 3, N_X) @ moments[:, 0, :N_X, :N_X]).reshape(K, n, 3 * N_X)
+        hessian = np.empty((K, self.p, self.p))
+        hessian[:, :n, :n] = WG @ np.swapaxes(GR, -1, -2)
+        right = cross[:, :2, :, :N_X].reshape(K, -1, 3 * N_X)
+        downhill = WG @ np.swapaxes(right, -1, -2)
+        gradient = np.empty((K, self.p))
+        gradient[:, :n] = downhill[..., 0]
+        if self.with_delay:
+            information = DELAY_PRIOR_STD**-2.0
+            cost = cost + delay * delay * (information / self.rows)
+            curves = 0.5 * (residual[:, 1:].reshape(K, 2, 9) @ W.reshape(K, 9, 1))[..., 0]
+            gradient[:, n] = -curves[:, 0] - delay * information
+            hessian[:, n, :n] = hessian[:, :n, n] = -downhill[..., 1]
+            hessian[:, n, n] = np.maximum(curves[:, 1], 0.0) + information
+        if self.prior is not None:
+            cost = cost + self.prior.cost(unknowns) / self.rows
+        return _Point(unknowns, cost, gradient, hessian, S)
+
+
+def _scan(problem: _Problem, unknowns: Array) -> Array:
+    """Fit at every delay of the bank; the best one with its theta, for each leak."""
+    leaks, nodes = problem.bank.shape[:2]
+    if nodes == 1:
+        return unknowns
+    every = np.repeat(unknowns, nodes, axis=0)
+    every[:, DELAY] = np.tile(problem.delays, leaks)
+    given = _Problem(
+        problem.bank.reshape(leaks * nodes, 1, -1), problem.rows, problem.delays[:1], problem.prior
     )
+    point, _ = _minimise(given, every, _SCAN_ITERATIONS)
+    weak = (every[:, DELAY] / DELAY_PRIOR_STD) ** 2 / problem.rows
+    best = np.argmin((point.cost + weak).reshape(leaks, nodes), axis=1)
+    chosen: Array = point.unknowns.reshape(leaks, nodes, -1)[np.arange(leaks), best]
+    return chosen
 
 
-def _residual_moments(moments: Array, Q: Array) -> Array:
-    """(..., 3, 3) residual moments of (..., W, W) moments under Q (..., 3, N_X)."""
-    identity = np.broadcast_to(np.eye(3), (*Q.shape[:-1], 3))
-    T = np.concatenate([-Q, identity], axis=-1)
-    # Without noise only rounding is left of the large terms: floored at that, it stays definite.
+def _minimise(
+    problem: _Problem,
+    unknowns: Array,
+    limit: int,
+    first_damping: float = _DAMPING,
+    enough: float = _CONVERGED,
+) -> tuple[_Point, Mask]:
+    """Levenberg-Marquardt on log det of the residual covariance (W concentrated out).
+
+    Args:
+        problem: K hypotheses.
+        unknowns: (K, N_UNKNOWNS) starting points.
+        limit: most iterations.
+        first_damping: of the first step.
+        enough: standard deviations; after a smaller step the search ends.
+
+    Returns:
+        The minimisers, and (K,) whether each was reached.
+    """
+    K, p = len(unknowns), problem.p
+    damping = np.full(K, first_damping)
+    converged = np.zeros(K, dtype=bool)
+    eye = np.eye(p)
+    low, high = problem.delays[0], problem.delays[-1]
+    if problem.with_delay:
+        unknowns = unknowns.copy()
+        unknowns[:, DELAY] = np.clip(unknowns[:, DELAY], low, high)
+    point = problem.evaluate(unknowns)
+    for _ in range(limit):
+        gradient, hessian = point.gradient, point.hessian
+        if problem.prior is not None:
+            gradient = gradient + problem.prior.pull(point.unknowns)[:, :p]
+            hessian = hessian + problem.prior.information[:p, :p]
+        d = _scales(hessian)
+        H = hessian / (d[:, :, None] * d[:, None, :]) + damping[:, None, None] * eye
+        downhill = gradient / d
+        step = np.linalg.solve(H, downhill[..., None])[..., 0]
+        # How much the cost can still fall, in units of the likelihood.
+        small = (step * downhill).sum(axis=1) < enough**2
+        candidate = point.unknowns.copy()
+        candidate[:, :p] += step / d
+        if problem.with_delay:
+            candidate[:, DELAY] = np.clip(candidate[:, DELAY], low, high)
+        physical = rb.are_physical(candidate)
+        if not physical.all():
+            candidate = np.where(physical[:, None], candidate, point.unknowns)
+        tried = problem.evaluate(candidate)
+        better = physical & (tried.cost <= point.cost) & ~converged
+        point = point.where(better, tried)
+        damping = np.where(better, np.maximum(damping * 0.1, 1e-12), damping * 10.0)
+        # No step however small helps any more: rounding has the last word.
+        converged = converged | small | (damping > 1e6)
+        if converged.all():
+            break
+    return point, converged
+
+
+class _Outcome:
+    """What follows from the minimum of one hypothesis.
+
+    Args:
+        problem: that was solved.
+        point: its solution.
+        index: of the hypothesis.
+        noise: (WIDTH, WIDTH) that known noise of the inputs adds to the moments of a row.
+    """
+
+    def __init__(self, problem: _Problem, point: _Point, index: int, noise: Array) -> None:
+        self._problem = problem
+        self._noise = noise
+        self._unknowns = point.unknowns[index]
+        self._gradient = point.gradient[index]
+        self._residual = point.residual[index]
+        self._index = index
+        self._scale = _scales(point.hessian[index])
+        self._Q, G = rb.forward_jacobian(self._unknowns[: rb.N_THETA])
+        self._W = _inverse_spd(self._residual)
+        self._WG = (self._W @ G).reshape(rb.N_THETA, 3 * N_X)
+        # A direction that the data do not see at all keeps a huge, finite variance.
+        scaled = point.hessian[index] / np.outer(self._scale, self._scale)
+        self.roots = symmetric_roots(scaled)
+        """(p, p) root of the scaled information, and its inverse."""
+
+    def scores(self, batches: Array, counts: NDArray[np.int64]) -> Array:
+        """(k, p) scaled downhill gradient of half the cost, batch by batch.
+
+        Args:
+            batches: (k, delays, W, W) of this hypothesis.
+            counts: (k,) rows in each.
+        """
+        k = len(batches)
+        weights = self._problem.weights(self._unknowns[DELAY:])[0, :2]
+        moments = (weights @ batches.reshape(k, -1, WIDTH * WIDTH)).reshape(k, -1, WIDTH, WIDTH)
+        T = residual_maker(self._Q)
+        cross = T @ moments
+        scores = cross[:, 0, :, :N_X].reshape(k, -1) @ self._WG.T
+        if self._problem.with_delay:
+            slopes = cross[:, 1].reshape(k, -1) @ (self._W @ T).reshape(-1)
+            scores = np.column_stack([scores, -0.5 * slopes])
+        # Away from the likelihood's own minimum all batches pull one way; that is no scatter.
+        scores -= np.outer(counts / counts.sum(), scores.sum(axis=0))
+        scaled: Array = scores / self._scale
+        return scaled
+
+    def fit(self, spread: Array, converged: bool, leak: int) -> RotationFit:
+        """The estimate.
+
+        Args:
+            spread: (p, p) inflation of the covariance.
+            converged: whether the minimum was reached.
+            leak: index of the leak.
+        """
+        problem, d, p, n = self._problem, self._scale, self._problem.p, rb.N_THETA
+        root, inverse_root = self.roots
+        prior = problem.prior
+        # Noise on the inputs makes least squares underrate them; what that does to the gradient
+        # is known, and one Newton step takes it back (first-order correction for errors in
+        # variables).
+        pull = np.zeros(p)
+        noise = problem.rows * self._noise
+        pull[:n] = self._WG @ (self._Q @ noise[:N_X, :N_X] - noise[N_X:, :N_X]).reshape(-1)
+        data_covariance = inverse_root @ spread @ inverse_root
+        covariance = data_covariance
+        if prior is None:
+            step = inverse_root @ (inverse_root @ (pull / d))
+        else:
+            pull += self._gradient
+            delay = self._unknowns[DELAY]
+            if problem.with_delay and not problem.delays[0] < delay < problem.delays[-1]:
+                pull[n] = 0.0
+            held = root @ np.linalg.inv(spread)
+            covariance = np.linalg.inv(
+                held @ root + prior.information[:p, :p] / (d[:, None] * d) + 1e-15 * np.eye(p)
+            )
+            step = covariance @ (
+                held @ (inverse_root @ (pull / d)) + prior.pull(self._unknowns)[:p] / d
+            )
+        unknowns = self._moved(step / d)
+        covariance = covariance / (d[:, None] * d)
+        full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+        full[:p, :p] = covariance
+        power = self._powers()
+        return RotationFit(
+            theta=unknowns[:n],
+            covariance=full[:n, :n],
+            residual_covariance=self._residual,
+            r_squared=1.0 - np.diag(self._residual) / np.maximum(power, 1e-300),
+            rows=problem.rows,
+            converged=converged,
+            delay=float(unknowns[DELAY]),
+            delay_std=float(np.sqrt(full[DELAY, DELAY])),
+            leak=leak,
+            data_std=(np.sqrt(np.diag(data_covariance)) / d)[:n],
+            full_covariance=full,
+            footing=Footing(self._unknowns, spread),
+        )
+
+    def _powers(self) -> Array:
+        """(3,) mean squares of the angular accelerations."""
+        nodes = self._problem.bank[self._index]
+        # The gyro is not moved with the rotors' delay: any node tells.
+        powers: Array = nodes[0].reshape(WIDTH, WIDTH)[_OUTPUTS, _OUTPUTS] / self._problem.rows
+        return powers
+
+    def _moved(self, step: Array) -> Array:
+        """The unknowns after a step, shortened until the inertia is physical."""
+        for _ in range(_HALVINGS):
+            unknowns = self._unknowns.copy()
+            unknowns[: len(step)] += step
+            if rb.is_physical(unknowns):
+                if self._problem.with_delay:
+                    delays = self._problem.delays
+                    unknowns[DELAY] = min(max(unknowns[DELAY], delays[0]), delays[-1])
+                return unknowns
+            step = 0.5 * step
+        return self._unknowns
+
+
+def residual_maker(Q: Array) -> Array:
+    """(..., 3, WIDTH) what makes residuals y - Q x of rows [x, y]."""
+    T = np.empty((*Q.shape[:-1], WIDTH))
+    T[..., :N_X] = -Q
+    T[..., N_X:] = _IDENTITY
+    return T
+
+
+def _rounding(T: Array, moments: Array) -> Array:
+    """(..., 3, 3): without noise only rounding is left of large terms; that keeps it definite."""
     size = np.sqrt(np.maximum(np.diagonal(moments, axis1=-2, axis2=-1), 0.0))
-    rounding = _EPSILON * (np.abs(T) @ size[..., None]) ** 2
-    residual: Array = T @ moments @ np.swapaxes(T, -1, -2) + rounding * np.eye(3)
-    return residual
+    rounding: Array = _EPSILON * (np.abs(T) @ size[..., None]) ** 2 * _IDENTITY
+    return rounding
 
 
-def _costs(moments: Array, rows: int, theta: Array) -> Array:
-    """(K,) log det of the residual covariance of each hypothesis."""
-    Q = rb.forward_matrix(theta)
-    cost: Array = np.linalg.slogdet(_residual_moments(moments, Q) / rows)[1]
-    return cost
+def _first_guess(total: Array, rows: int, delay: float, prior: Prior | None) -> Array | None:
+    """(N_UNKNOWNS,) to start from: a rough fit, or what the prior says where it fits better."""
+    rough = _starting_point(total)
+    if rough is not None:
+        rough = np.append(rough, delay)
+    if prior is None:
+        return rough
+    guess = np.where(prior.known, prior.mean, 0.0 if rough is None else rough)
+    guess[DELAY] = delay
+    if not rb.is_physical(guess):
+        return rough
+    if rough is None:
+        return guess
+    problem = _Problem(total.reshape(1, 1, -1), rows, np.array([delay]), prior)
+    both = np.stack([rough, guess])
+    costs = [float(problem.evaluate(u[None]).cost[0]) for u in both]
+    chosen: Array = both[int(np.argmin(costs))]
+    return chosen
 
 
 def _starting_point(total: Array) -> Array | None:
@@ -275,119 +570,6 @@ def _starting_point(total: Array) -> Array | None:
     return theta if rb.is_physical(theta) else None
 
 
-def _minimise(
-    bank: Array, rows: int, delays: Array, theta: Array, delay: Array, limit: int
-) -> tuple[Array, Array, Mask]:
-    """Levenberg-Marquardt on log det of the residual covariance (W concentrated out).
-
-    Args:
-        bank: (K, delays, W, W) hypotheses; with one delay alone, that is not fitted.
-        rows: in each.
-        delays: (delays,) s.
-        theta: (K, N_THETA) starting points.
-        delay: (K,) s, starting points.
-        limit: most iterations.
-
-    Returns:
-        (K, N_THETA) minimisers, their (K,) delays, and (K,) whether each was reached.
-    """
-    with_delay = len(delays) > 1
-    low, high = delays[0] + _PROBE, delays[-1] - _PROBE
-    unknown = np.column_stack([theta, delay]) if with_delay else theta
-    K, p = unknown.shape
-
-    def evaluate(u: Array) -> tuple[Array, Array, Array, Array, Array]:
-        moments = moments_at(bank, delays, u[:, -1]) if with_delay else bank[:, 0]
-        Q, G = rb.forward_jacobian(u[:, : rb.N_THETA])
-        S = _residual_moments(moments, Q) / rows
-        cost = np.linalg.slogdet(S)[1]
-        if with_delay:
-            cost = cost + (u[:, -1] / DELAY_PRIOR_STD) ** 2 / rows
-        return moments, Q, G, S, cost
-
-    damping = np.full(K, 1e-4)
-    converged = np.zeros(K, dtype=bool)
-    state = evaluate(unknown)
-    for _ in range(limit):
-        moments, Q, G, S, cost = state
-        W = _inverse_spd(S)
-        if with_delay:
-            gradient, hessian = _with_delay(bank, delays, unknown[:, -1], moments, Q, G, W)
-        else:
-            gradient, hessian = _normal_equations(moments, Q, G, W)
-        d = _scales(hessian)
-        H = hessian / (d[:, :, None] * d[:, None, :]) + damping[:, None, None] * np.eye(p)
-        step = np.linalg.solve(H, (gradient / d)[..., None])[..., 0]
-        # How much the cost can still fall, in units of the likelihood.
-        converged |= np.einsum("kp,kp->k", step, gradient / d) < _CONVERGED**2
-        candidate = unknown + step / d
-        if with_delay:
-            candidate[:, -1] = np.clip(candidate[:, -1], low, high)
-        physical = rb.are_physical(candidate)
-        candidate = np.where(physical[:, None], candidate, unknown)
-        tried = evaluate(candidate)
-        better = physical & (tried[-1] <= cost) & ~converged
-        unknown = np.where(better[:, None], candidate, unknown)
-        state = tuple(  # type: ignore[assignment]
-            np.where(better.reshape(K, *(1,) * (new.ndim - 1)), new, old)
-            for new, old in zip(tried, state, strict=True)
-        )
-        damping = np.where(better, np.maximum(damping * 0.1, 1e-12), damping * 10.0)
-        # No step however small helps any more: rounding has the last word.
-        converged |= damping > 1e6
-        if converged.all():
-            break
-    return unknown[:, : rb.N_THETA], unknown[:, -1] if with_delay else delay, converged
-
-
-def _with_delay(
-    bank: Array, delays: Array, delay: Array, moments: Array, Q: Array, G: Array, W: Array
-) -> tuple[Array, Array]:
-    """Normal equations with the delay as one more unknown, its part by differences."""
-    gradient, hessian = _normal_equations(moments, Q, G, W)
-    early, late = (moments_at(bank, delays, delay + probe) for probe in (-_PROBE, _PROBE))
-    cost_early, cost_here, cost_late = (
-        0.5 * np.einsum("kij,kij->k", W, _residual_moments(m, Q)) for m in (early, moments, late)
-    )
-    information = 1.0 / DELAY_PRIOR_STD**2
-    slope = (cost_late - cost_early) / (2.0 * _PROBE) + delay * information
-    bend = (cost_late - 2.0 * cost_here + cost_early) / _PROBE**2
-    cross = (_gradient(early, Q, G, W) - _gradient(late, Q, G, W)) / (2.0 * _PROBE)
-    p = gradient.shape[-1]
-    full = np.empty((*hessian.shape[:-2], p + 1, p + 1))
-    full[..., :p, :p] = hessian
-    full[..., p, :p] = full[..., :p, p] = cross
-    full[..., p, p] = np.maximum(bend, 0.0) + information
-    return np.concatenate([gradient, -slope[..., None]], axis=-1), full
-
-
-def _gradient(moments: Array, Q: Array, G: Array, W: Array) -> Array:
-    """(..., p) downhill gradient of half the cost."""
-    Rxx, Ryx = moments[..., :N_X, :N_X], moments[..., N_X:, :N_X]
-    WG = (W[..., None, :, :] @ G).reshape(*G.shape[:-2], 3 * N_X)
-    right = (Ryx - Q @ Rxx).reshape(*Q.shape[:-2], 3 * N_X, 1)
-    gradient: Array = (WG @ right)[..., 0]
-    return gradient
-
-
-def _normal_equations(moments: Array, Q: Array, G: Array, W: Array) -> tuple[Array, Array]:
-    """Gradient (..., p) and Gauss-Newton matrix (..., p, p) of half the cost, downhill."""
-    Rxx = moments[..., :N_X, :N_X]
-    p = G.shape[-3]
-    flat = (*G.shape[:-2], 3 * N_X)
-    WG = (W[..., None, :, :] @ G).reshape(flat)
-    GR = (G.reshape(*G.shape[:-3], p * 3, N_X) @ Rxx).reshape(flat)
-    return _gradient(moments, Q, G, W), WG @ np.swapaxes(GR, -1, -2)
-
-
-def _scores(batches: Array, Q: Array, G: Array, W: Array) -> Array:
-    """(k, p) downhill gradient of half the cost, batch by batch."""
-    Rxx, Ryx = batches[:, :N_X, :N_X], batches[:, N_X:, :N_X]
-    WG = (W @ G).reshape(len(G), -1)
-    scores: Array = (Ryx - Q @ Rxx).reshape(len(batches), -1) @ WG.T
-    return scores
-
-
 def _scales(hessian: Array) -> Array:
     """(..., p) square roots of the diagonal, 1 where there is no information at all."""
     diagonal = np.diagonal(hessian, axis1=-2, axis2=-1)
@@ -398,5 +580,5 @@ def _inverse_spd(S: Array) -> Array:
     """Inverses of covariances (..., 3, 3) that may be singular on data without noise."""
     trace = np.trace(S, axis1=-2, axis2=-1)
     floor = 1e-12 * np.maximum(trace / 3.0, 1e-300)
-    inverse: Array = np.linalg.inv(S + floor[..., None, None] * np.eye(3))
+    inverse: Array = np.linalg.inv(S + floor[..., None, None] * _IDENTITY)
     return inverse

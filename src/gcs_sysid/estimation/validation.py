@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotation import N_X, fit_rotation, moments_at
 from gcs_sysid.model import rigid_body as rb
 
@@ -35,7 +36,11 @@ class Validation:
 
 
 def validate(
-    batches: Array, counts: NDArray[np.int64], delays: Array, noise: Array
+    batches: Array,
+    counts: NDArray[np.int64],
+    delays: Array,
+    noise: Array,
+    prior: Prior | None = None,
 ) -> Validation | None:
     """Fit the first batches, predict the others.
 
@@ -45,6 +50,7 @@ def validate(
         counts: (k,) rows in each.
         delays: (delays,) s.
         noise: (leaks, WIDTH, WIDTH).
+        prior: what else is known.
 
     Returns:
         None while the flight is too short to be divided.
@@ -53,10 +59,10 @@ def validate(
     cut = round(FITTED_SHARE * k)
     if k < _MIN_BATCHES:
         return None
-    fit = fit_rotation(batches[:cut], counts[:cut], delays, noise)
+    fit = fit_rotation(batches[:cut], counts[:cut], delays, noise, prior=prior)
     if fit is None:
         return None
-    rest = moments_at(batches[cut:, 0].sum(axis=0)[None], delays, np.array([fit.delay]))[0]
+    rest = moments_at(batches[cut:, 0].sum(axis=0), delays, fit.delay)
     Q = rb.forward_matrix(fit.theta)
     Rxx, Rxy, Ryy = rest[:N_X, :N_X], rest[:N_X, N_X:], rest[N_X:, N_X:]
     measured = np.diag(Ryy)
