@@ -67,14 +67,17 @@ def test_leading_shape():
     close(moments.total, [a.T @ a for a in z])
 
 
-def test_clear():
-    moments = Moments((4, 4), 10, max_batches=4)
-    moments.add(rows(95))
-    moments.clear()
+def test_the_newest_batches_can_be_forgotten():
+    z = rows(95)
+    moments = Moments((4, 4), 10, max_batches=32)
+    moments.add(z)
+    moments.drop_last(7)  # the half-full batch of 5 and the whole one before it
+    assert moments.rows == 80
+    close(moments.total, z[:80].T @ z[:80])
+    moments.add(z[80:])
+    close(moments.total, z.T @ z)
+    moments.drop_last(1000)
     assert moments.rows == 0
-    assert len(moments.batches) == 0
-    moments.add(rows(5))
-    close(moments.total, rows(5).T @ rows(5))
 
 
 def test_leaky_sum_is_the_recursion():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.estimation.parameters import CORE, NOTHING, Value, physical_parameters, verdict
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import TranslationFit
@@ -35,7 +36,7 @@ def spread(share, **r2):
 
 @pytest.mark.parametrize("anchor", [("mass", MASS), ("k_T", K_T)])
 def test_either_true_anchor_gives_the_truth(anchor):
-    values = physical_parameters(anchor, ROTATION, TRANSLATION, ARM)
+    values = physical_parameters(Anchor(*anchor), ROTATION, TRANSLATION, ARM)
     assert {n: v.value for n, v in values.items()} == pytest.approx(TRUE, rel=1e-12)
     assert values[anchor[0]] == Value(anchor[1], 0.0, "given")
     assert verdict(values) == ("identified", ())
@@ -43,8 +44,8 @@ def test_either_true_anchor_gives_the_truth(anchor):
 
 @pytest.mark.parametrize(("kind", "known"), [("mass", MASS), ("k_T", K_T)])
 def test_a_wrong_anchor_scales_all_masses_and_moments_alike(kind, known):
-    right = physical_parameters((kind, known), ROTATION, TRANSLATION, ARM)
-    wrong = physical_parameters((kind, 3.0 * known), ROTATION, TRANSLATION, ARM)
+    right = physical_parameters(Anchor(kind, known), ROTATION, TRANSLATION, ARM)
+    wrong = physical_parameters(Anchor(kind, 3.0 * known), ROTATION, TRANSLATION, ARM)
     lengths = {"cg_x", "cg_y", "moment_ratio"}
     for name, value in right.items():
         factor = 1.0 if name in lengths else 3.0
@@ -54,8 +55,8 @@ def test_a_wrong_anchor_scales_all_masses_and_moments_alike(kind, known):
 
 
 def test_the_scales_uncertainty_is_carried():
-    by_mass = physical_parameters(("mass", MASS), ROTATION, TRANSLATION, ARM)
-    by_k_T = physical_parameters(("k_T", K_T), ROTATION, TRANSLATION, ARM)
+    by_mass = physical_parameters(Anchor("mass", MASS), ROTATION, TRANSLATION, ARM)
+    by_k_T = physical_parameters(Anchor("k_T", K_T), ROTATION, TRANSLATION, ARM)
     assert by_mass["k_T"].std == pytest.approx(0.002 * K_T)
     assert by_k_T["mass"].std == pytest.approx(0.002 * MASS)
     # With the mass as the anchor, inertia hangs on k_T, which is estimated; else it does not.
@@ -71,7 +72,7 @@ def test_the_scales_uncertainty_is_carried():
     [(0.049, "identified"), (0.051, "weak"), (0.49, "weak"), (0.51, "unobservable")],
 )
 def test_status_follows_the_relative_std(share, status):
-    values = physical_parameters(("k_T", K_T), spread(share), TRANSLATION, ARM)
+    values = physical_parameters(Anchor("k_T", K_T), spread(share), TRANSLATION, ARM)
     for name in ("Ixx", "Iyy", "Izz", "k_M", "moment_ratio"):
         assert values[name].status == status
         assert values[name].value == pytest.approx(TRUE[name])
@@ -88,7 +89,7 @@ def test_status_follows_the_relative_std(share, status):
 )
 def test_status_falls_where_the_model_explains_too_little(r_squared, lowered):
     fit = replace(ROTATION, r_squared=np.array(r_squared))
-    values = physical_parameters(("mass", MASS), fit, TRANSLATION, ARM)
+    values = physical_parameters(Anchor("mass", MASS), fit, TRANSLATION, ARM)
     for name, status in lowered.items():
         assert values[name].status == status
     # The CG and the scale rest on mean torque and thrust.
@@ -99,18 +100,18 @@ def test_status_falls_where_the_model_explains_too_little(r_squared, lowered):
 
 def test_doubt_never_raises_a_status():
     fit = replace(spread(1.0), r_squared=np.full(3, 0.7))
-    values = physical_parameters(("mass", MASS), fit, TRANSLATION, ARM)
+    values = physical_parameters(Anchor("mass", MASS), fit, TRANSLATION, ARM)
     assert values["Izz"].status == "unobservable"
 
 
 def test_without_rotation_or_translation():
-    nothing = physical_parameters(("mass", MASS), None, None, ARM)
+    nothing = physical_parameters(Anchor("mass", MASS), None, None, ARM)
     assert nothing.pop("mass") == Value(MASS, 0.0, "given")
     assert set(nothing.values()) == {NOTHING}
-    lengths = physical_parameters(("mass", MASS), ROTATION, None, ARM)
+    lengths = physical_parameters(Anchor("mass", MASS), ROTATION, None, ARM)
     assert lengths["cg_x"].value == pytest.approx(0.1)
     assert lengths["Ixx"] == NOTHING
-    thrust = physical_parameters(("mass", MASS), None, TRANSLATION, ARM)
+    thrust = physical_parameters(Anchor("mass", MASS), None, TRANSLATION, ARM)
     assert thrust["k_T"].value == pytest.approx(K_T)
     assert thrust["Ixx"] == NOTHING
 
@@ -118,13 +119,13 @@ def test_without_rotation_or_translation():
 @pytest.mark.parametrize("kappa", [-KAPPA, 0.0, np.nan])
 def test_a_thrust_that_makes_no_sense_gives_no_scale(kappa):
     bad = TranslationFit(kappa, 1e-6, DELTA, 0.1, "momentum")
-    values = physical_parameters(("mass", MASS), ROTATION, bad, ARM)
+    values = physical_parameters(Anchor("mass", MASS), ROTATION, bad, ARM)
     assert values["k_T"] == values["Ixx"] == NOTHING
 
 
 def test_numbers_that_are_none_are_not_shown():
     fit = replace(ROTATION, theta=np.full(rb.N_THETA, np.nan))
-    values = physical_parameters(("mass", MASS), fit, TRANSLATION, ARM)
+    values = physical_parameters(Anchor("mass", MASS), fit, TRANSLATION, ARM)
     assert values["Ixx"] == NOTHING
     word, reasons = verdict(values)
     assert word == "partial"  # k_T is there
@@ -133,7 +134,7 @@ def test_numbers_that_are_none_are_not_shown():
 
 def test_accelerometer_gives_no_drag():
     source = TranslationFit(KAPPA, 0.002 * KAPPA, np.nan, np.nan, "accelerometer")
-    values = physical_parameters(("mass", MASS), ROTATION, source, ARM)
+    values = physical_parameters(Anchor("mass", MASS), ROTATION, source, ARM)
     assert values["linear_drag"] == NOTHING
     assert verdict(values)[0] == "identified"
 

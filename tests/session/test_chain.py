@@ -108,7 +108,7 @@ def test_no_records_at_all():
     result = chain.finish()
     assert result.verdict == "refused"
     assert result.reasons
-    assert chain.attitude is None
+    assert chain.sampler.attitude is None
     result.dumps()
 
 
@@ -123,11 +123,11 @@ def test_nothing_is_estimated_while_it_does_not_fly(paper_records):
         r._replace(values=(0.0,)) if r.stream is Stream.IN_AIR else r for r in paper_records
     ]
     chain, result = run(grounded)
-    assert not chain.flying
+    assert not chain.sampler.flying
     assert result.verdict == "refused"
     assert any("too little flight" in reason for reason in result.reasons)
     assert result.telemetry["used_seconds"] == 0.0
-    assert chain.attitude is not None  # shown on the ground too
+    assert chain.sampler.attitude is not None  # shown on the ground too
 
 
 def test_armed_and_turning_rotors_serve_where_in_air_is_not_told(paper_records, whole):

@@ -9,7 +9,8 @@ from pathlib import Path
 from gcs_sysid.cli import arguments, output
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.online import Tuning
-from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.session.analysis import analyze_log, analyze_pair
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.result import Result
 
@@ -25,11 +26,18 @@ def run(options: argparse.Namespace) -> int:
         course_interval=None,
         start=options.start,
         end=options.end,
+        offline=options.offline,
     )
+    if options.offline and options.method != "forward":
+        raise InputError("--offline starts from --method forward alone")
     target = output.open_output(options.json) if options.json else None
     results: list[Result] = []
     unreadable = 0
-    for log in options.logs:
+    if options.added_mass is not None:
+        results = _pair(options, airframe, chain)
+        for log, result in zip(options.logs, results, strict=True):
+            _print(log, result, truth, table=options.json != "-")
+    for log in options.logs if not results else ():
         try:
             result = analyze_log(
                 Path(log), airframe, options.vehicle, chain, output.progress_bar(log)
@@ -50,6 +58,22 @@ def run(options: argparse.Namespace) -> int:
     if unreadable:
         return 2
     return 1 if any(result.verdict == "refused" for result in results) else 0
+
+
+def _pair(options: argparse.Namespace, airframe: Airframe, chain: ChainOptions) -> list[Result]:
+    if len(options.logs) != 2:
+        raise InputError("--added-mass needs two logs: the light flight, then the heavy one")
+    if any(value is not None for value in (options.mass, options.k_t, options.t_max)):
+        raise InputError("--added-mass sets the scale; give no --mass, --k-t or --t-max with it")
+    light, heavy = map(Path, options.logs)
+    return analyze_pair(
+        (light, heavy),
+        options.added_mass,
+        airframe,
+        options.vehicle,
+        chain,
+        output.progress_bar("two flights"),
+    )
 
 
 def _print(log: str, result: Result, truth: Mapping[str, float] | None, *, table: bool) -> None:

@@ -44,6 +44,20 @@ def rate(text: str) -> float:
     return value
 
 
+def prior(text: str) -> tuple[str, float, float]:
+    """An argparse type: NAME=VALUE±STD; +- and +/- do as well."""
+    name, equals, rest = text.partition("=")
+    for sign in ("+/-", "+-"):
+        rest = rest.replace(sign, "±")
+    value, plus_minus, std = rest.partition("±")
+    try:
+        if equals and plus_minus:
+            return name.strip(), float(value), float(std)
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"must be NAME=VALUE±STD (or +-), got {text!r}")
+
+
 def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -> None:
     group = parser.add_argument_group("vehicle and scale")
     group.add_argument(
@@ -59,6 +73,14 @@ def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -
     scale.add_argument("--k-t", type=positive, metavar="N_S2", help="known k_T as the scale")
     scale.add_argument(
         "--t-max", type=positive, metavar="N", help="known thrust of a rotor at full command"
+    )
+    group.add_argument(
+        "--prior",
+        type=prior,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE±STD",
+        help="a value known beforehand, such as k_M=6.1e-6+-1e-7 from a bench; may be repeated",
     )
 
 
@@ -110,6 +132,17 @@ def add_analyze(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
     parser.add_argument("--truth", metavar="FILE", help="true parameters, to show beside")
     parser.add_argument(
+        "--added-mass",
+        type=mass,
+        metavar="KG",
+        help="scale by two logs: the second was flown with KG more on board",
+    )
+    parser.add_argument(
+        "--offline",
+        action="store_true",
+        help="maximum likelihood over the whole record, with its Cramer-Rao bound (slower)",
+    )
+    parser.add_argument(
         "--method",
         choices=("forward", "forward-td", *ARTICLE_METHODS),
         default="forward",
@@ -141,6 +174,11 @@ def airframe_of(options: argparse.Namespace) -> "Airframe":
         airframe = airframe.with_anchor("k_T", options.k_t)
     elif options.t_max is not None:
         airframe = airframe.with_anchor("T_max", options.t_max)
+    elif getattr(options, "added_mass", None) is not None:
+        # Of the two flights; until they are compared any mass does.
+        airframe = airframe.with_anchor("mass", 1.0)
+    for name, value, std in options.prior:
+        airframe = airframe.with_prior(name, value, std)
     anchor = airframe.anchor()
     if anchor is None:
         raise InputError(

@@ -130,6 +130,11 @@ class ChangeDetector:
         """Whether a reference is in force and no detection is pending."""
         return bool(np.isfinite(self._matrix).any()) and self._evidence is None
 
+    @property
+    def deciding(self) -> bool:
+        """Whether something was detected and its cause is still being told."""
+        return self._evidence is not None
+
     def restart(self) -> None:
         """A gap: the next sample does not join on to the last one."""
         self._table[:] = np.nan

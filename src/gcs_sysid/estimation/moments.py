@@ -71,11 +71,15 @@ class Moments:
             if self._counts[self._full] == self._rows_per_batch:
                 self._full += 1
 
-    def clear(self) -> None:
-        """Forget everything."""
-        self._batches[:] = 0.0
-        self._counts[:] = 0
-        self._full = 0
+    def drop_last(self, rows: int) -> None:
+        """Forget the newest batches that hold at least so many rows."""
+        dropped = 0
+        while dropped < rows and self._begun:
+            last = self._begun - 1
+            dropped += int(self._counts[last])
+            self._batches[last] = 0.0
+            self._counts[last] = 0
+            self._full = last
 
     @property
     def _begun(self) -> int:

@@ -11,6 +11,7 @@ from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.regression import LeakySum, RowMaker, Samples
 from gcs_sysid.estimation.speed_noise import SpeedNoise
+from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.validation import Validation, validate
 from gcs_sysid.filters.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
 
@@ -52,11 +53,21 @@ class Fit:
     """What the estimator knows at one instant, relative to k_T."""
 
     rotation: rotation.RotationFit | None
-    translation: translation.TranslationFit | None
+    translation: TranslationFit | None
     seconds: float
     """Flight time that it rests on."""
     validation: Validation | None = None
     """Only of full fits."""
+    accelerometer: TranslationFit | None = None
+    """The second source of k_T / m, whichever `translation` is."""
+
+
+@dataclass(frozen=True)
+class _Followed:
+    """Where a course of quick fits is: its latest, and flight time of its next full one."""
+
+    fit: rotation.RotationFit
+    settle: float
 
 
 class OnlineEstimator:
@@ -72,6 +83,8 @@ class OnlineEstimator:
         self.dt = dt
         self.prior: Prior | None = None
         """What else is known about the rotation; may be set at any time."""
+        self.accelerometer_gain: translation.Gain | None = None
+        """How the accelerometer reads against gravity, from an earlier segment."""
         smoother: Smoother
         if tuning.smoother == "td":
             smoother = DifferentiatorSmoother(dt, tuning.bandwidth)
@@ -89,8 +102,7 @@ class OnlineEstimator:
         bank = (len(tuning.leaks), len(self._delays))
         self._rotation = Moments((*bank, rotation.WIDTH, rotation.WIDTH), per_batch)
         self._settle_interval = tuning.settle_interval
-        self._latest: rotation.RotationFit | None = None
-        self._settle_next = -np.inf
+        self._followed: dict[str, _Followed] = {}
         self._article = (
             None
             if tuning.method == "forward"
@@ -124,50 +136,76 @@ class OnlineEstimator:
         """Flight time that the rotational estimate rests on."""
         return self._rotation.rows * self._row_time
 
-    def fit(self, *, quick: bool = False) -> Fit:
+    def fit(self, *, quick: bool = False, course: str = "") -> Fit:
         """The estimate from everything so far.
 
         Args:
             quick: go on from the last quick estimate, for the course of a running flight.
                 Otherwise the outcome is a function of the data alone.
+            course: name of the course of quick estimates to go on with. One that decides
+                something must not depend on how often others look.
         """
-        trans = None
-        if self._momentum.rows * self._row_time > MIN_MOMENTUM_SECONDS:
-            trans = translation.fit_momentum(self._momentum.batches, self._momentum.counts)
-        if trans is None:
-            trans = translation.fit_accelerometer(
-                self._accelerometer.batches, self._accelerometer.counts
-            )
+        trans, accelerometer = self.fit_translation()
         validation = None
         noise = self._noise()
         if not quick and self._article is None:
             validation = validate(
                 self._rotation.batches, self._rotation.counts, self._delays, noise, self.prior
             )
-        return Fit(self._fit_rotation(quick, noise), trans, self.seconds, validation)
+        return Fit(
+            self._fit_rotation(course if quick else None, noise),
+            trans,
+            self.seconds,
+            validation,
+            accelerometer,
+        )
 
-    def _fit_rotation(self, quick: bool, noise: Array) -> rotation.RotationFit | None:
+    def fit_translation(
+        self,
+    ) -> tuple[TranslationFit | None, TranslationFit | None]:
+        """Thrust and drag over mass from the better source, and from the accelerometer."""
+        accelerometer = translation.fit_accelerometer(
+            self._accelerometer.batches, self._accelerometer.counts, self.accelerometer_gain
+        )
+        momentum = None
+        if self._momentum.rows * self._row_time > MIN_MOMENTUM_SECONDS:
+            momentum = translation.fit_momentum(self._momentum.batches, self._momentum.counts)
+        return momentum or accelerometer, accelerometer
+
+    @property
+    def speed_std(self) -> Array:
+        """(rotors,) rad/s, noise of the rotor speeds."""
+        return self._speed_noise.std
+
+    def forget_last(self, seconds: float) -> None:
+        """Leave out at least the last `seconds` of what was learnt (whole batches)."""
+        rows = int(np.ceil(seconds / self._row_time))
+        for moments in (self._rotation, self._momentum, self._accelerometer):
+            moments.drop_last(rows)
+        self._followed.clear()
+
+    def _fit_rotation(self, course: str | None, noise: Array) -> rotation.RotationFit | None:
         if self._article:
             return self._article.fit()
-        moments, delays, latest = self._rotation, self._delays, self._latest
-        if quick and latest is not None and self.seconds < self._settle_next:
-            self._latest = rotation.follow_rotation(
-                moments.total[latest.leak],
+        moments, delays = self._rotation, self._delays
+        known = None if course is None else self._followed.get(course)
+        if course is not None and known is not None and self.seconds < known.settle:
+            latest = rotation.follow_rotation(
+                moments.total[known.fit.leak],
                 moments.rows,
                 delays,
-                noise[latest.leak],
-                latest,
+                noise[known.fit.leak],
+                known.fit,
                 self.prior,
             )
-            return self._latest
+            self._followed[course] = _Followed(latest, known.settle)
+            return latest
         fit = rotation.fit_rotation(
             moments.batches, moments.counts, delays, noise, prior=self.prior
         )
-        if quick:
-            self._latest = fit
-            self._settle_next = max(
-                self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds
-            )
+        if course is not None and fit is not None:
+            settle = max(self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds)
+            self._followed[course] = _Followed(fit, settle)
         return fit
 
     def _noise(self) -> Array:

@@ -7,10 +7,10 @@ from typing import Literal
 
 import numpy as np
 
+from gcs_sysid.estimation.anchors import Anchor, Known, resolve_scale
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.airframe import AnchorName
 
 Status = Literal["identified", "given", "weak", "unobservable"]
 
@@ -61,23 +61,23 @@ NOTHING = Value(None, None, "unobservable")
 
 
 def physical_parameters(
-    anchor: tuple[AnchorName, float],
+    anchor: Anchor,
     rotation: RotationFit | None,
     translation: TranslationFit | None,
     arm: float,
+    known: Mapping[str, Known] | None = None,
 ) -> dict[str, Value]:
     """Physical parameters of the fits, at the anchor's scale.
 
     Args:
-        anchor: the known value that sets the scale, mass in kg or k_T in N s^2.
+        anchor: the known value that sets the scale.
         rotation: relative to k_T; None while there is none.
         translation: k_T / m and D / m; None while there is none.
         arm: m, mean rotor distance: the yardstick for CG and moment ratio.
+        known: priors on mass and k_T; those on the rotation are in its fit.
     """
     names = [*CORE, "moment_ratio", "rotational_damping", "rotor_inertia", "linear_drag"]
     out = dict.fromkeys(names, NOTHING)
-    kind, known = anchor
-    out[kind] = Value(known, 0.0, "given")
     if rotation is not None:
         # Lengths need no scale at all.
         for name, index, yardstick in (
@@ -87,25 +87,31 @@ def physical_parameters(
         ):
             value, std = float(rotation.theta[index]), float(rotation.std[index])
             out[name] = _judged(value, std, abs(value) if yardstick is None else yardstick)
-    k_T, k_T_share = (known, 0.0) if kind == "k_T" else (None, math.inf)
-    if translation is not None and translation.kappa > 0.0:
-        kappa, share = translation.kappa, translation.kappa_std / translation.kappa
-        if share < 1.0:
-            if kind == "mass":
-                k_T, k_T_share, mass = known * kappa, share, known
-                out["k_T"] = _judged(k_T, k_T * share, k_T)
-            else:
-                mass = known / kappa
-                out["mass"] = _judged(mass, mass * share, mass)
-            if math.isfinite(translation.delta):
-                drag, std = mass * translation.delta, mass * translation.delta_std
-                out["linear_drag"] = _judged(drag, std, max(abs(drag), 0.05 * mass))
+    scale = resolve_scale(anchor, translation, known or {})
+    for name, known_value, share in (
+        ("mass", scale.mass, scale.mass_share),
+        ("k_T", scale.k_T, scale.k_T_share),
+    ):
+        if known_value is not None:
+            out[name] = _judged(known_value, known_value * share, known_value)
+    if anchor.kind in out and anchor.std == 0.0:
+        out[anchor.kind] = Value(anchor.value, 0.0, "given")
+    if translation is not None and scale.mass is not None and math.isfinite(translation.delta):
+        drag, std = scale.mass * translation.delta, scale.mass * translation.delta_std
+        out["linear_drag"] = _judged(drag, std, max(abs(drag), 0.05 * scale.mass))
     if rotation is not None:
-        if k_T is not None:
-            out |= _scaled(rotation, k_T, k_T_share)
+        if scale.k_T is not None:
+            out |= _scaled(rotation, scale.k_T, scale.k_T_share)
         for name, axes in _AXES.items():
             out[name] = _doubted(out[name], float(rotation.r_squared[list(axes)].min()))
     return out
+
+
+def rests_on_prior(rotation: RotationFit) -> frozenset[str]:
+    """Parameters of whose information more than half does not come from the flight's data."""
+    leaning = rotation.std**2 < 0.5 * rotation.data_std**2
+    names = {name for name, leans in zip(rb.THETA, leaning, strict=True) if leans}
+    return frozenset(names | ({"k_M"} if "moment_ratio" in names else set()))
 
 
 def rotor_delay(rotation: RotationFit | None) -> Value:

@@ -504,15 +504,16 @@ class _Outcome:
     def _moved(self, step: Array) -> Array:
         """The unknowns after a step, shortened until the inertia is physical."""
         for _ in range(_HALVINGS):
-            unknowns = self._unknowns.copy()
+            unknowns: Array = self._unknowns.copy()
             unknowns[: len(step)] += step
             if rb.is_physical(unknowns):
                 if self._problem.with_delay:
                     delays = self._problem.delays
-                    unknowns[DELAY] = min(max(unknowns[DELAY], delays[0]), delays[-1])
+                    unknowns[DELAY] = np.clip(unknowns[DELAY], delays[0], delays[-1])
                 return unknowns
             step = 0.5 * step
-        return self._unknowns
+        start: Array = self._unknowns
+        return start
 
 
 def residual_maker(Q: Array) -> Array:

@@ -29,6 +29,22 @@ ACCELEROMETER_BIAS_STD = 0.05
 TILT_ERROR_SHARE = 2e-4
 """Relative error of kappa that attitude errors of 0.02 rad rms leave: 1 - mean cosine."""
 
+GAIN_DRIFT = 5e-4
+"""Relative change of the gain that half an hour of temperature may bring (5 mm/s^2 of bias)."""
+
+_MIN_ROWS = 50
+_MIN_CALIBRATED_ROWS = 12
+_ROWS_IN_WINDOW = 3.0
+"""Square root of the rows that share a window's noise."""
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Of the accelerometer against momentum balance, with its relative standard deviation."""
+
+    value: float
+    share: float
+
 
 @dataclass(frozen=True)
 class TranslationFit:
@@ -73,19 +89,46 @@ def fit_momentum(batches: Array, counts: NDArray[np.int64]) -> TranslationFit | 
     return TranslationFit(kappa, kappa_std, -float(estimate[1]), float(std[1]), "momentum")
 
 
-def fit_accelerometer(batches: Array, counts: NDArray[np.int64]) -> TranslationFit | None:
+def accelerometer_gain(
+    momentum: TranslationFit | None, accelerometer: TranslationFit | None
+) -> Gain | None:
+    """How the accelerometer's kappa must be scaled to agree with momentum balance.
+
+    In flight both sides of its bias, b and the mean specific force g, stay the same when the mass
+    changes, so one gain holds before and after.
+    """
+    if momentum is None or accelerometer is None or momentum.source != "momentum":
+        return None
+    return Gain(
+        momentum.kappa / accelerometer.kappa,
+        float(np.hypot(momentum.kappa_std / momentum.kappa, GAIN_DRIFT)),
+    )
+
+
+def fit_accelerometer(
+    batches: Array, counts: NDArray[np.int64], gain: Gain | None = None
+) -> TranslationFit | None:
     """Fit thrust over mass to the accelerometer's z axis alone.
 
     Args:
         batches: (k, WIDTH, WIDTH) moments of rows [sum O, 0, 1, f_z].
         counts: (k,) rows in each.
+        gain: of this accelerometer against momentum balance, where that is known.
     """
     layout = np.zeros((1, 3, 1))
     layout[0, 0, 0] = 1.0
-    solution = _weighted_fit(batches[:, None], counts, layout)
+    solution = _weighted_fit(
+        batches[:, None], counts, layout, _MIN_ROWS if gain is None else _MIN_CALIBRATED_ROWS
+    )
     if solution is None:
         return None
     estimate, covariance = solution
+    if gain is not None:
+        kappa = -gain.value * float(estimate[0])
+        # A window's worth of neighbouring rows counts once: early on no batches tell that.
+        own = _ROWS_IN_WINDOW * np.sqrt(covariance[0, 0]) / abs(estimate[0])
+        share = float(np.hypot(own, gain.share))
+        return TranslationFit(kappa, share * kappa, np.nan, np.nan, "accelerometer")
     total = batches.sum(axis=0)
     mean_thrust = total[0, 2] / max(total[2, 2], 1e-300)
     bias_std = ACCELEROMETER_BIAS_STD / max(abs(mean_thrust), 1e-300)
@@ -94,7 +137,7 @@ def fit_accelerometer(batches: Array, counts: NDArray[np.int64]) -> TranslationF
 
 
 def _weighted_fit(
-    batches: Array, counts: NDArray[np.int64], layout: Array
+    batches: Array, counts: NDArray[np.int64], layout: Array, min_rows: int = _MIN_ROWS
 ) -> tuple[Array, Array] | None:
     """Least squares over several axes that share unknowns, weighted by each axis' residual.
 
@@ -102,11 +145,12 @@ def _weighted_fit(
         batches: (k, axes, WIDTH, WIDTH).
         counts: (k,).
         layout: (axes, inputs, unknowns): inputs of an axis as combinations of unknowns.
+        min_rows: fewer say nothing.
 
     Returns:
         Unknowns and their covariance, corrected for coloured residuals.
     """
-    if counts.sum() < 50:
+    if counts.sum() < min_rows:
         return None
     total = batches.sum(axis=0)
     rows = counts.sum()

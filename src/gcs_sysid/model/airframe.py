@@ -4,7 +4,7 @@ import math
 import sys
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -18,6 +18,14 @@ RotorInput = Literal["auto", "speed", "command"]
 AnchorName = Literal["mass", "k_T", "T_max"]
 ANCHORS: dict[AnchorName, str] = {"mass": "kg", "k_T": "N s^2", "T_max": "N"}
 """The values that can set the scale, with their units."""
+
+POSITIVE = ("mass", "Ixx", "Iyy", "Izz", "k_T", "k_M", "moment_ratio")
+"""Parameters that no vehicle has at zero or below."""
+PRIORS = (
+    *POSITIVE, "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "rotational_damping", "rotor_inertia",
+    "rotor_delay",
+)  # fmt: skip
+"""Parameters that may be known beforehand."""
 
 MOST_ARM = 100.0
 """m; a rotor further out than this is a slip of the pen."""
@@ -72,6 +80,8 @@ class Airframe:
     mass: float | None = None
     k_T: float | None = None
     T_max: float | None = None
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Parameters known beforehand: name -> value and standard deviation, SI."""
 
     @property
     def geometry(self) -> NDArray[np.float64]:
@@ -102,6 +112,15 @@ class Airframe:
         cleared: dict[str, float | None] = dict.fromkeys(ANCHORS)
         cleared[name] = value
         return replace(self, **cleared)  # type: ignore[arg-type]
+
+    def with_prior(self, name: str, value: float, std: float) -> "Airframe":
+        """The same airframe with one more (or another) prior.
+
+        Raises:
+            InputError: there can be no prior of that name, or the numbers make no sense.
+        """
+        _check_prior(name, value, std, "prior")
+        return replace(self, priors={**self.priors, name: (value, std)})
 
     def with_arm(self, metres: float) -> "Airframe":
         """The same layout scaled so that the mean rotor distance is `metres`.
@@ -170,7 +189,7 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
     Raises:
         InputError: a key is unknown, missing or has a value that makes no sense.
     """
-    known = {"name", "rotor_input", "command", "rotor", *ANCHORS, SIMULATION_TABLE}
+    known = {"name", "rotor_input", "command", "rotor", "prior", *ANCHORS, SIMULATION_TABLE}
     _reject_unknown(table, known, where)
     name = table.get("name", Path(where).stem)
     if not isinstance(name, str):
@@ -193,8 +212,32 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
         rotors=_rotors(table.get("rotor"), where),
         rotor_input=rotor_input,
         command=_command(table.get("command", {}), f"{where}: [command]"),
+        priors=_priors(table.get("prior", {}), where),
         **anchors,
     )
+
+
+def _priors(table: object, where: str) -> dict[str, tuple[float, float]]:
+    if not isinstance(table, dict):
+        raise InputError(f"{where}: [prior] must be a table of name = [value, std]")
+    out = {}
+    for name, entry in table.items():
+        at = f"{where}: [prior] {name}"
+        if not isinstance(entry, list) or len(entry) != 2:
+            raise InputError(f"{at}: must be [value, standard deviation], got {entry!r:.40}")
+        value, std = (_number(number, at) for number in entry)
+        _check_prior(name, value, std, where)
+        out[name] = (value, std)
+    return out
+
+
+def _check_prior(name: str, value: float, std: float, where: str) -> None:
+    if name not in PRIORS:
+        raise InputError(f"{where}: no prior on {name!r}; known are {', '.join(PRIORS)}")
+    if not (math.isfinite(value) and math.isfinite(std) and std > 0.0):
+        raise InputError(f"{where}: the standard deviation of {name} must be positive")
+    if name in POSITIVE and value <= 0.0:
+        raise InputError(f"{where}: {name} must be positive, got {value:g}")
 
 
 def _rotors(entries: object, where: str) -> tuple[Rotor, ...]:

@@ -1,9 +1,12 @@
 """Analysis of recorded flights."""
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
@@ -20,6 +23,7 @@ def analyze_log(
     wanted: tuple[int, int | None] | None = None,
     options: ChainOptions | None = None,
     progress: Callable[[float], None] | None = None,
+    anchor: Anchor | None = None,
 ) -> Result:
     """Identify from a recording.
 
@@ -29,13 +33,15 @@ def analyze_log(
         wanted: system and perhaps component; None: the first autopilot in the log.
         options: of the chain; by default the estimate's course is not computed.
         progress: called with the share of the log done, 0 to 1, now and then.
+        anchor: sets the scale instead of the airframe's.
 
     Raises:
         InputError: the file cannot be read as a log.
     """
     if path.suffix.lower() in (".ulg", ".bin"):
         raise InputError(f"{path}: {path.suffix} logs cannot be read yet; give a .tlog")
-    pipeline = Pipeline(airframe, str(path), wanted, options or ChainOptions(course_interval=None))
+    options = options or ChainOptions(course_interval=None)
+    pipeline = Pipeline(airframe, str(path), wanted, options, anchor)
     reader = read_tlog(path)
     size = max(path.stat().st_size, 1)
     done = 0
@@ -53,3 +59,56 @@ def analyze_log(
     if progress:
         progress(1.0)
     return pipeline.finish()
+
+
+def analyze_pair(
+    paths: tuple[Path, Path],
+    added_mass: float,
+    airframe: Airframe,
+    wanted: tuple[int, int | None] | None = None,
+    options: ChainOptions | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> list[Result]:
+    """Identify from two flights of one vehicle, the second with a known mass added.
+
+    Args:
+        paths: of the two logs.
+        added_mass: kg.
+        airframe: with any anchor; it does not count.
+        wanted: as of `analyze_log`.
+        options: of the chain.
+        progress: called with the share done of the log at hand.
+
+    Raises:
+        InputError: a file cannot be read, or the flights do not tell the masses apart.
+    """
+    unit = Anchor("mass", 1.0)
+    cheap = replace(options or ChainOptions(), course_interval=None, offline=False)
+    per_mass = [
+        analyze_log(path, airframe, wanted, cheap, progress, unit).parameters["k_T"]
+        for path in paths
+    ]
+    (light, light_std), (heavy, heavy_std) = ((k.value, k.std) for k in per_mass)
+    if light is None or heavy is None or light_std is None or heavy_std is None:
+        raise InputError(
+            f"{paths[0]} and {paths[1]}: both flights must tell thrust over mass; "
+            "one of them is too short"
+        )
+    if light - heavy < 3.0 * math.hypot(light_std, heavy_std):
+        raise InputError(
+            f"{paths[1]} was not flown heavier than {paths[0]}, as far as the data tell: "
+            "give the light flight first, and add more mass"
+        )
+    first = analyze_log(
+        paths[0],
+        airframe,
+        wanted,
+        options,
+        progress,
+        Anchor("added_mass", added_mass, loaded=(heavy, heavy_std)),
+    )
+    k_T = first.parameters["k_T"]
+    assert k_T.value is not None
+    assert k_T.std is not None
+    shared = Anchor("k_T", k_T.value, k_T.std, f"two flights, {added_mass:g} kg apart")
+    return [first, analyze_log(paths[1], airframe, wanted, options, progress, shared)]

@@ -1,4 +1,4 @@
-"""The one chain from records to estimates: time base, complementary filter, regression, fit.
+"""The one chain from records to estimates: samples, estimator, parameters.
 
 Live sessions, replays, log analyses and tests all feed this class, record by record. Its state
 depends on the records and their order alone, so the analysis of a recording ends with the
@@ -11,31 +11,24 @@ from typing import Any
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.online import Fit, OnlineEstimator, Tuning
-from gcs_sysid.estimation.parameters import (
-    WEAK_BELOW_R2,
-    Value,
-    physical_parameters,
-    rotor_delay,
-    verdict,
-)
-from gcs_sysid.estimation.regression import Samples, complete_rows, runs
-from gcs_sysid.filters.complementary import ComplementaryFilter
-from gcs_sysid.model import attitude
-from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName
-from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.estimation.anchors import Anchor, relative_prior, resolve_scale
+from gcs_sysid.estimation.changes import ChangeTuning
+from gcs_sysid.estimation.offline import OfflineFit, fit_offline
+from gcs_sysid.estimation.online import Fit, Tuning
+from gcs_sysid.estimation.parameters import WEAK_BELOW_R2, Value, rotor_delay, verdict
+from gcs_sysid.estimation.priors import Prior
+from gcs_sysid.estimation.tracking import Tracker
+from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.parameters import TIMING
 from gcs_sysid.records import Record, Stream
+from gcs_sysid.session import summary
 from gcs_sysid.session.course import CourseRecorder
-from gcs_sysid.session.result import Estimate, Result, Scale
+from gcs_sysid.session.result import Estimate, Result
+from gcs_sysid.session.sampling import SampleBlock, Sampler
 from gcs_sysid.session.snapshot import Course, Event
-from gcs_sysid.session.timebase import Block, TimeBase
 
 _MAX_EVENTS = 300
-_MIN_SECONDS = 3.0
-"""Flight time in s below which nothing is claimed."""
-_STEP_BACK = 1.0
-"""s; records further back than this are not late: the clock was set back."""
 
 
 @dataclass(frozen=True)
@@ -44,17 +37,21 @@ class ChainOptions:
 
     Attributes:
         tuning: of the estimator.
+        changes: of the change detector; None: changes in flight are not looked for.
         course_interval: s between refits for the estimate's course; None: only at the end.
         tick: s of vehicle time between blocks; the estimate does not depend on it.
         start: s after the first record; earlier records are not used.
         end: s after the first record; later ones are not used.
+        offline: whether the final estimate is the maximum-likelihood one.
     """
 
     tuning: Tuning = field(default_factory=Tuning)
+    changes: ChangeTuning | None = field(default_factory=ChangeTuning)
     course_interval: float | None = 0.5
     tick: float = 0.1
     start: float = 0.0
     end: float = float("inf")
+    offline: bool = False
 
 
 class Chain:
@@ -63,61 +60,59 @@ class Chain:
     Args:
         airframe: with the anchor that sets the scale.
         options: settings.
+        anchor: sets the scale instead of the airframe's.
 
     Raises:
-        ValueError: the airframe has no anchor.
+        ValueError: there is no anchor.
     """
 
-    def __init__(self, airframe: Airframe, options: ChainOptions | None = None) -> None:
-        anchor = airframe.anchor()
+    def __init__(
+        self,
+        airframe: Airframe,
+        options: ChainOptions | None = None,
+        anchor: Anchor | None = None,
+    ) -> None:
+        own = airframe.anchor()
+        if anchor is None and own is not None:
+            anchor = Anchor(*own)
         if anchor is None:
             raise ValueError("the airframe has no scale anchor (mass, k_T or T_max)")
         self.airframe = airframe
-        self.anchor: tuple[AnchorName, float] = anchor
         self.options = options = options or ChainOptions()
-        self.attitude: tuple[float, float, float] | None = None
-        self.rates: tuple[float, float, float] | None = None
-        self.rotor_speeds: tuple[float, ...] = ()
-        self.flying = False
-        self.t = 0.0
-        """Seconds of the vehicle's clock since the first record."""
-        self._time_base = TimeBase(options.tick)
-        self._estimator: OnlineEstimator | None = None
-        self._filter: ComplementaryFilter | None = None
-        self._first: float | None = None
-        self._began = self._newest = 0.0
+        self.sampler = Sampler(len(airframe.rotors), options.tick, options.start, options.end)
+        self._anchors = [anchor]
+        self._tracker: Tracker | None = None
+        self._told = 0
         self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
-        self._seen: set[Stream] = set()
         self._next_refit = -np.inf
         self._fit = Fit(None, None, 0.0)
+        self._offline: OfflineFit | None = None
         self._course = CourseRecorder()
         self._course_step = options.course_interval
 
     def feed(self, record: Record) -> bool:
         """Take one record. Returns whether the estimate was renewed."""
-        if self._first is None:
-            self._first = self._began = self._newest = record.t
-        if record.t < self._newest - _STEP_BACK:
-            # The vehicle's clock was set back (a reboot); start and end go on counting.
-            self._began += record.t - self._newest
-            self._newest = record.t
-        self._newest = max(self._newest, record.t)
-        if not self.options.start <= max(record.t - self._began, 0.0) <= self.options.end:
-            return False
-        self._seen.add(record.stream)
-        block = self._time_base.push(record)
+        block = self.sampler.push(record)
         return block is not None and self._take(block)
 
     def finish(self) -> Result:
         """Use what is still held back and give the final result."""
-        block = self._time_base.finish()
+        block = self.sampler.finish()
         if block is not None:
             self._take(block)
-        return self.refit()
+        result = self.refit()
+        if self.options.offline and self._tracker is not None:
+            self._offline = fit_offline(self._tracker, self._fit)
+            if self._offline is not None:
+                self._fit = self._offline.fit
+            result = self.result()
+        return result
 
     def reset(self) -> None:
         """Forget the estimate; go on with the next samples."""
-        self._estimator = None
+        self._tracker = None
+        self._anchors = self._anchors[:1]
+        self._told = 0
         self._fit = Fit(None, None, 0.0)
         self._course.clear()
         self.note("estimate reset")
@@ -128,9 +123,19 @@ class Chain:
 
     def refit(self) -> Result:
         """Fit now and give the result."""
-        if self._estimator is not None:
-            self._fit = self._estimator.fit()
+        if self._tracker is not None:
+            self._fit = self._tracker.fit()
         return self.result()
+
+    @property
+    def t(self) -> float:
+        """Seconds of the vehicle's clock since the first record."""
+        return self.sampler.t
+
+    @property
+    def anchor(self) -> Anchor:
+        """The scale in force."""
+        return self._anchors[-1]
 
     @property
     def used_seconds(self) -> float:
@@ -149,55 +154,92 @@ class Chain:
 
     def result(self) -> Result:
         """The latest fit as a result."""
-        values = self._parameters()
+        values = self._values(self._fit, self.anchor)
         word, reasons = verdict(values)
         first = self._data_reasons()
         if self._fit.rotation is None:
             word, reasons = "refused", first or reasons
         else:
             reasons = (*first, *reasons)
-        kind, known = self.anchor
+        delay = rotor_delay(self._fit.rotation)
+        past = self._past_values()
         return Result(
             verdict=word,  # type: ignore[arg-type]
             reasons=reasons if word != "identified" else (),
             source="",
             vehicle={},
-            scale=Scale(kind, known, ANCHORS[kind]),
+            scale=summary.scale_of(self.anchor),
             rotor_input="speed",
-            parameters={
-                name: Estimate(v.value, v.std, PARAMETERS[name].unit, v.status)
-                for name, v in values.items()
-            },
+            parameters=summary.estimates_of(values, self._fit, self.anchor, self._bounds()),
+            estimator="online" if self._offline is None else "offline",
             timing={
-                "rotor_delay": self._rotor_delay(),
+                "rotor_delay": Estimate(
+                    delay.value, delay.std, TIMING["rotor_delay"].unit, delay.status
+                ),
             },
-            events=(),
-            validation=self._validation(),
+            events=self._changes([*past, values]),
+            segments=self._segments(past),
+            validation=summary.validation_of(self._fit),
+            priors={
+                name: {"value": value, "std": std}
+                for name, (value, std) in self.airframe.priors.items()
+            },
             telemetry=self._telemetry(),
         )
 
-    def _rotor_delay(self) -> Estimate:
-        value = rotor_delay(self._fit.rotation)
-        return Estimate(value.value, value.std, TIMING["rotor_delay"].unit, value.status)
+    def _values(self, fit: Fit, anchor: Anchor) -> dict[str, Value]:
+        # A prior on the mass is of the vehicle as it took off.
+        known = {} if anchor.origin else self.airframe.priors
+        return summary.values_of(fit, anchor, self.airframe.arm, known)
 
-    def _parameters(self) -> dict[str, Value]:
-        fit = self._fit
-        rot = fit.rotation if fit.seconds >= _MIN_SECONDS else None
-        return physical_parameters(self.anchor, rot, fit.translation, self.airframe.arm)
+    def _past_values(self) -> list[dict[str, Value]]:
+        if self._tracker is None:
+            return []
+        return [
+            self._values(segment.fit, anchor)
+            for segment, anchor in zip(self._tracker.segments, self._anchors, strict=False)
+        ]
 
-    def _validation(self) -> dict[str, Any]:
-        found = self._fit.validation
-        if found is None:
-            return {}
-        axes = ("roll", "pitch", "yaw")
-        return {
-            "fitted_share": found.fitted_share,
-            "r_squared": dict(zip(axes, found.r_squared.tolist(), strict=True)),
-            "theil": dict(zip(axes, found.theil.tolist(), strict=True)),
-        }
+    def _bounds(self) -> dict[str, Value] | None:
+        if self._offline is None:
+            return None
+        return self._values(self._offline.bounding_fit, self.anchor)
+
+    def _changes(self, values: list[dict[str, Value]]) -> tuple[dict[str, Any], ...]:
+        if self._tracker is None:
+            return ()
+        out = []
+        before = 0
+        for event in self._tracker.events:
+            after = None
+            if event.segment is not None:
+                before, after = event.segment, values[event.segment + 1]
+            out.append(summary.event_of(event, values[before], after))
+            if event.segment is not None:
+                before = event.segment + 1
+        return tuple(out)
+
+    def _segments(self, past: list[dict[str, Value]]) -> tuple[dict[str, Any], ...]:
+        if self._tracker is None:
+            return ()
+        return tuple(
+            {
+                "start": segment.start,
+                "end": segment.end,
+                "scale": summary.scale_of(anchor).as_json(),
+                "parameters": {
+                    name: estimate.as_json()
+                    for name, estimate in summary.estimates_of(values, segment.fit, anchor).items()
+                },
+                "validation": summary.validation_of(segment.fit),
+            }
+            for segment, anchor, values in zip(
+                self._tracker.segments, self._anchors, past, strict=False
+            )
+        )
 
     def _telemetry(self) -> dict[str, Any]:
-        base = self._time_base
+        base = self.sampler.time_base
         return {
             "grid_rate": 1.0 / base.dt if base.dt else None,
             "used_seconds": self._fit.seconds,
@@ -208,16 +250,17 @@ class Chain:
 
     def _data_reasons(self) -> tuple[str, ...]:
         """What is missing, the first cause alone: the rest follows from it."""
-        if not self._seen:
-            if self._first is None:
+        seen = self.sampler.seen
+        if not seen:
+            seconds = self.sampler.recorded
+            if seconds is None:
                 return ("no telemetry that can be used",)
-            seconds = self._newest - self._began
             return (f"nothing between --start and --end: the record lasts {seconds:.1f} s",)
-        if Stream.IMU not in self._seen:
+        if Stream.IMU not in seen:
             return ("no IMU data (HIGHRES_IMU): the autopilot must be asked for it",)
-        if Stream.ROTOR_SPEED not in self._seen:
+        if Stream.ROTOR_SPEED not in seen:
             return ("no rotor speeds (ESC_STATUS): the ESCs must send rpm telemetry",)
-        if Stream.ATTITUDE not in self._seen:
+        if Stream.ATTITUDE not in seen:
             return ("no attitude (ATTITUDE or ATTITUDE_QUATERNION)",)
         if self._fit.rotation is None:
             return ("too little flight in which all the needed data came together",)
@@ -229,102 +272,45 @@ class Chain:
             )
         return ()
 
-    def _take(self, block: Block) -> bool:
-        assert self._first is not None
-        samples = self._samples(block)
-        if self._estimator is None or self._estimator.dt != self._time_base.dt:
-            if self._estimator is not None:
-                old, new = 1.0 / self._estimator.dt, 1.0 / self._time_base.dt
+    def _take(self, block: SampleBlock) -> bool:
+        tracker = self._tracker
+        if tracker is None or tracker.dt != block.dt:
+            if tracker is not None:
+                old, new = 1.0 / tracker.dt, 1.0 / block.dt
                 self.note(f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate starts anew")
-            self._estimator = OnlineEstimator(
-                self.airframe.geometry, self._time_base.dt, self.options.tuning
+            self._anchors = self._anchors[:1]
+            self._told = 0
+            tracker = self._tracker = Tracker(
+                self.airframe.geometry,
+                block.dt,
+                self.options.tuning,
+                self.options.changes if self.options.tuning.method == "forward" else None,
+                self._prior if self.airframe.priors else None,
+                keep=self.options.offline,
             )
         elif block.fresh:
-            self._estimator.restart()
-        self._estimator.update(samples)
-        if block.fresh and block.t[0] - self._first < self.t:
-            # The vehicle's clock stepped back (a reboot); the session's time goes on.
-            self._first = float(block.t[0]) - self.t
-        self.t = float(block.t[-1]) - self._first
-        self._show(samples)
+            tracker.restart()
+        if tracker.update(block.t, block.samples):
+            self._tell_events(tracker)
         if self._course_step is None or self.t < self._next_refit - 1e-6:
             return False
         # On average at the interval asked for, although blocks end a little early or late.
         behind = self.t - self._next_refit > self._course_step
         self._next_refit = (self.t if behind else self._next_refit) + self._course_step
-        self._fit = self._estimator.fit(quick=True)
-        self._course.append(self.t, self._parameters())
+        self._fit = tracker.fit(quick=True)
+        self._course.append(self.t, self._values(self._fit, self.anchor))
         return True
 
-    def _samples(self, block: Block) -> Samples:
-        n = len(block.t)
-        imu = _stream(block, Stream.IMU, n, 6)
-        gyro, force = imu[:, :3], imu[:, 3:]
-        reference = _stream(block, Stream.ATTITUDE, n, 4)
-        reference = reference / np.linalg.norm(reference, axis=1, keepdims=True)
-        if self._filter is None or self._filter.dt != self._time_base.dt:
-            bias = self._filter.bias if self._filter else np.zeros(3)
-            self._filter = ComplementaryFilter(self._time_base.dt)
-            self._filter.bias = bias
-        elif block.fresh:
-            self._filter.restart()
-        filtered, bias = self._attitude(gyro, reference)
-        speeds = self._speeds(block, n)
-        flying = self._in_flight(block, speeds, n)
-        self.flying = bool(flying[-1])
-        gyro = np.where(flying[:, None], gyro, np.nan)
-        return Samples(
-            gyro=gyro,
-            rates=gyro - bias,
-            speeds=speeds,
-            attitude=filtered,
-            force=force,
-            velocity=_stream(block, Stream.VELOCITY, n, 6)[:, :3],
-        )
+    def _tell_events(self, tracker: Tracker) -> None:
+        for event in tracker.events[self._told :]:
+            self.note(summary.note_of(event))
+            if event.segment is not None:
+                segment = tracker.segments[event.segment]
+                before = self._values(segment.fit, self.anchor)
+                self._anchors.append(summary.next_anchor(self.anchor, before, segment.end))
+                self._fit = tracker.fit(quick=True)
+        self._told = len(tracker.events)
 
-    def _attitude(self, gyro: Array, reference: Array) -> tuple[Array, Array]:
-        """Attitude and gyro bias, filtered over the runs in which both sources are there."""
-        assert self._filter is not None
-        out = np.full_like(reference, np.nan)
-        bias = np.empty_like(gyro)
-        there = complete_rows(gyro) & complete_rows(reference)
-        for run, both in runs(there):
-            if both:
-                out[run] = self._filter.update(gyro[run], reference[run])
-                bias[run] = self._filter.biases
-            else:
-                self._filter.restart()
-                bias[run] = self._filter.bias
-        return out, bias
-
-    def _speeds(self, block: Block, n: int) -> Array:
-        rotors = len(self.airframe.rotors)
-        speeds = np.full((n, rotors), np.nan)
-        for (stream, offset), values in block.values.items():
-            if stream is Stream.ROTOR_SPEED and offset < rotors:
-                width = min(values.shape[1], rotors - offset)
-                speeds[:, offset : offset + width] = values[:, :width]
-        return speeds
-
-    def _in_flight(self, block: Block, speeds: Array, n: int) -> Mask:
-        in_air = block.values.get((Stream.IN_AIR, 0))
-        if in_air is not None:
-            return in_air[:, 0] > 0.5
-        armed = block.values.get((Stream.ARMED, 0))
-        turning: Mask = np.asarray((speeds > 0.0).all(axis=1))
-        return turning if armed is None else turning & (armed[:, 0] > 0.5)
-
-    def _show(self, samples: Samples) -> None:
-        if np.isfinite(samples.attitude[-1]).all():
-            roll, pitch, yaw = attitude.to_euler(samples.attitude[-1])
-            self.attitude = (float(roll), float(pitch), float(yaw))
-        if np.isfinite(samples.rates[-1]).all():
-            p, q, r = samples.rates[-1]
-            self.rates = (float(p), float(q), float(r))
-        if np.isfinite(samples.speeds[-1]).all():
-            self.rotor_speeds = tuple(float(v) for v in samples.speeds[-1])
-
-
-def _stream(block: Block, stream: Stream, n: int, width: int) -> Array:
-    values = block.values.get((stream, 0))
-    return np.full((n, width), np.nan) if values is None else values
+    def _prior(self, translation: TranslationFit | None) -> Prior | None:
+        known = self.airframe.priors
+        return relative_prior(known, resolve_scale(self._anchors[0], translation, known))

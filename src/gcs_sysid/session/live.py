@@ -257,7 +257,7 @@ class LiveSession:
         self._latest = Snapshot(
             t=chain.t,
             used_seconds=chain.used_seconds,
-            flying=chain.flying,
+            flying=chain.sampler.flying,
             result=self.final or self._pipeline.result(),
             course=chain.course,
             link=LinkStatus(
@@ -273,8 +273,8 @@ class LiveSession:
                 recording=str(writer.path) if writer and recording else "",
                 bytes_per_second=health.bytes_per_second,
             ),
-            attitude=chain.attitude,
-            rates=chain.rates,
-            rotor_speeds=chain.rotor_speeds,
+            attitude=chain.sampler.attitude,
+            rates=chain.sampler.rates,
+            rotor_speeds=chain.sampler.rotor_speeds,
             events=chain.events,
         )

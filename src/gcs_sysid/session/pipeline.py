@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
+from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.result import Result
@@ -26,6 +27,7 @@ class Pipeline:
         source: what the result names as its source.
         wanted: system and perhaps component to listen to; None: the first autopilot heard.
         options: of the chain.
+        anchor: sets the scale instead of the airframe's.
     """
 
     def __init__(
@@ -34,11 +36,12 @@ class Pipeline:
         source: str,
         wanted: tuple[int, int | None] | None = None,
         options: ChainOptions | None = None,
+        anchor: Anchor | None = None,
     ) -> None:
         self.source = source
         self.intake = Intake(wanted)
         self._wanted = wanted
-        self.chain = Chain(airframe, options)
+        self.chain = Chain(airframe, options, anchor)
         self._events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
 
     def take(self, frames: Iterable[Frame]) -> bool:
@@ -84,6 +87,6 @@ class Pipeline:
             source=self.source,
             reasons=reasons,
             vehicle=vehicle.as_dict() if vehicle else {},
-            events=tuple(self._events),
+            events=tuple(sorted([*self._events, *result.events], key=lambda event: event["t"])),
             telemetry={**self.intake.as_dict(), **result.telemetry},
         )

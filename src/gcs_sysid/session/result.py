@@ -23,6 +23,10 @@ class Estimate:
     std: float | None
     unit: str
     status: Status
+    bound: float | None = None
+    """The least standard deviation that any estimator could have on this flight."""
+    rests_on: str | None = None
+    """What more than half of the knowledge comes from, if not from this flight's data."""
 
     @property
     def ci95(self) -> tuple[float, float] | None:
@@ -35,22 +39,38 @@ class Estimate:
     def as_json(self) -> dict[str, Any]:
         """The estimate as the result file writes it."""
         ci = self.ci95
-        return {
+        out = {
             "value": _finite(self.value),
             "std": _finite(self.std),
             "ci95": None if ci is None or not all(map(math.isfinite, ci)) else list(ci),
             "unit": self.unit,
             "status": self.status,
         }
+        if self.bound is not None:
+            out["bound"] = _finite(self.bound)
+        if self.rests_on is not None:
+            out["rests_on"] = self.rests_on
+        return out
 
 
 @dataclass(frozen=True)
 class Scale:
     """The anchor that sets the scale of all masses, inertias and coefficients."""
 
-    anchor: Literal["mass", "k_T", "T_max"]
+    anchor: Literal["mass", "k_T", "T_max", "added_mass"]
     value: float
     unit: str
+    std: float = 0.0
+    """Of the value; zero where it was given."""
+    origin: str = ""
+    """Where the value comes from, if it was not given."""
+
+    def as_json(self) -> dict[str, Any]:
+        """The scale as the result file writes it."""
+        out: dict[str, Any] = {"anchor": self.anchor, "value": self.value, "unit": self.unit}
+        if self.origin:
+            out |= {"std": self.std, "from": self.origin}
+        return out
 
 
 @dataclass(frozen=True)
@@ -64,10 +84,13 @@ class Result:
     scale: Scale | None
     rotor_input: Literal["speed", "command"]
     parameters: dict[str, Estimate]
+    estimator: Literal["online", "offline"] = "online"
     timing: dict[str, Estimate] = field(default_factory=dict)
     events: tuple[dict[str, Any], ...] = ()
     segments: tuple[dict[str, Any], ...] = ()
     validation: dict[str, Any] = field(default_factory=dict)
+    priors: dict[str, Any] = field(default_factory=dict)
+    """What was known beforehand: name -> value and std."""
     telemetry: dict[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
@@ -78,19 +101,15 @@ class Result:
             "reasons": list(self.reasons),
             "source": self.source,
             "vehicle": self.vehicle,
-            "scale": None
-            if self.scale is None
-            else {
-                "anchor": self.scale.anchor,
-                "value": self.scale.value,
-                "unit": self.scale.unit,
-            },
+            "scale": None if self.scale is None else self.scale.as_json(),
+            "estimator": self.estimator,
             "rotor_input": self.rotor_input,
             "parameters": {k: v.as_json() for k, v in self.parameters.items()},
             "timing": {k: v.as_json() for k, v in self.timing.items()},
             "events": list(self.events),
             "segments": list(self.segments),
             "validation": self.validation,
+            "priors": self.priors,
             "telemetry": self.telemetry,
         }
 

@@ -1,0 +1,93 @@
+"""The offline estimate of a flight: maximum likelihood, started from the online fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.likelihood import MIN_RUN, LikelihoodFit, maximise_likelihood
+from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.priors import Prior
+from gcs_sysid.estimation.regression import Samples, complete_rows, runs
+from gcs_sysid.estimation.tracking import Tracker
+from gcs_sysid.model import rigid_body as rb
+
+
+@dataclass(frozen=True)
+class OfflineFit:
+    """The offline estimate.
+
+    Attributes:
+        fit: the online one with the rotation replaced.
+        bounding_fit: the same with the Cramer-Rao bound as its covariance.
+        likelihood: how the maximum looks.
+    """
+
+    fit: Fit
+    bounding_fit: Fit
+    likelihood: LikelihoodFit
+
+
+def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | None:
+    """Maximise the likelihood of the samples that the tracker kept.
+
+    Args:
+        tracker: with `keep`.
+        online: its last fit.
+
+    Returns:
+        None where there is no online fit to start from, or too little gapless flight.
+    """
+    rotation = online.rotation
+    if rotation is None or not tracker.kept:
+        return None
+    samples = aligned(join(tracker.kept), rotation.delay, tracker.dt)
+    found = maximise_likelihood(
+        samples,
+        tracker.geometry,
+        tracker.dt,
+        rotation.theta,
+        speed_std=tracker.estimator.speed_std,
+        prior=_on_theta(tracker.estimator.prior),
+    )
+    if found is None or not found.converged:
+        return None
+    fit = replace(rotation, theta=found.theta, covariance=found.covariance)
+    bounding = replace(fit, covariance=np.diag(found.bound**2))
+    return OfflineFit(replace(online, rotation=fit), replace(online, rotation=bounding), found)
+
+
+def join(parts: Sequence[Samples]) -> Samples:
+    """Blocks of samples as one."""
+    return Samples(
+        **{
+            f.name: np.concatenate([getattr(part, f.name) for part in parts])
+            for f in fields(Samples)
+        }
+    )
+
+
+def aligned(samples: Samples, delay: float, dt: float) -> Samples:
+    """The samples with rotor speeds that are stamped `delay` s late moved to where they belong.
+
+    Where the spline has no samples around it the speeds are missing.
+    """
+    speeds = np.full_like(samples.speeds, np.nan)
+    for run, there in runs(complete_rows(samples.speeds)):
+        n = run.stop - run.start
+        if there and n >= MIN_RUN:
+            k = np.arange(n)
+            at = k + delay / dt
+            moved: Array = CubicSpline(k, samples.speeds[run])(at)
+            moved[(at < 0) | (at > n - 1)] = np.nan
+            speeds[run] = moved
+    return replace(samples, speeds=speeds)
+
+
+def _on_theta(prior: Prior | None) -> tuple[Array, Array] | None:
+    if prior is None:
+        return None
+    n = rb.N_THETA
+    return prior.mean[:n], prior.information[:n, :n]

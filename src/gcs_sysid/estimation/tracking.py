@@ -1,0 +1,246 @@
+"""The estimator over a flight in which the vehicle may change.
+
+An online estimator learns; a change detector watches what its fits leave unexplained. When the
+vehicle changes, what was learnt before closes as a segment and a fresh estimator starts. The
+rotors are still the same, so it starts with what is theirs: torque over thrust, damping, rotor
+inertia, delay, and how the accelerometer reads against gravity. Inertia and CG start from what
+they were, but loosely. All is relative to k_T, which stays.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.change_kinds import Cause
+from gcs_sysid.estimation.changes import Change, ChangeDetector, ChangeTuning
+from gcs_sysid.estimation.online import Fit, OnlineEstimator, Tuning
+from gcs_sysid.estimation.priors import Prior
+from gcs_sysid.estimation.regression import Samples
+from gcs_sysid.estimation.translation import TranslationFit, accelerometer_gain
+from gcs_sysid.model import rigid_body as rb
+
+PriorSource = Callable[[TranslationFit | None], Prior | None]
+"""What is known beforehand, given k_T / m as far as it is known."""
+
+_ARM_EVERY, _ARM_GROWTH = 1.0, 1.2
+"""s between new references of the detector, and growth of the record, whichever is later."""
+_CONTAMINATED = 0.3
+"""s before a change's onset that are forgotten too: windows reach over it."""
+_INERTIA_MOVES, _CG_MOVES = 0.25, 0.2
+"""How far a change may take inertia (share of it) and CG (share of the arm), one std."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of flight with one set of parameters, ended by a change.
+
+    Attributes:
+        start: s, session time.
+        end: s, the change's onset.
+        fit: of all of it.
+    """
+
+    start: float
+    end: float
+    fit: Fit
+
+
+@dataclass(frozen=True)
+class Event:
+    """A change, or what looked like one. Times are session times in s.
+
+    Attributes:
+        onset: estimated time of the change.
+        detected: time of the newest sample that the detection rests on.
+        change: as detected.
+        cause: what the residuals say of it; None when they say nothing.
+        segment: index of the segment that it ended; None where the estimate goes on (a passing
+            disturbance) or stops (a failing rotor).
+    """
+
+    onset: float
+    detected: float
+    change: Change
+    cause: Cause | None
+    segment: int | None
+
+
+class Tracker:
+    """Follows a vehicle through its changes.
+
+    Args:
+        geometry: (3, rotors) of the airframe.
+        dt: s between samples.
+        tuning: of the estimator.
+        changes: of the detector; None: changes are not looked for.
+        prior: what is known before the flight.
+        keep: whether to keep the samples of the segment in force, for the offline estimator.
+    """
+
+    def __init__(
+        self,
+        geometry: Array,
+        dt: float,
+        tuning: Tuning,
+        changes: ChangeTuning | None = None,
+        prior: PriorSource | None = None,
+        *,
+        keep: bool = False,
+    ) -> None:
+        self.dt = dt
+        self.segments: list[Segment] = []
+        """Those that have ended."""
+        self.events: list[Event] = []
+        self.stopped = False
+        """Whether a failing rotor ended what one set of parameters can describe."""
+        self.kept: list[Samples] = []
+        """Samples of the segment in force, if they are kept."""
+        self.start: float | None = None
+        """s, session time, at which the segment in force began."""
+        self.geometry = geometry
+        self._tuning = tuning
+        self._keep = keep
+        self._estimator = OnlineEstimator(geometry, dt, tuning)
+        self._prior_source = prior
+        self._next: OnlineEstimator | None = None
+        self._next_start = 0.0
+        self._next_kept: list[Samples] = []
+        self._pending: Event | None = None
+        self._arm_at = 0.0
+        self._detector = None if changes is None else ChangeDetector(geometry, dt, changes)
+
+    @property
+    def estimator(self) -> OnlineEstimator:
+        """The one in force."""
+        return self._estimator
+
+    def restart(self) -> None:
+        """A gap: what comes next does not join on to what came before."""
+        self._estimator.restart()
+        if self._next is not None:
+            self._next.restart()
+        if self._detector is not None:
+            self._detector.restart()
+        if self._keep and self.kept:
+            self.kept.append(_gap(self.kept[-1]))
+
+    def update(self, t: Array, samples: Samples) -> bool:
+        """Take a block of samples with their (n,) session times. Whether an event came of it."""
+        if self.start is None:
+            self.start = float(t[0])
+        if self.stopped:
+            return False
+        detector = self._detector
+        if detector is None:
+            self._learn(samples)
+            return False
+        found = detector.update(samples)
+        if found:
+            after = round((detector.seconds - found[0].detected) / self.dt)
+            self._suspect(found[0], float(t[-1]))
+            known = len(t) - min(after, len(t))
+            self._learn(_part(samples, slice(0, known)))
+            self._next_start = float(t[min(known, len(t) - 1)])
+            samples = _part(samples, slice(known, None))
+        if self._next is not None:
+            self._next.update(samples)
+            if self._keep:
+                self._next_kept.append(samples)
+            if not detector.deciding:
+                self._decide(detector.cause)
+                return True
+            return False
+        self._learn(samples)
+        if self._estimator.seconds >= self._arm_at:
+            self._arm_at = max(
+                self._estimator.seconds + _ARM_EVERY, _ARM_GROWTH * self._estimator.seconds
+            )
+            detector.arm(self.fit(quick=True, course="watch"))
+        return False
+
+    def fit(self, *, quick: bool = False, course: str = "") -> Fit:
+        """The fit in force; see `OnlineEstimator.fit`."""
+        if self._prior_source is not None and not self.segments:
+            self._estimator.prior = self._prior_source(self._estimator.fit_translation()[0])
+        return self._estimator.fit(quick=quick, course=course)
+
+    def _learn(self, samples: Samples) -> None:
+        self._estimator.update(samples)
+        if self._keep:
+            self.kept.append(samples)
+
+    def _suspect(self, change: Change, now: float) -> None:
+        assert self._detector is not None
+        seconds = self._detector.seconds
+        self._pending = Event(
+            onset=now - (seconds - change.onset),
+            detected=now - (seconds - change.detected),
+            change=change,
+            cause=None,
+            segment=None,
+        )
+        self._next = OnlineEstimator(self.geometry, self.dt, self._tuning)
+        self._next_kept = []
+
+    def _decide(self, cause: Cause | None) -> None:
+        """What the pending change was is known as well as it can be: go on accordingly."""
+        assert self._pending is not None
+        assert self._next is not None
+        assert self.start is not None
+        event = replace(self._pending, cause=cause)
+        fresh, fresh_kept = self._next, self._next_kept
+        self._pending, self._next, self._next_kept = None, None, []
+        if cause is not None and cause.kind == "passing":
+            # The vehicle is what it was; the moment is left out.
+            self._estimator.restart()
+            self._arm_at = 0.0
+        else:
+            known_for = event.detected - event.onset
+            self._estimator.forget_last(known_for + _CONTAMINATED)
+            before = self.fit()
+            if cause is not None and cause.kind == "rotor_failure":
+                self.stopped = True
+            else:
+                event = replace(event, segment=len(self.segments))
+                self.segments.append(Segment(self.start, event.onset, before))
+                fresh.prior = _after_change(before, self.geometry)
+                fresh.accelerometer_gain = accelerometer_gain(
+                    before.translation, before.accelerometer
+                )
+                self._estimator, self.kept = fresh, fresh_kept
+                self.start = self._next_start
+                self._arm_at = 0.0
+        self.events.append(event)
+
+
+def _after_change(before: Fit, geometry: Array) -> Prior | None:
+    """What a fit still tells of the vehicle after its body changed.
+
+    The rotors' own are as before. Inertia and CG may have moved, by a quarter or so.
+    """
+    if before.rotation is None:
+        return None
+    theta = before.rotation.theta
+    moments = theta[:3]
+    spread = np.zeros(rb.N_THETA + 1)
+    spread[:3] = _INERTIA_MOVES * moments
+    pairs = ((0, 1), (1, 2), (0, 2))
+    spread[3 : rb.N_INERTIA] = [_INERTIA_MOVES * np.sqrt(moments[i] * moments[j]) for i, j in pairs]
+    spread[[rb.CG_X, rb.CG_Y]] = _CG_MOVES * np.mean(np.hypot(geometry[0], geometry[1]))
+    covariance = before.rotation.full_covariance + np.diag(spread**2)
+    d = np.sqrt(np.diag(covariance))
+    information = np.linalg.inv(covariance / np.outer(d, d) + 1e-9 * np.eye(len(d)))
+    return Prior(np.append(theta, before.rotation.delay), information / np.outer(d, d))
+
+
+def _part(samples: Samples, where: slice) -> Samples:
+    return Samples(**{f.name: getattr(samples, f.name)[where] for f in fields(Samples)})
+
+
+def _gap(samples: Samples) -> Samples:
+    """One missing sample."""
+    return Samples(
+        **{f.name: np.full_like(getattr(samples, f.name)[:1], np.nan) for f in fields(Samples)}
+    )

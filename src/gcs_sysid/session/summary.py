@@ -1,0 +1,153 @@
+"""From fits, anchors and events to the words and numbers of a result."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.anchors import Anchor, Known
+from gcs_sysid.estimation.change_kinds import describe
+from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.parameters import Value, physical_parameters, rests_on_prior
+from gcs_sysid.estimation.tracking import Event
+from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.session.result import Estimate, Scale
+
+_UNITS = {"mass": "kg", "k_T": "N s^2", "T_max": "N", "added_mass": "kg"}
+_AXES = ("roll", "pitch", "yaw")
+MIN_SECONDS = 3.0
+"""Flight time in s below which nothing is claimed, unless an earlier segment tells most of it."""
+
+_WORDS = {
+    "mass_change": "the mass changed",
+    "payload": "a payload changed mass and balance",
+    "cg_shift": "the centre of gravity moved",
+    "inertia_change": "the inertia changed",
+    "rotor_failure": "a rotor lost thrust",
+    "passing": "a disturbance passed",
+    "change": "the vehicle changed",
+}
+
+
+def values_of(fit: Fit, anchor: Anchor, arm: float, known: Mapping[str, Known]) -> dict[str, Value]:
+    """Physical parameters of a fit, or nothing but the anchor while it is too early."""
+    early = fit.seconds < MIN_SECONDS and not anchor.origin
+    rotation = None if early else fit.rotation
+    return physical_parameters(anchor, rotation, fit.translation, arm, known)
+
+
+def estimates_of(
+    values: Mapping[str, Value],
+    fit: Fit,
+    anchor: Anchor,
+    bounds: Mapping[str, Value] | None = None,
+) -> dict[str, Estimate]:
+    """Values as a result's estimates.
+
+    Args:
+        values: by name.
+        fit: that they come from.
+        anchor: in force.
+        bounds: parameters whose `std` are the Cramer-Rao bounds, if they were computed.
+    """
+    leaning = rests_on_prior(fit.rotation) if fit.rotation is not None else frozenset()
+    support = anchor.origin or "prior"
+    return {
+        name: Estimate(
+            v.value,
+            v.std,
+            PARAMETERS[name].unit,
+            v.status,
+            bound=bounds[name].std if bounds and name in bounds else None,
+            rests_on=support if name in leaning else None,
+        )
+        for name, v in values.items()
+    }
+
+
+def scale_of(anchor: Anchor) -> Scale:
+    """The anchor as a result names it."""
+    return Scale(anchor.kind, anchor.value, _UNITS[anchor.kind], anchor.std, anchor.origin)
+
+
+def next_anchor(anchor: Anchor, values: Mapping[str, Value], until: float) -> Anchor:
+    """The anchor after a change of the body: the rotors are the same, so k_T stays.
+
+    Args:
+        anchor: in force before.
+        values: parameters before.
+        until: s, session time of the change.
+    """
+    k_T = values["k_T"]
+    origin = f"the flight before {until:.1f} s"
+    if anchor.kind == "k_T":
+        return Anchor("k_T", anchor.value, anchor.std, origin)
+    if k_T.value is None or k_T.std is None:
+        return anchor
+    return Anchor("k_T", k_T.value, k_T.std, origin)
+
+
+def validation_of(fit: Fit) -> dict[str, Any]:
+    """The validation as a result's dictionary."""
+    found = fit.validation
+    if found is None:
+        return {}
+
+    def axes(values: Array) -> dict[str, float]:
+        return dict(zip(_AXES, np.asarray(values).tolist(), strict=True))
+
+    return {
+        "fitted_share": found.fitted_share,
+        "r_squared": axes(found.r_squared),
+        "theil": axes(found.theil),
+    }
+
+
+def event_of(
+    event: Event, before: Mapping[str, Value], after: Mapping[str, Value] | None
+) -> dict[str, Any]:
+    """A change as a result tells it.
+
+    Args:
+        event: as the tracker found it.
+        before: parameters of the segment before.
+        after: those of the one after; None where there is none.
+    """
+    out: dict[str, Any] = {
+        "t": event.onset,
+        "kind": "change" if event.cause is None else event.cause.kind,
+        "detected": event.detected,
+        "channel": event.change.channel,
+    }
+    if out["kind"] == "passing":
+        out["kind"] = "disturbance"
+    if event.cause is not None and event.cause.kind == "rotor_failure":
+        half = 1.959963984540054 * event.cause.loss_std
+        out["rotor"] = event.cause.rotor
+        out["loss"] = {
+            "value": event.cause.loss,
+            "ci95": [event.cause.loss - half, event.cause.loss + half],
+        }
+    if after is not None:
+        told = describe(
+            {n: (v.value, v.std) for n, v in before.items()},
+            {n: (v.value, v.std) for n, v in after.items()},
+        )
+        if told["kind"] != "change":
+            out["kind"] = told["kind"]
+        out["parameters"] = told["parameters"]
+    return out
+
+
+def note_of(event: Event) -> str:
+    """A line for the event log."""
+    cause = event.cause
+    kind = "change" if cause is None else cause.kind
+    text = f"{_WORDS[kind]} at {event.onset:.2f} s"
+    if cause is not None and cause.rotor is not None:
+        return f"{text}: rotor {cause.rotor + 1}, {100.0 * cause.loss:.0f} %; identification stops"
+    if kind == "passing":
+        return f"{text}; the estimate goes on"
+    ratio = "" if cause is None else f" (mass x {cause.mass_ratio:.3f})"
+    return f"{text}{ratio}: k_T stays, the rest is identified anew"
