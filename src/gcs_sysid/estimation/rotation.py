@@ -407,7 +407,7 @@ class _Outcome:
     def __init__(self, problem: _Problem, point: _Point, index: int, noise: Array) -> None:
         self._problem = problem
         self._noise = noise
-        self._unknowns = point.unknowns[index]
+        self._unknowns: Array = point.unknowns[index]
         self._gradient = point.gradient[index]
         self._residual = point.residual[index]
         self._index = index
@@ -504,7 +504,7 @@ class _Outcome:
     def _moved(self, step: Array) -> Array:
         """The unknowns after a step, shortened until the inertia is physical."""
         for _ in range(_HALVINGS):
-            unknowns = self._unknowns.copy()
+            unknowns: Array = self._unknowns.copy()
             unknowns[: len(step)] += step
             if rb.is_physical(unknowns):
                 if self._problem.with_delay:
