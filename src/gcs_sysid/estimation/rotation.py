@@ -407,7 +407,7 @@ class _Outcome:
     def __init__(self, problem: _Problem, point: _Point, index: int, noise: Array) -> None:
         self._problem = problem
         self._noise = noise
-        self._unknowns = point.unknowns[index]
+        self._unknowns: Array = point.unknowns[index]
         self._gradient = point.gradient[index]
         self._residual = point.residual[index]
         self._index = index
