@@ -26,6 +26,8 @@ PriorSource = Callable[[TranslationFit | None], Prior | None]
 
 _ARM_EVERY, _ARM_GROWTH = 1.0, 1.2
 """s between new references of the detector, and growth of the record, whichever is later."""
+_LOOK_EVERY = 0.1
+"""s between decisions."""
 _CONTAMINATED = 0.3
 """s before a change's onset that are forgotten too: windows reach over it."""
 _INERTIA_MOVES, _CG_MOVES = 0.25, 0.2
@@ -109,6 +111,8 @@ class Tracker:
         self._next_kept: list[Samples] = []
         self._pending: Event | None = None
         self._arm_at = 0.0
+        self._count = 0
+        self._frame = max(round(_LOOK_EVERY / dt), 1)
         self._detector = None if changes is None else ChangeDetector(geometry, dt, changes)
 
     @property
@@ -127,15 +131,31 @@ class Tracker:
             self.kept.append(_gap(self.kept[-1]))
 
     def update(self, t: Array, samples: Samples) -> bool:
-        """Take a block of samples with their (n,) session times. Whether an event came of it."""
+        """Take a block of samples with their (n,) session times; how they are grouped is one.
+
+        Returns:
+            Whether an event came of it.
+        """
         if self.start is None:
             self.start = float(t[0])
-        if self.stopped:
-            return False
+        known = len(self.events)
+        done = 0
+        while done < len(t) and not self.stopped:
+            # What is decided, is decided after a fixed number of samples.
+            stop = min(done + self._frame - self._count % self._frame, len(t))
+            part = slice(done, stop)
+            self._take(t[part], _part(samples, part))
+            self._count += stop - done
+            done = stop
+            if self._count % self._frame == 0:
+                self._look()
+        return len(self.events) > known
+
+    def _take(self, t: Array, samples: Samples) -> None:
         detector = self._detector
         if detector is None:
             self._learn(samples)
-            return False
+            return
         found = detector.update(samples)
         if found:
             after = round((detector.seconds - found[0].detected) / self.dt)
@@ -144,21 +164,26 @@ class Tracker:
             self._learn(_part(samples, slice(0, known)))
             self._next_start = float(t[min(known, len(t) - 1)])
             samples = _part(samples, slice(known, None))
-        if self._next is not None:
+        if self._next is None:
+            self._learn(samples)
+        elif len(samples.gyro):
             self._next.update(samples)
             if self._keep:
                 self._next_kept.append(samples)
+
+    def _look(self) -> None:
+        """Decide what there is to decide; give the detector a better reference."""
+        detector = self._detector
+        if detector is None:
+            return
+        if self._next is not None:
             if not detector.deciding:
                 self._decide(detector.cause)
-                return True
-            return False
-        self._learn(samples)
-        if self._estimator.seconds >= self._arm_at:
+        elif self._estimator.seconds >= self._arm_at:
             self._arm_at = max(
                 self._estimator.seconds + _ARM_EVERY, _ARM_GROWTH * self._estimator.seconds
             )
             detector.arm(self.fit(quick=True, course="watch"))
-        return False
 
     def fit(self, *, quick: bool = False, course: str = "") -> Fit:
         """The fit in force; see `OnlineEstimator.fit`."""

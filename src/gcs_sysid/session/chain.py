@@ -203,7 +203,9 @@ class Chain:
     def _bounds(self) -> dict[str, Value] | None:
         if self._offline is None:
             return None
-        return self._values(self._offline.bounding_fit, self.anchor)
+        bounds = self._values(self._offline.bounding_fit, self.anchor)
+        # The likelihood is that of the rotation.
+        return {n: v for n, v in bounds.items() if n not in ("mass", "k_T", "linear_drag")}
 
     def _changes(self, values: list[dict[str, Value]]) -> tuple[dict[str, Any], ...]:
         if self._tracker is None:

@@ -1,0 +1,166 @@
+"""A vehicle that changes in flight: segments, carried knowledge, events."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.estimation.changes import ChangeTuning
+from gcs_sysid.estimation.online import Tuning
+from gcs_sysid.estimation.regression import Samples
+from gcs_sysid.estimation.tracking import Tracker
+from gcs_sysid.model import rigid_body as rb
+from sim_bridge.ensemble import fly_ensemble
+from sim_bridge.missions import MISSIONS
+from sim_bridge.simulation import Change, mass_step
+from sim_bridge.vehicle_files import load_vehicle
+
+RATE, AT, END = 250, 15.0, 25.0
+DT = 1.0 / RATE
+VEHICLE = load_vehicle("paper")
+GEOMETRY = np.array([[r.x, r.y, float(r.spin)] for r in VEHICLE.rotors]).T
+KAPPA = VEHICLE.k_T / VEHICLE.mass
+
+
+def with_payload(vehicle):
+    names = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz")
+    inertia = {n: 1.1 * getattr(vehicle, n) for n in names}
+    shift = 1.0 + 1.0 / 6.0
+    return replace(
+        vehicle,
+        mass=1.2 * vehicle.mass,
+        cg_x=shift * vehicle.cg_x,
+        cg_y=shift * vehicle.cg_y,
+        **inertia,
+    )
+
+
+def measured(flight, seed=1):
+    noisy = flight.with_noise("mems", 0.0, [seed])
+    return Samples(
+        gyro=noisy.gyro[0],
+        rates=noisy.gyro[0] - np.mean(noisy.gyro[0] - flight.gyro[0], axis=0),
+        speeds=noisy.speeds[0],
+        attitude=noisy.quaternion[0],
+        force=noisy.specific_force[0],
+        velocity=noisy.velocity[0],
+    )
+
+
+def follow(samples, block=25, tracker=None):
+    tracker = tracker or Tracker(GEOMETRY, DT, Tuning(), ChangeTuning())
+    t = np.arange(len(samples.gyro)) * DT
+    for k in range(0, len(t), block):
+        part = slice(k, k + block)
+        tracker.update(
+            t[part], Samples(**{f.name: getattr(samples, f.name)[part] for f in fields(Samples)})
+        )
+    return tracker
+
+
+def theta_of(vehicle):
+    inertia = [vehicle.Ixx, vehicle.Iyy, vehicle.Izz, vehicle.Ixy, vehicle.Iyz, vehicle.Ixz]
+    lengths = [vehicle.cg_x, vehicle.cg_y, vehicle.k_M / vehicle.k_T]
+    return np.concatenate([np.array(inertia) / vehicle.k_T, lengths])
+
+
+@pytest.fixture(scope="module")
+def flights():
+    changes = {
+        "none": (),
+        "mass": (mass_step(AT, 1.2),),
+        "payload": (Change(AT, "payload", with_payload),),
+    }
+    return {
+        name: measured(fly_ensemble(VEHICLE, MISSIONS["all-axes"], RATE, END, changes=change))
+        for name, change in changes.items()
+    }
+
+
+def test_nothing_happens_where_nothing_changes(flights):
+    tracker = follow(flights["none"])
+    assert tracker.events == []
+    assert tracker.segments == []
+    assert tracker.fit().translation.kappa == pytest.approx(KAPPA, rel=0.005)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mass", "payload"])
+def test_a_change_ends_a_segment(flights, name):
+    tracker = follow(flights[name])
+    (event,), (segment,) = tracker.events, tracker.segments
+    assert AT <= event.detected <= AT + 0.02
+    assert event.onset == pytest.approx(AT, abs=2 * DT)
+    assert segment.end == event.onset
+    assert event.segment == 0
+    assert event.cause.kind == ("mass_change" if name == "mass" else "payload")
+    after = with_payload(VEHICLE) if name == "payload" else replace(VEHICLE, mass=1.8)
+    # Neither fit has seen the other's flight.
+    for fit, vehicle in ((segment.fit, VEHICLE), (tracker.fit(), after)):
+        kappa = vehicle.k_T / vehicle.mass
+        assert fit.translation.kappa == pytest.approx(kappa, rel=0.004)
+        theta = theta_of(vehicle)
+        assert fit.rotation.theta[:9] == pytest.approx(theta, rel=0.06)
+        assert fit.rotation.theta[:2] == pytest.approx(theta[:2], rel=0.01)
+
+
+@pytest.mark.slow
+def test_what_the_rotors_own_is_known_at_once_after_a_change(flights):
+    whole = flights["mass"]
+    early = round((AT + 1.2) / DT)
+    tracker = follow(Samples(**{f.name: getattr(whole, f.name)[:early] for f in fields(Samples)}))
+    before, now = tracker.segments[0].fit, tracker.fit()
+    assert now.seconds < 1.5
+    assert now.translation.source == "accelerometer"
+    assert now.translation.kappa == pytest.approx(KAPPA / 1.2, rel=0.005)
+    assert now.translation.kappa_std < 0.01 * now.translation.kappa
+    # No more is claimed than carries over, and nearly all of that is.
+    ratio = rb.MOMENT_RATIO
+    assert now.rotation.std[ratio] == pytest.approx(before.rotation.std[ratio], rel=0.3)
+    assert now.rotation.data_std[ratio] > 2.0 * now.rotation.std[ratio]
+    # The inertia may have changed: its interval is wide again.
+    assert now.rotation.std[2] > 2.0 * before.rotation.std[2]
+
+
+@pytest.mark.slow
+def test_size_of_blocks_does_not_matter(flights):
+    one, other = follow(flights["mass"], 25), follow(flights["mass"], 7)
+    assert one.events[0].detected == pytest.approx(other.events[0].detected, abs=1e-9)
+    assert one.fit().rotation.theta == pytest.approx(other.fit().rotation.theta, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_how_often_others_look_does_not_matter(flights):
+    plain = follow(flights["payload"])
+    looked = Tracker(GEOMETRY, DT, Tuning(), ChangeTuning())
+    samples = flights["payload"]
+    for k in range(0, len(samples.gyro), 50):
+        part = slice(k, k + 50)
+        looked.update(
+            np.arange(k, k + 50)[: len(samples.gyro[part])] * DT,
+            Samples(**{f.name: getattr(samples, f.name)[part] for f in fields(Samples)}),
+        )
+        looked.fit(quick=True)
+    assert looked.events[0].detected == pytest.approx(plain.events[0].detected, abs=1e-9)
+    assert looked.fit().rotation.theta == pytest.approx(plain.fit().rotation.theta, rel=1e-9)
+
+
+def test_a_failing_rotor_stops_the_estimate(flights):
+    samples = replace(flights["none"], speeds=flights["none"].speeds.copy())
+    samples.speeds[round(AT / DT) :, 1] /= np.sqrt(0.85)
+    tracker = follow(samples)
+    (event,) = tracker.events
+    assert event.cause.kind == "rotor_failure"
+    assert event.cause.rotor == 1
+    assert tracker.stopped
+    assert tracker.segments == []
+    # What the failed rotor did is not in the estimate.
+    assert tracker.fit().rotation.theta[:2] == pytest.approx(theta_of(VEHICLE)[:2], rel=0.01)
+
+
+def test_kept_samples_are_those_of_the_segment_in_force(flights):
+    tracker = follow(
+        flights["mass"], tracker=Tracker(GEOMETRY, DT, Tuning(), ChangeTuning(), keep=True)
+    )
+    kept = sum(len(part.gyro) for part in tracker.kept)
+    assert kept == pytest.approx((END - AT) / DT, abs=10)
