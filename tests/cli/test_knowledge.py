@@ -1,0 +1,169 @@
+"""What a user knows beforehand, and what an analysis can do with a whole record."""
+
+import json
+
+import pytest
+
+from gcs_sysid.cli.main import run
+from gcs_sysid.estimation.anchors import Anchor, Scale, relative_prior, resolve_scale
+from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.model import rigid_body as rb
+
+PAPER = ("--airframe", "paper")
+
+
+@pytest.fixture
+def analyze(capsys):
+    """Runs `analyze`; (status, standard output, standard error)."""
+
+    def analyze(*argv):
+        status = run(["analyze", *map(str, argv)])
+        out = capsys.readouterr()
+        return status, out.out, out.err
+
+    return analyze
+
+
+@pytest.fixture(scope="module")
+def stepped(fly):
+    """30 s of all axes, 20 % heavier from 15 s on."""
+    flight = ("--mission", "all-axes", "--noise", "mems", "--rate", "250", "--duration", "32")
+    return fly(*flight, "--mass-step", "15:1.2")
+
+
+@pytest.mark.slow
+def test_a_mass_step_is_told_with_time_and_size(analyze, stepped):
+    status, out, _ = analyze(stepped.tlog, *PAPER, "--json", "-")
+    result = json.loads(out)
+    assert status == 0
+    (event,) = [e for e in result["events"] if "detected" in e]
+    assert event["kind"] == "mass_change"
+    assert event["t"] == pytest.approx(15.0, abs=0.05)
+    assert event["detected"] - event["t"] < 0.03
+    low, high = event["parameters"]["mass"]["ci95"]
+    assert low < 0.3 < high
+    assert result["scale"]["anchor"] == "k_T"
+    assert result["scale"]["from"].startswith("the flight before 15")
+    mass = result["parameters"]["mass"]
+    assert mass["value"] == pytest.approx(1.8, rel=0.005)
+    assert mass["status"] == "identified"
+    (segment,) = result["segments"]
+    assert segment["scale"] == {"anchor": "mass", "value": 1.5, "unit": "kg"}
+    assert segment["parameters"]["mass"]["status"] == "given"
+    assert segment["end"] == event["t"]
+    for name in ("Ixx", "Iyy"):
+        assert result["parameters"][name]["value"] == pytest.approx(stepped.truth[name], rel=0.03)
+
+
+@pytest.mark.slow
+def test_two_flights_with_a_known_mass_added_give_mass_and_k_t(analyze, fly):
+    common = ("--mission", "all-axes", "--noise", "mems", "--rate", "100", "--duration", "40")
+    light = fly(*common, "--seed", "1")
+    heavy = fly(*common, "--seed", "2", "--mass-step", "0.1:1.2")
+    status, out, _ = analyze(light.tlog, heavy.tlog, *PAPER, "--added-mass", "0.3", "--json", "-")
+    first, second = json.loads(out)
+    assert status == 0
+    assert first["scale"] == {"anchor": "added_mass", "value": 0.3, "unit": "kg"}
+    for result, mass in ((first, 1.5), (second, 1.8)):
+        for name, true in (("mass", mass), ("k_T", 2.05e-4), ("Ixx", 0.0165)):
+            estimate = result["parameters"][name]
+            assert estimate["value"] == pytest.approx(true, rel=0.03)
+            assert abs(estimate["value"] - true) < 2.5 * estimate["std"]
+            assert estimate["status"] == "identified"
+    status, _, err = analyze(heavy.tlog, light.tlog, *PAPER, "--added-mass", "0.3")
+    assert status == 2
+    assert "was not flown heavier" in err
+
+
+@pytest.mark.slow
+def test_offline_shows_the_bound(analyze, paper_flight):
+    status, out, _ = analyze(paper_flight.tlog, *PAPER, "--offline", "--json", "-")
+    result = json.loads(out)
+    assert status == 0
+    assert result["estimator"] == "offline"
+    for name in ("Ixx", "Izz", "Ixy", "cg_x", "k_M", "moment_ratio"):
+        estimate = result["parameters"][name]
+        assert 0.0 < estimate["bound"] <= 1.02 * estimate["std"]
+        assert estimate["value"] == pytest.approx(paper_flight.truth[name], rel=0.03)
+    assert "bound" not in result["parameters"]["k_T"]  # the likelihood is that of the rotation
+    _, table, _ = analyze(paper_flight.tlog, *PAPER, "--offline")
+    assert "bound" in table.splitlines()[2]
+
+
+@pytest.mark.slow
+def test_a_prior_tells_izz_in_hover(analyze, fly):
+    hover = fly("--mission", "hover", "--noise", "mems", "--rate", "100", "--duration", "40")
+    _, out, _ = analyze(hover.tlog, *PAPER, "--prior", "k_M=6.14e-6+-1e-7", "--json", "-")
+    result = json.loads(out)
+    assert result["priors"] == {"k_M": {"value": 6.14e-6, "std": 1e-7}}
+    k_M = result["parameters"]["k_M"]
+    assert k_M["value"] == pytest.approx(6.14e-6, rel=0.02)
+    assert k_M["rests_on"] == "prior"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--prior", "k_M=1"), "NAME=VALUE±STD"),
+        (("--prior", "weight=1+-0.1"), "no prior on 'weight'"),
+        (("--prior", "k_M=6e-6±0"), "must be positive"),
+        (("--prior", "Ixx=-1±0.1"), "Ixx must be positive"),
+        (("--added-mass", "0.3"), "two logs"),
+        (("--added-mass", "0.3", "--mass", "1.5"), "sets the scale"),
+        (("--offline", "--method", "article"), "forward"),
+    ],
+)
+def test_what_makes_no_sense_is_said(analyze, paper_flight, capsys, words, said):
+    logs = (paper_flight.tlog,) * (2 if "--mass" in words else 1)
+    try:
+        status, _, err = analyze(*logs, *PAPER, *words)
+    except SystemExit as ended:
+        status, err = ended.code, capsys.readouterr().err
+    assert status == 2
+    assert said in err
+
+
+def test_priors_of_an_airframe_file(tmp_path, paper_flight, analyze):
+    from gcs_sysid.errors import InputError
+    from gcs_sysid.model.airframe import load_airframe, parse_airframe, read_airframe_table
+
+    table, _ = read_airframe_table("paper")
+    airframe = parse_airframe({**table, "prior": {"Ixx": [0.0165, 0.001]}}, "file")
+    assert airframe.priors == {"Ixx": (0.0165, 0.001)}
+    assert load_airframe("paper").priors == {}
+    for wrong in ({"Ixx": 0.0165}, {"Ixx": [1, 0]}, {"none": [1, 1]}, [1]):
+        with pytest.raises(InputError, match=r"file"):
+            parse_airframe({**table, "prior": wrong}, "file")
+
+
+def test_scale_from_each_anchor():
+    kappa, share = 2.05e-4 / 1.5, 1e-3
+    fit = TranslationFit(kappa, share * kappa, 0.1, 0.01, "momentum")
+    by_mass = resolve_scale(Anchor("mass", 1.5), fit, {})
+    assert by_mass == Scale(1.5, 0.0, pytest.approx(2.05e-4), pytest.approx(share))
+    by_k_T = resolve_scale(Anchor("k_T", 2.05e-4, 2.05e-6), fit, {})
+    assert by_k_T.mass == pytest.approx(1.5)
+    assert by_k_T.mass_share == pytest.approx((share**2 + 0.01**2) ** 0.5)
+    loaded = 2.05e-4 / 1.8
+    added = resolve_scale(Anchor("added_mass", 0.3, loaded=(loaded, share * loaded)), fit, {})
+    assert added.mass == pytest.approx(1.5)
+    assert added.k_T == pytest.approx(2.05e-4)
+    # kappa_1 and kappa_2 differ by a sixth: their errors count six and more times.
+    assert added.mass_share == pytest.approx(6.0 * share * 2**0.5, rel=1e-6)
+    assert added.k_T_share == pytest.approx(share * (5.0**2 + 6.0**2) ** 0.5, rel=1e-6)
+    # A prior on k_T is weighed by its variance.
+    both = resolve_scale(Anchor("mass", 1.5), fit, {"k_T": (2.05e-4 * 1.002, 2.05e-7)})
+    assert both.k_T == pytest.approx(2.05e-4 * 1.001, rel=1e-6)
+    assert both.k_T_share == pytest.approx(share / 2**0.5, rel=2e-3)
+
+
+def test_priors_become_relative():
+    scale = Scale(1.5, 0.0, 2.05e-4, 0.0)
+    prior = relative_prior({"k_M": (6.15e-6, 2.05e-8), "mass": (1.0, 0.1)}, scale)
+    assert prior.mean[rb.MOMENT_RATIO] == pytest.approx(0.03)
+    assert prior.information[rb.MOMENT_RATIO, rb.MOMENT_RATIO] == pytest.approx(1e8)
+    assert relative_prior({"mass": (1.0, 0.1)}, scale) is None
+    # Without a scale lengths alone can be known.
+    unknown = Scale(1.5, 0.0, None, float("inf"))
+    assert relative_prior({"Ixx": (0.01, 0.001)}, unknown) is None
+    assert relative_prior({"cg_x": (0.01, 0.001)}, unknown).mean[rb.CG_X] == 0.01
