@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gcs_sysid.estimation.moments import Moments
-from gcs_sysid.estimation.regression import LeakySum, complete_rows, runs
+from gcs_sysid.estimation.regression import LeakySums, complete_rows, runs
 
 
 def rows(n, width=4, seed=1):
@@ -82,19 +82,27 @@ def test_the_newest_batches_can_be_forgotten():
 
 def test_leaky_sum_is_the_recursion():
     z = rows(60)
-    leak = LeakySum(row_time=0.05, memory=0.3)
+    leak = LeakySums(row_time=0.05, memories=[0.3])
     expected, s = [], np.zeros(4)
     for row in z:
         s = np.exp(-0.05 / 0.3) * s + row
         expected.append(s)
-    close(leak.update(z), expected)
+    close(leak.update(z[None])[0, 0], expected)
+
+
+def test_leaks_of_several_memories_are_those_of_each():
+    z = np.random.default_rng(5).normal(size=(2, 70, 4))
+    memories = [0.0, 0.3, 1.0]
+    together = LeakySums(0.05, memories).update(z)
+    for found, memory in zip(together, memories, strict=True):
+        close(found, LeakySums(0.05, [memory]).update(z)[0])
 
 
 def test_leak_without_memory_passes_rows():
     z = rows(20)
     z[3, 1] = np.nan
-    leak = LeakySum(0.05, 0.0)
-    np.testing.assert_array_equal(leak.update(z), np.delete(z, 3, axis=0))
+    leak = LeakySums(0.05, [0.0])
+    np.testing.assert_array_equal(leak.update(z[None])[0, 0], np.delete(z, 3, axis=0))
 
 
 @settings(max_examples=40, deadline=None)
@@ -112,17 +120,17 @@ def test_leaky_sum_starts_anew_after_what_is_missing(cuts, missing):
             continue
         s = np.exp(-0.05 / 0.3) * s + row
         expected.append(s)
-    leak = LeakySum(0.05, 0.3)
+    leak = LeakySums(0.05, [0.3])
     edges = [0, *sorted(cuts), 80]
-    parts = [leak.update(z[edges[k] : edges[k + 1]]) for k in range(len(edges) - 1)]
+    parts = [leak.update(z[None, edges[k] : edges[k + 1]])[0, 0] for k in range(len(edges) - 1)]
     close(np.concatenate(parts), np.reshape(expected, (-1, 4)))
 
 
 def test_restart_of_a_leak():
-    leak = LeakySum(0.05, 0.3)
-    leak.update(rows(10))
+    leak = LeakySums(0.05, [0.3])
+    leak.update(rows(10)[None])
     leak.restart()
-    np.testing.assert_array_equal(leak.update(rows(1)), rows(1))
+    np.testing.assert_array_equal(leak.update(rows(1)[None])[0, 0], rows(1))
 
 
 def test_runs_and_complete_rows():
@@ -141,8 +149,8 @@ def test_runs_and_complete_rows():
 def test_a_row_that_misses_in_one_hypothesis_is_dropped_from_all():
     z = np.random.default_rng(3).normal(size=(2, 30, 4))
     z[1, 7, 0] = np.nan
-    found = LeakySum(0.05, 0.3).update(z)
+    found = LeakySums(0.05, [0.3]).update(z)[0]
     assert found.shape == (2, 29, 4)
     single = z[0].copy()
     single[7] = np.nan
-    close(found[0], LeakySum(0.05, 0.3).update(single))
+    close(found[0], LeakySums(0.05, [0.3]).update(single[None])[0, 0])

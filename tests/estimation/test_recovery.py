@@ -10,7 +10,7 @@ from gcs_sysid.estimation import rotation, translation
 from gcs_sysid.estimation.article import METHODS, ArticleEstimator
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.online import OnlineEstimator, Tuning
-from gcs_sysid.estimation.regression import LeakySum, RowMaker, Samples
+from gcs_sysid.estimation.regression import LeakySums, RowMaker, Samples
 from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.filters.smoothers import DifferentiatorSmoother, WindowSmoother
 from gcs_sysid.model import rigid_body as rb
@@ -30,9 +30,9 @@ def noisy(samples, sigma, seed):
 def bank_of(truth, samples, smoother, memory=0.0):
     """What the rotational fit takes, without noise of the rotor speeds: one leak, all delays."""
     rows = RowMaker(truth.geometry, smoother).update(samples).rotation
-    rows = LeakySum(smoother.step * DT, memory).update(rows)
+    rows = LeakySums(smoother.step * DT, [memory]).update(rows)
     moments = Moments((1, len(smoother.delays), rotation.WIDTH, rotation.WIDTH), 40)
-    moments.add(rows[None])
+    moments.add(rows)
     noise = np.zeros((1, rotation.WIDTH, rotation.WIDTH))
     return moments.batches, moments.counts, smoother.delays, noise
 

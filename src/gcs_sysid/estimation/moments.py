@@ -32,11 +32,10 @@ class Moments:
         self._batches = np.zeros((max_batches, *shape))
         self._counts = np.zeros(max_batches, dtype=np.int64)
         self._full = 0
-
-    @property
-    def rows(self) -> int:
+        self.total = np.zeros(shape)
+        """(..., m, m) sum over all rows; not to be written to."""
+        self.rows = 0
         """Rows added so far."""
-        return int(self._counts.sum())
 
     @property
     def batches(self) -> Array:
@@ -48,24 +47,21 @@ class Moments:
         """(k,) rows in each batch (a view)."""
         return self._counts[: self._begun]
 
-    @property
-    def total(self) -> Array:
-        """(..., m, m) sum over all rows."""
-        total: Array = self.batches.sum(axis=0)
-        return total
-
     def add(self, rows: Array) -> None:
         """Add rows of shape (..., n, m), in time order.
 
         The sums do not depend on how rows are grouped in calls, but for rounding.
         """
         n, start = rows.shape[-2], 0
+        self.rows += n
         while start < n:
             if self._full == len(self._batches):
                 self._merge()
             room = self._rows_per_batch - int(self._counts[self._full])
             part = rows[..., start : start + room, :]
-            self._batches[self._full] += np.swapaxes(part, -1, -2) @ part
+            products = np.swapaxes(part, -1, -2) @ part
+            self.total += products
+            self._batches[self._full] += products
             self._counts[self._full] += part.shape[-2]
             start += part.shape[-2]
             if self._counts[self._full] == self._rows_per_batch:
@@ -80,6 +76,8 @@ class Moments:
             self._batches[last] = 0.0
             self._counts[last] = 0
             self._full = last
+        self.total = self.batches.sum(axis=0)
+        self.rows -= dropped
 
     @property
     def _begun(self) -> int:

@@ -1,6 +1,8 @@
 """The online estimator: samples in, relative estimates out, in bounded memory and time."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -9,13 +11,15 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import article, rotation, translation
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.priors import Prior
-from gcs_sysid.estimation.regression import LeakySum, RowMaker, Samples
+from gcs_sysid.estimation.regression import LeakySums, RowMaker, Samples
 from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.validation import Validation, validate
 from gcs_sysid.filters.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
 
-_SETTLE_GROWTH = 1.2
+_SETTLE_GROWTH = 1.5
+_PIECE_TIME = 0.1
+"""s of samples that are taken at once."""
 MIN_MOMENTUM_SECONDS = 5.0
 """Flight time from which momentum balance beats the accelerometer's bias."""
 
@@ -33,7 +37,7 @@ class Tuning:
         leaks: s, memories of the leaky sums carried side by side; 0 for none.
         delays: s, bank of rotor delays, equally spaced; one alone is taken as given.
         settle_interval: s, least time between full fits of a running course, which choose
-            leak and delay; later they come when the record has grown by a fifth.
+            leak and delay; later they come when the record has grown by half.
         batch_time: s, length of a batch of moments.
     """
 
@@ -94,15 +98,19 @@ class OnlineEstimator:
         self._smoother = smoother
         self._speed_noise = SpeedNoise(geometry, dt)
         self._memories = tuning.leaks
+        # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
+        piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
+        self._held = _Held(piece, geometry.shape[1])
         self._rows = RowMaker(geometry, smoother)
         self._row_time = smoother.step * dt
         per_batch = max(round(tuning.batch_time / self._row_time), 1)
         self._delays = smoother.delays
-        self._leaks = [LeakySum(self._row_time, memory) for memory in tuning.leaks]
+        self._leaks = LeakySums(self._row_time, tuning.leaks)
         bank = (len(tuning.leaks), len(self._delays))
         self._rotation = Moments((*bank, rotation.WIDTH, rotation.WIDTH), per_batch)
         self._settle_interval = tuning.settle_interval
         self._followed: dict[str, _Followed] = {}
+        self._thrust: dict[str, TranslationFit] = {}
         self._article = (
             None
             if tuning.method == "forward"
@@ -113,23 +121,34 @@ class OnlineEstimator:
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
+        self._flush()
         self._rows.restart()
-        for leak in self._leaks:
-            leak.restart()
+        self._speed_noise.restart()
+        self._leaks.restart()
         if self._article:
             self._article.restart()
 
     def update(self, samples: Samples) -> None:
         """Take a block of samples; the outcome does not depend on how they are grouped."""
+        for piece in self._held.add(samples):
+            self._take(piece)
+
+    def _flush(self) -> None:
+        """Take what is held back for want of a whole piece."""
+        rest = self._held.rest()
+        if rest is not None:
+            self._take(rest)
+
+    def _take(self, samples: Samples) -> None:
         rows = self._rows.update(samples)
         self._speed_noise.update(samples.speeds)
-        self._rotation.add(np.stack([leak.update(rows.rotation) for leak in self._leaks]))
         if self._article:
             self._article.update(samples)
-        complete = np.isfinite(rows.momentum).all(axis=(1, 2))
-        self._momentum.add(np.swapaxes(rows.momentum[complete], 0, 1))
-        complete = np.isfinite(rows.accelerometer).all(axis=1)
-        self._accelerometer.add(rows.accelerometer[complete])
+        if rows.rotation.shape[1] == 0:
+            return
+        self._rotation.add(self._leaks.update(rows.rotation))
+        self._momentum.add(np.swapaxes(_complete(rows.momentum), 0, 1))
+        self._accelerometer.add(_complete(rows.accelerometer))
 
     @property
     def seconds(self) -> float:
@@ -140,36 +159,48 @@ class OnlineEstimator:
         """The estimate from everything so far.
 
         Args:
-            quick: go on from the last quick estimate, for the course of a running flight.
-                Otherwise the outcome is a function of the data alone.
+            quick: go on from the last quick estimate, for the course of a running flight; of
+                the latest samples, up to 0.1 s may be left out. Otherwise the outcome is a
+                function of the data alone.
             course: name of the course of quick estimates to go on with. One that decides
                 something must not depend on how often others look.
         """
-        trans, accelerometer = self.fit_translation()
+        if not quick:
+            self._flush()
+        name = course if quick else None
+        trans, accelerometer = self.fit_translation(name)
         validation = None
-        noise = self._noise()
         if not quick and self._article is None:
             validation = validate(
-                self._rotation.batches, self._rotation.counts, self._delays, noise, self.prior
+                self._rotation.batches,
+                self._rotation.counts,
+                self._delays,
+                self._noise(),
+                self.prior,
             )
-        return Fit(
-            self._fit_rotation(course if quick else None, noise),
-            trans,
-            self.seconds,
-            validation,
-            accelerometer,
-        )
+        return Fit(self._fit_rotation(name), trans, self.seconds, validation, accelerometer)
 
     def fit_translation(
-        self,
+        self, course: str | None = None
     ) -> tuple[TranslationFit | None, TranslationFit | None]:
-        """Thrust and drag over mass from the better source, and from the accelerometer."""
+        """Thrust and drag over mass from the better source, and from the accelerometer.
+
+        Args:
+            course: to go on with; None: from the data alone.
+        """
         accelerometer = translation.fit_accelerometer(
             self._accelerometer.batches, self._accelerometer.counts, self.accelerometer_gain
         )
         momentum = None
         if self._momentum.rows * self._row_time > MIN_MOMENTUM_SECONDS:
-            momentum = translation.fit_momentum(self._momentum.batches, self._momentum.counts)
+            momentum = translation.fit_momentum(
+                self._momentum.batches,
+                self._momentum.counts,
+                self._momentum.total,
+                None if course is None else self._thrust.get(course),
+            )
+            if course is not None and momentum is not None:
+                self._thrust[course] = momentum
         return momentum or accelerometer, accelerometer
 
     @property
@@ -179,12 +210,14 @@ class OnlineEstimator:
 
     def forget_last(self, seconds: float) -> None:
         """Leave out at least the last `seconds` of what was learnt (whole batches)."""
+        self._flush()
         rows = int(np.ceil(seconds / self._row_time))
         for moments in (self._rotation, self._momentum, self._accelerometer):
             moments.drop_last(rows)
         self._followed.clear()
+        self._thrust.clear()
 
-    def _fit_rotation(self, course: str | None, noise: Array) -> rotation.RotationFit | None:
+    def _fit_rotation(self, course: str | None) -> rotation.RotationFit | None:
         if self._article:
             return self._article.fit()
         moments, delays = self._rotation, self._delays
@@ -194,14 +227,14 @@ class OnlineEstimator:
                 moments.total[known.fit.leak],
                 moments.rows,
                 delays,
-                noise[known.fit.leak],
+                self._noise_of(known.fit.leak),
                 known.fit,
                 self.prior,
             )
             self._followed[course] = _Followed(latest, known.settle)
             return latest
         fit = rotation.fit_rotation(
-            moments.batches, moments.counts, delays, noise, prior=self.prior
+            moments.batches, moments.counts, delays, self._noise(), prior=self.prior
         )
         if course is not None and fit is not None:
             settle = max(self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds)
@@ -209,4 +242,59 @@ class OnlineEstimator:
         return fit
 
     def _noise(self) -> Array:
-        return np.stack([self._speed_noise.moments(self._smoother, m) for m in self._memories])
+        return np.stack([self._noise_of(leak) for leak in range(len(self._memories))])
+
+    def _noise_of(self, leak: int) -> Array:
+        return self._speed_noise.moments(self._smoother, self._memories[leak])
+
+
+class _Held:
+    """Samples held back until there are enough for a piece.
+
+    Args:
+        size: samples of a piece.
+        rotors: how many there are.
+    """
+
+    def __init__(self, size: int, rotors: int) -> None:
+        edges = np.cumsum([0, 3, 3, rotors, 4, 3, 3])
+        self._buffer = np.empty((size, edges[-1]))
+        self._columns = [slice(a, b) for a, b in pairwise(edges)]
+        self._count = 0
+
+    def add(self, samples: Samples) -> Iterator[Samples]:
+        """The pieces that these samples complete; each is valid until the next."""
+        signals = (
+            samples.gyro,
+            samples.rates,
+            samples.speeds,
+            samples.attitude,
+            samples.force,
+            samples.velocity,
+        )
+        done, n, size = 0, len(samples.gyro), len(self._buffer)
+        while done < n:
+            take = min(n - done, size - self._count)
+            to = slice(self._count, self._count + take)
+            for signal, columns in zip(signals, self._columns, strict=True):
+                self._buffer[to, columns] = signal[done : done + take]
+            done += take
+            self._count += take
+            if self._count == size:
+                self._count = 0
+                yield self._samples(size)
+
+    def rest(self) -> Samples | None:
+        """What is held, if anything."""
+        count, self._count = self._count, 0
+        return self._samples(count) if count else None
+
+    def _samples(self, count: int) -> Samples:
+        return Samples(*(self._buffer[:count, columns] for columns in self._columns))
+
+
+def _complete(rows: Array) -> Array:
+    """Of rows (n, ...) those in which nothing is missing."""
+    if np.isfinite(rows.sum()):
+        return rows
+    return rows[np.isfinite(rows).reshape(len(rows), -1).all(axis=1)]

@@ -7,11 +7,11 @@ nearly white, which is what least squares weighs best. Where noise of the rotor 
 dominates, no leak is better; the estimator carries both and takes the more certain one.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.signal import lfilter
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation import translation
@@ -95,34 +95,38 @@ class RowMaker:
 
     def _signals(self, s: Samples) -> Array:
         rotors, H = rigid_body.rotor_signals(self._geometry, s.speeds)
-        p, q = s.rates[:, 0], s.rates[:, 1]
-        down = attitude.rotate(s.attitude, np.array([0.0, 0.0, 1.0]))
-        return np.column_stack(
-            [
-                rotors,
-                H,
-                rigid_body.rate_products(s.rates),
-                s.rates,
-                q * H,
-                p * H,
-                s.gyro,
-                down * rotors[:, 2:3],
-                s.velocity,
-                s.force[:, 2],
-            ]
-        )
+        out = np.empty((len(H), _FORCE + 1))
+        out[:, :4] = rotors
+        out[:, 4] = H
+        out[:, 5:11] = rigid_body.rate_products(s.rates)
+        out[:, 11:14] = s.rates
+        out[:, 14:16] = s.rates[:, 1::-1] * H[:, None]  # q H, p H
+        out[:, _GYRO] = s.gyro
+        out[:, _LIFT] = attitude.down_axis(s.attitude) * rotors[:, _THRUST, None]
+        out[:, _VELOCITY] = s.velocity
+        out[:, -1] = s.force[:, 2]
+        return out
 
 
-class LeakySum:
+_PIECE = 16
+"""Rows that a leaky sum takes at once."""
+
+
+class LeakySums:
     """Leaky sums of rows, over each run of complete ones; incomplete rows are dropped.
 
     Args:
         row_time: s between rows.
-        memory: s; 0 passes rows as they are.
+        memories: s; 0 passes rows as they are.
     """
 
-    def __init__(self, row_time: float, memory: float) -> None:
-        self._decay = float(np.exp(-row_time / memory)) if memory > 0.0 else 0.0
+    def __init__(self, row_time: float, memories: Sequence[float]) -> None:
+        decay = np.array([np.exp(-row_time / m) if m > 0.0 else 0.0 for m in memories])
+        age = np.arange(_PIECE)[:, None] - np.arange(_PIECE)
+        powers = decay[:, None, None] ** np.maximum(age, 0)
+        # Shapes (leaks, 1, rows, rows) and (leaks, 1, rows, 1).
+        self._weights = np.where(age >= 0, powers, 0.0)[:, None]
+        self._carried = (decay[:, None] ** np.arange(1, _PIECE + 1))[:, None, :, None]
         self._sum: Array | None = None
 
     def restart(self) -> None:
@@ -130,21 +134,30 @@ class LeakySum:
         self._sum = None
 
     def update(self, rows: Array) -> Array:
-        """(..., n, width) rows to at most as many; a row counts only if complete in all."""
-        others = tuple(i for i in range(rows.ndim) if i != rows.ndim - 2)
-        complete: Mask = np.asarray(np.isfinite(rows).all(axis=others))
-        out = []
+        """(d, n, width) rows to (leaks, d, at most n, width), those that are complete in all."""
+        if np.isfinite(rows.sum()):
+            return self._add(rows)
+        complete: Mask = np.asarray(np.isfinite(rows).all(axis=(0, 2)))
+        out = [np.empty((len(self._weights), len(rows), 0, rows.shape[-1]))]
         for run, there in runs(complete):
-            if not there:
+            if there:
+                out.append(self._add(rows[:, run]))
+            else:
                 self.restart()
-                continue
-            part = rows[..., run, :]
-            if self._decay:
-                start = np.zeros_like(part[..., :1, :]) if self._sum is None else self._sum
-                part, _ = lfilter([1.0], [1.0, -self._decay], part, axis=-2, zi=self._decay * start)
-                self._sum = part[..., -1:, :]
-            out.append(part)
-        return np.concatenate(out, axis=-2) if out else rows[..., :0, :]
+        return np.concatenate(out, axis=2)
+
+    def _add(self, rows: Array) -> Array:
+        n = rows.shape[1]
+        out = np.empty((len(self._weights), len(rows), n, rows.shape[-1]))
+        for start in range(0, n, _PIECE):
+            part = rows[:, start : start + _PIECE]
+            m = part.shape[1]
+            sums = self._weights[:, :, :m, :m] @ part
+            if self._sum is not None:
+                sums += self._carried[:, :, :m] * self._sum
+            self._sum = sums[:, :, -1:]
+            out[:, :, start : start + m] = sums
+        return out
 
 
 def complete_rows(values: Array) -> Mask:

@@ -17,6 +17,7 @@ Biometrika 94, 167-183.
 """
 
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,18 +36,20 @@ DELAY_PRIOR_STD = 0.03
 
 _MAX_ITERATIONS = 40
 _SCAN_ITERATIONS = 8
-_WARM_ITERATIONS = 6
-_FOLLOW_ITERATIONS = 2
+_WARM_ITERATIONS, _FOLLOW_ITERATIONS = 6, 2
 _CONVERGED = 1e-7
 """Steps smaller than this many standard deviations change nothing."""
-_FOLLOWED = 0.1
-"""The same, of a fit that follows a growing record."""
-_DAMPING, _LIGHT_DAMPING = 1e-4, 1e-9
-_EPSILON = 1e-15
-"""Rounding of sums of products."""
+_BLIND_STEP = 1.5
+"""Standard deviations; a smaller step of a fit that follows is taken unseen."""
+_DAMPING = 1e-4
+_ALIKE = 3e-13
+"""Share of all residual power that every axis has at least: weights stay finite."""
+_EPSILON = 4e-15
+"""Rounding of sums of products, relative to the squares in them."""
 _HALVINGS = 20
 """A step that leads out of the physical inertias is shortened so often, then not taken."""
 _IDENTITY = np.eye(3)
+_AXES, _DIAGONAL = np.arange(3), np.arange(WIDTH)
 _OUTPUTS = np.arange(N_X, WIDTH)
 
 
@@ -184,11 +187,12 @@ def follow_rotation(
     """
     assert start.footing is not None
     problem = _Problem(total.reshape(1, len(delays), -1), rows, delays, prior)
-    point, converged = _minimise(
-        problem, start.footing.unknowns[None], _FOLLOW_ITERATIONS, _LIGHT_DAMPING, _FOLLOWED
-    )
-    outcome = _Outcome(problem, point, 0, noise)
-    return outcome.fit(start.footing.inflation, bool(converged[0]), start.leak)
+    unknowns, spread = start.footing.unknowns[None], start.footing.inflation
+    outcome = _Outcome(problem, problem.evaluate(unknowns), 0, noise)
+    if outcome.take_step(_BLIND_STEP):
+        return outcome.fit(spread, start.converged, start.leak)
+    point, converged = _minimise(problem, unknowns, _FOLLOW_ITERATIONS)
+    return _Outcome(problem, point, 0, noise).fit(spread, bool(converged[0]), start.leak)
 
 
 def uncertainty(fit: RotationFit) -> float:
@@ -204,7 +208,7 @@ def moments_at(bank: Array, delays: Array, delay: float) -> Array:
         delays: (delays,) s.
         delay: s, wanted.
     """
-    weights = _Interpolation(delays).weights(np.array([delay]))[0, 0]
+    weights = _Interpolation.over(*delays).weights(np.array([delay]))[0, 0]
     between: Array = np.tensordot(bank, weights, ([-3], [0]))
     return between
 
@@ -212,23 +216,29 @@ def moments_at(bank: Array, delays: Array, delay: float) -> Array:
 class _Interpolation:
     """Lagrange's polynomials over the nodes of a bank."""
 
+    @classmethod
+    @cache
+    def over(cls, *delays: float) -> "_Interpolation":
+        """The one over these delays, made once."""
+        return cls(np.array(delays))
+
     def __init__(self, delays: Array) -> None:
         self._middle = 0.5 * (delays[0] + delays[-1])
         self._half = 0.5 * (delays[-1] - delays[0]) or 1.0
         n = len(delays)
         nodes = (delays - self._middle) / self._half
-        # Row k: the weights' part that goes with the k-th power.
-        self._powers = np.linalg.inv(nodes[:, None] ** np.arange(n)).copy()
+        # Row k: the part of the weights, and of their derivatives, with the k-th power.
         self._exponents = np.arange(n)
-        slopes = np.zeros((2, n, n))
-        slopes[0, :-1] = self._powers[1:] * self._exponents[1:, None] / self._half
-        slopes[1, :-1] = slopes[0, 1:] * self._exponents[1:, None] / self._half
-        self._all = np.stack([self._powers, *slopes]).transpose(1, 0, 2).reshape(n, 3 * n)
+        powers = np.zeros((3, n, n))
+        powers[0] = np.linalg.inv(nodes[:, None] ** self._exponents)
+        for k in range(2):
+            powers[k + 1, :-1] = powers[k, 1:] * self._exponents[1:, None] / self._half
+        self._powers = powers.transpose(1, 0, 2).reshape(n, 3 * n)
 
     def weights(self, delay: Array) -> Array:
         """(K, 3, nodes) weights of the nodes at (K,) delays, and their two derivatives."""
         x = (delay[:, None] - self._middle) / self._half
-        weights: Array = (x**self._exponents @ self._all).reshape(len(delay), 3, -1)
+        weights: Array = (x**self._exponents @ self._powers).reshape(len(delay), 3, -1)
         return weights
 
 
@@ -242,6 +252,9 @@ class _Point:
         gradient: (K, p) downhill, of half the likelihood's cost, W as it is there.
         hessian: (K, p, p) of the same, Gauss-Newton.
         residual: (K, 3, 3) covariance of one row's residual.
+        Q: (K, 3, N_X).
+        W: (K, 3, 3) inverse of `residual`.
+        WG: (K, N_THETA, 3 N_X) derivatives of Q, weighted.
     """
 
     unknowns: Array
@@ -249,6 +262,9 @@ class _Point:
     gradient: Array
     hessian: Array
     residual: Array
+    Q: Array
+    W: Array
+    WG: Array
 
     def where(self, better: Mask, other: "_Point") -> "_Point":
         """The other point for the hypotheses where that is better."""
@@ -279,7 +295,7 @@ class _Problem:
         self.prior = prior
         self.with_delay = bank.shape[1] > 1
         self.p = N_UNKNOWNS if self.with_delay else rb.N_THETA
-        self._interpolation = _Interpolation(delays) if self.with_delay else None
+        self._interpolation = _Interpolation.over(*delays) if self.with_delay else None
 
     def weights(self, delay: Array) -> Array:
         """(K, d, nodes): moments of the nodes make those at a delay, and their derivatives."""
@@ -297,9 +313,16 @@ class _Problem:
         cross = T[:, None] @ moments
         Tt = np.swapaxes(T, -1, -2)
         residual = cross @ Tt[:, None]
-        S = (residual[:, 0] + _rounding(T, moments[:, 0])) / self.rows
+        S = residual[:, 0] / self.rows
+        # Without noise only rounding is left of large terms; that keeps it definite.
+        sizes = moments[:, 0, _DIAGONAL, _DIAGONAL]
+        own = S[:, _AXES, _AXES]
+        S[:, _AXES, _AXES] = own + (
+            (T * T @ sizes[..., None])[..., 0] * (_EPSILON / self.rows)
+            + (_ALIKE * own.sum(axis=1) + 1e-300)[:, None]
+        )
         cost = np.linalg.slogdet(S)[1]
-        W = _inverse_spd(S)
+        W = np.linalg.inv(S)
         WG = (W[:, None] @ G).reshape(K, n, 3 * N_X)
         GR = (G.reshape(K, n * 3, N_X) @ moments[:, 0, :N_X, :N_X]).reshape(K, n, 3 * N_X)
         hessian = np.empty((K, self.p, self.p))
@@ -317,7 +340,7 @@ class _Problem:
             hessian[:, n, n] = np.maximum(curves[:, 1], 0.0) + information
         if self.prior is not None:
             cost = cost + self.prior.cost(unknowns) / self.rows
-        return _Point(unknowns, cost, gradient, hessian, S)
+        return _Point(unknowns, cost, gradient, hessian, S, Q, W, WG)
 
 
 def _scan(problem: _Problem, unknowns: Array) -> Array:
@@ -337,27 +360,19 @@ def _scan(problem: _Problem, unknowns: Array) -> Array:
     return chosen
 
 
-def _minimise(
-    problem: _Problem,
-    unknowns: Array,
-    limit: int,
-    first_damping: float = _DAMPING,
-    enough: float = _CONVERGED,
-) -> tuple[_Point, Mask]:
+def _minimise(problem: _Problem, unknowns: Array, limit: int) -> tuple[_Point, Mask]:
     """Levenberg-Marquardt on log det of the residual covariance (W concentrated out).
 
     Args:
         problem: K hypotheses.
         unknowns: (K, N_UNKNOWNS) starting points.
         limit: most iterations.
-        first_damping: of the first step.
-        enough: standard deviations; after a smaller step the search ends.
 
     Returns:
         The minimisers, and (K,) whether each was reached.
     """
     K, p = len(unknowns), problem.p
-    damping = np.full(K, first_damping)
+    damping = np.full(K, _DAMPING)
     converged = np.zeros(K, dtype=bool)
     eye = np.eye(p)
     low, high = problem.delays[0], problem.delays[-1]
@@ -375,7 +390,7 @@ def _minimise(
         downhill = gradient / d
         step = np.linalg.solve(H, downhill[..., None])[..., 0]
         # How much the cost can still fall, in units of the likelihood.
-        small = (step * downhill).sum(axis=1) < enough**2
+        small = (step * downhill).sum(axis=1) < _CONVERGED**2
         candidate = point.unknowns.copy()
         candidate[:, :p] += step / d
         if problem.with_delay:
@@ -408,16 +423,14 @@ class _Outcome:
         self._problem = problem
         self._noise = noise
         self._unknowns: Array = point.unknowns[index]
-        self._gradient = point.gradient[index]
+        self._gradient: Array = point.gradient[index]
+        self._hessian = point.hessian[index]
         self._residual = point.residual[index]
         self._index = index
-        self._scale = _scales(point.hessian[index])
-        self._Q, G = rb.forward_jacobian(self._unknowns[: rb.N_THETA])
-        self._W = _inverse_spd(self._residual)
-        self._WG = (self._W @ G).reshape(rb.N_THETA, 3 * N_X)
+        self._scale = _scales(self._hessian)
+        self._Q, self._W, self._WG = point.Q[index], point.W[index], point.WG[index]
         # A direction that the data do not see at all keeps a huge, finite variance.
-        scaled = point.hessian[index] / np.outer(self._scale, self._scale)
-        self.roots = symmetric_roots(scaled)
+        self.roots = symmetric_roots(self._hessian / (self._scale[:, None] * self._scale))
         """(p, p) root of the scaled information, and its inverse."""
 
     def scores(self, batches: Array, counts: NDArray[np.int64]) -> Array:
@@ -440,6 +453,25 @@ class _Outcome:
         scores -= np.outer(counts / counts.sum(), scores.sum(axis=0))
         scaled: Array = scores / self._scale
         return scaled
+
+    def take_step(self, largest: float) -> bool:
+        """Go on by a Gauss-Newton step, unless that is longer than so many deviations."""
+        problem, d = self._problem, self._scale
+        p, root, inverse_root = problem.p, *self.roots
+        downhill = self._gradient / d
+        if problem.prior is None:
+            step = inverse_root @ (inverse_root @ downhill)
+        else:
+            downhill = downhill + problem.prior.pull(self._unknowns)[:p] / d
+            step = np.linalg.solve(
+                root @ root + problem.prior.information[:p, :p] / (d[:, None] * d), downhill
+            )
+        if step @ downhill > largest**2:
+            return False
+        moved = self._moved(step / d)
+        self._gradient = self._gradient - self._hessian @ (moved - self._unknowns)[:p]
+        self._unknowns = moved
+        return True
 
     def fit(self, spread: Array, converged: bool, leak: int) -> RotationFit:
         """The estimate.
@@ -524,13 +556,6 @@ def residual_maker(Q: Array) -> Array:
     return T
 
 
-def _rounding(T: Array, moments: Array) -> Array:
-    """(..., 3, 3): without noise only rounding is left of large terms; that keeps it definite."""
-    size = np.sqrt(np.maximum(np.diagonal(moments, axis1=-2, axis2=-1), 0.0))
-    rounding: Array = _EPSILON * (np.abs(T) @ size[..., None]) ** 2 * _IDENTITY
-    return rounding
-
-
 def _first_guess(total: Array, rows: int, delay: float, prior: Prior | None) -> Array | None:
     """(N_UNKNOWNS,) to start from: a rough fit, or what the prior says where it fits better."""
     rough = _starting_point(total)
@@ -575,11 +600,3 @@ def _scales(hessian: Array) -> Array:
     """(..., p) square roots of the diagonal, 1 where there is no information at all."""
     diagonal = np.diagonal(hessian, axis1=-2, axis2=-1)
     return np.sqrt(np.where(diagonal > 1e-100, diagonal, 1.0))
-
-
-def _inverse_spd(S: Array) -> Array:
-    """Inverses of covariances (..., 3, 3) that may be singular on data without noise."""
-    trace = np.trace(S, axis1=-2, axis2=-1)
-    floor = 1e-12 * np.maximum(trace / 3.0, 1e-300)
-    inverse: Array = np.linalg.inv(S + floor[..., None, None] * _IDENTITY)
-    return inverse

@@ -20,6 +20,8 @@ them after a parabola is taken out is noise; above, motion and noise cannot be t
 _THIRD_DIFFERENCE = 20.0
 """1 + 9 + 9 + 1: variance of a third difference over that of white noise."""
 
+_DH = rigid_body.SIGNALS.index("dH")
+
 
 class SpeedNoise:
     """Follows level and noise of the rotor speeds.
@@ -30,23 +32,39 @@ class SpeedNoise:
     """
 
     def __init__(self, geometry: Array, dt: float) -> None:
-        self._geometry = geometry
         self._dt = dt
         rotors = geometry.shape[1]
         self._samples = 0
         self._sums = np.zeros((2, rotors))  # of Omega and Omega^2
         self._differences = 0
         self._difference_squares = np.zeros(rotors)
+        self._last = np.zeros((0, rotors))
+        x, y, s = geometry
+        self._mix = np.stack([-y, x, np.ones_like(x), s])  # roll, pitch, thrust, yaw
 
     def update(self, speeds: Array) -> None:
         """Take (n, rotors) speeds in rad/s; NaN where missing."""
-        for run, there in runs(complete_rows(speeds)):
-            if not there:
-                continue
-            part = speeds[run]
-            self._samples += len(part)
-            self._sums += part.sum(axis=0), (part * part).sum(axis=0)
-            third = np.diff(part, 3, axis=0)
+        complete = complete_rows(speeds)
+        if complete.all():
+            self._add(speeds)
+            return
+        for run, there in runs(complete):
+            if there:
+                self._add(speeds[run])
+            else:
+                self.restart()
+
+    def restart(self) -> None:
+        """What comes next does not join on to what came before."""
+        self._last = self._last[:0]
+
+    def _add(self, speeds: Array) -> None:
+        self._samples += len(speeds)
+        self._sums += speeds.sum(axis=0), (speeds * speeds).sum(axis=0)
+        joined = np.concatenate([self._last, speeds])
+        self._last = joined[-3:]
+        if len(joined) > 3:
+            third = joined[3:] - joined[:-3] - 3.0 * (joined[2:-1] - joined[1:-2])
             self._differences += len(third)
             self._difference_squares += (third * third).sum(axis=0)
 
@@ -72,10 +90,7 @@ class SpeedNoise:
             return out
         average, derivative = smoother.noise_gains(memory)
         mean_square = self._sums[1] / self._samples
-        x, y, s = self._geometry
-        mix = np.stack([-y, x, np.ones_like(x), s])  # roll, pitch, thrust, yaw
-        variance = self.std**2
+        mix, variance = self._mix, self.std**2
         out[:4, :4] = average * (mix * (4.0 * mean_square * variance)) @ mix.T
-        h = rigid_body.SIGNALS.index("dH")
-        out[h, h] = derivative * variance.sum()
+        out[_DH, _DH] = derivative * variance.sum()
         return out

@@ -10,7 +10,7 @@ accelerometer itself, f = -kappa sum O z + bias, serves as second source; its bi
 of the uncertainty.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.uncertainty import sandwich
 
-_MAX_ITERATIONS = 20
+_MAX_ITERATIONS, _WARM_ITERATIONS = 20, 2
 WIDTH = 4
 """Width of a row [thrust direction times sum O, velocity, 1, output], one for each axis."""
 
@@ -63,14 +63,23 @@ class TranslationFit:
     delta: float
     delta_std: float
     source: Literal["momentum", "accelerometer"]
+    weights: Array = field(default_factory=lambda: np.ones(1))
+    """(axes,) inverse residual variances."""
 
 
-def fit_momentum(batches: Array, counts: NDArray[np.int64]) -> TranslationFit | None:
+def fit_momentum(
+    batches: Array,
+    counts: NDArray[np.int64],
+    total: Array | None = None,
+    start: TranslationFit | None = None,
+) -> TranslationFit | None:
     """Fit the momentum balance.
 
     Args:
         batches: (k, 3, WIDTH, WIDTH) moments of north, east and down rows.
         counts: (k,) rows in each.
+        total: their sum, if known.
+        start: an earlier fit of this kind that is to follow a growing record.
 
     Returns:
         The fit, or None with too few rows.
@@ -79,14 +88,15 @@ def fit_momentum(batches: Array, counts: NDArray[np.int64]) -> TranslationFit | 
     layout = np.zeros((3, 3, 4))  # unknowns: -kappa, -delta, wind north, wind east
     layout[:, 0, 0] = layout[:, 1, 1] = 1.0
     layout[0, 2, 2] = layout[1, 2, 3] = 1.0
-    solution = _weighted_fit(batches, counts, layout)
+    weight = None if start is None else start.weights
+    solution = _weighted_fit(batches, counts, layout, total, weight)
     if solution is None:
         return None
-    estimate, covariance = solution
+    estimate, covariance, weights = solution
     std = np.sqrt(np.diag(covariance))
     kappa = -float(estimate[0])
     kappa_std = float(np.hypot(std[0], TILT_ERROR_SHARE * kappa))
-    return TranslationFit(kappa, kappa_std, -float(estimate[1]), float(std[1]), "momentum")
+    return TranslationFit(kappa, kappa_std, -float(estimate[1]), float(std[1]), "momentum", weights)
 
 
 def accelerometer_gain(
@@ -117,19 +127,18 @@ def fit_accelerometer(
     """
     layout = np.zeros((1, 3, 1))
     layout[0, 0, 0] = 1.0
-    solution = _weighted_fit(
-        batches[:, None], counts, layout, _MIN_ROWS if gain is None else _MIN_CALIBRATED_ROWS
-    )
+    total = batches.sum(axis=0)
+    min_rows = _MIN_ROWS if gain is None else _MIN_CALIBRATED_ROWS
+    solution = _weighted_fit(batches[:, None], counts, layout, total[None], min_rows=min_rows)
     if solution is None:
         return None
-    estimate, covariance = solution
+    estimate, covariance, _ = solution
     if gain is not None:
         kappa = -gain.value * float(estimate[0])
         # A window's worth of neighbouring rows counts once: early on no batches tell that.
         own = _ROWS_IN_WINDOW * np.sqrt(covariance[0, 0]) / abs(estimate[0])
         share = float(np.hypot(own, gain.share))
         return TranslationFit(kappa, share * kappa, np.nan, np.nan, "accelerometer")
-    total = batches.sum(axis=0)
     mean_thrust = total[0, 2] / max(total[2, 2], 1e-300)
     bias_std = ACCELEROMETER_BIAS_STD / max(abs(mean_thrust), 1e-300)
     std = float(np.hypot(np.sqrt(covariance[0, 0]), bias_std))
@@ -137,45 +146,59 @@ def fit_accelerometer(
 
 
 def _weighted_fit(
-    batches: Array, counts: NDArray[np.int64], layout: Array, min_rows: int = _MIN_ROWS
-) -> tuple[Array, Array] | None:
+    batches: Array,
+    counts: NDArray[np.int64],
+    layout: Array,
+    total: Array | None,
+    weight: Array | None = None,
+    min_rows: int = _MIN_ROWS,
+) -> tuple[Array, Array, Array] | None:
     """Least squares over several axes that share unknowns, weighted by each axis' residual.
 
     Args:
         batches: (k, axes, WIDTH, WIDTH).
         counts: (k,).
         layout: (axes, inputs, unknowns): inputs of an axis as combinations of unknowns.
+        total: sum of the batches, if known.
+        weight: (axes,) to start from; a step or two then follow.
         min_rows: fewer say nothing.
 
     Returns:
-        Unknowns and their covariance, corrected for coloured residuals.
+        Unknowns, their covariance, corrected for coloured residuals, and the axes' weights.
     """
-    if counts.sum() < min_rows:
+    rows = int(counts.sum())
+    if rows < min_rows:
         return None
-    total = batches.sum(axis=0)
-    rows = counts.sum()
+    if total is None:
+        total = batches.sum(axis=0)
     axes, inputs, unknowns = layout.shape
     turned = np.swapaxes(layout, 1, 2)
     normals = turned @ total[:, :inputs, :inputs] @ layout
     rights = (turned @ total[:, :inputs, 3:])[:, :, 0]
     powers = total[:, 3, 3]
     floor = np.maximum(1e-12 * powers / rows, 1e-300)
-    weight = np.ones(axes)
+    flat = normals.reshape(axes, -1)
+    ridge = 1e-12 * np.eye(unknowns)
     estimate = np.zeros(unknowns)
-    for _ in range(_MAX_ITERATIONS):
-        normal, right = np.tensordot(weight, normals, 1), weight @ rights
-        d = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        scaled = normal / np.outer(d, d) + 1e-12 * np.eye(unknowns)
-        updated = np.linalg.solve(scaled, right / d) / d
-        done = np.all(np.abs(updated - estimate) <= 1e-11 * np.abs(updated))
+    limit, enough = (_MAX_ITERATIONS, 1e-11) if weight is None else (_WARM_ITERATIONS, 1e-6)
+    if weight is None:
+        weight = np.ones(axes)
+    for _ in range(limit):
+        normal = (weight @ flat).reshape(unknowns, unknowns)
+        d = np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
+        updated = np.linalg.solve(normal / (d[:, None] * d) + ridge, weight @ rights / d) / d
+        done = (np.abs(updated - estimate) <= enough * np.abs(updated)).all()
         estimate = updated
-        variance = (powers - 2.0 * rights @ estimate + normals @ estimate @ estimate) / rows
+        variance = (powers - (2.0 * rights - normals @ estimate) @ estimate) / rows
         weight = 1.0 / np.maximum(variance, floor)
         if done:
             break
-    residual = batches[:, :, :inputs, 3] - batches[:, :, :inputs, :inputs] @ layout @ estimate
-    scores = np.einsum("a,bai,aiu->bu", weight, residual, layout)
+    made = np.ones((axes, inputs + 1, 1))
+    made[:, :inputs, 0] = -layout @ estimate
+    residual = (batches[:, :, :inputs] @ made).reshape(len(batches), -1)
+    scores = residual @ (weight[:, None, None] * layout).reshape(axes * inputs, unknowns)
     # The weights are in their final state only now.
-    normal = np.tensordot(weight, normals, 1)
-    bread = np.linalg.inv(normal / np.outer(d, d) + 1e-12 * np.eye(unknowns))
-    return estimate, sandwich(bread, scores / d) / np.outer(d, d)
+    normal = (weight @ flat).reshape(unknowns, unknowns)
+    scale = d[:, None] * d
+    bread = np.linalg.inv(normal / scale + ridge)
+    return estimate, sandwich(bread, scores / d) / scale, weight

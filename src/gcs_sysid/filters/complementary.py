@@ -65,6 +65,10 @@ class ComplementaryFilter:
         self._until_bias = self._bias_samples
         self._last_reference: Array | None = None
         self._last_rates = np.zeros(3)
+        # What is left of each sample's innovation after a while, and of the error before.
+        age = np.arange(self._bias_samples)[:, None] - np.arange(self._bias_samples)
+        self._memory = np.where(age >= 0, np.exp(-k_p * dt * np.maximum(age, 0)), 0.0)
+        self._faded = np.exp(-k_p * dt * np.arange(1, self._bias_samples + 1))[:, None]
 
     def restart(self) -> None:
         """Forget the attitude (after a gap); the bias is kept."""
@@ -81,47 +85,54 @@ class ComplementaryFilter:
         Returns:
             (n, 4) filtered attitude.
         """
-        out = np.empty_like(reference)
         self.biases = np.empty_like(rates)
+        if len(rates) == 0:
+            return np.empty_like(reference)
+        turned, halfway = self._turns(rates, reference)
+        to_world = attitude.matrices(reference)
+        errors = np.empty_like(rates)
         done = 0
         while done < len(rates):
             # The bias is renewed after a fixed number of samples, not at the ends of blocks.
             part = slice(done, min(len(rates), done + self._until_bias))
+            n = part.stop - done
             self.biases[part] = self.bias
-            error = self._follow(rates[part], reference[part])
-            out[part] = attitude.multiply(attitude.from_rotation_vector(error), reference[part])
-            in_body = attitude.rotate(attitude.conjugate(reference[part]), error)
-            self._error_sum += in_body.sum(axis=0)
-            self._until_bias -= len(error)
+            turn = turned[part] - halfway[part] @ self.bias
+            error = self._memory[:n, :n] @ turn + self._faded[:n] * self._error
+            errors[part] = error
+            self._error = error[-1]
+            # Back in body axes: a row times a rotation is its inverse on the column.
+            self._error_sum += np.tensordot(error, to_world[part], 2)
+            self._until_bias -= n
             done = part.stop
             if self._until_bias == 0:
                 self.bias = self.bias + self.k_i * self.dt * self._error_sum
                 self._error_sum = np.zeros(3)
                 self._until_bias = self._bias_samples
-        return out
+        return attitude.multiply(attitude.from_rotation_vector(errors), reference)
 
-    def _follow(self, rates: Array, reference: Array) -> Array:
-        """(n, 3) rotation from reference to estimate, world axes, with the bias as it is."""
+    def _turns(self, rates: Array, reference: Array) -> tuple[Array, Array]:
+        """How far the gyro turned beyond the reference at each sample, in world axes.
+
+        Returns:
+            (n, 3) rad with the bias still in it, and (n, 3, 3) what a bias adds to it.
+        """
         starts = self._last_reference is None
         if self._last_reference is None:
             self._last_reference = reference[0]
             self._last_rates = rates[0]
-        before = np.vstack([self._last_reference, reference])
-        unbiased = np.vstack([self._last_rates, rates]) - self.bias
-        middle = 0.5 * (unbiased[1:] + unbiased[:-1])
-        same_sign = np.where(np.sum(before[1:] * before[:-1], axis=-1, keepdims=True) < 0, -1, 1)
+        before = np.concatenate([self._last_reference[None], reference])
+        measured = np.concatenate([self._last_rates[None], rates])
+        self._last_reference = reference[-1]
+        self._last_rates = rates[-1]
+        middle = 0.5 * (measured[1:] + measured[:-1])
+        same_sign = np.where((before[1:] * before[:-1]).sum(axis=1, keepdims=True) < 0.0, -1.0, 1.0)
         halfway = before[:-1] + same_sign * before[1:]
-        halfway /= np.linalg.norm(halfway, axis=-1, keepdims=True)
-        turned = attitude.rotate(halfway, middle) * self.dt
+        halfway /= np.sqrt((halfway * halfway).sum(axis=1, keepdims=True))
+        per_rate = attitude.matrices(halfway) * self.dt
         moved = attitude.to_rotation_vector(
             attitude.multiply(before[1:], attitude.conjugate(before[:-1]))
         )
         if starts:
-            turned[0] = 0.0  # no time has passed before the first sample
-        a = np.exp(-self.k_p * self.dt)
-        error: Array
-        error, _ = lfilter([1.0], [1.0, -a], turned - moved, axis=0, zi=(a * self._error)[None, :])
-        self._error = error[-1]
-        self._last_reference = reference[-1]
-        self._last_rates = rates[-1]
-        return error
+            per_rate[0] = 0.0  # no time has passed before the first sample
+        return (per_rate @ middle[..., None])[..., 0] - moved, per_rate

@@ -15,6 +15,9 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.filters.differentiator import LinearDifferentiator
 from gcs_sysid.filters.windows import cosine_window
 
+_MOST_ROWS = 8
+"""Rows of a block up to which a banded matrix is the fastest way to make them."""
+
 
 @dataclass(frozen=True)
 class Smoothed:
@@ -74,13 +77,17 @@ class WindowSmoother:
         self._window = window.delayed(0.0, dt, room) if room > half else window
         moved = [window.delayed(d, dt, room) if d else self._window for d in delays]
         self._late_taps = np.stack([w.average for w in moved] + [w.derivative for w in moved]).T
+        self._taps = np.stack([self._window.average, self._window.derivative])
+        self._banded: dict[int, tuple[Array, Array]] = {}
+        self._gains: dict[float, tuple[float, float]] = {}
         self._pending: Array | None = None
         self._dt = dt
 
     def noise_gains(self, memory: float) -> tuple[float, float]:
         """Variance of an average and of a derivative over that of white sample noise."""
-        taps = np.stack([self._window.average, self._window.derivative])
-        return _leaky_power(taps, self.step, self._dt, memory)
+        if memory not in self._gains:
+            self._gains[memory] = _leaky_power(self._taps, self.step, self._dt, memory)
+        return self._gains[memory]
 
     def restart(self) -> None:
         """What comes next does not join on to what came before."""
@@ -95,6 +102,8 @@ class WindowSmoother:
         if count == 0:
             none = np.empty((len(self.delays), 0, late))
             return Smoothed(signals[:0], signals[:0], none, none)
+        if count <= _MOST_ROWS and _columns_whole(signals):
+            return self._few_rows(signals, late, count)
         windows = sliding_window_view(signals, self._window.length, axis=0)[:: self.step]
         moved = np.moveaxis(windows[:, :late] @ self._late_taps, -1, 0)
         return Smoothed(
@@ -103,6 +112,20 @@ class WindowSmoother:
             moved[: len(self.delays)],
             moved[len(self.delays) :],
         )
+
+    def _few_rows(self, signals: Array, late: int, count: int) -> Smoothed:
+        """All rows of a short block by one product with a banded matrix."""
+        if count not in self._banded:
+            self._banded[count] = (
+                _banded(self._taps, count, self.step),
+                _banded(self._late_taps.T, count, self.step),
+            )
+        banded, late_banded = self._banded[count]
+        signals = signals[: banded.shape[1]]
+        average, derivative = (banded @ signals).reshape(2, count, -1)
+        shape = (2, len(self.delays), count, late)
+        moved = (late_banded @ signals[:, :late]).reshape(shape)
+        return Smoothed(average, derivative, moved[0], moved[1])
 
 
 class DifferentiatorSmoother:
@@ -125,10 +148,13 @@ class DifferentiatorSmoother:
         self._next_row = 0
         self._held: Array | None = None
         self._unsettled: Array = np.zeros(0)
+        self._gains: dict[float, tuple[float, float]] = {}
 
     def noise_gains(self, memory: float) -> tuple[float, float]:
         """Variance of an average and of a derivative over that of white sample noise."""
-        return _leaky_power(self._taps, self.step, self._dt, memory)
+        if memory not in self._gains:
+            self._gains[memory] = _leaky_power(self._taps, self.step, self._dt, memory)
+        return self._gains[memory]
 
     def restart(self) -> None:
         """What comes next does not join on to what came before."""
@@ -165,6 +191,23 @@ class DifferentiatorSmoother:
         average = np.where(settled, z1, np.nan)[rows]
         derivative = np.where(settled, z2, np.nan)[rows]
         return Smoothed(average, derivative, average[None, :, :late], derivative[None, :, :late])
+
+
+def _columns_whole(signals: Array) -> bool:
+    """Whether every column is there throughout, or missing throughout."""
+    if np.isfinite(signals.sum()):
+        return True
+    there = np.isfinite(signals)
+    return bool((there.all(axis=0) == there.any(axis=0)).all())
+
+
+def _banded(taps: Array, rows: int, step: int) -> Array:
+    """(k rows, n) matrix that applies each of (k, length) taps at every `step`-th sample."""
+    k, length = taps.shape
+    banded = np.zeros((k, rows, (rows - 1) * step + length))
+    for row in range(rows):
+        banded[:, row, row * step : row * step + length] = taps
+    return banded.reshape(k * rows, -1)
 
 
 def _leaky_power(taps: Array, step: int, dt: float, memory: float) -> tuple[float, float]:

@@ -9,20 +9,31 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 
+# a b = (matrix of a) b; its entries are a's, permuted and signed.
+_FACTOR = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
+_SIGN = np.array([[1, -1, -1, -1], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]], dtype=float)
+
+
+def _quadratic() -> Array:
+    """(16, 9): products of a quaternion's entries to the entries of its matrix."""
+    form = np.zeros((4, 4, 3, 3))
+    form[0, 0] = np.eye(3)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        form[i + 1, i + 1] = -np.eye(3)
+        form[i + 1, i + 1, i, i] = 1.0
+        form[i + 1, j + 1, i, j] = form[i + 1, j + 1, j, i] = 2.0
+        form[0, i + 1, j, k], form[0, i + 1, k, j] = -2.0, 2.0
+    return form.reshape(16, 9)
+
+
+_QUADRATIC = _quadratic()
+
 
 def multiply(a: Array, b: Array) -> Array:
     """Quaternion product a b, shapes (..., 4)."""
-    aw, ax, ay, az = np.moveaxis(a, -1, 0)
-    bw, bx, by, bz = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=-1,
-    )
+    product: Array = (a[..., _FACTOR] * _SIGN @ b[..., None])[..., 0]
+    return product
 
 
 def conjugate(q: Array) -> Array:
@@ -46,11 +57,22 @@ def to_rotation_vector(q: Array) -> Array:
     return np.where(sine > 1e-12, angle / safe, 2.0) * q[..., 1:]
 
 
+def matrices(q: Array) -> Array:
+    """(..., 3, 3) matrices from body to world axes."""
+    squares = (q[..., :, None] * q[..., None, :]).reshape(*q.shape[:-1], 16)
+    matrix: Array = (squares @ _QUADRATIC).reshape(*q.shape[:-1], 3, 3)
+    return matrix
+
+
+def down_axis(q: Array) -> Array:
+    """(..., 3) the body's down axis in world axes."""
+    return matrices(q)[..., 2]
+
+
 def rotate(q: Array, v: Array) -> Array:
     """Body vectors (..., 3) in world axes."""
-    w, u = q[..., :1], q[..., 1:]
-    t = 2.0 * np.cross(u, v)
-    return v + w * t + np.cross(u, t)
+    rotated: Array = (matrices(q) @ v[..., None])[..., 0]
+    return rotated
 
 
 def from_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:

@@ -113,6 +113,8 @@ def are_physical(elements: Array) -> Mask:
     That is so when the second-moment matrix tr(J)/2 - J is positive definite, which holds both
     J > 0 and the triangle inequality of the principal moments.
     """
+    if elements.ndim == 2 and len(elements) == 1:
+        return np.array([is_physical(elements[0])])
     J = inertia_matrix(elements)
     half_trace = 0.5 * np.trace(J, axis1=-2, axis2=-1)
     largest = np.linalg.eigvalsh(J)[..., -1]
@@ -120,8 +122,13 @@ def are_physical(elements: Array) -> Mask:
 
 
 def is_physical(elements: Array) -> bool:
-    """Whether a rigid body can have this inertia matrix."""
-    return bool(are_physical(elements))
+    """Whether a rigid body can have this inertia matrix; one set of elements, see above."""
+    xx, yy, zz, xy, yz, xz = elements[:N_INERTIA].tolist()
+    # Sylvester's criterion on tr(J)/2 - J.
+    a, b, c = 0.5 * (yy + zz - xx), 0.5 * (zz + xx - yy), 0.5 * (xx + yy - zz)
+    minor = a * b - xy * xy
+    determinant = c * minor - a * yz * yz - b * xz * xz - 2.0 * xy * yz * xz
+    return bool(a > 0.0 and minor > 0.0 and determinant > 0.0)
 
 
 def forward_matrix(theta: Array) -> Array:
@@ -166,10 +173,13 @@ def rotor_signals(geometry: Array, speeds: Array) -> tuple[Array, Array]:
     return (speeds * speeds) @ mix, speeds @ s
 
 
+_LEFT, _RIGHT = np.array([1, 2, 0, 0, 1, 2]), np.array([2, 0, 1, 0, 1, 2])
+
+
 def rate_products(rates: Array) -> Array:
     """(..., 6) qr, rp, pq, pp, qq, rr of (..., 3) body rates."""
-    p, q, r = np.moveaxis(rates, -1, 0)
-    return np.stack([q * r, r * p, p * q, p * p, q * q, r * r], axis=-1)
+    products: Array = rates[..., _LEFT] * rates[..., _RIGHT]
+    return products
 
 
 def direct_rows(rates: Array, accelerations: Array, rotors: Array) -> tuple[Array, Array]:
