@@ -1,0 +1,5 @@
+"""Accuracy of the estimators, by Monte Carlo: `python -m benchmarks.accuracy`.
+
+Flights are flown once as arrays (`sim_bridge.ensemble`) and get noise many times; the same
+estimators that the program uses take them. Case modules hold what is flown and how it is shown.
+"""
