@@ -1,13 +1,9 @@
 """Run the studies; the outcomes are kept as JSON under build/accuracy, one file a case."""
 
-import os
-
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")  # before NumPy: one thread a process, a process a core
-
 import argparse
 import json
 import multiprocessing
+import os
 import sys
 import time
 from pathlib import Path
