@@ -8,20 +8,17 @@ import numpy as np
 
 from benchmarks.accuracy import changes, end_to_end, peers
 from benchmarks.accuracy.article import NAMES, TABLE_3
-from benchmarks.accuracy.estimators import offline, online, outcome
+from benchmarks.accuracy.estimators import at_known_mass, offline, online, outcome
 from benchmarks.accuracy.flights import (
-    ARM,
     EXCITED_FROM,
     GEOMETRY,
     MEMS_SPEED_STD,
-    VEHICLE,
     fly,
     fly_late,
     measure,
     part,
 )
 from gcs_sysid.estimation.online import OnlineEstimator, Tuning
-from gcs_sysid.estimation.parameters import physical_parameters
 from gcs_sysid.estimation.speed_noise import ROUNDING_STD
 
 SIGMA = 0.02
@@ -105,8 +102,7 @@ def course(seed: int) -> dict[str, Any]:
         fit = estimator.fit(quick=True)
         if fit.seconds < NOTHING_BEFORE:
             fit = replace(fit, rotation=None)
-        anchor = ("mass", VEHICLE.mass)
-        found = physical_parameters(anchor, fit.rotation, fit.translation, ARM)  # type: ignore
+        found = at_known_mass(fit)
         known = outcome(fit)
         out["t"].append(round(min(begin + step, len(samples.gyro)) * dt - EXCITED_FROM, 3))
         out["error"].append(known["error"])

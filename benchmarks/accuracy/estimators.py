@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.innovations import AxisNoise, Noise
 from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximise_likelihood
 from gcs_sysid.estimation.online import Fit, OnlineEstimator, Tuning
-from gcs_sysid.estimation.parameters import physical_parameters
+from gcs_sysid.estimation.parameters import Value, physical_parameters
 from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.speed_noise import ROUNDING_STD
 from gcs_sysid.model import rigid_body as rb
@@ -48,9 +49,15 @@ def offline(samples: Samples, dt: float, start: Fit, speed_std: float | None) ->
     return replace(start, rotation=rotation)
 
 
+def at_known_mass(fit: Fit) -> dict[str, Value]:
+    """The physical parameters at the scale of the known mass."""
+    anchor: Any = ("mass", VEHICLE.mass)
+    return physical_parameters(anchor, fit.rotation, fit.translation, ARM)
+
+
 def outcome(fit: Fit) -> Outcome:
     """Errors of the physical parameters at the scale of the known mass."""
-    found = physical_parameters(("mass", VEHICLE.mass), fit.rotation, fit.translation, ARM)
+    found = at_known_mass(fit)
     values = [found[name] for name in NAMES]
     value = np.array([np.nan if v.value is None else v.value for v in values])
     std = np.array([np.nan if v.std is None else v.std for v in values])

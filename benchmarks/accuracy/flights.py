@@ -79,7 +79,11 @@ def measure(
     if vibration:
         gyro = gyro + vibration * _imbalance(flight.speeds[0], dt, seed)
     if rounded:
-        speeds = np.round(speeds / RPM) * RPM
+        # Noise does not act on the flight, so without it all seeds would share one rounding, and
+        # a study over seeds would show that one outcome. An offset of each rotor's counter, a
+        # fraction of a revolution per minute, makes roundings as different as flights are.
+        offset = np.random.default_rng([seed, 0x4F5]).uniform(-0.5, 0.5, speeds.shape[1])
+        speeds = (np.round(speeds / RPM + offset) - offset) * RPM
     complementary = ComplementaryFilter(dt)
     attitude = complementary.update(gyro, noisy.quaternion[0])
     return Samples(
