@@ -1,4 +1,8 @@
-"""Run the studies; the outcomes are kept as JSON under build/accuracy, one file a case."""
+"""Run the studies and write docs/accuracy.md.
+
+Outcomes are kept as JSON under build/accuracy, one file a case; with --only, the page is written
+from what is kept of the others.
+"""
 
 import argparse
 import json
@@ -9,6 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from benchmarks.accuracy import document, tables
 from benchmarks.accuracy.cases import CASES, Case
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,7 +35,18 @@ def study(case: Case, count: int, workers: int) -> dict[str, Any]:
             say(f"{case.name}: {len(outcomes)}/{count}")
     took = time.monotonic() - began
     say("")
-    return {"seeds": count, "seconds": round(took, 1), "outcomes": outcomes}
+    return {
+        "seeds": count,
+        "seconds": round(took, 1),
+        "workers": workers,
+        "outcomes": outcomes,
+    }
+
+
+def kept() -> dict[str, Any]:
+    """Outcomes of the cases that were run, now or earlier."""
+    files = {case.name: CACHE / f"{case.name}.json" for case in CASES}
+    return {name: json.loads(f.read_text()) for name, f in files.items() if f.exists()}
 
 
 def say(text: str) -> None:
@@ -46,14 +62,19 @@ def main() -> None:
     names = [case.name for case in CASES]
     parser.add_argument("--only", choices=names, action="append", help="may be repeated")
     parser.add_argument("--workers", type=int, default=min(os.cpu_count() or 1, 2))
+    parser.add_argument("--page", action="store_true", help="write the page from what is kept")
     options = parser.parse_args()
     CACHE.mkdir(parents=True, exist_ok=True)
     for case in CASES:
-        if options.only and case.name not in options.only:
+        if options.page or (options.only and case.name not in options.only):
             continue
         done = study(case, options.seeds or case.seeds, options.workers)
         (CACHE / f"{case.name}.json").write_text(json.dumps(done))
         print(f"{case.name}: {done['seeds']} seeds in {done['seconds']:.0f} s", file=sys.stderr)
+    if options.only == ["end-to-end"]:
+        print("\n".join(tables.whole_path(kept())).rstrip())
+        return
+    print(document.write(kept(), ROOT / "docs"), file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -177,8 +177,7 @@ def tune(noise: str) -> dict[str, float]:
     with multiprocessing.Pool(min(os.cpu_count() or 1, 2)) as pool:
         scores = dict(zip(tasks, pool.map(_score, tasks, chunksize=1), strict=True))
     return {
-        name: min(settings_of(name, noise), key=lambda s: scores[noise, name, s])
-        for name in names
+        name: min(settings_of(name, noise), key=lambda s: scores[noise, name, s]) for name in names
     }
 
 

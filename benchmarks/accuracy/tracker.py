@@ -54,7 +54,7 @@ class _Plain:
 def make(geometry: Array, dt: float) -> Any:
     """Follows a vehicle through its changes."""
     try:
-        from gcs_sysid.estimation.tracking import Tracker as tracker
+        from gcs_sysid.estimation.tracking import Tracker
     except ImportError:
-        tracker = _Plain
-    return tracker(geometry, dt, Tuning(), ChangeTuning())
+        return _Plain(geometry, dt, Tuning(), ChangeTuning())
+    return Tracker(geometry, dt, Tuning(), ChangeTuning())
