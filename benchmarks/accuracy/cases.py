@@ -100,7 +100,8 @@ def course(seed: int) -> dict[str, Any]:
     out: dict[str, Any] = {"t": [], "error": [], "std": [], "identified": []}
     for begin in range(0, len(samples.gyro), step):
         estimator.update(part(samples, slice(begin, begin + step)))
-        fit = estimator.fit(quick=True)
+        # The last is the one that a session ends with.
+        fit = estimator.fit(quick=begin + step < len(samples.gyro))
         if fit.seconds < NOTHING_BEFORE:
             fit = replace(fit, rotation=None)
         found = at_known_mass(fit)
