@@ -158,17 +158,18 @@ def _fast() -> object:
     return fly("paper", 250)
 
 
+# Together at most 20 minutes on two cores; more with --seeds.
 CASES = (
-    Case("baseline", 100, baseline, _slow),
-    Case("sweep", 50, sweep, _slow),
-    Case("white", 100, white, _slow),
-    Case("mems", 100, mems, _fast),
-    Case("mems-offline", 20, mems_offline, _fast),
-    Case("course", 100, course, lambda: fly("all-axes", 20)),
-    Case("delay", 50, delays, _fly_late),
-    Case("peers", 50, comparison, lambda: peers.tune("paper")),
-    Case("peers-mems", 20, comparison_mems, lambda: peers.tune("mems")),
-    Case("changes", 50, changes.run, changes.prepare),
-    Case("false-alarms", 6, changes.quiet, changes.prepare_quiet),
-    Case("end-to-end", 20, end_to_end.run, lambda: None),
+    Case("baseline", 50, baseline, _slow),
+    Case("sweep", 25, sweep, _slow),
+    Case("white", 40, white, _slow),
+    Case("mems", 50, mems, _fast),
+    Case("mems-offline", 4, mems_offline, _fast),
+    Case("course", 50, course, lambda: fly("all-axes", 20)),
+    Case("delay", 12, delays, _fly_late),
+    Case("peers", 12, comparison, lambda: peers.tune("paper")),
+    Case("peers-mems", 3, comparison_mems, lambda: peers.tune("mems")),
+    Case("changes", 10, changes.run, changes.prepare),
+    Case("false-alarms", 4, changes.quiet, changes.prepare_quiet),
+    Case("end-to-end", 6, end_to_end.run, lambda: None),
 )

@@ -12,8 +12,8 @@ from benchmarks.accuracy.estimators import article_noise, bound
 from benchmarks.accuracy.tables import Data, kind, least, summary
 
 matplotlib.use("Agg")
-from matplotlib import pyplot as plt  # noqa: E402  (the backend comes first)
-from matplotlib.ticker import LogLocator, NullLocator  # noqa: E402
+from matplotlib import pyplot as plt
+from matplotlib.ticker import LogLocator, NullLocator
 
 STYLE = {
     "svg.hashsalt": "gcs-sysid",
@@ -75,7 +75,7 @@ def convergence(data: Data) -> Any:
     )
     for i, (name, axis) in enumerate(zip(NAMES, axes.flat, strict=True)):
         # Little happens later on: fewer points keep the file small.
-        drawn = (t <= 15.0) | (np.arange(len(t)) % 4 == 0)
+        drawn = (t <= 12.0) | (np.arange(len(t)) % 5 == 0)
         known = drawn & (t >= 0.0) & np.isfinite(errors[:, :, i]).all(axis=0)
         low, middle, high = np.percentile(errors[:, known, i], [2.5, 50.0, 97.5], axis=0)
         axis.fill_between(t[known], low, high, color=_OURS, alpha=0.25, linewidth=0)
