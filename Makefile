@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
+BENCH_INSTALLED := $(VENV)/.installed-bench
 
 .PHONY: help demo test quick check bench bench-accuracy screenshot sample clean
 .DEFAULT_GOAL := help
@@ -36,8 +37,13 @@ check: $(INSTALLED) ## lint, format, types, import contracts
 bench: $(INSTALLED) ## cost of emulator and chain, as ratios
 	$(BIN)/python benchmarks/cost.py
 
-bench-accuracy: $(INSTALLED) ## Monte Carlo over seeds: the README's accuracy table
-	$(BIN)/python benchmarks/accuracy.py
+$(BENCH_INSTALLED): $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint constraints.txt --editable '.[bench]'
+	@touch $@
+
+bench-accuracy: $(BENCH_INSTALLED) ## Monte Carlo over seeds: docs/accuracy.md (20 min)
+	$(BIN)/python -m benchmarks.accuracy
 
 screenshot: $(INSTALLED) ## the README's picture of the screen
 	$(BIN)/python tools/screenshot.py --demo -o docs/screen.svg

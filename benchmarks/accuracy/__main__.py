@@ -1,0 +1,81 @@
+"""Run the studies and write docs/accuracy.md.
+
+Outcomes are kept as JSON under build/accuracy, one file a case; with --only, the page is written
+from what is kept of the others.
+"""
+
+import argparse
+import json
+import multiprocessing
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from benchmarks.accuracy import document, tables
+from benchmarks.accuracy.cases import CASES, Case
+
+ROOT = Path(__file__).resolve().parents[2]
+CACHE = ROOT / "build" / "accuracy"
+
+
+def study(case: Case, count: int, workers: int) -> dict[str, Any]:
+    """Run a case over seeds 1 to count; processor seconds come with it."""
+    began = time.monotonic()
+    say(f"{case.name}: preparing")
+    case.prepare()
+    # Forked children have what was prepared; elsewhere each prepares it on first use.
+    can_fork = "fork" in multiprocessing.get_all_start_methods()
+    context = multiprocessing.get_context("fork" if can_fork else None)
+    outcomes = []
+    with context.Pool(workers) as pool:
+        for outcome in pool.imap(case.run, range(1, count + 1)):
+            outcomes.append(outcome)
+            say(f"{case.name}: {len(outcomes)}/{count}")
+    took = time.monotonic() - began
+    say("")
+    return {
+        "seeds": count,
+        "seconds": round(took, 1),
+        "workers": workers,
+        "outcomes": outcomes,
+    }
+
+
+def kept() -> dict[str, Any]:
+    """Outcomes of the cases that were run, now or earlier."""
+    files = {case.name: CACHE / f"{case.name}.json" for case in CASES}
+    return {name: json.loads(f.read_text()) for name, f in files.items() if f.exists()}
+
+
+def say(text: str) -> None:
+    """Progress, where somebody looks on."""
+    if sys.stderr.isatty():
+        print(f"\r{text}\033[K", end="", file=sys.stderr, flush=True)
+
+
+def main() -> None:
+    """Run what is asked for."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy", description=__doc__)
+    parser.add_argument("--seeds", type=int, help="for every case; default: each case's own")
+    names = [case.name for case in CASES]
+    parser.add_argument("--only", choices=names, action="append", help="may be repeated")
+    parser.add_argument("--workers", type=int, default=min(os.cpu_count() or 1, 2))
+    parser.add_argument("--page", action="store_true", help="write the page from what is kept")
+    options = parser.parse_args()
+    CACHE.mkdir(parents=True, exist_ok=True)
+    for case in CASES:
+        if options.page or (options.only and case.name not in options.only):
+            continue
+        done = study(case, options.seeds or case.seeds, options.workers)
+        (CACHE / f"{case.name}.json").write_text(json.dumps(done))
+        print(f"{case.name}: {done['seeds']} seeds in {done['seconds']:.0f} s", file=sys.stderr)
+    if options.only == ["end-to-end"]:
+        print("\n".join(tables.whole_path(kept())).rstrip())
+        return
+    print(document.write(kept(), ROOT / "docs"), file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

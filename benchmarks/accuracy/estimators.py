@@ -1,0 +1,114 @@
+"""The program's own estimators, and the bound that no estimator beats on average."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from benchmarks.accuracy.article import NAMES
+from benchmarks.accuracy.flights import ARM, GEOMETRY, TRUTH, VEHICLE, exact, fly
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.innovations import AxisNoise, Noise
+from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximise_likelihood
+from gcs_sysid.estimation.online import Fit, OnlineEstimator, Tuning
+from gcs_sysid.estimation.parameters import Value, physical_parameters
+from gcs_sysid.estimation.regression import Samples
+from gcs_sysid.estimation.speed_noise import ROUNDING_STD
+from gcs_sysid.model import rigid_body as rb
+from sim_bridge.sensors import CORNER
+
+Outcome = dict[str, list[float]]
+"""error and std of the ten parameters, both in % of the truth."""
+
+Z95 = 1.959964
+
+
+def true_theta() -> Array:
+    """(N_THETA,) of the vehicle flown."""
+    v = VEHICLE
+    inertia = [v.Ixx, v.Iyy, v.Izz, v.Ixy, v.Iyz, v.Ixz]
+    scaled = np.array([*inertia, v.k_M, v.rotational_damping, v.rotor_inertia]) / v.k_T
+    return np.concatenate([scaled[:6], [v.cg_x, v.cg_y], scaled[6:]])
+
+
+def online(samples: Samples, dt: float, tuning: Tuning | None = None) -> Fit:
+    """The online estimator at the end of a flight."""
+    estimator = OnlineEstimator(GEOMETRY, dt, tuning or Tuning())
+    estimator.update(samples)
+    return estimator.fit()
+
+
+def offline(samples: Samples, dt: float, start: Fit, speed_std: float | None) -> Fit:
+    """Maximum likelihood, from the online estimate; the translation stays the online one."""
+    assert start.rotation is not None
+    found = maximise_likelihood(samples, GEOMETRY, dt, start.rotation.theta, speed_std)
+    assert found is not None
+    rotation = replace(start.rotation, theta=found.theta, covariance=found.covariance)
+    return replace(start, rotation=rotation)
+
+
+def at_known_mass(fit: Fit) -> dict[str, Value]:
+    """The physical parameters at the scale of the known mass."""
+    anchor: Any = ("mass", VEHICLE.mass)
+    return physical_parameters(anchor, fit.rotation, fit.translation, ARM)
+
+
+def outcome(fit: Fit) -> Outcome:
+    """Errors of the physical parameters at the scale of the known mass."""
+    found = at_known_mass(fit)
+    values = [found[name] for name in NAMES]
+    value = np.array([np.nan if v.value is None else v.value for v in values])
+    std = np.array([np.nan if v.std is None else v.std for v in values])
+    return in_percent(value, std)
+
+
+def in_percent(value: Array, std: Array) -> Outcome:
+    """Estimates of the ten parameters as errors; five digits are plenty."""
+    return {
+        "error": _short(100.0 * (value / TRUTH - 1.0)),
+        "std": _short(100.0 * std / np.abs(TRUTH)),
+    }
+
+
+def _short(values: Array) -> list[float]:
+    return [float(f"{v:.5g}") for v in values]
+
+
+# ---- the bound -------------------------------------------------------------------------------
+
+
+def article_noise(sigma: float, dt: float) -> Noise:
+    """Of the gyro in the "paper" noise model: white noise through s / (s + corner)."""
+    drive = sigma * np.sqrt(0.5 * (1.0 + np.exp(-CORNER * dt)))
+    axis = AxisNoise(float(drive), CORNER, 1.0, 0.0)
+    return axis, axis, axis
+
+
+def white_noise(sigma: float) -> Noise:
+    """The same standard deviation, white."""
+    axis = AxisNoise(sigma, None, 0.0, 0.0)
+    return axis, axis, axis
+
+
+@lru_cache(maxsize=64)
+def _bound(mission: str, rate: float, noise: Noise, speed_std: float) -> tuple[float, ...]:
+    samples = exact(fly(mission, rate))
+    std = cramer_rao_bound(
+        samples, GEOMETRY, 1.0 / rate, true_theta(), noise, speed_std if speed_std else None
+    )
+    core = [*range(rb.CG_Y + 1), rb.MOMENT_RATIO]
+    percent = 100.0 * std[core] / np.abs(true_theta()[core])
+    # k_T rests on the translation, which this bound says nothing of.
+    return (*percent[:8].tolist(), float("nan"), float(percent[8]))
+
+
+def bound(mission: str, rate: float, noise: Noise, *, rounded: bool) -> Array:
+    """(10,) least standard deviations in % (Cramer-Rao), scale known; NaN for k_T."""
+    return np.array(_bound(mission, rate, noise, ROUNDING_STD if rounded else 0.0))
+
+
+def stack(outcomes: Sequence[Outcome]) -> tuple[Array, Array]:
+    """(seeds, 10) errors and standard deviations in %."""
+    return np.array([o["error"] for o in outcomes]), np.array([o["std"] for o in outcomes])

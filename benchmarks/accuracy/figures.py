@@ -1,0 +1,160 @@
+"""Figures of docs/accuracy.md, as SVG that comes out the same from the same numbers."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+
+from benchmarks.accuracy.article import NAMES, TABLE_3
+from benchmarks.accuracy.estimators import article_noise, bound
+from benchmarks.accuracy.tables import Data, kind, least, summary
+
+matplotlib.use("Agg")
+from matplotlib import pyplot as plt
+from matplotlib.ticker import LogLocator, NullLocator
+
+STYLE = {
+    "svg.hashsalt": "gcs-sysid",
+    "svg.fonttype": "none",
+    "font.family": "sans-serif",
+    "font.size": 9.0,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "savefig.facecolor": "white",
+}
+_OURS, _BETTER, _THEIRS, _BOUND = "#1f77b4", "#2ca02c", "#d62728", "#666666"
+
+
+def noise(data: Data) -> Any:
+    """Errors against noise."""
+    figure, axes = plt.subplots(1, 2, figsize=(7.2, 3.0), sharex=True, layout="constrained")
+    sigmas = list(TABLE_3)
+    floors = np.array(
+        [least(bound("paper", 20, article_noise(s, 0.05), rounded=True)) for s in sigmas]
+    )
+    for i, (axis, title) in enumerate(
+        zip(axes, ("mean of the ten, median", "largest, 95th percentile"), strict=True)
+    ):
+        axis.plot(sigmas, [TABLE_3[s][i] for s in sigmas], "s-", color=_THEIRS, label="article")
+        for name, color in (("online", _OURS), ("offline", _BETTER)):
+            label = f"{name} telemetered"
+            found = [
+                summary(
+                    (
+                        kind(data["baseline"], label)
+                        if s == 0.02
+                        else kind(data["sweep"], str(s), label)
+                    )[0]
+                )[i]
+                for s in sigmas
+            ]
+            axis.plot(sigmas, found, "o-", color=color, label=name)
+        axis.plot(sigmas, floors[:, i], "--", color=_BOUND, label="Cramér-Rao bound")
+        axis.set(title=title, xlabel="noise, rad/s", yscale="log", xticks=sigmas)
+        axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.yaxis.set_minor_locator(NullLocator())
+        axis.yaxis.set_major_formatter("{x:g}")
+    axes[0].set_ylabel("error, %")
+    axes[1].legend(fontsize=8)
+    return figure
+
+
+def convergence(data: Data) -> Any:
+    """Errors over time, median and the band that holds 95 % of the runs."""
+    outcomes = data["course"]["outcomes"]
+    t = np.array(outcomes[0]["t"])
+    errors = np.array([o["error"] for o in outcomes])
+    figure, axes = plt.subplots(
+        2, 5, figsize=(8.4, 3.8), sharex=True, sharey=True, layout="constrained"
+    )
+    for i, (name, axis) in enumerate(zip(NAMES, axes.flat, strict=True)):
+        # Little happens later on: fewer points keep the file small.
+        drawn = (t <= 12.0) | (np.arange(len(t)) % 5 == 0)
+        known = drawn & (t >= 0.0) & np.isfinite(errors[:, :, i]).all(axis=0)
+        low, middle, high = np.percentile(errors[:, known, i], [2.5, 50.0, 97.5], axis=0)
+        axis.fill_between(t[known], low, high, color=_OURS, alpha=0.25, linewidth=0)
+        axis.plot(t[known], middle, color=_OURS, linewidth=1.0)
+        axis.axhline(5.0, color=_BOUND, linewidth=0.7, linestyle="--")
+        axis.axhline(-5.0, color=_BOUND, linewidth=0.7, linestyle="--")
+        axis.set(title=name, ylim=(-20, 20), xlim=(0, t[-1]))
+    figure.supxlabel("s from the start of the excitation")
+    figure.supylabel("error, %")
+    return figure
+
+
+def peers(data: Data) -> Any:
+    """RMS error per parameter, ours and others'."""
+    case = data["peers"]
+    figure, axis = plt.subplots(figsize=(7.6, 3.8), layout="constrained")
+    styles = {"ours, online": (_OURS, "o"), "ours, offline": (_BETTER, "D")}
+    labels = [name for name in case["outcomes"][0] if name != "settings"]
+    others = [name for name in labels if name not in styles]
+    palette = plt.get_cmap("autumn")(np.linspace(0.0, 0.85, len(others)))
+    for i, name in enumerate(labels):
+        rms = np.sqrt((kind(case, name)[0] ** 2).mean(axis=0))
+        own = styles.get(name)
+        color = own[0] if own else palette[others.index(name)]
+        marker = own[1] if own else "sv^<>Pd"[i % 7]
+        axis.plot(
+            np.arange(len(NAMES)) + 0.06 * (i - len(labels) / 2),
+            rms,
+            marker,
+            color=color,
+            label=name,
+            markersize=6 if own else 4.5,
+        )
+    axis.set_xticks(range(len(NAMES)), NAMES)
+    axis.set(yscale="log", ylabel="RMS error, %", ylim=(3e-4, 3e2))
+    figure.legend(loc="outside right upper", fontsize=8)
+    return figure
+
+
+def mass_step(data: Data) -> Any:
+    """Mass and moments around the step."""
+    outcomes = [o["mass"] for o in data["changes"]["outcomes"]]
+    t = np.array(outcomes[0]["t"])
+    errors = np.array([o["error"] for o in outcomes], dtype=float)
+    figure, axes = plt.subplots(1, 2, figsize=(7.2, 2.8), layout="constrained")
+    for axis, names, until, limit in (
+        (axes[0], {"mass": 0}, 2.0, 20.0),
+        (axes[1], {"Ixx": 1, "Iyy": 2, "Izz": 3}, float(t[-1]), 10.0),
+    ):
+        for (name, i), color in zip(names.items(), (_OURS, _BETTER, _THEIRS), strict=False):
+            known = (t <= until) & np.isfinite(errors[:, :, i]).all(axis=0)
+            low, middle, high = np.percentile(errors[:, known, i], [2.5, 50.0, 97.5], axis=0)
+            axis.fill_between(t[known], low, high, color=color, alpha=0.2, linewidth=0)
+            axis.plot(t[known], middle, ".-" if i == 0 else "-", color=color, label=name)
+        axis.set(xlabel="s after the step", ylim=(-limit, limit), xlim=(0, until))
+        axis.legend(fontsize=8)
+    axes[0].set_ylabel("error, %")
+    return figure
+
+
+FIGURES: dict[str, tuple[tuple[str, ...], str, Callable[[Data], Any]]] = {
+    "noise": (("baseline", "sweep"), "Errors against noise", noise),
+    "convergence": (("course",), "Errors over time; 95 % of the runs are in the band", convergence),
+    "mass-step": (("changes",), "Mass and moments of inertia after the step", mass_step),
+    "peers": (("peers",), "RMS error of each parameter", peers),
+}
+"""File to the cases that it needs, what it shows, and who draws it."""
+
+
+def draw(data: Data, folder: Path) -> set[str]:
+    """Draw what can be; the names of those drawn."""
+    folder.mkdir(parents=True, exist_ok=True)
+    drawn = set()
+    for name, (needs, _, figure_of) in FIGURES.items():
+        if any(need not in data for need in needs):
+            continue
+        with plt.rc_context(STYLE):
+            figure = figure_of(data)
+            figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
+            plt.close(figure)
+        drawn.add(name)
+    return drawn
