@@ -60,12 +60,26 @@ def test_its_lag_is_the_same_on_both_sides():
     assert np.abs(derivative - w_dot)[settled].max() > 1.0  # while the lag itself is large
 
 
-def test_settling_is_long_enough():
-    filter_ = LinearDifferentiator(0.01, 10.0)
+@pytest.mark.parametrize("b", [0.8, 2.0**0.5, 2.0, 3.0])
+def test_settling_is_long_enough(b):
+    filter_ = LinearDifferentiator(0.01, 10.0, b)
     filter_.update(np.zeros((1, 1)))
     z1, _ = filter_.update(np.ones((1000, 1)))
     assert np.abs(z1[filter_.settling :] - 1.0).max() < 1e-4
-    assert abs(z1[filter_.settling // 2, 0] - 1.0) > 1e-3
+    # And not much longer: halfway it still moves.
+    assert np.abs(z1[filter_.settling // 2 :] - 1.0).max() > 1e-3
+
+
+@pytest.mark.parametrize(("R", "b"), [(40.0, 2.0**0.5), (10.0, 2.0)])
+def test_slow_signals_come_late_by_its_lag(R, b):
+    dt = 0.01
+    t = np.arange(400)[:, None] * dt
+    filter_ = LinearDifferentiator(dt, R, b)
+    _, z2 = filter_.update(t**2)
+    # A parabola's derivative is straight, and that passes with the lag alone.
+    np.testing.assert_allclose(z2[-50:], 2.0 * (t - filter_.lag)[-50:], rtol=0.0, atol=1e-3)
+    z1, _ = LinearDifferentiator(dt, R, b).update(t)
+    np.testing.assert_allclose(z1[-50:], (t - filter_.lag)[-50:], rtol=0.0, atol=1e-6)
 
 
 @settings(max_examples=40, deadline=None)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gcs_sysid.filters.differentiator import LinearDifferentiator
-from gcs_sysid.filters.smoothers import DifferentiatorSmoother, WindowSmoother
+from gcs_sysid.filters.smoothers import DAMPING, DifferentiatorSmoother, WindowSmoother
 from gcs_sysid.filters.windows import cosine_window
 
 DT = 0.02
@@ -76,14 +76,14 @@ def test_window_rows_are_the_window_at_every_step():
 
 def test_differentiator_rows_are_the_filter_at_every_step():
     v = signals()
-    filter_ = LinearDifferentiator(DT, BANDWIDTH)
+    filter_ = LinearDifferentiator(DT, BANDWIDTH, DAMPING)
     smoother = make("td")
     assert smoother.step == round(0.25 / (BANDWIDTH * DT)) == 1
     slow = DifferentiatorSmoother(DT, 2.0)
     assert slow.step == 6
     for s, bandwidth in ((smoother, BANDWIDTH), (slow, 2.0)):
-        expected = LinearDifferentiator(DT, bandwidth).update(v)
-        settled = np.arange(N) >= LinearDifferentiator(DT, bandwidth).settling - 1
+        expected = LinearDifferentiator(DT, bandwidth, DAMPING).update(v)
+        settled = np.arange(N) >= LinearDifferentiator(DT, bandwidth, DAMPING).settling - 1
         rows = s.update(v, 0)
         found = rows.average, rows.derivative
         for a, b in zip(found, expected, strict=True):
@@ -105,7 +105,7 @@ def test_missing_samples_spoil_the_window_that_holds_them_and_no_other():
 
 def test_missing_samples_spoil_the_differentiator_until_it_has_settled():
     hole = 150
-    settling = LinearDifferentiator(DT, BANDWIDTH).settling
+    settling = LinearDifferentiator(DT, BANDWIDTH, DAMPING).settling
     plain, holed = rows_of("td", signals()), rows_of("td", signals([(hole, 1)]))
     index = np.arange(N)
     unsettled = (index < settling - 1) | ((index >= hole) & (index < hole + settling))

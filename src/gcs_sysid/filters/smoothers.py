@@ -128,6 +128,10 @@ class WindowSmoother:
         return Smoothed(average, derivative, moved[0], moved[1])
 
 
+DAMPING = 2.0
+"""b of the differentiator on both sides: critical."""
+
+
 class DifferentiatorSmoother:
     """The linear tracking differentiator: z1 averages, z2 differentiates.
 
@@ -137,13 +141,13 @@ class DifferentiatorSmoother:
     """
 
     def __init__(self, dt: float, bandwidth: float) -> None:
-        self._filter = LinearDifferentiator(dt, bandwidth)
+        self._filter = LinearDifferentiator(dt, bandwidth, DAMPING)
         self.step = max(1, round(0.25 / (bandwidth * dt)))
         self.delays = np.zeros(1)
         self._dt = dt
         impulse = np.zeros((self._filter.settling + 2, 1))
         impulse[1] = 1.0
-        response = LinearDifferentiator(dt, bandwidth).update(impulse)
+        response = LinearDifferentiator(dt, bandwidth, DAMPING).update(impulse)
         self._taps = np.stack([z[1:, 0] for z in response])
         self._next_row = 0
         self._held: Array | None = None
