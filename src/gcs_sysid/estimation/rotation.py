@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.uncertainty import sandwich
+from gcs_sysid.estimation.uncertainty import sandwich, student_factor
 from gcs_sysid.model import rigid_body as rb
 
 N_X = rb.N_SIGNALS
@@ -44,7 +44,8 @@ class RotationFit:
 
     Attributes:
         theta: (N_THETA,) estimate, see `rigid_body.THETA`.
-        covariance: (N_THETA, N_THETA), corrected for coloured residuals, delay included.
+        covariance: (N_THETA, N_THETA), corrected for coloured residuals, delay included, and
+            widened so that 1.96 standard deviations are Student's 95 % interval.
         residual_covariance: (3, 3) of one row's residual.
         r_squared: (3,) share of each axis' angular acceleration that the model explains.
         rows: how many rows it rests on.
@@ -205,24 +206,26 @@ def _finish(
         )
         hessian = hessian[0]
         cost = [
-            0.5
-            * np.einsum(
-                "ij,bij->b", W, _residual_moments(moments_at(batches[None], delays, d)[0], Q)
-            )
-            for d in (at - _PROBE, at + _PROBE)
+            _batch_costs(moments_at(batches[None], delays, at + probe)[0], Q, W)
+            for probe in (-_PROBE, _PROBE)
         ]
         scores = np.column_stack([scores, (cost[0] - cost[1]) / (2.0 * _PROBE)])
     d = _scales(hessian)
     # A direction that the data do not see at all keeps a huge, finite variance.
     bread = np.linalg.inv(hessian / np.outer(d, d) + 1e-12 * np.eye(len(d)))
-    covariance = sandwich(bread, scores / d) / np.outer(d, d)
+    shares = _variance_shares(here, G, W, (bread / np.outer(d, d))[:n, :n])
+    if len(delays) > 1:
+        bend = cost[0] - 2.0 * _batch_costs(here, Q, W) + cost[1]
+        shares = np.column_stack([shares, bend])
+    d_wide = d / student_factor(shares)
+    covariance = sandwich(bread, scores / d) / np.outer(d_wide, d_wide)
     # Noise on the inputs makes least squares underrate them; what that does to the gradient is
     # known, and one Newton step takes it back (first-order correction for errors in variables).
     pull = np.zeros(len(d))
     pull[:n] = -_gradient(rows * noise, Q, G, W)
-    corrected = theta + (bread @ (pull / d) / d)[:n]
-    if rb.is_physical(corrected):
-        theta = corrected
+    step = bread @ (pull / d) / d
+    if rb.is_physical(theta + step[:n]):
+        theta = theta + step[:n]
     power = np.diag(total)[N_X:] / rows
     return RotationFit(
         theta=theta,
@@ -386,6 +389,20 @@ def _scores(batches: Array, Q: Array, G: Array, W: Array) -> Array:
     WG = (W @ G).reshape(len(G), -1)
     scores: Array = (Ryx - Q @ Rxx).reshape(len(batches), -1) @ WG.T
     return scores
+
+
+def _batch_costs(batches: Array, Q: Array, W: Array) -> Array:
+    """(k,) half the cost, batch by batch."""
+    costs: Array = 0.5 * np.einsum("ij,bij->b", W, _residual_moments(batches, Q))
+    return costs
+
+
+def _variance_shares(batches: Array, G: Array, W: Array, inverse: Array) -> Array:
+    """(k, p) the diagonal of H^-1 H_b H^-1, H_b the information of batch b on theta."""
+    Rxx = batches[:, :N_X, :N_X].reshape(len(batches), -1)
+    D = np.tensordot(inverse, G, 1)
+    shares: Array = Rxx @ (np.swapaxes(D, 1, 2) @ W @ D).reshape(len(D), -1).T
+    return shares
 
 
 def _scales(hessian: Array) -> Array:
