@@ -226,6 +226,8 @@ def _finish(
     step = bread @ (pull / d) / d
     if rb.is_physical(theta + step[:n]):
         theta = theta + step[:n]
+        if len(delays) > 1:
+            delay += float(step[n])
     power = np.diag(total)[N_X:] / rows
     return RotationFit(
         theta=theta,
