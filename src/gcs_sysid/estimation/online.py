@@ -139,7 +139,11 @@ class OnlineEstimator:
         validation = None
         if not quick and self._article is None:
             validation = validate(
-                self._rotation.batches, self._rotation.counts, self._delays, self._noise()
+                self._rotation.batches,
+                self._rotation.counts,
+                self._delays,
+                self._noise(),
+                np.array([self._smoother.noise_gains(m)[1] for m in self._memories]),
             )
         return Fit(self._fit_rotation(quick), trans, self.seconds, validation)
 

@@ -194,6 +194,8 @@ class Chain:
             "fitted_share": found.fitted_share,
             "r_squared": dict(zip(axes, found.r_squared.tolist(), strict=True)),
             "theil": dict(zip(axes, found.theil.tolist(), strict=True)),
+            "whiteness": dict(zip(axes, _known(found.whiteness), strict=True)),
+            "whiteness_p": dict(zip(axes, _known(found.whiteness_p), strict=True)),
         }
 
     def _telemetry(self) -> dict[str, Any]:
@@ -328,3 +330,7 @@ class Chain:
 def _stream(block: Block, stream: Stream, n: int, width: int) -> Array:
     values = block.values.get((stream, 0))
     return np.full((n, width), np.nan) if values is None else values
+
+
+def _known(values: Array) -> list[float | None]:
+    return [v if np.isfinite(v) else None for v in values.tolist()]
