@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
 from benchmarks.accuracy.article import NAMES
 from benchmarks.accuracy.flights import ARM, GEOMETRY, TRUTH, VEHICLE, exact, fly
 from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.estimation.innovations import AxisNoise, Noise
 from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximise_likelihood
 from gcs_sysid.estimation.online import Fit, OnlineEstimator, Tuning
@@ -51,8 +51,7 @@ def offline(samples: Samples, dt: float, start: Fit, speed_std: float | None) ->
 
 def at_known_mass(fit: Fit) -> dict[str, Value]:
     """The physical parameters at the scale of the known mass."""
-    anchor: Any = ("mass", VEHICLE.mass)
-    return physical_parameters(anchor, fit.rotation, fit.translation, ARM)
+    return physical_parameters(Anchor("mass", VEHICLE.mass), fit.rotation, fit.translation, ARM)
 
 
 def outcome(fit: Fit) -> Outcome:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.uncertainty import sandwich
+from gcs_sysid.estimation.uncertainty import sandwich, student_factor
 
 N, BATCH, RUNS = 2000, 40, 400
 
@@ -56,3 +56,35 @@ def test_never_below_what_white_residuals_would_give():
         assert np.all(np.isfinite(covariance))
         assert np.all(np.diag(covariance) >= np.diag(bread) * (1 - 1e-12))
         np.testing.assert_allclose(covariance, covariance.T)
+
+
+def test_the_factor_is_students():
+    # Batches on their own: one dominates each of two unknowns, and thirty share a third.
+    shares = np.zeros((60, 3))
+    shares[10, 0] = shares[0, 1] = 7.0
+    shares[::2, 2] = 1.0
+    factor = student_factor(shares)
+    np.testing.assert_allclose(factor, [6.483, 6.483, 2.042 / 1.960], rtol=1e-3)
+    # Neighbours' products scatter too: equal shares of k batches count as k / 1.5.
+    np.testing.assert_allclose(
+        student_factor(np.ones((16, 1))), 2.20 / 1.96, rtol=5e-3
+    )  # 256 / 23.5 = 10.9 degrees of freedom
+    assert np.all(np.isfinite(student_factor(np.zeros((5, 2)))))
+
+
+@pytest.mark.parametrize("batches", [8, 20])
+def test_intervals_hold_with_few_batches(batches):
+    """A mean of white noise in few batches: t, not normal."""
+    rng = np.random.default_rng(3)
+    rows, runs = 40, 3000
+    y = rng.standard_normal((runs, batches, rows))
+    mean = y.mean(axis=(1, 2))
+    # Without the floor at white residuals, which here alone would be exact.
+    scores = (y - mean[:, None, None]).sum(axis=2)
+    lagged = (scores[:, 1:] * scores[:, :-1]).sum(axis=1)
+    std = np.sqrt((scores**2).sum(axis=1) + lagged) / (batches * rows)
+    std *= np.sqrt(batches / (batches - 1.0))
+    wide = std * student_factor(np.ones((batches, 1)))
+    plain, corrected = (np.mean(np.abs(mean) < 1.96 * s) for s in (std, wide))
+    assert corrected > plain + 0.01
+    assert 0.92 <= corrected <= 0.97

@@ -1,8 +1,12 @@
 """Validation: a fit on the first part predicts the rest, unless the vehicle is another one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
+from gcs_sysid.estimation.online import OnlineEstimator, Tuning
 from gcs_sysid.estimation.rotation import N_X, WIDTH
 from gcs_sysid.estimation.validation import validate
 from gcs_sysid.model import rigid_body as rb
@@ -27,9 +31,12 @@ def batches_of(later_theta, noise=0.02):
 
 
 def run(later_theta, noise=0.02):
-    counts = np.full(BATCHES, ROWS)
-    moments = batches_of(later_theta, noise)
-    return validate(moments, counts, np.zeros(1), np.zeros((1, WIDTH, WIDTH)))
+    return judged(batches_of(later_theta, noise))
+
+
+def judged(moments):
+    counts = np.full(len(moments), ROWS)
+    return validate(moments, counts, np.zeros(1), np.zeros((1, WIDTH, WIDTH)), np.ones(1))
 
 
 def test_the_same_vehicle_is_predicted_to_the_noise():
@@ -50,5 +57,57 @@ def test_another_vehicle_is_not_predicted():
 
 
 def test_a_flight_too_short_to_be_divided_is_not_validated():
-    moments = batches_of(THETA)[:9]
-    assert validate(moments, np.full(9, ROWS), np.zeros(1), np.zeros((1, WIDTH, WIDTH))) is None
+    assert judged(batches_of(THETA)[:9]) is None
+
+
+def test_one_leak_alone_does_not_tell_the_colour():
+    found = run(THETA)
+    assert np.isnan(found.whiteness).all()
+    assert np.isnan(found.whiteness_p).all()
+
+
+DT = 0.005
+RPM = 2.0 * np.pi / 60.0
+
+
+def colours(truth, flight, seeds, disturb):
+    """(seeds, 3) whiteness and p-values with gyro noise that `disturb` makes of white noise."""
+    found = []
+    for seed in range(seeds):
+        random = np.random.default_rng(seed)
+        noise = disturb(0.02 * random.standard_normal(flight.gyro.shape))
+        samples = replace(
+            flight,
+            gyro=flight.gyro + noise,
+            rates=flight.rates + noise,
+            speeds=np.round(flight.speeds / RPM) * RPM,
+        )
+        estimator = OnlineEstimator(truth.geometry, DT, Tuning())
+        estimator.update(samples)
+        found.append(estimator.fit().validation)
+    return np.array([f.whiteness for f in found]), np.array([f.whiteness_p for f in found])
+
+
+def test_white_gyro_noise_passes(truth, flight):
+    whiteness, p = colours(truth, flight, 24, lambda noise: noise)
+    np.testing.assert_allclose(whiteness.mean(axis=0), 1.0, atol=0.12)
+    # 72 verdicts at 5 %: 3.6 expected; 11 or more by chance once in a thousand.
+    assert (p < 0.05).sum() <= 10
+
+
+@pytest.mark.parametrize(("hertz", "low", "high"), [(1.0, 1.5, 9.0), (5.0, 0.3, 0.9)])
+def test_an_oscillating_torque_is_flagged(truth, flight, hertz, low, high):
+    """One that moves the vehicle at half the size of the gyro's noise."""
+    swing = 0.01 * np.sin(2.0 * np.pi * hertz * DT * np.arange(len(flight.gyro)))[:, None]
+    whiteness, p = colours(truth, flight, 3, lambda noise: noise + swing)
+    assert (p < 0.05).all()
+    assert ((low < whiteness) & (whiteness < high)).all()
+
+
+def test_low_frequency_gyro_noise_is_flagged(truth, flight):
+    def lowpass(noise):
+        return lfilter([0.22], [1.0, -np.exp(-5.0 * DT)], noise, axis=0)
+
+    whiteness, p = colours(truth, flight, 3, lowpass)
+    assert (p < 0.05).all()
+    assert (whiteness > 2.0).all()

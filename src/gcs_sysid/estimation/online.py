@@ -34,7 +34,8 @@ class Tuning:
         half_width: s, half of the window, at high sample rates.
         min_half_samples: the window's half never has fewer samples than this.
         bandwidth: rad/s, R of the differentiator.
-        leaks: s, memories of the leaky sums carried side by side; 0 for none.
+        leaks: s, memories of the leaky sums carried side by side; 0 for none. Well below
+            `batch_time`, else scores of neighbouring batches say too little of their own scatter.
         delays: s, bank of rotor delays, equally spaced; one alone is taken as given.
         settle_interval: s, least time between full fits of a running course, which choose
             leak and delay; later they come when the record has grown by half.
@@ -46,7 +47,7 @@ class Tuning:
     half_width: float = 0.1
     min_half_samples: int = 4
     bandwidth: float = 10.0
-    leaks: tuple[float, ...] = (0.0, 0.3, 1.0)
+    leaks: tuple[float, ...] = (0.0, 0.3)
     delays: tuple[float, ...] = tuple(0.01 * k - 0.015 for k in range(8))
     settle_interval: float = 2.0
     batch_time: float = 1.0
@@ -176,6 +177,7 @@ class OnlineEstimator:
                 self._rotation.counts,
                 self._delays,
                 self._noise(),
+                np.array([self._smoother.noise_gains(m)[1] for m in self._memories]),
                 self.prior,
             )
         return Fit(self._fit_rotation(name), trans, self.seconds, validation, accelerometer)

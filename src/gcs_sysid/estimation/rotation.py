@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS, Prior
-from gcs_sysid.estimation.uncertainty import inflation, meat, symmetric_roots
+from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor, symmetric_roots
 from gcs_sysid.model import rigid_body as rb
 
 N_X = rb.N_SIGNALS
@@ -60,10 +60,12 @@ class Footing:
     Attributes:
         unknowns: (N_UNKNOWNS,) at the minimum of the cost.
         inflation: (p, p) of the covariance, see `uncertainty.inflation`.
+        widening: (p,) of the standard deviations, see `uncertainty.student_factor`.
     """
 
     unknowns: Array
     inflation: Array
+    widening: Array
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,8 @@ class RotationFit:
 
     Attributes:
         theta: (N_THETA,) estimate, see `rigid_body.THETA`.
-        covariance: (N_THETA, N_THETA), corrected for coloured residuals, delay included.
+        covariance: (N_THETA, N_THETA), corrected for coloured residuals, delay included, and
+            widened so that 1.96 standard deviations are Student's 95 % interval.
         residual_covariance: (3, 3) of one row's residual.
         r_squared: (3,) share of each axis' angular acceleration that the model explains.
         rows: how many rows it rests on.
@@ -161,7 +164,8 @@ def fit_rotation(
     for i in range(len(bank)):
         outcome = _Outcome(problem, point, i, noise[i])
         spread = inflation(outcome.roots[1], meat(outcome.scores(batches[:, i], counts)))
-        fits.append(outcome.fit(spread, bool(converged[i]), i))
+        widening = student_factor(outcome.shares(batches[:, i]))
+        fits.append(outcome.fit(spread, widening, bool(converged[i]), i))
     return min(fits, key=uncertainty)
 
 
@@ -187,12 +191,13 @@ def follow_rotation(
     """
     assert start.footing is not None
     problem = _Problem(total.reshape(1, len(delays), -1), rows, delays, prior)
-    unknowns, spread = start.footing.unknowns[None], start.footing.inflation
+    unknowns = start.footing.unknowns[None]
+    scatter = start.footing.inflation, start.footing.widening
     outcome = _Outcome(problem, problem.evaluate(unknowns), 0, noise)
     if outcome.take_step(_BLIND_STEP):
-        return outcome.fit(spread, start.converged, start.leak)
+        return outcome.fit(*scatter, start.converged, start.leak)
     point, converged = _minimise(problem, unknowns, _FOLLOW_ITERATIONS)
-    return _Outcome(problem, point, 0, noise).fit(spread, bool(converged[0]), start.leak)
+    return _Outcome(problem, point, 0, noise).fit(*scatter, bool(converged[0]), start.leak)
 
 
 def uncertainty(fit: RotationFit) -> float:
@@ -454,6 +459,29 @@ class _Outcome:
         scaled: Array = scores / self._scale
         return scaled
 
+    def shares(self, batches: Array) -> Array:
+        """(k, p) what each batch is expected to add to the variance of each unknown.
+
+        The diagonal of H^-1 H_b H^-1, H_b the information of a batch; any scale.
+
+        Args:
+            batches: (k, delays, W, W) of this hypothesis.
+        """
+        k, n, inverse_root = len(batches), rb.N_THETA, self.roots[1]
+        weights = self._problem.weights(self._unknowns[DELAY:])[0]
+        moments = (weights @ batches.reshape(k, -1, WIDTH * WIDTH)).reshape(k, -1, WIDTH, WIDTH)
+        inverse = (inverse_root @ inverse_root) / (self._scale[:, None] * self._scale)
+        weighted = (inverse[:n, :n] @ self._WG.reshape(n, -1)).reshape(n, 3, N_X)
+        moved = np.linalg.inv(self._W) @ weighted
+        shares: Array = moments[:, 0, :N_X, :N_X].reshape(k, -1) @ (
+            (np.swapaxes(moved, 1, 2) @ weighted).reshape(n, -1).T
+        )
+        if self._problem.with_delay:
+            T = residual_maker(self._Q)
+            bend = (T @ moments[:, 2]).reshape(k, -1) @ (self._W @ T).reshape(-1)
+            shares = np.column_stack([shares, bend])
+        return shares
+
     def take_step(self, largest: float) -> bool:
         """Go on by a Gauss-Newton step, unless that is longer than so many deviations."""
         problem, d = self._problem, self._scale
@@ -473,11 +501,12 @@ class _Outcome:
         self._unknowns = moved
         return True
 
-    def fit(self, spread: Array, converged: bool, leak: int) -> RotationFit:
+    def fit(self, spread: Array, widening: Array, converged: bool, leak: int) -> RotationFit:
         """The estimate.
 
         Args:
             spread: (p, p) inflation of the covariance.
+            widening: (p,) factors on the standard deviations.
             converged: whether the minimum was reached.
             leak: index of the leak.
         """
@@ -490,7 +519,8 @@ class _Outcome:
         pull = np.zeros(p)
         noise = problem.rows * self._noise
         pull[:n] = self._WG @ (self._Q @ noise[:N_X, :N_X] - noise[N_X:, :N_X]).reshape(-1)
-        data_covariance = inverse_root @ spread @ inverse_root
+        wider = widening[:, None] * inverse_root
+        data_covariance = wider @ spread @ wider.T
         covariance = data_covariance
         if prior is None:
             step = inverse_root @ (inverse_root @ (pull / d))
@@ -499,12 +529,14 @@ class _Outcome:
             delay = self._unknowns[DELAY]
             if problem.with_delay and not problem.delays[0] < delay < problem.delays[-1]:
                 pull[n] = 0.0
-            held = root @ np.linalg.inv(spread)
+            held = (root / widening[:, None]) @ np.linalg.inv(spread)
             covariance = np.linalg.inv(
-                held @ root + prior.information[:p, :p] / (d[:, None] * d) + 1e-15 * np.eye(p)
+                held @ (root / widening)
+                + prior.information[:p, :p] / (d[:, None] * d)
+                + 1e-15 * np.eye(p)
             )
             step = covariance @ (
-                held @ (inverse_root @ (pull / d)) + prior.pull(self._unknowns)[:p] / d
+                held @ (inverse_root @ (pull / (d * widening))) + prior.pull(self._unknowns)[:p] / d
             )
         unknowns = self._moved(step / d)
         covariance = covariance / (d[:, None] * d)
@@ -523,7 +555,7 @@ class _Outcome:
             leak=leak,
             data_std=(np.sqrt(np.diag(data_covariance)) / d)[:n],
             full_covariance=full,
-            footing=Footing(self._unknowns, spread),
+            footing=Footing(self._unknowns, spread, widening),
         )
 
     def _powers(self) -> Array:

@@ -2,12 +2,21 @@
 
 The parameters are fitted on the first part of the flight and predict the angular acceleration of
 the rest. Both parts are sums of moments, so no sample is needed again.
+
+**Whiteness.** Neighbouring rows share samples, so their residuals are coloured by the window
+itself, and a test of the rows for whiteness would always fail. What can be asked is whether the
+residual has the colour that white noise on the sensors gets from the filters: white gyro noise
+is differentiated by the window, white noise of the rotor speeds is averaged. Two filters on the
+same residual tell: the rows as they are, and their leaky sums, which weigh low frequencies more.
+Given the residual's power in the one, white sensor noise fixes its power in the other. Both are
+in the moments already.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtr
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.priors import Prior
@@ -28,11 +37,19 @@ class Validation:
         theil: (3,) Theil's inequality coefficient, rms error over the sum of the rms values of
             measured and predicted: 0 is perfect, 1 is worthless.
         fitted_share: share of the rows that were fitted.
+        whiteness: (3,) power of the residual's leaky sums over what white sensor noise would
+            give them, on the rows that were not fitted. 1: white; above: slow disturbances
+            (wind, drifting parameters); below: fast ones (vibration, an oscillation above
+            about 3 Hz). NaN where no second leak is carried.
+        whiteness_p: (3,) two-sided probability of a whiteness so far from 1 if the noise is
+            white, from its scatter over the batches: below 0.05 one doubts it.
     """
 
     r_squared: Array
     theil: Array
     fitted_share: float
+    whiteness: Array
+    whiteness_p: Array
 
 
 def validate(
@@ -40,6 +57,7 @@ def validate(
     counts: NDArray[np.int64],
     delays: Array,
     noise: Array,
+    gains: Array,
     prior: Prior | None = None,
 ) -> Validation | None:
     """Fit the first batches, predict the others.
@@ -50,6 +68,7 @@ def validate(
         counts: (k,) rows in each.
         delays: (delays,) s.
         noise: (leaks, WIDTH, WIDTH).
+        gains: (leaks,) 1/s^2, variance of a row's derivative over that of white gyro noise.
         prior: what else is known.
 
     Returns:
@@ -68,9 +87,45 @@ def validate(
     measured = np.diag(Ryy)
     predicted = np.diag(Q @ Rxx @ Q.T)
     error = np.maximum(measured - 2.0 * np.diag(Q @ Rxy) + predicted, 0.0)
+    whiteness, p = _whiteness(batches[cut:], counts[cut:], delays, noise, gains, fit.delay, Q)
     tiny = 1e-300
     return Validation(
         r_squared=1.0 - error / np.maximum(measured, tiny),
         theil=np.sqrt(error) / np.maximum(np.sqrt(measured) + np.sqrt(predicted), tiny),
         fitted_share=float(counts[:cut].sum() / counts.sum()),
+        whiteness=whiteness,
+        whiteness_p=p,
     )
+
+
+def _whiteness(
+    batches: Array,
+    counts: NDArray[np.int64],
+    delays: Array,
+    noise: Array,
+    gains: Array,
+    delay: float,
+    Q: Array,
+) -> tuple[Array, Array]:
+    """Whiteness and its p-value, per axis, from the first and the last leak."""
+    if len(gains) < 2:
+        return np.full(3, np.nan), np.full(3, np.nan)
+    T = np.hstack([-Q, np.eye(3)])
+    pair = np.swapaxes(batches[:, [0, -1]], 0, 1)
+    here = moments_at(pair, delays, delay)
+    plain, summed = np.einsum("ai,lkij,aj->lka", T, here, T)  # (k, 3) each: residual power
+    of_speeds = np.einsum("ai,lij,aj->la", T, noise[[0, -1]], T)
+    ratio = gains[-1] / gains[0]
+    # Of the plain power, what the speeds' noise does not explain is the gyro's.
+    expected = ratio * plain + counts[:, None] * (of_speeds[1] - ratio * of_speeds[0])
+    surplus = summed - expected
+    total = surplus.sum(axis=0)
+    apart = surplus - counts[:, None] * (total / counts.sum())
+    k = len(counts)
+    # Leaky sums reach over the ends of batches: neighbours count, as in the sandwich.
+    lagged = (apart[1:] * apart[:-1]).sum(axis=0)
+    variance = np.maximum((apart * apart).sum(axis=0) + lagged, 1e-300) * k / (k - 1)
+    freedom = (k - 1) / 1.5
+    whiteness = summed.sum(axis=0) / np.maximum(expected.sum(axis=0), 1e-300)
+    p: Array = 2.0 * stdtr(freedom, -np.abs(total) / np.sqrt(variance))
+    return whiteness, p

@@ -1,5 +1,6 @@
 """From fits, anchors and events to the words and numbers of a result."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -94,13 +95,18 @@ def validation_of(fit: Fit) -> dict[str, Any]:
     if found is None:
         return {}
 
-    def axes(values: Array) -> dict[str, float]:
-        return dict(zip(_AXES, np.asarray(values).tolist(), strict=True))
+    def axes(values: Array) -> dict[str, float | None]:
+        return {
+            axis: value if math.isfinite(value) else None
+            for axis, value in zip(_AXES, np.asarray(values).tolist(), strict=True)
+        }
 
     return {
         "fitted_share": found.fitted_share,
         "r_squared": axes(found.r_squared),
         "theil": axes(found.theil),
+        "whiteness": axes(found.whiteness),
+        "whiteness_p": axes(found.whiteness_p),
     }
 
 
