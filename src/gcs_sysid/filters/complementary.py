@@ -16,12 +16,14 @@ from scipy.signal import lfilter
 from gcs_sysid.arrays import Array
 from gcs_sysid.model import attitude
 
-DEFAULT_K_P = 1.0
-"""1/s; between 0.5 and 2 is best for the noise of common sensors."""
+DEFAULT_K_P = 0.7
+"""1/s. Slow noise of the reference wants it lower, noise and drift of the gyro higher; what either
+way costs is measured in benchmarks/filter_claims.py."""
 BIAS_INTERVAL = 0.1
 """s between renewals of the bias."""
 DEFAULT_K_I = 0.05
-"""1/s^2 for the gyro bias: settles in about 20 s."""
+"""1/s^2 for the gyro bias: settles in about 15 s (until then bias / k_p stands in the attitude).
+With 0.1 the bias's own noise, which goes into the rates, already spoils estimates in hover."""
 
 
 def complementary(y_u: Array, y_x: Array, dt: float, k_p: float) -> Array:

@@ -23,8 +23,8 @@ ARTICLE_B = 5.045
 ARTICLE_R = 50000.0
 
 DEFAULT_BANDWIDTH = 40.0
-"""R in rad/s: of the least error for motion up to 3 Hz and noise of 0.02 rad/s at 20 Hz as well
-as at 250 Hz (benchmarks/filter_claims.py)."""
+"""R in rad/s, for motion up to 3 Hz and noise of 0.02 rad/s: of the least error at 250 Hz and next
+to it at 20 Hz (benchmarks/filter_claims.py). Quieter sensors allow 60 to 80."""
 DEFAULT_DAMPING = 2.0**0.5
 """b of the flattest gain; up to a quarter of R the lag is then next to constant too."""
 
