@@ -90,8 +90,7 @@ class ComplementaryFilter:
         self.biases = np.empty_like(rates)
         if len(rates) == 0:
             return np.empty_like(reference)
-        turned, halfway = self._turns(rates, reference)
-        to_world = attitude.matrices(reference)
+        turned, per_bias, to_world = self._turns(rates, reference)
         errors = np.empty_like(rates)
         done = 0
         while done < len(rates):
@@ -99,12 +98,12 @@ class ComplementaryFilter:
             part = slice(done, min(len(rates), done + self._until_bias))
             n = part.stop - done
             self.biases[part] = self.bias
-            turn = turned[part] - halfway[part] @ self.bias
+            turn = turned[part] - per_bias[part] @ self.bias
             error = self._memory[:n, :n] @ turn + self._faded[:n] * self._error
             errors[part] = error
             self._error = error[-1]
             # Back in body axes: a row times a rotation is its inverse on the column.
-            self._error_sum += np.tensordot(error, to_world[part], 2)
+            self._error_sum += (error[:, None] @ to_world[part])[:, 0].sum(axis=0)
             self._until_bias -= n
             done = part.stop
             if self._until_bias == 0:
@@ -113,11 +112,12 @@ class ComplementaryFilter:
                 self._until_bias = self._bias_samples
         return attitude.multiply(attitude.from_rotation_vector(errors), reference)
 
-    def _turns(self, rates: Array, reference: Array) -> tuple[Array, Array]:
+    def _turns(self, rates: Array, reference: Array) -> tuple[Array, Array, Array]:
         """How far the gyro turned beyond the reference at each sample, in world axes.
 
         Returns:
-            (n, 3) rad with the bias still in it, and (n, 3, 3) what a bias adds to it.
+            (n, 3) rad with the bias still in it, (n, 3, 3) what a bias adds to it, and
+            (n, 3, 3) matrices of the reference.
         """
         starts = self._last_reference is None
         if self._last_reference is None:
@@ -131,10 +131,11 @@ class ComplementaryFilter:
         same_sign = np.where((before[1:] * before[:-1]).sum(axis=1, keepdims=True) < 0.0, -1.0, 1.0)
         halfway = before[:-1] + same_sign * before[1:]
         halfway /= np.sqrt((halfway * halfway).sum(axis=1, keepdims=True))
-        per_rate = attitude.matrices(halfway) * self.dt
+        both = attitude.matrices(np.concatenate([halfway, reference]))
+        per_rate, to_world = both[: len(rates)] * self.dt, both[len(rates) :]
         moved = attitude.to_rotation_vector(
             attitude.multiply(before[1:], attitude.conjugate(before[:-1]))
         )
         if starts:
             per_rate[0] = 0.0  # no time has passed before the first sample
-        return (per_rate @ middle[..., None])[..., 0] - moved, per_rate
+        return (per_rate @ middle[..., None])[..., 0] - moved, per_rate, to_world

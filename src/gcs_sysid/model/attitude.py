@@ -11,6 +11,7 @@ from gcs_sysid.arrays import Array
 
 # a b = (matrix of a) b; its entries are a's, permuted and signed.
 _FACTOR = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
+_INVERSE = np.array([1.0, -1.0, -1.0, -1.0])
 _SIGN = np.array([[1, -1, -1, -1], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]], dtype=float)
 
 
@@ -38,23 +39,28 @@ def multiply(a: Array, b: Array) -> Array:
 
 def conjugate(q: Array) -> Array:
     """The inverse rotation of unit quaternions (..., 4)."""
-    inverse: Array = q * np.array([1.0, -1.0, -1.0, -1.0])
+    inverse: Array = q * _INVERSE
     return inverse
 
 
 def from_rotation_vector(v: Array) -> Array:
     """Unit quaternions of rotation vectors (..., 3) in rad."""
-    half = 0.5 * np.linalg.norm(v, axis=-1, keepdims=True)
-    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * v], axis=-1)
+    half = 0.5 * np.sqrt((v * v).sum(axis=-1, keepdims=True))
+    q = np.empty((*v.shape[:-1], 4))
+    q[..., :1] = np.cos(half)
+    safe = np.maximum(half, 1e-150)
+    q[..., 1:] = 0.5 * np.sin(safe) / safe * v
+    return q
 
 
 def to_rotation_vector(q: Array) -> Array:
     """Rotation vectors (..., 3) in rad of unit quaternions, angles up to pi."""
-    q = np.where(q[..., :1] < 0.0, -q, q)
-    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, q[..., :1])
-    safe = np.where(sine > 1e-12, sine, 1.0)
-    return np.where(sine > 1e-12, angle / safe, 2.0) * q[..., 1:]
+    real, vector = q[..., :1], q[..., 1:]
+    sine = np.maximum(np.sqrt((vector * vector).sum(axis=-1, keepdims=True)), 1e-150)
+    # q and -q are the same rotation; the shorter way is wanted.
+    half = np.arctan2(sine, np.abs(real))
+    turn: Array = np.copysign(2.0 * half / sine, real) * vector
+    return turn
 
 
 def matrices(q: Array) -> Array:
