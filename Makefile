@@ -23,7 +23,7 @@ demo: $(INSTALLED) ## fly the emulator and identify it on the live screen
 	$(BIN)/gcs-sysid demo
 
 test: $(INSTALLED) ## all tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 quick: $(INSTALLED) ## the tests without whole flights
 	$(BIN)/python -m pytest -m "not slow"

@@ -36,9 +36,12 @@ class Record(NamedTuple):
         t: time in seconds on the vehicle's clock.
         values: the numbers, laid out as `Stream` says.
         offset: index of the first rotor that `values` holds (rotor streams only).
+        source: name of the message that it comes from (rotor streams only): sources of one
+            kind differ in unit, delay and soundness, and are never mixed.
     """
 
     stream: Stream
     t: float
     values: tuple[float, ...]
     offset: int = 0
+    source: str = ""

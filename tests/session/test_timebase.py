@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.session.timebase import TimeBase, interpolate
 
-IMU, ATTITUDE, SPEED = (Stream.IMU, 0), (Stream.ATTITUDE, 0), (Stream.ROTOR_SPEED, 0)
+IMU, ATTITUDE, SPEED = ((s, "", 0) for s in (Stream.IMU, Stream.ATTITUDE, Stream.ROTOR_SPEED))
 WIDTH = {Stream.IMU: 6, Stream.ATTITUDE: 4, Stream.ROTOR_SPEED: 4, Stream.IN_AIR: 1}
 
 
@@ -233,7 +233,7 @@ def test_grid_follows_a_change_of_rate(first, second):
 def test_states_hold_their_last_value():
     states = [Record(Stream.IN_AIR, t, (v,)) for t, v in ((0.5, 0.0), (2.0, 1.0), (3.0, 0.0))]
     run = Run(sorted([*stream(Stream.IMU, 100.0), *states], key=lambda r: r.t))
-    held = run.values((Stream.IN_AIR, 0))[:, 0]
+    held = run.values((Stream.IN_AIR, "", 0))[:, 0]
     assert np.isnan(held[run.t < 0.5]).all()
     np.testing.assert_array_equal(
         held[run.t >= 0.5], (run.t >= 2.0 - 1e-9)[run.t >= 0.5] & (run.t < 3.0 - 1e-9)[run.t >= 0.5]

@@ -99,17 +99,22 @@ def test_esc_status_gives_speeds_without_sign_in_motor_order(decoder, sender):
 
 def test_actuator_outputs_are_cut_to_those_active(decoder, sender):
     record = decoder.decode(outputs(sender, 2.0, [1100.0, 1200, 1300, 1400, 900, 900], active=6))
-    assert record == Record(Stream.ROTOR_COMMAND, 2.0, (1100.0, 1200, 1300, 1400, 900, 900))
+    assert record == Record(
+        Stream.ROTOR_COMMAND,
+        2.0,
+        (1100.0, 1200, 1300, 1400, 900, 900),
+        source="ACTUATOR_OUTPUT_STATUS",
+    )
 
 
-def test_servo_outputs_count_only_where_actuator_outputs_are_absent(decoder, sender):
+def test_servo_outputs_and_actuator_outputs_are_told_apart(decoder, sender):
     decoder.decode(sender.imu(100.0))
-    assert decoder.decode(servos(sender, 101.0, [1500] * 4)) is None  # the others may yet come
-    decoder.decode(sender.imu(103.0))
-    assert decoder.decode(servos(sender, 103.0, [1500] * 4)).values == (1500.0,) * 4
+    servo = decoder.decode(servos(sender, 101.0, [1500] * 4))
+    assert servo.values == (1500.0,) * 4
+    assert servo.source == "SERVO_OUTPUT_RAW"
     assert decoder.decode(servos(sender, 103.0, [1500] * 4, port=1)) is None
-    decoder.decode(outputs(sender, 104.0, [1.0] * 4, active=4))
-    assert decoder.decode(servos(sender, 104.0, [1500] * 4)) is None
+    actuator = decoder.decode(outputs(sender, 104.0, [1.0] * 4, active=4))
+    assert actuator.source == "ACTUATOR_OUTPUT_STATUS"
 
 
 def test_servo_time_goes_on_through_its_wrap(decoder, sender):

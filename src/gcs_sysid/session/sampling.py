@@ -138,7 +138,7 @@ class Sampler:
 
     def _speeds(self, block: Block, n: int) -> Array:
         speeds = np.full((n, self._rotors), np.nan)
-        for (stream, offset), values in block.values.items():
+        for (stream, _, offset), values in block.values.items():
             if stream is Stream.ROTOR_SPEED and offset < self._rotors:
                 width = min(values.shape[1], self._rotors - offset)
                 speeds[:, offset : offset + width] = values[:, :width]
@@ -157,14 +157,14 @@ class Sampler:
 
 def _in_flight(block: Block, speeds: Array) -> Mask:
     """(n,) what the autopilot says; else armed with all rotors turning."""
-    in_air = block.values.get((Stream.IN_AIR, 0))
+    in_air = block.values.get((Stream.IN_AIR, "", 0))
     if in_air is not None:
         return in_air[:, 0] > 0.5
-    armed = block.values.get((Stream.ARMED, 0))
+    armed = block.values.get((Stream.ARMED, "", 0))
     turning: Mask = np.asarray((speeds > 0.0).all(axis=1))
     return turning if armed is None else turning & (armed[:, 0] > 0.5)
 
 
 def _stream(block: Block, stream: Stream, n: int, width: int) -> Array:
-    values = block.values.get((stream, 0))
+    values = block.values.get((stream, "", 0))
     return np.full((n, width), np.nan) if values is None else values

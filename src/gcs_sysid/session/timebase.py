@@ -14,7 +14,8 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.records import Record, Stream
 
-Key = tuple[Stream, int]
+Key = tuple[Stream, str, int]
+"""Stream, source, first rotor."""
 
 STEP_SAMPLES = 64
 """IMU samples from which the grid's step is taken."""
@@ -213,7 +214,7 @@ class TimeBase:
         return self._emit(self._newest) if self._started else None
 
     def _buffer(self, record: Record) -> StreamBuffer:
-        key = (record.stream, record.offset)
+        key = (record.stream, record.source, record.offset)
         buffer = self._buffers.get(key)
         if buffer is None:
             hold = record.stream in (Stream.IN_AIR, Stream.ARMED)

@@ -21,9 +21,6 @@ RPM = 2.0 * math.pi / 60.0
 """rad/s per revolution a minute."""
 ATTITUDE_PREFERRED_FOR = 1.0
 """s. ATTITUDE_QUATERNION is used only when no ATTITUDE came for this long."""
-SERVO_WAITS_FOR = 2.0
-"""s. SERVO_OUTPUT_RAW is used only when no ACTUATOR_OUTPUT_STATUS came from the start for
-this long: the two may differ in unit, and must not be mixed."""
 
 Reader = Callable[[bytes], Record | None]
 
@@ -55,7 +52,6 @@ class RecordDecoder:
         self.dropped: Counter[str] = Counter()
         self._imu_id: int | None = None
         self._attitude_last: float | None = None
-        self._outputs_seen = False
         self._q_last = (1.0, 0.0, 0.0, 0.0)
         table: dict[str, Reader] = {
             "HIGHRES_IMU": self._read_imu,
@@ -80,11 +76,15 @@ class RecordDecoder:
         record = reader(frame.payload)
         if self.clock.reboots != reboots:
             self._attitude_last = None
-            self._outputs_seen = False
         return record
 
     def _record(
-        self, stream: Stream, t: float | None, values: tuple[float, ...], offset: int = 0
+        self,
+        stream: Stream,
+        t: float | None,
+        values: tuple[float, ...],
+        offset: int = 0,
+        source: str = "",
     ) -> Record | None:
         if t is None:
             self.dropped["no time"] += 1
@@ -93,7 +93,7 @@ class RecordDecoder:
         if not math.isfinite(math.fsum(values) if len(values) > 32 else sum(values)):
             self.dropped["not finite"] += 1
             return None
-        return Record(stream, t, values, offset)
+        return Record(stream, t, values, offset, source)
 
     def _read_imu(self, payload: bytes) -> Record | None:
         time_usec, imu_id, *values = _highres_imu(payload)
@@ -142,30 +142,28 @@ class RecordDecoder:
         time_usec, index, *rpm = _esc_status(payload)
         # The sign only tells the sense of rotation, which the airframe gives.
         speeds = tuple(abs(value) * RPM for value in rpm)
-        return self._record(Stream.ROTOR_SPEED, self.clock.stamp_us64(time_usec), speeds, index)
+        t = self.clock.stamp_us64(time_usec)
+        return self._record(Stream.ROTOR_SPEED, t, speeds, index, "ESC_STATUS")
 
     def _read_outputs(self, payload: bytes) -> Record | None:
         time_usec, active, *outputs = _outputs(payload)
         t = self.clock.stamp_us64(time_usec)
-        self._outputs_seen = True
         # By the definition a mask, from PX4 a count; either way outputs beyond it are unused.
         count = active if active <= len(outputs) else min(active.bit_length(), len(outputs))
         used = outputs[: count or None]
         while len(used) > 4 and not math.isfinite(used[-1]):
             used.pop()
-        return self._record(Stream.ROTOR_COMMAND, t, tuple(used))
+        return self._record(Stream.ROTOR_COMMAND, t, tuple(used), 0, "ACTUATOR_OUTPUT_STATUS")
 
     def _read_servos(self, payload: bytes) -> Record | None:
         time_usec, port, *servos = _servos(payload)
-        if self._outputs_seen or port != 0:
+        if port != 0:
             return None
         t = self.clock.stamp_us32(time_usec)
-        started = self.clock.started
-        if t is not None and started is not None and t - started < SERVO_WAITS_FOR:
-            return None
         while len(servos) > 4 and servos[-1] == 0:  # 0 is: not there
             servos.pop()
-        return self._record(Stream.ROTOR_COMMAND, t, tuple(float(servo) for servo in servos))
+        values = tuple(float(servo) for servo in servos)
+        return self._record(Stream.ROTOR_COMMAND, t, values, 0, "SERVO_OUTPUT_RAW")
 
     def _read_position(self, payload: bytes) -> Record | None:
         time_boot_ms, *values = _position(payload)
