@@ -60,15 +60,13 @@ def test_never_below_what_white_residuals_would_give():
 
 def test_the_factor_is_students():
     # Batches on their own: one dominates each of two unknowns, and thirty share a third.
-    shares = np.zeros((60, 3))
+    shares = np.zeros((210, 3))
     shares[10, 0] = shares[0, 1] = 7.0
-    shares[::2, 2] = 1.0
+    shares[::7, 2] = 1.0
     factor = student_factor(shares)
     np.testing.assert_allclose(factor, [6.483, 6.483, 2.042 / 1.960], rtol=1e-3)
-    # Neighbours' products scatter too: equal shares of k batches count as k / 1.5.
-    np.testing.assert_allclose(
-        student_factor(np.ones((16, 1))), 2.20 / 1.96, rtol=5e-3
-    )  # 256 / 23.5 = 10.9 degrees of freedom
+    # Neighbours' products scatter too: 256 / 41.5 = 6.17 degrees of freedom.
+    np.testing.assert_allclose(student_factor(np.ones((16, 1))), 2.43 / 1.96, rtol=5e-3)
     assert np.all(np.isfinite(student_factor(np.zeros((5, 2)))))
 
 

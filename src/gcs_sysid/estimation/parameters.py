@@ -30,6 +30,10 @@ UNOBSERVABLE_BELOW_R2 = 0.5
 Where gusts or unmodelled torques move the vehicle more than its rotors do, the controller's
 reaction to them is mistaken for the vehicle's response, and intervals are confidently wrong."""
 
+_CG_FLOOR = 6e-6
+"""Of the arm (a micrometre or two), least standard deviation of the CG: speeds in whole rpm
+leave a slow remainder of that size that no scatter within one flight tells."""
+
 _DELAY_YARDSTICK = 0.02
 """s, what a delay is measured against: 10 ms of it cost 30 % on Izz."""
 
@@ -80,13 +84,12 @@ def physical_parameters(
     out = dict.fromkeys(names, NOTHING)
     if rotation is not None:
         # Lengths need no scale at all.
-        for name, index, yardstick in (
-            ("cg_x", rb.CG_X, 0.2 * arm),
-            ("cg_y", rb.CG_Y, 0.2 * arm),
-            ("moment_ratio", rb.MOMENT_RATIO, None),
-        ):
-            value, std = float(rotation.theta[index]), float(rotation.std[index])
-            out[name] = _judged(value, std, abs(value) if yardstick is None else yardstick)
+        for name, index in (("cg_x", rb.CG_X), ("cg_y", rb.CG_Y)):
+            std = math.hypot(rotation.std[index], _CG_FLOOR * arm)
+            out[name] = _judged(float(rotation.theta[index]), std, 0.2 * arm)
+        ratio = float(rotation.theta[rb.MOMENT_RATIO])
+        std = float(rotation.std[rb.MOMENT_RATIO])
+        out["moment_ratio"] = _judged(ratio, std, abs(ratio))
     scale = resolve_scale(anchor, translation, known or {})
     for name, known_value, share in (
         ("mass", scale.mass, scale.mass_share),

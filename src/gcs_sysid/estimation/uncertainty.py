@@ -25,15 +25,29 @@ def sandwich(bread: Array, scores: Array) -> Array:
 
 
 def meat(scores: Array) -> Array:
-    """(p, p) covariance of the whole score, from (k, p) scores of batches in time order."""
+    """(p, p) covariance of the whole score, from (k, p) scores of batches in time order.
+
+    Neighbouring batches hang together, the more so the slower the noise; with more batches, more
+    of that can be told. Bartlett's weights over a reach that grows with their number (Newey and
+    West 1987) keep it positive definite.
+    """
     k, p = scores.shape
+    weights = bartlett(k)
     total: Array = scores.T @ scores
+    for lag, weight in enumerate(weights, 1):
+        lagged = weight * (scores[lag:].T @ scores[:-lag])
+        total = total + lagged + lagged.T
     if k > 2:
-        lagged = scores[1:].T @ scores[:-1]
-        total = total + 0.5 * (lagged + lagged.T)
         # At the minimum the scores are smaller than the errors by what was fitted.
-        total *= k / max(k - p / 3.0, 1.0)
+        total *= k / max(k - p * (len(weights) + 1) / 6.0, 1.0)
     return total
+
+
+def bartlett(k: int) -> Array:
+    """Weights of lags 1, 2, ... between k batches."""
+    reach = round(k ** (1.0 / 3.0)) if k > 2 else 0
+    weights: Array = 1.0 - np.arange(1, reach + 1) / (reach + 1.0)
+    return weights
 
 
 def inflation(inverse_root: Array, scatter: Array) -> Array:
@@ -63,12 +77,13 @@ def student_factor(shares: Array) -> Array:
 
     A variance told by the scatter of few batches is uncertain itself; the estimate over its
     standard deviation then follows Student's t, not the normal law. The degrees of freedom are
-    Satterthwaite's for the sum over batches and neighbours that `sandwich` forms,
+    Satterthwaite's for the sum over batches and neighbours that `meat` forms,
 
-        nu = (sum w)^2 / (sum w^2 + 1/2 sum w w+)
+        nu = (sum w)^2 / (sum w^2 + 2 sum_l b_l^2 sum w w_l)
 
     with w the variance that each batch is expected to add (as in the small-sample theory of
-    cluster-robust covariances by Bell and McCaffrey) and w+ the next batch's.
+    cluster-robust covariances by Bell and McCaffrey), w_l that of the l-th batch after it, and b
+    Bartlett's weights.
 
     Args:
         shares: (k, p) expected share of each batch in the variance of each unknown, any scale.
@@ -77,7 +92,9 @@ def student_factor(shares: Array) -> Array:
         (p,) factors on the standard deviations: quantile of t over quantile of the normal.
     """
     w = np.maximum(shares, 0.0)
-    spread = (w * w).sum(axis=0) + 0.5 * (w[1:] * w[:-1]).sum(axis=0)
+    spread = (w * w).sum(axis=0)
+    for lag, weight in enumerate(bartlett(len(w)), 1):
+        spread = spread + 2.0 * weight**2 * (w[lag:] * w[:-lag]).sum(axis=0)
     total = w.sum(axis=0)
     freedom = np.where(spread > 0.0, total * total / np.where(spread > 0.0, spread, 1.0), 1.0)
     factor: Array = stdtrit(np.maximum(freedom, 1.0), 0.975) / _NORMAL

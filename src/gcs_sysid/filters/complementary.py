@@ -66,7 +66,7 @@ class ComplementaryFilter:
         self._bias_samples = max(1, round(BIAS_INTERVAL / dt))
         self._until_bias = self._bias_samples
         self._last_reference: Array | None = None
-        self._last_rates = np.zeros(3)
+        self._last_rates = np.zeros((2, 3))
         # What is left of each sample's innovation after a while, and of the error before.
         age = np.arange(self._bias_samples)[:, None] - np.arange(self._bias_samples)
         self._memory = np.where(age >= 0, np.exp(-k_p * dt * np.maximum(age, 0)), 0.0)
@@ -122,12 +122,14 @@ class ComplementaryFilter:
         starts = self._last_reference is None
         if self._last_reference is None:
             self._last_reference = reference[0]
-            self._last_rates = rates[0]
+            self._last_rates = rates[[0, 0]]
         before = np.concatenate([self._last_reference[None], reference])
-        measured = np.concatenate([self._last_rates[None], rates])
+        measured = np.concatenate([self._last_rates, rates])
         self._last_reference = reference[-1]
-        self._last_rates = rates[-1]
-        middle = 0.5 * (measured[1:] + measured[:-1])
+        self._last_rates = measured[-2:]
+        # The mean between two samples, by the parabola through them and the one before: at 20 Hz
+        # a straight line loses per cents of a fast turn, which shows in k_T.
+        mean = (5.0 * measured[2:] + 8.0 * measured[1:-1] - measured[:-2]) / 12.0
         same_sign = np.where((before[1:] * before[:-1]).sum(axis=1, keepdims=True) < 0.0, -1.0, 1.0)
         halfway = before[:-1] + same_sign * before[1:]
         halfway /= np.sqrt((halfway * halfway).sum(axis=1, keepdims=True))
@@ -138,4 +140,4 @@ class ComplementaryFilter:
         )
         if starts:
             per_rate[0] = 0.0  # no time has passed before the first sample
-        return (per_rate @ middle[..., None])[..., 0] - moved, per_rate, to_world
+        return (per_rate @ mean[..., None])[..., 0] - moved, per_rate, to_world
