@@ -64,7 +64,7 @@ class Fit:
     validation: Validation | None = None
     """Only of full fits."""
     accelerometer: TranslationFit | None = None
-    """The second source of k_T / m, whichever `translation` is."""
+    """The second source of k_T / m, whichever `translation` is; of full fits, for certain."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,14 @@ class _Followed:
 
     fit: rotation.RotationFit
     settle: float
+
+
+@dataclass(frozen=True)
+class _FollowedThrust:
+    """The same of thrust and drag: the latest full fit, and how many batches it rests on."""
+
+    fit: TranslationFit
+    batches: int
 
 
 class OnlineEstimator:
@@ -111,7 +119,7 @@ class OnlineEstimator:
         self._rotation = Moments((*bank, rotation.WIDTH, rotation.WIDTH), per_batch)
         self._settle_interval = tuning.settle_interval
         self._followed: dict[str, _Followed] = {}
-        self._thrust: dict[str, TranslationFit] = {}
+        self._thrust: dict[str, _FollowedThrust] = {}
         self._article = (
             None
             if tuning.method == "forward"
@@ -188,22 +196,27 @@ class OnlineEstimator:
         """Thrust and drag over mass from the better source, and from the accelerometer.
 
         Args:
-            course: to go on with; None: from the data alone.
+            course: to go on with, of the better source alone; None: both, from the data alone.
         """
+        momentum = None
+        if self._momentum.rows * self._row_time > MIN_MOMENTUM_SECONDS:
+            momentum = self._fit_momentum(course)
+            if course is not None:
+                return momentum, None
         accelerometer = translation.fit_accelerometer(
             self._accelerometer.batches, self._accelerometer.counts, self.accelerometer_gain
         )
-        momentum = None
-        if self._momentum.rows * self._row_time > MIN_MOMENTUM_SECONDS:
-            momentum = translation.fit_momentum(
-                self._momentum.batches,
-                self._momentum.counts,
-                self._momentum.total,
-                None if course is None else self._thrust.get(course),
-            )
-            if course is not None and momentum is not None:
-                self._thrust[course] = momentum
         return momentum or accelerometer, accelerometer
+
+    def _fit_momentum(self, course: str | None) -> TranslationFit | None:
+        moments = self._momentum
+        known = None if course is None else self._thrust.get(course)
+        if known is not None and known.batches == len(moments.batches):
+            return translation.follow_momentum(moments.total, moments.rows, known.fit)
+        fit = translation.fit_momentum(moments.batches, moments.counts, moments.total)
+        if course is not None and fit is not None:
+            self._thrust[course] = _FollowedThrust(fit, len(moments.batches))
+        return fit
 
     @property
     def speed_std(self) -> Array:

@@ -10,16 +10,16 @@ accelerometer itself, f = -kappa sum O z + bias, serves as second source; its bi
 of the uncertainty.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.uncertainty import sandwich
+from gcs_sysid.estimation.uncertainty import inflation, meat, symmetric_roots
 
-_MAX_ITERATIONS, _WARM_ITERATIONS = 20, 2
+_MAX_ITERATIONS = 20
 WIDTH = 4
 """Width of a row [thrust direction times sum O, velocity, 1, output], one for each axis."""
 
@@ -47,6 +47,19 @@ class Gain:
 
 
 @dataclass(frozen=True)
+class Footing:
+    """From where a later fit of the same, longer record goes on.
+
+    Attributes:
+        weights: (axes,) inverse residual variances.
+        inflation: (unknowns, unknowns) of the covariance, see `uncertainty.inflation`.
+    """
+
+    weights: Array
+    inflation: Array
+
+
+@dataclass(frozen=True)
 class TranslationFit:
     """Thrust and drag over mass.
 
@@ -56,6 +69,7 @@ class TranslationFit:
         delta: D / m in 1/s; NaN when the source is the accelerometer.
         delta_std: its standard deviation.
         source: what they rest on.
+        footing: what `follow_momentum` starts from.
     """
 
     kappa: float
@@ -63,15 +77,11 @@ class TranslationFit:
     delta: float
     delta_std: float
     source: Literal["momentum", "accelerometer"]
-    weights: Array = field(default_factory=lambda: np.ones(1))
-    """(axes,) inverse residual variances."""
+    footing: Footing | None = None
 
 
 def fit_momentum(
-    batches: Array,
-    counts: NDArray[np.int64],
-    total: Array | None = None,
-    start: TranslationFit | None = None,
+    batches: Array, counts: NDArray[np.int64], total: Array | None = None
 ) -> TranslationFit | None:
     """Fit the momentum balance.
 
@@ -79,24 +89,38 @@ def fit_momentum(
         batches: (k, 3, WIDTH, WIDTH) moments of north, east and down rows.
         counts: (k,) rows in each.
         total: their sum, if known.
-        start: an earlier fit of this kind that is to follow a growing record.
 
     Returns:
         The fit, or None with too few rows.
     """
-    # Wind in the horizontal is a nuisance; a vertical one would be taken for thrust.
-    layout = np.zeros((3, 3, 4))  # unknowns: -kappa, -delta, wind north, wind east
-    layout[:, 0, 0] = layout[:, 1, 1] = 1.0
-    layout[0, 2, 2] = layout[1, 2, 3] = 1.0
-    weight = None if start is None else start.weights
-    solution = _weighted_fit(batches, counts, layout, total, weight)
-    if solution is None:
+    rows = int(counts.sum())
+    if rows < _MIN_ROWS:
         return None
-    estimate, covariance, weights = solution
-    std = np.sqrt(np.diag(covariance))
-    kappa = -float(estimate[0])
+    balance = _Balance(batches.sum(axis=0) if total is None else total, rows, _MOMENTUM)
+    balance.converge()
+    return _momentum(balance, balance.inflation(batches))
+
+
+def follow_momentum(total: Array, rows: int, start: TranslationFit) -> TranslationFit:
+    """Follow a growing record from an earlier fit; how far its score scatters is taken over.
+
+    Args:
+        total: (3, WIDTH, WIDTH) moments of all rows.
+        rows: in them.
+        start: a fit of the same record when it was shorter.
+    """
+    assert start.footing is not None
+    balance = _Balance(total, rows, _MOMENTUM)
+    balance.step(start.footing.weights)
+    return _momentum(balance, start.footing.inflation)
+
+
+def _momentum(balance: "_Balance", inflated: Array) -> TranslationFit:
+    std = np.sqrt(np.diag(balance.covariance(inflated)))
+    kappa, delta = -float(balance.estimate[0]), -float(balance.estimate[1])
     kappa_std = float(np.hypot(std[0], TILT_ERROR_SHARE * kappa))
-    return TranslationFit(kappa, kappa_std, -float(estimate[1]), float(std[1]), "momentum", weights)
+    footing = Footing(balance.weights, inflated)
+    return TranslationFit(kappa, kappa_std, delta, float(std[1]), "momentum", footing)
 
 
 def accelerometer_gain(
@@ -125,80 +149,106 @@ def fit_accelerometer(
         counts: (k,) rows in each.
         gain: of this accelerometer against momentum balance, where that is known.
     """
-    layout = np.zeros((1, 3, 1))
-    layout[0, 0, 0] = 1.0
-    total = batches.sum(axis=0)
-    min_rows = _MIN_ROWS if gain is None else _MIN_CALIBRATED_ROWS
-    solution = _weighted_fit(batches[:, None], counts, layout, total[None], min_rows=min_rows)
-    if solution is None:
+    rows = int(counts.sum())
+    if rows < (_MIN_ROWS if gain is None else _MIN_CALIBRATED_ROWS):
         return None
-    estimate, covariance, _ = solution
+    total = batches.sum(axis=0)
+    balance = _Balance(total[None], rows, _VERTICAL)
+    balance.converge()
+    kappa = -float(balance.estimate[0])
+    std = float(np.sqrt(balance.covariance(balance.inflation(batches[:, None]))[0, 0]))
     if gain is not None:
-        kappa = -gain.value * float(estimate[0])
         # A window's worth of neighbouring rows counts once: early on no batches tell that.
-        own = _ROWS_IN_WINDOW * np.sqrt(covariance[0, 0]) / abs(estimate[0])
-        share = float(np.hypot(own, gain.share))
-        return TranslationFit(kappa, share * kappa, np.nan, np.nan, "accelerometer")
+        share = float(np.hypot(_ROWS_IN_WINDOW * std / abs(kappa), gain.share))
+        kappa *= gain.value
+        return TranslationFit(kappa, share * abs(kappa), np.nan, np.nan, "accelerometer")
     mean_thrust = total[0, 2] / max(total[2, 2], 1e-300)
     bias_std = ACCELEROMETER_BIAS_STD / max(abs(mean_thrust), 1e-300)
-    std = float(np.hypot(np.sqrt(covariance[0, 0]), bias_std))
-    return TranslationFit(-float(estimate[0]), std, np.nan, np.nan, "accelerometer")
+    return TranslationFit(kappa, float(np.hypot(std, bias_std)), np.nan, np.nan, "accelerometer")
 
 
-def _weighted_fit(
-    batches: Array,
-    counts: NDArray[np.int64],
-    layout: Array,
-    total: Array | None,
-    weight: Array | None = None,
-    min_rows: int = _MIN_ROWS,
-) -> tuple[Array, Array, Array] | None:
+def _layouts() -> tuple[Array, Array]:
+    """Of momentum balance and of the accelerometer's z axis, see `_Balance`."""
+    # Wind in the horizontal is a nuisance; a vertical one would be taken for thrust.
+    momentum = np.zeros((3, 3, 4))  # unknowns: -kappa, -delta, wind north, wind east
+    momentum[:, 0, 0] = momentum[:, 1, 1] = 1.0
+    momentum[0, 2, 2] = momentum[1, 2, 3] = 1.0
+    vertical = np.zeros((1, 3, 1))
+    vertical[0, 0, 0] = 1.0
+    return momentum, vertical
+
+
+_MOMENTUM, _VERTICAL = _layouts()
+
+
+class _Balance:
     """Least squares over several axes that share unknowns, weighted by each axis' residual.
 
     Args:
-        batches: (k, axes, WIDTH, WIDTH).
-        counts: (k,).
+        total: (axes, WIDTH, WIDTH) moments of all rows.
+        rows: in them.
         layout: (axes, inputs, unknowns): inputs of an axis as combinations of unknowns.
-        total: sum of the batches, if known.
-        weight: (axes,) to start from; a step or two then follow.
-        min_rows: fewer say nothing.
 
-    Returns:
-        Unknowns, their covariance, corrected for coloured residuals, and the axes' weights.
+    Attributes:
+        estimate: (unknowns,) after a step.
+        weights: (axes,) that follow from its residuals.
     """
-    rows = int(counts.sum())
-    if rows < min_rows:
-        return None
-    if total is None:
-        total = batches.sum(axis=0)
-    axes, inputs, unknowns = layout.shape
-    turned = np.swapaxes(layout, 1, 2)
-    normals = turned @ total[:, :inputs, :inputs] @ layout
-    rights = (turned @ total[:, :inputs, 3:])[:, :, 0]
-    powers = total[:, 3, 3]
-    floor = np.maximum(1e-12 * powers / rows, 1e-300)
-    flat = normals.reshape(axes, -1)
-    ridge = 1e-12 * np.eye(unknowns)
-    estimate = np.zeros(unknowns)
-    limit, enough = (_MAX_ITERATIONS, 1e-11) if weight is None else (_WARM_ITERATIONS, 1e-6)
-    if weight is None:
-        weight = np.ones(axes)
-    for _ in range(limit):
-        normal = (weight @ flat).reshape(unknowns, unknowns)
+
+    def __init__(self, total: Array, rows: int, layout: Array) -> None:
+        self._layout, self._rows = layout, rows
+        axes, inputs, unknowns = layout.shape
+        turned = np.swapaxes(layout, 1, 2)
+        self._normals = turned @ total[:, :inputs, :inputs] @ layout
+        self._rights = (turned @ total[:, :inputs, 3:])[:, :, 0]
+        self._powers = total[:, 3, 3]
+        self._floor = np.maximum(1e-12 * self._powers / rows, 1e-300)
+        self.estimate = np.zeros(unknowns)
+        self.weights = np.ones(axes)
+
+    def step(self, weights: Array) -> None:
+        """Solve with these weights."""
+        normal = self._normal(weights)
         d = np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
-        updated = np.linalg.solve(normal / (d[:, None] * d) + ridge, weight @ rights / d) / d
-        done = (np.abs(updated - estimate) <= enough * np.abs(updated)).all()
-        estimate = updated
-        variance = (powers - (2.0 * rights - normals @ estimate) @ estimate) / rows
-        weight = 1.0 / np.maximum(variance, floor)
-        if done:
-            break
-    made = np.ones((axes, inputs + 1, 1))
-    made[:, :inputs, 0] = -layout @ estimate
-    residual = (batches[:, :, :inputs] @ made).reshape(len(batches), -1)
-    scores = residual @ (weight[:, None, None] * layout).reshape(axes * inputs, unknowns)
-    # The weights are in their final state only now.
-    normal = (weight @ flat).reshape(unknowns, unknowns)
-    scale = d[:, None] * d
-    bread = np.linalg.inv(normal / scale + ridge)
-    return estimate, sandwich(bread, scores / d) / scale, weight
+        scaled = normal / (d[:, None] * d) + 1e-12 * np.eye(len(d))
+        self.estimate = np.linalg.solve(scaled, weights @ self._rights / d) / d
+        fitted = (2.0 * self._rights - self._normals @ self.estimate) @ self.estimate
+        self.weights = 1.0 / np.maximum((self._powers - fitted) / self._rows, self._floor)
+
+    def converge(self) -> None:
+        """Step until the weights are those of the residuals."""
+        for _ in range(_MAX_ITERATIONS):
+            before = self.estimate
+            self.step(self.weights)
+            if (np.abs(self.estimate - before) <= 1e-11 * np.abs(self.estimate)).all():
+                break
+
+    def inflation(self, batches: Array) -> Array:
+        """(unknowns, unknowns) by how much coloured residuals widen the covariance.
+
+        Args:
+            batches: (k, axes, WIDTH, WIDTH).
+        """
+        axes, inputs, unknowns = self._layout.shape
+        made = np.ones((axes, inputs + 1, 1))
+        made[:, :inputs, 0] = -self._layout @ self.estimate
+        residual = (batches[:, :, :inputs] @ made).reshape(len(batches), -1)
+        weighted = self.weights[:, None, None] * self._layout
+        scores = residual @ weighted.reshape(axes * inputs, unknowns)
+        d, (_, inverse_root) = self._roots()
+        return inflation(inverse_root, meat(scores / d))
+
+    def covariance(self, inflated: Array) -> Array:
+        """(unknowns, unknowns), given that inflation."""
+        d, (_, inverse_root) = self._roots()
+        covariance: Array = inverse_root @ inflated @ inverse_root / (d[:, None] * d)
+        return covariance
+
+    def _roots(self) -> tuple[Array, tuple[Array, Array]]:
+        """(unknowns,) scales, and roots of the scaled information and its inverse."""
+        normal = self._normal(self.weights)
+        d = np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
+        return d, symmetric_roots(normal / (d[:, None] * d))
+
+    def _normal(self, weights: Array) -> Array:
+        normal: Array = np.tensordot(weights, self._normals, 1)
+        return normal
