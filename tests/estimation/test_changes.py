@@ -78,8 +78,7 @@ def reference(delay=0.0, r_squared=0.99, kappa_factor=1.0):
         r_squared=np.full(3, r_squared),
         rows=1000,
         converged=True,
-        delay=delay,
-        delay_std=1e-4,
+        coordinates=np.array([delay, 0.0, 1.0]),
     )
     kappa = kappa_factor * v.k_T / v.mass
     return Fit(rotation, TranslationFit(kappa, 0.001 * kappa, 0.1, 0.01, "momentum"), 10.0)

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gcs_sysid.arrays import complete_rows, runs
 from gcs_sysid.estimation.moments import Moments
-from gcs_sysid.estimation.regression import LeakySums, complete_rows, runs
+from gcs_sysid.estimation.regression import LeakySums
 
 
 def rows(n, width=4, seed=1):

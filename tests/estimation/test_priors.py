@@ -5,6 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from gcs_sysid.estimation import rotation
+from gcs_sysid.estimation.grid import N_COORDINATES, Grid
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.online import OnlineEstimator, Tuning
 from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS, Prior, prior_of
@@ -36,7 +37,7 @@ def fit(seed, prior=None, tumbling=True, colour=1, theta=THETA, sigma=1.0):
     moments = Moments((1, 1, rotation.WIDTH, rotation.WIDTH), PER_BATCH)
     moments.add(np.column_stack([x, x @ rb.forward_matrix(theta).T + noise])[None, None])
     none = np.zeros((1, rotation.WIDTH, rotation.WIDTH))
-    return rotation.fit_rotation(moments.batches, moments.counts, np.zeros(1), none, prior=prior)
+    return rotation.fit_rotation(moments.batches, moments.counts, Grid((0.0,)), none, prior=prior)
 
 
 def test_a_known_moment_ratio_makes_the_yaw_inertia_known():
@@ -82,7 +83,9 @@ def test_a_prior_about_a_combination_leaves_the_rest_open():
     """Izz / moment_ratio and nothing else: what yaw tells, and a prior may tell as well."""
     direction = np.zeros(N_UNKNOWNS)
     direction[IZZ], direction[RATIO] = 1.0 / THETA[IZZ], -1.0 / THETA[RATIO]
-    prior = Prior(np.append(THETA, 0.0), np.outer(direction, direction) / 1e-3**2)
+    prior = Prior(
+        np.append(THETA, np.zeros(N_COORDINATES)), np.outer(direction, direction) / 1e-3**2
+    )
     plain, known = fit(3, sigma=3.0), fit(3, prior, sigma=3.0)
     quotient = direction @ known.full_covariance @ direction
     assert np.sqrt(quotient) == pytest.approx(1e-3, rel=0.1)

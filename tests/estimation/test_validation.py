@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from gcs_sysid.estimation.grid import Grid
 from gcs_sysid.estimation.online import OnlineEstimator, Tuning
 from gcs_sysid.estimation.rotation import N_X, WIDTH
 from gcs_sysid.estimation.validation import validate
@@ -36,7 +37,7 @@ def run(later_theta, noise=0.02):
 
 def judged(moments):
     counts = np.full(len(moments), ROWS)
-    return validate(moments, counts, np.zeros(1), np.zeros((1, WIDTH, WIDTH)), np.ones(1))
+    return validate(moments, counts, Grid((0.0,)), np.zeros((1, WIDTH, WIDTH)), np.ones(1))
 
 
 def test_the_same_vehicle_is_predicted_to_the_noise():

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from gcs_sysid.estimation.priors import Prior
+from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.model import rigid_body as rb
 
@@ -110,12 +110,12 @@ LENGTHS = ("cg_x", "cg_y", "moment_ratio")
 
 def relative_prior(known: Mapping[str, Known], scale: Scale) -> Prior | None:
     """Priors on physical parameters as one on theta, as far as the scale is known."""
-    mean, information = np.zeros(rb.N_THETA + 1), np.zeros(rb.N_THETA + 1)
+    mean, information = np.zeros(N_UNKNOWNS), np.zeros(N_UNKNOWNS)
     for name, (value, std) in known.items():
         if name in ("mass", "k_T"):
             continue
         if name == "rotor_delay":
-            index = rb.N_THETA
+            index = DELAY
         else:
             index = rb.THETA.index("moment_ratio" if name == "k_M" else name)
         if name not in (*LENGTHS, "rotor_delay"):

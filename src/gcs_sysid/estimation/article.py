@@ -10,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.regression import Samples, complete_rows, runs
+from gcs_sysid.arrays import Array, complete_rows, runs
+from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.filters.differentiator import (
     ARTICLE_A,

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.estimation.innovations import (
     AxisNoise,
     Noise,
@@ -41,7 +41,7 @@ from gcs_sysid.estimation.propagation import (
     Transition,
     impulse_weights,
 )
-from gcs_sysid.estimation.regression import Samples, complete_rows, runs
+from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.uncertainty import sandwich
 from gcs_sysid.model import rigid_body as rb
 

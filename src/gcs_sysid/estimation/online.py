@@ -9,9 +9,11 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import article, rotation, translation
+from gcs_sysid.estimation.grid import Grid
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.regression import LeakySums, RowMaker, Samples
+from gcs_sysid.estimation.rotors import RotorInput, RotorPath
 from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.validation import Validation, validate
@@ -36,7 +38,11 @@ class Tuning:
         bandwidth: rad/s, R of the differentiator.
         leaks: s, memories of the leaky sums carried side by side; 0 for none. Well below
             `batch_time`, else scores of neighbouring batches say too little of their own scatter.
-        delays: s, bank of rotor delays, equally spaced; one alone is taken as given.
+        delays: s, nodes of rotor delay; one alone is taken as given.
+        rotor_input: what the samples hold of the rotors.
+        lags: s, nodes of motor lag, for commands.
+        curves: nodes of the thrust curve, for commands: three fix a parabola, which it is.
+        gyro_cutoff: Hz, low-pass of the autopilot on its gyro; None: there is none.
         settle_interval: s, least time between full fits of a running course, which choose
             leak and delay; later they come when the record has grown by half.
         batch_time: s, length of a batch of moments.
@@ -49,8 +55,25 @@ class Tuning:
     bandwidth: float = 10.0
     leaks: tuple[float, ...] = (0.0, 0.3)
     delays: tuple[float, ...] = tuple(0.01 * k - 0.015 for k in range(8))
+    rotor_input: RotorInput = "speed"
+    lags: tuple[float, ...] = (0.0,)
+    curves: tuple[float, ...] = (1.0,)
+    gyro_cutoff: float | None = None
     settle_interval: float = 2.0
     batch_time: float = 1.0
+
+
+COMMANDS = Tuning(
+    # Commands answer to the gyro's noise: a longer window lets less of that back in.
+    half_width=0.2,
+    rotor_input="command",
+    delays=(-0.015, 0.0, 0.015, 0.03),
+    lags=(0.0005, 0.0045, 0.0130, 0.0271, 0.0480, 0.0764, 0.1082, 0.1316),
+    curves=(-0.1, 0.5, 1.1),
+)
+"""Tuning for commands as the rotors' input."""
+_FEW_NODES, _BATCHES, _FEWER_BATCHES = 16, 512, 128
+"""Many nodes make large batches; then fewer of them are kept apart."""
 
 
 @dataclass(frozen=True)
@@ -105,18 +128,22 @@ class OnlineEstimator:
             half = max(tuning.min_half_samples, round(tuning.half_width / dt))
             smoother = WindowSmoother(dt, half, tuning.delays)
         self._smoother = smoother
-        self._speed_noise = SpeedNoise(geometry, dt)
+        self._rotors = geometry.shape[1]
+        # Commands are known as they are.
+        self._speed_noise = SpeedNoise(geometry, dt) if tuning.rotor_input == "speed" else None
         self._memories = tuning.leaks
         # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
         piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
         self._held = _Held(piece, geometry.shape[1])
-        self._rows = RowMaker(geometry, smoother)
+        self._grid = grid = Grid(smoother.delays, tuning.lags, tuning.curves)
+        path = RotorPath(geometry, dt, tuning.rotor_input, grid, tuning.gyro_cutoff)
+        self._rows = RowMaker(path, grid.branches, smoother)
         self._row_time = smoother.step * dt
         per_batch = max(round(tuning.batch_time / self._row_time), 1)
-        self._delays = smoother.delays
         self._leaks = LeakySums(self._row_time, tuning.leaks)
-        bank = (len(tuning.leaks), len(self._delays))
-        self._rotation = Moments((*bank, rotation.WIDTH, rotation.WIDTH), per_batch)
+        kept = _BATCHES if grid.size <= _FEW_NODES else _FEWER_BATCHES
+        bank = (len(tuning.leaks), grid.size, rotation.WIDTH, rotation.WIDTH)
+        self._rotation = Moments(bank, per_batch, kept)
         self._settle_interval = tuning.settle_interval
         self._followed: dict[str, _Followed] = {}
         self._thrust: dict[str, _FollowedThrust] = {}
@@ -125,14 +152,16 @@ class OnlineEstimator:
             if tuning.method == "forward"
             else article.ArticleEstimator(geometry, dt, tuning.method)
         )
-        self._momentum = Moments((3, translation.WIDTH, translation.WIDTH), per_batch)
-        self._accelerometer = Moments((translation.WIDTH, translation.WIDTH), per_batch)
+        one = (translation.WIDTH, translation.WIDTH)
+        self._momentum = Moments((grid.branches, 3, *one), per_batch, kept)
+        self._accelerometer = Moments((grid.branches, *one), per_batch, kept)
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
         self._flush()
         self._rows.restart()
-        self._speed_noise.restart()
+        if self._speed_noise is not None:
+            self._speed_noise.restart()
         self._leaks.restart()
         if self._article:
             self._article.restart()
@@ -150,13 +179,14 @@ class OnlineEstimator:
 
     def _take(self, samples: Samples) -> None:
         rows = self._rows.update(samples)
-        self._speed_noise.update(samples.speeds)
+        if self._speed_noise is not None:
+            self._speed_noise.update(samples.speeds)
         if self._article:
             self._article.update(samples)
         if rows.rotation.shape[1] == 0:
             return
         self._rotation.add(self._leaks.update(rows.rotation))
-        self._momentum.add(np.swapaxes(_complete(rows.momentum), 0, 1))
+        self._momentum.add(_complete(rows.momentum))
         self._accelerometer.add(_complete(rows.accelerometer))
 
     @property
@@ -177,50 +207,61 @@ class OnlineEstimator:
         if not quick:
             self._flush()
         name = course if quick else None
-        trans, accelerometer = self.fit_translation(name)
+        rot = self._fit_rotation(name)
+        at = None if rot is None else rot.coordinates
+        trans, accelerometer = self.fit_translation(name, at)
         validation = None
         if not quick and self._article is None:
             validation = validate(
                 self._rotation.batches,
                 self._rotation.counts,
-                self._delays,
+                self._grid,
                 self._noise(),
                 np.array([self._smoother.noise_gains(m)[1] for m in self._memories]),
                 self.prior,
             )
-        return Fit(self._fit_rotation(name), trans, self.seconds, validation, accelerometer)
+        return Fit(rot, trans, self.seconds, validation, accelerometer)
 
     def fit_translation(
-        self, course: str | None = None
+        self, course: str | None = None, at: Array | None = None
     ) -> tuple[TranslationFit | None, TranslationFit | None]:
         """Thrust and drag over mass from the better source, and from the accelerometer.
 
         Args:
             course: to go on with, of the better source alone; None: both, from the data alone.
+            at: (3,) coordinates of the grid; None: its middle.
         """
+        weights = self._grid.branch_weights(
+            self._grid.nodes[self._grid.middle] if at is None else at
+        )
         momentum = None
         if self._momentum.rows * self._row_time > MIN_MOMENTUM_SECONDS:
-            momentum = self._fit_momentum(course)
+            momentum = self._fit_momentum(course, weights)
             if course is not None:
                 return momentum, None
         accelerometer = translation.fit_accelerometer(
-            self._accelerometer.batches, self._accelerometer.counts, self.accelerometer_gain
+            _mixed(weights, self._accelerometer.batches, 1),
+            self._accelerometer.counts,
+            self.accelerometer_gain,
         )
         return momentum or accelerometer, accelerometer
 
-    def _fit_momentum(self, course: str | None) -> TranslationFit | None:
+    def _fit_momentum(self, course: str | None, weights: Array) -> TranslationFit | None:
         moments = self._momentum
+        total = _mixed(weights, moments.total, 0)
         known = None if course is None else self._thrust.get(course)
         if known is not None and known.batches == len(moments.batches):
-            return translation.follow_momentum(moments.total, moments.rows, known.fit)
-        fit = translation.fit_momentum(moments.batches, moments.counts, moments.total)
+            return translation.follow_momentum(total, moments.rows, known.fit)
+        fit = translation.fit_momentum(_mixed(weights, moments.batches, 1), moments.counts, total)
         if course is not None and fit is not None:
             self._thrust[course] = _FollowedThrust(fit, len(moments.batches))
         return fit
 
     @property
     def speed_std(self) -> Array:
-        """(rotors,) rad/s, noise of the rotor speeds."""
+        """(rotors,) rad/s, noise of the rotor speeds; zeros for commands."""
+        if self._speed_noise is None:
+            return np.zeros(self._rotors)
         return self._speed_noise.std
 
     def forget_last(self, seconds: float) -> None:
@@ -235,13 +276,13 @@ class OnlineEstimator:
     def _fit_rotation(self, course: str | None) -> rotation.RotationFit | None:
         if self._article:
             return self._article.fit()
-        moments, delays = self._rotation, self._delays
+        moments, grid = self._rotation, self._grid
         known = None if course is None else self._followed.get(course)
         if course is not None and known is not None and self.seconds < known.settle:
             latest = rotation.follow_rotation(
                 moments.total[known.fit.leak],
                 moments.rows,
-                delays,
+                grid,
                 self._noise_of(known.fit.leak),
                 known.fit,
                 self.prior,
@@ -249,7 +290,7 @@ class OnlineEstimator:
             self._followed[course] = _Followed(latest, known.settle)
             return latest
         fit = rotation.fit_rotation(
-            moments.batches, moments.counts, delays, self._noise(), prior=self.prior
+            moments.batches, moments.counts, grid, self._noise(), prior=self.prior
         )
         if course is not None and fit is not None:
             settle = max(self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds)
@@ -260,6 +301,8 @@ class OnlineEstimator:
         return np.stack([self._noise_of(leak) for leak in range(len(self._memories))])
 
     def _noise_of(self, leak: int) -> Array:
+        if self._speed_noise is None:
+            return np.zeros((rotation.WIDTH, rotation.WIDTH))
         return self._speed_noise.moments(self._smoother, self._memories[leak])
 
 
@@ -309,7 +352,18 @@ class _Held:
 
 
 def _complete(rows: Array) -> Array:
-    """Of rows (n, ...) those in which nothing is missing."""
+    """Of rows (..., n, width) those in which nothing is missing, in any part."""
     if np.isfinite(rows.sum()):
         return rows
-    return rows[np.isfinite(rows).reshape(len(rows), -1).all(axis=1)]
+    there = np.isfinite(rows).all(axis=-1)
+    whole: Array = rows[..., there.reshape(-1, rows.shape[-2]).all(axis=0), :]
+    return whole
+
+
+def _mixed(weights: Array, moments: Array, axis: int) -> Array:
+    """Moments of the branches, weighed; `axis` is theirs."""
+    if len(weights) == 1:
+        only: Array = np.take(moments, 0, axis)
+        return only
+    mixed: Array = np.tensordot(weights, moments, ([0], [axis]))
+    return mixed

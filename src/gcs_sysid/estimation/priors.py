@@ -10,20 +10,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.estimation.grid import N_COORDINATES
 from gcs_sysid.model import rigid_body as rb
 
-N_UNKNOWNS = rb.N_THETA + 1
-"""theta, then the rotor delay."""
-DELAY = rb.N_THETA
-"""Index of the rotor delay among the unknowns."""
+N_UNKNOWNS = rb.N_THETA + N_COORDINATES
+"""theta, then the coordinates of `estimation.grid`: rotor delay, motor lag, thrust curve."""
+COORDINATES = slice(rb.N_THETA, N_UNKNOWNS)
+DELAY, LAG, CURVE = range(rb.N_THETA, N_UNKNOWNS)
+"""Their indices among the unknowns."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Knowledge about theta (relative to k_T) and the rotor delay.
+    """Knowledge about theta (relative to k_T) and the grid's coordinates.
 
     Attributes:
-        mean: (N_UNKNOWNS,) in theta's units and s; any number where nothing is known.
+        mean: (N_UNKNOWNS,) in theta's units, s, s and 1; any number where nothing is known.
         information: (N_UNKNOWNS, N_UNKNOWNS) inverse covariance, zeros where nothing is known.
     """
 

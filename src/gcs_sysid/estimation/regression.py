@@ -9,12 +9,12 @@ dominates, no leak is better; the estimator carries both and takes the more cert
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.arrays import Array, Mask, runs
 from gcs_sysid.estimation import translation
+from gcs_sysid.estimation.rotors import SIGNALS, RotorPath
 from gcs_sysid.filters.smoothers import Smoother
 from gcs_sysid.model import attitude, rigid_body
 from gcs_sysid.model.parameters import GRAVITY
@@ -27,7 +27,7 @@ class Samples:
     Attributes:
         gyro: (n, 3) as measured, rad/s.
         rates: (n, 3) without bias, rad/s.
-        speeds: (n, rotors) rad/s.
+        speeds: (n, rotors) rad/s; or commands, 0 to 1, where those are the input.
         attitude: (n, 4) body to world.
         force: (n, 3) specific force, m/s^2.
         velocity: (n, 3) north, east, down, m/s.
@@ -46,9 +46,9 @@ class Rows:
     """Regression rows, NaN where a window held a sample that must not be used.
 
     Attributes:
-        rotation: (delays, n, rotation.WIDTH).
-        momentum: (n, 3, translation.WIDTH), one for each world axis.
-        accelerometer: (n, translation.WIDTH).
+        rotation: (nodes, n, rotation.WIDTH), see `estimation.grid`.
+        momentum: (branches, 3, n, translation.WIDTH), one for each world axis.
+        accelerometer: (branches, n, translation.WIDTH).
     """
 
     rotation: Array
@@ -60,50 +60,66 @@ class RowMaker:
     """Makes rows of samples, block by block, as if all samples had come at once.
 
     Args:
-        geometry: (3, rotors) of the airframe.
+        path: makes the rotors' signals.
+        branches: how many of them it makes.
         smoother: the filter on both sides.
     """
 
-    def __init__(self, geometry: Array, smoother: Smoother) -> None:
-        self._geometry = geometry
+    def __init__(self, path: RotorPath, branches: int, smoother: Smoother) -> None:
+        self._path = path
         self._smoother = smoother
+        self._branches = branches
+        self._late = SIGNALS * branches
+        # Columns of what is smoothed: after the rotors' signals those of the body, then the rest.
+        self._lift = slice(self._late + _BODY, self._late + _BODY + 3 * branches)
+        self._thrust = slice(self._lift.stop, self._lift.stop + branches)
+        self._width = self._thrust.stop + 4
 
     def restart(self) -> None:
         """Forget what a gap separates from the next samples."""
+        self._path.restart()
         self._smoother.restart()
 
     def update(self, samples: Samples) -> Rows:
         """The rows that these samples complete."""
-        rows = self._smoother.update(self._signals(samples), _LATE)
-        n, delays = len(rows.average), len(self._smoother.delays)
-        rotation = np.empty((delays, n, rigid_body.N_SIGNALS + 3))
-        rotation[:, :, :_H] = rows.average[:, _INPUTS]
-        rotation[:, :, :4] = rows.late_average[:, :, :4]
-        rotation[:, :, _H] = rows.late_derivative[:, :, 4]
-        rotation[:, :, _H + 1 :] = rows.derivative[:, _GYRO]
-        momentum = np.empty((n, 3, translation.WIDTH))
-        momentum[:, :, 0] = rows.average[:, _LIFT]
-        momentum[:, :, 1] = rows.average[:, _VELOCITY]
-        momentum[:, :, 2] = 1.0
-        momentum[:, :, 3] = rows.derivative[:, _VELOCITY]
-        momentum[:, 2, 3] -= GRAVITY
-        accelerometer = np.ones((n, translation.WIDTH))
-        accelerometer[:, 0] = rows.average[:, _THRUST]
-        accelerometer[:, 1] = 0.0
-        accelerometer[:, 3] = rows.average[:, _FORCE]
-        return Rows(rotation, momentum, accelerometer)
+        rows = self._smoother.update(self._signals(samples), self._late)
+        n, delays, branches = len(rows.average), len(self._smoother.delays), self._branches
+        late = self._late
+        average = rows.late_average.reshape(delays, n, branches, SIGNALS)
+        derivative = rows.late_derivative.reshape(delays, n, branches, SIGNALS)
+        rotation = np.empty((branches, delays, n, rigid_body.N_SIGNALS + 3))
+        rotation[..., :4] = np.moveaxis(average[..., :4], 2, 0)
+        rotation[..., 4:_H] = rows.average[:, late : late + _H - 4]
+        rotation[..., _H] = np.moveaxis(derivative[..., 4], 2, 0)
+        rotation[..., _H + 1 :] = rows.derivative[:, late + _BODY - 3 : late + _BODY]
+        momentum = np.empty((branches, 3, n, translation.WIDTH))
+        momentum[..., 0] = rows.average[:, self._lift].T.reshape(branches, 3, n)
+        momentum[..., 1] = rows.average[:, -4:-1].T
+        momentum[..., 2] = 1.0
+        momentum[..., 3] = rows.derivative[:, -4:-1].T
+        momentum[:, 2, :, 3] -= GRAVITY
+        accelerometer = np.ones((branches, n, translation.WIDTH))
+        accelerometer[..., 0] = rows.average[:, self._thrust].T
+        accelerometer[..., 1] = 0.0
+        accelerometer[..., 3] = rows.average[:, -1]
+        return Rows(
+            rotation.reshape(branches * delays, n, rotation.shape[-1]), momentum, accelerometer
+        )
 
     def _signals(self, s: Samples) -> Array:
-        rotors, H = rigid_body.rotor_signals(self._geometry, s.speeds)
-        out = np.empty((len(H), _FORCE + 1))
-        out[:, :4] = rotors
-        out[:, 4] = H
-        out[:, 5:11] = rigid_body.rate_products(s.rates)
-        out[:, 11:14] = s.rates
-        out[:, 14:16] = s.rates[:, 1::-1] * H[:, None]  # q H, p H
-        out[:, _GYRO] = s.gyro
-        out[:, _LIFT] = attitude.down_axis(s.attitude) * rotors[:, _THRUST, None]
-        out[:, _VELOCITY] = s.velocity
+        rotors, thrust = self._path.signals(s.speeds)
+        n, late = len(s.gyro), self._late
+        H = rotors[0, :, 4]
+        out = np.empty((n, self._width))
+        out[:, :late] = np.swapaxes(rotors, 0, 1).reshape(n, late)
+        out[:, late : late + 6] = rigid_body.rate_products(s.rates)
+        out[:, late + 6 : late + 9] = s.rates
+        out[:, late + 9 : late + 11] = s.rates[:, 1::-1] * H[:, None]  # q H, p H
+        out[:, late + 11 : late + _BODY] = s.gyro
+        lift = attitude.down_axis(s.attitude) * thrust[..., None]
+        out[:, self._lift] = np.swapaxes(lift, 0, 1).reshape(n, -1)
+        out[:, self._thrust] = thrust.T
+        out[:, -4:-1] = s.velocity
         out[:, -1] = s.force[:, 2]
         return out
 
@@ -160,24 +176,6 @@ class LeakySums:
         return out
 
 
-def complete_rows(values: Array) -> Mask:
-    """(n,) whether nothing is missing in each row of (n, width) values."""
-    mask: Mask = np.asarray(np.isfinite(values).all(axis=1))
-    return mask
-
-
-def runs(mask: Mask) -> list[tuple[slice, bool]]:
-    """The slices of a mask within which it does not change, with its value there."""
-    edges = [0, *(np.flatnonzero(np.diff(mask.astype(np.int8))) + 1), len(mask)]
-    return [(slice(a, b), bool(mask[a])) for a, b in pairwise(edges) if b > a]
-
-
-# Columns of the signals that the smoother takes: first those of the rotors, which may be late.
-_LATE = 5  # roll, pitch, thrust, yaw, H
-_THRUST = 2
 _H = rigid_body.SIGNALS.index("dH")  # in a row, the last input; H itself is no input
-_INPUTS = np.r_[0:4, 5 : _H + 1]
-_GYRO = slice(_H + 1, _H + 4)
-_LIFT = slice(_H + 4, _H + 7)
-_VELOCITY = slice(_H + 7, _H + 10)
-_FORCE = _H + 10
+_BODY = 14
+"""Columns of the body's own signals: products of rates, rates, q H and p H, gyro."""

@@ -6,9 +6,10 @@ Levenberg-Marquardt damping; W is the inverse of the residual covariance, which 
 give (iterated to the maximum-likelihood point). See `gcs_sysid.model.rigid_body` for Q.
 
 Moments come as a bank of hypotheses: the same rows with several leaks, and with the rotors'
-signals taken at several delays. All are fitted at once, as stacked arrays. Between the delays of
-the bank the moments are interpolated (they are smooth, band-limited functions of the delay), so
-the delay is estimated to a small fraction of the bank's step.
+signals taken at every node of a grid over what is not known of them (`estimation.grid`): delay,
+and with commands motor lag and thrust curve. All are fitted at once, as stacked arrays. Between
+the nodes the moments are interpolated, so these are estimated to a small fraction of the grid's
+step.
 
 Rows are correlated, so that the cost overstates what it knows. A prior joins the search as it
 is, but in the outcome it is weighed against the information that the scatter of the batch
@@ -17,13 +18,14 @@ Biometrika 94, 167-183.
 """
 
 from dataclasses import dataclass, field
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS, Prior
+from gcs_sysid.estimation import grid as shapes
+from gcs_sysid.estimation.grid import Grid
+from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor, symmetric_roots
 from gcs_sysid.model import rigid_body as rb
 
@@ -31,8 +33,9 @@ N_X = rb.N_SIGNALS
 WIDTH = N_X + 3
 """Width of a row [x, y]."""
 
-DELAY_PRIOR_STD = 0.03
-"""s; keeps the delay near zero while the flight does not tell it."""
+COORDINATE_MEAN = np.array([0.0, 0.05, 0.5])
+COORDINATE_STD = np.array([0.03, 0.05, 0.5])
+"""s, s and 1; keep delay, lag and curve in the ordinary while the flight does not tell them."""
 
 _MAX_ITERATIONS = 40
 _SCAN_ITERATIONS = 8
@@ -49,6 +52,7 @@ _EPSILON = 4e-15
 _HALVINGS = 20
 """A step that leads out of the physical inertias is shortened so often, then not taken."""
 _IDENTITY = np.eye(3)
+_ONE_NODE = Grid((0.0,))
 _AXES, _DIAGONAL = np.arange(3), np.arange(WIDTH)
 _OUTPUTS = np.arange(N_X, WIDTH)
 
@@ -80,12 +84,12 @@ class RotationFit:
         r_squared: (3,) share of each axis' angular acceleration that the model explains.
         rows: how many rows it rests on.
         converged: whether the minimiser was reached.
-        delay: s, of the rotor stream behind the IMU stream.
-        delay_std: s; zero where the delay was not estimated.
+        coordinates: (3,) rotor delay (s), motor lag (s), thrust curve, see `estimation.grid`.
         leak: index of the leak that left the least uncertainty.
         data_std: (N_THETA,) standard deviations without the prior: huge where the flight alone
             does not tell a parameter.
-        full_covariance: (N_UNKNOWNS, N_UNKNOWNS) of theta and the delay.
+        full_covariance: (N_UNKNOWNS, N_UNKNOWNS) of theta and the coordinates; zeros where one
+            was not estimated.
         footing: what `follow_rotation` starts from.
     """
 
@@ -95,8 +99,7 @@ class RotationFit:
     r_squared: Array
     rows: int
     converged: bool
-    delay: float = 0.0
-    delay_std: float = 0.0
+    coordinates: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     leak: int = 0
     data_std: Array = field(default_factory=lambda: np.empty(0))
     full_covariance: Array = field(default_factory=lambda: np.empty((0, 0)))
@@ -108,7 +111,6 @@ class RotationFit:
         if not self.full_covariance.size:
             full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
             full[: rb.N_THETA, : rb.N_THETA] = self.covariance
-            full[DELAY, DELAY] = self.delay_std**2
             object.__setattr__(self, "full_covariance", full)
 
     @property
@@ -117,21 +119,42 @@ class RotationFit:
         std: Array = np.sqrt(np.diag(self.covariance))
         return std
 
+    @property
+    def unknowns(self) -> Array:
+        """(N_UNKNOWNS,) theta and the coordinates."""
+        return np.concatenate([self.theta, self.coordinates])
+
+    @property
+    def coordinates_std(self) -> Array:
+        """(3,) standard deviations; zero where one was not estimated."""
+        std: Array = np.sqrt(np.diag(self.full_covariance))[COORDINATES]
+        return std
+
+    @property
+    def delay(self) -> float:
+        """s, of the rotor stream behind the IMU stream."""
+        return float(self.coordinates[shapes.DELAY])
+
+    @property
+    def delay_std(self) -> float:
+        """s; zero where the delay was not estimated."""
+        return float(self.coordinates_std[shapes.DELAY])
+
 
 def fit_rotation(
     batches: Array,
     counts: NDArray[np.int64],
-    delays: Array,
+    grid: Grid,
     noise: Array,
     start: RotationFit | None = None,
     prior: Prior | None = None,
 ) -> RotationFit | None:
-    """Fit theta and the rotor delay to a bank of moments.
+    """Fit theta and the grid's coordinates to a bank of moments.
 
     Args:
-        batches: (k, leaks, delays, WIDTH, WIDTH) moments of rows [x, y].
+        batches: (k, leaks, nodes, WIDTH, WIDTH) moments of rows [x, y].
         counts: (k,) rows in each.
-        delays: (delays,) s, the bank's rotor delays, equally spaced.
+        grid: of the nodes.
         noise: (leaks, WIDTH, WIDTH) what known noise of the inputs adds to the moments of a row.
         start: an earlier fit: a few steps from there, at every leak, at little cost. None: from
             the data alone, to the minimum.
@@ -145,9 +168,9 @@ def fit_rotation(
     if rows < 3 * rb.N_THETA:
         return None
     bank = batches.sum(axis=0)
-    problem = _Problem(bank.reshape(*bank.shape[:2], -1), rows, delays, prior)
-    middle = int(np.argmin(np.abs(delays)))
-    first = [_first_guess(m, rows, float(delays[middle]), prior) for m in bank[:, middle]]
+    problem = _Problem(bank.reshape(*bank.shape[:2], -1), rows, grid, prior)
+    middle = grid.middle
+    first = [_first_guess(m, rows, grid.nodes[middle], prior) for m in bank[:, middle]]
     if any(guess is None for guess in first):
         return None
     unknowns = np.stack([guess for guess in first if guess is not None])
@@ -155,7 +178,7 @@ def fit_rotation(
         unknowns = _scan(problem, unknowns)
     else:
         # An earlier estimate from too little motion may lie in a valley of its own.
-        earlier = np.tile(np.append(start.theta, start.delay), (len(bank), 1))
+        earlier = np.tile(start.unknowns, (len(bank), 1))
         closer = problem.evaluate(earlier).cost < problem.evaluate(unknowns).cost
         unknowns = np.where(closer[:, None], earlier, unknowns)
     limit = _MAX_ITERATIONS if start is None else _WARM_ITERATIONS
@@ -172,7 +195,7 @@ def fit_rotation(
 def follow_rotation(
     total: Array,
     rows: int,
-    delays: Array,
+    grid: Grid,
     noise: Array,
     start: RotationFit,
     prior: Prior | None = None,
@@ -182,15 +205,15 @@ def follow_rotation(
     How far the score scatters is taken over from the earlier fit, as it hardly changes.
 
     Args:
-        total: (delays, WIDTH, WIDTH) moments of all rows, with the leak of `start`.
+        total: (nodes, WIDTH, WIDTH) moments of all rows, with the leak of `start`.
         rows: in them.
-        delays: (delays,) s.
+        grid: of the nodes.
         noise: (WIDTH, WIDTH) as of `fit_rotation`.
         start: a fit of the same record when it was shorter.
         prior: what else is known.
     """
     assert start.footing is not None
-    problem = _Problem(total.reshape(1, len(delays), -1), rows, delays, prior)
+    problem = _Problem(total.reshape(1, grid.size, -1), rows, grid, prior)
     unknowns = start.footing.unknowns[None]
     scatter = start.footing.inflation, start.footing.widening
     outcome = _Outcome(problem, problem.evaluate(unknowns), 0, noise)
@@ -203,48 +226,6 @@ def follow_rotation(
 def uncertainty(fit: RotationFit) -> float:
     """Sum of log standard deviations of what makes up the core parameters."""
     return float(np.sum(np.log(fit.std[: rb.DAMPING])))
-
-
-def moments_at(bank: Array, delays: Array, delay: float) -> Array:
-    """Moments at any delay within the bank: Lagrange interpolation over its nodes.
-
-    Args:
-        bank: (..., delays, W, W) moments.
-        delays: (delays,) s.
-        delay: s, wanted.
-    """
-    weights = _Interpolation.over(*delays).weights(np.array([delay]))[0, 0]
-    between: Array = np.tensordot(bank, weights, ([-3], [0]))
-    return between
-
-
-class _Interpolation:
-    """Lagrange's polynomials over the nodes of a bank."""
-
-    @classmethod
-    @cache
-    def over(cls, *delays: float) -> "_Interpolation":
-        """The one over these delays, made once."""
-        return cls(np.array(delays))
-
-    def __init__(self, delays: Array) -> None:
-        self._middle = 0.5 * (delays[0] + delays[-1])
-        self._half = 0.5 * (delays[-1] - delays[0]) or 1.0
-        n = len(delays)
-        nodes = (delays - self._middle) / self._half
-        # Row k: the part of the weights, and of their derivatives, with the k-th power.
-        self._exponents = np.arange(n)
-        powers = np.zeros((3, n, n))
-        powers[0] = np.linalg.inv(nodes[:, None] ** self._exponents)
-        for k in range(2):
-            powers[k + 1, :-1] = powers[k, 1:] * self._exponents[1:, None] / self._half
-        self._powers = powers.transpose(1, 0, 2).reshape(n, 3 * n)
-
-    def weights(self, delay: Array) -> Array:
-        """(K, 3, nodes) weights of the nodes at (K,) delays, and their two derivatives."""
-        x = (delay[:, None] - self._middle) / self._half
-        weights: Array = (x**self._exponents @ self._powers).reshape(len(delay), 3, -1)
-        return weights
 
 
 @dataclass(frozen=True)
@@ -287,34 +268,61 @@ class _Problem:
     """Hypotheses that are fitted side by side.
 
     Args:
-        bank: (K, delays, W * W) moments; with one delay alone, that is not fitted.
+        bank: (K, nodes, W * W) moments.
         rows: in each.
-        delays: (delays,) s.
+        grid: of the nodes; what it leaves free is fitted.
         prior: what else is known.
     """
 
-    def __init__(self, bank: Array, rows: int, delays: Array, prior: Prior | None) -> None:
+    def __init__(self, bank: Array, rows: int, grid: Grid, prior: Prior | None) -> None:
         self.bank = bank
         self.rows = rows
-        self.delays = delays
+        self.grid = grid
         self.prior = prior
-        self.with_delay = bank.shape[1] > 1
-        self.p = N_UNKNOWNS if self.with_delay else rb.N_THETA
-        self._interpolation = _Interpolation.over(*delays) if self.with_delay else None
+        coordinates = rb.N_THETA + np.array(grid.free, dtype=int)
+        self.free = np.concatenate([np.arange(rb.N_THETA), coordinates])
+        """(p,) indices of the unknowns that are fitted."""
+        self.p = len(self.free)
+        self._pairs = [(grid.free.index(i), grid.free.index(j)) for i, j in grid.pairs]
+        self._mean = COORDINATE_MEAN[list(grid.free)]
+        self._information = COORDINATE_STD[list(grid.free)] ** -2.0
 
-    def weights(self, delay: Array) -> Array:
-        """(K, d, nodes): moments of the nodes make those at a delay, and their derivatives."""
-        if self._interpolation is None:
-            return np.ones((len(delay), 1, 1))
-        return self._interpolation.weights(delay)
+    def prior_information(self) -> Array:
+        """(p, p) of the prior, on what is fitted."""
+        assert self.prior is not None
+        information: Array = self.prior.information[np.ix_(self.free, self.free)]
+        return information
+
+    def prior_pull(self, unknowns: Array) -> Array:
+        """(..., p) of the prior, on what is fitted."""
+        assert self.prior is not None
+        pull: Array = self.prior.pull(unknowns)[..., self.free]
+        return pull
+
+    def weak_cost(self, unknowns: Array) -> Array:
+        """(...) of leaving the ordinary, see COORDINATE_STD."""
+        away = unknowns[..., self.free[rb.N_THETA :]] - self._mean
+        cost: Array = (away * away) @ self._information
+        return cost
+
+    def weights(self, unknowns: Array) -> Array:
+        """(K, d, nodes): what makes moments, and their derivatives, of those at the nodes."""
+        return self.grid.weights(unknowns[:, COORDINATES])
+
+    def moved(self, unknowns: Array, step: Array) -> Array:
+        """(..., N_UNKNOWNS) after a (..., p) step, within the grid."""
+        moved: Array = unknowns.copy()
+        moved[..., self.free] += step
+        moved[..., COORDINATES] = np.clip(moved[..., COORDINATES], self.grid.low, self.grid.high)
+        return moved
 
     def evaluate(self, unknowns: Array) -> _Point:
         """Cost and its derivatives at (K, N_UNKNOWNS)."""
-        K, n, delay = len(unknowns), rb.N_THETA, unknowns[:, DELAY]
-        moments = (self.weights(delay) @ self.bank).reshape(K, -1, WIDTH, WIDTH)
+        K, n, f = len(unknowns), rb.N_THETA, len(self.grid.free)
+        moments = (self.weights(unknowns) @ self.bank).reshape(K, -1, WIDTH, WIDTH)
         Q, G = rb.forward_jacobian(unknowns[:, :n])
         T = residual_maker(Q)
-        # Moments of residuals with rows: at this delay, and derivatives by the delay.
+        # Moments of residuals with rows: here, and derivatives by the grid's coordinates.
         cross = T[:, None] @ moments
         Tt = np.swapaxes(T, -1, -2)
         residual = cross @ Tt[:, None]
@@ -332,34 +340,39 @@ class _Problem:
         GR = (G.reshape(K, n * 3, N_X) @ moments[:, 0, :N_X, :N_X]).reshape(K, n, 3 * N_X)
         hessian = np.empty((K, self.p, self.p))
         hessian[:, :n, :n] = WG @ np.swapaxes(GR, -1, -2)
-        right = cross[:, :2, :, :N_X].reshape(K, -1, 3 * N_X)
+        right = cross[:, : 1 + f, :, :N_X].reshape(K, -1, 3 * N_X)
         downhill = WG @ np.swapaxes(right, -1, -2)
         gradient = np.empty((K, self.p))
         gradient[:, :n] = downhill[..., 0]
-        if self.with_delay:
-            information = DELAY_PRIOR_STD**-2.0
-            cost = cost + delay * delay * (information / self.rows)
-            curves = 0.5 * (residual[:, 1:].reshape(K, 2, 9) @ W.reshape(K, 9, 1))[..., 0]
-            gradient[:, n] = -curves[:, 0] - delay * information
-            hessian[:, n, :n] = hessian[:, :n, n] = -downhill[..., 1]
-            hessian[:, n, n] = np.maximum(curves[:, 1], 0.0) + information
+        if f:
+            cost = cost + self.weak_cost(unknowns) / self.rows
+            curves = 0.5 * (residual[:, 1:].reshape(K, -1, 9) @ W.reshape(K, 9, 1))[..., 0]
+            away = unknowns[:, self.free[n:]] - self._mean
+            gradient[:, n:] = -curves[:, :f] - away * self._information
+            hessian[:, n:, :n] = -np.swapaxes(downhill[..., 1:], 1, 2)
+            hessian[:, :n, n:] = -downhill[..., 1:]
+            for k, (i, j) in enumerate(self._pairs):
+                curve = curves[:, f + k]
+                if i == j:
+                    curve = np.maximum(curve, 0.0) + self._information[i]
+                hessian[:, n + i, n + j] = hessian[:, n + j, n + i] = curve
         if self.prior is not None:
             cost = cost + self.prior.cost(unknowns) / self.rows
         return _Point(unknowns, cost, gradient, hessian, S, Q, W, WG)
 
 
 def _scan(problem: _Problem, unknowns: Array) -> Array:
-    """Fit at every delay of the bank; the best one with its theta, for each leak."""
+    """Fit at every node of the grid; the best one with its theta, for each leak."""
     leaks, nodes = problem.bank.shape[:2]
     if nodes == 1:
         return unknowns
     every = np.repeat(unknowns, nodes, axis=0)
-    every[:, DELAY] = np.tile(problem.delays, leaks)
+    every[:, COORDINATES] = np.tile(problem.grid.nodes, (leaks, 1))
     given = _Problem(
-        problem.bank.reshape(leaks * nodes, 1, -1), problem.rows, problem.delays[:1], problem.prior
+        problem.bank.reshape(leaks * nodes, 1, -1), problem.rows, _ONE_NODE, problem.prior
     )
     point, _ = _minimise(given, every, _SCAN_ITERATIONS)
-    weak = (every[:, DELAY] / DELAY_PRIOR_STD) ** 2 / problem.rows
+    weak = problem.weak_cost(every) / problem.rows
     best = np.argmin((point.cost + weak).reshape(leaks, nodes), axis=1)
     chosen: Array = point.unknowns.reshape(leaks, nodes, -1)[np.arange(leaks), best]
     return chosen
@@ -380,26 +393,19 @@ def _minimise(problem: _Problem, unknowns: Array, limit: int) -> tuple[_Point, M
     damping = np.full(K, _DAMPING)
     converged = np.zeros(K, dtype=bool)
     eye = np.eye(p)
-    low, high = problem.delays[0], problem.delays[-1]
-    if problem.with_delay:
-        unknowns = unknowns.copy()
-        unknowns[:, DELAY] = np.clip(unknowns[:, DELAY], low, high)
     point = problem.evaluate(unknowns)
     for _ in range(limit):
         gradient, hessian = point.gradient, point.hessian
         if problem.prior is not None:
-            gradient = gradient + problem.prior.pull(point.unknowns)[:, :p]
-            hessian = hessian + problem.prior.information[:p, :p]
+            gradient = gradient + problem.prior_pull(point.unknowns)
+            hessian = hessian + problem.prior_information()
         d = _scales(hessian)
         H = hessian / (d[:, :, None] * d[:, None, :]) + damping[:, None, None] * eye
         downhill = gradient / d
         step = np.linalg.solve(H, downhill[..., None])[..., 0]
         # How much the cost can still fall, in units of the likelihood.
         small = (step * downhill).sum(axis=1) < _CONVERGED**2
-        candidate = point.unknowns.copy()
-        candidate[:, :p] += step / d
-        if problem.with_delay:
-            candidate[:, DELAY] = np.clip(candidate[:, DELAY], low, high)
+        candidate = problem.moved(point.unknowns, step / d)
         physical = rb.are_physical(candidate)
         if not physical.all():
             candidate = np.where(physical[:, None], candidate, point.unknowns)
@@ -442,17 +448,18 @@ class _Outcome:
         """(k, p) scaled downhill gradient of half the cost, batch by batch.
 
         Args:
-            batches: (k, delays, W, W) of this hypothesis.
+            batches: (k, nodes, W, W) of this hypothesis.
             counts: (k,) rows in each.
         """
         k = len(batches)
-        weights = self._problem.weights(self._unknowns[DELAY:])[0, :2]
+        f = len(self._problem.grid.free)
+        weights = self._problem.weights(self._unknowns[None])[0, : 1 + f]
         moments = (weights @ batches.reshape(k, -1, WIDTH * WIDTH)).reshape(k, -1, WIDTH, WIDTH)
         T = residual_maker(self._Q)
         cross = T @ moments
         scores = cross[:, 0, :, :N_X].reshape(k, -1) @ self._WG.T
-        if self._problem.with_delay:
-            slopes = cross[:, 1].reshape(k, -1) @ (self._W @ T).reshape(-1)
+        if f:
+            slopes = cross[:, 1:].reshape(k, f, -1) @ (self._W @ T).reshape(-1)
             scores = np.column_stack([scores, -0.5 * slopes])
         # Away from the likelihood's own minimum all batches pull one way; that is no scatter.
         scores -= np.outer(counts / counts.sum(), scores.sum(axis=0))
@@ -465,10 +472,10 @@ class _Outcome:
         The diagonal of H^-1 H_b H^-1, H_b the information of a batch; any scale.
 
         Args:
-            batches: (k, delays, W, W) of this hypothesis.
+            batches: (k, nodes, W, W) of this hypothesis.
         """
         k, n, inverse_root = len(batches), rb.N_THETA, self.roots[1]
-        weights = self._problem.weights(self._unknowns[DELAY:])[0]
+        weights = self._problem.weights(self._unknowns[None])[0]
         moments = (weights @ batches.reshape(k, -1, WIDTH * WIDTH)).reshape(k, -1, WIDTH, WIDTH)
         inverse = (inverse_root @ inverse_root) / (self._scale[:, None] * self._scale)
         weighted = (inverse[:n, :n] @ self._WG.reshape(n, -1)).reshape(n, 3, N_X)
@@ -476,28 +483,30 @@ class _Outcome:
         shares: Array = moments[:, 0, :N_X, :N_X].reshape(k, -1) @ (
             (np.swapaxes(moved, 1, 2) @ weighted).reshape(n, -1).T
         )
-        if self._problem.with_delay:
+        grid = self._problem.grid
+        if grid.free:
             T = residual_maker(self._Q)
-            bend = (T @ moments[:, 2]).reshape(k, -1) @ (self._W @ T).reshape(-1)
-            shares = np.column_stack([shares, bend])
+            own = [1 + len(grid.free) + grid.pairs.index((i, i)) for i in grid.free]
+            bends = (T @ moments[:, own]).reshape(k, len(own), -1) @ (self._W @ T).reshape(-1)
+            shares = np.column_stack([shares, bends])
         return shares
 
     def take_step(self, largest: float) -> bool:
         """Go on by a Gauss-Newton step, unless that is longer than so many deviations."""
         problem, d = self._problem, self._scale
-        p, root, inverse_root = problem.p, *self.roots
+        root, inverse_root = self.roots
         downhill = self._gradient / d
         if problem.prior is None:
             step = inverse_root @ (inverse_root @ downhill)
         else:
-            downhill = downhill + problem.prior.pull(self._unknowns)[:p] / d
+            downhill = downhill + problem.prior_pull(self._unknowns) / d
             step = np.linalg.solve(
-                root @ root + problem.prior.information[:p, :p] / (d[:, None] * d), downhill
+                root @ root + problem.prior_information() / (d[:, None] * d), downhill
             )
         if step @ downhill > largest**2:
             return False
         moved = self._moved(step / d)
-        self._gradient = self._gradient - self._hessian @ (moved - self._unknowns)[:p]
+        self._gradient = self._gradient - self._hessian @ (moved - self._unknowns)[problem.free]
         self._unknowns = moved
         return True
 
@@ -526,22 +535,23 @@ class _Outcome:
             step = inverse_root @ (inverse_root @ (pull / d))
         else:
             pull += self._gradient
-            delay = self._unknowns[DELAY]
-            if problem.with_delay and not problem.delays[0] < delay < problem.delays[-1]:
-                pull[n] = 0.0
+            coordinates, grid = self._unknowns[COORDINATES], problem.grid
+            inside = (coordinates > grid.low) & (coordinates < grid.high)
+            pull[n:] *= inside[list(grid.free)]
             held = (root / widening[:, None]) @ np.linalg.inv(spread)
             covariance = np.linalg.inv(
                 held @ (root / widening)
-                + prior.information[:p, :p] / (d[:, None] * d)
+                + problem.prior_information() / (d[:, None] * d)
                 + 1e-15 * np.eye(p)
             )
             step = covariance @ (
-                held @ (inverse_root @ (pull / (d * widening))) + prior.pull(self._unknowns)[:p] / d
+                held @ (inverse_root @ (pull / (d * widening)))
+                + problem.prior_pull(self._unknowns) / d
             )
         unknowns = self._moved(step / d)
         covariance = covariance / (d[:, None] * d)
         full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
-        full[:p, :p] = covariance
+        full[np.ix_(problem.free, problem.free)] = covariance
         power = self._powers()
         return RotationFit(
             theta=unknowns[:n],
@@ -550,8 +560,7 @@ class _Outcome:
             r_squared=1.0 - np.diag(self._residual) / np.maximum(power, 1e-300),
             rows=problem.rows,
             converged=converged,
-            delay=float(unknowns[DELAY]),
-            delay_std=float(np.sqrt(full[DELAY, DELAY])),
+            coordinates=unknowns[COORDINATES],
             leak=leak,
             data_std=(np.sqrt(np.diag(data_covariance)) / d)[:n],
             full_covariance=full,
@@ -568,12 +577,8 @@ class _Outcome:
     def _moved(self, step: Array) -> Array:
         """The unknowns after a step, shortened until the inertia is physical."""
         for _ in range(_HALVINGS):
-            unknowns: Array = self._unknowns.copy()
-            unknowns[: len(step)] += step
+            unknowns = self._problem.moved(self._unknowns, step)
             if rb.is_physical(unknowns):
-                if self._problem.with_delay:
-                    delays = self._problem.delays
-                    unknowns[DELAY] = np.clip(unknowns[DELAY], delays[0], delays[-1])
                 return unknowns
             step = 0.5 * step
         start: Array = self._unknowns
@@ -588,20 +593,20 @@ def residual_maker(Q: Array) -> Array:
     return T
 
 
-def _first_guess(total: Array, rows: int, delay: float, prior: Prior | None) -> Array | None:
+def _first_guess(total: Array, rows: int, at: Array, prior: Prior | None) -> Array | None:
     """(N_UNKNOWNS,) to start from: a rough fit, or what the prior says where it fits better."""
     rough = _starting_point(total)
     if rough is not None:
-        rough = np.append(rough, delay)
+        rough = np.concatenate([rough, at])
     if prior is None:
         return rough
     guess = np.where(prior.known, prior.mean, 0.0 if rough is None else rough)
-    guess[DELAY] = delay
+    guess[COORDINATES] = at
     if not rb.is_physical(guess):
         return rough
     if rough is None:
         return guess
-    problem = _Problem(total.reshape(1, 1, -1), rows, np.array([delay]), prior)
+    problem = _Problem(total.reshape(1, 1, -1), rows, _ONE_NODE, prior)
     both = np.stack([rough, guess])
     costs = [float(problem.evaluate(u[None]).cost[0]) for u in both]
     chosen: Array = both[int(np.argmin(costs))]

@@ -16,7 +16,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.change_kinds import Cause
 from gcs_sysid.estimation.changes import Change, ChangeDetector, ChangeTuning
 from gcs_sysid.estimation.online import Fit, OnlineEstimator, Tuning
-from gcs_sysid.estimation.priors import Prior
+from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.translation import TranslationFit, accelerometer_gain
 from gcs_sysid.model import rigid_body as rb
@@ -249,15 +249,19 @@ def _after_change(before: Fit, geometry: Array) -> Prior | None:
         return None
     theta = before.rotation.theta
     moments = theta[:3]
-    spread = np.zeros(rb.N_THETA + 1)
+    spread = np.zeros(N_UNKNOWNS)
     spread[:3] = _INERTIA_MOVES * moments
     pairs = ((0, 1), (1, 2), (0, 2))
     spread[3 : rb.N_INERTIA] = [_INERTIA_MOVES * np.sqrt(moments[i] * moments[j]) for i, j in pairs]
     spread[[rb.CG_X, rb.CG_Y]] = _CG_MOVES * np.mean(np.hypot(geometry[0], geometry[1]))
     covariance = before.rotation.full_covariance + np.diag(spread**2)
+    known = np.flatnonzero(np.diag(covariance) > 0.0)
+    covariance = covariance[np.ix_(known, known)]
     d = np.sqrt(np.diag(covariance))
-    information = np.linalg.inv(covariance / np.outer(d, d) + 1e-9 * np.eye(len(d)))
-    return Prior(np.append(theta, before.rotation.delay), information / np.outer(d, d))
+    scaled = np.linalg.inv(covariance / np.outer(d, d) + 1e-9 * np.eye(len(d)))
+    information = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+    information[np.ix_(known, known)] = scaled / np.outer(d, d)
+    return Prior(before.rotation.unknowns, information)
 
 
 def _part(samples: Samples, where: slice) -> Samples:

@@ -169,10 +169,15 @@ def fit_accelerometer(
 
 def _layouts() -> tuple[Array, Array]:
     """Of momentum balance and of the accelerometer's z axis, see `_Balance`."""
-    # Wind in the horizontal is a nuisance; a vertical one would be taken for thrust.
-    momentum = np.zeros((3, 3, 4))  # unknowns: -kappa, -delta, wind north, wind east
-    momentum[:, 0, 0] = momentum[:, 1, 1] = 1.0
-    momentum[0, 2, 2] = momentum[1, 2, 3] = 1.0
+    # Unknowns: -kappa, -delta, -kappa of the horizontal axes, wind north, wind east. Wind is a
+    # nuisance (a vertical one would be taken for thrust). So is horizontal thrust: the vertical
+    # axis rests on gravity, the horizontal ones on tilt alone, and what velocity and attitude lag
+    # behind each other makes them fall short by per cents.
+    momentum = np.zeros((3, 3, 5))
+    momentum[2, 0, 0] = 1.0
+    momentum[:, 1, 1] = 1.0
+    momentum[:2, 0, 2] = 1.0
+    momentum[0, 2, 3] = momentum[1, 2, 4] = 1.0
     vertical = np.zeros((1, 3, 1))
     vertical[0, 0, 0] = 1.0
     return momentum, vertical

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from scipy.special import stdtr
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.grid import Grid
 from gcs_sysid.estimation.priors import Prior
-from gcs_sysid.estimation.rotation import N_X, fit_rotation, moments_at
+from gcs_sysid.estimation.rotation import N_X, fit_rotation
 from gcs_sysid.model import rigid_body as rb
 
 FITTED_SHARE = 0.6
@@ -55,7 +56,7 @@ class Validation:
 def validate(
     batches: Array,
     counts: NDArray[np.int64],
-    delays: Array,
+    grid: Grid,
     noise: Array,
     gains: Array,
     prior: Prior | None = None,
@@ -63,10 +64,10 @@ def validate(
     """Fit the first batches, predict the others.
 
     Args:
-        batches: (k, leaks, delays, WIDTH, WIDTH), as of `fit_rotation`; the prediction is judged
+        batches: (k, leaks, nodes, WIDTH, WIDTH), as of `fit_rotation`; the prediction is judged
             on the first leak.
         counts: (k,) rows in each.
-        delays: (delays,) s.
+        grid: of the nodes.
         noise: (leaks, WIDTH, WIDTH).
         gains: (leaks,) 1/s^2, variance of a row's derivative over that of white gyro noise.
         prior: what else is known.
@@ -78,16 +79,16 @@ def validate(
     cut = round(FITTED_SHARE * k)
     if k < _MIN_BATCHES:
         return None
-    fit = fit_rotation(batches[:cut], counts[:cut], delays, noise, prior=prior)
+    fit = fit_rotation(batches[:cut], counts[:cut], grid, noise, prior=prior)
     if fit is None:
         return None
-    rest = moments_at(batches[cut:, 0].sum(axis=0), delays, fit.delay)
+    rest = grid.moments_at(batches[cut:, 0].sum(axis=0), fit.coordinates)
     Q = rb.forward_matrix(fit.theta)
     Rxx, Rxy, Ryy = rest[:N_X, :N_X], rest[:N_X, N_X:], rest[N_X:, N_X:]
     measured = np.diag(Ryy)
     predicted = np.diag(Q @ Rxx @ Q.T)
     error = np.maximum(measured - 2.0 * np.diag(Q @ Rxy) + predicted, 0.0)
-    whiteness, p = _whiteness(batches[cut:], counts[cut:], delays, noise, gains, fit.delay, Q)
+    whiteness, p = _whiteness(batches[cut:], counts[cut:], grid, noise, gains, fit.coordinates, Q)
     tiny = 1e-300
     return Validation(
         r_squared=1.0 - error / np.maximum(measured, tiny),
@@ -101,10 +102,10 @@ def validate(
 def _whiteness(
     batches: Array,
     counts: NDArray[np.int64],
-    delays: Array,
+    grid: Grid,
     noise: Array,
     gains: Array,
-    delay: float,
+    at: Array,
     Q: Array,
 ) -> tuple[Array, Array]:
     """Whiteness and its p-value, per axis, from the first and the last leak."""
@@ -112,7 +113,7 @@ def _whiteness(
         return np.full(3, np.nan), np.full(3, np.nan)
     T = np.hstack([-Q, np.eye(3)])
     pair = np.swapaxes(batches[:, [0, -1]], 0, 1)
-    here = moments_at(pair, delays, delay)
+    here = grid.moments_at(pair, at)
     plain, summed = np.einsum("ai,lkij,aj->lka", T, here, T)  # (k, 3) each: residual power
     of_speeds = np.einsum("ai,lij,aj->la", T, noise[[0, -1]], T)
     ratio = gains[-1] / gains[0]

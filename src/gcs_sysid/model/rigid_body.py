@@ -168,9 +168,13 @@ def rotor_signals(geometry: Array, speeds: Array) -> tuple[Array, Array]:
         (..., 4) roll, pitch, thrust, yaw in rad^2/s^2 (m rad^2/s^2 for the first two), and
         (...) H = sum s_i Omega_i in rad/s.
     """
+    return (speeds * speeds) @ mixer(geometry), speeds @ geometry[2]
+
+
+def mixer(geometry: Array) -> Array:
+    """(n_rotors, 4) what makes roll, pitch, thrust and yaw signals of the rotors' thrusts."""
     x, y, s = geometry
-    mix = np.stack([-y, x, np.ones_like(x), s], axis=1)
-    return (speeds * speeds) @ mix, speeds @ s
+    return np.stack([-y, x, np.ones_like(x), s], axis=1)
 
 
 _LEFT, _RIGHT = np.array([1, 2, 0, 0, 1, 2]), np.array([2, 0, 1, 0, 1, 2])

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.regression import Samples, complete_rows, runs
+from gcs_sysid.arrays import Array, Mask, complete_rows, runs
+from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.filters.complementary import ComplementaryFilter
 from gcs_sysid.model import attitude
 from gcs_sysid.records import Record, Stream
