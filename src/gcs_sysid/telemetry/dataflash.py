@@ -64,7 +64,7 @@ class _Reader:
     def read(self) -> Recording:
         frame = self._latest.get("FRAME_CLASS", 0.0)
         system = self._latest.get("MAV_SYSID", self._latest.get("SYSID_THISMAV", 1.0))
-        lost = self._log.columns("DSF").get("Dp")
+        lost = self._log.numbers("DSF").get("Dp")
         recording = Recording(
             tracks=[],
             system=int(system),
@@ -75,6 +75,7 @@ class _Reader:
             parameters=self._parameters,
             counts=self._log.counts,
             garbage_bytes=self._log.garbage_bytes,
+            damaged=self._log.garbage_bytes > 0,
             lost=0 if lost is None else int(lost.max()),
         )
         self._add_imu(recording)
@@ -87,7 +88,7 @@ class _Reader:
         return recording
 
     def _own_times(self, name: str) -> Array:
-        columns = self._log.columns(name)
+        columns = self._log.numbers(name)
         if "TimeUS" in columns:
             return columns["TimeUS"] * 1e-6
         return columns["TimeMS"] * 1e-3 if "TimeMS" in columns else np.zeros(0)
@@ -104,30 +105,31 @@ class _Reader:
 
     def _read_parameters(self) -> list[tuple[float, str, float]]:
         columns = self._log.columns("PARM")
-        if not {"Name", "Value"} <= set(columns):
+        values = self._log.numbers("PARM").get("Value")
+        if values is None or "Name" not in columns or columns["Name"].dtype.kind != "S":
             return []
         names = (name.decode("ascii", "replace") for name in columns["Name"].tolist())
-        values = columns["Value"].astype(float).tolist()
-        table = zip(self._times("PARM").tolist(), names, values, strict=True)
+        table = zip(self._times("PARM").tolist(), names, values.tolist(), strict=True)
         return [entry for entry in table if np.isfinite(entry[2])]
 
     def _named(self, name: str, wanted: Sequence[str]) -> Array | None:
         """(n, columns) of the columns named; None when the log has not all of them."""
-        columns = self._log.columns(name)
-        if not columns or not wanted or not set(wanted) <= set(columns):
+        columns = self._log.numbers(name)
+        if not wanted or not set(wanted) <= set(columns):
             return None
-        return np.column_stack([columns[column] for column in wanted]).astype(float)
+        return np.column_stack([columns[column] for column in wanted])
 
     def _primary(self, name: str) -> Mask:
         """(n,) the entries of the first sensor, or of the estimator that the autopilot flies by."""
-        columns = self._log.columns(name)
+        columns = self._log.numbers(name)
         number = columns.get("I", columns.get("C"))
         if number is None:
             return np.ones(len(self._log.places(name)), dtype=bool)
         wanted = number.min()
-        chosen = self._log.columns(f"{name[:-1]}4").get("PI") if "C" in columns else None
+        chosen = self._log.numbers(f"{name[:2]}F4").get("PI") if "C" in columns else None
         if chosen is not None:
-            most = np.bincount(np.maximum(chosen.astype(int), 0)).argmax()
+            primaries, times = np.unique(chosen, return_counts=True)
+            most = primaries[times.argmax()]
             wanted = most if np.any(number == most) else wanted
         primary: Mask = number == wanted
         return primary
@@ -176,7 +178,7 @@ class _Reader:
         return motors if len(motors) >= 4 else []
 
     def _add_outputs(self, recording: Recording) -> None:
-        columns = self._log.columns("RCOU")
+        columns = self._log.numbers("RCOU")
         channels = {
             int(match[1]) - 1: column
             for column in columns
@@ -194,17 +196,20 @@ class _Reader:
         """One stream when all ESCs are written at the same times, else one of each."""
         escs: dict[int, tuple[Array, Array]] = {}
         if "ESC" in self._log.counts:
-            columns, t = self._log.columns("ESC"), self._times("ESC")
-            for instance in np.unique(columns.get("Instance", np.zeros(0))).tolist():
-                rows = columns["Instance"] == instance
-                escs[int(instance)] = t[rows], _rpm(columns)[rows]
+            columns, t = self._log.numbers("ESC"), self._times("ESC")
+            if {"Instance", "RPM"} <= set(columns):
+                for instance in np.unique(columns["Instance"]).tolist():
+                    rows = columns["Instance"] == instance
+                    escs[int(instance)] = t[rows], _rpm(columns)[rows]
         else:
             for instance in range(16):  # before 4.1
-                columns = self._log.columns(f"ESC{instance + 1}")
+                columns = self._log.numbers(f"ESC{instance + 1}")
                 if "RPM" in columns:
                     escs[instance] = self._times(f"ESC{instance + 1}"), _rpm(columns)
+        # An ESC has the number of its channel; those that drive no motor are left out.
         motors = {channel: motor for motor, channel in enumerate(self._channels())}
-        escs = {motors.get(i, i if not motors else i + len(motors)): e for i, e in escs.items()}
+        if motors.keys() & escs.keys():
+            escs = {motors[channel]: esc for channel, esc in escs.items() if channel in motors}
         first = next(iter(escs.values()), None)
         together = first is not None and sorted(escs) == list(range(len(escs)))
         if (
@@ -219,7 +224,7 @@ class _Reader:
             recording.add(Stream.ROTOR_SPEED, t, speed, motor, "ESC")
 
     def _add_rpm(self, recording: Recording) -> None:
-        columns, t = self._log.columns("RPM"), self._times("RPM")
+        columns, t = self._log.numbers("RPM"), self._times("RPM")
         if "I" in columns and "RPM" in columns:
             sensors = {int(i): (columns["I"] == i, columns["RPM"]) for i in np.unique(columns["I"])}
         else:
@@ -256,12 +261,10 @@ class _Reader:
         recording.add_state(Stream.ARMED, armed, end)
         recording.add_state(Stream.IN_AIR, flies, end)
 
-    def _pairs(self, name: str, column: str) -> Iterator[tuple[float, int]]:
-        columns = self._log.columns(name)
+    def _pairs(self, name: str, column: str) -> Iterator[tuple[float, float]]:
+        columns = self._log.numbers(name)
         if column in columns:
-            yield from zip(
-                self._times(name).tolist(), columns[column].astype(int).tolist(), strict=True
-            )
+            yield from zip(self._times(name).tolist(), columns[column].tolist(), strict=True)
 
 
 def _at(changes: dict[float, bool], t: float) -> bool:
@@ -274,7 +277,7 @@ def _rpm(columns: dict[str, Array]) -> Array:
     """(n,) rad/s; the reading itself where the log has it."""
     raw = columns.get("RawRPM")
     rpm: Array = columns["RPM"] if raw is None or not np.any(raw) else raw
-    speeds: Array = np.abs(rpm.astype(float)) * RPM
+    speeds: Array = np.abs(rpm) * RPM
     return speeds
 
 

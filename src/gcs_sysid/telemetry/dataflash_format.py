@@ -105,6 +105,15 @@ class DataflashLog:
             for column, (_, scale) in zip(entry.columns, kinds, strict=True)
         }
 
+    def numbers(self, name: str) -> dict[str, Array]:
+        """The columns that hold one number each, as (n,) floats; of damaged entries maybe NaN."""
+        with np.errstate(invalid="ignore"):
+            return {
+                column: values.astype(float)
+                for column, values in self.columns(name).items()
+                if values.ndim == 1 and values.dtype.kind in "iuf"
+            }
+
     def _find(self) -> dict[int, list[int]]:
         """Type number -> positions of its entries; learns the types on the way."""
         data = self._data

@@ -185,6 +185,7 @@ class OnboardLog:
             "unknown": 0,
             "bad_crc": 0,
             "garbage_bytes": recording.garbage_bytes,
+            "damaged": recording.damaged,
             "lost": recording.lost,
             "lost_percent": 100.0 * recording.lost / max(entries + recording.lost, 1),
             "imu_gaps": self._gaps(),

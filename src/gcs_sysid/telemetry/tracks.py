@@ -58,7 +58,8 @@ class Recording:
         parameters: (t, name, value) as they were set, in the order of t.
         counts: topic or message name -> entries read.
         dropped: reason -> samples that make no record: "no time", "not finite".
-        garbage_bytes: bytes that belong to no entry.
+        garbage_bytes: bytes that belong to no entry, where the reader counts them.
+        damaged: whether the file is not as it was written.
         lost: entries that the autopilot knows it could not write.
         dropouts: (t, length) in s of pauses in the writing.
     """
@@ -72,6 +73,7 @@ class Recording:
     counts: Mapping[str, int] = field(default_factory=dict)
     dropped: dict[str, int] = field(default_factory=dict)
     garbage_bytes: int = 0
+    damaged: bool = False
     lost: int = 0
     dropouts: list[tuple[float, float]] = field(default_factory=list)
 

@@ -51,34 +51,33 @@ def read_ulog(path: Path) -> Recording:
     log = _load(path)
     topics: dict[tuple[str, int], Topic] = {}
     for dataset in log.data_list:
-        if len(dataset.data["timestamp"]):
-            # Logging stopped and started anew: the topic is there twice.
+        if len(dataset.data.get("timestamp", ())):
             topics.setdefault((dataset.name, dataset.multi_id), dataset.data)
     if not topics:
         raise InputError(f"{path} holds no flight data: the log ends before any was written")
     status = topics.get(("vehicle_status", 0), {})
+    parameters = _parameters(log)
+    first = {name: value for _, name, value in reversed(parameters)}
     recording = Recording(
         tracks=[],
-        system=_constant(status, "system_id") or int(log.initial_parameters.get("MAV_SYS_ID", 1)),
+        system=_constant(status, "system_id") or int(first.get("MAV_SYS_ID", 1.0)),
         component=_constant(status, "component_id") or 1,
         vehicle_type=_constant(status, "system_type"),
         autopilot=mavlink.MAV_AUTOPILOT_PX4,
+        parameters=parameters,
         counts={
             name if not multi_id else f"{name}_{multi_id}": len(topic["timestamp"])
             for (name, multi_id), topic in sorted(topics.items())
         },
-        garbage_bytes=int(log.file_corruption),
+        damaged=bool(log.file_corruption),
         dropouts=[(d.timestamp * 1e-6, d.duration * 1e-3) for d in log.dropouts],
     )
-    recording.parameters = _parameters(log)
     for (name, multi_id), topic in topics.items():
         t = topic["timestamp"] * 1e-6
         try:
-            _add_topic(recording, name, multi_id, t, topic, topics, log)
-        except KeyError as error:
-            raise InputError(
-                f"{path}: topic {name} has no field {error}: written by a PX4 of another age"
-            ) from error
+            _add_topic(recording, name, multi_id, t, topic, topics, first.get("THR_MDL_FAC", 0.0))
+        except KeyError as error:  # of another age, or its description is damaged
+            recording.dropped[f"{name} has no field {error}"] = len(t)
     return recording
 
 
@@ -100,7 +99,7 @@ def _add_topic(
     t: Array,
     topic: Topic,
     topics: dict[tuple[str, int], Topic],
-    log: ULog,
+    thrust_factor: float,
 ) -> None:
     source = f"{name}_{multi_id}" if multi_id else name
     if name == "actuator_outputs":
@@ -116,8 +115,7 @@ def _add_topic(
         values = [topic[field] for field in ("vx", "vy", "vz", "x", "y", "z")]
         recording.add(Stream.VELOCITY, t, np.column_stack(values))
     elif name == "actuator_motors":
-        factor = log.initial_parameters.get("THR_MDL_FAC", 0.0)
-        recording.add(Stream.ROTOR_COMMAND, t, _motors(topic, factor), source=source)
+        recording.add(Stream.ROTOR_COMMAND, t, _motors(topic, thrust_factor), source=source)
     elif name == "esc_status":
         recording.add(Stream.ROTOR_SPEED, t, _speeds(topic), source=source)
     elif name == "vehicle_land_detected":
@@ -128,9 +126,13 @@ def _add_topic(
 
 def _parameters(log: ULog) -> list[tuple[float, str, float]]:
     start = log.start_timestamp * 1e-6
-    initial = [(start, name, float(value)) for name, value in log.initial_parameters.items()]
-    changed = [(t * 1e-6, name, float(value)) for t, name, value in log.changed_parameters]
-    return [entry for entry in (*initial, *changed) if np.isfinite(entry[2])]
+    initial = ((start, name, value) for name, value in log.initial_parameters.items())
+    changed = ((t * 1e-6, name, value) for t, name, value in log.changed_parameters)
+    return [
+        (t, name, float(value))
+        for t, name, value in (*initial, *changed)
+        if isinstance(value, int | float) and np.isfinite(value)
+    ]
 
 
 def _constant(topic: Topic, field: str) -> int | None:
@@ -138,6 +140,9 @@ def _constant(topic: Topic, field: str) -> int | None:
 
 
 def _columns(topic: Topic, field: str, count: int) -> Array:
+    """(n, count) of an array field; KeyError when the topic has not all of it."""
+    if not count:
+        raise KeyError(field)
     return np.column_stack([topic[f"{field}[{i}]"] for i in range(count)]).astype(float)
 
 
@@ -160,8 +165,8 @@ def _motors(topic: Topic, thrust_factor: float) -> Array:
     count = sum(1 for field in topic if field.startswith("control["))
     thrust = _columns(topic, "control", count)
     used = np.flatnonzero(np.isfinite(thrust).any(axis=0))
-    thrust = np.nan_to_num(thrust[:, : used[-1] + 1 if len(used) else 0], nan=0.0)
-    if thrust_factor <= 0.0 or thrust_factor > 1.0:
+    thrust = np.nan_to_num(thrust[:, : used[-1] + 1 if len(used) else 0], nan=0.0).clip(-1.0, 1.0)
+    if not 1e-6 < thrust_factor <= 1.0:
         return thrust
     half = 0.5 * (1.0 - thrust_factor) / thrust_factor
     magnitude = np.sqrt(half**2 + np.abs(thrust) / thrust_factor) - half
@@ -172,6 +177,8 @@ def _speeds(topic: Topic) -> Array:
     """(n, motors) rad/s without sign, in motor order where the ESCs tell their motors."""
     count = sum(1 for field in topic if field.endswith(".esc_rpm"))
     count = min(int(topic["esc_count"].max()), count) or count
+    if not count:
+        raise KeyError("esc")
     rpm = np.column_stack([topic[f"esc[{i}].esc_rpm"] for i in range(count)])
     functions = [topic.get(f"esc[{i}].actuator_function") for i in range(count)]
     motors = [int(f.max()) - _FIRST_MOTOR for f in functions if f is not None]
