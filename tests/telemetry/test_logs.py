@@ -156,7 +156,7 @@ def test_the_vehicle_wanted_is_the_onboard_logs_own_or_none(tmp_path, ulog_file)
     assert other.vehicle is None
     assert list(other.records()) == []
     assert other.take_events() == []
-    assert [str(system) for system in other.systems] == ["PX4 4:1"]
+    assert [str(system) for system in other.systems] == ["PX4 vehicle 4:1"]
 
 
 def test_pauses_of_an_onboard_imu_are_gaps(tmp_path, dataflash_file):

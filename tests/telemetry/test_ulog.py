@@ -140,7 +140,7 @@ def test_escs_are_put_in_motor_order(tmp_path, ulog_file):
 def test_damaged_logs_give_records_or_one_line(tmp_path, flight):
     data = flight.bytes()
     path = tmp_path / "hurt.ulg"
-    whole = 0
+    whole, told = 0, []
     for seed in range(120):
         rng = random.Random(seed)
         hurt = bytearray(data)
@@ -156,11 +156,12 @@ def test_damaged_logs_give_records_or_one_line(tmp_path, flight):
         try:
             records = list(open_log(path).records())
         except InputError as error:
-            assert "\n" not in str(error)
+            told.append(str(error))
         else:
             whole += len(records) > 50
             assert all(math.isfinite(sum(r.values)) for r in records)
     assert whole > 30
+    assert not any("\n" in line for line in told)
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ class Recording:
         tracks: the streams.
         system: MAVLink system id that the vehicle has on a link.
         component: the same for the component id.
-        vehicle_type: MAV_TYPE; None when the log does not tell.
+        vehicle_type: MAV_TYPE.
         autopilot: MAV_AUTOPILOT.
         parameters: (t, name, value) as they were set, in the order of t.
         counts: topic or message name -> entries read.
@@ -67,7 +67,7 @@ class Recording:
     tracks: list[Track]
     system: int
     component: int
-    vehicle_type: int | None
+    vehicle_type: int
     autopilot: int
     parameters: list[tuple[float, str, float]] = field(default_factory=list)
     counts: Mapping[str, int] = field(default_factory=dict)

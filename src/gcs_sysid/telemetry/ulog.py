@@ -62,7 +62,7 @@ def read_ulog(path: Path) -> Recording:
         tracks=[],
         system=_constant(status, "system_id") or int(first.get("MAV_SYS_ID", 1.0)),
         component=_constant(status, "component_id") or 1,
-        vehicle_type=_constant(status, "system_type"),
+        vehicle_type=_constant(status, "system_type") or mavlink.MAV_TYPE_GENERIC,
         autopilot=mavlink.MAV_AUTOPILOT_PX4,
         parameters=parameters,
         counts={
