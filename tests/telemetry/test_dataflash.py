@@ -141,6 +141,7 @@ def test_old_firmware_has_other_names_and_no_times(tmp_path, dataflash_file):
     log.type("ATT", "IccccCC", "TimeMS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
     log.type("RCOU", "Ihhhh", "TimeMS,Ch1,Ch2,Ch3,Ch4")
     log.type("ESC2", "If", "TimeMS,RPM")
+    log.type("RPM", "Iff", "TimeMS,rpm1,rpm2")
     log.type("EV", "B", "Id")
     log.type("PARM", "Nf", "Name,Value")
     log.row("PARM", "SYSID_THISMAV", 3.0)
@@ -149,6 +150,7 @@ def test_old_firmware_has_other_names_and_no_times(tmp_path, dataflash_file):
         log.row("RCOU", 1000 + 20 * i, 1200, 1300, 1400, 1500)
         log.row("ATT", 1000 + 20 * i, 0, 1000, 0, 0, 0, 0)
         log.row("ESC2", 1000 + 20 * i, 600.0)
+        log.row("RPM", 1000 + 20 * i, -1.0, -1.0)
         if i == 40:
             log.row("EV", 10)
             log.row("EV", 28)
@@ -160,6 +162,7 @@ def test_old_firmware_has_other_names_and_no_times(tmp_path, dataflash_file):
     assert of(open_log(path), Stream.ROTOR_SPEED, "ESC")[0] == Record(
         Stream.ROTOR_SPEED, 1.0, (pytest.approx(600.0 * RPM),), 1, "ESC"
     )
+    assert of(open_log(path), Stream.ROTOR_SPEED, "RPM") == []
     q = of(open_log(path), Stream.ATTITUDE)[0].values
     assert q[1] == pytest.approx(math.sin(math.radians(5.0)))
     flies = {r.t: r.values[0] for r in of(open_log(path), Stream.IN_AIR)}

@@ -119,17 +119,9 @@ def test_vehicle_parameters_and_dropouts_are_told(path):
 
 
 def test_escs_are_put_in_motor_order(tmp_path, ulog_file):
-    # pyulog wants nested types; their fields are laid out flat.
     log = ulog_file
-    log._definitions += log._entry(
-        "F", b"esc_report:uint64_t timestamp;int32_t esc_rpm;uint8_t actuator_function;"
-    )
-    text = b"esc_status:uint64_t timestamp;uint8_t esc_count;esc_report[2] esc;"
-    log._definitions += log._entry("F", text)
-    import struct
-
-    log._topics["esc_status", 0] = 0, struct.Struct("<QBQiBQiB")
-    log._rows += log._entry("A", struct.pack("<BH", 0, 0) + b"esc_status")
+    log.nested("esc_report", ["uint64_t timestamp", "int32_t esc_rpm", "uint8_t actuator_function"])
+    log.topic("esc_status", ["uint8_t esc_count", "esc_report[2] esc"])
     log.row("esc_status", 3.0, 2, 2_990_000, -600, 102, 2_990_000, 1200, 101)
     path = tmp_path / "escs.ulg"
     path.write_bytes(log.bytes())

@@ -89,6 +89,8 @@ class Recording:
             offset: as in `Record`.
             source: as in `Record`.
         """
+        if not len(t):
+            return
         values = values.astype(float).reshape(len(t), -1)
         believable = believable_times(t)
         finite = np.isfinite(values).all(axis=1)
