@@ -159,7 +159,7 @@ class DataflashLog:
         if number == _FMT or len(letters) != len(columns) or set(letters) - set(_TYPES):
             return
         width = sum(np.dtype(_TYPES[letter][0]).itemsize for letter in letters)
-        if width + _HEADER != size or len(set(columns)) != len(columns):
+        if width + _HEADER != size or len({*columns, ""}) != len(columns) + 1:
             return
         if number not in sizes:
             sizes[number] = size

@@ -10,6 +10,7 @@ Which topic is which message was measured on a flight recorded both ways:
 """
 
 import contextlib
+import errno
 import io
 import struct
 from pathlib import Path
@@ -87,6 +88,8 @@ def _load(path: Path) -> ULog:
         with contextlib.redirect_stdout(said):
             return ULog(str(path), _TOPICS)
     except OSError as error:
+        if error.errno == errno.EINVAL:  # pyulog went back by a damaged length, out of the file
+            raise InputError(f"{path} cannot be read as a PX4 log: it is damaged") from error
         raise InputError(f"cannot read {path}: {error.strerror}") from error
     except (ULogException, struct.error, ValueError, KeyError, IndexError, TypeError) as error:
         raise InputError(f"{path} cannot be read as a PX4 log: {error}") from error
@@ -143,7 +146,8 @@ def _columns(topic: Topic, field: str, count: int) -> Array:
     """(n, count) of an array field; KeyError when the topic has not all of it."""
     if not count:
         raise KeyError(field)
-    return np.column_stack([topic[f"{field}[{i}]"] for i in range(count)]).astype(float)
+    with np.errstate(invalid="ignore"):  # damaged values may be NaN
+        return np.column_stack([topic[f"{field}[{i}]"] for i in range(count)]).astype(float)
 
 
 def _imu(t: Array, topic: Topic, bias: Topic | None) -> Array:
