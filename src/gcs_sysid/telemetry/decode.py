@@ -17,14 +17,13 @@ from functools import partial
 
 from gcs_sysid.model.attitude import from_euler
 from gcs_sysid.records import Record, Stream
+from gcs_sysid.telemetry import rotors
 from gcs_sysid.telemetry.clock import VehicleClock
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, message_name, picker
 from gcs_sysid.telemetry.parameters import read_parameter
 
-RPM = 2.0 * math.pi / 60.0
-"""rad/s per revolution a minute."""
 MILLI_G = 9.80665e-3
 """m/s^2 per thousandth of standard gravity."""
 PREFERRED_FOR = 1.0
@@ -43,20 +42,11 @@ _scaled_imu = picker(
 _raw_imu = picker("RAW_IMU", "time_usec", "id", "xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc")
 _attitude = picker("ATTITUDE", "time_boot_ms", "roll", "pitch", "yaw")
 _quaternion = picker("ATTITUDE_QUATERNION", "time_boot_ms", "q1", "q2", "q3", "q4")
-_esc_status = picker("ESC_STATUS", "time_usec", "index", "rpm")
-_rpm = picker("RPM", "rpm1", "rpm2")
-_outputs = picker("ACTUATOR_OUTPUT_STATUS", "time_usec", "active", "actuator")
-_servos = picker("SERVO_OUTPUT_RAW", "time_usec", "port", *(f"servo{i}_raw" for i in range(1, 17)))
 _position = picker("LOCAL_POSITION_NED", "time_boot_ms", "vx", "vy", "vz", "x", "y", "z")
 _global_position = picker("GLOBAL_POSITION_INT", "time_boot_ms", "relative_alt", "vx", "vy", "vz")
 _landed = picker("EXTENDED_SYS_STATE", "landed_state")
 _heartbeat = picker("HEARTBEAT", "autopilot", "base_mode", "system_status")
 _system_time = picker("SYSTEM_TIME", "time_unix_usec", "time_boot_ms")
-
-ESC_TELEMETRY = {
-    f"ESC_TELEMETRY_{first}_TO_{first + 3}": first - 1 for first in (1, 5, 9, 13, 17, 21, 25, 29)
-}
-"""Message name -> index of its first rotor."""
 
 
 class _Preference:
@@ -102,7 +92,7 @@ class RecordDecoder:
             "ATTITUDE": self._read_attitude,
             "ATTITUDE_QUATERNION": self._read_quaternion,
             "ESC_STATUS": self._read_esc_status,
-            "RPM": self._read_rpm,
+            "RPM": partial(self._read_unstamped, rotors.rpm_sensors, 0, "RPM"),
             "ACTUATOR_OUTPUT_STATUS": self._read_outputs,
             "SERVO_OUTPUT_RAW": self._read_servos,
             "LOCAL_POSITION_NED": self._read_position,
@@ -112,9 +102,8 @@ class RecordDecoder:
             "PARAM_VALUE": self._read_parameter,
             "SYSTEM_TIME": self._read_system_time,
         }
-        for name, first in ESC_TELEMETRY.items():
-            pick = picker(name, "rpm")
-            table[name] = partial(self._read_esc_telemetry, pick, first, name)
+        for name, first in rotors.ESC_TELEMETRY.items():
+            table[name] = partial(self._read_unstamped, rotors.esc_telemetry(name), first, name)
         self._readers = {MESSAGE_IDS[name]: reader for name, reader in table.items()}
 
     def decode(self, frame: Frame) -> Record | None:
@@ -215,24 +204,17 @@ class RecordDecoder:
         return self._record(Stream.ATTITUDE, t, q)
 
     def _read_esc_status(self, payload: bytes) -> Record | None:
-        time_usec, index, *rpm = _esc_status(payload)
-        # The sign only tells the sense of rotation, which the airframe gives.
-        speeds = tuple(abs(value) * RPM for value in rpm)
+        time_usec, first, speeds = rotors.esc_status(payload)
         t = self.clock.stamp_us64(time_usec)
-        return self._record(Stream.ROTOR_SPEED, t, speeds, index, "ESC_STATUS")
+        return self._record(Stream.ROTOR_SPEED, t, speeds, first, "ESC_STATUS")
 
-    def _read_esc_telemetry(
-        self, pick: Callable[[bytes], tuple[int, ...]], first: int, name: str, payload: bytes
+    def _read_unstamped(
+        self, read: Callable[[bytes], tuple[float, ...]], first: int, name: str, payload: bytes
     ) -> Record | None:
-        speeds = tuple(rpm * RPM for rpm in pick(payload))
-        return self._record(Stream.ROTOR_SPEED, self._time_of_sending, speeds, first, name)
-
-    def _read_rpm(self, payload: bytes) -> Record | None:
-        rpm1, rpm2 = _rpm(payload)
-        if rpm1 < 0.0:  # -1: no such sensor
+        speeds = read(payload)
+        if not speeds:
             return None
-        speeds = tuple(rpm * RPM for rpm in ((rpm1, rpm2) if rpm2 >= 0.0 else (rpm1,)))
-        return self._record(Stream.ROTOR_SPEED, self._time_of_sending, speeds, 0, "RPM")
+        return self._record(Stream.ROTOR_SPEED, self._time_of_sending, speeds, first, name)
 
     @property
     def _time_of_sending(self) -> float | None:
@@ -245,25 +227,17 @@ class RecordDecoder:
         return None if now is None else max(now, self._outputs_last)
 
     def _read_outputs(self, payload: bytes) -> Record | None:
-        time_usec, active, *outputs = _outputs(payload)
+        time_usec, values = rotors.actuator_outputs(payload)
         t = self.clock.stamp_us64(time_usec)
-        # By the definition a mask, from PX4 a count; either way outputs beyond it are unused.
-        count = active if active <= len(outputs) else min(active.bit_length(), len(outputs))
-        used = outputs[: count or None]
-        while len(used) > 4 and not math.isfinite(used[-1]):
-            used.pop()
-        return self._record(Stream.ROTOR_COMMAND, t, tuple(used), 0, "ACTUATOR_OUTPUT_STATUS")
+        return self._record(Stream.ROTOR_COMMAND, t, values, 0, "ACTUATOR_OUTPUT_STATUS")
 
     def _read_servos(self, payload: bytes) -> Record | None:
-        time_usec, port, *servos = _servos(payload)
+        time_usec, port, values = rotors.servo_outputs(payload)
         if port != 0:
             return None
         t = self.clock.stamp_us32(time_usec)
         if t is not None:
             self._outputs_last = t
-        while len(servos) > 4 and servos[-1] == 0:  # 0 is: not there
-            servos.pop()
-        values = tuple(float(servo) for servo in servos)
         return self._record(Stream.ROTOR_COMMAND, t, values, 0, "SERVO_OUTPUT_RAW")
 
     def _read_position(self, payload: bytes) -> Record | None:

@@ -22,8 +22,8 @@ from pyulog.exceptions import ULogException
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.records import Stream
-from gcs_sysid.telemetry.decode import RPM
 from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.rotors import RPM
 from gcs_sysid.telemetry.tracks import Recording
 
 MAGIC = b"ULog\x01\x12\x35"
