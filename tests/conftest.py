@@ -1,6 +1,7 @@
-"""Emulated flights that several test folders share, each flown once."""
+"""What several test folders share: emulated flights, each flown once, and onboard logs."""
 
 import json
+import struct
 import subprocess
 import sys
 from collections.abc import Callable
@@ -61,3 +62,110 @@ def paper_flight(fly: FlyFunction) -> Flight:
 def paper_records(paper_flight: Flight) -> list[Record]:
     """Its records."""
     return paper_flight.records()
+
+
+class UlogFile:
+    """A PX4 log, put together entry by entry."""
+
+    SIZES = {  # noqa: RUF012
+        "uint64_t": "Q", "uint32_t": "I", "uint8_t": "B", "int8_t": "b", "int32_t": "i",
+        "float": "f", "bool": "?", "uint16_t": "H",
+    }  # fmt: skip
+
+    def __init__(self, start_us=1_000_000):
+        self.data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", start_us)
+        self._definitions = b""
+        self._rows = b""
+        self._topics = {}
+        self._nested = {}
+
+    @staticmethod
+    def _entry(kind, content):
+        return struct.pack("<HB", len(content), ord(kind)) + content
+
+    def parameter(self, name, value, t=None):
+        kind = "int32_t" if isinstance(value, int) else "float"
+        key = f"{kind} {name}".encode()
+        entry = self._entry(
+            "P", bytes([len(key)]) + key + struct.pack("<" + self.SIZES[kind], value)
+        )
+        if t is None:
+            self._definitions += entry
+        else:
+            self._rows += entry
+
+    def _layout(self, fields):
+        codes = ""
+        for field in fields:
+            kind, _, count = field.split()[0].rstrip("]").partition("[")
+            inner = self._nested.get(kind)
+            codes += inner * int(count or 1) if inner else f"{count}{self.SIZES[kind]}"
+        return codes
+
+    def nested(self, name, fields):
+        """A type that topics may use as a field."""
+        self._nested[name] = self._layout(fields)
+        self._definitions += self._entry("F", f"{name}:{';'.join(fields)};".encode())
+
+    def topic(self, name, fields, multi_id=0):
+        """Fields as "type name" or "type[4] name"; a timestamp comes first by itself."""
+        fields = ["uint64_t timestamp", *fields]
+        if name not in [known for known, _ in self._topics]:
+            text = f"{name}:{';'.join(fields)};"
+            self._definitions += self._entry("F", text.encode())
+        number = len(self._topics)
+        self._topics[name, multi_id] = number, struct.Struct("<" + self._layout(fields))
+        self._rows += self._entry("A", struct.pack("<BH", multi_id, number) + name.encode())
+
+    def row(self, name, t, *values, multi_id=0):
+        number, layout = self._topics[name, multi_id]
+        content = struct.pack("<H", number) + layout.pack(round(t * 1e6), *values)
+        self._rows += self._entry("D", content)
+
+    def dropout(self, milliseconds):
+        self._rows += self._entry("O", struct.pack("<H", milliseconds))
+
+    def bytes(self):
+        return self.data + self._definitions + self._rows
+
+
+class DataflashFile:
+    """An ArduPilot log, put together entry by entry."""
+
+    CODES = {  # noqa: RUF012
+        "Q": "Q", "B": "B", "f": "f", "H": "H", "h": "h", "c": "h", "C": "H", "I": "I",
+        "N": "16s", "Z": "64s", "M": "B", "e": "i", "b": "b",
+    }  # fmt: skip
+
+    def __init__(self):
+        self.data = b""
+        self._types = {}
+        self.type("FMT", "BBnNZ", "Type,Length,Name,Format,Columns", number=128, size=89)
+
+    def type(self, name, letters, columns, number=None, size=None):
+        number = number or len(self._types) + 1
+        if size is None:
+            layout = struct.Struct("<" + "".join(self.CODES[c] for c in letters))
+            size = layout.size + 3
+            self._types[name] = number, layout
+        self.data += b"\xa3\x95\x80" + struct.pack(
+            "<BB4s16s64s", number, size, name.encode(), letters.encode(), columns.encode()
+        )
+
+    def row(self, name, *values):
+        number, layout = self._types[name]
+        values = [v.encode() if isinstance(v, str) else v for v in values]
+        self.data += b"\xa3\x95" + bytes([number]) + layout.pack(*values)
+
+    def bytes(self):
+        return self.data
+
+
+@pytest.fixture
+def ulog_file():
+    return UlogFile()
+
+
+@pytest.fixture
+def dataflash_file():
+    return DataflashFile()

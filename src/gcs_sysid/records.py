@@ -26,6 +26,9 @@ class Stream(StrEnum):
     """1.0 while the autopilot says that it flies, else 0.0."""
     ARMED = "armed"
     """1.0 while armed, else 0.0 (from HEARTBEAT, stamped with the last time heard)."""
+    PARAMETER = "parameter"
+    """value of the autopilot's parameter that `source` names; a fact, not a sample: its time
+    only tells when it was heard (0.0 before any clock), and it has no place on a time base."""
 
 
 class Record(NamedTuple):
@@ -36,8 +39,9 @@ class Record(NamedTuple):
         t: time in seconds on the vehicle's clock.
         values: the numbers, laid out as `Stream` says.
         offset: index of the first rotor that `values` holds (rotor streams only).
-        source: name of the message that it comes from (rotor streams only): sources of one
-            kind differ in unit, delay and soundness, and are never mixed.
+        source: rotor streams: name of the message that it comes from, since sources of one
+            kind differ in unit, delay and soundness, and are never mixed. Parameters: their
+            name. Else empty.
     """
 
     stream: Stream

@@ -10,6 +10,7 @@ from gcs_sysid.records import Record, Stream
 from gcs_sysid.telemetry.decode import RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 
+ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 NAN = float("nan")
 WRAP_US = 2**32 * 1e-6
 
@@ -37,6 +38,34 @@ def outputs(sender, t, values, active):
     values = [*values, *[0.0] * (32 - len(values))]
     return sender.frame(
         mavlink.MAVLink_actuator_output_status_message(round(t * 1e6), active, values)
+    )
+
+
+def esc_telemetry(sender, rpm, cls=mavlink.MAVLink_esc_telemetry_1_to_4_message):
+    return sender.frame(cls([30] * 4, [1600] * 4, [100] * 4, [0] * 4, rpm, [1] * 4))
+
+
+def scaled_imu(sender, t, acc, gyro):
+    return sender.frame(mavlink.MAVLink_scaled_imu_message(round(t * 1e3), *acc, *gyro, 0, 0, 0))
+
+
+def raw_imu(sender, t, acc, gyro, imu_id=0):
+    return sender.frame(
+        mavlink.MAVLink_raw_imu_message(round(t * 1e6), *acc, *gyro, 0, 0, 0, imu_id)
+    )
+
+
+def position(sender, t, velocity):
+    return sender.frame(
+        mavlink.MAVLink_local_position_ned_message(round(t * 1e3), 1, 2, 3, *velocity)
+    )
+
+
+def global_position(sender, t, velocity_cm):
+    return sender.frame(
+        mavlink.MAVLink_global_position_int_message(
+            round(t * 1e3), 0, 0, 500_000, 12_500, *velocity_cm, 0
+        )
     )
 
 
@@ -198,3 +227,141 @@ def test_unix_time_is_put_on_the_clock_by_system_time(decoder, sender):
         sender.frame(mavlink.MAVLink_system_time_message(round(unix * 1e6) + 20_000_000, 20_000))
     )
     assert decoder.decode(sender.imu(unix + 21.0)).t == pytest.approx(21.0, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("first", "name"),
+    [(f, f"ESC_TELEMETRY_{f}_TO_{f + 3}") for f in (1, 5, 9, 13, 17, 21, 25, 29)],
+)
+def test_every_group_of_esc_telemetry_is_read(decoder, sender, first, name):
+    decoder.decode(sender.imu(3.0))
+    cls = getattr(mavlink, f"MAVLink_{name.lower()}_message")
+    record = decoder.decode(esc_telemetry(sender, [600, 0, 65_535, 1200], cls))
+    assert (record.stream, record.t, record.offset) == (Stream.ROTOR_SPEED, 3.0, first - 1)
+    assert record.source == name
+    np.testing.assert_allclose(record.values, np.array([20.0, 0.0, 65_535 / 30.0, 40.0]) * math.pi)
+
+
+def test_esc_telemetry_takes_the_time_of_the_outputs_sent_with_it(decoder, sender):
+    """As ArduPilot sends one step: outputs, ESCs, then the IMU, all with one time."""
+    decoder.decode(sender.imu(3.0))
+    decoder.decode(servos(sender, 3.0025, [1500] * 4))
+    record = decoder.decode(esc_telemetry(sender, [600] * 4))
+    assert record.t == pytest.approx(3.0025, abs=1e-9)
+    # Outputs that came long ago do not hold the time back.
+    decoder.decode(sender.imu(3.5))
+    assert decoder.decode(esc_telemetry(sender, [600] * 4)).t == 3.5
+
+
+def test_rotor_speeds_without_a_stamp_wait_for_a_clock(decoder, sender):
+    assert decoder.decode(esc_telemetry(sender, [600] * 4)) is None
+    assert decoder.decode(sender.frame(mavlink.MAVLink_rpm_message(600.0, 1200.0))) is None
+    assert decoder.dropped["no time"] == 2
+
+
+def test_rpm_sensors_that_are_not_there_are_left_out(decoder, sender):
+    decoder.decode(sender.imu(4.0))
+
+    def rpm(*values):
+        return decoder.decode(sender.frame(mavlink.MAVLink_rpm_message(*values)))
+
+    record = rpm(600.0, 1200.0)
+    assert (record.t, record.source) == (4.0, "RPM")
+    np.testing.assert_allclose(record.values, np.array([20.0, 40.0]) * math.pi)
+    assert len(rpm(600.0, -1.0).values) == 1
+    assert rpm(-1.0, -1.0) is None
+
+
+def test_after_a_reboot_old_outputs_do_not_tell_the_time(decoder, sender):
+    decoder.decode(sender.imu(500.0))
+    decoder.decode(servos(sender, 500.0, [1500] * 4))
+    for t in (2.0, 2.004):
+        decoder.decode(sender.imu(t))
+    assert decoder.decode(esc_telemetry(sender, [600] * 4)).t == pytest.approx(2.004)
+
+
+def test_scaled_imu_counts_only_while_highres_imu_is_missing(decoder, sender):
+    scaled = decoder.decode(scaled_imu(sender, 1.0, (0, 0, -1000), (100, -200, 300)))
+    np.testing.assert_allclose(scaled.values, (0.1, -0.2, 0.3, 0.0, 0.0, -9.80665))
+    assert decoder.decode(sender.imu(1.5)) is not None
+    assert decoder.decode(scaled_imu(sender, 2.4, (0, 0, 0), (0, 0, 0))) is None
+    assert decoder.decode(scaled_imu(sender, 2.6, (0, 0, 0), (0, 0, 0))) is not None
+
+
+def test_raw_imu_is_believed_of_ardupilot_alone(decoder, sender):
+    decoder.decode(sender.heartbeat())
+    assert decoder.decode(raw_imu(sender, 1.0, (0, 0, -1000), (100, 0, 0))) is None
+    decoder.decode(sender.heartbeat(autopilot=ARDUPILOT))
+    raw = decoder.decode(raw_imu(sender, 1.1, (0, 0, -1000), (100, 0, 0)))
+    np.testing.assert_allclose(raw.values, (0.1, 0.0, 0.0, 0.0, 0.0, -9.80665))
+    assert decoder.decode(raw_imu(sender, 1.1, (0, 0, 0), (0, 0, 0), imu_id=1)) is None
+    decoder.decode(scaled_imu(sender, 1.2, (0, 0, 0), (0, 0, 0)))
+    assert decoder.decode(raw_imu(sender, 1.3, (0, 0, 0), (0, 0, 0))) is None
+
+
+def test_global_position_counts_only_while_local_position_is_missing(decoder, sender):
+    record = decoder.decode(global_position(sender, 1.0, (100, -200, 50)))
+    assert record.values == (1.0, -2.0, 0.5, 0.0, 0.0, -12.5)
+    assert decoder.decode(position(sender, 1.5, (1, 2, 3))) is not None
+    assert decoder.decode(global_position(sender, 2.0, (0, 0, 0))) is None
+    assert decoder.decode(global_position(sender, 2.6, (0, 0, 0))) is not None
+
+
+def test_ardupilots_status_tells_flight_when_nothing_better_does(decoder, sender):
+    def beat(status, armed=True, autopilot=ARDUPILOT):
+        mode = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
+        record = decoder.decode(
+            sender.heartbeat(autopilot=autopilot, base_mode=mode, system_status=status)
+        )
+        return record.stream, record.values[0]
+
+    standby, active, critical = (
+        mavlink.MAV_STATE_STANDBY,
+        mavlink.MAV_STATE_ACTIVE,
+        mavlink.MAV_STATE_CRITICAL,
+    )
+    decoder.decode(sender.imu(1.0))
+    assert beat(standby) == (Stream.ARMED, 1.0)
+    assert beat(standby) == (Stream.IN_AIR, 0.0)
+    assert beat(active) == (Stream.IN_AIR, 1.0)
+    assert beat(critical) == (Stream.ARMED, 1.0)  # a failsafe: in the air or not
+    assert beat(active, armed=False) == (Stream.ARMED, 0.0)
+    assert decoder.decode(landed(sender, 2)).values == (1.0,)
+    assert beat(active, armed=False) == (Stream.ARMED, 0.0)
+    decoder.decode(sender.imu(6.5))
+    assert beat(active, armed=False) == (Stream.IN_AIR, 1.0)
+    # PX4's status says armed, not flying.
+    assert beat(active, armed=False, autopilot=mavlink.MAV_AUTOPILOT_PX4) == (Stream.ARMED, 0.0)
+
+
+def parameter(sender, name, value, kind):
+    return sender.frame(mavlink.MAVLink_param_value_message(name, value, kind, 1, 0))
+
+
+@pytest.mark.parametrize("number", [0, 1, 7, -1, 1_310_720, -4_194_305])
+def test_px4_sends_the_bytes_of_integers(decoder, sender, number):
+    decoder.decode(sender.heartbeat())
+    frame = parameter(sender, b"CA_ROTOR_COUNT", 0.0, mavlink.MAV_PARAM_TYPE_INT32)
+    # Not through a float: it would not keep the bits of every NaN.
+    frame = frame._replace(payload=number.to_bytes(4, "little", signed=True) + frame.payload[4:])
+    record = decoder.decode(frame)
+    assert record == Record(Stream.PARAMETER, 0.0, (float(number),), source="CA_ROTOR_COUNT")
+    assert decoder.parameters == {"CA_ROTOR_COUNT": number}
+
+
+def test_ardupilot_sends_integers_as_numbers(decoder, sender):
+    decoder.decode(sender.heartbeat(autopilot=ARDUPILOT))
+    decoder.decode(sender.imu(2.0))
+    record = decoder.decode(parameter(sender, b"FRAME_CLASS", 2.0, mavlink.MAV_PARAM_TYPE_INT8))
+    assert record == Record(Stream.PARAMETER, 2.0, (2.0,), source="FRAME_CLASS")
+
+
+@pytest.mark.parametrize("autopilot", [ARDUPILOT, mavlink.MAV_AUTOPILOT_PX4])
+def test_real_parameters_and_names_of_full_length(decoder, sender, autopilot):
+    decoder.decode(sender.heartbeat(autopilot=autopilot))
+    kind = mavlink.MAV_PARAM_TYPE_REAL32
+    decoder.decode(parameter(sender, b"ABCDEFGHIJKLMNOP", 0.25, kind))
+    assert decoder.parameters == {"ABCDEFGHIJKLMNOP": 0.25}
+    assert decoder.decode(parameter(sender, b"BAD", NAN, kind)) is None
+    assert decoder.decode(parameter(sender, b"", 1.0, kind)) is None
+    assert decoder.decode(parameter(sender, b"\xff\xfe", 1.0, kind)) is None

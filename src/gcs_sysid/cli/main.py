@@ -48,7 +48,8 @@ def build_parser() -> argparse.ArgumentParser:
     analyze = commands.add_parser(
         "analyze",
         help="identify from recorded flights",
-        description="Identifies from .tlog recordings.",
+        description="Identifies from recordings: .tlog of a ground station, .ulg of PX4, .bin of "
+        "ArduPilot.",
     )
     arguments.add_analyze(analyze)
     return parser

@@ -11,10 +11,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
 from gcs_sysid.session.result import Result
-from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.tlog import read_tlog
-
-_FRAMES_AT_ONCE = 4096
+from gcs_sysid.telemetry.logs import open_log
 
 
 def analyze_log(
@@ -28,7 +25,7 @@ def analyze_log(
     """Identify from a recording.
 
     Args:
-        path: a .tlog file.
+        path: a .tlog, .ulg or .bin file.
         airframe: with a scale anchor.
         wanted: system and perhaps component; None: the first autopilot in the log.
         options: of the chain; by default the estimate's course is not computed.
@@ -38,26 +35,9 @@ def analyze_log(
     Raises:
         InputError: the file cannot be read as a log.
     """
-    if path.suffix.lower() in (".ulg", ".bin"):
-        raise InputError(f"{path}: {path.suffix} logs cannot be read yet; give a .tlog")
     options = options or ChainOptions(course_interval=None)
     pipeline = Pipeline(airframe, str(path), wanted, options, anchor)
-    reader = read_tlog(path)
-    size = max(path.stat().st_size, 1)
-    done = 0
-    frames: list[Frame] = []
-    for _, frame in reader:
-        frames.append(frame)
-        done += 8 + len(frame.raw)
-        if len(frames) >= _FRAMES_AT_ONCE:
-            pipeline.take(frames)
-            frames.clear()
-            if progress:
-                progress(done / size)
-    pipeline.take(frames)
-    pipeline.intake.garbage_bytes = reader.garbage_bytes
-    if progress:
-        progress(1.0)
+    pipeline.take_log(open_log(path, wanted), progress)
     return pipeline.finish()
 
 

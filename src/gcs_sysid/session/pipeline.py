@@ -5,7 +5,7 @@ the same numbers.
 """
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -15,8 +15,10 @@ from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.result import Result
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.intake import Intake, IntakeEvent
+from gcs_sysid.telemetry.logs import Log, Telemetry
 
 _MAX_EVENTS = 1000
+_RECORDS_AT_ONCE = 4096
 
 
 class Pipeline:
@@ -40,6 +42,7 @@ class Pipeline:
     ) -> None:
         self.source = source
         self.intake = Intake(wanted)
+        self._telemetry: Telemetry = self.intake
         self._wanted = wanted
         self.chain = Chain(airframe, options, anchor)
         self._events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
@@ -54,6 +57,25 @@ class Pipeline:
             if record is not None and self.chain.feed(record):
                 renewed = True
         return renewed
+
+    def take_log(self, log: Log, progress: Callable[[float], None] | None = None) -> None:
+        """Take a whole recording, instead of frames.
+
+        Args:
+            log: not yet read, opened for the vehicle wanted.
+            progress: called with the share of the log done, 0 to 1, now and then.
+        """
+        self._telemetry = log
+        for number, record in enumerate(log.records()):
+            for event in log.take_events():
+                self._take_event(event)
+            self.chain.feed(record)
+            if progress and number % _RECORDS_AT_ONCE == 0:
+                progress(log.share_read)
+        for event in log.take_events():
+            self._take_event(event)
+        if progress:
+            progress(1.0)
 
     def reset(self) -> None:
         """Forget the estimate; the result tells that, because a recording does not."""
@@ -75,10 +97,10 @@ class Pipeline:
         return self._complete(self.chain.finish())
 
     def _complete(self, result: Result) -> Result:
-        vehicle = self.intake.vehicle
+        vehicle = self._telemetry.vehicle
         reasons = result.reasons
         if vehicle is None:
-            others = ", ".join(map(str, self.intake.selector.systems.values()))
+            others = ", ".join(map(str, self._telemetry.systems))
             heard = f"; heard: {others}" if others else ""
             which = " the wanted" if self._wanted else " any"
             reasons = (f"no heartbeat of{which} autopilot was heard{heard}",)
@@ -88,5 +110,5 @@ class Pipeline:
             reasons=reasons,
             vehicle=vehicle.as_dict() if vehicle else {},
             events=tuple(sorted([*self._events, *result.events], key=lambda event: event["t"])),
-            telemetry={**self.intake.as_dict(), **result.telemetry},
+            telemetry={**self._telemetry.as_dict(), **result.telemetry},
         )

@@ -68,6 +68,8 @@ class Sampler:
 
     def push(self, record: Record) -> SampleBlock | None:
         """Take one record; the next block when there is one."""
+        if record.stream is Stream.PARAMETER:
+            return None
         if self._first is None:
             self._first = self._began = self._newest = record.t
         if record.t < self._newest - _STEP_BACK:

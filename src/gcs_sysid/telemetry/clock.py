@@ -2,8 +2,11 @@
 
 Three kinds of stamp come: 64-bit microseconds, 32-bit milliseconds (wrap after 49.7 days) and
 32-bit microseconds (SERVO_OUTPUT_RAW: wrap after 71.6 minutes). All are put on one axis,
-seconds since the vehicle's boot. The wall clock has no part in it.
+seconds since the vehicle's boot. The wall clock has no part in it: how far the two drift apart
+is only shown.
 """
+
+import statistics
 
 JUMP_BACK = 1.0
 """s. A stamp further back than this is a reboot, not reordering on the way."""
@@ -96,3 +99,50 @@ class VehicleClock:
             self.started = t
             self._unix_minus_boot = None
         return t
+
+
+class ClockDrift:
+    """How fast the vehicle's clock runs against the wall clock.
+
+    Needs no regular or exact times: the figure is the median over pairs of moments that lie
+    half of what was heard apart, so that late frames and wrong stamps do not matter.
+    """
+
+    STEP = 1.0
+    """s of wall time between the moments kept, at first; doubled when they become too many."""
+    MOST = 1024
+    LEAST_SPAN = 20.0
+    """s. Over less time, the jitter of the link is larger than the drift of a clock."""
+
+    def __init__(self) -> None:
+        self._moments: list[tuple[float, float]] = []
+        self._step = self.STEP
+
+    def take(self, vehicle: float, wall: float) -> None:
+        """Note one moment on both clocks, s."""
+        moments = self._moments
+        if moments:
+            last_vehicle, last_wall = moments[-1]
+            if vehicle < last_vehicle - JUMP_BACK:  # a reboot
+                moments.clear()
+                self._step = self.STEP
+            elif abs(wall - last_wall) < self._step:
+                return
+        moments.append((vehicle, wall))
+        if len(moments) > self.MOST:
+            del moments[1::2]
+            self._step *= 2.0
+
+    @property
+    def ppm(self) -> float | None:
+        """Parts per million by which the vehicle's clock is fast; None until it can be told."""
+        moments = self._moments
+        half = len(moments) // 2
+        slopes = [
+            (late[0] - early[0]) / (late[1] - early[1])
+            for early, late in zip(moments, moments[half:], strict=False)
+            if half and late[1] > early[1]
+        ]
+        if not slopes or moments[-1][1] - moments[0][1] < self.LEAST_SPAN:
+            return None
+        return 1e6 * (statistics.median(slopes) - 1.0)

@@ -47,6 +47,16 @@ class Intake:
         return self.selector.chosen
 
     @property
+    def systems(self) -> list[Vehicle]:
+        """All systems heard, in the order heard."""
+        return list(self.selector.systems.values())
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The vehicle's parameters heard so far."""
+        return self.decoder.parameters
+
+    @property
     def clock(self) -> float | None:
         """The latest time on the vehicle's clock, s."""
         return self.decoder.clock.now

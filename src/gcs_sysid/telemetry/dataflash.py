@@ -1,0 +1,288 @@
+"""ArduPilot's own logs (.bin): each entry type as the stream that it would be on a link.
+
+- IMU of the first instance is HIGHRES_IMU: filtered by INS_GYRO_FILTER and INS_ACCEL_FILTER.
+- ESC holds the reading as it came (RawRPM) beside the one slewed to the moment of writing (RPM,
+  what ESC_TELEMETRY sends, 2 ms later): the former is taken.
+- RCOU is SERVO_OUTPUT_RAW, usually at 10 Hz.
+- Entries without a time (EV and PARM of old firmware) take that of the IMU entry before them.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.model.attitude import from_rotation_vector, multiply
+from gcs_sysid.records import Stream
+from gcs_sysid.telemetry.dataflash_format import DataflashLog
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.rotors import RPM
+from gcs_sysid.telemetry.tracks import Recording
+
+_EV_ARMED, _EV_DISARMED, _EV_LANDED, _EV_NOT_LANDED = 10, 11, 18, 28
+_MODE_LAND = 9
+_MOTORS = (*range(33, 41), *range(82, 86))
+"""SERVOn_FUNCTION of motors 1 to 12."""
+_EKF_2 = 2.0
+"""AHRS_EKF_TYPE."""
+_FRAME_CLASSES = {
+    1: mavlink.MAV_TYPE_QUADROTOR,
+    2: mavlink.MAV_TYPE_HEXAROTOR,
+    3: mavlink.MAV_TYPE_OCTOROTOR,
+    4: mavlink.MAV_TYPE_OCTOROTOR,
+    5: mavlink.MAV_TYPE_HEXAROTOR,
+    7: mavlink.MAV_TYPE_TRICOPTER,
+    12: mavlink.MAV_TYPE_DODECAROTOR,
+}
+"""FRAME_CLASS -> MAV_TYPE."""
+_CHANNEL = re.compile(r"(?:C|Ch|Chan)(\d+)")
+
+
+def read_dataflash(path: Path) -> Recording:
+    """Read a .bin file.
+
+    Raises:
+        InputError: it cannot be read or is no dataflash log.
+    """
+    return _Reader(DataflashLog(path)).read()
+
+
+class _Reader:
+    """Turns the entries of one log into streams."""
+
+    def __init__(self, log: DataflashLog) -> None:
+        self._log = log
+        # The most frequent entry tells the time for those that have none.
+        timed = [name for name in ("IMU", "ATT", "RCOU") if name in log.counts]
+        name = timed[0] if timed else ""
+        self._known_places, self._known_t = log.places(name), self._own_times(name)
+        self._parameters = self._read_parameters()
+        self._latest = {name: value for _, name, value in self._parameters}
+
+    def read(self) -> Recording:
+        frame = self._latest.get("FRAME_CLASS", 0.0)
+        system = self._latest.get("MAV_SYSID", self._latest.get("SYSID_THISMAV", 1.0))
+        lost = self._log.numbers("DSF").get("Dp")
+        recording = Recording(
+            tracks=[],
+            system=int(system),
+            component=mavlink.MAV_COMP_ID_AUTOPILOT1,
+            # Firmware before FRAME_CLASS was made for one frame each, mostly the quadrotor.
+            vehicle_type=_FRAME_CLASSES.get(int(frame), mavlink.MAV_TYPE_QUADROTOR),
+            autopilot=mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
+            parameters=self._parameters,
+            counts=self._log.counts,
+            garbage_bytes=self._log.garbage_bytes,
+            damaged=self._log.garbage_bytes > 0,
+            lost=0 if lost is None else int(lost.max()),
+        )
+        self._add_imu(recording)
+        self._add_attitude(recording)
+        self._add_velocity(recording)
+        self._add_outputs(recording)
+        self._add_escs(recording)
+        self._add_rpm(recording)
+        self._add_states(recording)
+        return recording
+
+    def _own_times(self, name: str) -> Array:
+        columns = self._log.numbers(name)
+        if "TimeUS" in columns:
+            return columns["TimeUS"] * 1e-6
+        return columns["TimeMS"] * 1e-3 if "TimeMS" in columns else np.zeros(0)
+
+    def _times(self, name: str) -> Array:
+        """(n,) s of all entries of a name: their own, else those of what was written before."""
+        own = self._own_times(name)
+        places = self._log.places(name)
+        if len(own) or not len(self._known_t):
+            return own if len(own) else np.zeros(len(places))
+        before = np.searchsorted(self._known_places, places) - 1
+        t: Array = self._known_t[np.maximum(before, 0)]
+        return t
+
+    def _read_parameters(self) -> list[tuple[float, str, float]]:
+        columns = self._log.columns("PARM")
+        values = self._log.numbers("PARM").get("Value")
+        if values is None or "Name" not in columns or columns["Name"].dtype.kind != "S":
+            return []
+        names = (name.decode("ascii", "replace") for name in columns["Name"].tolist())
+        table = zip(self._times("PARM").tolist(), names, values.tolist(), strict=True)
+        return [entry for entry in table if np.isfinite(entry[2])]
+
+    def _named(self, name: str, wanted: Sequence[str]) -> Array | None:
+        """(n, columns) of the columns named; None when the log has not all of them."""
+        columns = self._log.numbers(name)
+        if not wanted or not set(wanted) <= set(columns):
+            return None
+        return np.column_stack([columns[column] for column in wanted])
+
+    def _primary(self, name: str) -> Mask:
+        """(n,) the entries of the first sensor, or of the estimator that the autopilot flies by."""
+        columns = self._log.numbers(name)
+        number = columns.get("I", columns.get("C"))
+        if number is None:
+            return np.ones(len(self._log.places(name)), dtype=bool)
+        wanted = number.min()
+        chosen = self._log.numbers(f"{name[:2]}F4").get("PI") if "C" in columns else None
+        if chosen is not None:
+            primaries, times = np.unique(chosen, return_counts=True)
+            most = primaries[times.argmax()]
+            wanted = most if np.any(number == most) else wanted
+        primary: Mask = number == wanted
+        return primary
+
+    def _add_imu(self, recording: Recording) -> None:
+        values = self._named("IMU", ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"))
+        if values is not None:
+            first = self._primary("IMU")
+            recording.add(Stream.IMU, self._times("IMU")[first], values[first])
+
+    def _add_attitude(self, recording: Recording) -> None:
+        """From the entry that comes most often, ATT before the estimator's quaternion."""
+        best: tuple[Array, Array] | None = None
+        angles = self._named("ATT", ("Roll", "Pitch", "Yaw"))
+        if angles is not None:
+            best = self._times("ATT"), _from_degrees(angles)
+        for name in self._by_estimator("KQ"):
+            q = self._named(name, ("Q1", "Q2", "Q3", "Q4"))
+            if q is not None:
+                rows = self._primary(name)
+                if best is None or rows.sum() > len(best[0]):
+                    best = self._times(name)[rows], q[rows]
+        if best is not None:
+            recording.add_attitude(*best)
+
+    def _by_estimator(self, name: str) -> tuple[str, str]:
+        """Entry names of the EKFs, the one in use first."""
+        new, old = f"X{name}", f"N{name}"
+        return (old, new) if self._latest.get("AHRS_EKF_TYPE") == _EKF_2 else (new, old)
+
+    def _add_velocity(self, recording: Recording) -> None:
+        for name in (*self._by_estimator("KF1"), "EKF1"):
+            values = self._named(name, ("VN", "VE", "VD", "PN", "PE", "PD"))
+            if values is not None:
+                rows = self._primary(name)
+                recording.add(Stream.VELOCITY, self._times(name)[rows], values[rows])
+                return
+
+    def _channels(self) -> list[int]:
+        """Output channel of each motor, from 0; empty when the parameters do not tell."""
+        channels = {
+            int(self._latest.get(f"SERVO{channel}_FUNCTION", 0.0)): channel - 1
+            for channel in range(16, 0, -1)
+        }
+        motors = [channels[function] for function in _MOTORS if function in channels]
+        return motors if len(motors) >= 4 else []
+
+    def _add_outputs(self, recording: Recording) -> None:
+        columns = self._log.numbers("RCOU")
+        channels = {
+            int(match[1]) - 1: column
+            for column in columns
+            if (match := _CHANNEL.fullmatch(column)) is not None
+        }
+        motors = [channel for channel in self._channels() if channel in channels]
+        if not motors:
+            used = [c for c in sorted(channels) if c < 4 or columns[channels[c]].any()]
+            motors = [c for i, c in enumerate(used) if c == i]
+        values = self._named("RCOU", [channels[channel] for channel in motors])
+        if values is not None:
+            recording.add(Stream.ROTOR_COMMAND, self._times("RCOU"), values, source="RCOU")
+
+    def _add_escs(self, recording: Recording) -> None:
+        """One stream when all ESCs are written at the same times, else one of each."""
+        escs: dict[int, tuple[Array, Array]] = {}
+        if "ESC" in self._log.counts:
+            columns, t = self._log.numbers("ESC"), self._times("ESC")
+            if {"Instance", "RPM"} <= set(columns):
+                for instance in np.unique(columns["Instance"]).tolist():
+                    rows = columns["Instance"] == instance
+                    escs[int(instance)] = t[rows], _rpm(columns)[rows]
+        else:
+            for instance in range(16):  # before 4.1
+                columns = self._log.numbers(f"ESC{instance + 1}")
+                if "RPM" in columns:
+                    escs[instance] = self._times(f"ESC{instance + 1}"), _rpm(columns)
+        # An ESC has the number of its channel; those that drive no motor are left out.
+        motors = {channel: motor for motor, channel in enumerate(self._channels())}
+        if motors.keys() & escs.keys():
+            escs = {motors[channel]: esc for channel, esc in escs.items() if channel in motors}
+        first = next(iter(escs.values()), None)
+        together = first is not None and sorted(escs) == list(range(len(escs)))
+        if (
+            first is not None
+            and together
+            and all(np.array_equal(t, first[0]) for t, _ in escs.values())
+        ):
+            speeds = np.column_stack([escs[motor][1] for motor in sorted(escs)])
+            recording.add(Stream.ROTOR_SPEED, first[0], speeds, source="ESC")
+            return
+        for motor, (t, speed) in sorted(escs.items()):
+            recording.add(Stream.ROTOR_SPEED, t, speed, motor, "ESC")
+
+    def _add_rpm(self, recording: Recording) -> None:
+        columns, t = self._log.numbers("RPM"), self._times("RPM")
+        if "I" in columns and "RPM" in columns:
+            sensors = {int(i): (columns["I"] == i, columns["RPM"]) for i in np.unique(columns["I"])}
+        else:
+            every = np.ones(len(t), dtype=bool)
+            names = enumerate(("rpm1", "rpm2"))
+            sensors = {i: (every, columns[name]) for i, name in names if name in columns}
+        for sensor, (rows, rpm) in sensors.items():
+            there = rows & (rpm >= 0.0)  # -1: no such sensor
+            if np.any(there & (rpm > 0.0)) or sensor == 0:
+                recording.add(Stream.ROTOR_SPEED, t[there], rpm[there] * RPM, sensor, "RPM")
+
+    def _add_states(self, recording: Recording) -> None:
+        """Armed, and in the air without landing by itself, from the changes that are logged."""
+        if not len(self._known_t):
+            return
+        armed: dict[float, bool] = {}
+        flies: dict[float, bool] = {}
+        for t, number in self._pairs("EV", "Id"):
+            if number in (_EV_ARMED, _EV_DISARMED):
+                armed[t] = number == _EV_ARMED
+            if number in (_EV_LANDED, _EV_NOT_LANDED):
+                flies[t] = number == _EV_NOT_LANDED
+        armed.update((t, bool(state)) for t, state in self._pairs("ARM", "ArmState"))
+        landing = {t: mode == _MODE_LAND for t, mode in self._pairs("MODE", "ModeNum")}
+        # What was true before the first change is its opposite: many logs begin on arming.
+        start = float(self._known_t[0])
+        for changes in (armed, flies):
+            if changes:
+                changes.setdefault(start, not changes[min(changes)])
+        if flies:
+            both = sorted({*flies, *landing})
+            flies = {t: _at(flies, t) and not _at(landing, t) for t in both if t >= start}
+        end = float(self._known_t[-1])
+        recording.add_state(Stream.ARMED, armed, end)
+        recording.add_state(Stream.IN_AIR, flies, end)
+
+    def _pairs(self, name: str, column: str) -> Iterator[tuple[float, float]]:
+        columns = self._log.numbers(name)
+        if column in columns:
+            yield from zip(self._times(name).tolist(), columns[column].tolist(), strict=True)
+
+
+def _at(changes: dict[float, bool], t: float) -> bool:
+    """The state at a time, from the changes to it; False before the first."""
+    before = [key for key in changes if key <= t]
+    return changes[max(before)] if before else False
+
+
+def _rpm(columns: dict[str, Array]) -> Array:
+    """(n,) rad/s; the reading itself where the log has it."""
+    raw = columns.get("RawRPM")
+    rpm: Array = columns["RPM"] if raw is None or not np.any(raw) else raw
+    speeds: Array = np.abs(rpm) * RPM
+    return speeds
+
+
+def _from_degrees(angles: Array) -> Array:
+    """(n, 4) quaternions of (n, 3) roll, pitch, yaw in degrees."""
+    turns = np.radians(angles)[:, :, None] * np.eye(3)  # (n, axis, 3)
+    roll, pitch, yaw = np.moveaxis(from_rotation_vector(turns), 1, 0)
+    return multiply(multiply(yaw, pitch), roll)

@@ -1,0 +1,245 @@
+"""The one door to recordings of every kind.
+
+    log = open_log(Path("flight.ulg"))
+    for record in log.records():
+        ...
+    print(log.vehicle, log.as_dict())
+
+What a file is shows in its content, not in its name.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.records import Record, Stream
+from gcs_sysid.telemetry import dataflash_format, ulog
+from gcs_sysid.telemetry.clock import ClockDrift
+from gcs_sysid.telemetry.dataflash import read_dataflash
+from gcs_sysid.telemetry.intake import Intake, IntakeEvent
+from gcs_sysid.telemetry.monitor import GAP, GAPS_KEPT
+from gcs_sysid.telemetry.tlog import STAMP, read_tlog
+from gcs_sysid.telemetry.tracks import Recording
+from gcs_sysid.telemetry.ulog import read_ulog
+from gcs_sysid.telemetry.vehicles import Vehicle
+
+
+class Telemetry(Protocol):
+    """What a link or a log tells beside its records."""
+
+    @property
+    def vehicle(self) -> Vehicle | None:
+        """The chosen vehicle; None until it was heard."""
+
+    @property
+    def systems(self) -> list[Vehicle]:
+        """All systems heard, in the order heard."""
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The vehicle's parameters, as far as they were heard."""
+
+    def take_events(self) -> list[IntakeEvent]:
+        """What happened since this was last asked."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """The result's `telemetry`."""
+
+
+class Log(Telemetry, Protocol):
+    """A recording. Its figures are those of what was read so far."""
+
+    kind: str
+    """"tlog", "ulog" or "dataflash"."""
+
+    def records(self) -> Iterator[Record]:
+        """The records of the chosen vehicle, once, in the order in which they came."""
+
+    @property
+    def share_read(self) -> float:
+        """How much of it was read, 0 to 1."""
+
+    @property
+    def drift_ppm(self) -> float | None:
+        """How fast the vehicle's clock ran against the wall clock; None when not known."""
+
+
+class TlogLog:
+    """What a ground station recorded."""
+
+    kind = "tlog"
+
+    def __init__(self, path: Path, wanted: tuple[int, int | None] | None = None) -> None:
+        self.intake = Intake(wanted)
+        self._reader = read_tlog(path)
+        self._size = max(path.stat().st_size, 1)
+        self._done = 0
+        self._drift = ClockDrift()
+
+    def records(self) -> Iterator[Record]:
+        """As `Log` says."""
+        intake, drift = self.intake, self._drift
+        for time_us, frame in self._reader:
+            self._done += STAMP + len(frame.raw)
+            record = intake.frame(frame)
+            if record is None:
+                continue
+            now = intake.clock
+            if now is not None:
+                drift.take(now, time_us * 1e-6)
+            yield record
+        self._done = self._size
+
+    @property
+    def share_read(self) -> float:
+        """As `Log` says."""
+        return min(self._done / self._size, 1.0)
+
+    @property
+    def drift_ppm(self) -> float | None:
+        """As `Log` says; by the times at which the ground station received."""
+        return self._drift.ppm
+
+    @property
+    def vehicle(self) -> Vehicle | None:
+        """As `Telemetry` says."""
+        return self.intake.vehicle
+
+    @property
+    def systems(self) -> list[Vehicle]:
+        """As `Telemetry` says."""
+        return self.intake.systems
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """As `Telemetry` says."""
+        return self.intake.parameters
+
+    def take_events(self) -> list[IntakeEvent]:
+        """As `Telemetry` says."""
+        return self.intake.take_events()
+
+    def as_dict(self) -> dict[str, Any]:
+        """As `Telemetry` says."""
+        self.intake.garbage_bytes = self._reader.garbage_bytes
+        return self.intake.as_dict()
+
+
+class OnboardLog:
+    """What the autopilot recorded itself: all of one vehicle, read at once."""
+
+    drift_ppm: float | None = None
+
+    def __init__(
+        self, kind: str, recording: Recording, wanted: tuple[int, int | None] | None = None
+    ) -> None:
+        self.kind = kind
+        self._recording = recording
+        own = Vehicle(
+            recording.system, recording.component, recording.vehicle_type, recording.autopilot
+        )
+        self.systems = [own]
+        fits = wanted is None or (wanted[0] == own.system and wanted[1] in (None, own.component))
+        self.vehicle = own if fits else None
+        self.parameters = {name: value for _, name, value in recording.parameters}
+        self._given = 0
+        self._total = max(sum(len(track.t) for track in recording.tracks), 1)
+        start, _ = self._span()
+        self._events = [IntakeEvent(start, "vehicle", f"{own} heard")] if fits else []
+
+    def records(self) -> Iterator[Record]:
+        """As `Log` says."""
+        if self.vehicle is None:
+            return
+        for record in self._recording.records():
+            self._given += record.stream is not Stream.PARAMETER
+            yield record
+
+    @property
+    def share_read(self) -> float:
+        """As `Log` says."""
+        return self._given / self._total
+
+    def take_events(self) -> list[IntakeEvent]:
+        """As `Telemetry` says."""
+        events, self._events = self._events, []
+        return events
+
+    def as_dict(self) -> dict[str, Any]:
+        """As `Telemetry` says, with the writing's pauses as `dropouts`."""
+        recording = self._recording
+        start, end = self._span()
+        span = end - start
+        entries = sum(recording.counts.values())
+        return {
+            "duration": span,
+            "systems": [str(system) for system in self.systems],
+            "messages": {
+                name: {"count": n, "rate": n / span if span > 0.0 else None}
+                for name, n in sorted(recording.counts.items())
+            },
+            "received": entries,
+            "unknown": 0,
+            "bad_crc": 0,
+            "garbage_bytes": recording.garbage_bytes,
+            "damaged": recording.damaged,
+            "lost": recording.lost,
+            "lost_percent": 100.0 * recording.lost / max(entries + recording.lost, 1),
+            "imu_gaps": self._gaps(),
+            "dropouts": {
+                "count": len(recording.dropouts),
+                "seconds": sum(length for _, length in recording.dropouts),
+            },
+            "reboots": 0,
+            "dropped": dict(recording.dropped),
+        }
+
+    def _span(self) -> tuple[float, float]:
+        tracks = self._recording.tracks
+        if not tracks:
+            return 0.0, 0.0
+        return min(float(track.t[0]) for track in tracks), max(
+            float(track.t[-1]) for track in tracks
+        )
+
+    def _gaps(self) -> dict[str, Any]:
+        """Pauses of the IMU, by the rule of `Monitor`."""
+        for track in self._recording.tracks:
+            if track.stream is Stream.IMU and len(track.t) > 1:
+                steps = np.diff(track.t)
+                long = np.flatnonzero(steps > max(GAP, 5.0 * float(np.median(steps))))
+                last = [
+                    {"t": float(track.t[i]), "length": float(steps[i])}
+                    for i in long[-GAPS_KEPT:].tolist()
+                ]
+                return {"count": len(long), "last": last}
+        return {"count": 0, "last": []}
+
+
+def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
+    """Open a .tlog, .ulg or .bin.
+
+    Args:
+        path: of the file.
+        wanted: system and perhaps component to listen to; None: the first autopilot in it.
+
+    Raises:
+        InputError: it is none of these, or cannot be read.
+    """
+    try:
+        if path.is_dir():
+            raise InputError(f"{path} is a folder: give a .tlog, .ulg or .bin file")
+        with open(path, "rb") as file:
+            head = file.read(len(ulog.MAGIC))
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from error
+    if head.startswith(ulog.MAGIC[:4]):
+        return OnboardLog("ulog", read_ulog(path), wanted)
+    if head.startswith(dataflash_format.HEAD):
+        return OnboardLog("dataflash", read_dataflash(path), wanted)
+    if head.startswith(b"FMT,"):
+        raise InputError(f"{path} is a dataflash log turned into text: give the .bin itself")
+    return TlogLog(path, wanted)

@@ -1,0 +1,136 @@
+"""One flight, one answer: a .tlog, a .ulg and a .bin of it are identified alike."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.records import Record, Stream
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.sampling import Sampler
+
+RPM = 2.0 * math.pi / 60.0
+
+
+@pytest.fixture(scope="module")
+def airframe():
+    return load_airframe("paper")
+
+
+def microseconds(record):
+    return round(record.t * 1e6)
+
+
+def as_ulog(log, records):
+    log.topic("sensor_combined", ["float[3] gyro_rad", "float[3] accelerometer_m_s2"])
+    log.topic("vehicle_attitude", ["float[4] q"])
+    log.topic("vehicle_local_position", [f"float {n}" for n in ("x", "y", "z", "vx", "vy", "vz")])
+    log.topic("vehicle_land_detected", ["bool landed"])
+    log.topic("vehicle_status", ["uint8_t arming_state", "uint8_t nav_state"])
+    log.nested("esc_report", ["int32_t esc_rpm"])
+    log.topic("esc_status", ["uint8_t esc_count", "esc_report[4] esc"])
+    for record in records:
+        t, values = record.t, record.values
+        match record.stream:
+            case Stream.IMU:
+                log.row("sensor_combined", t, *values)
+            case Stream.ATTITUDE:
+                log.row("vehicle_attitude", t, *values)
+            case Stream.VELOCITY:
+                log.row("vehicle_local_position", t, *values[3:], *values[:3])
+            case Stream.ROTOR_SPEED:
+                log.row("esc_status", t, 4, *(round(v / RPM) for v in values))
+            case Stream.IN_AIR:
+                log.row("vehicle_land_detected", t, values[0] == 0.0)
+            case Stream.ARMED:
+                log.row("vehicle_status", t, 2 if values[0] else 1, 14)
+    return log.bytes()
+
+
+def as_dataflash(log, records):
+    log.type("IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    log.type("XKQ", "QBffff", "TimeUS,C,Q1,Q2,Q3,Q4")
+    log.type("XKF1", "QBffffff", "TimeUS,C,VN,VE,VD,PN,PE,PD")
+    log.type("ESC", "QBff", "TimeUS,Instance,RPM,RawRPM")
+    log.type("EV", "QB", "TimeUS,Id")
+    flies = None
+    for record in records:
+        t, values = microseconds(record), record.values
+        match record.stream:
+            case Stream.IMU:
+                log.row("IMU", t, 0, *values)
+            case Stream.ATTITUDE:
+                log.row("XKQ", t, 0, *values)
+            case Stream.VELOCITY:
+                log.row("XKF1", t, 0, *values)
+            case Stream.ROTOR_SPEED:
+                for rotor, speed in enumerate(values):
+                    log.row("ESC", t, rotor, speed / RPM, speed / RPM)
+            case Stream.IN_AIR if values != flies:
+                flies = values
+                log.row("EV", t, 28 if values[0] else 18)
+    return log.bytes()
+
+
+@pytest.mark.parametrize("kind", ["ulg", "bin"])
+def test_an_onboard_log_gives_what_the_tlog_gives(
+    kind, paper_flight, paper_records, airframe, ulog_file, dataflash_file, tmp_path
+):
+    path = tmp_path / f"flight.{kind}"
+    if kind == "ulg":
+        path.write_bytes(as_ulog(ulog_file, paper_records))
+    else:
+        path.write_bytes(as_dataflash(dataflash_file, paper_records))
+    expected = analyze_log(paper_flight.tlog, airframe)
+    shares = []
+    result = analyze_log(path, airframe, progress=shares.append)
+    assert result.verdict == expected.verdict == "identified"
+    assert result.vehicle["autopilot"] == ("px4" if kind == "ulg" else "ardupilot")
+    for name, parameter in expected.parameters.items():
+        if parameter.status == "identified":
+            # Stamps of the attitude differ by less than a millisecond.
+            value = result.parameters[name].value
+            assert value == pytest.approx(parameter.value, abs=0.1 * parameter.std), name
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+
+
+def test_another_vehicle_than_the_logs_own_is_refused(airframe, ulog_file, tmp_path):
+    ulog_file.topic("vehicle_attitude", ["float[4] q"])
+    ulog_file.row("vehicle_attitude", 1.0, 1.0, 0.0, 0.0, 0.0)
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(ulog_file.bytes())
+    result = analyze_log(path, airframe, wanted=(7, None))
+    assert result.verdict == "refused"
+    assert "heard: PX4 vehicle 1:1" in result.reasons[0]
+
+
+def test_parameters_are_no_samples():
+    sampler = Sampler(4)
+    assert sampler.push(Record(Stream.PARAMETER, 0.0, (1.0,), source="FRAME_CLASS")) is None
+    assert sampler.recorded is None
+    assert sampler.seen == set()
+    sampler.push(Record(Stream.IMU, 500.0, (0.0,) * 6))
+    sampler.push(Record(Stream.PARAMETER, 0.0, (1.0,), source="FRAME_CLASS"))
+    sampler.push(Record(Stream.IMU, 501.0, (0.0,) * 6))
+    assert sampler.recorded == 1.0
+
+
+SHARED_LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "autopilot"),
+    [("px4-sih-default.ulg", "px4"), ("ardupilot-sitl.bin", "ardupilot")],
+)
+def test_recorded_onboard_logs_go_through_the_chain(name, autopilot, airframe):
+    if not SHARED_LOGS.is_dir():
+        pytest.skip("no ../shared/logs beside the project")
+    result = analyze_log(SHARED_LOGS / name, airframe)
+    assert result.vehicle == {"sysid": 1, "compid": 1, "autopilot": autopilot}
+    assert result.telemetry["duration"] > 150.0
+    assert result.telemetry["late"] == 0
+    assert np.isfinite(result.telemetry["grid_rate"])

@@ -1,0 +1,197 @@
+"""One door to every kind of recording, told by content; every ground station's .tlog."""
+
+import random
+import struct
+
+import pytest
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.records import Stream
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.intake import Intake
+from gcs_sysid.telemetry.logs import open_log
+from gcs_sysid.telemetry.tlog import read_tlog
+
+WALL = 1_750_000_000.0
+
+
+def record_of(wall, frame):
+    return struct.pack(">Q", round(wall * 1e6)) + frame.raw
+
+
+def flight(sender, seconds=30.0, rate=1.0):
+    """(wall, frame) of a vehicle whose clock runs at a rate of the wall clock."""
+    rows = []
+    for i in range(round(seconds * 50)):
+        t = 5.0 + 0.02 * i * rate
+        wall = WALL + 0.02 * i
+        if i % 50 == 0:
+            rows.append((wall, sender.heartbeat()))
+        rows.append((wall, sender.imu(t, gyro=(0.01 * (i % 7), 0.0, 0.0))))
+        rows.append((wall, sender.attitude(t, roll=0.001 * (i % 90))))
+    return rows
+
+
+def write(path, rows):
+    path.write_bytes(b"".join(record_of(wall, frame) for wall, frame in rows))
+    return path
+
+
+@pytest.mark.parametrize("name", ["flight.tlog", "flight.ulg", "flight", "flight.bin"])
+def test_a_tlog_is_known_whatever_its_name(tmp_path, sender, name):
+    log = open_log(write(tmp_path / name, flight(sender)))
+    assert log.kind == "tlog"
+    assert sum(r.stream is Stream.IMU for r in log.records()) == 1500
+    assert str(log.vehicle) == "PX4 quadrotor 1:1"
+    assert log.share_read == 1.0
+
+
+def test_onboard_logs_are_known_whatever_their_names(tmp_path, ulog_file, dataflash_file):
+    ulog_file.topic("vehicle_attitude", ["float[4] q"])
+    ulog_file.row("vehicle_attitude", 1.0, 1.0, 0.0, 0.0, 0.0)
+    (tmp_path / "a.tlog").write_bytes(ulog_file.bytes())
+    assert open_log(tmp_path / "a.tlog").kind == "ulog"
+    dataflash_file.type("EV", "QB", "TimeUS,Id")
+    dataflash_file.row("EV", 1_000_000, 10)
+    (tmp_path / "b.tlog").write_bytes(dataflash_file.bytes())
+    assert open_log(tmp_path / "b.tlog").kind == "dataflash"
+
+
+def test_a_tlog_gives_what_its_frames_give(tmp_path, sender):
+    path = write(tmp_path / "flight.tlog", flight(sender))
+    intake = Intake()
+    expected = intake.frames(frame for _, frame in read_tlog(path))
+    log = open_log(path)
+    assert list(log.records()) == expected
+    assert log.as_dict() == intake.as_dict()
+    assert [event.kind for event in log.take_events()] == ["vehicle"]
+
+
+@pytest.mark.parametrize("rate", [0.98, 1.0, 1.008])
+def test_drift_of_the_vehicles_clock_is_told(tmp_path, sender, rate):
+    log = open_log(write(tmp_path / "flight.tlog", flight(sender, rate=rate)))
+    assert log.drift_ppm is None
+    assert all(True for _ in log.records())
+    assert log.drift_ppm == pytest.approx(1e6 * (rate - 1.0), abs=50.0)
+
+
+def test_qgroundcontrol_has_milliseconds_and_its_own_messages(tmp_path, sender, make_sender):
+    station = make_sender(255, 190)
+    rows = []
+    for wall, frame in flight(sender):
+        wall = round(wall, 3)
+        rows.append((wall, frame))
+        if frame.message_id == 0:
+            beat = station.heartbeat(
+                type=mavlink.MAV_TYPE_GCS, autopilot=mavlink.MAV_AUTOPILOT_INVALID
+            )
+            rows.append((wall, beat))
+    plain = list(open_log(write(tmp_path / "plain.tlog", flight(make_sender()))).records())
+    log = open_log(write(tmp_path / "qgc.tlog", rows))
+    assert list(log.records()) == plain
+    assert [str(system) for system in log.systems] == [
+        "PX4 quadrotor 1:1",
+        "ground station 255:190",
+    ]
+
+
+def test_mavproxy_marks_the_link_and_may_hear_all_twice(tmp_path, sender, make_sender):
+    """The low two bits of its times are the number of the link."""
+    plain = list(open_log(write(tmp_path / "plain.tlog", flight(make_sender()))).records())
+    data = b""
+    for wall, frame in flight(sender):
+        for link in (0, 1):
+            data += struct.pack(">Q", round(wall * 1e6) & ~3 | link) + frame.raw
+    (tmp_path / "twice.tlog").write_bytes(data)
+    log = open_log(tmp_path / "twice.tlog")
+    records = list(log.records())
+    assert [r for i, r in enumerate(records) if i % 2 == 0] == plain
+    assert records[0::2] == records[1::2]
+    assert log.as_dict()["lost"] == 0
+    assert log.drift_ppm == pytest.approx(0.0, abs=50.0)
+
+
+def test_mission_planner_writes_both_directions_out_of_order(tmp_path, sender, make_sender):
+    rng = random.Random(3)
+    station = make_sender(255, 190)
+    rows = []
+    for wall, frame in flight(sender):
+        rows.append((wall, frame))
+        if rng.random() < 0.2:
+            ask = mavlink.MAVLink_request_data_stream_message(1, 1, 0, 4, 1)
+            rows.append((wall - rng.uniform(0.0, 0.5), station.frame(ask)))
+    # Neighbours change places, but the first heartbeat.
+    order = sorted(range(len(rows)), key=lambda i: i + 2.5 * rng.random() * (i > 0))
+    log = open_log(write(tmp_path / "mp.tlog", [rows[i] for i in order]))
+    records = list(log.records())
+    times = {stream: [r.t for r in records if r.stream is stream] for stream in Stream}
+    assert sorted(times[Stream.IMU]) == pytest.approx([5.0 + 0.02 * i for i in range(1500)])
+    assert len(times[Stream.ATTITUDE]) == 1500
+    told = log.as_dict()
+    assert (told["lost"], told["reboots"], told["dropped"]) == (0, 0, {})
+
+
+def test_versions_1_and_2_mix(tmp_path, sender):
+    rows = flight(sender)
+    mixed = []
+    for i, (wall, frame) in enumerate(rows):
+        if i % 3 == 0 and frame.message_id == mavlink.MAVLINK_MSG_ID_ATTITUDE:
+            t = int.from_bytes(frame.payload[:4], "little")
+            message = mavlink.MAVLink_attitude_message(t, 0, 0, 0, 0, 0, 0)
+            frame = sender.frame(message, version=1)
+        mixed.append((wall, frame))
+    log = open_log(write(tmp_path / "mixed.tlog", mixed))
+    assert sum(r.stream is Stream.ATTITUDE for r in log.records()) == 1500
+    assert {frame.version for _, frame in read_tlog(tmp_path / "mixed.tlog")} == {1, 2}
+
+
+def test_the_vehicle_wanted_is_the_onboard_logs_own_or_none(tmp_path, ulog_file):
+    ulog_file.parameter("MAV_SYS_ID", 4)
+    ulog_file.topic("vehicle_attitude", ["float[4] q"])
+    ulog_file.row("vehicle_attitude", 1.0, 1.0, 0.0, 0.0, 0.0)
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(ulog_file.bytes())
+    assert len(list(open_log(path, (4, None)).records())) == 2
+    other = open_log(path, (5, 1))
+    assert other.vehicle is None
+    assert list(other.records()) == []
+    assert other.take_events() == []
+    assert [str(system) for system in other.systems] == ["PX4 vehicle 4:1"]
+
+
+def test_pauses_of_an_onboard_imu_are_gaps(tmp_path, dataflash_file):
+    log = dataflash_file
+    log.type("IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    for i in range(500):
+        t = 1_000_000 + 4000 * i + (700_000 if i >= 250 else 0)
+        log.row("IMU", t, 0, 0.0, 0.0, 0.0, 0.0, 0.0, -9.8)
+    path = tmp_path / "gap.bin"
+    path.write_bytes(log.bytes())
+    gaps = open_log(path).as_dict()["imu_gaps"]
+    assert gaps["count"] == 1
+    assert gaps["last"][0]["length"] == pytest.approx(0.704)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "is empty"),
+        (b"t,ax,ay,az\n" * 100, "is not a .tlog"),
+        (b"FMT, 128, 89, FMT, BBnNZ\n" * 100, "give the .bin itself"),
+        (bytes(10_000), "is not a .tlog"),
+    ],
+    ids=["empty", "csv", "text dataflash", "zeros"],
+)
+def test_what_is_no_log_gives_one_line(tmp_path, content, says):
+    path = tmp_path / "some.log"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=says) as caught:
+        open_log(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_files_and_folders_give_one_line(tmp_path):
+    with pytest.raises(InputError, match="No such file"):
+        open_log(tmp_path / "missing.ulg")
+    with pytest.raises(InputError, match="is a folder"):
+        open_log(tmp_path)

@@ -1,0 +1,214 @@
+"""PX4's own logs give the records that a link would have given."""
+
+import math
+import random
+
+import numpy as np
+import pytest
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.records import Record, Stream
+from gcs_sysid.telemetry.logs import open_log
+from gcs_sysid.telemetry.ulog import read_ulog
+
+NAN = float("nan")
+
+
+@pytest.fixture
+def flight(ulog_file):
+    """A third of a second at 250 Hz, with everything that is read."""
+    log = ulog_file
+    log.parameter("THR_MDL_FAC", 0.3)
+    log.parameter("MAV_SYS_ID", 7)
+    log.topic(
+        "sensor_combined",
+        ["float[3] gyro_rad", "float[3] accelerometer_m_s2", "uint32_t gyro_integral_dt"],
+    )
+    log.topic("estimator_sensor_bias", ["float[3] gyro_bias", "float[3] accel_bias"])
+    log.topic("vehicle_attitude", ["float[4] q"])
+    log.topic("vehicle_local_position", [f"float {n}" for n in ("x", "y", "z", "vx", "vy", "vz")])
+    log.topic("actuator_motors", ["float[12] control"])
+    log.topic("actuator_outputs", ["uint32_t noutputs", "float[16] output"])
+    log.topic("actuator_outputs", ["uint32_t noutputs", "float[16] output"], multi_id=1)
+    log.topic("vehicle_land_detected", ["bool landed"])
+    log.topic(
+        "vehicle_status",
+        ["uint8_t arming_state", "uint8_t nav_state", "uint8_t system_id", "uint8_t system_type"],
+    )
+    log.row("vehicle_status", 2.0, 2, 17, 7, 13)
+    log.row("vehicle_land_detected", 2.0, True)
+    log.row("estimator_sensor_bias", 2.1, 0.5, 0.0, 0.0, 0.0, 0.0, 1.0)
+    for i in range(80):
+        t = 2.0 + 0.004 * i
+        log.row("sensor_combined", t, 1.0, 2.0, 3.0, 0.0, 0.0, -9.0, 4000)
+        sign = -1.0 if i % 3 else 1.0
+        log.row(
+            "vehicle_attitude", t + 1e-3, sign * math.cos(i / 100), sign * math.sin(i / 100), 0, 0
+        )
+        log.row("actuator_motors", t, 0.5, 0.0, 1.0, NAN, *[NAN] * 8)
+        if i % 20 == 0:
+            log.row("actuator_outputs", t, 4, *[1500.0] * 4, *[0.0] * 12)
+            log.row("actuator_outputs", t, 2, *[1600.0] * 2, *[0.0] * 14, multi_id=1)
+            log.row("vehicle_local_position", t, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    log.row("vehicle_land_detected", 2.15, False)
+    log.row("vehicle_status", 2.2, 2, 14, 7, 13)
+    log.parameter("MC_ROLLRATE_P", 0.2, t=2.3)
+    log.dropout(120)
+    return log
+
+
+@pytest.fixture
+def path(tmp_path, flight):
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(flight.bytes())
+    return path
+
+
+def of(log, stream, source=""):
+    return [r for r in log.records() if r.stream is stream and r.source == source]
+
+
+def test_the_imu_is_less_the_estimators_bias_as_on_the_link(path):
+    records = of(open_log(path), Stream.IMU)
+    assert len(records) == 80
+    assert records[0] == Record(Stream.IMU, 2.0, (1.0, 2.0, 3.0, 0.0, 0.0, -9.0))
+    assert records[-1].values == (0.5, 2.0, 3.0, 0.0, 0.0, -10.0)
+
+
+def test_commands_undo_the_thrust_curve_and_keep_their_sources_apart(path):
+    motors = of(open_log(path), Stream.ROTOR_COMMAND, "actuator_motors")[0].values
+    assert len(motors) == 3  # the fourth never came
+    u = np.array(motors)
+    np.testing.assert_allclose(0.7 * u + 0.3 * u**2, [0.5, 0.0, 1.0], atol=1e-7)
+    assert of(open_log(path), Stream.ROTOR_COMMAND, "actuator_outputs")[0].values == (1500.0,) * 4
+    second = of(open_log(path), Stream.ROTOR_COMMAND, "actuator_outputs_1")
+    assert second[0].values == (1600.0,) * 2
+
+
+def test_attitude_is_continuous_and_velocity_comes_before_position(path):
+    q = np.array([r.values for r in of(open_log(path), Stream.ATTITUDE)])
+    assert (np.sum(q[1:] * q[:-1], axis=1) > 0.99).all()
+    assert q[0, 0] > 0.0
+    velocity = of(open_log(path), Stream.VELOCITY)[0]
+    assert velocity.values == (4.0, 5.0, 6.0, 1.0, 2.0, 3.0)
+
+
+def test_taking_off_is_not_flying(path):
+    log = open_log(path)
+    states = [(r.t, r.values[0]) for r in of(log, Stream.IN_AIR)]
+    assert states == [(2.0, 0.0), (2.15, 0.0), (pytest.approx(2.2), 1.0)]
+    assert {r.values for r in of(open_log(path), Stream.ARMED)} == {(1.0,)}
+
+
+def test_records_come_in_the_order_of_time(path):
+    times = [r.t for r in open_log(path).records()]
+    assert times == sorted(times)
+
+
+def test_vehicle_parameters_and_dropouts_are_told(path):
+    log = open_log(path)
+    assert str(log.vehicle) == "PX4 hexarotor 7:1"
+    assert log.vehicle.key == "px4"
+    assert log.parameters["THR_MDL_FAC"] == pytest.approx(0.3)
+    changed = of(log, Stream.PARAMETER, "MC_ROLLRATE_P")
+    assert [r.values[0] for r in changed] == [pytest.approx(0.2)]
+    told = log.as_dict()
+    assert told["messages"]["sensor_combined"]["count"] == 80
+    assert told["dropouts"] == {"count": 1, "seconds": pytest.approx(0.12)}
+    assert log.share_read == 1.0
+
+
+def test_escs_are_put_in_motor_order(tmp_path, ulog_file):
+    log = ulog_file
+    log.nested("esc_report", ["uint64_t timestamp", "int32_t esc_rpm", "uint8_t actuator_function"])
+    log.topic("esc_status", ["uint8_t esc_count", "esc_report[2] esc"])
+    log.row("esc_status", 3.0, 2, 2_990_000, -600, 102, 2_990_000, 1200, 101)
+    path = tmp_path / "escs.ulg"
+    path.write_bytes(log.bytes())
+    (record,) = of(open_log(path), Stream.ROTOR_SPEED, "esc_status")
+    np.testing.assert_allclose(record.values, np.array([40.0, 20.0]) * math.pi)
+
+
+def test_damaged_logs_give_records_or_one_line(tmp_path, flight):
+    data = flight.bytes()
+    path = tmp_path / "hurt.ulg"
+    whole, told = 0, []
+    for seed in range(120):
+        rng = random.Random(seed)
+        hurt = bytearray(data)
+        for _ in range(rng.randrange(1, 8)):
+            at = rng.randrange(16, len(hurt))
+            if rng.random() < 0.5:
+                hurt[at] ^= 1 << rng.randrange(8)
+            else:
+                del hurt[at : at + rng.randrange(1, 30)]
+        if rng.random() < 0.3:
+            del hurt[rng.randrange(8, len(hurt)) :]
+        path.write_bytes(hurt)
+        try:
+            records = list(open_log(path).records())
+        except InputError as error:
+            told.append(str(error))
+        else:
+            whole += len(records) > 50
+            assert all(math.isfinite(sum(r.values)) for r in records)
+    assert whole > 30
+    assert not any("\n" in line for line in told)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"ULog\x01\x12\x35", "cannot be read as a PX4 log"),
+        (b"ULog\x02\x12\x35" + bytes(50), "cannot be read as a PX4 log"),
+        (b"ULog\x01\x12\x35\x01" + bytes(8), "holds no flight data"),
+    ],
+    ids=["cut", "other", "nothing"],
+)
+def test_what_is_no_log_gives_one_line(tmp_path, capsys, content, says):
+    path = tmp_path / "some.ulg"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=says):
+        read_ulog(path)
+    assert capsys.readouterr().out == ""
+
+
+def test_one_flight_recorded_both_ways_gives_the_same_records(shared_logs):
+    ways = {}
+    for suffix in ("tlog", "ulg"):
+        ways[suffix] = {}
+        for record in open_log(shared_logs / f"px4-sih-default.{suffix}").records():
+            ways[suffix].setdefault((record.stream, record.source), {})[round(record.t, 6)] = (
+                record.values
+            )
+
+    def both(stream, sources=("", ""), decimals=6):
+        tlog, onboard = (
+            {round(t, decimals): v for t, v in ways[way][stream, source].items()}
+            for way, source in zip(("tlog", "ulg"), sources, strict=True)
+        )
+        common = sorted(set(tlog) & set(onboard))
+        return np.array([tlog[t] for t in common]), np.array([onboard[t] for t in common])
+
+    tlog, onboard = both(Stream.IMU)
+    assert len(tlog) > 39_000
+    np.testing.assert_allclose(tlog[:, :3], onboard[:, :3], atol=3e-4)
+    assert np.std(tlog[:, :3] - onboard[:, :3], axis=0).max() < 1e-5
+    assert np.std(tlog[:, 3:] - onboard[:, 3:], axis=0).max() < 3e-4
+    # Commands of one step bear the same stamp; SERVO_OUTPUT_RAW has whole microseconds.
+    tlog, onboard = both(Stream.ROTOR_COMMAND, ("SERVO_OUTPUT_RAW", "actuator_motors"))
+    flies = tlog[:, 0] > 1000
+    assert flies.sum() > 38_000
+    np.testing.assert_allclose((tlog[flies, :4] - 1000.0) / 1000.0, onboard[flies], atol=0.501e-3)
+    tlog, onboard = both(Stream.ATTITUDE, decimals=3)
+    assert len(tlog) > 15_000
+    assert np.abs(np.sum(tlog * onboard, axis=1)).min() > 1.0 - 1e-5
+    tlog, onboard = both(Stream.VELOCITY, decimals=3)
+    assert len(tlog) > 7_000
+    np.testing.assert_allclose(tlog, onboard)
+    flying = {
+        way: [t for t, v in table[Stream.IN_AIR, ""].items() if v == (1.0,)]
+        for way, table in ways.items()
+    }
+    for end in (min, max):
+        assert end(flying["tlog"]) == pytest.approx(end(flying["ulg"]), abs=0.6)
