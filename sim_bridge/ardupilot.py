@@ -196,8 +196,13 @@ class ArduPilot(AnsweringAutopilot):
         if tick % LOOP_STEPS:
             self.instruments.advance()
             return []
-        frames = super().poll(tick)
-        return [*self._banner(), *frames] if tick == self._silent_until else frames
+        # Made before the others: their numbers follow.
+        banner = self._banner() if tick == self._silent_until else []
+        return [*banner, *super().poll(tick)]
+
+    def _tick_of(self, time: float) -> int:
+        tick = super()._tick_of(time)
+        return tick + tick % LOOP_STEPS if tick > 0 else tick
 
     def _banner(self) -> list[bytes]:
         texts = ["ArduCopter V4.7.0-dev (emulated)", f"Frame: {len(self._sim.vehicle.rotors)}/X"]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.usage import not_negative
+from gcs_sysid.usage import not_negative, positive
 
 
 @dataclass(frozen=True)
@@ -143,17 +143,17 @@ KINDS: dict[str, Kind] = {
     "disorder": Kind(
         "share of frames sent after the one that follows them", _share, "SHARE", "0.05"
     ),
-    "wrap-us": Kind("32-bit stamps in us wrap so long after the start", not_negative, "S", "10"),
+    "wrap-us": Kind("32-bit stamps in us wrap so long after the start", positive, "S", "10"),
     "wrap-ms": Kind(
         "32-bit stamps in ms wrap so long after the start, and those in us with them",
-        not_negative,
+        positive,
         "S",
         "10",
     ),
     "clock-drift": Kind("the vehicle's clock runs fast by so much", _ppm, "PPM", "8000"),
-    "reboot": Kind("the autopilot restarts so long after the start", not_negative, "S"),
+    "reboot": Kind("the autopilot restarts so long after the start", positive, "S"),
     "rate-reset": Kind(
-        "another ground station resets the rates so long after the start", not_negative, "S"
+        "another ground station resets the rates so long after the start", positive, "S"
     ),
     "never-sent": Kind(
         "this message is acknowledged and never comes; may be given again", _message, "MESSAGE"
@@ -161,9 +161,7 @@ KINDS: dict[str, Kind] = {
     "active-count": Kind(
         "ACTUATOR_OUTPUT_STATUS counts outputs that drive nothing, too", _whole(32), "N", "16"
     ),
-    "ground": Kind(
-        "on the ground, disarmed, before and after each flight", not_negative, "S", "10"
-    ),
+    "ground": Kind("on the ground, disarmed, before and after each flight", positive, "S", "10"),
     "flights": Kind(
         "flights one after the other, with a stay on the ground between", _whole(100), "N", "2"
     ),

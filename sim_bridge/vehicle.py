@@ -66,7 +66,10 @@ class Vehicle:
     command: CommandRange = field(default_factory=CommandRange)
 
     def truth(self) -> dict[str, Any]:
-        """The parameters under the names that results use, for a truth file."""
+        """The parameters under the names that results use, for a truth file.
+
+        The place of the IMU is in it where it is not at the CG.
+        """
         return {
             "mass": self.mass,
             **{name: getattr(self, name) for name in ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz")},
@@ -81,6 +84,11 @@ class Vehicle:
             "rotor_inertia": self.rotor_inertia,
             "linear_drag": self.linear_drag,
             "motor_lag": self.motor_lag,
+            **{
+                name: getattr(self, name)
+                for name in ("imu_x", "imu_y", "imu_z")
+                if np.any(getattr(self, name))
+            },
         }
 
     def with_mass_factor(self, factor: float) -> "Vehicle":
