@@ -46,12 +46,14 @@ class Instruments:
         traps = faults.traps
         self._imu_age = round(traps.imu_late / simulation.step_size)
         self._rotor_age = round(traps.rotor_late / simulation.step_size)
+        self._attitude_age = round(traps.attitude_late / simulation.step_size)
         self._averaged = round(traps.gyro_average / simulation.step_size)
         # One element a physics step, the newest last; empty unless something looks back.
         self._inertial: deque[tuple[Sample, Sample]] = deque(
             maxlen=self._imu_age + self._averaged + 1
         )
         self._rotors: deque[tuple[Sample, Sample]] = deque(maxlen=self._rotor_age + 1)
+        self._attitudes: deque[Sample] = deque(maxlen=self._attitude_age + 1)
 
     @property
     def imu_age(self) -> float:
@@ -70,6 +72,8 @@ class Instruments:
         if self._rotor_age:
             s = self.simulation
             self._rotors.append((s.state.speeds, s.targets))
+        if self._attitude_age:
+            self._attitudes.append(self.simulation.state.quaternion)
 
     @property
     def now_us(self) -> int:
@@ -142,7 +146,8 @@ class Instruments:
 
     def attitude(self, fresh: bool = True) -> Sample:
         """Roll, pitch and yaw, rad."""
-        a, b, c, d = self.simulation.state.quaternion
+        late = self._attitudes
+        a, b, c, d = late[0] if late else self.simulation.state.quaternion
         noise = self._noise("attitude", fresh)
         roll = math.atan2(2.0 * (a * b + c * d), 1.0 - 2.0 * (b * b + c * c))
         pitch = math.asin(max(-1.0, min(1.0, 2.0 * (a * c - d * b))))

@@ -28,6 +28,7 @@ class Traps:
     accelerometer_bias: float = 0.0
     rotor_late: float = 0.0
     imu_late: float = 0.0
+    attitude_late: float = 0.0
     skips: float = 0.0
     disorder: float = 0.0
     wrap_us: float = 0.0
@@ -137,6 +138,7 @@ KINDS: dict[str, Kind] = {
         "rotor speeds and commands older than their stamp", _milliseconds, "MS", "10"
     ),
     "imu-late": Kind("gyro and accelerometer older than their stamp", _milliseconds, "MS", "10"),
+    "attitude-late": Kind("attitude older than its stamp", _milliseconds, "MS", "10"),
     "skips": Kind(
         "messages never sent, without a gap in the sequence numbers", _share, "SHARE", "0.01"
     ),

@@ -164,9 +164,12 @@ def test_streams_that_are_late(px4: OpenDesk) -> None:
     late = px4("rotor-late=8").hear(4.0)
     np.testing.assert_array_equal(rpm_of(late)[10:], rpm_of(plain)[8:-2])
     np.testing.assert_array_equal(gyro_of(late), gyro_of(plain))
+    attitude = px4("attitude-late=20")
     imu = px4("imu-late=12")
     np.testing.assert_array_equal(gyro_of(imu.hear(4.0))[10:], gyro_of(plain)[7:-3])
     assert imu.autopilot.rotor_delay == pytest.approx(-0.012)
+    rolls = [[m.roll for m in of_type(h, "ATTITUDE")] for h in (plain, attitude.hear(4.0))]
+    assert rolls[1][10:] == rolls[0][8:-2]
     assert px4("rotor-late=8").autopilot.rotor_delay == pytest.approx(0.008)
 
 
