@@ -50,7 +50,7 @@ screenshot: $(INSTALLED) ## the README's picture of the screen
 
 sample: $(INSTALLED) ## the sample flight under logs/
 	$(BIN)/sim-bridge --airframe paper --mission paper --noise paper --sigma 0.02 --rate 20 \
-	  --seed 1 --speed max --tlog logs/sample.tlog --truth logs/sample.truth.json
+	  --seed 1 --speed max --force --tlog logs/sample.tlog --truth logs/sample.truth.json
 
 clean: ## remove the virtual environment and caches
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -1,11 +1,11 @@
-"""What any emulated autopilot does: streams that come due, answers to what arrives."""
+"""What any emulated autopilot has: a clock and streams that come due."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-STEP_US = 1000
-"""One physics step in us: streams fall on this grid."""
+from sim_bridge.dynamics import STEP_US
+from sim_bridge.traps import Traps
 
 BOOT_US = 20_000_000
 """The vehicle's clock at the start of the flight: it was switched on 20 s before."""
@@ -17,8 +17,54 @@ Fixed, so that the same seed gives the same bytes.
 """
 
 
+class VehicleClock:
+    """The vehicle's clock as its messages carry it.
+
+    Attributes:
+        step_us: us of true time in a physics step.
+    """
+
+    def __init__(
+        self, start_us: int = BOOT_US, step_us: int = STEP_US, drift_ppm: float = 0.0
+    ) -> None:
+        self.step_us = step_us
+        self._start_us = start_us
+        self._start_tick = 0
+        self._drift = drift_ppm * 1e-6
+
+    def at(self, tick: int) -> int:
+        """Us since the vehicle was switched on."""
+        true = (tick - self._start_tick) * self.step_us
+        return self._start_us + true + round(true * self._drift)
+
+    def restart(self, tick: int, start_us: int) -> None:
+        """The vehicle was switched on anew, `start_us` before this step."""
+        self._start_tick = tick
+        self._start_us = start_us
+
+
+def vehicle_clock(traps: Traps, step_us: int, start_us: int = BOOT_US) -> VehicleClock:
+    """The clock of a vehicle switched on so long before, unless the traps say otherwise."""
+    if traps.wrap_us:
+        start_us = (1 << 32) - round(1e6 * traps.wrap_us)
+    if traps.wrap_ms:
+        # 2^32 ms are a whole number of times 2^32 us: both wrap at once.
+        start_us = 1000 * (1 << 32) - round(1e6 * traps.wrap_ms)
+    return VehicleClock(start_us, step_us, traps.clock_drift)
+
+
 class Autopilot(Protocol):
     """An autopilot as its ground station sees it."""
+
+    @property
+    def clock(self) -> VehicleClock:
+        """The vehicle's."""
+        ...
+
+    @property
+    def rotor_delay(self) -> float:
+        """S by which the rotor stream lags behind the IMU stream."""
+        ...
 
     def poll(self, tick: int) -> list[bytes]:
         """Frames due at this physics step, in the order they are sent."""
@@ -51,12 +97,17 @@ class Stream:
 class Schedule:
     """Decides which streams are due.
 
-    The next due time is counted up, never measured, so that a rate that does not fit the 1 kHz
-    grid keeps its mean and does not drift.
+    The next due time is counted up, never measured, so that a rate that does not fit the grid of
+    the physics keeps its mean and does not drift.
+
+    Attributes:
+        streams: by message number, in the order of sending.
+        step_us: us in a physics step.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, step_us: int = STEP_US) -> None:
         self.streams: dict[int, Stream] = {}
+        self.step_us = step_us
         self._wake = 0.0
 
     def add(self, msgid: int, rate: float, make: Callable[[], list[bytes]]) -> None:
@@ -76,14 +127,14 @@ class Schedule:
             stream.interval = 0.0
         else:
             # Faster than the physics is not to be had.
-            stream.interval = max(interval, STEP_US) if interval else stream.default
-        stream.due = tick * STEP_US + stream.interval
+            stream.interval = max(interval, self.step_us) if interval else stream.default
+        stream.due = tick * self.step_us + stream.interval
         self._wake = 0.0
         return True
 
     def take(self, tick: int) -> list[Stream]:
         """The streams due at this step."""
-        now = tick * STEP_US
+        now = tick * self.step_us
         if now < self._wake:
             return []
         taken = []

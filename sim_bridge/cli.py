@@ -5,6 +5,7 @@ import math
 import signal
 import sys
 import threading
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
@@ -13,16 +14,30 @@ import numpy as np
 
 from gcs_sysid import __version__
 from gcs_sysid.errors import GcsSysidError, InputError
-from gcs_sysid.usage import OneLineParser, not_negative, positive
+from gcs_sysid.usage import OneLineParser, not_negative, number, positive
+from sim_bridge import ardupilot
+from sim_bridge.answering import AnsweringAutopilot
+from sim_bridge.ardupilot import ArduPilot
+from sim_bridge.autopilot import BOOT_US, EPOCH_US
 from sim_bridge.links import Link, TlogLink, open_link
-from sim_bridge.missions import MISSIONS
+from sim_bridge.missions import MISSIONS, Mission
+from sim_bridge.outing import Outing
 from sim_bridge.px4 import Px4
 from sim_bridge.sensors import NOISE_MODELS
 from sim_bridge.server import TruthFile, fly
 from sim_bridge.simulation import Change, Simulation, mass_step
+from sim_bridge.traps import Traps, make_traps, message_number, parse_trap, trap_help
 from sim_bridge.vehicle_files import load_vehicle
+from sim_bridge.wire import FrameWriter, Signer
 
 DEFAULT_CONNECT = "udpout:127.0.0.1:14550"
+
+_NOT_SENT = {
+    "speed": ("ACTUATOR_OUTPUT_STATUS", "SERVO_OUTPUT_RAW"),
+    "command": ("ESC_STATUS", "ESC_INFO", "ESC_TELEMETRY_1_TO_4"),
+    "both": (),
+}
+"""Messages left out for each --rotor-input."""
 
 
 def _rate(text: str) -> float:
@@ -53,11 +68,20 @@ def _mass_step(text: str) -> Change:
     return mass_step(not_negative(time), positive(factor))
 
 
+def _parameter(text: str) -> tuple[str, float]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise argparse.ArgumentTypeError(f"write NAME=VALUE, got {text!r}")
+    return name, number(value)
+
+
 def make_parser() -> argparse.ArgumentParser:
     """The command line."""
     parser = OneLineParser(
         prog="sim-bridge",
-        description="Emulate a multirotor that speaks MAVLink 2 as PX4 does.",
+        description="Emulate a multirotor that speaks MAVLink as PX4 or ArduPilot does.",
+        epilog=f"traps (usual value in brackets):\n{trap_help()}".replace("%", "%%"),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     add = parser.add_argument
@@ -100,6 +124,28 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add("--seed", type=_seed, default=0, metavar="N", help="of all randomness (default: 0)")
     add("--rate", type=_rate, default=250.0, metavar="HZ", help="IMU and rotors (default: 250)")
+    add(
+        "--rotor-input",
+        choices=tuple(_NOT_SENT),
+        default="both",
+        help="send rotor speeds, commands (actuator outputs) or both (default: both)",
+    )
+    add(
+        "--param",
+        type=_parameter,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="set a parameter of the autopilot, such as INS_GYRO_FILTER=40; may be given again",
+    )
+    add(
+        "--trap",
+        type=parse_trap,
+        action="append",
+        default=[],
+        metavar="NAME[=VALUE]",
+        help="do what real autopilots and links do to their readers, see below; may be given again",
+    )
     link = parser.add_argument_group("where to")
     add = link.add_argument
     add(
@@ -116,7 +162,15 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="1|max",
         help="times real time, or max (default: 1; max when only a file is written)",
     )
+    add("--mavlink", type=int, choices=(1, 2), default=2, help="version (default: 2)")
+    add(
+        "--signing-key",
+        type=Path,
+        metavar="FILE",
+        help="sign with this key, and obey only who does: 32 bytes, or 64 hexadecimal digits",
+    )
     add("--tlog", type=Path, metavar="FILE", help="write the flight straight to a .tlog")
+    add("--force", action="store_true", help="replace the .tlog if there is one")
     add("--truth", type=Path, metavar="FILE", help="write the true parameters as JSON")
     # However a program that starts this one ends, its pipe closes.
     parser.add_argument(
@@ -133,20 +187,29 @@ def run(args: argparse.Namespace) -> None:
     Raises:
         GcsSysidError: something in it cannot be used.
     """
-    if args.autopilot != "px4":
-        raise InputError("--autopilot ardupilot is not there yet; use --autopilot px4")
     vehicle = load_vehicle(args.airframe, args.arm)
-    mission = MISSIONS[args.mission]
+    traps = _traps(args)
+    mission: Mission = MISSIONS[args.mission]
+    if traps.ground or traps.flights > 1:
+        mission = Outing(mission, traps.ground, traps.flights)
     duration = args.duration or mission.duration
     # One seed, independent generators: what one draws never moves the other.
     gusts, sensors = np.random.SeedSequence(args.seed).spawn(2)
-    simulation = Simulation(vehicle, mission, gusts, args.turbulence, args.mass_step)
-    autopilot = Px4(simulation, args.noise, args.sigma, args.rate, sensors)
-    truth = TruthFile(args.truth, simulation)
+    loop = {}
+    if args.autopilot == "ardupilot":
+        loop = {"step_us": ardupilot.STEP_US, "control_steps": ardupilot.LOOP_STEPS}
+    simulation = Simulation(vehicle, mission, gusts, args.turbulence, args.mass_step, **loop)
+    autopilot = _autopilot(args, simulation, traps, sensors)
+    for name, value in args.param:
+        try:
+            autopilot.set_parameter(name, value)
+        except KeyError:
+            raise InputError(f"--param: {args.autopilot} here has no {name!r}") from None
+    truth = TruthFile(args.truth, simulation, autopilot)
     links: list[Link] = []
     try:
         if args.tlog is not None:
-            links.append(TlogLink(args.tlog))
+            links.append(TlogLink(args.tlog, args.force))
         if args.connect is not None or args.tlog is None:
             links.append(open_link(args.connect or DEFAULT_CONNECT, args.baud))
         speed = args.speed or (1.0 if args.connect or args.tlog is None else math.inf)
@@ -154,6 +217,58 @@ def run(args: argparse.Namespace) -> None:
     finally:
         for link in links:
             link.close()
+
+
+def _traps(args: argparse.Namespace) -> Traps:
+    unsent = [("never_sent", (message_number(name),)) for name in _NOT_SENT[args.rotor_input]]
+    return make_traps([*args.trap, *unsent])
+
+
+def _autopilot(
+    args: argparse.Namespace,
+    simulation: Simulation,
+    traps: Traps,
+    seed: np.random.SeedSequence,
+) -> AnsweringAutopilot:
+    """Who speaks, and in which version of MAVLink."""
+    only_file = args.tlog is not None and args.connect is None
+    signer = None
+    if args.signing_key is not None:
+        if args.mavlink == 1:
+            raise InputError("--signing-key needs --mavlink 2: version 1 has no signatures")
+        # A reader on a live link compares with the clock on its wall; a file must repeat.
+        switched_on = EPOCH_US if only_file else round(time.time() * 1e6) - BOOT_US
+        signer = Signer(
+            read_key(args.signing_key),
+            lambda: switched_on + BOOT_US + simulation.tick * simulation.step_us,
+        )
+    writer = FrameWriter(1, 1, args.mavlink, signer)
+    if args.autopilot == "ardupilot":
+        # Nobody can ask through a file, so what a recording needs has been asked for.
+        asked = ardupilot.recorder_rates(args.rate) if only_file else None
+        return ArduPilot(simulation, args.noise, args.sigma, seed, traps, writer, asked)
+    return Px4(simulation, args.noise, args.sigma, args.rate, seed, traps, writer)
+
+
+def read_key(path: Path) -> bytes:
+    """The 32 bytes of a signing key, raw or as 64 hexadecimal digits.
+
+    Raises:
+        InputError: the file cannot be read or holds neither.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from error
+    if len(data) == 32:
+        return data
+    try:
+        key = bytes.fromhex(data.decode("ascii").strip())
+    except ValueError:
+        key = b""
+    if len(key) != 32:
+        raise InputError(f"{path} is no signing key: 32 bytes or 64 hexadecimal digits are needed")
+    return key
 
 
 def _end_with_stdin() -> None:

@@ -5,7 +5,7 @@ Frames: world north-east-down, body forward-right-down with its origin at the CG
     m v'  = R (0, 0, -T) + (0, 0, m g) - D v + F_d
     q'    = q (0, w) / 2
     J w'  = M - w x (J w + h) - h' - d w
-    Omega_i' = (Omega_c,i - Omega_i) / tau
+    Omega_i' = (Omega_c,i - Omega_i) / tau,  or so for u_i where it is the command that lags
 
     T = sum k_T Omega_i^2
     M = sum (r_i - r_cg) x (0, 0, -k_T Omega_i^2) + sum s_i k_M Omega_i^2 z + M_d
@@ -27,8 +27,11 @@ import numpy as np
 from gcs_sysid.model.parameters import GRAVITY
 from sim_bridge.vehicle import Value, Vehicle
 
-STEP = 0.001
-"""Step of the physics, s."""
+STEP_US = 1000
+"""Usual step of the physics, us."""
+
+STEP = 1e-6 * STEP_US
+"""The same in s."""
 
 
 @dataclass
@@ -196,8 +199,8 @@ class Dynamics:
         h = self.step_size
         half, whole, _ = self._decay
         start = state.speeds
-        middle = [c + (s - c) * half for s, c in zip(start, targets, strict=True)]
-        end = [c + (s - c) * whole for s, c in zip(start, targets, strict=True)]
+        middle = self._lagged(start, targets, half)
+        end = self._lagged(start, targets, whole)
         wrench_middle = self.wrench(middle, targets)
         y = state.body
         derivative = self.derivative
@@ -222,6 +225,18 @@ class Dynamics:
         scale = (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3) ** -0.5
         new[6:10] = [q0 * scale, q1 * scale, q2 * scale, q3 * scale]
         return State(new, end)
+
+    def _lagged(
+        self, speeds: Sequence[Value], targets: Sequence[Value], decay: Value
+    ) -> list[Value]:
+        """Rotor speeds on their way to the targets, of which this share is left to go."""
+        v = self.vehicle
+        if v.lag_of == "speed":
+            return [c + (s - c) * decay for s, c in zip(speeds, targets, strict=True)]
+        commands = [
+            (v.command_of(s), v.command_of(c)) for s, c in zip(speeds, targets, strict=True)
+        ]
+        return [v.speed_of(c + (s - c) * decay) for s, c in commands]
 
     def imu(
         self, state: State, targets: Sequence[Value], disturbance: Disturbance = CALM

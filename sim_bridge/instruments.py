@@ -6,16 +6,20 @@ the random sequence.
 """
 
 import math
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_bridge.autopilot import BOOT_US, STEP_US
-from sim_bridge.dynamics import STEP
+from sim_bridge.autopilot import VehicleClock
+from sim_bridge.faults import SensorFaults
 from sim_bridge.sensors import Channel
 from sim_bridge.simulation import Simulation
 
 Sample = list[float]
+
+GROUND_NOISE = 0.15
+"""Noise of gyro and accelerometer at rest, of that in flight: nothing shakes them."""
 
 
 class Instruments:
@@ -23,17 +27,58 @@ class Instruments:
 
     Attributes:
         simulation: what is measured.
+        clock: the vehicle's.
+        faults: what spoils the readings.
     """
 
-    def __init__(self, simulation: Simulation, channels: dict[str, Channel]) -> None:
+    def __init__(
+        self,
+        simulation: Simulation,
+        channels: dict[str, Channel],
+        clock: VehicleClock,
+        faults: SensorFaults,
+    ) -> None:
         self.simulation = simulation
+        self.clock = clock
+        self.faults = faults
         self._channels = channels
         self._drawn: dict[str, tuple[int, Sample]] = {}
+        traps = faults.traps
+        self._imu_age = round(traps.imu_late / simulation.step_size)
+        self._rotor_age = round(traps.rotor_late / simulation.step_size)
+        self._attitude_age = round(traps.attitude_late / simulation.step_size)
+        self._averaged = round(traps.gyro_average / simulation.step_size)
+        # One element a physics step, the newest last; empty unless something looks back.
+        self._inertial: deque[tuple[Sample, Sample]] = deque(
+            maxlen=self._imu_age + self._averaged + 1
+        )
+        self._rotors: deque[tuple[Sample, Sample]] = deque(maxlen=self._rotor_age + 1)
+        self._attitudes: deque[Sample] = deque(maxlen=self._attitude_age + 1)
+
+    @property
+    def imu_age(self) -> float:
+        """S by which the gyro is older than its stamp."""
+        return (self._imu_age + 0.5 * self._averaged) * self.simulation.step_size
+
+    @property
+    def rotor_age(self) -> float:
+        """S by which rotor speeds are older than their stamp."""
+        return self._rotor_age * self.simulation.step_size
+
+    def advance(self) -> None:
+        """Take note of this physics step; call it at every one."""
+        if self._imu_age or self._averaged:
+            self._inertial.append(self.simulation.imu())
+        if self._rotor_age:
+            s = self.simulation
+            self._rotors.append((s.state.speeds, s.targets))
+        if self._attitude_age:
+            self._attitudes.append(self.simulation.state.quaternion)
 
     @property
     def now_us(self) -> int:
         """The vehicle's clock, us since it was switched on."""
-        return BOOT_US + self.simulation.tick * STEP_US
+        return self.clock.at(self.simulation.tick)
 
     @property
     def now_ms(self) -> int:
@@ -53,7 +98,7 @@ class Instruments:
         tick = self.simulation.tick
         channel = self._channels[sensor]
         drawn = self._drawn.get(sensor)
-        oldest = 0.0 if fresh else 2.0 * channel.interval / STEP
+        oldest = 0.0 if fresh else 2.0 * channel.interval / self.simulation.step_size
         if drawn is None or tick - drawn[0] > oldest:
             drawn = (tick, channel.next())
             self._drawn[sensor] = drawn
@@ -61,10 +106,39 @@ class Instruments:
 
     def inertial(self) -> tuple[Sample, Sample]:
         """Gyro (rad/s) and accelerometer (m/s^2), body axes."""
-        s = self.simulation
-        (p, q, r), (x, y, z) = s.dynamics.imu(s.state, s.targets, s.disturbance)
+        return self.faults.inertial(*self._with_noise(*self._true_inertial()))
+
+    def _true_inertial(self) -> tuple[Sample, Sample]:
+        """As perfect sensors that may be late and may average have it."""
+        past = self._inertial
+        if not past:
+            return self.simulation.imu()
+        last = max(0, len(past) - 1 - self._imu_age)
+        if not self._averaged:
+            return past[last]
+        first = max(0, last - self._averaged)
+        if first == last:
+            return past[last]
+        # The mean over the interval by the trapezium rule.
+        weights = [1.0] * (last - first + 1)
+        weights[0] = weights[-1] = 0.5
+        scale = 1.0 / (last - first)
+        gyro, accelerometer = [0.0] * 3, [0.0] * 3
+        for i, weight in zip(range(first, last + 1), weights, strict=True):
+            w, f = past[i]
+            for k in range(3):
+                gyro[k] += scale * weight * w[k]
+                accelerometer[k] += scale * weight * f[k]
+        return gyro, accelerometer
+
+    def _with_noise(self, gyro: Sample, accelerometer: Sample) -> tuple[Sample, Sample]:
+        p, q, r = gyro
+        x, y, z = accelerometer
         noise = self._noise("gyro", True)
         error = self._noise("accelerometer", True)
+        if self.simulation.grounded:
+            noise = [GROUND_NOISE * n for n in noise]
+            error = [GROUND_NOISE * n for n in error]
         return (
             [p + noise[0], q + noise[1], r + noise[2]],
             [x + error[0], y + error[1], z + error[2]],
@@ -72,7 +146,8 @@ class Instruments:
 
     def attitude(self, fresh: bool = True) -> Sample:
         """Roll, pitch and yaw, rad."""
-        a, b, c, d = self.simulation.state.quaternion
+        late = self._attitudes
+        a, b, c, d = late[0] if late else self.simulation.state.quaternion
         noise = self._noise("attitude", fresh)
         roll = math.atan2(2.0 * (a * b + c * d), 1.0 - 2.0 * (b * b + c * c))
         pitch = math.asin(max(-1.0, min(1.0, 2.0 * (a * c - d * b))))
@@ -87,11 +162,17 @@ class Instruments:
 
     def rotor_speeds(self) -> Sample:
         """Measured rotor speeds, rad/s, never below zero."""
+        speeds, targets = self._rotor_state()
+        if self.faults.traps.rpm_command:
+            return list(targets)
         noise = self._noise("rotor", True)
-        return [
-            max(0.0, speed + n)
-            for speed, n in zip(self.simulation.state.speeds, noise, strict=True)
-        ]
+        return [max(0.0, speed + n) for speed, n in zip(speeds, noise, strict=True)]
+
+    def _rotor_state(self) -> tuple[Sample, Sample]:
+        """Rotor speeds and their targets, rad/s, as old as they reach the messages."""
+        if self._rotors:
+            return self._rotors[0]
+        return self.simulation.state.speeds, self.simulation.targets
 
     def velocity(self, fresh: bool = True) -> Sample:
         """Velocity, NED, m/s."""
@@ -101,7 +182,7 @@ class Instruments:
     def commands(self) -> Sample:
         """Commands u of the rotors, 0..1."""
         vehicle = self.simulation.vehicle
-        return [float(vehicle.command_of(target)) for target in self.simulation.targets]
+        return [float(vehicle.command_of(target)) for target in self._rotor_state()[1]]
 
 
 def wrap(angle: float) -> float:

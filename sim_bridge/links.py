@@ -194,9 +194,12 @@ class SerialLink:
 class TlogLink:
     """A .tlog file: big-endian microseconds since 1970, then the frame."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, replace: bool = False) -> None:
+        """Open a new file, or empty one that there is if `replace` allows it."""
         try:
-            self._file: IO[bytes] = path.open("wb", buffering=1 << 20)
+            self._file: IO[bytes] = path.open("wb" if replace else "xb", buffering=1 << 20)
+        except FileExistsError as error:
+            raise InputError(f"{path} exists; --force replaces it") from error
         except OSError as error:
             raise InputError(f"cannot write {path}: {error.strerror}") from error
 

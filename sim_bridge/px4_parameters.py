@@ -1,47 +1,10 @@
 """The few parameters an emulated PX4 shows."""
 
-import struct
-from dataclasses import dataclass
-
-from gcs_sysid.telemetry.dialect import mavlink
+from sim_bridge.parameters import INT32, REAL32, Parameter
 from sim_bridge.vehicle import Vehicle
 
 
-@dataclass
-class Parameter:
-    """One parameter: PX4 knows int32 and float.
-
-    Attributes:
-        name: at most 16 characters.
-        value: int or float; its type is the parameter's type.
-    """
-
-    name: str
-    value: int | float
-
-    @property
-    def kind(self) -> int:
-        """MAV_PARAM_TYPE."""
-        whole = isinstance(self.value, int)
-        return int(mavlink.MAV_PARAM_TYPE_INT32 if whole else mavlink.MAV_PARAM_TYPE_REAL32)
-
-    @property
-    def wire(self) -> float:
-        """As PARAM_VALUE's float field: PX4 copies the bytes of an int32 there."""
-        if isinstance(self.value, int):
-            (wire,) = struct.unpack("<f", struct.pack("<i", self.value))
-            return float(wire)
-        return self.value
-
-    def set(self, wire: float) -> None:
-        """Take a value as PARAM_SET carries it."""
-        if isinstance(self.value, int):
-            (self.value,) = struct.unpack("<i", struct.pack("<f", wire))
-        else:
-            self.value = wire
-
-
-def parameter_table(vehicle: Vehicle, sysid: int) -> list[Parameter]:
+def px4_parameters(vehicle: Vehicle, sysid: int) -> list[Parameter]:
     """The parameters, sorted by name as PX4 sends them.
 
     None of them tells a true value: neither mass nor inertia nor thrust is in here.
@@ -68,4 +31,7 @@ def parameter_table(vehicle: Vehicle, sysid: int) -> list[Parameter]:
         table[f"CA_ROTOR{i}_PY"] = rotor.y
         # PX4's moment ratio: positive for counter-clockwise; the number is its default.
         table[f"CA_ROTOR{i}_KM"] = 0.05 * rotor.spin
-    return [Parameter(name, value) for name, value in sorted(table.items())]
+    return [
+        Parameter(name, value, INT32 if isinstance(value, int) else REAL32, bytewise=True)
+        for name, value in sorted(table.items())
+    ]

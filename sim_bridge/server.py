@@ -5,11 +5,13 @@ import os
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 from gcs_sysid.errors import InputError
-from sim_bridge.autopilot import BOOT_US, STEP_US, Autopilot
+from sim_bridge.autopilot import BOOT_US, Autopilot
 from sim_bridge.links import Link
 from sim_bridge.simulation import Simulation
+from sim_bridge.vehicle import Vehicle
 
 LISTEN_STEPS = 4
 """Physics steps between looks at what has arrived."""
@@ -35,9 +37,10 @@ class Pace:
 class TruthFile:
     """The true parameters in force, as JSON: written at the start and after every change."""
 
-    def __init__(self, path: Path | None, simulation: Simulation) -> None:
+    def __init__(self, path: Path | None, simulation: Simulation, autopilot: Autopilot) -> None:
         self._path = path
         self._sim = simulation
+        self._autopilot = autopilot
         self._written = -1
         self.update()
 
@@ -46,14 +49,14 @@ class TruthFile:
         if self._path is None or len(self._sim.done) == self._written:
             return
         self._written = len(self._sim.done)
-        content = self._sim.vehicle.truth()
+        content = self._truth(self._sim.vehicle)
         events = [
             {
                 "t": change.time,
-                "time_usec": BOOT_US + round(change.time * 1e6),
+                "time_usec": self._autopilot.clock.at(round(change.time / self._sim.step_size)),
                 "kind": change.kind,
-                "before": before.truth(),
-                "after": after.truth(),
+                "before": self._truth(before),
+                "after": self._truth(after),
             }
             for change, before, after in self._sim.done
         ]
@@ -66,6 +69,9 @@ class TruthFile:
             os.replace(part, self._path)
         except OSError as error:
             raise InputError(f"cannot write {self._path}: {error.strerror}") from error
+
+    def _truth(self, vehicle: Vehicle) -> dict[str, Any]:
+        return {**vehicle.truth(), "rotor_delay": self._autopilot.rotor_delay}
 
 
 def fly(
@@ -88,7 +94,7 @@ def fly(
     """
     pace = Pace(speed)
     progress = Progress(duration)
-    steps = round(duration * 1e6 / STEP_US)
+    steps = round(duration * 1e6 / simulation.step_us)
     for tick in range(steps + 1):
         if tick:
             simulation.step()
@@ -102,7 +108,7 @@ def fly(
             truth.update()
             progress.show(simulation.time)
         if frames:
-            stamp = BOOT_US + tick * STEP_US
+            stamp = BOOT_US + tick * simulation.step_us
             for link in links:
                 link.send(frames, stamp)
     progress.end()

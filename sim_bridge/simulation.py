@@ -1,4 +1,4 @@
-"""A flight: physics, controller and mission tied together on one 1 kHz clock."""
+"""A flight: physics, controller and mission tied together on one clock."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim_bridge.controller import Controller
-from sim_bridge.dynamics import CALM, STEP, Disturbance, Dynamics, State
+from sim_bridge.dynamics import CALM, STEP_US, Disturbance, Dynamics, State, rotate_to_body
 from sim_bridge.missions import HEIGHT, Mission
+from sim_bridge.outing import Outing
 from sim_bridge.vehicle import Value, Vehicle, hover_thrusts
 
 CONTROL_STEPS = 4
-"""Physics steps a control period: 250 Hz."""
+"""Usual physics steps a control period: 250 Hz."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +51,12 @@ class Turbulence:
     FORCE_GAIN = 5.0
     """m/s^2 of force over mass for 1 rad/s of wobble."""
 
-    def __init__(self, vehicle: Vehicle, wobble: float, seed: np.random.SeedSequence) -> None:
+    def __init__(
+        self, vehicle: Vehicle, wobble: float, period: float, seed: np.random.SeedSequence
+    ) -> None:
         self.wobble = wobble
         self._random = np.random.default_rng(seed)
-        self._keep = float(np.exp(-self.CORNER * STEP * CONTROL_STEPS))
+        self._keep = float(np.exp(-self.CORNER * period))
         self._fresh = float(np.sqrt(1.0 - self._keep**2))
         self._gust = [0.0] * 6
         force = self.FORCE_GAIN * wobble * vehicle.mass
@@ -82,14 +85,17 @@ class Turbulence:
 
 
 class Simulation:
-    """One vehicle, or an ensemble, flying a mission from trim.
+    """One vehicle, or an ensemble, flying a mission from trim; or one on an outing.
 
     Attributes:
         dynamics: the physics with the parameters in force.
-        state: at time `tick` * 1 ms.
+        state: at this step.
         targets: rotor-speed targets in force, rad/s.
         disturbance: in force.
         tick: physics steps since the start.
+        step_us: us in a physics step; step_size is the same in s.
+        grounded: whether the vehicle stands on the ground.
+        armed: whether its rotors may turn.
     """
 
     def __init__(
@@ -99,24 +105,36 @@ class Simulation:
         seed: np.random.SeedSequence,
         turbulence: float | None = None,
         changes: Sequence[Change] = (),
+        step_us: int = STEP_US,
+        control_steps: int = CONTROL_STEPS,
     ) -> None:
-        self.dynamics = Dynamics(vehicle)
+        self.step_us = step_us
+        self.step_size = 1e-6 * step_us
+        self.dynamics = Dynamics(vehicle, step_size=self.step_size)
         self.mission = mission
         self.tick = 0
         self.done: list[tuple[Change, Vehicle, Vehicle]] = []
         self._changes = sorted(changes, key=lambda change: change.time)
-        self._controller = Controller(vehicle, CONTROL_STEPS * STEP)
+        self._control_steps = control_steps
+        self._period = control_steps * self.step_size
+        self._controller = Controller(vehicle, self._period)
         wobble = mission.turbulence if turbulence is None else turbulence
-        self._turbulence = Turbulence(vehicle, wobble, seed)
+        self._turbulence = Turbulence(vehicle, wobble, self._period, seed)
         self.state = trim(vehicle)
         self.targets: list[Value] = list(self.state.speeds)
         self.disturbance = CALM
-        self._control()
+        self.armed = True
+        self.grounded = False
+        self._outing = mission if isinstance(mission, Outing) else None
+        if self._outing is not None:
+            self._stand()
+        else:
+            self._control()
 
     @property
     def time(self) -> float:
         """Seconds since the start."""
-        return self.tick * STEP
+        return self.tick * self.step_size
 
     @property
     def vehicle(self) -> Vehicle:
@@ -125,17 +143,52 @@ class Simulation:
 
     def step(self) -> None:
         """Advance by one physics step; the controller acts on the state reached."""
-        self.state = self.dynamics.step(self.state, self.targets, self.disturbance)
+        state = self.dynamics.step(self.state, self.targets, self.disturbance)
+        if self.grounded:
+            # The ground holds the body; the rotors are free to turn.
+            state.body = self.state.body
+        self.state = state
         self.tick += 1
         while self._changes and self._changes[0].time <= self.time:
             change = self._changes.pop(0)
             before = self.vehicle
             self.dynamics.use(change.apply(before))
             self.done.append((change, before, self.vehicle))
-        if self.tick % CONTROL_STEPS == 0:
-            self._control()
+        if self.tick % self._control_steps == 0:
+            if self._outing is not None and self._outing.is_grounded(self.time):
+                self._stand()
+            else:
+                self._control()
+
+    def imu(self) -> tuple[list[Value], list[Value]]:
+        """What perfect inertial sensors read: body rates (rad/s), specific force (m/s^2)."""
+        if self.grounded:
+            up = (0.0, 0.0, -self.dynamics.gravity)
+            return [0.0, 0.0, 0.0], list(rotate_to_body(self.state.quaternion, up))
+        return self.dynamics.imu(self.state, self.targets, self.disturbance)
+
+    def _stand(self) -> None:
+        """On the ground: rotors stopped, or turning with not quite the thrust to leave it."""
+        assert self._outing is not None
+        self.armed = self._outing.is_armed(self.time)
+        idle = trim(self.vehicle).speeds
+        if not self.grounded:
+            self.grounded = True
+            x, y, _ = self.state.position
+            if self.tick == 0:
+                self.state.speeds = [0.0] * len(idle)
+            a, _, _, d = self.state.quaternion
+            norm = (a * a + d * d) ** 0.5
+            level = [a / norm, 0.0, 0.0, d / norm]
+            self.state.body = [x, y, 0.0, 0.0, 0.0, 0.0, *level, 0.0, 0.0, 0.0]
+        self.targets = [0.97 * speed if self.armed else 0.0 for speed in idle]
+        self.disturbance = CALM
 
     def _control(self) -> None:
+        if self.grounded:
+            self.grounded = False
+            # A controller of the last flight has wound up its integrators.
+            self._controller = Controller(self.vehicle, self._period)
         self.targets = self._controller.update(self.state, self.mission.reference(self.time))
         self.disturbance = self._turbulence.next()
 

@@ -30,7 +30,9 @@ class Vehicle:
         thrust_curve: c of T/T_max = (1 - c) u + c u^2 in steady state.
         cg_x: alpha, CG from the geometric centre, forward, m.
         cg_y: beta, CG from the geometric centre, to the right, m.
-        motor_lag: first-order time constant from command to rotor speed, s.
+        motor_lag: first-order time constant, s.
+        lag_of: what lags: "speed", the rotor's speed behind the one commanded (a motor that turns
+            a propeller), or "command", the command itself before the thrust curve (PX4's SIH).
         rotational_damping: d of the torque -d w, N m s.
         rotor_inertia: J_r of one rotor about its axis, kg m^2.
         linear_drag: D of the force -D v, N s/m.
@@ -60,10 +62,14 @@ class Vehicle:
     imu_x: Value = 0.0
     imu_y: Value = 0.0
     imu_z: Value = 0.0
+    lag_of: str = "speed"
     command: CommandRange = field(default_factory=CommandRange)
 
     def truth(self) -> dict[str, Any]:
-        """The parameters under the names that results use, for a truth file."""
+        """The parameters under the names that results use, for a truth file.
+
+        The place of the IMU is in it where it is not at the CG.
+        """
         return {
             "mass": self.mass,
             **{name: getattr(self, name) for name in ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz")},
@@ -78,8 +84,11 @@ class Vehicle:
             "rotor_inertia": self.rotor_inertia,
             "linear_drag": self.linear_drag,
             "motor_lag": self.motor_lag,
-            # Rotor speeds and IMU samples of one instant carry the same stamp here.
-            "rotor_delay": 0.0,
+            **{
+                name: getattr(self, name)
+                for name in ("imu_x", "imu_y", "imu_z")
+                if np.any(getattr(self, name))
+            },
         }
 
     def with_mass_factor(self, factor: float) -> "Vehicle":
@@ -96,6 +105,11 @@ class Vehicle:
         root = linear * linear + 4.0 * self.thrust_curve * share
         return 2.0 * share / (linear + root**0.5 + 1e-300)
 
+    def speed_of(self, command: Value) -> Value:
+        """Rotor speed (rad/s) of this command u in steady state."""
+        c = self.thrust_curve
+        return (self.T_max / self.k_T * command * (1.0 - c + c * command)) ** 0.5
+
 
 def stack_vehicles(vehicles: list[Vehicle]) -> Vehicle:
     """One vehicle whose values are arrays of shape (N,): an ensemble of the given ones.
@@ -108,7 +122,7 @@ def stack_vehicles(vehicles: list[Vehicle]) -> Vehicle:
     first = vehicles[0]
     if any(v.rotors != first.rotors for v in vehicles):
         raise ValueError("an ensemble needs vehicles with the same rotors")
-    fixed = {"name", "rotors", "command"}
+    fixed = {"name", "rotors", "command", "lag_of"}
     arrays: dict[str, Any] = {
         f.name: np.array([getattr(v, f.name) for v in vehicles], dtype=float)
         for f in fields(Vehicle)

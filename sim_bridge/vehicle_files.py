@@ -73,7 +73,10 @@ def make_vehicle(airframe: Airframe, parameters: object, where: str) -> Vehicle:
     if not isinstance(parameters, Mapping):
         raise InputError(f"{where} must be a table")
     values = dict(parameters)
-    known = {*_POSITIVE, *_NOT_NEGATIVE, *_ANY_SIGN}
+    lag_of = values.pop("lag_of", "speed")
+    if lag_of not in ("speed", "command"):
+        raise InputError(f"{where}: lag_of must be 'speed' or 'command', got {lag_of!r}")
+    known = {*_POSITIVE, *_NOT_NEGATIVE, *_ANY_SIGN, "lag_of"}
     for key in values:
         if key not in known:
             raise InputError(f"{where}: unknown key {key!r}; known are {', '.join(sorted(known))}")
@@ -94,8 +97,11 @@ def make_vehicle(airframe: Airframe, parameters: object, where: str) -> Vehicle:
         name=airframe.name,
         rotors=airframe.rotors,
         command=airframe.command,
+        lag_of=lag_of,
         **{key: float(value) for key, value in values.items()},
     )
+    if lag_of == "command" and vehicle.rotor_inertia:
+        raise InputError(f"{where}: rotor_inertia needs lag_of = 'speed'")
     _check_inertia(vehicle, where)
     _check_hover(vehicle, where)
     return vehicle

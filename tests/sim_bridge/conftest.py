@@ -1,5 +1,6 @@
 """Flights and decoders that several tests share."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,44 @@ from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.cli import main
 from sim_bridge.ensemble import Flight, fly_ensemble
 from sim_bridge.missions import MISSIONS
+from sim_bridge.simulation import Simulation
 from sim_bridge.vehicle import Vehicle
 from sim_bridge.vehicle_files import load_vehicle
+
+
+class Desk:
+    """A ground station that speaks to an autopilot in the same process."""
+
+    def __init__(self, simulation: Simulation, autopilot: Any) -> None:
+        self.simulation = simulation
+        self.autopilot = autopilot
+        self.sender = mavlink.MAVLink(None, 245, 190)
+        self.parser = mavlink.MAVLink(None)
+
+    def ask(self, message: Any) -> list[Any]:
+        frames = self.autopilot.receive(message.pack(self.sender), self.simulation.tick)
+        return [self.parser.decode(bytearray(frame)) for frame in frames]
+
+    def command(self, number: int, *params: float, target: tuple[int, int] = (1, 1)) -> list[Any]:
+        filled = [*params, *[0.0] * (7 - len(params))]
+        return self.ask(mavlink.MAVLink_command_long_message(*target, number, 0, *filled))
+
+    def hear(self, seconds: float) -> list[Any]:
+        """What comes in so much flight from now on."""
+        heard = []
+        for _ in range(round(seconds / self.simulation.step_size)):
+            self.simulation.step()
+            heard += self.autopilot.poll(self.simulation.tick)
+        return [self.parser.decode(bytearray(frame)) for frame in heard]
+
+    def counts(self, seconds: float) -> Counter[str]:
+        """Messages of each type in so much flight."""
+        return Counter(message.get_type() for message in self.hear(seconds))
+
+
+@pytest.fixture(scope="session")
+def open_desk() -> type[Desk]:
+    return Desk
 
 
 @pytest.fixture(scope="session")

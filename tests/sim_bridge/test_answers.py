@@ -19,41 +19,14 @@ CMD = {
 }
 
 
-class Desk:
-    """A ground station that speaks to an autopilot in the same process."""
-
-    def __init__(self, vehicle: Vehicle, rate: float = 50.0) -> None:
-        gusts, sensors = np.random.SeedSequence(0).spawn(2)
-        self.simulation = Simulation(vehicle, MISSIONS["hover"], gusts, 0.0)
-        self.autopilot = Px4(self.simulation, "paper", 0.02, rate, sensors)
-        self.sender = mavlink.MAVLink(None, 245, 190)
-        self.parser = mavlink.MAVLink(None)
-
-    def ask(self, message: Any) -> list[Any]:
-        frames = self.autopilot.receive(message.pack(self.sender), self.simulation.tick)
-        return [self.parser.decode(bytearray(frame)) for frame in frames]
-
-    def command(self, number: int, *params: float, target: tuple[int, int] = (1, 1)) -> list[Any]:
-        filled = [*params, *[0.0] * (7 - len(params))]
-        return self.ask(mavlink.MAVLink_command_long_message(*target, number, 0, *filled))
-
-    def counts(self, seconds: float) -> dict[str, int]:
-        """Messages of each type in so much flight."""
-        counts: dict[str, int] = {}
-        for _ in range(round(seconds * 1000)):
-            self.simulation.step()
-            for frame in self.autopilot.poll(self.simulation.tick):
-                name = self.parser.decode(bytearray(frame)).get_type()
-                counts[name] = counts.get(name, 0) + 1
-        return counts
-
-
 @pytest.fixture
-def desk(paper_vehicle: Vehicle) -> Desk:
-    return Desk(paper_vehicle)
+def desk(paper_vehicle: Vehicle, open_desk: Any) -> Any:
+    gusts, sensors = np.random.SeedSequence(0).spawn(2)
+    simulation = Simulation(paper_vehicle, MISSIONS["hover"], gusts, 0.0)
+    return open_desk(simulation, Px4(simulation, "paper", 0.02, 50.0, sensors))
 
 
-def test_a_message_interval_is_set_told_and_put_back(desk: Desk) -> None:
+def test_a_message_interval_is_set_told_and_put_back(desk: Any) -> None:
     imu = mavlink.MAVLINK_MSG_ID_HIGHRES_IMU
     (ack,) = desk.command(CMD["set"], imu, 5000)
     assert (ack.get_type(), ack.command, ack.result) == ("COMMAND_ACK", CMD["set"], 0)
@@ -72,34 +45,28 @@ def test_a_message_interval_is_set_told_and_put_back(desk: Desk) -> None:
     assert desk.counts(0.5)["HIGHRES_IMU"] == 25
 
 
-def test_attitude_keeps_its_noise_without_the_imu(desk: Desk) -> None:
+def test_attitude_keeps_its_noise_without_the_imu(desk: Any) -> None:
     desk.command(CMD["set"], mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, -1)
-    rates = set()
-    for _ in range(1000):
-        desk.simulation.step()
-        for frame in desk.autopilot.poll(desk.simulation.tick):
-            message = desk.parser.decode(bytearray(frame))
-            if message.get_type() == "ATTITUDE":
-                rates.add(message.rollspeed)
+    rates = {m.rollspeed for m in desk.hear(1.0) if m.get_type() == "ATTITUDE"}
     assert len(rates) > 15
 
 
-def test_an_interval_for_an_unknown_message_fails(desk: Desk) -> None:
+def test_an_interval_for_an_unknown_message_fails(desk: Any) -> None:
     (ack,) = desk.command(CMD["set"], 9999, 5000)
     assert ack.result == mavlink.MAV_RESULT_FAILED
 
 
-def test_px4_denies_intervals_with_other_parameters_set(desk: Desk) -> None:
+def test_px4_denies_intervals_with_other_parameters_set(desk: Any) -> None:
     (ack,) = desk.command(CMD["set"], mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, 5000, 1.0)
     assert ack.result == mavlink.MAV_RESULT_DENIED
 
 
-def test_no_stream_is_faster_than_the_physics(desk: Desk) -> None:
+def test_no_stream_is_faster_than_the_physics(desk: Any) -> None:
     desk.command(CMD["set"], mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, 100)
     assert desk.counts(0.1)["HIGHRES_IMU"] == 100
 
 
-def test_messages_on_request(desk: Desk) -> None:
+def test_messages_on_request(desk: Any) -> None:
     ack, version = desk.command(CMD["request"], mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
     assert ack.result == mavlink.MAV_RESULT_ACCEPTED
     assert version.capabilities & mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
@@ -114,27 +81,27 @@ def test_messages_on_request(desk: Desk) -> None:
 @pytest.mark.parametrize(
     "number", [mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_LAND, 31000]
 )
-def test_other_commands_are_unsupported(desk: Desk, number: int) -> None:
+def test_other_commands_are_unsupported(desk: Any, number: int) -> None:
     (ack,) = desk.command(number, 1)
     assert ack.result == mavlink.MAV_RESULT_UNSUPPORTED
     assert ack.command == number
 
 
-def test_commands_for_others_are_left_alone(desk: Desk) -> None:
+def test_commands_for_others_are_left_alone(desk: Any) -> None:
     imu = mavlink.MAVLINK_MSG_ID_HIGHRES_IMU
     assert desk.command(CMD["set"], imu, 5000, target=(2, 1)) == []
     assert desk.command(CMD["set"], imu, 5000, target=(1, 154)) == []
     assert len(desk.command(CMD["set"], imu, 5000, target=(0, 0))) == 1
 
 
-def test_timesync_tells_the_vehicle_clock(desk: Desk) -> None:
+def test_timesync_tells_the_vehicle_clock(desk: Any) -> None:
     (answer,) = desk.ask(mavlink.MAVLink_timesync_message(0, 123456))
     assert answer.ts1 == 123456
     assert answer.tc1 == 20_000_000_000
     assert desk.ask(mavlink.MAVLink_timesync_message(5, 123456)) == []
 
 
-def test_ping_comes_back(desk: Desk) -> None:
+def test_ping_comes_back(desk: Any) -> None:
     (answer,) = desk.ask(mavlink.MAVLink_ping_message(77, 5, 0, 0))
     assert (answer.time_usec, answer.seq, answer.target_system) == (77, 5, 245)
 
@@ -143,7 +110,7 @@ def as_int(value: float) -> int:
     return int(struct.unpack("<i", struct.pack("<f", value))[0])
 
 
-def test_parameters_are_listed_read_and_set(desk: Desk) -> None:
+def test_parameters_are_listed_read_and_set(desk: Any) -> None:
     listed = desk.ask(mavlink.MAVLink_param_request_list_message(1, 1))
     assert [m.param_index for m in listed] == list(range(listed[0].param_count))
     by_name = {m.param_id: m for m in listed}
@@ -161,17 +128,17 @@ def test_parameters_are_listed_read_and_set(desk: Desk) -> None:
     assert told.param_value == 0.5
 
 
-def test_no_parameter_tells_the_truth(desk: Desk) -> None:
+def test_no_parameter_tells_the_truth(desk: Any) -> None:
     truths = {round(x, 9) for x in (1.5, 0.0165, 0.0167, 0.0294, 2.05e-4, 6.14e-6, 15.0)}
     assert not truths & {round(p.value, 9) for p in desk.autopilot.parameters}
 
 
-def test_there_is_no_mission_to_download(desk: Desk) -> None:
+def test_there_is_no_mission_to_download(desk: Any) -> None:
     (answer,) = desk.ask(mavlink.MAVLink_mission_request_list_message(1, 1))
     assert (answer.get_type(), answer.count) == ("MISSION_COUNT", 0)
 
 
-def test_garbage_and_torn_frames_do_no_harm(desk: Desk) -> None:
+def test_garbage_and_torn_frames_do_no_harm(desk: Any) -> None:
     rng = np.random.default_rng(0)
     good = mavlink.MAVLink_timesync_message(0, 9).pack(desk.sender)
     for _ in range(200):

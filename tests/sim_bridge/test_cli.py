@@ -1,11 +1,13 @@
 """The command line: what it refuses, and how."""
 
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from gcs_sysid import __version__
 from sim_bridge.cli import main, make_parser
+from sim_bridge.traps import KINDS, Traps
 
 
 def run(options: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
@@ -42,14 +44,33 @@ def run(options: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str
         ("--connect udpin:203.0.113.1:14550", "cannot listen on UDP"),
         ("--tlog /nosuch/f.tlog", "cannot write /nosuch/f.tlog"),
         ("--truth /nosuch/t.json --tlog X", "cannot write /nosuch/t.json"),
-        ("--autopilot ardupilot", "not there yet"),
+        ("--autopilot inav", "invalid choice: 'inav'"),
+        ("--trap rpm-purple", "no trap 'rpm-purple'; there are rpm-zero,"),
+        ("--trap rpm-zero=1", "rpm-zero takes no value"),
+        ("--trap rpm-dead=0", "rpm-dead: must be a whole number 1..32"),
+        ("--trap skips=1.5", "skips: must be a share from 0 to 1"),
+        ("--trap rotor-late=2000", "rotor-late: must be 0 to 1000 ms"),
+        ("--trap clock-drift=nan", "clock-drift: must be -100000 to 100000 ppm"),
+        ("--trap reboot", "write reboot=S"),
+        ("--trap reboot=-1", "reboot: must be positive"),
+        ("--trap never-sent=NO_SUCH", "no message 'NO_SUCH'"),
+        ("--rotor-input rpm", "invalid choice: 'rpm'"),
+        ("--param INS_GYRO_FILTER", "write NAME=VALUE"),
+        ("--param NO_SUCH=1", "px4 here has no 'NO_SUCH'"),
+        ("--mavlink 3", "invalid choice: 3"),
+        ("--signing-key /nosuch/key", "cannot read /nosuch/key"),
+        ("--signing-key K", "is no signing key"),
+        ("--signing-key K --mavlink 1", "version 1 has no signatures"),
         ("--frobnicate", "unrecognized arguments"),
     ],
 )
 def test_bad_input_gets_one_line_and_status_2(
     options: str, words: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    status, out, err = run(options.replace("X", str(tmp_path / "x.tlog")), capsys)
+    key = tmp_path / "key"
+    key.write_text("0123")
+    words_given = {"X": str(tmp_path / "x.tlog"), "K": str(key)}
+    status, out, err = run(" ".join(words_given.get(w, w) for w in options.split()), capsys)
     assert status == 2
     assert out == ""
     assert words in err
@@ -74,8 +95,24 @@ def test_a_flight_to_a_file_prints_nothing(
     assert path.stat().st_size > 10_000
 
 
-def test_an_existing_file_is_replaced(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_an_existing_file_is_replaced_by_force_alone(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     path = tmp_path / "f.tlog"
     path.write_bytes(b"x" * 1_000_000)
-    run(f"--tlog {path} --duration 0.1", capsys)
+    status, out, err = run(f"--tlog {path} --duration 0.1", capsys)
+    assert (status, out, err) == (
+        2,
+        "",
+        f"sim-bridge: error: {path} exists; --force replaces it\n",
+    )
+    assert path.stat().st_size == 1_000_000
+    assert run(f"--tlog {path} --duration 0.1 --force", capsys) == (0, "", "")
     assert path.stat().st_size < 100_000
+
+
+def test_help_tells_of_every_trap(capsys: pytest.CaptureFixture[str]) -> None:
+    _, out, _ = run("--help", capsys)
+    lines = out[out.index("traps (") :].splitlines()[1:]
+    assert [line.split()[0].split("[")[0].split("=")[0] for line in lines] == list(KINDS)
+    assert {field.name for field in fields(Traps)} == {name.replace("-", "_") for name in KINDS}

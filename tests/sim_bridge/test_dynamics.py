@@ -112,6 +112,29 @@ def test_motor_lag_is_exact_at_any_step(paper_vehicle: Vehicle) -> None:
         assert state.speeds[0] == pytest.approx(100.0 * (1.0 - math.exp(-2.0)), rel=1e-12)
 
 
+def test_a_command_that_lags_makes_thrust_lag_where_it_is_linear(paper_vehicle: Vehicle) -> None:
+    # PX4's SIH: dT/dt = (T_c - T) / tau.
+    v = replace(paper_vehicle, lag_of="command", thrust_curve=0.0, motor_lag=0.05)
+    dynamics = Dynamics(v, step_size=0.004)
+    state = State([*trim(v).body], [100.0, 150.0, 200.0, 50.0])
+    targets = [180.0, 120.0, 200.0, 0.0]
+    start, goal = v.k_T * np.square(state.speeds), v.k_T * np.square(targets)
+    for k in range(1, 30):
+        state = dynamics.step(state, targets)
+        expected = goal + (start - goal) * math.exp(-0.004 * k / 0.05)
+        np.testing.assert_allclose(v.k_T * np.square(state.speeds), expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("curve", [0.3, 1.0])
+def test_a_command_lags_before_the_thrust_curve(paper_vehicle: Vehicle, curve: float) -> None:
+    v = replace(paper_vehicle, lag_of="command", thrust_curve=curve, motor_lag=0.05)
+    state = State([*trim(v).body], [v.speed_of(0.3)] * 4)
+    for _ in range(50):
+        state = Dynamics(v).step(state, [v.speed_of(0.8)] * 4)
+    expected = 0.8 - 0.5 * math.exp(-1.0)
+    assert v.command_of(state.speeds[0]) == pytest.approx(expected, rel=1e-9)
+
+
 def test_without_motor_lag_speeds_follow_at_once(paper_vehicle: Vehicle) -> None:
     dynamics = Dynamics(replace(paper_vehicle, motor_lag=0.0, rotor_inertia=1e-4))
     state = dynamics.step(trim(paper_vehicle), [100.0] * 4)

@@ -76,6 +76,39 @@ def test_the_paper_vehicle_is_table_1(paper_vehicle: Vehicle) -> None:
     assert truth["moment_ratio"] == pytest.approx(6.14e-6 / 2.05e-4)
 
 
+def test_the_truth_tells_where_an_imu_off_the_cg_is(paper_vehicle: Vehicle) -> None:
+    truth = load_vehicle("px4-octo-x").truth()
+    assert (truth["imu_x"], truth["imu_y"], truth["imu_z"]) == (-0.02, 0.004, -0.03)
+    assert "imu_x" not in paper_vehicle.truth()
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+@pytest.mark.parametrize(("frame", "count"), [("quad-x", 4), ("hexa-x", 6), ("octo-x", 8)])
+def test_layouts_are_balanced_and_regular(autopilot: str, frame: str, count: int) -> None:
+    rotors = load_vehicle(f"{autopilot}-{frame}").rotors
+    assert len(rotors) == count
+    # One after the other around the centre, every spin differs from its neighbour's.
+    around = sorted(rotors, key=lambda r: np.arctan2(r.y, r.x))
+    spins = [r.spin for r in around]
+    assert all(a == -b for a, b in zip(spins, [*spins[1:], spins[0]], strict=True))
+    steps = np.diff(np.unwrap([np.arctan2(r.y, r.x) for r in around]))
+    np.testing.assert_allclose(steps, 2.0 * np.pi / count, atol=1e-9)
+    assert sum(spins) == 0
+
+
+def test_octorotors_are_numbered_as_both_autopilots_do() -> None:
+    def degrees(name: str) -> list[float]:
+        """Clockwise from the front, seen from above."""
+        rotors = load_vehicle(name).rotors
+        return [round(float(np.degrees(np.arctan2(r.y, r.x))), 1) for r in rotors]
+
+    # AP_MotorsMatrix, octa X.
+    expected = [22.5, -157.5, 67.5, 157.5, -22.5, -112.5, -67.5, 112.5]
+    assert degrees("ardupilot-octo-x") == expected
+    assert degrees("px4-octo-x") == expected
+    assert degrees("ardupilot-hexa-x") == [90.0, -90.0, -30.0, 150.0, 30.0, -150.0]
+
+
 def test_a_vehicle_from_an_airframe_file(tmp_path: Path) -> None:
     vehicle = load_vehicle(write(tmp_path, AIRFRAME + SIMULATION))
     assert vehicle.name == "mine"
@@ -101,6 +134,11 @@ def test_arm_scales_the_layout(paper_vehicle: Vehicle) -> None:
         (AIRFRAME + SIMULATION + "cg_x = 0.3\n", "CG lies so far out"),
         (AIRFRAME + SIMULATION + "motor_lag_ = 0.1\n", "motor_lag_"),
         (AIRFRAME + SIMULATION + "thrust_curve = 1.5\n", "thrust_curve must lie in 0..1"),
+        (AIRFRAME + SIMULATION + "lag_of = 'thrust'\n", "lag_of must be 'speed' or 'command'"),
+        (
+            AIRFRAME + SIMULATION + "lag_of = 'command'\nrotor_inertia = 1e-5\n",
+            "rotor_inertia needs lag_of = 'speed'",
+        ),
         (AIRFRAME.replace("[[rotor]]", "simulation = 3\n[[rotor]]", 1), "must be a table"),
     ],
 )
@@ -119,6 +157,7 @@ def test_command_inverts_the_thrust_curve(paper_vehicle: Vehicle, curve: float) 
     for u in (0.01, 0.3, 1.0):
         thrust = v.T_max * ((1 - curve) * u + curve * u * u)
         assert v.command_of((thrust / v.k_T) ** 0.5) == pytest.approx(u)
+        assert v.command_of(v.speed_of(u)) == pytest.approx(u)
     assert v.command_of(0.0) == 0.0
 
 

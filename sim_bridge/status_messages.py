@@ -1,29 +1,19 @@
-"""The housekeeping messages of an emulated PX4: state, battery, place, versions.
+"""The housekeeping messages of an emulated autopilot: state, battery, place, versions.
 
 Fields are passed in wire order: see `ordered_fieldnames` of the dialect's classes.
 """
 
 import math
+from dataclasses import dataclass
 
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.autopilot import EPOCH_US
 from sim_bridge.instruments import Instruments
+from sim_bridge.messages import CELLS, HOME, MessageMaker, voltage
 from sim_bridge.wire import FrameWriter
-
-HOME = (47.397742, 8.545594, 488.0)
-"""Latitude, longitude (deg) and height (m) of the take-off point: PX4's own simulated home."""
 
 EARTH_RADIUS = 6371000.0
 """m"""
-
-OFFBOARD = 6 << 16
-"""PX4's custom_mode in which a companion computer flies, as the mission does here."""
-
-CELLS = 4
-CELL_FULL = 4.1
-"""V"""
-CELL_SAG = 4.0e-4
-"""V/s: 10 minutes of flight take a quarter of a volt off each cell."""
 
 _TYPES = {
     4: mavlink.MAV_TYPE_QUADROTOR,
@@ -43,47 +33,55 @@ _SENSORS = (
 )
 
 
-def voltage(flown: float) -> float:
-    """Of the battery after so many seconds, V."""
-    return CELLS * (CELL_FULL - CELL_SAG * min(flown, 1000.0))
-
-
 def remaining(flown: float) -> int:
     """Charge of the battery after so many seconds, %."""
     return max(5, 95 - int(flown / 12.0))
 
 
-class StatusMessages:
-    """Makes each message for the instant the simulation is at, as one or more frames.
+@dataclass(frozen=True)
+class Identity:
+    """What an autopilot says that it is.
 
     Attributes:
-        instruments: what is measured.
-        writer: makes the frames.
+        autopilot: MAV_AUTOPILOT.
+        custom_mode: its number for the mode in which a companion computer flies.
+        capabilities: MAV_PROTOCOL_CAPABILITY bits.
+        version: major, minor, patch and FIRMWARE_VERSION_TYPE.
     """
 
-    def __init__(self, instruments: Instruments, writer: FrameWriter) -> None:
-        self.instruments = instruments
-        self.writer = writer
-        self._sim = instruments.simulation
-        self._rotors = len(self._sim.vehicle.rotors)
+    autopilot: int
+    custom_mode: int
+    capabilities: int
+    version: tuple[int, int, int, int]
+
+
+class StatusMessages(MessageMaker):
+    """Makes each message for the instant the simulation is at, as one or more frames."""
+
+    def __init__(self, instruments: Instruments, writer: FrameWriter, identity: Identity) -> None:
+        super().__init__(instruments, writer)
+        self._identity = identity
 
     def heartbeat(self) -> list[bytes]:
-        """HEARTBEAT: armed and flying, in offboard mode."""
+        """HEARTBEAT: flown by a companion computer; armed unless on the ground."""
         mode = (
-            mavlink.MAV_MODE_FLAG_SAFETY_ARMED
-            | mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+            mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
             | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
             | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
         )
+        state = mavlink.MAV_STATE_STANDBY
+        if self._sim.armed:
+            mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+            state = mavlink.MAV_STATE_ACTIVE
         kind = _TYPES.get(self._rotors, mavlink.MAV_TYPE_GENERIC_MULTIROTOR)
         return [
             self.writer.frame(
                 mavlink.MAVLink_heartbeat_message,
-                OFFBOARD,
+                self._identity.custom_mode,
                 kind,
-                mavlink.MAV_AUTOPILOT_PX4,
+                self._identity.autopilot,
                 mode,
-                mavlink.MAV_STATE_ACTIVE,
+                state,
                 3,
             )
         ]
@@ -254,18 +252,13 @@ class StatusMessages:
         ]
 
     def autopilot_version(self) -> list[bytes]:
-        """AUTOPILOT_VERSION: PX4 1.17 with MAVLink 2."""
-        can = (
-            mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
-            | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
-            | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
-            | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
-        )
-        version = (1 << 24) | (17 << 16) | (0 << 8) | 64
+        """AUTOPILOT_VERSION."""
+        major, minor, patch, kind = self._identity.version
+        version = major << 24 | minor << 16 | patch << 8 | kind
         return [
             self.writer.frame(
                 mavlink.MAVLink_autopilot_version_message,
-                can,
+                self._identity.capabilities,
                 1,
                 version,
                 version,

@@ -1,0 +1,73 @@
+"""What the traps do to measured values. Without a trap, values pass untouched."""
+
+import math
+
+import numpy as np
+
+from sim_bridge.traps import NO_TRAPS, Traps
+from sim_bridge.vehicle import Vehicle
+
+RPM = 30.0 / math.pi
+"""Revolutions a minute in 1 rad/s."""
+
+SPIKE = 8.0
+"""rad/s, least size of a gyro outlier; the largest is twice that."""
+
+Sample = list[float]
+
+
+class SensorFaults:
+    """Spoils the readings of one vehicle's sensors.
+
+    Attributes:
+        traps: which are in force.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        traps: Traps = NO_TRAPS,
+        seed: np.random.SeedSequence | None = None,
+    ) -> None:
+        self.traps = traps
+        # A generator each: one trap does not move what another does.
+        rotor, attitude, gyro = (seed or np.random.SeedSequence(0)).spawn(3)
+        self._rotor_random = np.random.default_rng(rotor)
+        self._attitude_random = np.random.default_rng(attitude)
+        self._gyro_random = np.random.default_rng(gyro)
+        self._spins = [rotor.spin for rotor in vehicle.rotors]
+        self._last_rpm: list[int] = []
+
+    def rpm(self, speeds: Sample) -> list[int]:
+        """What the rpm field says of these rotor speeds in rad/s, motor by motor."""
+        traps = self.traps
+        if traps.rpm_repeats and self._last_rpm and self._rotor_random.random() < traps.rpm_repeats:
+            return self._last_rpm
+        rpm = [round(s if traps.rpm_rad else s * RPM) for s in speeds]
+        if traps.rpm_signed:
+            rpm = [n * spin for n, spin in zip(rpm, self._spins, strict=True)]
+        if traps.rpm_zero:
+            rpm = [0] * len(rpm)
+        elif 0 < traps.rpm_dead <= len(rpm):
+            rpm[traps.rpm_dead - 1] = 0
+        self._last_rpm = rpm
+        return rpm
+
+    def quaternion(self, q: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+        """The quaternion or its negative, which is the same attitude."""
+        share = self.traps.quaternion_flips
+        if share and self._attitude_random.random() < share:
+            return (-q[0], -q[1], -q[2], -q[3])
+        return q
+
+    def inertial(self, gyro: Sample, accelerometer: Sample) -> tuple[Sample, Sample]:
+        """Gyro (rad/s) and accelerometer (m/s^2) with outliers and bias."""
+        traps = self.traps
+        if traps.gyro_outliers and self._gyro_random.random() < traps.gyro_outliers:
+            axis = int(self._gyro_random.integers(3))
+            size = SPIKE * (1.0 + self._gyro_random.random())
+            gyro = list(gyro)
+            gyro[axis] += size * (1.0 if self._gyro_random.random() < 0.5 else -1.0)
+        if traps.accelerometer_bias:
+            accelerometer = [a + traps.accelerometer_bias for a in accelerometer]
+        return gyro, accelerometer

@@ -1,0 +1,145 @@
+"""MAVLink 1 and signed frames, as pymavlink reads them."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gcs_sysid.telemetry.dialect import mavlink
+from sim_bridge.cli import main, read_key
+from sim_bridge.missions import MISSIONS
+from sim_bridge.px4 import Px4
+from sim_bridge.simulation import Simulation
+from sim_bridge.vehicle import Vehicle
+from sim_bridge.wire import BASE_LENGTHS, FrameWriter, Signer
+
+KEY = bytes(range(32))
+NOW_US = 1_700_000_000_000_000
+SIZES = {"char": 1, "int8_t": 1, "uint8_t": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4}
+SIZES |= {"uint32_t": 4, "float": 4, "int64_t": 8, "uint64_t": 8, "double": 8}
+
+
+def base_length(message: ET.Element) -> int | None:
+    """Bytes before the extensions; None when there are none."""
+    length = 0
+    for child in message:
+        if child.tag == "extensions":
+            return length
+        if child.tag == "field":
+            kind, _, count = child.attrib["type"].partition("[")
+            length += SIZES[kind.replace("_mavlink_version", "")] * int(count.rstrip("]") or 1)
+    return None
+
+
+def test_lengths_of_version_1_are_those_of_the_definitions() -> None:
+    folder = resources.files("gcs_sysid.telemetry.dialect")
+    root = ET.fromstring((folder / "gcs_sysid.xml").read_text(encoding="utf-8"))
+    lengths = {int(m.attrib["id"]): base_length(m) for m in root.iter("message")}
+    for msgid, length in BASE_LENGTHS.items():
+        assert lengths[msgid] == length, msgid
+    # Of the messages that the emulator sends in version 1, none is left out.
+    others = {i for i, n in lengths.items() if n is not None and i <= 255} - set(BASE_LENGTHS)
+    received_only = {"PARAM_REQUEST_READ", "MISSION_REQUEST_LIST", "MISSION_REQUEST_INT"}
+    unused = {"MISSION_ACK", "SCALED_IMU3", "RPM"} | received_only
+    assert {mavlink.mavlink_map[i].msgname for i in others} <= unused
+
+
+def read_version_1(path: Path) -> Iterator[Any]:
+    parser = mavlink.MAVLink(None)
+    data = path.read_bytes()
+    at = 0
+    while at < len(data):
+        assert data[at + 8] == 0xFE
+        size = 8 + data[at + 9]
+        yield parser.decode(bytearray(data[at + 8 : at + 8 + size]))
+        at += 8 + size
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_a_flight_in_version_1(autopilot: str, tmp_path: Path) -> None:
+    path = tmp_path / "f.tlog"
+    options = ["--mavlink", "1", "--autopilot", autopilot, "--noise", "none", "--duration", "2"]
+    assert main([*options, "--tlog", str(path)]) == 0
+    messages = list(read_version_1(path))
+    names = {m.get_type() for m in messages}
+    assert {"HIGHRES_IMU", "ATTITUDE", "SERVO_OUTPUT_RAW", "HEARTBEAT"} <= names
+    assert not names & {"ESC_STATUS", "ACTUATOR_OUTPUT_STATUS", "ESC_TELEMETRY_1_TO_4"}
+    assert [m.get_seq() for m in messages] == [i % 256 for i in range(len(messages))]
+    servo = next(m for m in messages if m.get_type() == "SERVO_OUTPUT_RAW")
+    assert servo.servo1_raw > 1000
+    assert servo.servo9_raw == 0  # an extension: not there
+
+
+def signing_reader(key: bytes) -> Any:
+    parser = mavlink.MAVLink(None)
+    parser.signing.secret_key = key
+    parser.robust_parsing = True
+    return parser
+
+
+def test_signed_frames_satisfy_pymavlink_with_the_key_and_only_then() -> None:
+    writer = FrameWriter(signer=Signer(KEY, lambda: NOW_US, link=3))
+    frames = [
+        writer.frame(mavlink.MAVLink_heartbeat_message, 0, 2, 12, 128, 4, 3) for _ in range(3)
+    ]
+    reader = signing_reader(KEY)
+    assert [reader.decode(bytearray(f)).get_type() for f in frames] == ["HEARTBEAT"] * 3
+    assert reader.signing.goodsig_count == 3
+    stamps = [int.from_bytes(f[-12:-6], "little") for f in frames]
+    assert stamps[0] == (NOW_US - 1_420_070_400_000_000) // 10
+    assert np.diff(stamps).tolist() == [1, 1]
+    with pytest.raises(mavlink.MAVError, match="Invalid signature"):
+        signing_reader(bytes(32)).decode(bytearray(frames[0]))
+
+
+@pytest.fixture
+def signed_desk(paper_vehicle: Vehicle, open_desk: Any) -> Any:
+    gusts, sensors = np.random.SeedSequence(0).spawn(2)
+    simulation = Simulation(paper_vehicle, MISSIONS["hover"], gusts, 0.0)
+    writer = FrameWriter(signer=Signer(KEY, lambda: NOW_US))
+    desk = open_desk(simulation, Px4(simulation, "none", 0.0, 50.0, sensors, writer=writer))
+    desk.parser = signing_reader(KEY)
+    return desk
+
+
+@pytest.mark.parametrize(("key", "answers"), [(KEY, 1), (bytes(32), 0), (None, 0)])
+def test_a_signing_vehicle_obeys_its_key_alone(
+    signed_desk: Any, key: bytes | None, answers: int
+) -> None:
+    if key is not None:
+        signed_desk.sender.signing.secret_key = key
+        signed_desk.sender.signing.sign_outgoing = True
+        signed_desk.sender.signing.timestamp = NOW_US // 10
+    ask = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+    assert len(signed_desk.command(ask, 105, 20_000)) == answers
+
+
+@pytest.mark.parametrize(
+    "content", [KEY, KEY.hex().encode(), KEY.hex().upper().encode() + b"\n"], ids=repr
+)
+def test_a_key_is_raw_or_hexadecimal(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "key"
+    path.write_bytes(content)
+    assert read_key(path) == KEY
+
+
+def test_a_signed_file_repeats(tmp_path: Path) -> None:
+    key = tmp_path / "key"
+    key.write_bytes(KEY)
+    files = []
+    for name in ("a.tlog", "b.tlog"):
+        path = tmp_path / name
+        options = ["--signing-key", str(key), "--duration", "1", "--tlog", str(path)]
+        assert main(options) == 0
+        files.append(path.read_bytes())
+    assert files[0] == files[1]
+    first = files[0]
+    size = 12 + first[9] + 13
+    frame = bytearray(first[8 : 8 + size])
+    reader = signing_reader(KEY)
+    reader.decode(frame)
+    assert reader.signing.goodsig_count == 1
