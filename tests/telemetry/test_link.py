@@ -6,8 +6,9 @@ import socket
 import pytest
 
 from gcs_sysid.errors import InputError, LinkError
-from gcs_sysid.telemetry.link import Receiver, open_link
+from gcs_sysid.telemetry.link import open_link
 from gcs_sysid.telemetry.outgoing import Gate
+from gcs_sysid.telemetry.receiver import Receiver
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
 
 WAIT = 5.0

@@ -174,10 +174,14 @@ class Monitor:
         return self._sequence.lost
 
     @property
+    def sent(self) -> int:
+        """Messages that the chosen vehicle has sent since it was first heard, `lost` included."""
+        return self._sequence.expected
+
+    @property
     def lost_percent(self) -> float:
         """`lost` as a part of what was sent, in percent."""
-        expected = self._sequence.expected
-        return 100.0 * self.lost / expected if expected else 0.0
+        return 100.0 * self.lost / self.sent if self.sent else 0.0
 
     @property
     def span(self) -> float:
