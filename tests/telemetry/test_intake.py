@@ -67,7 +67,7 @@ def test_records_come_from_the_chosen_vehicle_alone(make_sender):
     assert [r.t for r in records if r.stream is Stream.IMU] == pytest.approx(
         [1.0 + 0.004 * i for i in range(10)]
     )
-    assert [event.kind for event in intake.take_events()] == ["vehicle"]
+    assert [event.kind for event in intake.take_events()] == ["vehicle", "vehicles"]
     assert intake.take_events() == []
 
 

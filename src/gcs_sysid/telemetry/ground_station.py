@@ -108,7 +108,10 @@ class GroundStation:
             self._streams.reboot()
         if self._link.breaks != self._breaks:
             self._breaks = self._link.breaks
-            self._events.append(f"{self._link.url} was closed by the other side or unplugged")
+            self._events.append(
+                f"{self._link.url} was closed by the other side or unplugged: "
+                "waiting for it to come back"
+            )
             self.lost = True
         heard = intake.monitor.sent - intake.monitor.lost
         if heard != self._heard:

@@ -190,15 +190,16 @@ class StreamRequests:
             self._told.discard(name)
             if name == "HIGHRES_IMU" and hz >= self._needed:
                 self.problem = ""
-        first = name not in self._asked_at
         asks = self._asks.get(name, 0)
-        again = not enough and asks < ASKS_AT_MOST
-        if not first and not (again and now - self._asked_at[name] >= ASK_AGAIN_AFTER):
-            return
-        if not first and asks == TELL_AFTER and name not in self._told:
+        if not enough and asks >= TELL_AFTER and name not in self._told:
             self._told.add(name)
             self._tell_shortage(name, hz, got)
-        self._ask(name, hz, now)
+        if name not in self._asked_at:
+            self._asks[name] = max(asks, 1)
+            self._ask(name, hz, now)
+        elif not enough and asks < ASKS_AT_MOST and now - self._asked_at[name] >= ASK_AGAIN_AFTER:
+            self._asks[name] = asks + 1
+            self._ask(name, hz, now)
 
     def _tell_shortage(self, name: str, hz: float, got: float) -> None:
         if got == 0.0:
@@ -212,7 +213,6 @@ class StreamRequests:
     def _ask(self, name: str, hz: float, now: float) -> None:
         assert self._vehicle is not None
         self._asked_at[name] = now
-        self._asks[name] = self._asks.get(name, 0) + 1
         interval = interval_us(self._vehicle.key, hz)
         if self._gate.set_message_interval(self._vehicle.address, MESSAGE_IDS[name], interval):
             self.asked[name] = hz
