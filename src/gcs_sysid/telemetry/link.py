@@ -7,7 +7,8 @@ a stranger on the port receives the requests too; it keeps the small default rec
 reads a datagram a call; it prints to standard output; it sleeps while it connects; and to
 import it loads every message of every dialect. pymavlink packs and unpacks, here it ends.
 
-`send` is called by `outgoing.Gate` alone, which decides what may be sent.
+`send` is called by `outgoing.Gate` alone, which decides what may be sent (through
+`reconnect.PersistentLink`, where that stands before the link).
 """
 
 import contextlib
