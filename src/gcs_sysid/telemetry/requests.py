@@ -98,6 +98,8 @@ class StreamRequests:
             turning: messages that have told of all their rotors turning.
             lost_of: messages of the vehicle lost and sent so far.
         """
+        if self._gate.listen_only:
+            return
         if vehicle is not None and (
             self._vehicle is None or vehicle.address != self._vehicle.address
         ):
@@ -222,7 +224,7 @@ class StreamRequests:
             self._gate.set_message_interval(self._vehicle.address, MESSAGE_IDS[name], 0)
 
     def _tell(self, text: str) -> None:
-        if not self._gate.listen_only and text not in self._events:
+        if text not in self._events:
             self._events.append(text)
 
     def take_events(self) -> list[str]:
@@ -238,9 +240,12 @@ class StreamRequests:
         self._introductions = 0
 
     def close(self) -> None:
-        """Give the vehicle its own rates back."""
-        for name in tuple(self.asked):
-            self._restore(name)
+        """Give the vehicle its own rates back. Said twice: nobody is there to say it again."""
+        asked = dict(self.asked)
+        for _ in range(2):
+            self.asked = dict(asked)
+            for name in asked:
+                self._restore(name)
 
 
 class _LossCut:
