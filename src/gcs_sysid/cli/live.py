@@ -193,8 +193,9 @@ def status_line(snapshot: Snapshot) -> str:
     """The state of a session in one line."""
     link = snapshot.link
     if link.state is LinkState.WAITING:
-        if link.received:  # somebody speaks, but nobody to listen to
-            return f"listening on {link.url}: {'; '.join(snapshot.result.reasons)}"
+        reasons = snapshot.result.reasons
+        if link.received or len(reasons) > 1:  # somebody speaks, but nobody to listen to
+            return f"listening on {link.url}: {'; '.join(reasons)}"
         return f"listening on {link.url}: no vehicle has spoken yet"
     words = [f"{snapshot.t:7.1f} s", link.vehicle or link.url]
     if link.state is not LinkState.CONNECTED:

@@ -6,7 +6,7 @@ from gcs_sysid.telemetry.messages import MESSAGE_IDS
 
 NEEDED_RATE = 50.0
 """Hz of IMU and rotor data below which identification is not to be had from real flights."""
-USABLE = 0.9
+USABLE = 0.92
 """Part of a serial link's bytes to plan with; the rest is for what the vehicle sends unasked."""
 SPEEDS = {
     "px4": ("ESC_STATUS",),
