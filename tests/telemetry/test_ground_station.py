@@ -134,6 +134,15 @@ def test_silence_is_told_and_so_is_the_return(sender):
     assert "HIGHRES_IMU" in talk.requested()  # it may have forgotten
 
 
+def test_a_vehicle_that_does_not_number_its_messages_is_not_lost(sender):
+    talk = Talk()
+    beat = sender.heartbeat()
+    for _ in range(10):
+        talk.hear(beat)
+        talk.turn(1.0)
+    assert not talk.station.lost
+
+
 def test_others_speaking_are_no_sign_of_the_vehicle(sender, make_sender):
     talk = Talk()
     talk.hear(sender.heartbeat())

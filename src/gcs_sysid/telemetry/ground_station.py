@@ -113,7 +113,7 @@ class GroundStation:
                 "waiting for it to come back"
             )
             self.lost = True
-        heard = intake.monitor.sent - intake.monitor.lost
+        heard = intake.monitor.heard
         if heard != self._heard:
             self._heard = heard
             if self.lost and self.heard_at is not None:
