@@ -349,15 +349,16 @@ def test_a_tcp_connection_that_breaks_costs_nothing_that_arrived(airframe, paper
     raws = [frame.raw for _, frame in read_tlog(paper_flight.tlog)]
     with socket.create_server(("127.0.0.1", 0)) as server:
         url = LinkUrl("tcp", "tcp:127.0.0.1", host="127.0.0.1", port=server.getsockname()[1])
-        sent = threading.Event()
-        link = PersistentLink(TcpLink(url))
-        session = LiveSession(link, airframe, LISTEN, path, sender_gone=sent.is_set)
+        session = LiveSession(PersistentLink(TcpLink(url)), airframe, LISTEN, path)
         session.start()
         for part in (raws[: len(raws) // 2], raws[len(raws) // 2 :]):
             vehicle, _ = server.accept()
             with vehicle:
                 vehicle.sendall(b"".join(part))
-        sent.set()
+        for _ in range(round(LONGEST / 0.1)):
+            if session.latest().link.received == len(raws) or session.join(0.1):
+                break
+        session.request_stop()
         final = finish(session)
     assert final.telemetry["lost"] == 0
     assert final.telemetry["garbage_bytes"] == 0
