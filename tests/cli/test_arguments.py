@@ -63,6 +63,8 @@ CASES = {
         ["live", NOWHERE, *PAPER, "--record", "a.tlog", "--no-record"],
         "--no-record",
     ),
+    "missing key": (["live", NOWHERE, *PAPER, "--signing-key", "no.key"], "no.key"),
+    "empty key": (["live", NOWHERE, *PAPER, "--signing-key", "empty.tlog"], "no signing key"),
     "bad baud": (["live", "/dev/ttyUSB0", *PAPER, "--baud", "0"], "baud"),
     "demo of no airframe": (["demo", "--airframe", "nonesuch"], "'nonesuch'"),
     "unknown command": (["fly"], "fly"),

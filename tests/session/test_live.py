@@ -1,6 +1,8 @@
 """Live sessions over real sockets, and their recordings."""
 
 import dataclasses
+import hashlib
+import os
 import socket
 import subprocess
 import sys
@@ -12,7 +14,12 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.live import LiveOptions, LiveSession
 from gcs_sysid.session.snapshot import LinkState
-from gcs_sysid.telemetry.link import TcpLink, UdpLink
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.frames import FrameScanner
+from gcs_sysid.telemetry.link import SerialLink, TcpLink, UdpLink
+from gcs_sysid.telemetry.messages import message_name, unpack
+from gcs_sysid.telemetry.reconnect import PersistentLink
+from gcs_sysid.telemetry.signing import Signer, SigningClock
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import LinkUrl
 
@@ -275,3 +282,162 @@ def test_snapshots_do_not_change(udp, airframe, paper_flight):
     assert len(last.rotor_speeds) == 4
     assert last.used_seconds > 55.0
     assert last.course.t[-1] <= last.t
+
+
+def drain(sock):
+    """Frames that a socket has received until nothing comes for a while."""
+    scanner, frames = FrameScanner(), []
+    sock.settimeout(0.5)
+    try:
+        while data := sock.recv(65536):
+            frames += scanner.scan(data) if sock.type == socket.SOCK_DGRAM else scanner.feed(data)
+    except TimeoutError:
+        pass
+    return frames
+
+
+def intervals(frames):
+    """Message name -> us last asked for."""
+    commands = [unpack(76, f.payload) for f in frames if f.message_id == 76]
+    return {message_name(int(c["param1"])): c["param2"] for c in commands if c["command"] == 511}
+
+
+def test_the_vehicles_rates_are_given_back_even_after_trouble(udp, airframe, paper_flight):
+    """Nothing of what was asked for stays, when the session dies of an exception."""
+
+    def broken(_result):
+        raise BrokenPipeError
+
+    session = LiveSession(udp, airframe, LiveOptions(), on_result=broken)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        vehicle.bind(("127.0.0.1", 0))
+        port = udp.port
+        vehicle.settimeout(LONGEST)
+        session.start()
+        asked = {}
+        for _, frame in read_tlog(paper_flight.tlog):
+            vehicle.sendto(frame.raw, ("127.0.0.1", port))
+            while not asked and frame.message_id == 0:  # first it shall ask
+                asked = intervals(FrameScanner().scan(vehicle.recv(1000)))
+        assert session.join(LONGEST)
+        asked = intervals(drain(vehicle))
+    assert isinstance(session.problem, BrokenPipeError)
+    assert asked.keys() >= {"HIGHRES_IMU", "ESC_STATUS", "ATTITUDE"}
+    assert set(asked.values()) == {0.0}
+
+
+def test_a_vehicle_of_version_1_is_asked_in_version_1(udp, airframe):
+    session = LiveSession(udp, airframe, LiveOptions(duration=1.0))
+    packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    beat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3).pack(packer, force_mavlink1=True)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        vehicle.bind(("127.0.0.1", 0))
+        port = udp.port
+        session.start()
+        vehicle.sendto(bytes(beat), ("127.0.0.1", port))
+        finish(session)
+        frames = drain(vehicle)
+    assert {frame.version for frame in frames if frame.message_id != 0} == {1}
+    asked = intervals(frames)
+    assert "SERVO_OUTPUT_RAW" in asked
+    assert "ESC_STATUS" not in asked
+
+
+def test_a_tcp_connection_that_breaks_costs_nothing_that_arrived(airframe, paper_flight, tmp_path):
+    """The estimate goes on, and the recording is one file."""
+    path = tmp_path / "live.tlog"
+    raws = [frame.raw for _, frame in read_tlog(paper_flight.tlog)]
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = LinkUrl("tcp", "tcp:127.0.0.1", host="127.0.0.1", port=server.getsockname()[1])
+        session = LiveSession(PersistentLink(TcpLink(url)), airframe, LISTEN, path)
+        session.start()
+        for part in (raws[: len(raws) // 2], raws[len(raws) // 2 :]):
+            vehicle, _ = server.accept()
+            with vehicle:
+                vehicle.sendall(b"".join(part))
+        for _ in range(round(LONGEST / 0.1)):
+            if session.latest().link.received == len(raws) or session.join(0.1):
+                break
+        session.request_stop()
+        final = finish(session)
+    assert final.telemetry["lost"] == 0
+    assert final.telemetry["garbage_bytes"] == 0
+    assert_same_numbers(final, analyze_log(path, airframe))
+    assert_same_numbers(final, analyze_log(paper_flight.tlog, airframe))
+    assert list(tmp_path.iterdir()) == [path]
+    told = [event.text for event in session.latest().events]
+    assert any("waiting for it to come back" in text for text in told)
+    assert any(text.startswith("link back after") for text in told)
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo terminals here")
+def test_a_serial_port_gives_the_same_numbers(airframe, paper_flight, tmp_path):
+    path = tmp_path / "live.tlog"
+    vehicle, port = os.openpty()
+    name = os.ttyname(port)
+    link = PersistentLink(SerialLink(LinkUrl("serial", name, device=name, baud=921600)))
+    os.close(port)
+    sent = threading.Event()
+    session = LiveSession(link, airframe, LISTEN, path, sender_gone=sent.is_set)
+    session.start()
+    for _, frame in read_tlog(paper_flight.tlog):
+        os.write(vehicle, frame.raw)  # blocks while the session has not read
+    sent.set()
+    final = finish(session)
+    os.close(vehicle)
+    assert final.telemetry["lost"] == 0
+    assert_same_numbers(final, analyze_log(paper_flight.tlog, airframe))
+    assert_same_numbers(final, analyze_log(path, airframe))
+
+
+PASSPHRASE = "correct horse"
+CRC_EXTRA = {i: message.crc_extra for i, message in mavlink.mavlink_map.items()}
+
+
+def signed_replay(path, port, passphrase):
+    """Send a recording's frames with a signature each."""
+    signer = Signer(hashlib.sha256(passphrase.encode()).digest(), SigningClock())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for _, frame in read_tlog(path):
+            raw = signer.sign(frame.raw, CRC_EXTRA[frame.message_id])
+            sender.sendto(raw, ("127.0.0.1", port))
+
+
+def test_a_signed_flight_gives_the_same_numbers(udp, airframe, paper_flight, tmp_path):
+    """Live, and in the recording, whose frames are 13 bytes longer."""
+    key, path = tmp_path / "key", tmp_path / "live.tlog"
+    key.write_text(PASSPHRASE + "\n", encoding="ascii")
+    sent = threading.Event()
+    options = dataclasses.replace(LISTEN, signing_key=key)
+    session = LiveSession(udp, airframe, options, path, sender_gone=sent.is_set)
+    session.start()
+    replay(paper_flight.tlog, udp.port)  # the same without signatures: nobody believes it
+    signed_replay(paper_flight.tlog, udp.port, PASSPHRASE)
+    sent.set()
+    final = finish(session)
+    count = sum(1 for _ in read_tlog(paper_flight.tlog))
+    signing = final.telemetry["signing"]
+    assert signing["accepted"] == count
+    assert signing["refused"] == {"unsigned": count, "wrong key": 0, "replayed": 0, "too old": 0}
+    assert final.telemetry["lost"] == 0
+    assert_same_numbers(final, analyze_log(path, airframe))
+    assert_same_numbers(final, analyze_log(paper_flight.tlog, airframe))
+    assert all(frame.signed for _, frame in read_tlog(path))
+
+
+def test_a_flight_signed_with_another_key_is_refused_with_the_reason(
+    udp, airframe, paper_flight, tmp_path
+):
+    key, path = tmp_path / "key", tmp_path / "live.tlog"
+    key.write_text("battery staple\n", encoding="ascii")
+    sent = threading.Event()
+    options = dataclasses.replace(LISTEN, signing_key=key)
+    session = LiveSession(udp, airframe, options, path, sender_gone=sent.is_set)
+    session.start()
+    signed_replay(paper_flight.tlog, udp.port, PASSPHRASE)
+    sent.set()
+    final = finish(session)
+    assert final.verdict == "refused"
+    count = sum(1 for _ in read_tlog(paper_flight.tlog))
+    assert f"no frame has the signature of this key; refused: {count} wrong key" in final.reasons
+    assert path.stat().st_size == 0

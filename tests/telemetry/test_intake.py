@@ -67,8 +67,77 @@ def test_records_come_from_the_chosen_vehicle_alone(make_sender):
     assert [r.t for r in records if r.stream is Stream.IMU] == pytest.approx(
         [1.0 + 0.004 * i for i in range(10)]
     )
-    assert [event.kind for event in intake.take_events()] == ["vehicle"]
+    assert [event.kind for event in intake.take_events()] == ["vehicle", "vehicles"]
     assert intake.take_events() == []
+
+
+def test_another_vehicle_on_the_link_is_told_once_with_what_to_do(make_sender):
+    intake = Intake()
+    for _ in range(3):
+        for who in [(1, 1), (2, 1), (1, 191), (51, 68), (255, 190)]:
+            kind = {
+                191: mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+                190: mavlink.MAV_TYPE_GCS,
+            }.get(who[1], mavlink.MAV_TYPE_QUADROTOR)
+            intake.frames([make_sender(*who).heartbeat(type=kind)])
+    _, *others = intake.take_events()
+    assert [event.kind for event in others] == ["vehicles"]
+    text = others[0].text
+    assert "PX4 quadrotor 2:1 too" in text
+    assert "using PX4 quadrotor 1:1" in text
+    assert "--vehicle 2:1" in text
+    systems = intake.as_dict()["systems"]
+    assert systems[:2] == ["PX4 quadrotor 1:1", "PX4 quadrotor 2:1"]
+    assert "telemetry radio 51:68" in systems
+
+
+def test_a_vehicle_chosen_by_the_user_makes_no_ado_of_others(make_sender):
+    intake = Intake((2, None))
+    intake.frames([make_sender(who, 1).heartbeat() for who in (1, 2, 3, 1)])
+    assert [event.text for event in intake.take_events()] == ["PX4 quadrotor 2:1 heard"]
+
+
+def test_a_radio_is_never_the_vehicle(make_sender):
+    selector = VehicleSelector()
+    selector.take(make_sender(51, 68).heartbeat())
+    assert selector.chosen is None
+    selector.take(make_sender(51, 1).heartbeat())
+    assert selector.chosen.address == (51, 1)
+
+
+def test_the_version_spoken_is_that_of_the_latest_heartbeat(sender):
+    beat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3)
+    selector = VehicleSelector()
+    seen = []
+    for version in (1, 1, 2):
+        selector.take(sender.frame(beat, version))
+        seen.append(selector.chosen.version)
+    assert seen == [1, 1, 2]
+
+
+def test_parameters_that_arrive_are_noted(sender, make_sender):
+    intake = Intake()
+
+    def value(name):
+        return mavlink.MAVLink_param_value_message(name, 1.0, 9, 10, 0)
+
+    intake.frames([sender.heartbeat()])
+    intake.frames([sender.frame(value(b"THR_MDL_FAC")), sender.frame(value(b"SIXTEEN_LETTERS_"))])
+    intake.frames([make_sender(2, 1).frame(value(b"SYS_HITL"))])
+    assert intake.parameters == {"THR_MDL_FAC", "SIXTEEN_LETTERS_"}
+
+
+def test_speeds_prove_good_when_all_rotors_turn(sender):
+    intake = Intake()
+    intake.frames([sender.heartbeat()])
+
+    def speeds(*rpm):
+        return sender.frame(mavlink.MAVLink_esc_status_message(0, 2_000_000, rpm, [0] * 4, [0] * 4))
+
+    intake.frames([speeds(0, 0, 0, 0), speeds(5000, 5000, 0, 5000)])
+    assert intake.turning == set()
+    intake.frames([speeds(5000, -5000, 5000, -5000)])
+    assert intake.turning == {"ESC_STATUS"}
 
 
 def test_a_reboot_is_told(sender):

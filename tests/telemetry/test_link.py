@@ -6,8 +6,9 @@ import socket
 import pytest
 
 from gcs_sysid.errors import InputError, LinkError
-from gcs_sysid.telemetry.link import Receiver, open_link
+from gcs_sysid.telemetry.link import open_link
 from gcs_sysid.telemetry.outgoing import Gate
+from gcs_sysid.telemetry.receiver import Receiver
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
 
 WAIT = 5.0
@@ -61,6 +62,24 @@ def test_network_links_are_named_as_in_mavproxy(text, kind, host, port):
 def test_serial_links_are_devices_with_a_baud_rate(text, device, baud):
     url = parse_url(text, baud=921600)
     assert (url.kind, url.device, url.baud) == ("serial", device, baud)
+
+
+@pytest.mark.parametrize(
+    ("text", "baud", "limit"),
+    [
+        ("/dev/ttyUSB0", None, 115200),
+        ("/dev/ttyUSB0", 57600, 57600),
+        ("/dev/ttyUSB0,57600", 921600, 57600),
+        ("COM3", 57600, 57600),
+        ("/dev/ttyACM0", None, None),
+        ("/dev/cu.usbmodem01", None, None),
+        ("/dev/ttyACM0", 57600, 57600),
+        ("/dev/pts/3", None, None),
+        ("udpin:0.0.0.0:14550", 57600, None),
+    ],
+)
+def test_the_baud_rate_limits_where_it_is_one(text, baud, limit):
+    assert parse_url(text, baud).line_rate == limit
 
 
 @pytest.mark.parametrize(

@@ -129,7 +129,8 @@ def test_no_other_module_writes_to_a_link_or_socket():
                 and node.func.attr in calls
             ):
                 writers.add(name)
-    assert writers <= {"telemetry/link.py", "telemetry/outgoing.py"}
+    # reconnect.py is a link that hands on to another one.
+    assert writers <= {"telemetry/link.py", "telemetry/outgoing.py", "telemetry/reconnect.py"}
 
 
 def test_no_other_module_opens_a_socket_or_a_port():

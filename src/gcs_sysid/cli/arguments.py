@@ -107,7 +107,7 @@ def add_live(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("url", metavar="URL", help="such as udpin:0.0.0.0:14550")
     _add_airframe(parser)
     parser.add_argument(
-        "--baud", type=int, default=115200, help="of a serial port (default 115200)"
+        "--baud", type=int, metavar="N", help="of a serial port (default 115200); limits the rates"
     )
     parser.add_argument("--record", metavar="FILE", help="default: a dated .tlog under logs/")
     parser.add_argument("--no-record", action="store_true", help="keep no recording")
@@ -115,7 +115,18 @@ def add_live(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rate", type=rate, default=250.0, metavar="HZ", help="to ask for (default 250)"
     )
-    parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
+    parser.add_argument(
+        "--vehicle",
+        type=vehicle_address,
+        metavar="SYSID[:COMPID]",
+        help="where several speak (default: the first autopilot heard)",
+    )
+    parser.add_argument(
+        "--signing-key",
+        metavar="FILE",
+        help="MAVLink 2 signing: 32 bytes, 64 hexadecimal digits or a line with the passphrase; "
+        "what is not signed with it is refused",
+    )
     parser.add_argument("--headless", action="store_true", help="print instead of the screen")
     parser.add_argument("--json", metavar="FILE", help="snapshots, one a line; - is stdout")
     parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")

@@ -5,7 +5,7 @@ import contextlib
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from types import FrameType
@@ -15,8 +15,9 @@ from gcs_sysid.cli import arguments, output
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.session.live import LiveOptions, LiveSession
 from gcs_sysid.session.result import Result
-from gcs_sysid.session.snapshot import LinkState, Snapshot
+from gcs_sysid.session.snapshot import Event, LinkState, Snapshot
 from gcs_sysid.telemetry.link import open_link
+from gcs_sysid.telemetry.reconnect import PersistentLink
 from gcs_sysid.telemetry.tlog import unused_path
 from gcs_sysid.telemetry.urls import parse_url
 
@@ -30,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     truth = output.read_truth(options.truth) if options.truth else None
     if options.record and options.no_record:
         raise InputError("--record and --no-record exclude each other")
-    link = open_link(parse_url(options.url, options.baud))
+    link = PersistentLink(open_link(parse_url(options.url, options.baud)))
     try:
         session = LiveSession(
             link,
@@ -41,6 +42,7 @@ def run(options: argparse.Namespace) -> int:
                 wanted=options.vehicle,
                 duration=options.duration,
                 refit_interval=refit_interval(options),
+                signing_key=Path(options.signing_key) if options.signing_key else None,
             ),
             record_to=recording_path(options),
             on_result=(writer := JsonLines(options.json)).write,
@@ -155,13 +157,23 @@ def _on_signals(stop: Callable[[], None]) -> Iterator[None]:
 
 
 def _say_until_end(session: LiveSession) -> None:
-    """One line a second on standard error."""
+    """One line a second on standard error, and one for each event."""
     said = -_SAY_EVERY
     last = ""
-    while not session.join(0.1):
+    told: Event | None = None
+    ended = False
+    while not ended:
+        ended = session.join(0.1)
         now = time.monotonic()
         snapshot = session.latest()
-        if snapshot is None or now - said < _SAY_EVERY:
+        if snapshot is None:
+            continue
+        for event in events_after(told, snapshot.events):
+            print(f"{event.t:7.1f} s  {event.text}", file=sys.stderr, flush=True)
+            told = event
+        if ended:
+            return
+        if now - said < _SAY_EVERY:
             continue
         line = status_line(snapshot)
         if line != last:
@@ -169,10 +181,21 @@ def _say_until_end(session: LiveSession) -> None:
         said, last = now, line
 
 
+def events_after(last: Event | None, events: Sequence[Event]) -> Sequence[Event]:
+    """The events that came after the last one told; all, when that is long gone."""
+    for i in range(len(events) - 1, -1, -1):
+        if events[i] is last:
+            return events[i + 1 :]
+    return events
+
+
 def status_line(snapshot: Snapshot) -> str:
     """The state of a session in one line."""
     link = snapshot.link
     if link.state is LinkState.WAITING:
+        reasons = snapshot.result.reasons
+        if link.received or len(reasons) > 1:  # somebody speaks, but nobody to listen to
+            return f"listening on {link.url}: {'; '.join(reasons)}"
         return f"listening on {link.url}: no vehicle has spoken yet"
     words = [f"{snapshot.t:7.1f} s", link.vehicle or link.url]
     if link.state is not LinkState.CONNECTED:

@@ -4,7 +4,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gcs_sysid.model.airframe import Airframe
@@ -12,9 +12,8 @@ from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
 from gcs_sysid.session.result import Result
 from gcs_sysid.session.snapshot import LinkState, LinkStatus, Snapshot
-from gcs_sysid.telemetry.link import Link, Receiver
-from gcs_sysid.telemetry.outgoing import Gate
-from gcs_sysid.telemetry.requests import StreamRequests, default_rates
+from gcs_sysid.telemetry.ground_station import GroundStation
+from gcs_sysid.telemetry.link import Link
 from gcs_sysid.telemetry.tlog import TlogWriter, unused_path
 
 _POLL = 0.05
@@ -25,8 +24,6 @@ _FEW, _GATHER = 16, 0.004
 """Frames in one go that are not worth waking for, and s to wait for more."""
 _PUBLISH_EVERY = 0.2
 """s between snapshots."""
-_LOST_AFTER = 3.0
-"""s of silence after which the link counts as lost."""
 _DRAINED_AFTER = 0.7
 """s of silence after the sender's end, before the session ends too."""
 
@@ -41,6 +38,7 @@ class LiveOptions:
         wanted: system and perhaps component; None: the first autopilot heard.
         duration: s of wall clock after which the session ends; None: never.
         refit_interval: s of vehicle time between estimates.
+        signing_key: file with the key of MAVLink 2 signing; None: nothing is signed or checked.
     """
 
     rate: float = 250.0
@@ -48,6 +46,7 @@ class LiveOptions:
     wanted: tuple[int, int | None] | None = None
     duration: float | None = None
     refit_interval: float = 0.2
+    signing_key: Path | None = None
 
 
 class LiveSession:
@@ -57,7 +56,8 @@ class LiveSession:
     come from the vehicle's clock and the order of the frames alone.
 
     Args:
-        link: open; the session closes it.
+        link: open; the session closes it. When it ends, the session ends; a `PersistentLink`
+            comes back instead.
         airframe: with a scale anchor.
         options: settings.
         record_to: recording; None for none. An existing file is never overwritten.
@@ -80,9 +80,13 @@ class LiveSession:
         """What ended the session against its will."""
         self._link = link
         self._options = options
-        self._receiver = Receiver(link)
-        self._gate = Gate(link.send, listen_only=options.listen_only)
-        self._requests = StreamRequests(self._gate, default_rates(options.rate))
+        self._station = GroundStation(
+            link,
+            len(airframe.rotors),
+            options.rate,
+            listen_only=options.listen_only,
+            signing_key=options.signing_key,
+        )
         self._pipeline = Pipeline(
             airframe,
             str(link.url),
@@ -96,11 +100,8 @@ class LiveSession:
         self._actions: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._stop = threading.Event()
         self._latest: Snapshot | None = None
-        self._heard_at: float | None = None
         self._told_result_at = 0.0
         self._written: list[TlogWriter] = []
-        self._followed: tuple[int, int] | None = None
-        self._reboots = 0
         self._told_problem = ""
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
 
@@ -156,16 +157,15 @@ class LiveSession:
         except Exception as problem:  # noqa: BLE001 - handed to the main thread, which tells it
             self.problem = problem
         finally:
-            self._requests.close()
-            self._link.close()
+            self._station.close()
             if self._writer:
                 self._writer.close()
                 self._written.append(self._writer)
             try:
-                self.final = self._pipeline.finish()
+                self.final = self._complete(self._pipeline.finish())
             except Exception as problem:  # noqa: BLE001 - as above
                 self.problem = self.problem or problem
-                self.final = self._pipeline.result()
+                self.final = self._complete(self._pipeline.result())
             self._publish(LinkState.ENDED)
 
     def _loop(self) -> None:
@@ -173,26 +173,24 @@ class LiveSession:
         published = began
         asked = began - _ASK_EVERY
         while not self._stop.is_set():
-            frames = self._receiver.poll(_POLL)
+            frames = self._station.poll(_POLL)
             now = time.monotonic()
             if frames:
                 if self._writer:
                     self._writer.write(time.time_ns() // 1000, frames)
-                self._pipeline.intake.garbage_bytes = self._receiver.garbage_bytes
+                self._pipeline.intake.garbage_bytes = self._station.garbage_bytes
                 self._pipeline.take(frames)
-                if self._pipeline.intake.vehicle is not None:
-                    self._heard_at = now
-            self._follow_vehicle()
+            self._station.follow(now, self._pipeline.intake)
             while not self._actions.empty():
                 self._actions.get()()
             if now - asked >= _ASK_EVERY:
                 asked = now
-                intake = self._pipeline.intake
-                self._requests.tick(now, intake.vehicle, intake.monitor.rates())
+                self._station.tick(now, self._pipeline.intake)
+            for text in self._station.take_events():
+                self._pipeline.chain.note(text)
             self._tell_recording_problem()
-            state = self._state(now)
             if now - published >= _PUBLISH_EVERY:
-                self._publish(state)
+                self._publish(self._state())
                 published = now
             self._tell_result()
             if self._ended(now, began):
@@ -207,29 +205,27 @@ class LiveSession:
         if self._options.duration is not None and now - began >= self._options.duration:
             return True
         if self._sender_gone is not None and self._sender_gone():
-            return now - (self._heard_at or began) >= _DRAINED_AFTER
+            return now - (self._station.heard_at or began) >= _DRAINED_AFTER
         return False
 
-    def _follow_vehicle(self) -> None:
-        vehicle = self._pipeline.intake.vehicle
-        if vehicle is not None and vehicle.address != self._followed:
-            self._followed = vehicle.address
-            self._receiver.follow(vehicle.address)
-        reboots = self._pipeline.intake.decoder.clock.reboots
-        if reboots != self._reboots:
-            self._reboots = reboots
-            self._requests.reboot()
-
-    def _state(self, now: float) -> LinkState:
-        if self._heard_at is None:
+    def _state(self) -> LinkState:
+        if self._station.heard_at is None:
             return LinkState.WAITING
-        return LinkState.LOST if now - self._heard_at > _LOST_AFTER else LinkState.CONNECTED
+        return LinkState.LOST if self._station.lost else LinkState.CONNECTED
+
+    def _complete(self, result: Result) -> Result:
+        """Add what only the link knows; the numbers stay those of the frames alone."""
+        reasons = result.reasons
+        if result.verdict != "identified":
+            reasons = (*reasons, *self._station.problems)
+        telemetry = {**result.telemetry, **self._station.as_dict()}
+        return replace(result, reasons=reasons, telemetry=telemetry)
 
     def _tell_result(self) -> None:
         t = self._pipeline.chain.t
         if self._on_result is not None and t - self._told_result_at >= 1.0:
             self._told_result_at = t
-            self._on_result(self._pipeline.result())
+            self._on_result(self._complete(self._pipeline.result()))
 
     def _tell_recording_problem(self) -> None:
         if self._writer and self._writer.problem != self._told_problem:
@@ -258,14 +254,14 @@ class LiveSession:
             t=chain.t,
             used_seconds=chain.used_seconds,
             flying=chain.sampler.flying,
-            result=self.final or self._pipeline.result(),
+            result=self.final or self._complete(self._pipeline.result()),
             course=chain.course,
             link=LinkStatus(
                 state=state,
                 url=str(self._link.url),
                 vehicle=str(intake.vehicle or ""),
                 rates=health.rates,
-                asked=dict(self._requests.asked),
+                asked=dict(self._station.asked),
                 received=health.received,
                 rejected=health.rejected,
                 unknown=health.unknown,

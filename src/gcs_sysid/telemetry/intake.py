@@ -4,11 +4,19 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from gcs_sysid.records import Record
+from gcs_sysid.records import Record, Stream
 from gcs_sysid.telemetry.decode import RecordDecoder
 from gcs_sysid.telemetry.frames import Frame, Validity
+from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
 from gcs_sysid.telemetry.vehicles import Vehicle, VehicleSelector
+
+MOST_PARAMETERS = 4096
+"""Names kept: a hostile sender can make up more than any autopilot has."""
+
+_HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
+_PARAM_VALUE = MESSAGE_IDS["PARAM_VALUE"]
+_param_id = picker("PARAM_VALUE", "param_id")
 
 
 @dataclass(frozen=True)
@@ -18,7 +26,7 @@ class IntakeEvent:
     t: float
     """Vehicle time, s; after a reboot in the new count."""
     kind: str
-    """"vehicle" (chosen) or "reboot"."""
+    """"vehicle" (chosen), "vehicles" (another one that could be meant) or "reboot"."""
     text: str
 
 
@@ -31,6 +39,8 @@ class Intake:
         selector: who was heard, who was chosen.
         decoder: makes the records; its `dropped` and `clock` are worth showing.
         monitor: counts and rates.
+        turning: names of the messages that have told of all their rotors turning.
+        parameters: names of the vehicle's parameters that have arrived.
         garbage_bytes: set by the caller, from `Receiver` or `TlogReader`.
     """
 
@@ -38,7 +48,10 @@ class Intake:
         self.selector = VehicleSelector(wanted)
         self.decoder = RecordDecoder()
         self.monitor = Monitor()
+        self.turning: set[str] = set()
+        self.parameters: set[str] = set()
         self.garbage_bytes = 0
+        self._others: set[tuple[int, int]] = set()
         self._events: list[IntakeEvent] = []
 
     @property
@@ -79,7 +92,10 @@ class Intake:
                 self.monitor.take_chosen(frame, self.clock)
             return None
         known = self.selector.chosen is not None
-        if not self.selector.take(frame):
+        is_chosen = self.selector.take(frame)
+        if frame.message_id == _HEARTBEAT:
+            self._note_other((frame.system, frame.component))
+        if not is_chosen:
             return None
         clock = self.decoder.clock
         reboots = clock.reboots
@@ -90,8 +106,12 @@ class Intake:
         if clock.reboots != reboots:
             self._note("reboot", f"the vehicle's clock went back from {before:.1f} s: reboot")
         self.monitor.take_chosen(frame, clock.now)
+        if frame.message_id == _PARAM_VALUE:
+            self._note_parameter(frame)
         if record is not None:
             self.monitor.take_record(record)
+            if record.stream is Stream.ROTOR_SPEED and record.source not in self.turning:
+                self._note_turning(record)
         return record
 
     def take_events(self) -> list[IntakeEvent]:
@@ -110,6 +130,29 @@ class Intake:
             "reboots": self.decoder.clock.reboots,
             "dropped": dict(self.decoder.dropped),
         }
+
+    def _note_other(self, who: tuple[int, int]) -> None:
+        """Tell of a vehicle that could be meant as well, when the user chose none."""
+        chosen, other = self.selector.chosen, self.selector.systems.get(who)
+        if chosen is None or other is None or self.selector.wanted is not None:
+            return
+        if other.is_autopilot and who != chosen.address and who not in self._others:
+            self._others.add(who)
+            self._note(
+                "vehicles",
+                f"more than one vehicle speaks: {other} too; using {chosen}, the first heard "
+                f"(choose with --vehicle {other.system}:{other.component})",
+            )
+
+    def _note_parameter(self, frame: Frame) -> None:
+        (name,) = _param_id(frame.payload)
+        if len(self.parameters) < MOST_PARAMETERS:
+            self.parameters.add(name.split(b"\0", 1)[0].decode("ascii", "replace"))
+
+    def _note_turning(self, record: Record) -> None:
+        # Outputs without a motor stay at zero in messages that have room for more.
+        if sum(1 for speed in record.values if speed) >= min(4, len(record.values)):
+            self.turning.add(record.source)
 
     def _note(self, kind: str, text: str) -> None:
         self._events.append(IntakeEvent(self.clock or 0.0, kind, text))

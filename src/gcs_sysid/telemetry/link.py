@@ -7,7 +7,8 @@ a stranger on the port receives the requests too; it keeps the small default rec
 reads a datagram a call; it prints to standard output; it sleeps while it connects; and to
 import it loads every message of every dialect. pymavlink packs and unpacks, here it ends.
 
-`send` is called by `outgoing.Gate` alone, which decides what may be sent.
+`send` is called by `outgoing.Gate` alone, which decides what may be sent (through
+`reconnect.PersistentLink`, where that stands before the link).
 """
 
 import contextlib
@@ -15,13 +16,11 @@ import errno
 import select
 import socket
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import serial
 
 from gcs_sysid.errors import LinkError
-from gcs_sysid.telemetry.frames import Frame, FrameScanner
 from gcs_sysid.telemetry.urls import LinkUrl
 
 RECEIVE_BUFFER = 4 * 2**20
@@ -31,6 +30,13 @@ DATAGRAMS_AT_ONCE = 512
 STREAM_PIECE = 65536
 CONNECT_TIMEOUT = 5.0
 """s."""
+_KEEPALIVE = (
+    ("TCP_KEEPIDLE", 5),
+    ("TCP_KEEPINTVL", 2),
+    ("TCP_KEEPCNT", 3),
+    ("TCP_USER_TIMEOUT", 10_000),
+)
+"""Options of TCP, in s, s, tries and ms: a dead peer is noticed after about 10 s."""
 
 Address = tuple[str, int]
 
@@ -50,6 +56,7 @@ class Link(ABC):
         url: what it was opened from.
         datagrams: whether chunks are datagrams, each beginning on a frame boundary.
         ended: the other side closed it, or the device is gone.
+        breaks: how often a stream of bytes ended, to be followed by another one or not.
         unsent: messages that could not be sent.
     """
 
@@ -58,6 +65,7 @@ class Link(ABC):
     def __init__(self, url: LinkUrl) -> None:
         self.url = url
         self.ended = False
+        self.breaks = 0
         self.unsent = 0
 
     @abstractmethod
@@ -148,13 +156,13 @@ class UdpLink(Link):
 class TcpLink(Link):
     """A TCP connection, ours (`tcp`) or one that comes in (`tcpin`)."""
 
-    def __init__(self, url: LinkUrl) -> None:
+    def __init__(self, url: LinkUrl, patience: float = CONNECT_TIMEOUT) -> None:
         super().__init__(url)
         self._listener: socket.socket | None = None
         self._peer: socket.socket | None = None
         try:
             if url.kind == "tcp":
-                self._take(socket.create_connection((url.host, url.port), CONNECT_TIMEOUT))
+                self._take(socket.create_connection((url.host, url.port), patience))
             else:
                 family, address = _resolve(url, socket.SOCK_STREAM)
                 self._listener = socket.create_server(address, family=family, backlog=1)
@@ -173,6 +181,12 @@ class TcpLink(Link):
         peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         with contextlib.suppress(OSError):
             peer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+        # A peer whose network is gone says no goodbye.
+        peer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for name, value in _KEEPALIVE:
+            if hasattr(socket, name):
+                with contextlib.suppress(OSError):
+                    peer.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
         self._peer = peer
 
     def receive(self, timeout: float) -> list[Chunk]:
@@ -198,6 +212,7 @@ class TcpLink(Link):
             return [Chunk(data, None)]
         self._peer.close()
         self._peer = None
+        self.breaks += 1
         self.ended = self._listener is None  # else wait for the next connection
         return []
 
@@ -237,6 +252,7 @@ class SerialLink(Link):
         """Bytes that have arrived."""
         if self.ended:
             return []
+        data = b""
         try:
             self._serial.timeout = max(0.0, timeout)
             data = self._serial.read(1)
@@ -244,7 +260,7 @@ class SerialLink(Link):
                 data += self._serial.read(min(self._serial.in_waiting, STREAM_PIECE))
         except (OSError, TypeError):  # unplugged; pyserial's TypeError: closed while reading
             self.ended = True
-            return []
+            self.breaks += 1
         return [Chunk(bytes(data), None)] if data else []
 
     def send(self, data: bytes) -> None:
@@ -259,15 +275,15 @@ class SerialLink(Link):
         self._serial.close()
 
 
-def open_link(url: LinkUrl) -> Link:
-    """Open a link.
+def open_link(url: LinkUrl, patience: float = CONNECT_TIMEOUT) -> Link:
+    """Open a link; a TCP connection may take `patience` s.
 
     Raises:
         LinkError: one line saying what is wrong and what to do.
     """
     if url.kind == "serial":
         return SerialLink(url)
-    return UdpLink(url) if url.kind in ("udpin", "udpout") else TcpLink(url)
+    return UdpLink(url) if url.kind in ("udpin", "udpout") else TcpLink(url, patience)
 
 
 def _resolve(url: LinkUrl, kind: socket.SocketKind) -> tuple[socket.AddressFamily, Address]:
@@ -305,69 +321,7 @@ def _cannot_open(url: LinkUrl, error: Exception) -> LinkError:
     elif number == errno.EADDRNOTAVAIL:
         hint = f"{url.host} is no address of this machine; 0.0.0.0 listens on all"
     elif isinstance(error, TimeoutError):
-        hint = f"no answer within {CONNECT_TIMEOUT:.0f} s; check host and port"
+        hint = "no answer; check host and port"
     else:
         hint = getattr(error, "strerror", None) or str(error)
     return LinkError(f"cannot open {url}: {hint}")
-
-
-class Receiver:
-    """Reads frames from a link, and points its answers at the vehicle.
-
-    Each sender of datagrams has a scanner of its own, so that a stranger's garbage cannot
-    cut the vehicle's frames.
-
-    Attributes:
-        received_bytes: all bytes that arrived.
-    """
-
-    MOST_SENDERS = 64
-
-    def __init__(self, link: Link) -> None:
-        self.received_bytes = 0
-        self._link = link
-        self._vehicle: tuple[int, int] | None = None
-        self._scanners: dict[Address | None, FrameScanner] = {}
-        self._garbage_of_dropped = 0
-
-    def follow(self, vehicle: tuple[int, int]) -> None:
-        """Answer from now on to the address that the vehicle (sysid, compid) speaks from."""
-        self._vehicle = vehicle
-
-    def poll(self, timeout: float) -> list[Frame]:
-        """Wait up to `timeout` s for bytes; the frames that they complete."""
-        frames: list[Frame] = []
-        for data, source in self._link.receive(timeout):
-            self.received_bytes += len(data)
-            scanner = self._scanner(source)
-            if not self._link.datagrams:
-                frames += scanner.feed(data)
-                continue
-            found = scanner.scan(data)
-            frames += found
-            if found and self._speaks_for_vehicle(found):
-                self._link.answer_to(source)
-        if self._link.ended:
-            for scanner in self._scanners.values():
-                frames += scanner.flush()
-        return frames
-
-    @property
-    def garbage_bytes(self) -> int:
-        """Bytes that were part of no frame."""
-        return self._garbage_of_dropped + sum(s.garbage_bytes for s in self._scanners.values())
-
-    def _speaks_for_vehicle(self, frames: Iterable[Frame]) -> bool:
-        vehicle = self._vehicle
-        return vehicle is None or any(
-            (frame.system, frame.component) == vehicle for frame in frames if frame.valid == "ok"
-        )
-
-    def _scanner(self, source: Address | None) -> FrameScanner:
-        scanner = self._scanners.get(source)
-        if scanner is None:
-            if len(self._scanners) >= self.MOST_SENDERS:
-                oldest = self._scanners.pop(next(iter(self._scanners)))
-                self._garbage_of_dropped += oldest.garbage_bytes
-            scanner = self._scanners[source] = FrameScanner()
-        return scanner

@@ -85,6 +85,7 @@ class Monitor:
     Attributes:
         counts: message name -> messages of the vehicle.
         received: frames whose checksum is right, of all systems.
+        heard: frames of the chosen vehicle, repeated ones too.
         bad_crc: frames whose checksum is wrong.
         unknown: frames of types that nobody here knows.
         gaps: (t, length) in s of pauses in the IMU stream, the latest ones.
@@ -93,6 +94,7 @@ class Monitor:
 
     def __init__(self) -> None:
         self.received = 0
+        self.heard = 0
         self.bad_crc = 0
         self.unknown = 0
         self.gaps: deque[tuple[float, float]] = deque(maxlen=GAPS_KEPT)
@@ -121,6 +123,7 @@ class Monitor:
     def take_chosen(self, frame: Frame, now: float | None) -> None:
         """Count a frame of the chosen vehicle; `now` is its clock after that frame."""
         if frame.valid is not Validity.BAD_CRC:
+            self.heard += 1
             self._sequence.take(frame.sequence)
             self._counts[frame.message_id] += 1
         elif self._sequence.follows(frame.sequence):
@@ -174,10 +177,14 @@ class Monitor:
         return self._sequence.lost
 
     @property
+    def sent(self) -> int:
+        """Messages that the chosen vehicle has sent since it was first heard, `lost` included."""
+        return self._sequence.expected
+
+    @property
     def lost_percent(self) -> float:
         """`lost` as a part of what was sent, in percent."""
-        expected = self._sequence.expected
-        return 100.0 * self.lost / expected if expected else 0.0
+        return 100.0 * self.lost / self.sent if self.sent else 0.0
 
     @property
     def span(self) -> float:

@@ -11,6 +11,7 @@ from typing import Any
 
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.signing import Signer
 
 OWN_SYSTEM = 245
 """Not 255: autopilots tie their failsafe to the ground station of that number, so that
@@ -84,14 +85,31 @@ class Gate:
         listen_only: when set, nothing at all is sent.
         sent: messages sent so far.
         version: the MAVLink version spoken, 1 or 2: as the vehicle speaks.
+
+    Args:
+        send_bytes: takes each frame.
+        listen_only: see above.
+        signer: signs frames of version 2 (version 1 has no signatures).
     """
 
-    def __init__(self, send_bytes: Callable[[bytes], None], *, listen_only: bool = False) -> None:
+    def __init__(
+        self,
+        send_bytes: Callable[[bytes], None],
+        *,
+        listen_only: bool = False,
+        signer: Signer | None = None,
+    ) -> None:
         self.listen_only = listen_only
         self.sent = 0
         self.version = 2
         self._send_bytes = send_bytes
+        self._signer = signer
         self._packer = mavlink.MAVLink(None, srcSystem=OWN_SYSTEM, srcComponent=OWN_COMPONENT)
+
+    @property
+    def signing(self) -> bool:
+        """Whether frames are signed."""
+        return self._signer is not None
 
     def send(self, message: Any) -> bool:
         """Send one message of the dialect; False when only listening.
@@ -104,6 +122,8 @@ class Gate:
         if self.listen_only:
             return False
         raw = bytes(message.pack(self._packer, force_mavlink1=self.version == 1))
+        if self._signer is not None and self.version == 2:
+            raw = self._signer.sign(raw, message.crc_extra)
         self._packer.seq = (self._packer.seq + 1) % 256
         self._send_bytes(raw)
         self.sent += 1

@@ -5,14 +5,26 @@ may reset the rates at any time, so only what arrives counts. There is no clock 
 caller says what time it is.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import Gate
+from gcs_sysid.telemetry.streams import (
+    NEEDED_RATE,
+    USABLE,
+    bytes_per_second,
+    fitting_rates,
+    interval_us,
+    rotor_streams,
+    too_slow,
+)
 from gcs_sysid.telemetry.vehicles import Vehicle
 
 HEARTBEAT_EVERY = 1.0
 """s."""
+INTRODUCTIONS = 3
+"""Heartbeats in version 2 to a vehicle that speaks version 1: PX4 speaks 1 until it hears 2, and
+what only knows 1 passes over them."""
 ASK_AGAIN_AFTER = 5.0
 """s between two requests for the same message: time for it to arrive and be judged."""
 ENOUGH = 0.7
@@ -20,81 +32,261 @@ ENOUGH = 0.7
 ASKS_AT_MOST = 60
 """Unanswered requests a message; five minutes. A stream that the vehicle has not got (ESC_STATUS
 without telemetry, say) need not be asked for during a whole flight."""
-
-
-def default_rates(rate: float) -> dict[str, float]:
-    """Message name -> Hz to ask for, given the rate of IMU and rotors."""
-    return {
-        "HIGHRES_IMU": rate,
-        "ESC_STATUS": rate,
-        "ACTUATOR_OUTPUT_STATUS": rate,
-        "ATTITUDE": min(rate, 100.0),
-        "LOCAL_POSITION_NED": min(rate, 50.0),
-        "EXTENDED_SYS_STATE": 2.0,
-    }
+TELL_AFTER = 3
+"""Requests after which a stream that does not come is told, and takes no room on the link."""
+LOSS_JUDGED_EVERY = 10.0
+"""s."""
+TOO_MUCH_LOSS = 0.1
+FITS = 0.9
+"""Part of the bytes that arrived which is asked for after too much was lost."""
+HELPED = 0.7
+"""A cut has helped when the share lost came below this part of what it was."""
+CUTS_AT_MOST = 3
+_LEAST_MESSAGES = 200
+"""Fewer sent in `LOSS_JUDGED_EVERY` tell no share of loss."""
 
 
 class StreamRequests:
     """Keeps the heartbeat and the asked rates going.
 
+    Args:
+        gate: sends.
+        rate: Hz wished for IMU and rotors.
+        rotors: how many the airframe has.
+        baud: of the serial line, where that limits; None elsewhere.
+
     Attributes:
         asked: message name -> Hz asked for; empty before the vehicle is known.
+        problem: one line when the link brings too little to identify anything, else "".
     """
 
-    def __init__(self, gate: Gate, rates: Mapping[str, float]) -> None:
+    def __init__(self, gate: Gate, rate: float, rotors: int = 4, baud: int | None = None) -> None:
         self.asked: dict[str, float] = {}
+        self.problem = ""
         self._gate = gate
-        self._rates = {name: hz for name, hz in rates.items() if hz > 0.0}
+        self._rate = rate
+        self._rotors = rotors
+        self._baud = baud
+        self._line = None if baud is None else baud / 10.0 * USABLE
         self._vehicle: Vehicle | None = None
+        self._heartbeat_at: float | None = None
+        self._introductions = 0
+        self._rates: dict[str, float] = {}
         self._asked_at: dict[str, float] = {}
         self._asks: dict[str, int] = {}
-        self._heartbeat_at: float | None = None
+        self._came: set[str] = set()
+        self._turning: set[str] = set()
+        self._planned: object = None
+        self._told: set[str] = set()
+        self._events: list[str] = []
+        self._loss = _LossCut()
 
-    def tick(self, now: float, vehicle: Vehicle | None, arriving: Mapping[str, float]) -> None:
+    def tick(
+        self,
+        now: float,
+        vehicle: Vehicle | None,
+        arriving: Mapping[str, float],
+        turning: Collection[str] = (),
+        lost_of: tuple[int, int] = (0, 0),
+    ) -> None:
         """Do what is due.
 
         Args:
             now: any steady clock, s. Call it a few times a second.
             vehicle: the chosen vehicle, None while there is none.
             arriving: message name -> Hz observed, as `Monitor.rates` gives it.
+            turning: messages that have told of all their rotors turning.
+            lost_of: messages of the vehicle lost and sent so far.
         """
-        if self._heartbeat_at is None or now - self._heartbeat_at >= HEARTBEAT_EVERY:
-            self._gate.heartbeat()
-            self._heartbeat_at = now
+        if self._gate.listen_only:
+            return
+        if vehicle is not None and (
+            self._vehicle is None or vehicle.address != self._vehicle.address
+        ):
+            self.reboot()
+            self.asked = {}
+            self._came, self._turning = set(), set()
+        self._vehicle = vehicle
+        self._heartbeat(now, vehicle)
         if vehicle is None:
             return
-        if self._vehicle is None or vehicle.address != self._vehicle.address:
-            self._vehicle = vehicle
-            self._asked_at.clear()
-            self._asks.clear()
+        self._came |= {name for name, hz in arriving.items() if hz > 0.0}
+        self._turning |= set(turning)
+        share = self._loss.take(now, *lost_of, bytes_per_second(self.asked, self._rotors))
+        self._plan(vehicle)
+        if share is not None:
+            self._tell_loss(share)
         for name, hz in self._rates.items():
-            since = now - self._asked_at.get(name, -1e9)
-            enough = arriving.get(name, 0.0) >= ENOUGH * hz
-            if enough:
-                self._asks[name] = min(self._asks.get(name, 0), 1)
-            if name not in self._asked_at or (
-                not enough and since >= ASK_AGAIN_AFTER and self._asks.get(name, 0) < ASKS_AT_MOST
-            ):
-                self._ask(name, hz, now)
+            self._see_to(name, hz, arriving.get(name, 0.0), now)
+
+    def _heartbeat(self, now: float, vehicle: Vehicle | None) -> None:
+        due = self._heartbeat_at is None or now - self._heartbeat_at >= HEARTBEAT_EVERY
+        if due:
+            self._gate.version = 2
+            if vehicle is not None and self._introductions >= INTRODUCTIONS:
+                self._gate.version = vehicle.version
+            elif vehicle is not None:
+                self._introductions += 1
+            self._gate.heartbeat()
+            self._heartbeat_at = now
+        if vehicle is not None:
+            self._gate.version = vehicle.version
+
+    def _plan(self, vehicle: Vehicle) -> None:
+        """Decide what to ask for; ask at once for what has changed."""
+        speeds, commands = rotor_streams(vehicle.key, self._rotors, vehicle.version)
+        signed = self._gate.signing and vehicle.version == 2
+        limits = [limit for limit in (self._line, self._loss.capacity) if limit is not None]
+        capacity = min(limits, default=None)
+        absent = {name for name in (*speeds, commands) if self._is_absent(name)}
+        wanted: tuple[str, ...] = (*speeds, commands)
+        if capacity is not None and speeds and self._turning.issuperset(speeds):
+            wanted = speeds  # no room for both, and speeds are the better input
+        if self._planned == (wanted, absent, capacity, signed):
+            return
+        self._planned = (wanted, absent, capacity, signed)
+        present = tuple(name for name in wanted if name not in absent) or wanted
+        rates = fitting_rates(present, self._rate, self._rotors, capacity, signed)
+        # An absent one takes no room, and may still begin: some ESCs report once they turn.
+        rates |= {name: rates["HIGHRES_IMU"] for name in wanted if name not in rates}
+        for name, hz in rates.items():
+            if hz != self._rates.get(name):
+                self._asked_at.pop(name, None)
+        for name in self._rates.keys() - rates.keys():
+            self._restore(name)
+        before, self._rates = self._rates, rates
+        if self._baud is not None and not self._loss.capacity:
+            self._tell_line(before.get("HIGHRES_IMU"), rates["HIGHRES_IMU"])
+
+    def _is_absent(self, name: str) -> bool:
+        return name not in self._came and self._asks.get(name, 0) >= TELL_AFTER
+
+    @property
+    def _needed(self) -> float:
+        return min(NEEDED_RATE, self._rate)
+
+    def _tell_line(self, before: float | None, hertz: float) -> None:
+        if hertz < self._needed:
+            self.problem = too_slow(f"{self._baud} baud carries", hertz, self._needed)
+            self._tell(self.problem)
+        else:
+            self.problem = ""
+            if before is None and hertz < self._rate:
+                self._tell(
+                    f"{self._baud} baud carries about {hertz:.0f} Hz of IMU and rotor data: "
+                    f"asking for that instead of {self._rate:.0f} Hz"
+                )
+
+    def _tell_loss(self, share: float) -> None:
+        hertz = self._rates["HIGHRES_IMU"]
+        self._tell(f"{100.0 * share:.0f} % of the messages are lost: asking for {hertz:.0f} Hz")
+        if hertz < self._needed:
+            self.problem = too_slow("without such loss the link carries", hertz, self._needed)
+            self._tell(self.problem)
+
+    def _see_to(self, name: str, hz: float, got: float, now: float) -> None:
+        """Ask for a stream where it is due, and tell of what does not come."""
+        enough = got >= ENOUGH * hz
+        if enough:
+            self._asks[name] = min(self._asks.get(name, 0), 1)
+            self._told.discard(name)
+            if name == "HIGHRES_IMU" and hz >= self._needed:
+                self.problem = ""
+        asks = self._asks.get(name, 0)
+        if not enough and asks >= TELL_AFTER and name not in self._told:
+            self._told.add(name)
+            self._tell_shortage(name, hz, got)
+        if name not in self._asked_at:
+            self._asks[name] = max(asks, 1)
+            self._ask(name, hz, now)
+        elif not enough and asks < ASKS_AT_MOST and now - self._asked_at[name] >= ASK_AGAIN_AFTER:
+            self._asks[name] = asks + 1
+            self._ask(name, hz, now)
+
+    def _tell_shortage(self, name: str, hz: float, got: float) -> None:
+        if got == 0.0:
+            self._tell(f"{name} does not arrive, although asked for {TELL_AFTER} times")
+        elif name == "HIGHRES_IMU" and got < self._needed:
+            self.problem = too_slow(f"asked for {hz:.0f} Hz, this link brings", got, self._needed)
+            self._tell(self.problem)
+        else:
+            self._tell(f"{name} arrives at {got:.0f} Hz instead of {hz:.0f} Hz")
 
     def _ask(self, name: str, hz: float, now: float) -> None:
         assert self._vehicle is not None
-        target = self._vehicle.address
         self._asked_at[name] = now
-        self._asks[name] = self._asks.get(name, 0) + 1
-        if self._gate.set_message_interval(target, MESSAGE_IDS[name], round(1e6 / hz)):
+        interval = interval_us(self._vehicle.key, hz)
+        if self._gate.set_message_interval(self._vehicle.address, MESSAGE_IDS[name], interval):
             self.asked[name] = hz
 
+    def _restore(self, name: str) -> None:
+        if self._vehicle is not None and self.asked.pop(name, None) is not None:
+            self._gate.set_message_interval(self._vehicle.address, MESSAGE_IDS[name], 0)
+
+    def _tell(self, text: str) -> None:
+        if text not in self._events:
+            self._events.append(text)
+
+    def take_events(self) -> list[str]:
+        """What there is to tell since this was last asked, one line each."""
+        events, self._events = self._events, []
+        return events
+
     def reboot(self) -> None:
-        """Ask anew: the vehicle has forgotten."""
+        """Ask anew: the vehicle has forgotten, or may have while it was not heard."""
         self._asked_at.clear()
         self._asks.clear()
+        self._told.clear()
+        self._introductions = 0
 
     def close(self) -> None:
-        """Give the vehicle its own rates back."""
-        if self._vehicle is None:
-            return
-        target = self._vehicle.address
-        for name in self.asked:
-            self._gate.set_message_interval(target, MESSAGE_IDS[name], 0)
-        self.asked = {}
+        """Give the vehicle its own rates back. Said twice: nobody is there to say it again."""
+        asked = dict(self.asked)
+        for _ in range(2):
+            self.asked = dict(asked)
+            for name in asked:
+                self._restore(name)
+
+
+class _LossCut:
+    """Lowers what is asked for while lowering it helps against loss.
+
+    A link that is too narrow loses what does not fit; one with a bad antenna, or a router that
+    forwards a part, loses its share of however little is asked for.
+
+    Attributes:
+        capacity: bytes a second to ask for; None while loss gives no limit.
+    """
+
+    def __init__(self) -> None:
+        self.capacity: float | None = None
+        self._before: list[float | None] = []
+        self._share: float | None = None
+        self._settled = False
+        self._since: tuple[float, int, int] | None = None
+
+    def take(self, now: float, lost: int, sent: int, asked: float) -> float | None:
+        """Take the counts so far and bytes a second asked; the share lost when that is cut."""
+        if self._since is None:
+            self._since = now, lost, sent
+            return None
+        began, lost_before, sent_before = self._since
+        if self._settled or now - began < LOSS_JUDGED_EVERY:
+            return None
+        self._since = now, lost, sent
+        if sent - sent_before < _LEAST_MESSAGES:
+            return None
+        share = (lost - lost_before) / (sent - sent_before)
+        if share <= TOO_MUCH_LOSS:
+            self._share = None
+            return None
+        if self._share is not None and share > HELPED * self._share:
+            self.capacity = self._before.pop()  # the last cut did not help: it is not the width
+            self._settled = True
+            return None
+        if len(self._before) >= CUTS_AT_MOST or not asked:
+            return None
+        self._share = share
+        self._before.append(self.capacity)
+        self.capacity = FITS * (1.0 - share) * asked
+        return share

@@ -1,5 +1,6 @@
 """Names of links, as MAVProxy and pymavlink users write them."""
 
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +11,10 @@ FORMS = (
     "udpin:HOST:PORT (listen), udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT "
     "or a serial device such as /dev/ttyUSB0 or COM3"
 )
+DEFAULT_BAUD = 115200
 _NETWORK_KINDS = ("udpin", "udpout", "udp", "tcpin", "tcp")
 _SERIAL_NAME = re.compile(r"/dev/|/tmp/|COM\d+$|\\\\\.\\COM\d+$", re.IGNORECASE)
+_ANY_RATE = re.compile(r"/dev/(ttyACM|(cu|tty)\.usbmodem|pts/|ttys\d)")
 _LOG_SUFFIXES = {".tlog", ".ulg", ".bin", ".log", ".rlog"}
 
 
@@ -26,6 +29,19 @@ class LinkUrl:
     port: int = 0
     device: str = ""
     baud: int = 0
+    baud_chosen: bool = False
+    """Whether the user named the baud rate."""
+
+    @property
+    def line_rate(self) -> int | None:
+        """Baud that limit the link; None on networks and where the rate is a formality.
+
+        USB devices of class ACM (an autopilot's own USB port) and pseudo terminals take any
+        rate and are as fast as they are; with a rate named they are taken to stand for a radio.
+        """
+        if self.kind != "serial" or (not self.baud_chosen and _takes_any_rate(self.device)):
+            return None
+        return self.baud
 
     @property
     def speaks_first(self) -> bool:
@@ -36,8 +52,17 @@ class LinkUrl:
         return self.text
 
 
-def parse_url(text: str, baud: int = 115200) -> LinkUrl:
+def _takes_any_rate(device: str) -> bool:
+    real = os.path.realpath(device)  # /dev/serial/by-id/... and socat's names are links
+    return bool(_ANY_RATE.match(real))
+
+
+def parse_url(text: str, baud: int | None = None) -> LinkUrl:
     """Understand a link's name.
+
+    Args:
+        text: as in `FORMS`.
+        baud: of a serial device that does not name its own as DEVICE,BAUD.
 
     Raises:
         InputError: one line saying what is wrong with it.
@@ -59,9 +84,15 @@ def parse_url(text: str, baud: int = 115200) -> LinkUrl:
             if not own_baud.isdecimal():
                 raise InputError(f"{text}: the baud rate must be a number, not {own_baud!r}")
             baud = int(own_baud)
-        if baud <= 0:
+        if baud is not None and baud <= 0:
             raise InputError(f"{text}: the baud rate must be positive, not {baud}")
-        return LinkUrl("serial", text, device=device, baud=baud)
+        return LinkUrl(
+            "serial",
+            text,
+            device=device,
+            baud=DEFAULT_BAUD if baud is None else baud,
+            baud_chosen=baud is not None,
+        )
     if colon and text.count(":") == 1 and rest.isdecimal():
         host, port = _host_and_port(text, text)
         return LinkUrl("udpin", text, host, port)  # as in pymavlink

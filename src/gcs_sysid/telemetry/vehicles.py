@@ -1,6 +1,6 @@
 """Which of the systems heard is the vehicle."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import Frame
@@ -10,6 +10,9 @@ _heartbeat = picker("HEARTBEAT", "type", "autopilot")
 
 MOST_SYSTEMS = 256
 """Systems kept in the table: a hostile sender can claim 65 536 of them."""
+
+RADIO = (51, 68)
+"""(sysid, compid) of SiK telemetry radios: they add RADIO_STATUS to what they carry."""
 
 _AUTOPILOT_KEYS = {
     mavlink.MAV_AUTOPILOT_PX4: ("px4", "PX4"),
@@ -62,6 +65,8 @@ class Vehicle:
     """MAV_TYPE; None while no heartbeat came."""
     autopilot: int | None = None
     """MAV_AUTOPILOT; None while no heartbeat came."""
+    version: int = 2
+    """Of MAVLink, as its last heartbeat came."""
 
     @property
     def address(self) -> tuple[int, int]:
@@ -73,9 +78,20 @@ class Vehicle:
         """Such as "px4" or "ardupilot"; empty while unknown."""
         return "" if self.autopilot is None else autopilot_key(self.autopilot)
 
+    @property
+    def is_autopilot(self) -> bool:
+        """Whether it is something that flies, and not a ground station, camera or radio."""
+        return (
+            self.autopilot not in (None, mavlink.MAV_AUTOPILOT_INVALID)
+            and self.vehicle_type not in _NOT_VEHICLES
+            and self.address != RADIO
+        )
+
     def __str__(self) -> str:
         words = []
-        if self.autopilot is not None and self.vehicle_type is not None:
+        if self.address == RADIO:
+            words = ["telemetry radio"]
+        elif self.autopilot is not None and self.vehicle_type is not None:
             words = [_autopilot_name(self.autopilot), _type_name(self.vehicle_type)]
         return " ".join([*filter(None, words), f"{self.system}:{self.component}"])
 
@@ -91,13 +107,14 @@ class VehicleSelector:
         chosen: the vehicle, None until it has sent a heartbeat.
         systems: (sysid, compid) -> all that was heard, in the order heard.
         frames: (sysid, compid) -> valid frames of each.
+        wanted: system and perhaps component that the user chose; None: the first autopilot.
     """
 
     def __init__(self, wanted: tuple[int, int | None] | None = None) -> None:
         self.chosen: Vehicle | None = None
         self.systems: dict[tuple[int, int], Vehicle] = {}
         self.frames: dict[tuple[int, int], int] = {}
-        self._wanted = wanted
+        self.wanted = wanted
 
     def take(self, frame: Frame) -> bool:
         """Note a frame whose checksum is right; True when it is the chosen vehicle's."""
@@ -108,26 +125,29 @@ class VehicleSelector:
             self.systems[who] = Vehicle(*who)
             self.frames[who] = 1
         if frame.message_id == 0:
-            self._hear(who, *_heartbeat(frame.payload))
+            vehicle_type, autopilot = _heartbeat(frame.payload)
+            self._hear(Vehicle(*who, vehicle_type, autopilot, frame.version))
         chosen = self.chosen
         return chosen is not None and who == chosen.address
 
-    def _hear(self, who: tuple[int, int], vehicle_type: int, autopilot: int) -> None:
-        vehicle = Vehicle(*who, vehicle_type, autopilot)
-        if who in self.systems:
-            self.systems[who] = vehicle
+    @property
+    def autopilots(self) -> list[Vehicle]:
+        """All vehicles heard that one could choose, in the order heard."""
+        return [vehicle for vehicle in self.systems.values() if vehicle.is_autopilot]
+
+    def _hear(self, vehicle: Vehicle) -> None:
+        if vehicle.address in self.systems:
+            self.systems[vehicle.address] = vehicle
         if self.chosen is None and self._fits(vehicle):
             self.chosen = vehicle
+        elif self.chosen is not None and self.chosen.address == vehicle.address:
+            self.chosen = replace(self.chosen, version=vehicle.version)
 
     def _fits(self, vehicle: Vehicle) -> bool:
-        autopilot = (
-            vehicle.autopilot != mavlink.MAV_AUTOPILOT_INVALID
-            and vehicle.vehicle_type not in _NOT_VEHICLES
-        )
-        if self._wanted is None:
-            return autopilot
-        system, component = self._wanted
+        if self.wanted is None:
+            return vehicle.is_autopilot
+        system, component = self.wanted
         if vehicle.system != system:
             return False
         # A component named by the user is taken at its word.
-        return autopilot if component is None else vehicle.component == component
+        return vehicle.is_autopilot if component is None else vehicle.component == component

@@ -1,0 +1,177 @@
+"""A ground station on a link: what it says to a vehicle, and whom it believes.
+
+Everything here depends on when things happen. Nothing of it reaches the estimate but the frames
+that are believed, which is why the analysis of a recording ends with the live session's numbers.
+"""
+
+from pathlib import Path
+from typing import Any
+
+from gcs_sysid.telemetry.frames import Frame
+from gcs_sysid.telemetry.intake import Intake
+from gcs_sysid.telemetry.link import Link
+from gcs_sysid.telemetry.outgoing import Gate
+from gcs_sysid.telemetry.parameter_requests import ParameterRequests
+from gcs_sysid.telemetry.receiver import Receiver
+from gcs_sysid.telemetry.requests import StreamRequests
+from gcs_sysid.telemetry.signing import Refusal, SignatureCheck, Signer, SigningClock, read_key
+
+LOST_AFTER = 3.0
+"""s of silence after which the link counts as lost."""
+STATE_SUFFIX = ".time"
+"""Added to the key file's name for the time of signatures."""
+
+_REFUSED = {
+    Refusal.UNSIGNED: "frames without a signature are refused, because a signing key is set",
+    Refusal.WRONG_KEY: "frames signed with another key, or changed on the way, are refused",
+    Refusal.REPLAYED: "repeated frames are refused: their signing time is not new",
+    Refusal.TOO_OLD: "frames are refused until the vehicle has this tool's time of signatures",
+}
+
+
+class GroundStation:
+    """Receives from a link, and asks the vehicle for what is needed.
+
+    Args:
+        link: open; `close` closes it.
+        rotors: how many the airframe has.
+        rate: Hz wished for IMU and rotors.
+        listen_only: send nothing at all.
+        signing_key: file with the key; None: nothing is signed or checked.
+
+    Attributes:
+        lost: whether a vehicle that spoke before is silent now, or the link is gone.
+        heard_at: when the vehicle was heard last; None before.
+
+    Raises:
+        InputError: there is no key in that file.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        rotors: int,
+        rate: float,
+        *,
+        listen_only: bool = False,
+        signing_key: Path | None = None,
+    ) -> None:
+        self.lost = False
+        self.heard_at: float | None = None
+        self._link = link
+        self._clock: SigningClock | None = None
+        check = signer = None
+        if signing_key is not None:
+            key = read_key(signing_key)
+            state = signing_key.with_name(signing_key.name + STATE_SUFFIX)
+            self._clock = SigningClock(state)
+            check, signer = SignatureCheck(key, self._clock), Signer(key, self._clock)
+        self._receiver = Receiver(link, check)
+        self._gate = Gate(link.send, listen_only=listen_only, signer=signer)
+        self._streams = StreamRequests(self._gate, rate, rotors, link.url.line_rate)
+        self._parameters = ParameterRequests(self._gate, rotors)
+        self._events: list[str] = []
+        self._told: set[str] = set()
+        self._followed: tuple[int, int] | None = None
+        self._reboots = 0
+        self._heard = 0
+        self._breaks = 0
+
+    @property
+    def asked(self) -> dict[str, float]:
+        """Message name -> Hz asked for."""
+        return self._streams.asked
+
+    @property
+    def garbage_bytes(self) -> int:
+        """Bytes that were part of no frame."""
+        return self._receiver.garbage_bytes
+
+    def poll(self, timeout: float) -> list[Frame]:
+        """Wait up to `timeout` s for bytes; the frames that are believed."""
+        return self._receiver.poll(timeout)
+
+    def follow(self, now: float, intake: Intake) -> None:
+        """See what the latest frames mean for whom to answer. Call it after every `poll`.
+
+        Args:
+            now: any steady clock, s.
+            intake: has taken the frames.
+        """
+        vehicle = intake.vehicle
+        if vehicle is not None and vehicle.address != self._followed:
+            self._followed = vehicle.address
+            self._receiver.follow(vehicle.address)
+        reboots = intake.decoder.clock.reboots
+        if reboots != self._reboots:
+            self._reboots = reboots
+            self._streams.reboot()
+        if self._link.breaks != self._breaks:
+            self._breaks = self._link.breaks
+            self._events.append(
+                f"{self._link.url} was closed by the other side or unplugged: "
+                "waiting for it to come back"
+            )
+            self.lost = True
+        heard = intake.monitor.heard
+        if heard != self._heard:
+            self._heard = heard
+            if self.lost and self.heard_at is not None:
+                self._events.append(f"link back after {now - self.heard_at:.1f} s")
+                self._streams.reboot()
+                self._parameters.again()
+            self.lost = False
+            self.heard_at = now
+        elif not self.lost and self.heard_at is not None and now - self.heard_at > LOST_AFTER:
+            self._events.append(f"link lost: nothing heard of {vehicle} for {LOST_AFTER:.0f} s")
+            self.lost = True
+
+    def tick(self, now: float, intake: Intake) -> None:
+        """Send what is due. Call it a few times a second."""
+        monitor = intake.monitor
+        self._streams.tick(
+            now, intake.vehicle, monitor.rates(), intake.turning, (monitor.lost, monitor.sent)
+        )
+        self._parameters.tick(now, intake.vehicle, intake.parameters)
+        self._events += self._streams.take_events()
+        check = self._receiver.check
+        if check is not None:
+            for refusal in check.refused:
+                self._tell_once(f"signing: {_REFUSED[refusal]}")
+        if self._clock is not None and self._clock.problem:
+            self._tell_once(self._clock.problem)
+
+    def _tell_once(self, text: str) -> None:
+        if text not in self._told:
+            self._told.add(text)
+            self._events.append(text)
+
+    def take_events(self) -> list[str]:
+        """What there is to tell since this was last asked, one line each."""
+        events, self._events = self._events, []
+        return events
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Why the link brings too little to identify anything, one line each."""
+        check = self._receiver.check
+        lines = [self._streams.problem] if self._streams.problem else []
+        if check is not None and check.refused and not check.accepted:
+            reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(check.refused.items()))
+            lines.append(f"no frame has the signature of this key; refused: {reasons}")
+        return tuple(lines)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the result's `telemetry`: who was refused; empty without a key."""
+        check = self._receiver.check
+        if check is None:
+            return {}
+        refused = {reason.value: check.refused[reason] for reason in Refusal}
+        return {"signing": {"accepted": check.accepted, "refused": refused}}
+
+    def close(self) -> None:
+        """Give the vehicle its own rates back, and the link's port."""
+        self._streams.close()
+        self._link.close()
+        if self._clock is not None:
+            self._clock.close()

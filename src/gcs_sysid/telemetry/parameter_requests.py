@@ -1,0 +1,166 @@
+"""Reads the parameters that tell what the vehicle and its filters are, a few a second.
+
+They are read by name, never written. What arrives is recorded like everything else, so that a
+recording holds them too. There is no clock in here: the caller says what time it is.
+"""
+
+from collections import deque
+from collections.abc import Collection
+
+from gcs_sysid.telemetry.outgoing import Gate
+from gcs_sysid.telemetry.vehicles import Vehicle
+
+ASK_EVERY = 0.25
+"""s between two requests: a slow radio carries that beside the streams."""
+ROUNDS = 5
+"""Requests for a parameter that is not answered; the vehicle may not have it."""
+ROUND_EVERY = 3.0
+"""s at least between two requests for the same one."""
+
+_PX4 = (
+    "SYS_AUTOSTART",
+    "SYS_HITL",
+    "CA_ROTOR_COUNT",
+    "THR_MDL_FAC",
+    "IMU_GYRO_CUTOFF",
+    "IMU_ACCEL_CUTOFF",
+    "IMU_GYRO_RATEMAX",
+    "IMU_INTEG_RATE",
+    "IMU_POS_X",
+    "IMU_POS_Y",
+    "IMU_POS_Z",
+    "SIH_MASS",
+)
+_PX4_PER_ROTOR = ("CA_ROTOR{0}_PX", "CA_ROTOR{0}_PY", "CA_ROTOR{0}_KM")
+_PX4_PER_OUTPUT = ("PWM_MAIN_FUNC{0}", "PWM_MAIN_MIN{0}", "PWM_MAIN_MAX{0}")
+# The simulator inside PX4: its own values are the truth.
+_SIH = (
+    "SIH_IXX",
+    "SIH_IYY",
+    "SIH_IZZ",
+    "SIH_IXY",
+    "SIH_IXZ",
+    "SIH_IYZ",
+    "SIH_T_MAX",
+    "SIH_Q_MAX",
+    "SIH_L_ROLL",
+    "SIH_L_PITCH",
+    "SIH_KDV",
+    "SIH_KDW",
+    "SIH_T_TAU",
+)
+_ARDUPILOT = (
+    "FRAME_CLASS",
+    "FRAME_TYPE",
+    "INS_GYRO_FILTER",
+    "INS_ACCEL_FILTER",
+    "INS_POS1_X",
+    "INS_POS1_Y",
+    "INS_POS1_Z",
+    "MOT_THST_EXPO",
+    "MOT_SPIN_MIN",
+    "MOT_SPIN_MAX",
+    "MOT_SPIN_ARM",
+    "MOT_PWM_MIN",
+    "MOT_PWM_MAX",
+    "MOT_THST_HOVER",
+    "SCHED_LOOP_RATE",
+)
+_ARDUPILOT_PER_OUTPUT = ("SERVO{0}_FUNCTION",)
+
+FOLLOW_UPS = {"SIH_MASS": _SIH}
+"""What the answer to one makes worth asking."""
+
+
+def wanted_parameters(autopilot: str, rotors: int) -> tuple[str, ...]:
+    """Names of the parameters to read; none of an autopilot that nobody here knows.
+
+    Args:
+        autopilot: "px4", "ardupilot", ...
+        rotors: how many the airframe has.
+    """
+    if autopilot == "px4":
+        per_rotor = [n.format(i) for i in range(rotors) for n in _PX4_PER_ROTOR]
+        per_output = [n.format(i + 1) for i in range(rotors) for n in _PX4_PER_OUTPUT]
+        return (*_PX4, *per_rotor, *per_output)
+    if autopilot == "ardupilot":
+        per_output = [n.format(i + 1) for i in range(rotors) for n in _ARDUPILOT_PER_OUTPUT]
+        return (*_ARDUPILOT, *per_output)
+    return ()
+
+
+class ParameterRequests:
+    """Asks for each parameter until it has arrived or was asked for often enough.
+
+    Args:
+        gate: sends.
+        rotors: how many the airframe has.
+
+    Attributes:
+        missing: names given up.
+    """
+
+    def __init__(self, gate: Gate, rotors: int = 4) -> None:
+        self.missing: list[str] = []
+        self._gate = gate
+        self._rotors = rotors
+        self._address: tuple[int, int] | None = None
+        self._queue: deque[str] = deque()
+        self._asks: dict[str, int] = {}
+        self._asked_at: dict[str, float] = {}
+        self._followed_up: set[str] = set()
+        self._last = -ASK_EVERY
+
+    def tick(self, now: float, vehicle: Vehicle | None, arrived: Collection[str]) -> None:
+        """Ask for one where that is due.
+
+        Args:
+            now: any steady clock, s. Call it a few times a second.
+            vehicle: the chosen vehicle, None while there is none.
+            arrived: names of the vehicle's parameters that have arrived.
+        """
+        if vehicle is None:
+            return
+        if vehicle.address != self._address:
+            self._address = vehicle.address
+            self._begin(vehicle)
+        for trigger, names in FOLLOW_UPS.items():
+            if trigger in arrived and trigger not in self._followed_up:
+                self._followed_up.add(trigger)
+                self._queue.extend(names)
+        if now - self._last < ASK_EVERY:
+            return
+        name = self._next(now, arrived)
+        if name is not None:
+            self._last = self._asked_at[name] = now
+            self._asks[name] = self._asks.get(name, 0) + 1
+            self._gate.read_parameter(vehicle.address, name)
+
+    def _begin(self, vehicle: Vehicle) -> None:
+        self.missing = []
+        self._queue = deque(wanted_parameters(vehicle.key, self._rotors))
+        self._asks.clear()
+        self._asked_at.clear()
+        self._followed_up.clear()
+
+    def _next(self, now: float, arrived: Collection[str]) -> str | None:
+        """The next name to ask for; it goes to the end of the queue."""
+        for _ in range(len(self._queue)):
+            name = self._queue.popleft()
+            if name in arrived:
+                continue
+            waited = now - self._asked_at.get(name, now - ROUND_EVERY) >= ROUND_EVERY
+            if waited and self._asks.get(name, 0) >= ROUNDS:
+                self.missing.append(name)
+                continue
+            self._queue.append(name)
+            if waited:
+                return name
+        return None
+
+    def again(self) -> None:
+        """Give those given up another chance: the link was away for a while."""
+        self._queue.extend(self.missing)
+        for name in self._queue:
+            self._asks.pop(name, None)
+        self.missing = []

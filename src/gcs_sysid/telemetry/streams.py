@@ -1,0 +1,129 @@
+"""Which messages identification needs of an autopilot, and at which rates they fit a link."""
+
+from collections.abc import Mapping
+
+from gcs_sysid.telemetry.messages import MESSAGE_IDS
+
+NEEDED_RATE = 50.0
+"""Hz of IMU and rotor data below which identification is not to be had from real flights."""
+USABLE = 0.92
+"""Part of a serial link's bytes to plan with; the rest is for what the vehicle sends unasked."""
+SPEEDS = {
+    "px4": ("ESC_STATUS",),
+    "ardupilot": (
+        "ESC_TELEMETRY_1_TO_4",
+        "ESC_TELEMETRY_5_TO_8",
+        "ESC_TELEMETRY_9_TO_12",
+        "ESC_TELEMETRY_13_TO_16",
+    ),
+}
+"""Autopilot -> messages with measured rotor speeds, each for four rotors where there are more."""
+COMMANDS = {"px4": "ACTUATOR_OUTPUT_STATUS", "ardupilot": "SERVO_OUTPUT_RAW"}
+"""Autopilot -> the message with its actuator outputs."""
+
+_LAST_ID_OF_VERSION_1 = 255
+_ARDUPILOT_SHORTEST = 3
+"""ms. It sends nothing faster than 0.8 of its loop rate, which is 400 Hz."""
+_ATTITUDE, _POSITION = 100.0, 50.0
+"""Hz: more than these adds nothing."""
+_LANDED_STATE = 2.0
+
+# Bytes of whole frames in version 2, as recorded from real autopilots: trailing zeros are cut.
+_SIZES = {
+    "HIGHRES_IMU": 74,
+    "ATTITUDE": 40,
+    "LOCAL_POSITION_NED": 40,
+    "EXTENDED_SYS_STATE": 14,
+    "ESC_STATUS": 69,
+    "ACTUATOR_OUTPUT_STATUS": 88,
+    "SERVO_OUTPUT_RAW": 49,
+}
+_ESC_TELEMETRY_SIZE = 56
+SIGNATURE_SIZE = 13
+
+
+def rotor_streams(autopilot: str, rotors: int, version: int = 2) -> tuple[tuple[str, ...], str]:
+    """Names of the messages with measured speeds, and of the one with commands.
+
+    Args:
+        autopilot: "px4", "ardupilot"; any other is asked as PX4 is.
+        rotors: how many the airframe has.
+        version: of MAVLink; version 1 has no room for message numbers above 255.
+    """
+    key = "ardupilot" if autopilot == "ardupilot" else "px4"
+    speeds = SPEEDS[key] if key == "px4" else SPEEDS[key][: -(-rotors // 4)]
+    if version == 1:
+        return tuple(n for n in speeds if MESSAGE_IDS[n] <= _LAST_ID_OF_VERSION_1), (
+            "SERVO_OUTPUT_RAW"
+        )
+    return speeds, COMMANDS[key]
+
+
+def default_rates(rotor_messages: tuple[str, ...], rate: float) -> dict[str, float]:
+    """Message name -> Hz to ask for, given the rate of IMU and rotors."""
+    return {
+        "HIGHRES_IMU": rate,
+        **dict.fromkeys(rotor_messages, rate),
+        "ATTITUDE": min(rate, _ATTITUDE),
+        "LOCAL_POSITION_NED": min(rate, _POSITION),
+        "EXTENDED_SYS_STATE": min(rate, _LANDED_STATE),
+    }
+
+
+def bytes_per_second(rates: Mapping[str, float], rotors: int, signed: bool = False) -> float:
+    """Bytes a second that messages at these rates take on the wire."""
+    total = 0.0
+    for name, hz in rates.items():
+        size = _SIZES.get(name, _ESC_TELEMETRY_SIZE) + (SIGNATURE_SIZE if signed else 0)
+        frames = -(-rotors // 4) if name == "ESC_STATUS" else 1
+        total += size * frames * hz
+    return total
+
+
+def fitting_rates(
+    rotor_messages: tuple[str, ...],
+    rate: float,
+    rotors: int,
+    capacity: float | None,
+    signed: bool = False,
+) -> dict[str, float]:
+    """`default_rates`, lowered to what a link carries.
+
+    Args:
+        rotor_messages: names.
+        rate: Hz wished for IMU and rotors.
+        rotors: how many the airframe has.
+        capacity: bytes a second; None for a link without a known limit.
+        signed: whether frames carry a signature.
+
+    Returns:
+        Message name -> Hz. IMU and rotors share one rate, of at least 1 Hz.
+    """
+    rates = default_rates(rotor_messages, rate)
+    if capacity is None or bytes_per_second(rates, rotors, signed) <= capacity:
+        return rates
+    # Attitude and position keep their share of the full rates: they are the cheap part to thin.
+    low = int(rate)
+    while low > 1:
+        rates = default_rates(rotor_messages, float(low))
+        rates["ATTITUDE"] = min(max(0.4 * low, 10.0), rates["ATTITUDE"])
+        rates["LOCAL_POSITION_NED"] = min(max(0.2 * low, 5.0), rates["LOCAL_POSITION_NED"])
+        if bytes_per_second(rates, rotors, signed) <= capacity:
+            return rates
+        low -= 1
+    return default_rates(rotor_messages, 1.0)
+
+
+def interval_us(autopilot: str, hertz: float) -> int:
+    """What to ask for in SET_MESSAGE_INTERVAL, us: ArduPilot knows whole milliseconds."""
+    if autopilot == "ardupilot":
+        return 1000 * max(_ARDUPILOT_SHORTEST, round(1e3 / hertz))
+    return round(1e6 / hertz)
+
+
+def too_slow(what: str, hertz: float, needed: float = NEEDED_RATE) -> str:
+    """The line for a link that cannot carry what identification needs."""
+    return (
+        f"{what} about {hertz:.0f} Hz of IMU and rotor data; identification needs {needed:.0f} Hz "
+        "or more: use a faster link (460800 baud, USB, WiFi) or analyze the vehicle's own log"
+    )

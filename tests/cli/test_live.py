@@ -1,0 +1,21 @@
+"""The headless output of `live`."""
+
+from gcs_sysid.cli.live import events_after
+from gcs_sysid.session.snapshot import Event
+
+
+def test_each_event_is_told_once_though_old_ones_are_dropped():
+    kept = 5
+    all_events = [Event(float(i // 3), "mark") for i in range(23)]  # equal ones are not the same
+    told, last = [], None
+    for n in range(0, len(all_events) + 1, 2):
+        for event in events_after(last, tuple(all_events[max(0, n - kept) : n])):
+            told.append(event)
+            last = event
+    assert [id(event) for event in told] == [id(event) for event in all_events[:22]]
+
+
+def test_what_was_dropped_before_it_was_told_does_not_stop_the_rest():
+    events = tuple(Event(float(i), "x") for i in range(4))
+    assert list(events_after(Event(0.0, "gone"), events)) == list(events)
+    assert list(events_after(None, ())) == []

@@ -1,0 +1,103 @@
+"""Parameters are read by name, a few a second, until they arrive or are given up."""
+
+import pytest
+
+from gcs_sysid.telemetry.frames import read_frame
+from gcs_sysid.telemetry.messages import MESSAGE_IDS, unpack
+from gcs_sysid.telemetry.outgoing import Gate
+from gcs_sysid.telemetry.parameter_requests import (
+    ROUNDS,
+    ParameterRequests,
+    wanted_parameters,
+)
+from gcs_sysid.telemetry.vehicles import Vehicle
+
+PX4 = Vehicle(1, 1, 2, 12)
+ARDUPILOT = Vehicle(1, 1, 2, 3)
+
+
+class Autopilot:
+    """Answers what it has, but loses each `lossy`-th question."""
+
+    def __init__(self, has, lossy=0):
+        self.has = set(has)
+        self.told = set()
+        self.asked = []
+        self._lossy = lossy
+        self.gate = Gate(self.take)
+
+    def take(self, raw):
+        frame = read_frame(raw)
+        assert frame.message_id == MESSAGE_IDS["PARAM_REQUEST_READ"]
+        fields = unpack(frame.message_id, frame.payload)
+        assert (fields["target_system"], fields["target_component"]) == (1, 1)
+        assert fields["param_index"] == -1
+        self.asked.append(fields["param_id"])
+        lost = self._lossy and len(self.asked) % self._lossy == 0
+        if fields["param_id"] in self.has and not lost:
+            self.told.add(fields["param_id"])
+
+
+def drive(requests, autopilot, vehicle, seconds, start=0.0):
+    for i in range(round(seconds / 0.1)):
+        requests.tick(start + 0.1 * i, vehicle, autopilot.told)
+
+
+@pytest.mark.parametrize("vehicle", [PX4, ARDUPILOT])
+@pytest.mark.parametrize("lossy", [0, 3])
+def test_all_that_the_vehicle_has_are_read(vehicle, lossy):
+    autopilot = Autopilot(wanted_parameters(vehicle.key, 4), lossy)
+    requests = ParameterRequests(autopilot.gate)
+    drive(requests, autopilot, vehicle, 60.0)
+    assert autopilot.told == autopilot.has
+    if not lossy:
+        known = [name for name in autopilot.asked if name in autopilot.has]
+        assert len(known) == len(set(known))
+
+
+def test_they_are_asked_for_a_few_a_second_and_those_not_there_given_up():
+    autopilot = Autopilot(())
+    requests = ParameterRequests(autopilot.gate)
+    drive(requests, autopilot, PX4, 2.0)
+    assert 6 <= len(autopilot.asked) <= 9
+    drive(requests, autopilot, PX4, 200.0, start=2.0)
+    wanted = wanted_parameters("px4", 4)
+    assert sorted(autopilot.asked) == sorted(wanted * ROUNDS)
+    assert set(requests.missing) == set(wanted)
+
+
+def test_the_simulators_truth_is_asked_for_where_there_is_one():
+    real = Autopilot({"CA_ROTOR_COUNT"})
+    drive(ParameterRequests(real.gate), real, PX4, 100.0)
+    assert [name for name in real.asked if name.startswith("SIH_I")] == []
+    simulated = Autopilot({"SIH_MASS", "SIH_IXX", "SIH_T_TAU"})
+    drive(ParameterRequests(simulated.gate), simulated, PX4, 100.0)
+    assert simulated.told == simulated.has
+
+
+def test_after_an_outage_those_given_up_get_another_chance():
+    autopilot = Autopilot(())
+    requests = ParameterRequests(autopilot.gate)
+    drive(requests, autopilot, ARDUPILOT, 200.0)
+    autopilot.has = set(wanted_parameters("ardupilot", 4))
+    requests.again()
+    drive(requests, autopilot, ARDUPILOT, 60.0, start=200.0)
+    assert autopilot.told == autopilot.has
+    assert requests.missing == []
+
+
+def test_nothing_is_asked_of_nobody_or_when_only_listening():
+    autopilot = Autopilot(())
+    drive(ParameterRequests(autopilot.gate), autopilot, None, 5.0)
+    drive(ParameterRequests(autopilot.gate), autopilot, Vehicle(1, 1, 2, 8), 5.0)
+    autopilot.gate.listen_only = True
+    drive(ParameterRequests(autopilot.gate), autopilot, PX4, 5.0)
+    assert autopilot.asked == []
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+@pytest.mark.parametrize("rotors", [4, 8, 12])
+def test_names_fit_their_field(autopilot, rotors):
+    names = wanted_parameters(autopilot, rotors)
+    assert len(set(names)) == len(names)
+    assert all(len(name) <= 16 for name in names)
