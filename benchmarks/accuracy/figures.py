@@ -8,8 +8,8 @@ import matplotlib
 import numpy as np
 
 from benchmarks.accuracy.article import NAMES, TABLE_3
-from benchmarks.accuracy.estimators import article_noise, bound
-from benchmarks.accuracy.tables import Data, kind, least, summary
+from benchmarks.accuracy.statistics import Data, bound, kind, least, summary
+from benchmarks.accuracy.tables_errors import at_noise
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
@@ -32,36 +32,29 @@ _OURS, _BETTER, _THEIRS, _BOUND = "#1f77b4", "#2ca02c", "#d62728", "#666666"
 
 
 def noise(data: Data) -> Any:
-    """Errors against noise."""
-    figure, axes = plt.subplots(1, 2, figsize=(7.2, 3.0), sharex=True, layout="constrained")
+    """Errors against noise: exact and telemetered rotor speeds."""
+    figure, grid = plt.subplots(2, 2, figsize=(7.2, 5.2), sharex=True, layout="constrained")
     sigmas = list(TABLE_3)
-    floors = np.array(
-        [least(bound("paper", 20, article_noise(s, 0.05), rounded=True)) for s in sigmas]
-    )
-    for i, (axis, title) in enumerate(
-        zip(axes, ("mean of the ten, median", "largest, 95th percentile"), strict=True)
-    ):
-        axis.plot(sigmas, [TABLE_3[s][i] for s in sigmas], "s-", color=_THEIRS, label="article")
+    for axes, speeds in zip(grid, ("exact", "telemetered"), strict=True):
+        floors = [least(bound(data, "paper", s, speeds)) for s in sigmas]
+        courses = [("article", _THEIRS, "s-", list(TABLE_3.values()))]
         for name, color in (("online", _OURS), ("offline", _BETTER)):
-            label = f"{name} telemetered"
-            found = [
-                summary(
-                    (
-                        kind(data["baseline"], label)
-                        if s == 0.02
-                        else kind(data["sweep"], str(s), label)
-                    )[0]
-                )[i]
-                for s in sigmas
-            ]
-            axis.plot(sigmas, found, "o-", color=color, label=name)
-        axis.plot(sigmas, floors[:, i], "--", color=_BOUND, label="Cramér-Rao bound")
-        axis.set(title=title, xlabel="noise, rad/s", yscale="log", xticks=sigmas)
-        axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.yaxis.set_minor_locator(NullLocator())
-        axis.yaxis.set_major_formatter("{x:g}")
-    axes[0].set_ylabel("error, %")
-    axes[1].legend(fontsize=8)
+            found = [summary(at_noise(data, s, f"{name} {speeds}")) for s in sigmas]
+            courses.append((name, color, "o-", found))
+        courses.append(("Cramér-Rao bound", _BOUND, "--", floors))
+        for i, (axis, what) in enumerate(
+            zip(axes, ("mean of the ten, median", "largest, 95th percentile"), strict=True)
+        ):
+            for label, color, style, points in courses:
+                axis.plot(sigmas, [p[i] for p in points], style, color=color, label=label)
+            axis.set(title=f"{what}; {speeds} speeds", yscale="log", xticks=sigmas)
+            axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.yaxis.set_minor_locator(NullLocator())
+            axis.yaxis.set_major_formatter("{x:g}")
+    figure.supxlabel("noise, rad/s")
+    figure.supylabel("error, %")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=4)
     return figure
 
 
@@ -137,7 +130,7 @@ def mass_step(data: Data) -> Any:
 
 
 FIGURES: dict[str, tuple[tuple[str, ...], str, Callable[[Data], Any]]] = {
-    "noise": (("baseline", "sweep"), "Errors against noise", noise),
+    "noise": (("bounds", "baseline", "sweep", "noisiest"), "Errors against noise", noise),
     "convergence": (("course",), "Errors over time; 95 % of the runs are in the band", convergence),
     "mass-step": (("changes",), "Mass and moments of inertia after the step", mass_step),
     "peers": (("peers",), "RMS error of each parameter", peers),
