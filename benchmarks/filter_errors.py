@@ -83,7 +83,8 @@ def physics() -> Flight:
 @cache
 def acceleration() -> Array:
     """(K, 3) true angular acceleration on the grid of `physics`, rad/s^2."""
-    return np.gradient(physics().gyro[0], physics().interval, axis=0)
+    derivative: Array = np.gradient(physics().gyro[0], physics().interval, axis=0)
+    return derivative
 
 
 def clean(rate: int) -> Flight:
@@ -196,8 +197,12 @@ def best_lag(case: Case, derivative: Array) -> float:
     t = clean(case.rate).t
     used = counts(t)
     at = np.round(t[used] * 1000.0).astype(int)  # of `physics`, whose step is a millisecond
+    last = len(acceleration()) - 1
     lags = range(-20, 300)
-    left = [float(np.sum((derivative[used] - acceleration()[at - lag]) ** 2)) for lag in lags]
+    left = []
+    for lag in lags:
+        truth = acceleration()[np.clip(at - lag, 0, last)]
+        left.append(float(np.sum((derivative[used] - truth) ** 2)))
     return lags[int(np.argmin(left))] / 1000.0
 
 

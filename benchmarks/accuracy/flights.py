@@ -119,4 +119,5 @@ def _imbalance(speeds: Array, dt: float, seed: int) -> Array:
     phases = random.uniform(0.0, 2.0 * np.pi, (speeds.shape[1], 3))
     turned = np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) * dt, axis=0)
     angle = np.vstack([np.zeros(speeds.shape[1]), turned])
-    return np.sin(angle[:, :, None] + phases).sum(axis=1)
+    shaken: Array = np.sin(angle[:, :, None] + phases).sum(axis=1)
+    return shaken

@@ -36,7 +36,8 @@ def summary(errors: Array) -> tuple[float, float]:
 
 def held(errors: Array, std: Array) -> Array:
     """(10,) share of the 95 % intervals that hold the truth, in %."""
-    return 100.0 * np.asarray(np.abs(errors) <= Z95 * std).mean(axis=0)
+    inside: Array = np.abs(errors) <= Z95 * std
+    return 100.0 * np.asarray(inside.mean(axis=0))
 
 
 def settled(t: Array, errors: Array, level: float = 5.0) -> Array:

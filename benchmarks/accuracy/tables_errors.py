@@ -40,8 +40,10 @@ def article_flight(data: Data) -> Section:
             errors = kind(case, f"{name} {speeds}")[0]
             floors = least(bound(data, "paper", 0.02, speeds))
             words = ("mean of the ten, median", "largest of the ten, 95th percentile")
-            for what, value, bar, floor in zip(words, summary(errors), bars, floors, strict=True):
-                judged.append(at_most(f"{what}; {speeds} speeds", value, bar, bound=floor))
+            for what, value, bar, least_value in zip(
+                words, summary(errors), bars, floors, strict=True
+            ):
+                judged.append(at_most(f"{what}; {speeds} speeds", value, bar, bound=least_value))
             rows.append([f"{name}, {speeds}", *spread(errors)])
         verdicts += of(f"20 Hz, σ = 0.02, {name}", case["seeds"], judged)
     for speeds in SPEEDS:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 Outcome = Literal["met", "not met", "below the bound"]
 
@@ -85,7 +85,7 @@ def of(case: str, seeds: int, verdicts: Sequence[Verdict]) -> list[Verdict]:
 
 def verdict_table(verdicts: Sequence[Verdict]) -> list[str]:
     """All of them, and how many came out how."""
-    count = {name: sum(v.outcome == name for v in verdicts) for name in Outcome.__args__}
+    count = {name: sum(v.outcome == name for v in verdicts) for name in get_args(Outcome)}
     rows = []
     last = ""
     for verdict in verdicts:
