@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.accuracy.flights import PHYSICS_RATE, fly
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.online import Tuning
 from gcs_sysid.filters.complementary import ComplementaryFilter, complementary
@@ -24,9 +25,8 @@ from gcs_sysid.filters.differentiator import (
 from gcs_sysid.filters.smoothers import DAMPING
 from gcs_sysid.filters.windows import cosine_window
 from gcs_sysid.model import attitude
-from sim_bridge.ensemble import Flight, fly_ensemble
+from sim_bridge.ensemble import Flight
 from sim_bridge.missions import PAPER
-from sim_bridge.vehicle_files import load_vehicle
 
 SIGMA = 0.02
 START, END = PAPER.lead, PAPER.duration - 0.5
@@ -74,10 +74,9 @@ CASES = (
 )
 
 
-@cache
 def physics() -> Flight:
     """The article's flight at every step of the physics, without noise."""
-    return fly_ensemble(load_vehicle("paper"), PAPER, 1000.0)
+    return fly("paper", PHYSICS_RATE)
 
 
 @cache

@@ -24,7 +24,6 @@ STEP, EARLY_STEP, EARLY = 0.5, 0.1, 2.0
 BLOCK = 25
 """Samples fed at a time; 0.1 s."""
 QUIET = ("hover", "paper", "all-axes")
-QUIET_SECONDS = 62.0
 _INERTIA = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz")
 
 
@@ -115,18 +114,18 @@ def _follow(change: Change, seed: int) -> dict[str, Any]:
 
 def prepare_quiet() -> None:
     for mission in QUIET:
-        fly(mission, RATE, QUIET_SECONDS)
+        fly(mission, RATE)
 
 
 def quiet(seed: int) -> dict[str, Any]:
     """Alarms in flights without a change."""
     out = {}
     for mission in QUIET:
-        flight = fly(mission, RATE, QUIET_SECONDS)
+        flight = fly(mission, RATE)
         samples = measure(flight, "mems", 0.0, seed)
         tracker = Tracker(GEOMETRY, DT, Tuning(), ChangeTuning())
         for k in range(0, len(flight.t), BLOCK):
             now = slice(k, k + BLOCK)
             tracker.update(flight.t[now], part(samples, now))
-        out[mission] = {"alarms": len(tracker.events), "minutes": QUIET_SECONDS / 60.0}
+        out[mission] = {"alarms": len(tracker.events), "minutes": flight.t[-1] / 60.0}
     return out

@@ -33,6 +33,7 @@ class Verdict:
     def cells(self) -> list[str]:
         """Its row."""
         said = self.outcome if self.outcome == "met" else f"**{self.outcome}**"
+        said = said.replace("below", "bar below")
         said += f" ({self.why})" if self.why and self.outcome != "met" else ""
         seeds = str(self.seeds) if self.seeds else ""
         return [self.case, self.quantity, self.bar, self.measured, seeds, said]
@@ -94,8 +95,8 @@ def verdict_table(verdicts: Sequence[Verdict]) -> list[str]:
         last = verdict.case
     return [
         f"Of {len(verdicts)} bars {count['met']} are met, {count['below the bound']} lie below "
-        f"what any unbiased estimator can reach (“below the bound”), {count['not met']} are not "
-        "met.",
+        "what any unbiased estimator can reach on this flight (“bar below the bound”), "
+        f"{count['not met']} are not met.",
         "",
         *table(["case", "quantity", "bar", "measured", "seeds", ""], rows),
     ]

