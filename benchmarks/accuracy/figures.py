@@ -122,7 +122,7 @@ def mass_step(data: Data) -> Any:
             axis.fill_between(t[known], low, high, color=color, alpha=0.2, linewidth=0)
             axis.plot(t[known], middle, ".-" if i == 0 else "-", color=color, label=name)
         axis.set(xlabel="s after the step", ylim=(-limit, limit), xlim=(0, until))
-        axis.legend(fontsize=8)
+        axis.legend(fontsize=8, loc="lower right", ncols=3)
     for bar in (-INERTIA_AFTER_MASS_STEP, INERTIA_AFTER_MASS_STEP):
         axes[1].axhline(bar, color=_BOUND, linewidth=0.7, linestyle="--")
     axes[0].set_ylabel("error, %")

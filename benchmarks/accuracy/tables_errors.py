@@ -96,8 +96,8 @@ def noise_sweep(data: Data) -> Section:
     lines = [
         f"{data['sweep']['seeds']} seeds; {data['baseline']['seeds']} at 0.02 and "
         f"{data['noisiest']['seeds']} at 0.05. Error in %: median of the mean, 95th percentile of "
-        "the largest; the article's are of one run. The bounds are Cramér-Rao's; that of the "
-        "largest is that of the worst parameter alone.",
+        "the largest; the article's are of one run. The bounds are the least that errors as small "
+        "as Cramér-Rao allows can come to: all ten in step, and the worst parameter alone.",
         "",
         *table(
             [
