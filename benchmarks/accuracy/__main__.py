@@ -19,6 +19,8 @@ from benchmarks.accuracy.tables_others import whole_path
 
 ROOT = Path(__file__).resolve().parents[2]
 CACHE = ROOT / "build" / "accuracy"
+VERSION = 2
+"""Of what is kept; others are left alone."""
 
 
 def study(case: Case, count: int, workers: int) -> dict[str, Any]:
@@ -42,6 +44,7 @@ def study(case: Case, count: int, workers: int) -> dict[str, Any]:
     spent = processor_seconds() - before - prepared
     say("")
     return {
+        "version": VERSION,
         "seeds": len(firsts) * case.together,
         "seconds": round(time.monotonic() - began, 1),
         "prepared": round(prepared, 1),
@@ -57,10 +60,19 @@ def processor_seconds() -> float:
     return times.user + times.system + times.children_user + times.children_system
 
 
-def kept() -> dict[str, Any]:
+def kept(folder: Path = CACHE) -> dict[str, Any]:
     """Outcomes of the cases that were run, now or earlier."""
-    files = {case.name: CACHE / f"{case.name}.json" for case in CASES}
-    return {name: json.loads(f.read_text()) for name, f in files.items() if f.exists()}
+    found = {}
+    for case in CASES:
+        file = folder / f"{case.name}.json"
+        if not file.exists():
+            continue
+        done = json.loads(file.read_text(encoding="utf-8"))
+        if done.get("version") == VERSION:
+            found[case.name] = done
+        else:
+            print(f"{file.name} is of another version: left out", file=sys.stderr)
+    return found
 
 
 def say(text: str) -> None:
@@ -83,7 +95,7 @@ def main() -> None:
         if options.page or (options.only and case.name not in options.only):
             continue
         done = study(case, options.seeds or case.seeds, options.workers)
-        (CACHE / f"{case.name}.json").write_text(json.dumps(done))
+        (CACHE / f"{case.name}.json").write_text(json.dumps(done), encoding="utf-8")
         print(
             f"{case.name}: {done['seeds']} seeds in {done['seconds']:.0f} s (processor: "
             f"{done['prepared']:.1f} s to prepare, {done['each']:.2f} s a run)",

@@ -104,7 +104,7 @@ def _follow(change: Change, seed: int) -> dict[str, Any]:
     found = [round(d - AT, 4) for d in detected if d >= AT]
     out["delay"] = found[0] if found else None
     out["false"] = sum(d < AT for d in detected)
-    out["quiet"] = AT / 60.0
+    out["minutes"] = float(flight.t[-1]) / 60.0
     out["again"] = len(found[1:])
     causes = [e.cause.kind for e in tracker.events if e.cause is not None and e.detected >= AT]
     out["cause"] = causes[0] if causes else None
@@ -127,5 +127,5 @@ def quiet(seed: int) -> dict[str, Any]:
         for k in range(0, len(flight.t), BLOCK):
             now = slice(k, k + BLOCK)
             tracker.update(flight.t[now], part(samples, now))
-        out[mission] = {"alarms": len(tracker.events), "minutes": flight.t[-1] / 60.0}
+        out[mission] = {"alarms": len(tracker.events), "minutes": float(flight.t[-1]) / 60.0}
     return out

@@ -58,7 +58,7 @@ def changed() -> dict[str, Any]:
         "delay": 0.008,
         "false": 0,
         "again": 0,
-        "quiet": 0.5,
+        "minutes": 0.5,
         "cause": "mass_change",
         "motion": {"tilt": [24.0, 25.0], "vertical speed": [0.02, 0.01], "command": [0.6, 0.7]},
     }

@@ -1,5 +1,6 @@
 """What studies make of a flight, on flights of seconds; needs the others' estimators."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -71,6 +72,17 @@ def test_a_course_counts_wrong_claims_only_while_they_are_claimed():
     assert found["settled"][3] == pytest.approx(0.4)
     assert found["t"][-1] == pytest.approx(0.7)
     assert len(found["t"]) == len(found["error"])
+
+
+def test_only_what_this_version_kept_is_read(tmp_path, capsys):
+    pytest.importorskip("matplotlib", reason="the bench extra")
+    from benchmarks.accuracy.__main__ import VERSION, kept
+
+    for name, version in (("mems", VERSION), ("white", VERSION - 1)):
+        text = json.dumps({"version": version, "seeds": 1, "outcomes": []})
+        (tmp_path / f"{name}.json").write_text(text)
+    assert list(kept(tmp_path)) == ["mems"]
+    assert "white.json is of another version" in capsys.readouterr().err
 
 
 def test_rounding_differs_from_seed_to_seed(flight):

@@ -90,10 +90,11 @@ def test_a_change_that_nobody_saw_is_no_detection(data: Data) -> None:
 
 
 def test_false_alarms_count_flights_of_both_kinds(data: Data) -> None:
-    data["changes"]["outcomes"][0]["mass"]["false"] = 30
+    data["changes"]["outcomes"][0]["mass"]["false"] = 20
+    data["changes"]["outcomes"][1]["payload"]["again"] = 10
     data["false-alarms"]["outcomes"][0]["hover"]["alarms"] = 2
     (found,) = [v for v in SECTIONS["changes"][1](data).verdicts if "false" in v.quantity]
-    # 200 seeds of two flights with half a quiet minute, and one more minute.
+    # 200 seeds of two flights of half a minute, and one more minute.
     assert found.quantity == "false alarms in 10 min (32 in 201 min)"
     assert found.outcome == "not met"
 
