@@ -240,21 +240,21 @@ def _fast() -> object:
     return fly("paper", 250)
 
 
-# Together within 20 minutes on two cores; more with --seeds.
+# Together some 15 minutes on two cores, 20 at most; more with --seeds.
 CASES = (
     Case("bounds", 1, bounds, _slow, once=True),
     Case("baseline", 100, baseline, _slow),
-    Case("sweep", 20, sweep, _slow),
+    Case("sweep", 16, sweep, _slow),
     Case("noisiest", 100, noisiest, _slow),
     Case("white", 100, white, _slow),
     Case("mems", 100, mems, _fast),
-    Case("mems-offline", 4, mems_offline, _fast),
+    Case("mems-offline", 3, mems_offline, _fast),
     Case("course", 100, course, lambda: fly("all-axes", 20)),
     Case("delay", 24, delays, _fly_late),
     Case("peers", 8, comparison, lambda: peers.tune("paper")),
     Case("peers-mems", 2, comparison_mems, lambda: peers.tune("mems")),
     Case("changes", 30, changes.run, changes.prepare),
-    Case("false-alarms", 12, changes.quiet, changes.prepare_quiet),
+    Case("false-alarms", 8, changes.quiet, changes.prepare_quiet),
     Case("filters", 100, filter_errors.measure, filter_errors.prepare, filter_errors.AT_ONCE),
     Case("speed", 3, speed, _fast),
     Case("end-to-end", 3, end_to_end.run, lambda: None),
