@@ -42,7 +42,7 @@ $(BENCH_INSTALLED): $(INSTALLED)
 	  --constraint constraints.txt --editable '.[bench]'
 	@touch $@
 
-bench-accuracy: $(BENCH_INSTALLED) ## Monte Carlo over seeds: docs/accuracy.md (20 min)
+bench-accuracy: $(BENCH_INSTALLED) ## Monte Carlo over seeds: docs/accuracy.md (15 min)
 	$(BIN)/python -m benchmarks.accuracy
 
 screenshot: $(INSTALLED) ## the README's picture of the screen

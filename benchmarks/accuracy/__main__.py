@@ -13,40 +13,66 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.accuracy import document, tables
+from benchmarks.accuracy import document
 from benchmarks.accuracy.cases import CASES, Case
+from benchmarks.accuracy.tables_others import whole_path
 
 ROOT = Path(__file__).resolve().parents[2]
 CACHE = ROOT / "build" / "accuracy"
+VERSION = 2
+"""Of what is kept; others are left alone."""
 
 
 def study(case: Case, count: int, workers: int) -> dict[str, Any]:
-    """Run a case over seeds 1 to count; processor seconds come with it."""
-    began = time.monotonic()
+    """Run a case over seeds 1 to count, or whole groups of what it takes together."""
     say(f"{case.name}: preparing")
+    began = time.monotonic()
+    before = processor_seconds()
     case.prepare()
+    prepared = processor_seconds() - before
     # Forked children have what was prepared; elsewhere each prepares it on first use.
     can_fork = "fork" in multiprocessing.get_all_start_methods()
     context = multiprocessing.get_context("fork" if can_fork else None)
+    firsts = range(1, (1 if case.once else count) + 1, case.together)
     outcomes = []
     with context.Pool(workers) as pool:
-        for outcome in pool.imap(case.run, range(1, count + 1)):
+        for outcome in pool.imap(case.run, firsts):
             outcomes.append(outcome)
-            say(f"{case.name}: {len(outcomes)}/{count}")
-    took = time.monotonic() - began
+            say(f"{case.name}: {len(outcomes)}/{len(firsts)}")
+        pool.close()
+        pool.join()
+    spent = processor_seconds() - before - prepared
     say("")
     return {
-        "seeds": count,
-        "seconds": round(took, 1),
+        "version": VERSION,
+        "seeds": len(firsts) * case.together,
+        "seconds": round(time.monotonic() - began, 1),
+        "prepared": round(prepared, 1),
+        "each": round(spent / len(firsts), 2),
         "workers": workers,
         "outcomes": outcomes,
     }
 
 
-def kept() -> dict[str, Any]:
+def processor_seconds() -> float:
+    """Of this process and of its children that have ended (of these, not on Windows)."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+def kept(folder: Path = CACHE) -> dict[str, Any]:
     """Outcomes of the cases that were run, now or earlier."""
-    files = {case.name: CACHE / f"{case.name}.json" for case in CASES}
-    return {name: json.loads(f.read_text()) for name, f in files.items() if f.exists()}
+    found = {}
+    for case in CASES:
+        file = folder / f"{case.name}.json"
+        if not file.exists():
+            continue
+        done = json.loads(file.read_text(encoding="utf-8"))
+        if done.get("version") == VERSION:
+            found[case.name] = done
+        else:
+            print(f"{file.name} is of another version: left out", file=sys.stderr)
+    return found
 
 
 def say(text: str) -> None:
@@ -69,10 +95,14 @@ def main() -> None:
         if options.page or (options.only and case.name not in options.only):
             continue
         done = study(case, options.seeds or case.seeds, options.workers)
-        (CACHE / f"{case.name}.json").write_text(json.dumps(done))
-        print(f"{case.name}: {done['seeds']} seeds in {done['seconds']:.0f} s", file=sys.stderr)
+        (CACHE / f"{case.name}.json").write_text(json.dumps(done), encoding="utf-8")
+        print(
+            f"{case.name}: {done['seeds']} seeds in {done['seconds']:.0f} s (processor: "
+            f"{done['prepared']:.1f} s to prepare, {done['each']:.2f} s a run)",
+            file=sys.stderr,
+        )
     if options.only == ["end-to-end"]:
-        print("\n".join(tables.whole_path(kept())).rstrip())
+        print("\n".join(whole_path(kept()).lines).rstrip())
         return
     print(document.write(kept(), ROOT / "docs"), file=sys.stderr)
 

@@ -1,14 +1,24 @@
 """What is flown and estimated: a case maps a seed to an outcome that JSON can hold."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from benchmarks import filter_errors
 from benchmarks.accuracy import changes, end_to_end, peers
 from benchmarks.accuracy.article import NAMES, TABLE_3
-from benchmarks.accuracy.estimators import at_known_mass, offline, online, outcome
+from benchmarks.accuracy.estimators import (
+    article_noise,
+    at_known_mass,
+    bound,
+    offline,
+    online,
+    outcome,
+    white_noise,
+)
 from benchmarks.accuracy.flights import (
     EXCITED_FROM,
     GEOMETRY,
@@ -18,16 +28,24 @@ from benchmarks.accuracy.flights import (
     measure,
     part,
 )
+from benchmarks.accuracy.statistics import Z95, settled
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.online import OnlineEstimator, Tuning
 from gcs_sysid.estimation.speed_noise import ROUNDING_STD
+from gcs_sysid.filters.complementary import ComplementaryFilter
 
 SIGMA = 0.02
 """The article's baseline noise."""
+NOISIEST = 0.05
+SPEEDS = {"exact": False, "telemetered": True}
+"""Rotor speeds as they are, and in whole rpm as ESC_STATUS carries them."""
 VIBRATION = 0.03
 """rad/s, of each rotor on each axis of the gyro."""
 DELAYS = (0.0, 0.010, 0.020, 0.030, 0.040)
-COURSE_STEP = 0.5
-"""s between estimates of a course, as in a live session."""
+REFIT = 0.1
+"""s between estimates of a running flight."""
+DRAW_EACH = 5
+"""Refits of which one is kept for the figure."""
 NOTHING_BEFORE = 3.0
 """s of flight before which the program claims nothing (`session.chain`)."""
 
@@ -41,26 +59,38 @@ class Case:
         seeds: how many, unless told.
         run: seed to outcome.
         prepare: flies what all seeds share, before the work is divided among processes.
+        together: seeds that one run takes, from the one given on.
+        once: there is no noise in it, and `seeds` is 1 whatever is told.
     """
 
     name: str
     seeds: int
     run: Callable[[int], dict[str, Any]]
     prepare: Callable[[], object]
+    together: int = 1
+    once: bool = False
 
 
-def _both(noise: str, sigma: float, seed: int, *, offline_exact: bool = True) -> dict[str, Any]:
+def _both(noise: str, sigma: float, seed: int) -> dict[str, Any]:
     """20 Hz paper mission: {exact, telemetered} rotor speeds x {online, offline}."""
     out: dict[str, Any] = {}
-    for rounded in (False, True):
+    for kind, rounded in SPEEDS.items():
         samples = measure(fly("paper", 20), noise, sigma, seed, rounded=rounded)
-        kind = "telemetered" if rounded else "exact"
         fit = online(samples, 0.05)
-        out[f"online {kind}"] = outcome(fit)
-        if rounded or offline_exact:
-            better = offline(samples, 0.05, fit, ROUNDING_STD if rounded else None)
-            out[f"offline {kind}"] = outcome(better)
+        better = offline(samples, 0.05, fit, ROUNDING_STD if rounded else None)
+        out |= {f"online {kind}": outcome(fit), f"offline {kind}": outcome(better)}
     return out
+
+
+def bounds(_: int) -> dict[str, list[float]]:
+    """Cramér-Rao bounds of the article's flight: no seed in them."""
+    noises = {("paper", sigma): article_noise(sigma, 0.05) for sigma in TABLE_3}
+    noises["white", SIGMA] = white_noise(SIGMA)
+    return {
+        f"{noise} {sigma:g} {kind}": bound("paper", 20, model, rounded=rounded)
+        for (noise, sigma), model in noises.items()
+        for kind, rounded in SPEEDS.items()
+    }
 
 
 def baseline(seed: int) -> dict[str, Any]:
@@ -68,12 +98,21 @@ def baseline(seed: int) -> dict[str, Any]:
 
 
 def sweep(seed: int) -> dict[str, Any]:
-    levels = [sigma for sigma in TABLE_3 if sigma != SIGMA]
-    return {str(sigma): _both("paper", sigma, seed, offline_exact=False) for sigma in levels}
+    levels = [sigma for sigma in TABLE_3 if sigma not in (SIGMA, NOISIEST)]
+    return {str(sigma): _both("paper", sigma, seed) for sigma in levels}
+
+
+def noisiest(seed: int) -> dict[str, Any]:
+    return _both("paper", NOISIEST, seed)
 
 
 def white(seed: int) -> dict[str, Any]:
-    return _both("white", SIGMA, seed)
+    samples = measure(fly("paper", 20), "white", SIGMA, seed, rounded=False)
+    fit = online(samples, 0.05)
+    return {
+        "online exact": outcome(fit),
+        "offline exact": outcome(offline(samples, 0.05, fit, None)),
+    }
 
 
 def mems(seed: int) -> dict[str, Any]:
@@ -92,25 +131,47 @@ def mems_offline(seed: int) -> dict[str, Any]:
 
 
 def course(seed: int) -> dict[str, Any]:
-    """Estimates of the all-axes mission while it is flown."""
+    """Refits of the all-axes mission at 10 Hz while it is flown, and what was claimed at each."""
     dt = 0.05
     samples = measure(fly("all-axes", 20), "paper", SIGMA, seed)
     estimator = OnlineEstimator(GEOMETRY, dt, Tuning())
-    step = round(COURSE_STEP / dt)
-    out: dict[str, Any] = {"t": [], "error": [], "std": [], "identified": []}
+    step = round(REFIT / dt)
+    t, errors, std, identified = [], [], [], []
     for begin in range(0, len(samples.gyro), step):
         estimator.update(part(samples, slice(begin, begin + step)))
         # The last is the one that a session ends with.
         fit = estimator.fit(quick=begin + step < len(samples.gyro))
         if fit.seconds < NOTHING_BEFORE:
             fit = replace(fit, rotation=None)
-        found = at_known_mass(fit)
+        values = at_known_mass(fit)
         known = outcome(fit)
-        out["t"].append(round(min(begin + step, len(samples.gyro)) * dt - EXCITED_FROM, 3))
-        out["error"].append(known["error"])
-        out["std"].append(known["std"])
-        out["identified"].append([found[name].status == "identified" for name in NAMES])
-    return out
+        t.append(round(min(begin + step, len(samples.gyro)) * dt - EXCITED_FROM, 3))
+        errors.append(known["error"])
+        std.append(known["std"])
+        identified.append([values[name].status == "identified" for name in NAMES])
+    return followed(np.array(t), np.array(errors), np.array(std), np.array(identified))
+
+
+def followed(t: Array, errors: Array, std: Array, identified: Mask) -> dict[str, Any]:
+    """What a course comes to.
+
+    Args:
+        t: (n,) s.
+        errors: (n, 10) in %, as std.
+        std: of the same.
+        identified: (n, 10) whether that was the status.
+    """
+    wrong = identified & (np.abs(errors) > Z95 * std)
+    drawn = slice(len(t) - 1, None, -DRAW_EACH)  # the last for sure
+    return {
+        "settled": settled(t, errors[None])[0].tolist(),
+        "wrong at end": wrong[-1].tolist(),
+        "wrong refits": wrong.sum(axis=0).tolist(),
+        "identified refits": identified.sum(axis=0).tolist(),
+        "any wrong at any refit": bool(wrong.any()),
+        "t": t[drawn][::-1].tolist(),
+        "error": [[float(f"{e:.3g}") for e in row] for row in errors[drawn][::-1]],
+    }
 
 
 def delays(seed: int) -> dict[str, Any]:
@@ -144,6 +205,27 @@ def comparison_mems(seed: int) -> dict[str, Any]:
     return {**peers.all_of(samples, 0.004, fit, "mems"), "ours, online": outcome(fit)}
 
 
+def speed(seed: int) -> dict[str, float]:
+    """Samples a second of processor time: complementary filter, estimator, refit at 10 Hz."""
+    dt = 0.004
+    samples = measure(fly("paper", 250), "mems", 0.0, seed)
+    each = round(REFIT / dt)
+    out = {}
+    for name, size in (("block", each), ("single", 1)):
+        complementary = ComplementaryFilter(dt)
+        estimator = OnlineEstimator(GEOMETRY, dt, Tuning())
+        began = time.process_time()
+        for begin in range(0, len(samples.gyro), size):
+            now = part(samples, slice(begin, begin + size))
+            attitude = complementary.update(now.gyro, now.attitude)
+            rates = now.gyro - complementary.biases
+            estimator.update(replace(now, rates=rates, attitude=attitude))
+            if (begin + size) % each == 0:
+                estimator.fit(quick=True)
+        out[name] = len(samples.gyro) / (time.process_time() - began)
+    return out
+
+
 def _fly_late() -> None:
     for rate in (20, 250):
         for delay in DELAYS:
@@ -158,18 +240,22 @@ def _fast() -> object:
     return fly("paper", 250)
 
 
-# Together at most 20 minutes on two cores; more with --seeds.
+# Together some 15 minutes on two cores, 20 at most; more with --seeds.
 CASES = (
-    Case("baseline", 50, baseline, _slow),
-    Case("sweep", 25, sweep, _slow),
-    Case("white", 40, white, _slow),
-    Case("mems", 50, mems, _fast),
-    Case("mems-offline", 4, mems_offline, _fast),
-    Case("course", 50, course, lambda: fly("all-axes", 20)),
-    Case("delay", 12, delays, _fly_late),
-    Case("peers", 12, comparison, lambda: peers.tune("paper")),
-    Case("peers-mems", 3, comparison_mems, lambda: peers.tune("mems")),
-    Case("changes", 10, changes.run, changes.prepare),
-    Case("false-alarms", 4, changes.quiet, changes.prepare_quiet),
-    Case("end-to-end", 6, end_to_end.run, lambda: None),
+    Case("bounds", 1, bounds, _slow, once=True),
+    Case("baseline", 100, baseline, _slow),
+    Case("sweep", 16, sweep, _slow),
+    Case("noisiest", 100, noisiest, _slow),
+    Case("white", 100, white, _slow),
+    Case("mems", 100, mems, _fast),
+    Case("mems-offline", 3, mems_offline, _fast),
+    Case("course", 100, course, lambda: fly("all-axes", 20)),
+    Case("delay", 24, delays, _fly_late),
+    Case("peers", 8, comparison, lambda: peers.tune("paper")),
+    Case("peers-mems", 2, comparison_mems, lambda: peers.tune("mems")),
+    Case("changes", 30, changes.run, changes.prepare),
+    Case("false-alarms", 8, changes.quiet, changes.prepare_quiet),
+    Case("filters", 100, filter_errors.measure, filter_errors.prepare, filter_errors.AT_ONCE),
+    Case("speed", 3, speed, _fast),
+    Case("end-to-end", 3, end_to_end.run, lambda: None),
 )

@@ -6,7 +6,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.flights import GEOMETRY, VEHICLE, fly, measure, part
-from benchmarks.accuracy.tracker import make as tracker_of
+from gcs_sysid.estimation.changes import ChangeTuning
+from gcs_sysid.estimation.online import Tuning
+from gcs_sysid.estimation.tracking import Tracker
+from sim_bridge.ensemble import Flight
 from sim_bridge.simulation import Change, mass_step
 from sim_bridge.vehicle import Vehicle
 
@@ -14,14 +17,13 @@ RATE = 250
 DT = 1.0 / RATE
 AT = 30.0
 """s, when the vehicle changes."""
-SECONDS = 62.0
+SECONDS = 52.0
 FACTOR = 1.2
-STEP = 0.2
-"""s between estimates of the course after the change."""
+STEP, EARLY_STEP, EARLY = 0.5, 0.1, 2.0
+"""s between estimates of the course after the change, and at first."""
 BLOCK = 25
-"""Samples fed at a time."""
+"""Samples fed at a time; 0.1 s."""
 QUIET = ("hover", "paper", "all-axes")
-QUIET_SECONDS = 62.0
 _INERTIA = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz")
 
 
@@ -53,11 +55,29 @@ def run(seed: int) -> dict[str, Any]:
     return {name: _follow(change, seed) for name, change in CHANGES.items()}
 
 
+def motion(flight: Flight) -> dict[str, list[float]]:
+    """How the vehicle flies, from its true state: [before, after] the change.
+
+    Returns:
+        "tilt": largest, degrees; "vertical speed": largest, m/s, the second of the last 5 s;
+        "command": largest of any rotor, 0..1.
+    """
+    q, t = flight.quaternion[0], flight.t
+    tilt = np.degrees(np.arccos(1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2)))
+    vertical, command = np.abs(flight.velocity[0, :, 2]), flight.commands[0].max(axis=1)
+    before, after, end = t < AT, t >= AT, t >= t[-1] - 5.0
+    return {
+        "tilt": [float(tilt[before].max()), float(tilt[after].max())],
+        "vertical speed": [float(vertical[before].max()), float(vertical[end].max())],
+        "command": [float(command[before].max()), float(command[after].max())],
+    }
+
+
 def _follow(change: Change, seed: int) -> dict[str, Any]:
     """Estimates after the change, at the scale of the rotors' k_T as known before it."""
     flight = fly("all-axes", RATE, SECONDS, (change,))
     samples = measure(flight, "mems", 0.0, seed)
-    tracker = tracker_of(GEOMETRY, DT)
+    tracker = Tracker(GEOMETRY, DT, Tuning(), ChangeTuning())
     after = change.apply(VEHICLE)
     truth = np.array([after.mass, *(getattr(after, name) for name in _INERTIA)])
     out: dict[str, Any] = {"t": [], "error": []}
@@ -65,7 +85,8 @@ def _follow(change: Change, seed: int) -> dict[str, Any]:
         now = slice(k, k + BLOCK)
         tracker.update(flight.t[now], part(samples, now))
         since = flight.t[now][-1] - AT
-        if since < 0.0 or (k // BLOCK) % round(STEP / DT / BLOCK):
+        step = EARLY_STEP if since < EARLY else STEP
+        if since < 0.0 or (k // BLOCK) % round(step / DT / BLOCK):
             continue
         values = np.full(7, np.nan)
         # Until the change is known for one, what was known before it is what is shown.
@@ -83,24 +104,28 @@ def _follow(change: Change, seed: int) -> dict[str, Any]:
     found = [round(d - AT, 4) for d in detected if d >= AT]
     out["delay"] = found[0] if found else None
     out["false"] = sum(d < AT for d in detected)
+    out["minutes"] = float(flight.t[-1]) / 60.0
     out["again"] = len(found[1:])
+    causes = [e.cause.kind for e in tracker.events if e.cause is not None and e.detected >= AT]
+    out["cause"] = causes[0] if causes else None
+    out["motion"] = motion(flight)
     return out
 
 
 def prepare_quiet() -> None:
     for mission in QUIET:
-        fly(mission, RATE, QUIET_SECONDS)
+        fly(mission, RATE)
 
 
 def quiet(seed: int) -> dict[str, Any]:
     """Alarms in flights without a change."""
     out = {}
     for mission in QUIET:
-        flight = fly(mission, RATE, QUIET_SECONDS)
+        flight = fly(mission, RATE)
         samples = measure(flight, "mems", 0.0, seed)
-        tracker = tracker_of(GEOMETRY, DT)
+        tracker = Tracker(GEOMETRY, DT, Tuning(), ChangeTuning())
         for k in range(0, len(flight.t), BLOCK):
             now = slice(k, k + BLOCK)
             tracker.update(flight.t[now], part(samples, now))
-        out[mission] = {"alarms": len(tracker.events), "minutes": QUIET_SECONDS / 60.0}
+        out[mission] = {"alarms": len(tracker.events), "minutes": float(flight.t[-1]) / 60.0}
     return out

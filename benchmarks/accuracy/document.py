@@ -1,52 +1,70 @@
 """docs/accuracy.md from the outcomes: the template's prose, and numbers from nowhere else."""
 
-import importlib
 import re
 from pathlib import Path
 
 from benchmarks.accuracy import figures
-from benchmarks.accuracy.tables import SECTIONS, Data
+from benchmarks.accuracy.sections import SECTIONS, missing
+from benchmarks.accuracy.statistics import Data
+from benchmarks.accuracy.verdicts import Section, table, verdict_table
 
 TEMPLATE = Path(__file__).with_name("template.md")
 
 
 def write(data: Data, docs: Path) -> Path:
-    """Write page and figures; a case that was not run is left out, with a line saying so."""
+    """Write page and figures; returns the page."""
     drawn = figures.draw(data, docs / "accuracy")
+    path = docs / "accuracy.md"
+    path.write_text(page(data, drawn), encoding="utf-8", newline="\n")
+    return path
+
+
+def page(data: Data, drawn: set[str]) -> str:
+    """The page; a case that was not run is left out, with a line saying so.
+
+    Args:
+        data: outcomes.
+        drawn: figures that there are.
+    """
+    sections = {
+        name: Section([], [f"Not in this run (`--only {lacking[0]}`)."]) if lacking else of(data)
+        for name, (_, of) in SECTIONS.items()
+        for lacking in [missing(name, data)]
+    }
 
     def fill(match: re.Match[str]) -> str:
         name = match[1]
-        if name == "run":
-            return _run(data)
-        if name == "filter-claims":
-            return _filter_claims(data)
-        if name.startswith("figure "):
+        if name == "verdicts":
+            lines = verdict_table([v for section in sections.values() for v in section.verdicts])
+        elif name == "run":
+            lines = run_table(data)
+        elif name.startswith("figure "):
             name = name.removeprefix("figure ")
-            return f"![{figures.FIGURES[name][1]}](accuracy/{name}.svg)" if name in drawn else ""
-        needs, section = SECTIONS[name]
-        missing = [need for need in needs if need not in data]
-        if missing:
-            return f"Not in this run (`--only {missing[0]}`)."
-        return "\n".join(section(data)).strip()
+            lines = [f"![{figures.FIGURES[name][1]}](accuracy/{name}.svg)"] if name in drawn else []
+        else:
+            lines = sections[name].lines
+        return "\n".join(lines).strip()
 
     text = re.sub(r"\{\{([a-z -]+)\}\}", fill, TEMPLATE.read_text(encoding="utf-8"))
-    page = docs / "accuracy.md"
-    page.write_text(re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n", encoding="utf-8")
-    return page
+    return re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n"
 
 
-def _run(data: Data) -> str:
+def run_table(data: Data) -> list[str]:
+    """What each case cost."""
+    rows = [
+        [
+            f"`{name}`",
+            "–" if name == "bounds" else str(case["seeds"]),
+            f"{case['prepared']:.0f}",
+            f"{case['each'] * len(case['outcomes']):.0f}",
+            f"{case['seconds']:.0f}",
+        ]
+        for name, case in data.items()
+    ]
     minutes = sum(case["seconds"] for case in data.values()) / 60.0
-    workers = max(case.get("workers", 1) for case in data.values())
-    return f"This run took {minutes:.0f} min on {workers} cores."
-
-
-def _filter_claims(data: Data) -> str:
-    """The section on filters, where there is one; with as many seeds as the baseline."""
-    try:
-        claims = importlib.import_module("benchmarks.filter_claims")
-    except ModuleNotFoundError as error:
-        if error.name != "benchmarks.filter_claims":
-            raise
-        return ""
-    return "\n".join(claims.tables(data.get("baseline", {"seeds": 20})["seeds"]))
+    workers = max((case["workers"] for case in data.values()), default=0)
+    return [
+        f"Seeds are 1 to the number given. All of it took {minutes:.0f} min on {workers} cores.",
+        "",
+        *table(["case", "seeds", "to prepare, core s", "to run, core s", "elapsed, s"], rows),
+    ]

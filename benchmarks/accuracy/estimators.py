@@ -1,8 +1,6 @@
 """The program's own estimators, and the bound that no estimator beats on average."""
 
-from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -21,8 +19,6 @@ from sim_bridge.sensors import CORNER
 
 Outcome = dict[str, list[float]]
 """error and std of the ten parameters, both in % of the truth."""
-
-Z95 = 1.959964
 
 
 def true_theta() -> Array:
@@ -91,23 +87,12 @@ def white_noise(sigma: float) -> Noise:
     return axis, axis, axis
 
 
-@lru_cache(maxsize=64)
-def _bound(mission: str, rate: float, noise: Noise, speed_std: float) -> tuple[float, ...]:
+def bound(mission: str, rate: float, noise: Noise, *, rounded: bool) -> list[float]:
+    """Ten least standard deviations in % (Cramér-Rao), scale known; NaN for k_T."""
     samples = exact(fly(mission, rate))
-    std = cramer_rao_bound(
-        samples, GEOMETRY, 1.0 / rate, true_theta(), noise, speed_std if speed_std else None
-    )
+    level = ROUNDING_STD if rounded else None
+    std = cramer_rao_bound(samples, GEOMETRY, 1.0 / rate, true_theta(), noise, level)
     core = [*range(rb.CG_Y + 1), rb.MOMENT_RATIO]
     percent = 100.0 * std[core] / np.abs(true_theta()[core])
     # k_T rests on the translation, which this bound says nothing of.
-    return (*percent[:8].tolist(), float("nan"), float(percent[8]))
-
-
-def bound(mission: str, rate: float, noise: Noise, *, rounded: bool) -> Array:
-    """(10,) least standard deviations in % (Cramer-Rao), scale known; NaN for k_T."""
-    return np.array(_bound(mission, rate, noise, ROUNDING_STD if rounded else 0.0))
-
-
-def stack(outcomes: Sequence[Outcome]) -> tuple[Array, Array]:
-    """(seeds, 10) errors and standard deviations in %."""
-    return np.array([o["error"] for o in outcomes]), np.array([o["std"] for o in outcomes])
+    return [*percent[:8].tolist(), float("nan"), float(percent[8])]

@@ -7,9 +7,9 @@ from typing import Any
 import matplotlib
 import numpy as np
 
-from benchmarks.accuracy.article import NAMES, TABLE_3
-from benchmarks.accuracy.estimators import article_noise, bound
-from benchmarks.accuracy.tables import Data, kind, least, summary
+from benchmarks.accuracy.article import INERTIA_AFTER_MASS_STEP, NAMES, TABLE_3
+from benchmarks.accuracy.statistics import Data, bound, kind, least, summary
+from benchmarks.accuracy.tables_errors import at_noise
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
@@ -30,43 +30,42 @@ STYLE = {
 }
 _OURS, _BETTER, _THEIRS, _BOUND = "#1f77b4", "#2ca02c", "#d62728", "#666666"
 
+UNTIL = 20.0
+"""s from the start of the excitation that are drawn; little happens later on."""
+_PEERS = ("#7f0000", "#d62728", "#ff7f0e", "#8c564b", "#9467bd", "#e377c2", "#17becf")
+
 
 def noise(data: Data) -> Any:
-    """Errors against noise."""
-    figure, axes = plt.subplots(1, 2, figsize=(7.2, 3.0), sharex=True, layout="constrained")
+    """Errors against noise: exact and telemetered rotor speeds."""
+    figure, grid = plt.subplots(2, 2, figsize=(7.2, 5.2), sharex=True, layout="constrained")
     sigmas = list(TABLE_3)
-    floors = np.array(
-        [least(bound("paper", 20, article_noise(s, 0.05), rounded=True)) for s in sigmas]
-    )
-    for i, (axis, title) in enumerate(
-        zip(axes, ("mean of the ten, median", "largest, 95th percentile"), strict=True)
-    ):
-        axis.plot(sigmas, [TABLE_3[s][i] for s in sigmas], "s-", color=_THEIRS, label="article")
+    for axes, speeds in zip(grid, ("exact", "telemetered"), strict=True):
+        axes[0].set_ylabel(f"error, %; {speeds} speeds")
+        floors = [least(bound(data, "paper", s, speeds)) for s in sigmas]
+        courses = [("article", _THEIRS, "s-", list(TABLE_3.values()))]
         for name, color in (("online", _OURS), ("offline", _BETTER)):
-            label = f"{name} telemetered"
-            found = [
-                summary(
-                    (
-                        kind(data["baseline"], label)
-                        if s == 0.02
-                        else kind(data["sweep"], str(s), label)
-                    )[0]
-                )[i]
-                for s in sigmas
-            ]
-            axis.plot(sigmas, found, "o-", color=color, label=name)
-        axis.plot(sigmas, floors[:, i], "--", color=_BOUND, label="Cramér-Rao bound")
-        axis.set(title=title, xlabel="noise, rad/s", yscale="log", xticks=sigmas)
-        axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.yaxis.set_minor_locator(NullLocator())
-        axis.yaxis.set_major_formatter("{x:g}")
-    axes[0].set_ylabel("error, %")
-    axes[1].legend(fontsize=8)
+            found = [summary(at_noise(data, s, f"{name} {speeds}")) for s in sigmas]
+            courses.append((name, color, "o-", found))
+        courses.append(("Cramér-Rao bound", _BOUND, "--", floors))
+        for i, (axis, what) in enumerate(
+            zip(axes, ("mean of the ten, median", "largest, 95th percentile"), strict=True)
+        ):
+            for label, color, style, points in courses:
+                axis.plot(sigmas, [p[i] for p in points], style, color=color, label=label)
+            axis.set(yscale="log", xticks=sigmas)
+            if speeds == "exact":
+                axis.set_title(what)
+            axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.yaxis.set_minor_locator(NullLocator())
+            axis.yaxis.set_major_formatter("{x:g}")
+    figure.supxlabel("noise, rad/s")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=4)
     return figure
 
 
 def convergence(data: Data) -> Any:
-    """Errors over time, median and the band that holds 95 % of the runs."""
+    """Errors of the first seconds, median and the band that holds 95 % of the runs."""
     outcomes = data["course"]["outcomes"]
     t = np.array(outcomes[0]["t"])
     errors = np.array([o["error"] for o in outcomes])
@@ -74,15 +73,13 @@ def convergence(data: Data) -> Any:
         2, 5, figsize=(8.4, 3.8), sharex=True, sharey=True, layout="constrained"
     )
     for i, (name, axis) in enumerate(zip(NAMES, axes.flat, strict=True)):
-        # Little happens later on: fewer points keep the file small.
-        drawn = (t <= 12.0) | (np.arange(len(t)) % 5 == 0)
-        known = drawn & (t >= 0.0) & np.isfinite(errors[:, :, i]).all(axis=0)
+        known = (t >= 0.0) & (t <= UNTIL) & np.isfinite(errors[:, :, i]).all(axis=0)
         low, middle, high = np.percentile(errors[:, known, i], [2.5, 50.0, 97.5], axis=0)
         axis.fill_between(t[known], low, high, color=_OURS, alpha=0.25, linewidth=0)
         axis.plot(t[known], middle, color=_OURS, linewidth=1.0)
         axis.axhline(5.0, color=_BOUND, linewidth=0.7, linestyle="--")
         axis.axhline(-5.0, color=_BOUND, linewidth=0.7, linestyle="--")
-        axis.set(title=name, ylim=(-20, 20), xlim=(0, t[-1]))
+        axis.set(title=name, ylim=(-10, 10), xlim=(0, UNTIL))
     figure.supxlabel("s from the start of the excitation")
     figure.supylabel("error, %")
     return figure
@@ -91,27 +88,21 @@ def convergence(data: Data) -> Any:
 def peers(data: Data) -> Any:
     """RMS error per parameter, ours and others'."""
     case = data["peers"]
-    figure, axis = plt.subplots(figsize=(7.6, 3.8), layout="constrained")
-    styles = {"ours, online": (_OURS, "o"), "ours, offline": (_BETTER, "D")}
+    figure, axis = plt.subplots(figsize=(7.2, 4.6), layout="constrained")
     labels = [name for name in case["outcomes"][0] if name != "settings"]
-    others = [name for name in labels if name not in styles]
-    palette = plt.get_cmap("autumn")(np.linspace(0.0, 0.85, len(others)))
+    # k_T is the same for all: it comes from the momentum balance.
+    drawn = [i for i, name in enumerate(NAMES) if name != "k_T"]
     for i, name in enumerate(labels):
-        rms = np.sqrt((kind(case, name)[0] ** 2).mean(axis=0))
-        own = styles.get(name)
-        color = own[0] if own else palette[others.index(name)]
-        marker = own[1] if own else "sv^<>Pd"[i % 7]
-        axis.plot(
-            np.arange(len(NAMES)) + 0.06 * (i - len(labels) / 2),
-            rms,
-            marker,
-            color=color,
-            label=name,
-            markersize=6 if own else 4.5,
-        )
-    axis.set_xticks(range(len(NAMES)), NAMES)
-    axis.set(yscale="log", ylabel="RMS error, %", ylim=(3e-4, 3e2))
-    figure.legend(loc="outside right upper", fontsize=8)
+        rms = np.sqrt((kind(case, name)[0] ** 2).mean(axis=0))[drawn]
+        own = {"ours, online": (_OURS, "o"), "ours, offline": (_BETTER, "D")}.get(name)
+        color, marker = own or (_PEERS[i % len(_PEERS)], "sv^<>Pd"[i % 7])
+        at = np.arange(len(drawn)) + 0.07 * (i - len(labels) / 2)
+        size = 6.0 if own else 4.5
+        axis.plot(at, rms, marker, color=color, label=name, markersize=size)
+    axis.set_xticks(range(len(drawn)), [NAMES[i] for i in drawn])
+    axis.set(yscale="log", ylabel="RMS error, %", ylim=(1e-3, 2e2))
+    axis.yaxis.set_major_formatter("{x:g}")
+    figure.legend(loc="outside lower center", ncols=2, fontsize=8)
     return figure
 
 
@@ -123,7 +114,7 @@ def mass_step(data: Data) -> Any:
     figure, axes = plt.subplots(1, 2, figsize=(7.2, 2.8), layout="constrained")
     for axis, names, until, limit in (
         (axes[0], {"mass": 0}, 2.0, 20.0),
-        (axes[1], {"Ixx": 1, "Iyy": 2, "Izz": 3}, float(t[-1]), 10.0),
+        (axes[1], {"Ixx": 1, "Iyy": 2, "Izz": 3}, 20.0, 5.0),
     ):
         for (name, i), color in zip(names.items(), (_OURS, _BETTER, _THEIRS), strict=False):
             known = (t <= until) & np.isfinite(errors[:, :, i]).all(axis=0)
@@ -131,14 +122,20 @@ def mass_step(data: Data) -> Any:
             axis.fill_between(t[known], low, high, color=color, alpha=0.2, linewidth=0)
             axis.plot(t[known], middle, ".-" if i == 0 else "-", color=color, label=name)
         axis.set(xlabel="s after the step", ylim=(-limit, limit), xlim=(0, until))
-        axis.legend(fontsize=8)
+        axis.legend(fontsize=8, loc="lower right", ncols=3)
+    for bar in (-INERTIA_AFTER_MASS_STEP, INERTIA_AFTER_MASS_STEP):
+        axes[1].axhline(bar, color=_BOUND, linewidth=0.7, linestyle="--")
     axes[0].set_ylabel("error, %")
     return figure
 
 
 FIGURES: dict[str, tuple[tuple[str, ...], str, Callable[[Data], Any]]] = {
-    "noise": (("baseline", "sweep"), "Errors against noise", noise),
-    "convergence": (("course",), "Errors over time; 95 % of the runs are in the band", convergence),
+    "noise": (("bounds", "baseline", "sweep", "noisiest"), "Errors against noise", noise),
+    "convergence": (
+        ("course",),
+        "Errors of the first 20 s, 95 % of runs",
+        convergence,
+    ),
     "mass-step": (("changes",), "Mass and moments of inertia after the step", mass_step),
     "peers": (("peers",), "RMS error of each parameter", peers),
 }

@@ -22,6 +22,8 @@ TRUTH = np.array([getattr(VEHICLE, name) for name in NAMES])
 EXCITED_FROM = 2.0
 """s; the missions hover until then."""
 
+PHYSICS_RATE = 1000.0
+"""Hz."""
 RPM = 2.0 * np.pi / 60.0
 """rad/s; ESC_STATUS carries whole ones."""
 MEMS_SPEED_STD = 0.5
@@ -36,20 +38,22 @@ def fly(
     changes: tuple[Change, ...] = (),
 ) -> Flight:
     """One flight without noise."""
-    return fly_ensemble(VEHICLE, MISSIONS[mission], rate, seconds, changes=changes)
+    if rate == PHYSICS_RATE or seconds is not None or changes:
+        return fly_ensemble(VEHICLE, MISSIONS[mission], rate, seconds, changes=changes)
+    return fly_late(mission, rate, 0.0)
 
 
 @lru_cache(maxsize=16)
 def fly_late(mission: str, rate: float, delay: float) -> Flight:
     """The same with rotor speeds that are `delay` s (whole milliseconds) old when stamped."""
-    fine = fly(mission, 1000.0)
-    at = np.arange(0, len(fine.t), round(1000.0 / rate))
+    fine = fly(mission, PHYSICS_RATE)  # flown once for all rates
+    at = np.arange(0, len(fine.t), round(PHYSICS_RATE / rate))
     taken = {
         f.name: getattr(fine, f.name)[:, at]
         for f in fields(Flight)
         if f.name not in ("t", "speeds")
     }
-    before = np.maximum(at - round(1000.0 * delay), 0)  # the vehicle hovers before the start
+    before = np.maximum(at - round(PHYSICS_RATE * delay), 0)  # the vehicle hovers before the start
     return Flight(t=fine.t[at], speeds=fine.speeds[:, before], **taken)
 
 
@@ -119,4 +123,5 @@ def _imbalance(speeds: Array, dt: float, seed: int) -> Array:
     phases = random.uniform(0.0, 2.0 * np.pi, (speeds.shape[1], 3))
     turned = np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) * dt, axis=0)
     angle = np.vstack([np.zeros(speeds.shape[1]), turned])
-    return np.sin(angle[:, :, None] + phases).sum(axis=1)
+    shaken: Array = np.sin(angle[:, :, None] + phases).sum(axis=1)
+    return shaken

@@ -21,14 +21,14 @@ from statsmodels.regression.recursive_ls import RecursiveLS
 from benchmarks.accuracy.estimators import Outcome, in_percent, online, outcome
 from benchmarks.accuracy.flights import GEOMETRY, VEHICLE, fly, measure
 from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.article import Method
 from gcs_sysid.estimation.online import Fit, Tuning
 from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.model import rigid_body as rb
 
 TUNING_SEEDS = (100001, 100002, 100003)
 """The unscented filter, which takes long, is tuned on the first alone."""
-_ARTICLE = ("article", "article-usual-td", "article-stepwise", "central-difference")
-_LABELS = {
+_LABELS: dict[Method, str] = {
     "article": "article, as printed",
     "article-usual-td": "article, usual TD",
     "article-stepwise": "article, stepwise",
@@ -105,7 +105,9 @@ def unscented_filter(samples: Samples, dt: float, setting: float) -> tuple[Array
 
         def slope(k: int, w: Array) -> Array:
             p, q, r = w
-            return drive[k] + products @ np.array([q * r, r * p, p * q, p * p, q * q, r * r])
+            turning: Array = products @ np.array([q * r, r * p, p * q, p * p, q * q, r * r])
+            turning += drive[k]
+            return turning
 
         a = slope(0, w)
         b = slope(1, w + 0.5 * dt * a)
@@ -186,8 +188,8 @@ def tune(noise: str) -> dict[str, float]:
 def all_of(samples: Samples, dt: float, fit: Fit, noise: str) -> dict[str, Any]:
     """Every peer on one flight; {label: outcome}, and the settings chosen."""
     out: dict[str, Any] = {}
-    for method in _ARTICLE:
-        out[_LABELS[method]] = outcome(online(samples, dt, Tuning(method=method)))
+    for method, label in _LABELS.items():
+        out[label] = outcome(online(samples, dt, Tuning(method=method)))
     chosen = tune(noise)
     for name, setting in chosen.items():
         out[name] = _physical(*OUTSIDE[name](samples, dt, setting), fit)
