@@ -30,6 +30,8 @@ PREFERRED_FOR = 1.0
 """s. The next best message is used only when no better one came for this long."""
 LANDED_STATE_FOR = 5.0
 """s. The same for EXTENDED_SYS_STATE, which comes once or twice a second."""
+MOST_PARAMETERS = 4096
+"""Names kept: a hostile sender can make up more than any autopilot has."""
 
 Reader = Callable[[bytes], Record | None]
 
@@ -287,6 +289,8 @@ class RecordDecoder:
         bytewise = self._autopilot == mavlink.MAV_AUTOPILOT_PX4
         name, value = read_parameter(payload, bytewise=bytewise)
         if not name or not math.isfinite(value):
+            return None
+        if len(self.parameters) >= MOST_PARAMETERS and name not in self.parameters:
             return None
         self.parameters[name] = value
         return Record(Stream.PARAMETER, self.clock.now or 0.0, (value,), source=name)

@@ -11,12 +11,7 @@ from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
 from gcs_sysid.telemetry.vehicles import Vehicle, VehicleSelector
 
-MOST_PARAMETERS = 4096
-"""Names kept: a hostile sender can make up more than any autopilot has."""
-
 _HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
-_PARAM_VALUE = MESSAGE_IDS["PARAM_VALUE"]
-_param_id = picker("PARAM_VALUE", "param_id")
 
 
 @dataclass(frozen=True)
@@ -40,7 +35,6 @@ class Intake:
         decoder: makes the records; its `dropped` and `clock` are worth showing.
         monitor: counts and rates.
         turning: names of the messages that have told of all their rotors turning.
-        parameters: names of the vehicle's parameters that have arrived.
         garbage_bytes: set by the caller, from `Receiver` or `TlogReader`.
     """
 
@@ -49,7 +43,6 @@ class Intake:
         self.decoder = RecordDecoder()
         self.monitor = Monitor()
         self.turning: set[str] = set()
-        self.parameters: set[str] = set()
         self.garbage_bytes = 0
         self._others: set[tuple[int, int]] = set()
         self._events: list[IntakeEvent] = []
@@ -106,8 +99,6 @@ class Intake:
         if clock.reboots != reboots:
             self._note("reboot", f"the vehicle's clock went back from {before:.1f} s: reboot")
         self.monitor.take_chosen(frame, clock.now)
-        if frame.message_id == _PARAM_VALUE:
-            self._note_parameter(frame)
         if record is not None:
             self.monitor.take_record(record)
             if record.stream is Stream.ROTOR_SPEED and record.source not in self.turning:
@@ -143,11 +134,6 @@ class Intake:
                 f"more than one vehicle speaks: {other} too; using {chosen}, the first heard "
                 f"(choose with --vehicle {other.system}:{other.component})",
             )
-
-    def _note_parameter(self, frame: Frame) -> None:
-        (name,) = _param_id(frame.payload)
-        if len(self.parameters) < MOST_PARAMETERS:
-            self.parameters.add(name.split(b"\0", 1)[0].decode("ascii", "replace"))
 
     def _note_turning(self, record: Record) -> None:
         # Outputs without a motor stay at zero in messages that have room for more.
