@@ -7,7 +7,7 @@ from typing import Any
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.telemetry.decode import RecordDecoder
 from gcs_sysid.telemetry.frames import Frame, Validity
-from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
+from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
 from gcs_sysid.telemetry.vehicles import Vehicle, VehicleSelector
 
