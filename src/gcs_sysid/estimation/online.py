@@ -9,7 +9,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import article, rotation, translation
-from gcs_sysid.estimation.grid import Grid
+from gcs_sysid.estimation.basis import WIDTH, RotorBasis
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.regression import LeakySums, RowMaker, Samples
@@ -40,8 +40,8 @@ class Tuning:
             `batch_time`, else scores of neighbouring batches say too little of their own scatter.
         delays: s, nodes of rotor delay; one alone is taken as given.
         rotor_input: what the samples hold of the rotors.
-        lags: s, nodes of motor lag, for commands.
-        curves: nodes of the thrust curve, for commands: three fix a parabola, which it is.
+        lags: s, nodes of motor lag, for commands; the first is none.
+        curves: least and greatest thrust curve, for commands; one value is taken as given.
         gyro_cutoff: Hz, low-pass of the autopilot on its gyro; None: there is none.
         settle_interval: s, least time between full fits of a running course, which choose
             leak and delay; later they come when the record has grown by half.
@@ -67,13 +67,13 @@ COMMANDS = Tuning(
     # Commands answer to the gyro's noise: a longer window lets less of that back in.
     half_width=0.2,
     rotor_input="command",
-    delays=(-0.015, 0.0, 0.015, 0.03),
-    lags=(0.0005, 0.0045, 0.0130, 0.0271, 0.0480, 0.0764, 0.1082, 0.1316),
-    curves=(-0.1, 0.5, 1.1),
+    delays=(-0.015, -0.00375, 0.0075, 0.01875, 0.03),
+    lags=(0.0, 0.015, 0.035, 0.06, 0.09, 0.13),
+    curves=(-0.2, 1.2),
 )
 """Tuning for commands as the rotors' input."""
-_FEW_NODES, _BATCHES, _FEWER_BATCHES = 16, 512, 128
-"""Many nodes make large batches; then fewer of them are kept apart."""
+_BATCHES, _FEWER_BATCHES = 512, 256
+"""Rows of commands are wide, and their batches large: fewer are kept apart."""
 
 
 @dataclass(frozen=True)
@@ -122,10 +122,12 @@ class OnlineEstimator:
         self.accelerometer_gain: translation.Gain | None = None
         """How the accelerometer reads against gravity, from an earlier segment."""
         smoother: Smoother
+        half_width = tuning.half_width
         if tuning.smoother == "td":
             smoother = DifferentiatorSmoother(dt, tuning.bandwidth)
         else:
             half = max(tuning.min_half_samples, round(tuning.half_width / dt))
+            half_width = half * dt
             smoother = WindowSmoother(dt, half, tuning.delays)
         self._smoother = smoother
         self._rotors = geometry.shape[1]
@@ -135,14 +137,21 @@ class OnlineEstimator:
         # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
         piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
         self._held = _Held(piece, geometry.shape[1])
-        self._grid = grid = Grid(smoother.delays, tuning.lags, tuning.curves)
-        path = RotorPath(geometry, dt, tuning.rotor_input, grid, tuning.gyro_cutoff)
-        self._rows = RowMaker(path, grid.branches, smoother)
+        commands = tuning.rotor_input == "command"
+        self._basis = basis = RotorBasis(
+            smoother.delays,
+            tuning.lags,
+            tuning.curves,
+            commands=commands,
+            half_width=half_width,
+        )
+        path = RotorPath(geometry, dt, basis, tuning.gyro_cutoff)
+        self._rows = RowMaker(path, basis, smoother)
         self._row_time = smoother.step * dt
         per_batch = max(round(tuning.batch_time / self._row_time), 1)
         self._leaks = LeakySums(self._row_time, tuning.leaks)
-        kept = _BATCHES if grid.size <= _FEW_NODES else _FEWER_BATCHES
-        bank = (len(tuning.leaks), grid.size, rotation.WIDTH, rotation.WIDTH)
+        kept = _FEWER_BATCHES if commands else _BATCHES
+        bank = (len(tuning.leaks), basis.width, basis.width)
         self._rotation = Moments(bank, per_batch, kept)
         self._settle_interval = tuning.settle_interval
         self._followed: dict[str, _Followed] = {}
@@ -152,9 +161,9 @@ class OnlineEstimator:
             if tuning.method == "forward"
             else article.ArticleEstimator(geometry, dt, tuning.method)
         )
-        one = (translation.WIDTH, translation.WIDTH)
-        self._momentum = Moments((grid.branches, 3, *one), per_batch, kept)
-        self._accelerometer = Moments((grid.branches, *one), per_batch, kept)
+        width = len(basis.lags) * basis.sets + 3
+        self._momentum = Moments((3, width, width), per_batch, kept)
+        self._accelerometer = Moments((width, width), per_batch, kept)
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
@@ -185,7 +194,7 @@ class OnlineEstimator:
             self._article.update(samples)
         if rows.rotation.shape[1] == 0:
             return
-        self._rotation.add(self._leaks.update(rows.rotation))
+        self._rotation.add(self._leaks.update(rows.rotation)[:, 0])
         self._momentum.add(_complete(rows.momentum))
         self._accelerometer.add(_complete(rows.accelerometer))
 
@@ -215,7 +224,7 @@ class OnlineEstimator:
             validation = validate(
                 self._rotation.batches,
                 self._rotation.counts,
-                self._grid,
+                self._basis,
                 self._noise(),
                 np.array([self._smoother.noise_gains(m)[1] for m in self._memories]),
                 self.prior,
@@ -229,18 +238,17 @@ class OnlineEstimator:
 
         Args:
             course: to go on with, of the better source alone; None: both, from the data alone.
-            at: (3,) coordinates of the grid; None: its middle.
+            at: (3,) coordinates of the basis; None: its middle.
         """
-        weights = self._grid.branch_weights(
-            self._grid.nodes[self._grid.middle] if at is None else at
-        )
+        where = self._basis.nodes[self._basis.middle] if at is None else at
+        weights = self._basis.thrust_weights(where)
         momentum = None
         if self._momentum.rows * self._row_time > MIN_MOMENTUM_SECONDS:
             momentum = self._fit_momentum(course, weights)
             if course is not None:
                 return momentum, None
         accelerometer = translation.fit_accelerometer(
-            _mixed(weights, self._accelerometer.batches, 1),
+            _mixed(weights, self._accelerometer.batches),
             self._accelerometer.counts,
             self.accelerometer_gain,
         )
@@ -248,11 +256,11 @@ class OnlineEstimator:
 
     def _fit_momentum(self, course: str | None, weights: Array) -> TranslationFit | None:
         moments = self._momentum
-        total = _mixed(weights, moments.total, 0)
+        total = _mixed(weights, moments.total)
         known = None if course is None else self._thrust.get(course)
         if known is not None and known.batches == len(moments.batches):
             return translation.follow_momentum(total, moments.rows, known.fit)
-        fit = translation.fit_momentum(_mixed(weights, moments.batches, 1), moments.counts, total)
+        fit = translation.fit_momentum(_mixed(weights, moments.batches), moments.counts, total)
         if course is not None and fit is not None:
             self._thrust[course] = _FollowedThrust(fit, len(moments.batches))
         return fit
@@ -276,13 +284,13 @@ class OnlineEstimator:
     def _fit_rotation(self, course: str | None) -> rotation.RotationFit | None:
         if self._article:
             return self._article.fit()
-        moments, grid = self._rotation, self._grid
+        moments, basis = self._rotation, self._basis
         known = None if course is None else self._followed.get(course)
         if course is not None and known is not None and self.seconds < known.settle:
             latest = rotation.follow_rotation(
                 moments.total[known.fit.leak],
                 moments.rows,
-                grid,
+                basis,
                 self._noise_of(known.fit.leak),
                 known.fit,
                 self.prior,
@@ -290,7 +298,7 @@ class OnlineEstimator:
             self._followed[course] = _Followed(latest, known.settle)
             return latest
         fit = rotation.fit_rotation(
-            moments.batches, moments.counts, grid, self._noise(), prior=self.prior
+            moments.batches, moments.counts, basis, self._noise(), prior=self.prior
         )
         if course is not None and fit is not None:
             settle = max(self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds)
@@ -302,7 +310,7 @@ class OnlineEstimator:
 
     def _noise_of(self, leak: int) -> Array:
         if self._speed_noise is None:
-            return np.zeros((rotation.WIDTH, rotation.WIDTH))
+            return np.zeros((WIDTH, WIDTH))
         return self._speed_noise.moments(self._smoother, self._memories[leak])
 
 
@@ -360,10 +368,12 @@ def _complete(rows: Array) -> Array:
     return whole
 
 
-def _mixed(weights: Array, moments: Array, axis: int) -> Array:
-    """Moments of the branches, weighed; `axis` is theirs."""
+def _mixed(weights: Array, moments: Array) -> Array:
+    """(..., WIDTH, WIDTH) of rows whose thrusts are mixed by their (thrusts,) weights."""
     if len(weights) == 1:
-        only: Array = np.take(moments, 0, axis)
-        return only
-    mixed: Array = np.tensordot(weights, moments, ([0], [axis]))
+        return moments
+    mixer = np.zeros((translation.WIDTH, moments.shape[-1]))
+    mixer[0, :-3] = weights
+    mixer[1:, -3:] = np.eye(3)
+    mixed: Array = mixer @ moments @ mixer.T
     return mixed
