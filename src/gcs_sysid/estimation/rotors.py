@@ -45,7 +45,7 @@ class RotorPath:
         self._geometry = geometry
         self._commands = basis.commands
         lags = basis.lags
-        self._decay = np.array([np.exp(-dt / lag) if lag > 0.0 else 0.0 for lag in lags])
+        self._filters = [_motor(dt, lag) for lag in lags]
         self._lag_settling = int(np.ceil(_SETTLED * lags[-1] / dt))
         self._sections: Array | None = None
         self._filter_settling = 0
@@ -57,6 +57,7 @@ class RotorPath:
     def restart(self) -> None:
         """What comes next does not join on to what came before."""
         self._last: Array | None = None
+        self._last_command: Array = np.empty(0)
         self._state: Array | None = None
         self._wait = self._settle = 0
 
@@ -90,22 +91,23 @@ class RotorPath:
 
     def _lagged(self, commands: Array) -> Array:
         """(lags, n, rotors) what first-order motors make of commands."""
-        out = np.full((len(self._decay), *commands.shape), np.nan)
+        out = np.full((len(self._filters), *commands.shape), np.nan)
         for run, there in runs(complete_rows(commands)):
             if not there:
                 self._last = None
                 continue
             part = commands[run]
             if self._last is None:
-                self._last = np.repeat(part[:1], len(self._decay), axis=0)
+                self._last = np.repeat(part[:1], len(self._filters), axis=0)
+                self._last_command = part[:1]
                 self._wait = self._lag_settling
             skip = min(self._wait, len(part))
             self._wait -= skip
-            for i, a in enumerate(self._decay):
-                # A command acts from its stamp until the next: the grid's step is the sender's.
-                lagged, _ = lfilter(
-                    [1.0 - a], [1.0, -a], part, axis=0, zi=a * self._last[i : i + 1]
-                )
+            with_last = np.concatenate([self._last_command, part])
+            self._last_command = part[-1:]
+            for i, (a, b0, b1) in enumerate(self._filters):
+                driven = b0 * with_last[1:] + b1 * with_last[:-1]
+                lagged, _ = lfilter([1.0], [1.0, -a], driven, axis=0, zi=a * self._last[i : i + 1])
                 self._last[i] = lagged[-1]
                 out[i, run.start + skip : run.stop] = lagged[skip:]
         return out
@@ -127,6 +129,19 @@ class RotorPath:
             self._settle -= skip
             out[:, run.start + skip : run.stop] = filtered[:, skip:]
         return out
+
+
+def _motor(dt: float, lag: float) -> tuple[float, float, float]:
+    """(a, b0, b1) of w_k = a w_{k-1} + b0 u_k + b1 u_{k-1} for a motor of first order.
+
+    Exact for commands that run straight from stamp to stamp, which has no phase of its own;
+    that a command is held until the next one comes is then part of the delay.
+    """
+    if lag == 0.0:
+        return 0.0, 1.0, 0.0
+    a = float(np.exp(-dt / lag))
+    share = lag / dt * (1.0 - a)
+    return a, 1.0 - share, share - a
 
 
 def _steady(sections: Array | None, first: Array) -> Array:
