@@ -36,8 +36,7 @@ class Tuning:
         half_width: s, half of the window, at high sample rates.
         min_half_samples: the window's half never has fewer samples than this.
         bandwidth: rad/s, R of the differentiator.
-        leaks: s, memories of the leaky sums carried side by side; 0 for none. Well below
-            `batch_time`, else scores of neighbouring batches say too little of their own scatter.
+        leaks: s, memories of the leaky sums carried side by side; 0 for none.
         delays: s, nodes of rotor delay; one alone is taken as given.
         rotor_input: what the samples hold of the rotors.
         lags: s, nodes of motor lag, for commands; the first is none.
@@ -53,7 +52,7 @@ class Tuning:
     half_width: float = 0.1
     min_half_samples: int = 4
     bandwidth: float = 10.0
-    leaks: tuple[float, ...] = (0.0, 0.3)
+    leaks: tuple[float, ...] = (0.0, 0.3, 1.0)
     delays: tuple[float, ...] = tuple(0.01 * k - 0.015 for k in range(8))
     rotor_input: RotorInput = "speed"
     lags: tuple[float, ...] = (0.0,)
@@ -67,6 +66,7 @@ COMMANDS = Tuning(
     # Commands answer to the gyro's noise: a longer window lets less of that back in.
     half_width=0.2,
     rotor_input="command",
+    leaks=(0.0, 0.3),
     delays=(-0.015, -0.00375, 0.0075, 0.01875, 0.03),
     lags=(0.0, 0.015, 0.035, 0.06, 0.09, 0.13),
     curves=(-0.2, 1.2),
