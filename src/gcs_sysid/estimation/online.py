@@ -9,7 +9,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import article, rotation, translation
-from gcs_sysid.estimation.basis import WIDTH, RotorBasis
+from gcs_sysid.estimation.basis import RotorBasis
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.regression import LeakySums, RowMaker, Samples
@@ -130,9 +130,7 @@ class OnlineEstimator:
             half_width = half * dt
             smoother = WindowSmoother(dt, half, tuning.delays)
         self._smoother = smoother
-        self._rotors = geometry.shape[1]
-        # Commands are known as they are.
-        self._speed_noise = SpeedNoise(geometry, dt) if tuning.rotor_input == "speed" else None
+        self._speed_noise = SpeedNoise(geometry, dt, commands=tuning.rotor_input == "command")
         self._memories = tuning.leaks
         # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
         piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
@@ -169,8 +167,7 @@ class OnlineEstimator:
         """A gap: what comes next does not join on to what came before."""
         self._flush()
         self._rows.restart()
-        if self._speed_noise is not None:
-            self._speed_noise.restart()
+        self._speed_noise.restart()
         self._leaks.restart()
         if self._article:
             self._article.restart()
@@ -188,8 +185,7 @@ class OnlineEstimator:
 
     def _take(self, samples: Samples) -> None:
         rows = self._rows.update(samples)
-        if self._speed_noise is not None:
-            self._speed_noise.update(samples.speeds)
+        self._speed_noise.update(samples.speeds)
         if self._article:
             self._article.update(samples)
         if rows.rotation.shape[1] == 0:
@@ -267,9 +263,7 @@ class OnlineEstimator:
 
     @property
     def speed_std(self) -> Array:
-        """(rotors,) rad/s, noise of the rotor speeds; zeros for commands."""
-        if self._speed_noise is None:
-            return np.zeros(self._rotors)
+        """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
         return self._speed_noise.std
 
     def forget_last(self, seconds: float) -> None:
@@ -309,8 +303,6 @@ class OnlineEstimator:
         return np.stack([self._noise_of(leak) for leak in range(len(self._memories))])
 
     def _noise_of(self, leak: int) -> Array:
-        if self._speed_noise is None:
-            return np.zeros((WIDTH, WIDTH))
         return self._speed_noise.moments(self._smoother, self._memories[leak])
 
 

@@ -2,6 +2,10 @@
 
 Noise on an input makes least squares underrate what that input does (errors in variables).
 Where the noise is known, its part of the moments is known too and is taken out again.
+
+Commands are known as they are, but where they come more slowly than the autopilot's loop runs,
+what was commanded in between is not: that acts like noise on them. Their third differences tell
+its size, or a little more than that.
 """
 
 import numpy as np
@@ -16,6 +20,8 @@ ROUNDING_STD = 2.0 * np.pi / 60.0 / np.sqrt(12.0)
 _FAST_ENOUGH = 0.012
 """s. Below this sample time a rotor hardly moves within four samples, so that what is left of
 them after a parabola is taken out is noise; above, motion and noise cannot be told apart."""
+_AS_LOOPS = 0.008
+"""s. Commands that come more often miss nothing that matters."""
 _THIRD_DIFFERENCE = 20.0
 """1 + 9 + 9 + 1: variance of a third difference over that of white noise."""
 
@@ -28,10 +34,12 @@ class SpeedNoise:
     Args:
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
+        commands: whether these are commands, 0 to 1, and not speeds.
     """
 
-    def __init__(self, geometry: Array, dt: float) -> None:
+    def __init__(self, geometry: Array, dt: float, *, commands: bool = False) -> None:
         self._dt = dt
+        self._commands = commands
         rotors = geometry.shape[1]
         self._samples = 0
         self._sums = np.zeros((2, rotors))  # of Omega and Omega^2
@@ -69,7 +77,14 @@ class SpeedNoise:
 
     @property
     def std(self) -> Array:
-        """(rotors,) rad/s."""
+        """(rotors,) rad/s, or 1 for commands."""
+        if self._commands:
+            if self._dt < _AS_LOOPS or self._differences < 100:
+                return np.zeros(self._sums.shape[1])
+            missed: Array = np.sqrt(
+                self._difference_squares / self._differences / _THIRD_DIFFERENCE
+            )
+            return missed
         floor = np.full(self._sums.shape[1], ROUNDING_STD)
         if self._dt > _FAST_ENOUGH or self._differences < 100:
             return floor
@@ -88,6 +103,10 @@ class SpeedNoise:
         if self._samples == 0:
             return out
         average, derivative = smoother.noise_gains(memory)
+        if self._commands:
+            # Near half throttle thrust follows the command one to one, whatever the curve.
+            out[:4, :4] = average * (self._mix * self.std**2) @ self._mix.T
+            return out
         mean_square = self._sums[1] / self._samples
         mix, variance = self._mix, self.std**2
         out[:4, :4] = average * (mix * (4.0 * mean_square * variance)) @ mix.T
