@@ -115,14 +115,14 @@ def follow(
         from gcs_sysid.screen.app import SysidApp
 
         app = SysidApp(session, truth)
-        with _on_signals(app.exit):
+        with on_signals(app.exit):
             session.start()
             try:
                 app.run()
             finally:
                 session.stop()
     else:
-        with _on_signals(session.request_stop):
+        with on_signals(session.request_stop):
             session.start()
             _say_until_end(session)
     if session.problem is not None:
@@ -140,7 +140,7 @@ def follow(
 
 
 @contextlib.contextmanager
-def _on_signals(stop: Callable[[], None]) -> Iterator[None]:
+def on_signals(stop: Callable[[], None]) -> Iterator[None]:
     """Ctrl-C, SIGTERM and a lost terminal end the session cleanly, with its result."""
 
     def act(_number: int, _frame: FrameType | None) -> None:
