@@ -1,7 +1,6 @@
 """`gcs-sysid inspect`: what is in a log or on a link, and whether it can be identified from."""
 
 import argparse
-import contextlib
 import json
 import shutil
 import sys
@@ -10,7 +9,7 @@ from pathlib import Path
 
 from gcs_sysid.cli import output
 from gcs_sysid.cli.inspection_text import report
-from gcs_sysid.cli.live import on_signals
+from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.errors import InputError
 from gcs_sysid.session.inspection.facts import Inspection
 from gcs_sysid.session.inspection.inspector import inspect_link, inspect_log
@@ -58,9 +57,8 @@ def _link(options: argparse.Namespace) -> Inspection:
     except InputError as error:
         raise InputError(f"{options.target} is no file; {error}") from error
     stop = threading.Event()
-    with contextlib.ExitStack() as stack:
-        link = open_link(url)
-        stack.enter_context(on_signals(stop.set))
+    link = open_link(url)
+    with on_signals(stop.set):
         return inspect_link(
             link,
             options.duration,

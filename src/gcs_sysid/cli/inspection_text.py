@@ -110,6 +110,8 @@ def _streams(found: Inspection, width: int) -> list[str]:
             f"{'missing':>9}{'repeats':>9}"
         )
         lines += [_stream_row(stream) for stream in found.streams]
+    elif found.systems:
+        lines.append("Messages")
     messages = found.telemetry.get("messages", {})
     used = {stream.message for stream in found.streams}
     others = {name: entry for name, entry in messages.items() if name not in used}

@@ -84,7 +84,7 @@ class AxisMotion:
     rate_rms: float
     """rad/s."""
     acceleration_rms: float
-    """rad/s^2, below about 10 Hz."""
+    """rad/s^2, below about 5 Hz."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +132,8 @@ class Inspection:
     telemetry: Mapping[str, Any]
     """As in a result: counts, losses, messages."""
     rotor_input: RotorInput = field(default_factory=lambda: RotorInput(None, ()))
+    problems: tuple[str, ...] = ()
+    """Why a link brings too little, as far as the link itself tells."""
     findings: tuple[Finding, ...] = ()
 
     @property

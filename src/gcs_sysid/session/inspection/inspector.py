@@ -179,7 +179,12 @@ class Inspector:
             self._motion.take(chunk.t, chunk.values[:, :3], watch.usual_step)
 
     def finish(
-        self, source: str, kind: str, telemetry: Telemetry, drift_ppm: float | None
+        self,
+        source: str,
+        kind: str,
+        telemetry: Telemetry,
+        drift_ppm: float | None,
+        problems: tuple[str, ...] = (),
     ) -> Inspection:
         """All that was found, judged.
 
@@ -188,6 +193,7 @@ class Inspector:
             kind: as `Inspection.kind`.
             telemetry: what the log or link tells beside its records.
             drift_ppm: of the vehicle's clock.
+            problems: that a link has.
         """
         self._look_at_all()
         told_by = self._flight.told_by
@@ -216,6 +222,7 @@ class Inspector:
             parameter_count=len(telemetry.parameters),
             telemetry=counts,
             rotor_input=choose_rotor_input(sources, flown=bool(self._flight.spans)),
+            problems=problems,
         )
         return replace(inspection, findings=findings_of(inspection))
 
@@ -373,4 +380,4 @@ def inspect_link(
         station.close()
     if progress:
         progress(1.0)
-    return inspector.finish(str(link.url), "link", intake, drift.ppm)
+    return inspector.finish(str(link.url), "link", intake, drift.ppm, station.problems)

@@ -1,6 +1,7 @@
 """Whether a vehicle can be identified from what was found, in a pilot's words."""
 
 from collections.abc import Iterator
+from typing import Literal
 
 from gcs_sysid.records import Stream
 from gcs_sysid.session.inspection.facts import AXES, ONBOARD, Finding, Inspection
@@ -13,10 +14,10 @@ NEARLY = 0.9
 """A nominal rate comes a little slower."""
 ATTITUDE_FROM = 5.0
 """Hz."""
-SHORT, TOO_SHORT = 20.0, 5.0
+SHORT, TOO_SHORT = 15.0, 5.0
 """s of flight."""
-LITTLE = {"roll": 0.5, "pitch": 0.5, "yaw": 0.15}
-"""rad/s^2 rms below which gusts and errors of the model weigh as much as the manoeuvres."""
+LITTLE = {"roll": 1.0, "pitch": 1.0, "yaw": 0.25}
+"""rad/s^2 rms. Five times what a hover in light wind shows."""
 LOSS_TOLD, LOSS_HURTS = 2.0, 20.0
 """Percent of the IMU's samples or of all messages."""
 GARBAGE_TOLD = 1000
@@ -42,6 +43,8 @@ def findings_of(inspection: Inspection) -> tuple[Finding, ...]:
 
 
 def _findings(found: Inspection) -> Iterator[Finding]:
+    for problem in found.problems:
+        yield Finding("limits", problem)
     if found.vehicle is None:
         yield _no_vehicle(found)
         return
@@ -58,11 +61,11 @@ def _no_vehicle(found: Inspection) -> Finding:
     if not found.heard:
         return Finding("blocks", "nothing was heard", "check the link, its port and its baud rate")
     names = ", ".join(map(str, found.systems))
-    return Finding(
-        "blocks",
-        f"no heartbeat of the autopilot was heard; heard: {names}",
-        "see whether --vehicle names it rightly, and whether it is switched on",
-    )
+    if any(system.is_autopilot for system in found.systems):
+        text = f"the vehicle wanted was not heard; heard: {names}"
+        return Finding("blocks", text, "name one of these with --vehicle")
+    text = f"no heartbeat of an autopilot was heard; heard: {names}"
+    return Finding("blocks", text, "see whether it is switched on, and sends to this link")
 
 
 def _faster(found: Inspection) -> str:
@@ -79,12 +82,9 @@ def _imu(found: Inspection) -> Iterator[Finding]:
         text = f"{imu.message} comes at {rate:.1f} Hz; identification needs {NEEDED_RATE:.0f} Hz"
         yield Finding("blocks", text, _faster(found))
     elif rate < NEARLY * COMMANDS_FROM:
-        level, what = ("note", "slow") if rate >= NEARLY * NEEDED_RATE else ("limits", "too slow")
-        yield Finding(
-            level,  # type: ignore[arg-type]
-            f"{imu.message} at {rate:.0f} Hz is {what} for a small vehicle, which turns faster",
-            _faster(found),
-        )
+        needed = rate >= NEARLY * NEEDED_RATE
+        text = f"{imu.message} at {rate:.0f} Hz is {'' if needed else 'too '}slow for quick motion"
+        yield Finding("note" if needed else "limits", text, _faster(found))
     # PX4's IMU data come from before its filter.
     cutoff = found.parameters.get("INS_GYRO_FILTER", 0.0)
     if 0.0 < cutoff < SLOW_FILTER:
@@ -173,11 +173,13 @@ def _is_little(found: Inspection, axis: str) -> bool:
 def _losses(found: Inspection) -> Iterator[Finding]:
     imu = found.stream(Stream.IMU)
     lost = float(found.telemetry.get("lost_percent", 0.0))
-    missing = max(lost, imu.missing_percent if imu else 0.0)
-    if missing > LOSS_TOLD:
-        text = f"{missing:.0f} % of the messages are missing"
-        advice = "" if found.kind in ONBOARD else "move closer, or ask for less (--rate)"
-        yield Finding("limits" if missing > LOSS_HURTS else "note", text, advice)
+    skipped = imu.missing_percent if imu else 0.0
+    if lost > LOSS_TOLD:
+        advice = "" if found.kind in ONBOARD else "fly nearer, or ask for less (--rate)"
+        yield Finding(_loss_level(lost), f"{lost:.0f} % of the messages were lost", advice)
+    elif imu and skipped > LOSS_TOLD:
+        text = f"{skipped:.0f} % of {imu.message} was never sent, by its stamps"
+        yield Finding(_loss_level(skipped), text)
     if imu and imu.gaps:
         text = f"{imu.gaps} gaps in {imu.message}, the longest {imu.longest_gap:.1f} s"
         yield Finding("note", text)
@@ -194,6 +196,10 @@ def _losses(found: Inspection) -> Iterator[Finding]:
             f"the autopilot could not write for {drops['seconds']:.1f} s ({drops['count']} times)"
         )
         yield Finding("note", text, "use a faster SD card")
+
+
+def _loss_level(percent: float) -> Literal["limits", "note"]:
+    return "limits" if percent > LOSS_HURTS else "note"
 
 
 def _others(found: Inspection) -> Iterator[Finding]:

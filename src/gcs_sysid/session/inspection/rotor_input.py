@@ -56,6 +56,9 @@ def _fault(source: RotorSource, *, flown: bool) -> str:
     if len(source.rotors) < 3:
         return f"tells of {len(source.rotors)} rotors only"
     dead = source.dead
+    new = source.rate * (1.0 - 0.01 * source.repeats_percent)
+    if source.kind == "speed" and not dead and new < LEAST_RATE:
+        return f"repeats old readings, {new:.0f} new ones a second"
     if len(dead) == len(source.rotors):
         return "all zero in flight" if source.kind == "speed" else "does not change in flight"
     if dead:

@@ -9,7 +9,7 @@ from itertools import zip_longest
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.session.inspection.facts import AxisMotion, RotorFacts
 from gcs_sysid.telemetry.monitor import GAP
 
@@ -18,7 +18,7 @@ CHUNK = 4096
 SKIPPED_FROM = 1.7
 """Usual steps from which a step has skipped samples: ArduPilot's 250 Hz are steps of 2.5 and
 5 ms, 1.25 times the usual 4 ms."""
-BIN = 0.05
+BIN = 0.1
 """s over which the gyro is averaged for the motion of an axis."""
 _SAMPLES_PER_BIN = 4
 
@@ -219,7 +219,7 @@ class MotionWatch:
             return
         even = _means(place[::2], gyro[::2], place[-1] + 1)
         odd = _means(place[1::2], gyro[1::2], place[-1] + 1)
-        there = np.isfinite(even).all(axis=1) & np.isfinite(odd).all(axis=1)
+        there: Mask = np.asarray(np.isfinite(even + odd).all(axis=1))
         self._bins += int(there.sum())
         self._sum += 0.5 * (even + odd)[there].sum(axis=0)
         self._rate_power += (even * odd)[there].sum(axis=0)
