@@ -368,12 +368,12 @@ def inspect_link(
             if intake.clock is not None:
                 drift.take(intake.clock, now)
             station.follow(now, intake)
+            passed = now - (began if heard is None else heard)
             if now - asked >= _ASK_EVERY:
                 asked = now
                 station.tick(now, intake)
-            passed = now - (began if heard is None else heard)
-            if progress:
-                progress(0.0 if heard is None else min(passed / duration, 0.999))
+                if progress:
+                    progress(0.0 if heard is None else min(passed / duration, 0.99))
             if passed >= duration:
                 break
     finally:
