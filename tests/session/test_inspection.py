@@ -378,6 +378,7 @@ def test_a_link_is_asked_for_streams_and_given_its_rates_back(recording):
     assert ids == {0, 20, 76}  # HEARTBEAT, PARAM_REQUEST_READ, COMMAND_LONG
     # What came before the answer to the requests does not count.
     assert found.stream(Stream.IMU).samples == pytest.approx(300, abs=10)
+    assert found.stream(Stream.VELOCITY).message == "LOCAL_POSITION_NED"
 
 
 def test_silence_is_told():

@@ -271,10 +271,11 @@ def _stream_facts(key: Key, watch: StreamWatch, messages: Mapping[str, int]) -> 
     tally = watch.tally
     samples = watch.flight.samples + watch.ground.samples
     candidates = [name for name in _MESSAGES.get(stream, ()) if name in messages]
-    nearest = min(candidates, key=lambda name: abs(messages[name] - samples), default=str(stream))
+    # The best that comes is taken, and a message makes at most one sample.
+    enough = [name for name in candidates if messages[name] >= samples]
     return StreamFacts(
         stream=stream,
-        message=source or nearest,
+        message=source or next(iter(enough or candidates), str(stream)),
         offset=offset,
         samples=tally.samples,
         rate=tally.rate,
