@@ -137,7 +137,7 @@ def test_the_program_itself(case, files):
     assert names in done.stderr
 
 
-@pytest.mark.parametrize("argument", ["--help", "--version", "analyze --help", "demo --help"])
+@pytest.mark.parametrize("argument", ["--help", "--version", "analyze --help", "inspect --help"])
 def test_help_and_version_load_nothing_heavy(argument):
     code = (
         "import sys\nfrom gcs_sysid.__main__ import main\nstatus = main(sys.argv[1:])\n"

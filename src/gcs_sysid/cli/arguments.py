@@ -102,31 +102,39 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--record", metavar="FILE", help="record the flight to a .tlog")
 
 
-def add_live(parser: argparse.ArgumentParser) -> None:
-    """Options of `live`."""
-    parser.add_argument("url", metavar="URL", help="such as udpin:0.0.0.0:14550")
-    _add_airframe(parser)
-    parser.add_argument(
-        "--baud", type=int, metavar="N", help="of a serial port (default 115200); limits the rates"
-    )
-    parser.add_argument("--record", metavar="FILE", help="default: a dated .tlog under logs/")
-    parser.add_argument("--no-record", action="store_true", help="keep no recording")
-    parser.add_argument("--listen-only", action="store_true", help="send nothing at all")
-    parser.add_argument(
-        "--rate", type=rate, default=250.0, metavar="HZ", help="to ask for (default 250)"
-    )
+def _add_vehicle_choice(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--vehicle",
         type=vehicle_address,
         metavar="SYSID[:COMPID]",
         help="where several speak (default: the first autopilot heard)",
     )
-    parser.add_argument(
+
+
+def _add_link(group: argparse._ActionsContainer) -> None:
+    group.add_argument(
+        "--baud", type=int, metavar="N", help="of a serial port (default 115200); limits the rates"
+    )
+    group.add_argument("--listen-only", action="store_true", help="send nothing at all")
+    group.add_argument(
+        "--rate", type=rate, default=250.0, metavar="HZ", help="to ask for (default 250)"
+    )
+    group.add_argument(
         "--signing-key",
         metavar="FILE",
         help="MAVLink 2 signing: 32 bytes, 64 hexadecimal digits or a line with the passphrase; "
         "what is not signed with it is refused",
     )
+
+
+def add_live(parser: argparse.ArgumentParser) -> None:
+    """Options of `live`."""
+    parser.add_argument("url", metavar="URL", help="such as udpin:0.0.0.0:14550")
+    _add_airframe(parser)
+    parser.add_argument("--record", metavar="FILE", help="default: a dated .tlog under logs/")
+    parser.add_argument("--no-record", action="store_true", help="keep no recording")
+    _add_link(parser)
+    _add_vehicle_choice(parser)
     parser.add_argument("--headless", action="store_true", help="print instead of the screen")
     parser.add_argument("--json", metavar="FILE", help="snapshots, one a line; - is stdout")
     parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
@@ -160,6 +168,29 @@ def add_analyze(parser: argparse.ArgumentParser) -> None:
         help="forward (default), the same with a tracking differentiator instead of the window, "
         "or a variant of the article's own chain, for study",
     )
+
+
+def add_inspect(parser: argparse.ArgumentParser) -> None:
+    """Options of `inspect`."""
+    # Left out by `inspect --json LOG`, see the command.
+    parser.add_argument("target", nargs="?", metavar="LOG|URL")
+    parser.add_argument(
+        "--json",
+        nargs="?",
+        const="-",
+        metavar="FILE",
+        help="as JSON: instead of the text, or to FILE beside it",
+    )
+    _add_vehicle_choice(parser)
+    link = parser.add_argument_group("of a link")
+    link.add_argument(
+        "--duration",
+        type=positive,
+        default=10.0,
+        metavar="S",
+        help="listen for S seconds once the vehicle has spoken (default 10)",
+    )
+    _add_link(link)
 
 
 def airframe_of(options: argparse.Namespace) -> "Airframe":

@@ -1,17 +1,15 @@
 """`gcs-sysid live`: identify a vehicle while it flies."""
 
 import argparse
-import contextlib
-import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from types import FrameType
 from typing import TextIO
 
 from gcs_sysid.cli import arguments, output
+from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.session.live import LiveOptions, LiveSession
 from gcs_sysid.session.result import Result
@@ -115,14 +113,14 @@ def follow(
         from gcs_sysid.screen.app import SysidApp
 
         app = SysidApp(session, truth)
-        with _on_signals(app.exit):
+        with on_signals(app.exit):
             session.start()
             try:
                 app.run()
             finally:
                 session.stop()
     else:
-        with _on_signals(session.request_stop):
+        with on_signals(session.request_stop):
             session.start()
             _say_until_end(session)
     if session.problem is not None:
@@ -137,23 +135,6 @@ def follow(
     for line in session.recordings():
         print(line, file=sys.stderr)
     return 1 if session.final.verdict == "refused" else 0
-
-
-@contextlib.contextmanager
-def _on_signals(stop: Callable[[], None]) -> Iterator[None]:
-    """Ctrl-C, SIGTERM and a lost terminal end the session cleanly, with its result."""
-
-    def act(_number: int, _frame: FrameType | None) -> None:
-        stop()
-
-    names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows has no SIGHUP
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    before = {number: signal.signal(number, act) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _say_until_end(session: LiveSession) -> None:

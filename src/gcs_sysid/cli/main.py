@@ -52,6 +52,15 @@ def build_parser() -> argparse.ArgumentParser:
         "ArduPilot.",
     )
     arguments.add_analyze(analyze)
+    inspect = commands.add_parser(
+        "inspect",
+        help="see what is in a log or on a link",
+        description="Tells what is in a log (.tlog, .ulg, .bin) or comes over a link: systems, "
+        "messages, rates, gaps, clock, rotor input, motion; and whether the vehicle can be "
+        "identified from it. A link is asked for the streams, as by live, and given its rates "
+        "back.",
+    )
+    arguments.add_inspect(inspect)
     return parser
 
 

@@ -1,0 +1,258 @@
+"""An inspection as text for a terminal."""
+
+import textwrap
+from collections.abc import Iterable, Mapping
+
+from gcs_sysid.records import Stream
+from gcs_sysid.session.inspection.facts import Inspection, RotorSource, StreamFacts, role
+from gcs_sysid.session.inspection.parameters import GROUPS, group_of
+from gcs_sysid.session.inspection.readiness import LITTLE
+from gcs_sysid.telemetry.rotors import RPM
+
+_KINDS = {
+    "tlog": "recording of a ground station (.tlog)",
+    "ulog": "PX4's own log (.ulg)",
+    "dataflash": "ArduPilot's own log (.bin)",
+    "link": "live link",
+}
+_ROLES = {
+    "vehicle": "vehicle",
+    "radio": "telemetry radio",
+    "gcs": "ground station",
+    "other": "other",
+    "unknown": "no heartbeat",
+}
+_STREAMS = {
+    Stream.IMU: "IMU",
+    Stream.ATTITUDE: "attitude",
+    Stream.ROTOR_SPEED: "rotor speed",
+    Stream.ROTOR_COMMAND: "commands",
+    Stream.VELOCITY: "velocity",
+}
+_TOLD_BY = {
+    "autopilot": "",
+    "rotors": " (armed with rotors turning: the autopilot does not say)",
+    "arming": " (armed: the autopilot does not say whether it flies)",
+    "": "",
+}
+_VERDICTS = {"yes": "YES", "partly": "PARTLY", "no": "NO"}
+_NAME = 14
+"""Columns of the names at the left."""
+_TIE = "\u00a0"
+"""A space at which lines do not break."""
+_OTHERS_NAMED = 6
+_FLIGHTS_NAMED = 8
+
+
+def report(found: Inspection, width: int = 80) -> str:
+    """All that was found, in lines of at most `width` columns where words allow it."""
+    parts = [
+        _head(found, width),
+        _systems(found),
+        _streams(found, width),
+        _clock(found, width),
+        _rotors(found, width),
+        _motion(found),
+        _parameters(found, width),
+        _verdict(found, width),
+    ]
+    return "\n\n".join("\n".join(part) for part in parts if part)
+
+
+def _entry(name: str, text: str, width: int) -> list[str]:
+    """A name at the left and its text beside it, wrapped."""
+    lines = textwrap.wrap(
+        text,
+        max(width, 40),
+        initial_indent=f"{name:<{_NAME}}",
+        subsequent_indent=" " * _NAME,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return [line.replace(_TIE, " ") for line in lines]
+
+
+def _head(found: Inspection, width: int) -> list[str]:
+    lines = [found.source, f"{_KINDS[found.kind]}, {found.duration:.1f} s"]
+    if found.flights:
+        spans = [f"{start:.0f}-{end:.0f} s" for start, end in found.flights[:_FLIGHTS_NAMED]]
+        more = [f"{len(found.flights) - _FLIGHTS_NAMED} more"] * (
+            len(found.flights) > _FLIGHTS_NAMED
+        )
+        count = "1 flight" if len(found.flights) == 1 else f"{len(found.flights)} flights"
+        text = f"in the air {found.in_air:.1f} s, {count}: {', '.join(spans + more)}"
+        lines += textwrap.wrap(text + _TOLD_BY[found.flight_told_by], width)
+    elif found.flight_told_by:
+        lines.append("never in the air" + _TOLD_BY[found.flight_told_by])
+    return lines
+
+
+def _systems(found: Inspection) -> list[str]:
+    if not found.systems:
+        return []
+    rows = []
+    for system in found.systems:
+        address = f"{system.system}:{system.component}"
+        name = str(system).removesuffix(address).strip()
+        what = _ROLES[role(system)]
+        chosen = ", inspected" if system.address == found.vehicle_address else ""
+        rows.append((address, name or "?", what + chosen))
+    wide = max(len(name) for _, name, _ in rows)
+    return ["Systems", *(f"  {a:<{_NAME - 2}}{n:<{wide}}  {w}".rstrip() for a, n, w in rows)]
+
+
+def _streams(found: Inspection, width: int) -> list[str]:
+    where = "in flight" if found.flights else "all of it"
+    lines = []
+    if found.streams:
+        lines.append(
+            f"{'Streams':<{_NAME}}{where:<22}{'rate':>10}{'gaps':>6}{'longest':>9}"
+            f"{'missing':>9}{'repeats':>9}"
+        )
+        lines += [_stream_row(stream) for stream in found.streams]
+    elif found.systems:
+        lines.append("Messages")
+    messages = found.telemetry.get("messages", {})
+    used = {stream.message for stream in found.streams}
+    others = {name: entry for name, entry in messages.items() if name not in used}
+    if others:
+        lines += _entry("  other", _others(others), width)
+    received = found.telemetry.get("received", 0)
+    if received:
+        lines += _entry("  all", f"{received} messages, {_losses(found.telemetry)}", width)
+    return lines
+
+
+def _stream_row(stream: StreamFacts) -> str:
+    rate = "-" if stream.rate is None else f"{stream.rate:.1f} Hz"
+    longest = f"{stream.longest_gap:.1f} s" if stream.gaps else "-"
+    return (
+        f"  {_STREAMS.get(stream.stream, stream.stream):<{_NAME - 2}}{stream.message:<22}{rate:>10}"
+        f"{stream.gaps:>6}{longest:>9}"
+        f"{_percent(stream.missing_percent):>9}{_percent(stream.repeats_percent):>9}"
+    )
+
+
+def _percent(value: float) -> str:
+    return f"{value:.1f} %" if value else "-"
+
+
+def _others(messages: Mapping[str, Mapping[str, float | None]]) -> str:
+    by_count = sorted(messages.items(), key=lambda item: -(item[1]["count"] or 0.0))
+    named = []
+    for name, entry in by_count[:_OTHERS_NAMED]:
+        rate = entry["rate"]
+        named.append(name if rate is None else f"{name}{_TIE}{_short(rate)}{_TIE}Hz")
+    more = ["..."] if len(by_count) > _OTHERS_NAMED else []
+    kinds = "1 kind" if len(by_count) == 1 else f"{len(by_count)} kinds"
+    return f"{kinds}: {', '.join(named + more)}"
+
+
+def _losses(telemetry: Mapping[str, float]) -> str:
+    words = [f"{telemetry.get('lost', 0)} lost ({telemetry.get('lost_percent', 0.0):.2f} %)"]
+    for key, what in (
+        ("unknown", "of unknown kinds"),
+        ("bad_crc", "with a wrong checksum"),
+        ("garbage_bytes", "bytes of garbage"),
+    ):
+        if telemetry.get(key):
+            words.append(f"{telemetry[key]} {what}")
+    return ", ".join(words)
+
+
+def _clock(found: Inspection, width: int) -> list[str]:
+    if found.vehicle is None:
+        return []
+    drift = found.clock.drift_ppm
+    if drift is None:
+        against = "drift not known"
+    else:
+        way = "fast" if drift >= 0.0 else "slow"
+        against = f"{abs(drift):.0f} ppm {way} against the computer that received"
+    text = (
+        f"the autopilot's; {against}; {_times(found.clock.reboots, 'reboot')}, "
+        f"{_times(found.clock.wraps, 'wrap')} of a 32-bit stamp"
+    )
+    return _entry("Clock", text, width)
+
+
+def _times(count: int, what: str) -> str:
+    return f"{count or 'no'} {what}{'s' if count > 1 else ''}"
+
+
+def _rotors(found: Inspection, width: int) -> list[str]:
+    if not found.rotor_sources:
+        return []
+    chosen = found.rotor_input.chosen
+    shown = chosen or min(found.rotor_sources, key=lambda source: source.kind == "command")
+    what = "measured speeds" if shown.kind == "speed" else "commands"
+    text = f"{shown.message}, {what} at {_short(shown.rate or 0.0)} Hz"
+    lines = _entry("Rotor input", text if chosen else f"none is usable; {text}", width)
+    if shown.rotors:
+        unit = "rpm" if shown.kind == "speed" else "output"
+        lines.append(f"{'  motor':<{_NAME}}{'lowest':>9}{'mean':>9}{'highest':>9}  {unit}")
+        lines += _rotor_rows(shown)
+    for source in found.rotor_sources:
+        if source is not shown:
+            dead = ", ".join(map(str, source.dead))
+            silent = f", nothing of motor {dead}" if dead else ""
+            lines += _entry(
+                "  also", f"{source.message} {_short(source.rate or 0.0)} Hz{silent}", width
+            )
+    return lines
+
+
+def _rotor_rows(source: RotorSource) -> Iterable[str]:
+    scale = 1.0 / RPM if source.kind == "speed" else 1.0
+    digits = 3 if scale == 1.0 and max(rotor.high for rotor in source.rotors) < 10.0 else 0
+    for motor, rotor in enumerate(source.rotors, 1):
+        values = "".join(f"{scale * v:>9.{digits}f}" for v in (rotor.low, rotor.mean, rotor.high))
+        dead = "  dead" if motor in source.dead else ""
+        yield f"  {motor:<{_NAME - 2}}{values}{dead}"
+
+
+def _motion(found: Inspection) -> list[str]:
+    if not found.motion:
+        return []
+    lines = [f"{'Motion':<{_NAME}}{'rate rms':>12}{'acceleration rms':>22}"]
+    for axis, motion in found.motion.items():
+        little = "  too little" if motion.acceleration_rms < LITTLE[axis] else ""
+        lines.append(
+            f"  {axis:<{_NAME - 2}}{motion.rate_rms:>6.2f} rad/s"
+            f"{motion.acceleration_rms:>14.2f} rad/s^2{little}"
+        )
+    return lines
+
+
+def _parameters(found: Inspection, width: int) -> list[str]:
+    if not found.parameter_count:
+        return []
+    lines = [f"Parameters    {len(found.parameters)} of {found.parameter_count} matter"]
+    for group in GROUPS:
+        own = {name: v for name, v in found.parameters.items() if group_of(name) == group}
+        if own:
+            lines += _entry(
+                f"  {group}", ", ".join(f"{n}{_TIE}{v:.6g}" for n, v in own.items()), width
+            )
+    return lines
+
+
+def _verdict(found: Inspection, width: int) -> list[str]:
+    lines = [f"Can be identified from: {_VERDICTS[found.verdict]}"]
+    for i, finding in enumerate(found.findings):
+        mark = "-" if finding.level == "note" else "!"
+        lines += textwrap.wrap(
+            finding.text, width, initial_indent=f"  {mark} ", subsequent_indent="    "
+        )
+        following = found.findings[i + 1 :]
+        if finding.advice and not any(f.advice == finding.advice for f in following):
+            lines += textwrap.wrap(
+                finding.advice, width, initial_indent="    -> ", subsequent_indent="       "
+            )
+    if found.verdict != "no" and found.kind != "link":
+        lines += ["", f"Next: gcs-sysid analyze {found.source} --airframe FILE --mass KG"]
+    return lines
+
+
+def _short(rate: float) -> str:
+    return f"{rate:.0f}" if rate >= 20.0 else f"{rate:.1f}"
