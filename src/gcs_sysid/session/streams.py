@@ -197,7 +197,7 @@ def interpolate(t: Array, v: Array, grid: Array, gap: float) -> Array:
     past, ahead = grid - before, after - grid
     step = after - before
     inside = (past >= 0.0) & (ahead >= 0.0) & (step <= gap)
-    out = v[left] + (past / step)[:, None] * (v[right] - v[left])
+    out: Array = v[left] + (past / step)[:, None] * (v[right] - v[left])
     # A sample exactly on the grid is taken as it is, even beside a gap.
     on_left, on_right = np.abs(past) < _SAME, np.abs(ahead) < _SAME
     first, last = np.maximum(left - 1, 0), np.minimum(right + 1, m - 1)
@@ -219,7 +219,7 @@ def interpolate(t: Array, v: Array, grid: Array, gap: float) -> Array:
                     d[0] * d[1] * d[2] / ((a + b + c) * (b + c) * c),
                 ]
             )
-            curve = np.einsum("in,inw->nw", weights, v[index])
+            curve: Array = np.einsum("in,inw->nw", weights, v[index])
         if cubic.all():
             return curve
         np.copyto(out, curve, where=cubic[:, None])
