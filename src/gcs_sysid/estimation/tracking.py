@@ -36,8 +36,9 @@ _CONTAMINATED = 0.3
 """s before a change's onset that are forgotten too: windows reach over it."""
 _INERTIA_MOVES, _CG_MOVES = 0.25, 0.2
 """How far a change may take inertia (share of it) and CG (share of the arm), one std."""
-_STAY = 2.0
-"""s on the ground after which a flight has ended; less is a hop, or a state told wrongly."""
+_STAY = 3.0
+"""s of no flight after which the next is another one: two on the ground and one of taking off.
+Less is a hop, or a state told wrongly."""
 _AWAY = 10.0
 """s of silence in which the vehicle may have landed and been changed."""
 _TOUCHDOWN = 1.0
