@@ -1,5 +1,7 @@
 """The time base: interpolation, order of arrival, gaps, repeats, and clocks that jump."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,6 +10,7 @@ from hypothesis import strategies as st
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.session.streams import interpolate
 from gcs_sysid.session.timebase import TimeBase
+from gcs_sysid.telemetry.logs import open_log
 
 IMU, ATTITUDE, SPEED = ((s, "", 0) for s in (Stream.IMU, Stream.ATTITUDE, Stream.ROTOR_SPEED))
 WIDTH = {Stream.IMU: 6, Stream.ATTITUDE: 4, Stream.ROTOR_SPEED: 4, Stream.IN_AIR: 1}
@@ -329,3 +332,20 @@ def test_memory_stays_bounded_in_flight_and_after_the_imu_fell_silent():
     for r in stream(Stream.ATTITUDE, 1000.0, start=10.0, end=20.0):
         base.push(r)
     assert max(len(b) for b in base._buffers.values()) < 5000
+
+
+@pytest.mark.slow
+def test_a_real_ardupilot_log_has_one_grid():
+    """250 Hz asked: 2.5 and 5 ms by turns, and spells of 15 ms from 241.6 s on."""
+    path = Path(__file__).parents[3] / "shared" / "logs" / "ardupilot-sitl.tlog"
+    if not path.exists():
+        pytest.skip("no recorded flights here")
+    base, fresh = TimeBase(), 0
+    for r in open_log(path).records():
+        if r.stream is Stream.IMU:
+            block = base.push(r)
+            if block is not None:
+                base.flown += 0.1
+                fresh += block.fresh
+    assert base.dt == pytest.approx(0.004, rel=0.01)
+    assert (base.restarts, fresh) == (0, 1)
