@@ -63,7 +63,7 @@ def test_a_tlog_gives_what_its_frames_give(tmp_path, sender):
     expected = intake.frames(frame for _, frame in read_tlog(path))
     log = open_log(path)
     assert list(log.records()) == expected
-    assert log.as_dict() == intake.as_dict()
+    assert log.as_dict() == {**intake.as_dict(), "clock_drift_ppm": log.drift_ppm}
     assert [event.kind for event in log.take_events()] == ["vehicle"]
 
 

@@ -5,6 +5,9 @@ vehicle changes, what was learnt before closes as a segment and a fresh estimato
 rotors are still the same, so it starts with what is theirs: torque over thrust, damping, rotor
 inertia, delay, and how the accelerometer reads against gravity. Inertia and CG start from what
 they were, but loosely. All is relative to k_T, which stays.
+
+A landing ends a flight. The next is estimated apart until it can be told whether the vehicle is
+the same (`estimation.flights`): if so, the estimate goes on with both; else a segment has ended.
 """
 
 from collections.abc import Callable
@@ -12,9 +15,10 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask, runs
 from gcs_sysid.estimation.change_kinds import Cause
 from gcs_sysid.estimation.changes import Change, ChangeDetector, ChangeTuning
+from gcs_sysid.estimation.flights import Trial, is_another, part_of
 from gcs_sysid.estimation.online import Fit, OnlineEstimator, Tuning
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.regression import Samples
@@ -32,6 +36,13 @@ _CONTAMINATED = 0.3
 """s before a change's onset that are forgotten too: windows reach over it."""
 _INERTIA_MOVES, _CG_MOVES = 0.25, 0.2
 """How far a change may take inertia (share of it) and CG (share of the arm), one std."""
+_STAY = 3.0
+"""s of no flight after which the next is another one: two on the ground and one of taking off.
+Less is a hop, or a state told wrongly."""
+_AWAY = 10.0
+"""s of silence in which the vehicle may have landed and been changed."""
+_TOUCHDOWN = 1.0
+"""s before the autopilot tells of a landing that are left out: it tells late."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +67,7 @@ class Event:
     Attributes:
         onset: estimated time of the change.
         detected: time of the newest sample that the detection rests on.
-        change: as detected.
+        change: as detected; None where two flights differ: then the onset is the landing between.
         cause: what the residuals say of it; None when they say nothing.
         segment: index of the segment that it ended; None where the estimate goes on (a passing
             disturbance) or stops (a failing rotor).
@@ -64,7 +75,7 @@ class Event:
 
     onset: float
     detected: float
-    change: Change
+    change: Change | None
     cause: Cause | None
     segment: int | None
 
@@ -113,7 +124,11 @@ class Tracker:
         self._arm_at = 0.0
         self._count = 0
         self._frame = max(round(_LOOK_EVERY / dt), 1)
+        self._changes = changes
         self._detector = None if changes is None else ChangeDetector(geometry, dt, changes)
+        self._trial: Trial | None = None
+        self._landed: float | None = None
+        self._newest = -np.inf
 
     @property
     def estimator(self) -> OnlineEstimator:
@@ -122,6 +137,11 @@ class Tracker:
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
+        if self._trial is not None:
+            self._trial.restart()
+        self._break()
+
+    def _break(self) -> None:
         self._estimator.restart()
         if self._next is not None:
             self._next.restart()
@@ -130,26 +150,124 @@ class Tracker:
         if self._keep and self.kept:
             self.kept.append(_gap(self.kept[-1]))
 
-    def update(self, t: Array, samples: Samples) -> bool:
-        """Take a block of samples with their (n,) session times; how they are grouped is one.
+    def update(self, t: Array, samples: Samples, flying: Mask | None = None) -> bool:
+        """Take a block of samples; how they are grouped is one.
+
+        Args:
+            t: (n,) s, session times.
+            samples: n of them.
+            flying: (n,) whether the vehicle flies; those on the ground are not looked at.
 
         Returns:
             Whether an event came of it.
         """
+        known = len(self.events)
+        for run, aloft in runs(np.ones(len(t), dtype=bool) if flying is None else flying):
+            if aloft:
+                self._fly(t[run], part_of(samples, run))
+            else:
+                self._stand(t[run])
+        return len(self.events) > known
+
+    def finish(self) -> bool:
+        """Decide what is undecided, because nothing more will come. Returns as `update`."""
+        known = len(self.events)
+        self._end_trial()
+        return len(self.events) > known
+
+    def _stand(self, t: Array) -> None:
+        """Take the (n,) times of samples on the ground."""
+        if self.start is None:
+            return
+        if self._landed is None:
+            self._landed = float(t[0])
+            if self._trial is None:
+                self._touch_down()
+            else:
+                self._trial.drop_last(_TOUCHDOWN)
+                self._trial.restart()
+        if t[-1] - self._landed >= _STAY:
+            self._end_trial()
+
+    def _touch_down(self) -> None:
+        """Leave out how the flight ended, and what looked like a change there."""
+        self._pending, self._next, self._next_kept = None, None, []
+        self._break()
+        if self._detector is not None:
+            self._detector.disarm()
+        self._arm_at = 0.0
+        if self.stopped:
+            return
+        self._estimator.forget_last(_TOUCHDOWN)
+        left = round(_TOUCHDOWN / self.dt)
+        while left > 0 and self.kept:
+            last = self.kept.pop()
+            if len(last.gyro) > left:
+                self.kept.append(part_of(last, slice(0, -left)))
+            left -= len(last.gyro)
+        if self.kept:
+            self.kept.append(_gap(self.kept[-1]))
+
+    def _fly(self, t: Array, samples: Samples) -> None:
+        """Take samples of flight."""
         if self.start is None:
             self.start = float(t[0])
-        known = len(self.events)
+        landed, self._landed = self._landed, None
+        stay = _STAY
+        if landed is None:
+            landed, stay = self._newest, _AWAY
+        if t[0] - landed >= stay and np.isfinite(landed):
+            self._end_trial()
+            fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
+            self._trial = Trial(fresh, landed, float(t[0]))
+        self._newest = float(t[-1])
+        if self._trial is None:
+            self._follow(t, samples)
+            return
+        room = self._trial.room
+        self._trial.take(t[:room], part_of(samples, slice(0, room)))
+        if len(t) >= room:
+            self._end_trial()
+        if len(t) > room:
+            self._follow(t[room:], part_of(samples, slice(room, None)))
+
+    def _end_trial(self) -> None:
+        """Tell whether the vehicle is the same, and go on with what the trial has seen."""
+        trial, self._trial = self._trial, None
+        if trial is None:
+            return
+        assert self.start is not None
+        before = self.fit()
+        arm = float(np.mean(np.hypot(self.geometry[0], self.geometry[1])))
+        if is_another(before, trial.fit(), arm):
+            self.events.append(Event(trial.landed, trial.end, None, None, len(self.segments)))
+            self.segments.append(Segment(self.start, trial.landed, before))
+            # Of what was known only the scale is left, and the accelerometer.
+            fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
+            fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
+            self._estimator, self.kept = fresh, []
+            self.start = trial.start
+            if self._changes is not None:
+                self._detector = ChangeDetector(self.geometry, self.dt, self._changes)
+        self.stopped = False
+        for part in trial.parts:
+            if part is None:
+                self._break()
+            else:
+                self._follow(*part)
+
+    def _follow(self, t: Array, samples: Samples) -> None:
+        """Learn from samples of the vehicle that is being followed."""
         done = 0
         while done < len(t) and not self.stopped:
             # What is decided, is decided after a fixed number of samples.
             stop = min(done + self._frame - self._count % self._frame, len(t))
             part = slice(done, stop)
-            self._take(t[part], _part(samples, part))
+            self._take(t[part], part_of(samples, part))
             self._count += stop - done
             done = stop
             if self._count % self._frame == 0:
                 self._look()
-        return len(self.events) > known
 
     def _take(self, t: Array, samples: Samples) -> None:
         detector = self._detector
@@ -161,9 +279,9 @@ class Tracker:
             after = round((detector.seconds - found[0].detected) / self.dt)
             self._suspect(found[0], float(t[-1]))
             known = len(t) - min(after, len(t))
-            self._learn(_part(samples, slice(0, known)))
+            self._learn(part_of(samples, slice(0, known)))
             self._next_start = float(t[min(known, len(t) - 1)])
-            samples = _part(samples, slice(known, None))
+            samples = part_of(samples, slice(known, None))
         if self._next is None:
             self._learn(samples)
         elif len(samples.gyro):
@@ -262,10 +380,6 @@ def _after_change(before: Fit, geometry: Array) -> Prior | None:
     information = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     information[np.ix_(known, known)] = scaled / np.outer(d, d)
     return Prior(before.rotation.unknowns, information)
-
-
-def _part(samples: Samples, where: slice) -> Samples:
-    return Samples(**{f.name: getattr(samples, f.name)[where] for f in fields(Samples)})
 
 
 def _gap(samples: Samples) -> Samples:

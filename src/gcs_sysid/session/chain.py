@@ -83,6 +83,7 @@ class Chain:
         self._anchors = [anchor]
         self._tracker: Tracker | None = None
         self._told = 0
+        self._usable = True
         self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self._next_refit = -np.inf
         self._fit = Fit(None, None, 0.0)
@@ -100,6 +101,8 @@ class Chain:
         block = self.sampler.finish()
         if block is not None:
             self._take(block)
+        if self._tracker is not None and self._tracker.finish():
+            self._tell_events(self._tracker)
         result = self.refit()
         if self.options.offline and self._tracker is not None:
             self._offline = fit_offline(self._tracker, self._fit)
@@ -277,7 +280,7 @@ class Chain:
     def _take(self, block: SampleBlock) -> bool:
         tracker = self._tracker
         if tracker is None or tracker.dt != block.dt:
-            if tracker is not None:
+            if tracker is not None and tracker.start is not None:
                 old, new = 1.0 / tracker.dt, 1.0 / block.dt
                 self.note(f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate starts anew")
             self._anchors = self._anchors[:1]
@@ -292,7 +295,8 @@ class Chain:
             )
         elif block.fresh:
             tracker.restart()
-        if tracker.update(block.t, block.samples):
+        self._tell_rate()
+        if tracker.update(block.t, block.samples, block.flying):
             self._tell_events(tracker)
         if self._course_step is None or self.t < self._next_refit - 1e-6:
             return False
@@ -302,6 +306,16 @@ class Chain:
         self._fit = tracker.fit(quick=True)
         self._course.append(self.t, self._values(self._fit, self.anchor))
         return True
+
+    def _tell_rate(self) -> None:
+        """Say when the IMU becomes too slow for the grid, and when it no longer is."""
+        base = self.sampler.time_base
+        if base.is_usable == self._usable:
+            return
+        self._usable = base.is_usable
+        told = "the estimate goes on" if self._usable else "too slow for the estimate to go on with"
+        rate = f"at {1.0 / base.imu_interval:.0f} Hz" if base.imu_interval else "anew"
+        self.note(f"the IMU comes {rate}: {told}")
 
     def _tell_events(self, tracker: Tracker) -> None:
         for event in tracker.events[self._told :]:

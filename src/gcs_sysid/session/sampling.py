@@ -9,6 +9,7 @@ from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.filters.complementary import ComplementaryFilter
 from gcs_sysid.model import attitude
 from gcs_sysid.records import Record, Stream
+from gcs_sysid.session.flight import FlightDetector
 from gcs_sysid.session.timebase import Block, TimeBase
 
 _STEP_BACK = 1.0
@@ -22,12 +23,14 @@ class SampleBlock:
     Attributes:
         t: (n,) s since the session's first record, vehicle clock; goes on over a reboot.
         samples: n of them.
+        flying: (n,) whether the vehicle flies.
         dt: s, the grid's step.
         fresh: whether nothing before joins on to this block.
     """
 
     t: Array
     samples: Samples
+    flying: Mask
     dt: float
     fresh: bool
 
@@ -57,6 +60,7 @@ class Sampler:
         """Streams that came between start and end."""
         self._rotors = rotors
         self._start, self._end = start, end
+        self._flight = FlightDetector()
         self._filter: ComplementaryFilter | None = None
         self._first: float | None = None
         self._began = self._newest = 0.0
@@ -94,6 +98,7 @@ class Sampler:
             # The vehicle's clock stepped back (a reboot); the session's time goes on.
             self._first = float(block.t[0]) - self.t
         n, dt = len(block.t), self.time_base.dt
+        t = block.t - self._first
         imu = _stream(block, Stream.IMU, n, 6)
         gyro, force = imu[:, :3], imu[:, 3:]
         reference = _stream(block, Stream.ATTITUDE, n, 4)
@@ -106,7 +111,15 @@ class Sampler:
             self._filter.restart()
         filtered, bias = self._attitude(self._filter, gyro, reference)
         speeds = self._speeds(block, n)
-        flying = _in_flight(block, speeds)
+        velocity = _stream(block, Stream.VELOCITY, n, 6)
+        flying = self._flight.update(
+            t,
+            _stream(block, Stream.IN_AIR, n, 1)[:, 0],
+            _stream(block, Stream.ARMED, n, 1)[:, 0],
+            speeds,
+            velocity[:, 3:],
+        )
+        self.time_base.flown += dt * int(np.count_nonzero(flying))
         gyro = np.where(flying[:, None], gyro, np.nan)
         samples = Samples(
             gyro=gyro,
@@ -114,13 +127,12 @@ class Sampler:
             speeds=speeds,
             attitude=filtered,
             force=force,
-            velocity=_stream(block, Stream.VELOCITY, n, 6)[:, :3],
+            velocity=velocity[:, :3],
         )
-        t = block.t - self._first
         self.t = float(t[-1])
         self.flying = bool(flying[-1])
         self._show(samples)
-        return SampleBlock(t, samples, dt, block.fresh)
+        return SampleBlock(t, samples, flying, dt, block.fresh)
 
     def _attitude(
         self, flt: ComplementaryFilter, gyro: Array, reference: Array
@@ -155,16 +167,6 @@ class Sampler:
             self.rates = (float(p), float(q), float(r))
         if np.isfinite(samples.speeds[-1]).all():
             self.rotor_speeds = tuple(float(v) for v in samples.speeds[-1])
-
-
-def _in_flight(block: Block, speeds: Array) -> Mask:
-    """(n,) what the autopilot says; else armed with all rotors turning."""
-    in_air = block.values.get((Stream.IN_AIR, "", 0))
-    if in_air is not None:
-        return in_air[:, 0] > 0.5
-    armed = block.values.get((Stream.ARMED, "", 0))
-    turning: Mask = np.asarray((speeds > 0.0).all(axis=1))
-    return turning if armed is None else turning & (armed[:, 0] > 0.5)
 
 
 def _stream(block: Block, stream: Stream, n: int, width: int) -> Array:

@@ -124,7 +124,7 @@ def event_of(
         "t": event.onset,
         "kind": "change" if event.cause is None else event.cause.kind,
         "detected": event.detected,
-        "channel": event.change.channel,
+        "channel": "landing" if event.change is None else event.change.channel,
     }
     if out["kind"] == "passing":
         out["kind"] = "disturbance"
@@ -148,6 +148,11 @@ def event_of(
 
 def note_of(event: Event) -> str:
     """A line for the event log."""
+    if event.change is None:
+        return (
+            f"the vehicle differs since the landing at {event.onset:.1f} s: "
+            "k_T stays, the rest is identified anew"
+        )
     cause = event.cause
     kind = "change" if cause is None else cause.kind
     text = f"{_WORDS[kind]} at {event.onset:.2f} s"

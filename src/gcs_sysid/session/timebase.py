@@ -6,29 +6,22 @@ never on when they happened to be read. Between samples a cubic through the four
 taken; where a stream has a gap its values are marked as missing.
 """
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.records import Record, Stream
+from gcs_sysid.session.streams import BREAK, StreamBuffer, usual_gap
 
 Key = tuple[Stream, str, int]
 """Stream, source, first rotor."""
+_IMU: Key = (Stream.IMU, "", 0)
 
-STEP_SAMPLES = 64
-"""IMU samples from which the grid's step is taken."""
-_KEEP = 8
-"""Samples of each stream kept behind the grid for interpolation."""
-_SAME = 5e-7
-"""Times closer than this (s) are the same: stamps are whole microseconds."""
-_BREAK = 1.0
-"""An IMU silence longer than this (s), or a step back in time by more, starts the grid anew."""
-_SAME_RATE = 0.1
-"""Relative change of the IMU's interval that a pause may bring without a new grid step."""
-_MOST = 4096
-"""Samples of each stream kept while no grid takes them (an IMU that is silent)."""
+_SAME_RATE = (0.7, 1.4)
+"""The IMU's interval over the grid's step, between which the rate is what it was."""
+_WORTH_KEEPING = 10.0
+"""s. What is learnt on a grid is given up for a rate that brings as many samples in this time."""
 
 
 @dataclass(frozen=True)
@@ -46,105 +39,6 @@ class Block:
     """Whether the grid started anew: nothing before this block joins on to it."""
 
 
-class StreamBuffer:
-    """Recent samples of one stream, in strictly rising time."""
-
-    def __init__(self, width: int, *, hold: bool = False) -> None:
-        self.width = width
-        self.hold = hold
-        """Whether the last value holds (states) instead of being interpolated (signals)."""
-        self.repeated = 0
-        """Samples dropped because their stamp was not newer."""
-        self._t: deque[float] = deque(maxlen=_MOST)
-        self._values: deque[tuple[float, ...]] = deque(maxlen=_MOST)
-        self._steps: deque[float] = deque(maxlen=STEP_SAMPLES)
-
-    def push(self, t: float, values: tuple[float, ...]) -> None:
-        """Add a sample; one whose stamp is not newer than the last is dropped."""
-        if self._t:
-            step = t - self._t[-1]
-            if step <= 0.0:
-                self.repeated += 1
-                return
-            self._steps.append(step)
-        self._t.append(t)
-        self._values.append(values)
-
-    @property
-    def is_steady(self) -> bool:
-        """Whether enough samples came to know the interval."""
-        return len(self._steps) >= STEP_SAMPLES - 1
-
-    @property
-    def oldest(self) -> float:
-        """Time of the oldest sample kept."""
-        return self._t[0]
-
-    @property
-    def interval(self) -> float:
-        """Usual time between samples in s (median); 0 until two samples came."""
-        return float(np.median(self._steps)) if self._steps else 0.0
-
-    def at(self, grid: Array) -> Array:
-        """(n, width) values at the grid times, NaN where the stream has a gap."""
-        if not self._t:
-            return np.full((len(grid), self.width), np.nan)
-        t = np.array(self._t)
-        v = np.array(self._values)
-        if self.hold:
-            index = np.searchsorted(t, grid + _SAME, side="right") - 1
-            return np.where(index[:, None] >= 0, v[np.maximum(index, 0)], np.nan)
-        return interpolate(t, v, grid, gap=max(2.6 * self.interval, 0.03))
-
-    def forget_before(self, t: float) -> None:
-        """Drop what no later grid point needs."""
-        while len(self._t) > _KEEP and self._t[_KEEP] < t:
-            self._t.popleft()
-            self._values.popleft()
-
-
-def interpolate(t: Array, v: Array, grid: Array, gap: float) -> Array:
-    """Cubic interpolation through the four nearest samples (Lagrange, any spacing).
-
-    Args:
-        t: (m,) rising sample times.
-        v: (m, width) samples.
-        grid: (n,) times wanted.
-        gap: samples further apart than this have nothing between them.
-
-    Returns:
-        (n, width), NaN outside the samples and inside gaps. Next to a gap or an end the two
-        neighbours alone are used.
-    """
-    out = np.full((len(grid), v.shape[1]), np.nan)
-    if len(t) < 2:
-        return out
-    right = np.clip(np.searchsorted(t, grid, side="left"), 1, len(t) - 1)
-    left = right - 1
-    inside = (grid >= t[left]) & (grid <= t[right])
-    inside &= t[right] - t[left] <= gap
-    u = (grid - t[left]) / (t[right] - t[left])
-    out[inside] = (v[left] + u[:, None] * (v[right] - v[left]))[inside]
-    # A sample exactly on the grid is taken as it is, even beside a gap.
-    nearest = np.where(t[right] - grid < grid - t[left], right, left)
-    exact = np.abs(t[nearest] - grid) < _SAME
-    out[exact] = v[nearest[exact]]
-    outer = inside & ~exact & (left >= 1) & (right <= len(t) - 2)
-    outer[outer] &= (t[left] - t[left - 1])[outer] <= gap
-    outer[outer] &= (t[np.minimum(right + 1, len(t) - 1)] - t[right])[outer] <= gap
-    if np.any(outer):
-        index = left[outer, None] + np.arange(-1, 3)
-        ts = t[index]
-        x = grid[outer]
-        weights = np.ones_like(ts)
-        for i in range(4):
-            for j in range(4):
-                if i != j:
-                    weights[:, i] *= (x - ts[:, j]) / (ts[:, i] - ts[:, j])
-        out[outer] = np.einsum("ni,niw->nw", weights, v[index])
-    return out
-
-
 class TimeBase:
     """Collects records and gives out blocks of grid points.
 
@@ -160,6 +54,8 @@ class TimeBase:
         """Records that came after the grid had passed them."""
         self.restarts = 0
         """How often the grid started anew (silence, reboot, changed rate)."""
+        self.flown = 0.0
+        """s of flight on a grid of this step, as the owner tells; what is learnt rests on it."""
         self._buffers: dict[Key, StreamBuffer] = {}
         self._newest = -np.inf
         self._started = False
@@ -178,6 +74,21 @@ class TimeBase:
         return min(max(4.0 * self.dt, 2.2 * slowest, 0.04), 0.3)
 
     @property
+    def imu_interval(self) -> float:
+        """Usual time between IMU samples in s, which need not be the grid's step any more."""
+        imu = self._buffers.get(_IMU)
+        return 0.0 if imu is None else imu.interval
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether the IMU is fast enough to be interpolated between its samples."""
+        return 1.2 * self.imu_interval <= self._imu_gap
+
+    @property
+    def _imu_gap(self) -> float:
+        return usual_gap(self.dt)
+
+    @property
     def repeated(self) -> int:
         """Samples dropped because their stamp was not newer than the one before."""
         return sum(b.repeated for b in self._buffers.values())
@@ -191,7 +102,7 @@ class TimeBase:
             return None
         block = None
         step = record.t - self._newest
-        if step < -_BREAK or (self._started and step > _BREAK):
+        if step < -BREAK or (self._started and step > BREAK):
             block = self.finish()
             self._stop(clear=step < 0.0)
         imu = self._buffer(record)
@@ -201,7 +112,7 @@ class TimeBase:
             self._try_start(imu)
         elif record.t >= self._next_tick:
             self._next_tick += self.tick * (1 + (record.t - self._next_tick) // self.tick)
-            if imu.is_steady and not 0.7 < imu.interval / self.dt < 1.4:
+            if self._is_outgrown(imu):
                 block = self.finish()
                 self._stop(clear=False)
                 self._try_start(imu)
@@ -225,16 +136,29 @@ class TimeBase:
         return self._origin + index * self.dt
 
     def _try_start(self, imu: StreamBuffer) -> None:
-        if not imu.is_steady:
+        if not imu.knows_interval:
             return
-        # Whole microseconds, as the stamps are. After a pause the old step is kept where it still
-        # fits: what was learnt with it then still counts.
-        if not (self.dt and abs(imu.interval / self.dt - 1.0) < _SAME_RATE):
+        if not self.dt or self._is_outgrown(imu):
+            # Whole microseconds, as the stamps are.
             self.dt = max(round(imu.interval * 1e6), 1) * 1e-6
+            self.flown = 0.0
         self._origin = imu.oldest if self._fresh and not self.restarts else self._newest
         self._next_index = 0
         self._next_tick = self._newest + self.tick
         self._started = True
+
+    def _is_outgrown(self, imu: StreamBuffer) -> bool:
+        """Whether the IMU's rate has changed and the grid shall follow.
+
+        It need not: what is learnt holds for one step alone. A faster stream is taken at the
+        grid's times, and so is a slower one as long as it can be interpolated.
+        """
+        low, high = _SAME_RATE
+        if not imu.is_settled or low < imu.interval / self.dt < high:
+            return False
+        if self.flown / self.dt < _WORTH_KEEPING / imu.interval:
+            return True
+        return not self.is_usable and self.flown < _WORTH_KEEPING
 
     def _stop(self, *, clear: bool) -> None:
         self._started = False
@@ -250,7 +174,11 @@ class TimeBase:
             return None
         t = self._origin + np.arange(self._next_index, last + 1) * self.dt
         self._next_index = last + 1
-        block = Block(t, {key: b.at(t) for key, b in self._buffers.items()}, self._fresh)
+        values = {
+            key: buffer.at(t, self._imu_gap if key == _IMU else None)
+            for key, buffer in self._buffers.items()
+        }
+        block = Block(t, values, self._fresh)
         self._fresh = False
         for buffer in self._buffers.values():
             buffer.forget_before(t[-1])

@@ -125,7 +125,7 @@ class TlogLog:
     def as_dict(self) -> dict[str, Any]:
         """As `Telemetry` says."""
         self.intake.garbage_bytes = self._reader.garbage_bytes
-        return self.intake.as_dict()
+        return {**self.intake.as_dict(), "clock_drift_ppm": self.drift_ppm}
 
 
 class OnboardLog:

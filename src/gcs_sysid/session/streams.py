@@ -1,0 +1,229 @@
+"""The recent samples of one stream: put in order, kept as arrays, interpolated."""
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+
+STEP_SAMPLES = 64
+"""Samples from which the usual interval is taken."""
+_RENEW = 16
+"""Samples after which the usual interval is taken anew, and by which a change of it is told."""
+BREAK = 1.0
+"""s; a longer silence is no interval."""
+_KEEP = 8
+"""Samples of each stream kept behind the grid for interpolation."""
+_SAME = 5e-7
+"""Times closer than this (s) are the same: stamps are whole microseconds."""
+_REORDER = 0.02
+"""s; a sample that comes after one so much newer still finds its place. The grid, which is 0.04 s
+behind at least, has not been there."""
+_MOST = 4096
+"""Samples of each stream kept while no grid takes them (an IMU that is silent)."""
+_AT_ONCE, _LEAST = 512, 256
+"""Samples that wait at most to be put into the arrays, and least size of these."""
+
+
+class StreamBuffer:
+    """Recent samples of one stream, in strictly rising time.
+
+    Args:
+        width: numbers in a sample.
+        hold: whether the last value holds (states) instead of being interpolated (signals).
+    """
+
+    def __init__(self, width: int, *, hold: bool = False) -> None:
+        self.width = width
+        self.hold = hold
+        self.repeated = 0
+        """Samples dropped because their stamp was not new."""
+        self.interval = 0.0
+        """Usual time between samples in s, see `usual_interval`; 0 until it is known."""
+        self._newest = -np.inf
+        self._steps: deque[float] = deque(maxlen=STEP_SAMPLES)
+        self._count = 0
+        # What came since the arrays were last asked for; a list grows cheapest.
+        self._new_t: list[float] = []
+        self._new_values: list[tuple[float, ...]] = []
+        self._t = np.empty(_LEAST)
+        self._values = np.empty((_LEAST, width))
+        self._start = self._end = 0
+
+    def __len__(self) -> int:
+        return self._end - self._start + len(self._new_t)
+
+    def push(self, t: float, values: tuple[float, ...]) -> None:
+        """Add a sample; one whose stamp was there before, or is far behind, is dropped."""
+        step = t - self._newest
+        if step <= 0.0:
+            if step <= -_REORDER or not self._insert(t, values):
+                self.repeated += 1
+            return
+        self._newest = t
+        self._new_t.append(t)
+        self._new_values.append(values)
+        if step < BREAK or self.hold:
+            self._steps.append(step)
+            self._count += 1
+            if self._count % _RENEW == 0 or self._count < _RENEW:
+                self.interval = usual_interval(self._steps)
+        if len(self._new_t) > _AT_ONCE:
+            self._arrays()
+
+    @property
+    def knows_interval(self) -> bool:
+        """Whether enough samples came to know the interval."""
+        return len(self._steps) >= STEP_SAMPLES - 1
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the last few samples came at the rate of all those that the interval is of."""
+        last = list(self._steps)[-_RENEW:]
+        return self.knows_interval and abs(sum(last) / len(last) / self.interval - 1.0) < 0.2
+
+    @property
+    def oldest(self) -> float:
+        """Time of the oldest sample kept."""
+        return float(self._arrays()[0][0])
+
+    def at(self, grid: Array, gap: float | None = None) -> Array:
+        """(n, width) values at the grid times, NaN where the stream has a gap.
+
+        Args:
+            grid: (n,) times wanted.
+            gap: s, a longer time between samples is one; None: by the stream's own interval.
+        """
+        t, v = self._arrays()
+        if not len(t):
+            return np.full((len(grid), self.width), np.nan)
+        if self.hold:
+            if t[-1] <= grid[0]:
+                return np.repeat(v[-1:], len(grid), axis=0)
+            index = np.searchsorted(t, grid + _SAME, side="right") - 1
+            return np.where(index[:, None] >= 0, v[np.maximum(index, 0)], np.nan)
+        if gap is None:
+            gap = usual_gap(self.interval)
+        return interpolate(t, v, grid, gap)
+
+    def forget_before(self, t: float) -> None:
+        """Drop what no later grid point needs."""
+        times, _ = self._arrays()
+        older = int(np.searchsorted(times, t))
+        self._start += max(min(older, len(times)) - _KEEP, 0)
+
+    def _arrays(self) -> tuple[Array, Array]:
+        """Times and values of all samples, as views."""
+        n = len(self._new_t)
+        if n:
+            if self._end + n > len(self._t):
+                self._make_room(n)
+            self._t[self._end : self._end + n] = self._new_t
+            self._values[self._end : self._end + n] = self._new_values
+            self._end += n
+            self._new_t.clear()
+            self._new_values.clear()
+            self._start = max(self._start, self._end - _MOST)
+        kept = slice(self._start, self._end)
+        return self._t[kept], self._values[kept]
+
+    def _make_room(self, n: int) -> None:
+        """Move what is kept to the front of arrays that hold n more, twice over."""
+        kept, count = slice(self._start, self._end), self._end - self._start
+        size = max(2 * (count + n), _LEAST)
+        t, values = np.empty(size), np.empty((size, self.width))
+        t[:count], values[:count] = self._t[kept], self._values[kept]
+        self._t, self._values, self._start, self._end = t, values, 0, count
+
+    def _insert(self, t: float, values: tuple[float, ...]) -> bool:
+        """Put a sample between older ones, if there is none of its time."""
+        times, _ = self._arrays()
+        at = self._start + int(np.searchsorted(times, t))
+        if at == self._start or self._t[at] == t:
+            return False
+        if self._end == len(self._t):
+            shift = self._start
+            self._make_room(1)
+            at -= shift - self._start
+        for array in (self._t, self._values):
+            array[at + 1 : self._end + 1] = array[at : self._end].copy()
+        self._t[at], self._values[at] = t, values
+        self._end += 1
+        return True
+
+
+def usual_gap(interval: float) -> float:
+    """Time in s beyond which two samples of a stream have nothing between them."""
+    return max(2.6 * interval, 0.03)
+
+
+def usual_interval(steps: Sequence[float]) -> float:
+    """Time between samples that may be skipped, or come by turns at short and long intervals.
+
+    Where most steps are alike (PX4, which skips a few), their mean; else (ArduPilot, which sends
+    on its loop, 250 Hz by turns after 2.5 and 5 ms) the mean of all, where the median would be
+    the longer one.
+
+    Args:
+        steps: s, at least one.
+    """
+    middle = sorted(steps)[len(steps) // 2]
+    near = [step for step in steps if 0.75 * middle < step < 1.25 * middle]
+    alike = near if len(near) >= 0.75 * len(steps) else steps
+    return sum(alike) / len(alike)
+
+
+def interpolate(t: Array, v: Array, grid: Array, gap: float) -> Array:
+    """Cubic interpolation through the four nearest samples (Lagrange, any spacing).
+
+    Args:
+        t: (m,) rising sample times.
+        v: (m, width) samples.
+        grid: (n,) times wanted.
+        gap: samples further apart than this have nothing between them.
+
+    Returns:
+        (n, width), NaN outside the samples and inside gaps. Next to a gap or an end the two
+        neighbours alone are used.
+    """
+    n, m = len(grid), len(t)
+    if m < 2:
+        return np.full((n, v.shape[1]), np.nan)
+    right = np.searchsorted(t, grid, side="left")
+    np.clip(right, 1, m - 1, out=right)
+    left = right - 1
+    before, after = t[left], t[right]
+    past, ahead = grid - before, after - grid
+    step = after - before
+    inside = (past >= 0.0) & (ahead >= 0.0) & (step <= gap)
+    out: Array = v[left] + (past / step)[:, None] * (v[right] - v[left])
+    # A sample exactly on the grid is taken as it is, even beside a gap.
+    on_left, on_right = np.abs(past) < _SAME, np.abs(ahead) < _SAME
+    first, last = np.maximum(left - 1, 0), np.minimum(right + 1, m - 1)
+    width_before, width_after = before - t[first], t[last] - after
+    cubic = inside & ~on_left & ~on_right
+    cubic &= (width_before > 0.0) & (width_before <= gap) & (width_after > 0.0)
+    cubic &= width_after <= gap
+    if cubic.any():
+        # All points, those without four neighbours too: few enough, and cheaper than picking.
+        index = np.stack([first, left, right, last])
+        d = grid - t[index]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            a, b, c = width_before, step, width_after
+            weights = np.stack(
+                [
+                    -d[1] * d[2] * d[3] / (a * (a + b) * (a + b + c)),
+                    d[0] * d[2] * d[3] / (a * b * (b + c)),
+                    -d[0] * d[1] * d[3] / ((a + b) * b * c),
+                    d[0] * d[1] * d[2] / ((a + b + c) * (b + c) * c),
+                ]
+            )
+            curve: Array = np.einsum("in,inw->nw", weights, v[index])
+        if cubic.all():
+            return curve
+        np.copyto(out, curve, where=cubic[:, None])
+    np.copyto(out, v[right], where=on_right[:, None])
+    np.copyto(out, v[left], where=on_left[:, None])
+    out[~(inside | on_left | on_right)] = np.nan
+    return out
