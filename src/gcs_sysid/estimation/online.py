@@ -1,7 +1,7 @@
 """The online estimator: samples in, relative estimates out, in bounded memory and time."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import article, rotation, translation
-from gcs_sysid.estimation.grid import Grid
+from gcs_sysid.estimation.grid import CURVE, Grid
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.regression import LeakySums, RowMaker, Samples
@@ -210,6 +210,8 @@ class OnlineEstimator:
         rot = self._fit_rotation(name)
         at = None if rot is None else rot.coordinates
         trans, accelerometer = self.fit_translation(name, at)
+        if trans is not None and at is not None and CURVE in self._grid.free:
+            trans = replace(trans, curve_slope=self._curve_slope(trans, at))
         validation = None
         if not quick and self._article is None:
             validation = validate(
@@ -245,6 +247,16 @@ class OnlineEstimator:
             self.accelerometer_gain,
         )
         return momentum or accelerometer, accelerometer
+
+    def _curve_slope(self, fit: TranslationFit, at: Array) -> float:
+        """Change of kappa with the thrust curve: it is gravity over the mean share of thrust."""
+        moments = self._momentum if fit.source == "momentum" else self._accelerometer
+        step = 0.05 * np.eye(3)[CURVE]
+        less, more = (
+            float(np.atleast_1d(_mixed(self._grid.branch_weights(c), moments.total, 0)[..., 2, 0])[-1])
+            for c in (at - step, at + step)
+        )
+        return -fit.kappa * (more - less) / (0.5 * (more + less)) / (2.0 * step[CURVE])
 
     def _fit_momentum(self, course: str | None, weights: Array) -> TranslationFit | None:
         moments = self._momentum

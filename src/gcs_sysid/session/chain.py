@@ -6,7 +6,7 @@ numbers that the live session ended with.
 """
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,16 @@ import numpy as np
 from gcs_sysid.estimation.anchors import Anchor, relative_prior, resolve_scale
 from gcs_sysid.estimation.changes import ChangeTuning
 from gcs_sysid.estimation.offline import OfflineFit, fit_offline
-from gcs_sysid.estimation.online import Fit, Tuning
-from gcs_sysid.estimation.parameters import WEAK_BELOW_R2, Value, rotor_delay, verdict
+from gcs_sysid.estimation.online import COMMANDS, Fit, Tuning
+from gcs_sysid.estimation.parameters import (
+    WEAK_BELOW_R2,
+    Value,
+    motor_lag,
+    rotor_delay,
+    verdict,
+)
 from gcs_sysid.estimation.priors import Prior
+from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.model.airframe import Airframe
@@ -25,6 +32,8 @@ from gcs_sysid.records import Record, Stream
 from gcs_sysid.session import summary
 from gcs_sysid.session.course import CourseRecorder
 from gcs_sysid.session.result import Estimate, Result
+from gcs_sysid.session.rotor_input import RotorChooser
+from gcs_sysid.session.rotor_units import RotorSource, gyro_cutoff
 from gcs_sysid.session.sampling import SampleBlock, Sampler
 from gcs_sysid.session.snapshot import Course, Event
 
@@ -36,7 +45,7 @@ class ChainOptions:
     """What a user may set.
 
     Attributes:
-        tuning: of the estimator.
+        tuning: of the estimator with rotor speeds; with commands it has its own.
         changes: of the change detector; None: changes in flight are not looked for.
         course_interval: s between refits for the estimate's course; None: only at the end.
         tick: s of vehicle time between blocks; the estimate does not depend on it.
@@ -79,7 +88,15 @@ class Chain:
             raise ValueError("the airframe has no scale anchor (mass, k_T or T_max)")
         self.airframe = airframe
         self.options = options = options or ChainOptions()
-        self.sampler = Sampler(len(airframe.rotors), options.tick, options.start, options.end)
+        if options.tuning.method != "forward":
+            # The article knows rotor speeds alone.
+            airframe = replace(airframe, rotor_input="speed")
+        self.chooser = RotorChooser(airframe, anchor)
+        self.sampler = Sampler(
+            self.chooser, len(airframe.rotors), options.tick, options.start, options.end
+        )
+        self._rotors: RotorSource | None = None
+        self._gyro_cutoff: float | None = None
         self._anchors = [anchor]
         self._tracker: Tracker | None = None
         self._told = 0
@@ -92,16 +109,18 @@ class Chain:
 
     def feed(self, record: Record) -> bool:
         """Take one record. Returns whether the estimate was renewed."""
-        block = self.sampler.push(record)
-        return block is not None and self._take(block)
+        renewed = False
+        for block in self.sampler.push(record):
+            renewed = self._take(block) or renewed
+        return renewed
 
     def finish(self) -> Result:
         """Use what is still held back and give the final result."""
-        block = self.sampler.finish()
-        if block is not None:
+        for block in self.sampler.finish():
             self._take(block)
         result = self.refit()
-        if self.options.offline and self._tracker is not None:
+        speeds = self.rotor_input == "speed"
+        if self.options.offline and self._tracker is not None and speeds:
             self._offline = fit_offline(self._tracker, self._fit)
             if self._offline is not None:
                 self._fit = self._offline.fit
@@ -133,6 +152,13 @@ class Chain:
         return self.sampler.t
 
     @property
+    def rotor_input(self) -> RotorInput:
+        """What the estimate rests on."""
+        if self._rotors is not None:
+            return self._rotors.kind
+        return "command" if self.airframe.rotor_input == "command" else "speed"
+
+    @property
     def anchor(self) -> Anchor:
         """The scale in force."""
         return self._anchors[-1]
@@ -155,13 +181,12 @@ class Chain:
     def result(self) -> Result:
         """The latest fit as a result."""
         values = self._values(self._fit, self.anchor)
-        word, reasons = verdict(values)
+        word, reasons = verdict(values, self.rotor_input)
         first = self._data_reasons()
         if self._fit.rotation is None:
             word, reasons = "refused", first or reasons
         else:
             reasons = (*first, *reasons)
-        delay = rotor_delay(self._fit.rotation)
         past = self._past_values()
         return Result(
             verdict=word,  # type: ignore[arg-type]
@@ -169,14 +194,10 @@ class Chain:
             source="",
             vehicle={},
             scale=summary.scale_of(self.anchor),
-            rotor_input="speed",
+            rotor_input=self.rotor_input,
             parameters=summary.estimates_of(values, self._fit, self.anchor, self._bounds()),
             estimator="online" if self._offline is None else "offline",
-            timing={
-                "rotor_delay": Estimate(
-                    delay.value, delay.std, TIMING["rotor_delay"].unit, delay.status
-                ),
-            },
+            timing=self._timing(),
             events=self._changes([*past, values]),
             segments=self._segments(past),
             validation=summary.validation_of(self._fit),
@@ -189,8 +210,17 @@ class Chain:
 
     def _values(self, fit: Fit, anchor: Anchor) -> dict[str, Value]:
         # A prior on the mass is of the vehicle as it took off.
-        known = {} if anchor.origin else self.airframe.priors
-        return summary.values_of(fit, anchor, self.airframe.arm, known)
+        known = {} if anchor.origin else summary.priors_for(self.airframe.priors, self.rotor_input)
+        return summary.values_of(fit, anchor, self.airframe.arm, known, self.rotor_input)
+
+    def _timing(self) -> dict[str, Estimate]:
+        timing = {"rotor_delay": rotor_delay(self._fit.rotation)}
+        if self.rotor_input == "command":
+            timing["motor_lag"] = motor_lag(self._fit.rotation)
+        return {
+            name: Estimate(value.value, value.std, TIMING[name].unit, value.status)
+            for name, value in timing.items()
+        }
 
     def _past_values(self) -> list[dict[str, Value]]:
         if self._tracker is None:
@@ -205,7 +235,7 @@ class Chain:
             return None
         bounds = self._values(self._offline.bounding_fit, self.anchor)
         # The likelihood is that of the rotation.
-        return {n: v for n, v in bounds.items() if n not in ("mass", "k_T", "linear_drag")}
+        return {n: v for n, v in bounds.items() if n not in ("mass", "k_T", "T_max", "linear_drag")}
 
     def _changes(self, values: list[dict[str, Value]]) -> tuple[dict[str, Any], ...]:
         if self._tracker is None:
@@ -248,7 +278,24 @@ class Chain:
             "late": base.late,
             "repeated": base.repeated,
             "restarts": base.restarts,
+            "rotor_input": self._input_telemetry(),
         }
+
+    def _input_telemetry(self) -> dict[str, Any]:
+        """Which rotor stream is used, how it is read, and why not the others."""
+        source = self._rotors
+        if source is None:
+            return {"source": None, "refused": dict(self.chooser.refused)}
+        out: dict[str, Any] = {
+            "source": source.name,
+            "why": source.why,
+            "refused": dict(source.refused or {}),
+            "gyro_filter": None if self._tracker is None else self._gyro_cutoff,
+        }
+        if source.range is not None:
+            out["range"] = [source.range.low, source.range.high]
+            out["range_from"] = source.range.origin
+        return out
 
     def _data_reasons(self) -> tuple[str, ...]:
         """What is missing, the first cause alone: the rest follows from it."""
@@ -260,8 +307,13 @@ class Chain:
             return (f"nothing between --start and --end: the record lasts {seconds:.1f} s",)
         if Stream.IMU not in seen:
             return ("no IMU data (HIGHRES_IMU): the autopilot must be asked for it",)
-        if Stream.ROTOR_SPEED not in seen:
-            return ("no rotor speeds (ESC_STATUS): the ESCs must send rpm telemetry",)
+        if not seen & {Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND}:
+            return (
+                "no rotor speeds (ESC_STATUS, ESC_TELEMETRY) and no commands "
+                "(ACTUATOR_OUTPUT_STATUS, SERVO_OUTPUT_RAW): the autopilot must be asked for them",
+            )
+        if self._rotors is None and self.chooser.judged:
+            return self._input_reasons()
         if Stream.ATTITUDE not in seen:
             return ("no attitude (ATTITUDE or ATTITUDE_QUATERNION)",)
         if self._fit.rotation is None:
@@ -274,22 +326,29 @@ class Chain:
             )
         return ()
 
+    def _input_reasons(self) -> tuple[str, ...]:
+        """Why no rotor stream can be used."""
+        if not self.chooser.refused:
+            return ("no rotor speeds and no commands came while it flew",)
+        reasons = tuple(f"{name} {why}" for name, why in self.chooser.refused.items())
+        kind = self._anchors[0].kind
+        if kind == "k_T":
+            return (*reasons, "without rotor speeds k_T sets no scale: give --mass or --t-max")
+        if kind == "T_max":
+            return (*reasons, "without commands T_max sets no scale: give --mass or --k-t")
+        return reasons
+
     def _take(self, block: SampleBlock) -> bool:
+        if block.rotors is not None and block.rotors is not self._rotors:
+            self._use(block.rotors)
+        if self._rotors is None:
+            return False
         tracker = self._tracker
         if tracker is None or tracker.dt != block.dt:
             if tracker is not None:
                 old, new = 1.0 / tracker.dt, 1.0 / block.dt
                 self.note(f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate starts anew")
-            self._anchors = self._anchors[:1]
-            self._told = 0
-            tracker = self._tracker = Tracker(
-                self.airframe.geometry,
-                block.dt,
-                self.options.tuning,
-                self.options.changes if self.options.tuning.method == "forward" else None,
-                self._prior if self.airframe.priors else None,
-                keep=self.options.offline,
-            )
+            tracker = self._tracker = self._new_tracker(block.dt)
         elif block.fresh:
             tracker.restart()
         if tracker.update(block.t, block.samples):
@@ -303,6 +362,44 @@ class Chain:
         self._course.append(self.t, self._values(self._fit, self.anchor))
         return True
 
+    def _use(self, rotors: RotorSource) -> None:
+        """Take the rotors' input from this stream from now on."""
+        anew = "" if self._rotors is None else ": estimate starts anew"
+        self.note(f"rotors from {rotors.name}, {rotors.why}{anew}")
+        self._rotors = rotors
+        self._tracker = None
+        self._fit = Fit(None, None, 0.0)
+        self._course.clear()
+
+    def _new_tracker(self, dt: float) -> Tracker:
+        assert self._rotors is not None
+        self._anchors = self._anchors[:1]
+        self._told = 0
+        own, changes = self.options.tuning, self.options.changes
+        self._gyro_cutoff = gyro_cutoff(
+            self.airframe.gyro_filter, self.chooser.autopilot, self.chooser.parameters
+        )
+        tuning = replace(own, gyro_cutoff=self._gyro_cutoff)
+        if self._rotors.kind == "command":
+            curve = self.airframe.command.thrust_curve
+            tuning = replace(
+                COMMANDS,
+                gyro_cutoff=self._gyro_cutoff,
+                smoother=own.smoother,
+                bandwidth=own.bandwidth,
+                curves=COMMANDS.curves if curve is None else (curve,),
+            )
+            # Thrust at a command goes with the battery's voltage: no constant to watch.
+            changes = None
+        return Tracker(
+            self.airframe.geometry,
+            dt,
+            tuning,
+            changes if own.method == "forward" else None,
+            self._prior if self.airframe.priors else None,
+            keep=self.options.offline,
+        )
+
     def _tell_events(self, tracker: Tracker) -> None:
         for event in tracker.events[self._told :]:
             self.note(summary.note_of(event))
@@ -314,5 +411,5 @@ class Chain:
         self._told = len(tracker.events)
 
     def _prior(self, translation: TranslationFit | None) -> Prior | None:
-        known = self.airframe.priors
+        known = summary.priors_for(self.airframe.priors, self.rotor_input)
         return relative_prior(known, resolve_scale(self._anchors[0], translation, known))

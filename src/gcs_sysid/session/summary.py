@@ -11,6 +11,7 @@ from gcs_sysid.estimation.anchors import Anchor, Known
 from gcs_sysid.estimation.change_kinds import describe
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.parameters import Value, physical_parameters, rests_on_prior
+from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.estimation.tracking import Event
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.session.result import Estimate, Scale
@@ -31,11 +32,28 @@ _WORDS = {
 }
 
 
-def values_of(fit: Fit, anchor: Anchor, arm: float, known: Mapping[str, Known]) -> dict[str, Value]:
+_SPEEDS_ONLY = ("k_T", "k_M", "rotor_inertia")
+"""Priors that mean nothing where commands are the input."""
+
+
+def priors_for(known: Mapping[str, Known], rotor_input: RotorInput) -> Mapping[str, Known]:
+    """Those priors that make sense with this input."""
+    if rotor_input == "speed":
+        return known
+    return {name: value for name, value in known.items() if name not in _SPEEDS_ONLY}
+
+
+def values_of(
+    fit: Fit,
+    anchor: Anchor,
+    arm: float,
+    known: Mapping[str, Known],
+    rotor_input: RotorInput = "speed",
+) -> dict[str, Value]:
     """Physical parameters of a fit, or nothing but the anchor while it is too early."""
     early = fit.seconds < MIN_SECONDS and not anchor.origin
     rotation = None if early else fit.rotation
-    return physical_parameters(anchor, rotation, fit.translation, arm, known)
+    return physical_parameters(anchor, rotation, fit.translation, arm, known, rotor_input)
 
 
 def estimates_of(
