@@ -9,6 +9,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import article, rotation, translation
+from gcs_sysid.estimation.coupling import Coupling, gyroscopic_coupling, without_products
 from gcs_sysid.estimation.grid import CURVE, Grid
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.priors import Prior
@@ -20,6 +21,8 @@ from gcs_sysid.estimation.validation import Validation, validate
 from gcs_sysid.filters.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
 
 _SETTLE_GROWTH = 1.5
+_MIN_BATCHES = 10
+"""From which their scatter tells how sure a number is."""
 _PIECE_TIME = 0.1
 """s of samples that are taken at once."""
 MIN_MOMENTUM_SECONDS = 5.0
@@ -88,6 +91,8 @@ class Fit:
     """Only of full fits."""
     accelerometer: TranslationFit | None = None
     """The second source of k_T / m, whichever `translation` is; of full fits, for certain."""
+    coupling: Coupling | None = None
+    """Whether it moves like a rigid body; None while that cannot be told."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +152,8 @@ class OnlineEstimator:
         self._settle_interval = tuning.settle_interval
         self._followed: dict[str, _Followed] = {}
         self._thrust: dict[str, _FollowedThrust] = {}
+        self._coupling: Coupling | None = None
+        self._coupling_at = 0.0
         self._article = (
             None
             if tuning.method == "forward"
@@ -222,7 +229,29 @@ class OnlineEstimator:
                 np.array([self._smoother.noise_gains(m)[1] for m in self._memories]),
                 self.prior,
             )
-        return Fit(rot, trans, self.seconds, validation, accelerometer)
+        coupling = self._coupling_of(rot, quick=quick)
+        if coupling is not None and coupling.contradicted and not quick:
+            # What rotors turn against remains to be told: inertia in roll and pitch.
+            rot = rotation.fit_rotation(
+                without_products(self._rotation.batches),
+                self._rotation.counts,
+                self._grid,
+                self._noise(),
+                prior=self.prior,
+            )
+        return Fit(rot, trans, self.seconds, validation, accelerometer, coupling)
+
+    def _coupling_of(self, fit: rotation.RotationFit | None, *, quick: bool) -> Coupling | None:
+        """Whether the body is rigid; between settled fits what the latest said."""
+        if fit is None or self._article is not None or len(self._rotation.batches) < _MIN_BATCHES:
+            return None
+        if quick and self.seconds < self._coupling_at:
+            return self._coupling
+        self._coupling_at = _SETTLE_GROWTH * self.seconds
+        batches = self._rotation.batches[:, fit.leak]
+        at_fit = self._grid.moments_at(batches, fit.coordinates)
+        self._coupling = gyroscopic_coupling(at_fit, fit.theta)
+        return self._coupling
 
     def fit_translation(
         self, course: str | None = None, at: Array | None = None

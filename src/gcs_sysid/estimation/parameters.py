@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from gcs_sysid.estimation.anchors import Anchor, Known, resolve_scale
+from gcs_sysid.estimation.coupling import Coupling
 from gcs_sysid.estimation.grid import CURVE, DELAY, LAG
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.rotors import RotorInput
@@ -63,6 +64,11 @@ _AXES: dict[str, tuple[int, ...]] = {
 """The axes whose fit a parameter rests on. (The CG rests on the mean torque: on none.)"""
 
 
+COUPLED = frozenset({"Izz", "Ixy", "Iyz", "Ixz", "k_M", "moment_ratio", "rotational_damping",
+                     "rotor_inertia"})  # fmt: skip
+"""What rests on the vehicle being a rigid body, see `coupling`."""
+
+
 @dataclass(frozen=True)
 class Value:
     """A parameter's value, standard deviation and status; None where there is nothing."""
@@ -82,6 +88,7 @@ def physical_parameters(
     arm: float,
     known: Mapping[str, Known] | None = None,
     rotor_input: RotorInput = "speed",
+    coupling: Coupling | None = None,
 ) -> dict[str, Value]:
     """Physical parameters of the fits, at the anchor's scale.
 
@@ -95,6 +102,7 @@ def physical_parameters(
         arm: m, mean rotor distance: the yardstick for CG and moment ratio.
         known: priors on mass and k_T; those on the rotation are in its fit.
         rotor_input: what the fits are relative to.
+        coupling: whether the vehicle moves like a rigid body.
     """
     thrust = "k_T" if rotor_input == "speed" else "T_max"
     own = ("k_T", "k_M") if rotor_input == "speed" else ("T_max", "thrust_curve")
@@ -138,6 +146,9 @@ def physical_parameters(
             del out["k_M"]
         for name in _AXES.keys() & out.keys():
             out[name] = _doubted(out[name], float(rotation.r_squared[list(_AXES[name])].min()))
+        if coupling is not None and coupling.contradicted:
+            for name in COUPLED & out.keys():
+                out[name] = replace(out[name], status="unobservable")
     return out
 
 
@@ -227,7 +238,9 @@ def _doubted(value: Value, r_squared: float) -> Value:
 
 
 def verdict(
-    parameters: Mapping[str, Value], rotor_input: RotorInput = "speed"
+    parameters: Mapping[str, Value],
+    rotor_input: RotorInput = "speed",
+    coupling: Coupling | None = None,
 ) -> tuple[str, tuple[str, ...]]:
     """One word for the whole, and why it is not better."""
     core = CORE_OF[rotor_input]
@@ -239,7 +252,13 @@ def verdict(
     if weak:
         reasons.append(f"only roughly known: {', '.join(weak)}")
     torque = core[-1]
-    if {"Izz", torque} <= set(missing) | set(weak):
+    if coupling is not None and coupling.contradicted:
+        share = ", ".join(f"{value:.2f}" for value in coupling.share)
+        reasons.append(
+            f"it does not move like a rigid body (gyroscopic torque on roll, pitch, yaw {share} "
+            "times that of one): Izz, products and rotor torque cannot be told"
+        )
+    elif {"Izz", torque} <= set(missing) | set(weak):
         reasons.append(
             f"Izz and {torque} share one scale: only rotation about several axes at once, "
             "such as roll and yaw together, tells them apart"

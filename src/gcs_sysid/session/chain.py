@@ -181,7 +181,7 @@ class Chain:
     def result(self) -> Result:
         """The latest fit as a result."""
         values = self._values(self._fit, self.anchor)
-        word, reasons = verdict(values, self.rotor_input)
+        word, reasons = verdict(values, self.rotor_input, self._fit.coupling)
         first = self._data_reasons()
         if self._fit.rotation is None:
             word, reasons = "refused", first or reasons
@@ -345,6 +345,8 @@ class Chain:
             return False
         tracker = self._tracker
         if tracker is None or tracker.dt != block.dt:
+            if not np.isfinite(block.samples.gyro).any():
+                return False  # nothing flies: no reason to give up what is known
             if tracker is not None:
                 old, new = 1.0 / tracker.dt, 1.0 / block.dt
                 self.note(f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate starts anew")
@@ -389,7 +391,9 @@ class Chain:
                 bandwidth=own.bandwidth,
                 curves=COMMANDS.curves if curve is None else (curve,),
             )
-            # Thrust at a command goes with the battery's voltage: no constant to watch.
+        if self._rotors.kind == "command" or self._gyro_cutoff is not None:
+            # Thrust at a command goes with the battery's voltage, and the detector compares
+            # speeds with a gyro that is not filtered.
             changes = None
         return Tracker(
             self.airframe.geometry,

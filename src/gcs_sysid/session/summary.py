@@ -53,7 +53,9 @@ def values_of(
     """Physical parameters of a fit, or nothing but the anchor while it is too early."""
     early = fit.seconds < MIN_SECONDS and not anchor.origin
     rotation = None if early else fit.rotation
-    return physical_parameters(anchor, rotation, fit.translation, arm, known, rotor_input)
+    return physical_parameters(
+        anchor, rotation, fit.translation, arm, known, rotor_input, fit.coupling
+    )
 
 
 def estimates_of(
@@ -119,13 +121,19 @@ def validation_of(fit: Fit) -> dict[str, Any]:
             for axis, value in zip(_AXES, np.asarray(values).tolist(), strict=True)
         }
 
-    return {
+    out = {
         "fitted_share": found.fitted_share,
         "r_squared": axes(found.r_squared),
         "theil": axes(found.theil),
         "whiteness": axes(found.whiteness),
         "whiteness_p": axes(found.whiteness_p),
     }
+    if fit.coupling is not None:
+        out["gyroscopic"] = {
+            "share": axes(fit.coupling.share),
+            "std": axes(fit.coupling.std),
+        }
+    return out
 
 
 def event_of(
