@@ -309,7 +309,7 @@ class Chain:
             return ("no IMU data (HIGHRES_IMU): the autopilot must be asked for it",)
         if not seen & {Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND}:
             return (
-                "no rotor speeds (ESC_STATUS, ESC_TELEMETRY) and no commands "
+                "no rotor speeds (ESC_STATUS, ESC_TELEMETRY) and no actuator outputs "
                 "(ACTUATOR_OUTPUT_STATUS, SERVO_OUTPUT_RAW): the autopilot must be asked for them",
             )
         if self._rotors is None and self.chooser.judged:
@@ -351,6 +351,8 @@ class Chain:
                 old, new = 1.0 / tracker.dt, 1.0 / block.dt
                 self.note(f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate starts anew")
             tracker = self._tracker = self._new_tracker(block.dt)
+            # Rows are counted from the first sample in flight, however blocks fall.
+            block = block.since(int(np.isfinite(block.samples.gyro).all(axis=1).argmax()))
         elif block.fresh:
             tracker.restart()
         if tracker.update(block.t, block.samples):

@@ -1,6 +1,6 @@
 """From records to aligned samples: time base, complementary filter, flight detection."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -36,6 +36,13 @@ class SampleBlock:
     dt: float
     fresh: bool
     rotors: RotorSource | None = None
+
+    def since(self, first: int) -> "SampleBlock":
+        """The block without the samples before `first`."""
+        samples = Samples(
+            **{f.name: getattr(self.samples, f.name)[first:] for f in fields(Samples)}
+        )
+        return replace(self, t=self.t[first:], samples=samples)
 
 
 @dataclass(frozen=True)
@@ -119,12 +126,14 @@ class Sampler:
         return (*ready, *self._release())
 
     def _take(self, block: Block) -> tuple[SampleBlock, ...]:
+        flew = self.flying
         held = self._samples(block)
         self._held.append(held)
         if block.fresh:
             self.chooser.gap()
         flown = int(np.isfinite(held.block.samples.gyro[:, 0]).sum()) * held.block.dt
-        self.chooser.fly(flown)
+        if flew:  # else the chooser has not seen what came in that time
+            self.chooser.fly(flown)
         if self.chooser.choice is None and self._may_still_choose():
             return ()
         return self._release()
