@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from gcs_sysid.estimation import rotation
-from gcs_sysid.estimation.grid import N_COORDINATES, Grid
+from gcs_sysid.estimation.basis import N_COORDINATES, PLAIN, WIDTH
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.online import OnlineEstimator, Tuning
 from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS, Prior, prior_of
@@ -34,10 +34,10 @@ def fit(seed, prior=None, tumbling=True, colour=1, theta=THETA, sigma=1.0):
     fresh = sigma * rng.standard_normal((ROWS + colour - 1, 3))
     kernel = np.full(colour, 1.0 / np.sqrt(colour))
     noise = np.column_stack([np.convolve(e, kernel, "valid") for e in fresh.T])
-    moments = Moments((1, 1, rotation.WIDTH, rotation.WIDTH), PER_BATCH)
-    moments.add(np.column_stack([x, x @ rb.forward_matrix(theta).T + noise])[None, None])
-    none = np.zeros((1, rotation.WIDTH, rotation.WIDTH))
-    return rotation.fit_rotation(moments.batches, moments.counts, Grid((0.0,)), none, prior=prior)
+    moments = Moments((1, WIDTH, WIDTH), PER_BATCH)
+    moments.add(np.column_stack([x, x @ rb.forward_matrix(theta).T + noise])[None])
+    none = np.zeros((1, WIDTH, WIDTH))
+    return rotation.fit_rotation(moments.batches, moments.counts, PLAIN, none, prior=prior)
 
 
 def test_a_known_moment_ratio_makes_the_yaw_inertia_known():

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from gcs_sysid.estimation import rotation, translation
 from gcs_sysid.estimation.article import METHODS, ArticleEstimator
-from gcs_sysid.estimation.grid import Grid
+from gcs_sysid.estimation.basis import RotorBasis
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.online import OnlineEstimator, Tuning
 from gcs_sysid.estimation.regression import LeakySums, RowMaker, Samples
@@ -30,18 +30,26 @@ def noisy(samples, sigma, seed):
 
 
 def row_maker(truth, smoother):
-    path = RotorPath(truth.geometry, DT, "speed", Grid(smoother.delays))
-    return RowMaker(path, 1, smoother)
+    basis = RotorBasis(smoother.delays)
+    return RowMaker(RotorPath(truth.geometry, DT, basis), basis, smoother)
+
+
+def rows_of(truth, samples, smoother):
+    """Rows [x, y] without delay."""
+    basis = RotorBasis(smoother.delays)
+    plain = basis.maps(np.array([[0.0, 0.0, 1.0]]))[0, 0]
+    return row_maker(truth, smoother).update(samples).rotation[0] @ plain.T
 
 
 def bank_of(truth, samples, smoother, memory=0.0):
     """What the rotational fit takes, without noise of the rotor speeds: one leak, all delays."""
     rows = row_maker(truth, smoother).update(samples).rotation
     rows = LeakySums(smoother.step * DT, [memory]).update(rows)
-    moments = Moments((1, len(smoother.delays), rotation.WIDTH, rotation.WIDTH), 40)
-    moments.add(rows)
+    basis = RotorBasis(smoother.delays)
+    moments = Moments((1, basis.width, basis.width), 40)
+    moments.add(rows[:, 0])
     noise = np.zeros((1, rotation.WIDTH, rotation.WIDTH))
-    return moments.batches, moments.counts, Grid(smoother.delays), noise
+    return moments.batches, moments.counts, basis, noise
 
 
 def rotation_fit(truth, samples, smoother, memory=0.0):
@@ -74,7 +82,7 @@ def test_rotation_is_recovered_without_noise(truth, flight, smoother, bar, memor
 def test_damping_and_rotor_inertia_matter_in_this_flight(truth, flight):
     """Else the recovery above would not show that they are carried."""
     Q = rb.forward_matrix(np.where(np.arange(rb.N_THETA) < rb.DAMPING, truth.theta, 0.0))
-    (rows,) = row_maker(truth, WindowSmoother(DT, 20)).update(flight).rotation
+    rows = rows_of(truth, flight, WindowSmoother(DT, 20))
     x, y = rows[:, : rb.N_SIGNALS], rows[:, rb.N_SIGNALS :]
     exact = y - x @ rb.forward_matrix(truth.theta).T
     without = y - x @ Q.T
@@ -107,7 +115,10 @@ def test_a_start_near_the_minimum_leads_to_the_same_minimum(truth, flight):
 def test_no_fit_without_data_or_response(truth, flight):
     assert (
         rotation.fit_rotation(
-            np.zeros((3, 1, 1, 19, 19)), np.array([5, 5, 5]), Grid((0.0,)), np.zeros((1, 19, 19))
+            np.zeros((3, 1, 19, 19)),
+            np.array([5, 5, 5]),
+            RotorBasis((0.0,)),
+            np.zeros((1, 19, 19)),
         )
         is None
     )
@@ -257,7 +268,7 @@ def test_noise_of_the_speeds_is_known_and_taken_out(truth, flight):
     """2 rad/s on every rotor: the moments' surplus is what SpeedNoise says it is."""
     rng = np.random.default_rng(1)
     smoother = WindowSmoother(DT, 20)
-    clean = row_maker(truth, smoother).update(flight).rotation[0]
+    clean = rows_of(truth, flight, smoother)
     speeds = flight.speeds + 2.0 * rng.standard_normal(flight.speeds.shape)
     follower = SpeedNoise(truth.geometry, DT)
     follower.update(speeds[:1000])
@@ -267,8 +278,8 @@ def test_noise_of_the_speeds_is_known_and_taken_out(truth, flight):
     runs = 20
     for _ in range(runs):
         speeds = flight.speeds + 2.0 * rng.standard_normal(flight.speeds.shape)
-        rows = row_maker(truth, WindowSmoother(DT, 20))
-        moved = rows.update(replace(flight, speeds=speeds)).rotation[0] - clean
+        rows = rows_of(truth, replace(flight, speeds=speeds), WindowSmoother(DT, 20))
+        moved = rows - clean
         surplus += moved.T @ moved / len(moved) / runs
     said = follower.moments(smoother, 0.0)
     torques = [0, 1, 2, 3, rb.SIGNALS.index("dH")]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.grid import Grid
+from gcs_sysid.estimation.basis import PLAIN
 from gcs_sysid.estimation.online import OnlineEstimator, Tuning
 from gcs_sysid.estimation.rotation import N_X, WIDTH
 from gcs_sysid.estimation.validation import validate
@@ -20,14 +20,14 @@ def batches_of(later_theta, noise=0.02):
     """Rows of random inputs; from 60 % of the flight on another vehicle may have made them."""
     random = np.random.default_rng(1)
     size = np.array([600, 600, 7e4, 1.5e4, *[0.5] * 6, *[0.7] * 3, 30, 30, 100])
-    out = np.empty((BATCHES, 1, 1, WIDTH, WIDTH))
+    out = np.empty((BATCHES, 1, WIDTH, WIDTH))
     for k in range(BATCHES):
         x = random.standard_normal((ROWS, N_X)) * size
         theta = THETA if k < 0.6 * BATCHES else later_theta
         y = x @ rb.forward_matrix(theta).T
         y += noise * y.std(axis=0) * random.standard_normal(y.shape)
         z = np.hstack([x, y])
-        out[k, 0, 0] = z.T @ z
+        out[k, 0] = z.T @ z
     return out
 
 
@@ -37,7 +37,7 @@ def run(later_theta, noise=0.02):
 
 def judged(moments):
     counts = np.full(len(moments), ROWS)
-    return validate(moments, counts, Grid((0.0,)), np.zeros((1, WIDTH, WIDTH)), np.ones(1))
+    return validate(moments, counts, PLAIN, np.zeros((1, WIDTH, WIDTH)), np.ones(1))
 
 
 def test_the_same_vehicle_is_predicted_to_the_noise():

@@ -15,8 +15,9 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.model import rigid_body as rb
 
-_PRODUCTS = np.array([rb.SIGNALS.index(name) for name in ("qr", "rp", "pq", "pp", "qq", "rr")])
-_OTHERS = np.setdiff1d(np.arange(rb.N_SIGNALS), _PRODUCTS)
+PRODUCTS = [rb.SIGNALS.index(name) for name in ("qr", "rp", "pq", "pp", "qq", "rr")]
+"""Columns of the products of rates, which the gyroscopic torque is made of."""
+_OTHERS = np.setdiff1d(np.arange(rb.N_SIGNALS), PRODUCTS)
 _OFF, _SURE = 0.3, 4.0
 """By how much, and how many standard deviations, a share must be off before it is believed."""
 _NONE = 1e-8
@@ -56,7 +57,7 @@ def gyroscopic_coupling(batches: Array, theta: Array) -> Coupling:
     share, std = np.full(3, np.nan), np.full(3, np.nan)
     for axis in range(3):
         predicted, residual = np.zeros(n + 3), np.zeros(n + 3)
-        predicted[_PRODUCTS] = Q[axis, _PRODUCTS]
+        predicted[PRODUCTS] = Q[axis, PRODUCTS]
         residual[:n], residual[n + axis] = -Q[axis], 1.0
         power = predicted @ total @ predicted
         if not power > _NONE * total[n + axis, n + axis]:
@@ -70,14 +71,6 @@ def gyroscopic_coupling(batches: Array, theta: Array) -> Coupling:
         share[axis] = 1.0 + more
         std[axis] = np.sqrt(max(meat, float(scores @ scores))) / power
     return Coupling(share, std)
-
-
-def without_products(batches: Array) -> Array:
-    """Moments (..., WIDTH, WIDTH) of a body that has no gyroscopic torque."""
-    out: Array = batches.copy()
-    out[..., _PRODUCTS, :] = 0.0
-    out[..., :, _PRODUCTS] = 0.0
-    return out
 
 
 def _apart(total: Array, combination: Array) -> Array:

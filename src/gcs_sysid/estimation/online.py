@@ -9,8 +9,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import article, rotation, translation
-from gcs_sysid.estimation.coupling import Coupling, gyroscopic_coupling, without_products
-from gcs_sysid.estimation.grid import CURVE, Grid
+from gcs_sysid.estimation.basis import CURVE, WIDTH, RotorBasis
+from gcs_sysid.estimation.coupling import PRODUCTS, Coupling, gyroscopic_coupling
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.regression import LeakySums, RowMaker, Samples
@@ -39,12 +39,11 @@ class Tuning:
         half_width: s, half of the window, at high sample rates.
         min_half_samples: the window's half never has fewer samples than this.
         bandwidth: rad/s, R of the differentiator.
-        leaks: s, memories of the leaky sums carried side by side; 0 for none. Well below
-            `batch_time`, else scores of neighbouring batches say too little of their own scatter.
+        leaks: s, memories of the leaky sums carried side by side; 0 for none.
         delays: s, nodes of rotor delay; one alone is taken as given.
         rotor_input: what the samples hold of the rotors.
-        lags: s, nodes of motor lag, for commands.
-        curves: nodes of the thrust curve, for commands: three fix a parabola, which it is.
+        lags: s, nodes of motor lag, for commands; the first is none.
+        curves: least and greatest thrust curve, for commands; one value is taken as given.
         gyro_cutoff: Hz, low-pass of the autopilot on its gyro; None: there is none.
         settle_interval: s, least time between full fits of a running course, which choose
             leak and delay; later they come when the record has grown by half.
@@ -56,7 +55,7 @@ class Tuning:
     half_width: float = 0.1
     min_half_samples: int = 4
     bandwidth: float = 10.0
-    leaks: tuple[float, ...] = (0.0, 0.3)
+    leaks: tuple[float, ...] = (0.0, 0.3, 1.0)
     delays: tuple[float, ...] = tuple(0.01 * k - 0.015 for k in range(8))
     rotor_input: RotorInput = "speed"
     lags: tuple[float, ...] = (0.0,)
@@ -70,13 +69,14 @@ COMMANDS = Tuning(
     # Commands answer to the gyro's noise: a longer window lets less of that back in.
     half_width=0.2,
     rotor_input="command",
-    delays=(-0.015, 0.0, 0.015, 0.03),
-    lags=(0.0005, 0.0045, 0.0130, 0.0271, 0.0480, 0.0764, 0.1082, 0.1316),
-    curves=(-0.1, 0.5, 1.1),
+    leaks=(0.0, 0.3),
+    delays=(-0.015, -0.00375, 0.0075, 0.01875, 0.03),
+    lags=(0.0, 0.015, 0.035, 0.06, 0.09, 0.13),
+    curves=(-0.2, 1.2),
 )
 """Tuning for commands as the rotors' input."""
-_FEW_NODES, _BATCHES, _FEWER_BATCHES = 16, 512, 128
-"""Many nodes make large batches; then fewer of them are kept apart."""
+_BATCHES, _FEWER_BATCHES = 512, 256
+"""Rows of commands are wide, and their batches large: fewer are kept apart."""
 
 
 @dataclass(frozen=True)
@@ -127,10 +127,12 @@ class OnlineEstimator:
         self.accelerometer_gain: translation.Gain | None = None
         """How the accelerometer reads against gravity, from an earlier segment."""
         smoother: Smoother
+        half_width = tuning.half_width
         if tuning.smoother == "td":
             smoother = DifferentiatorSmoother(dt, tuning.bandwidth)
         else:
             half = max(tuning.min_half_samples, round(tuning.half_width / dt))
+            half_width = half * dt
             smoother = WindowSmoother(dt, half, tuning.delays)
         self._smoother = smoother
         self._rotors = geometry.shape[1]
@@ -140,14 +142,21 @@ class OnlineEstimator:
         # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
         piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
         self._held = _Held(piece, geometry.shape[1])
-        self._grid = grid = Grid(smoother.delays, tuning.lags, tuning.curves)
-        path = RotorPath(geometry, dt, tuning.rotor_input, grid, tuning.gyro_cutoff)
-        self._rows = RowMaker(path, grid.branches, smoother)
+        commands = tuning.rotor_input == "command"
+        self._basis = basis = RotorBasis(
+            smoother.delays,
+            tuning.lags,
+            tuning.curves,
+            commands=commands,
+            half_width=half_width,
+        )
+        path = RotorPath(geometry, dt, basis, tuning.gyro_cutoff)
+        self._rows = RowMaker(path, basis, smoother)
         self._row_time = smoother.step * dt
         per_batch = max(round(tuning.batch_time / self._row_time), 1)
         self._leaks = LeakySums(self._row_time, tuning.leaks)
-        kept = _BATCHES if grid.size <= _FEW_NODES else _FEWER_BATCHES
-        bank = (len(tuning.leaks), grid.size, rotation.WIDTH, rotation.WIDTH)
+        kept = _FEWER_BATCHES if commands else _BATCHES
+        bank = (len(tuning.leaks), basis.width, basis.width)
         self._rotation = Moments(bank, per_batch, kept)
         self._settle_interval = tuning.settle_interval
         self._followed: dict[str, _Followed] = {}
@@ -159,9 +168,9 @@ class OnlineEstimator:
             if tuning.method == "forward"
             else article.ArticleEstimator(geometry, dt, tuning.method)
         )
-        one = (translation.WIDTH, translation.WIDTH)
-        self._momentum = Moments((grid.branches, 3, *one), per_batch, kept)
-        self._accelerometer = Moments((grid.branches, *one), per_batch, kept)
+        width = len(basis.lags) * basis.sets + 3
+        self._momentum = Moments((3, width, width), per_batch, kept)
+        self._accelerometer = Moments((width, width), per_batch, kept)
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
@@ -192,7 +201,7 @@ class OnlineEstimator:
             self._article.update(samples)
         if rows.rotation.shape[1] == 0:
             return
-        self._rotation.add(self._leaks.update(rows.rotation))
+        self._rotation.add(self._leaks.update(rows.rotation)[:, 0])
         self._momentum.add(_complete(rows.momentum))
         self._accelerometer.add(_complete(rows.accelerometer))
 
@@ -217,14 +226,14 @@ class OnlineEstimator:
         rot = self._fit_rotation(name)
         at = None if rot is None else rot.coordinates
         trans, accelerometer = self.fit_translation(name, at)
-        if trans is not None and at is not None and CURVE in self._grid.free:
+        if trans is not None and at is not None and CURVE in self._basis.free:
             trans = replace(trans, curve_slope=self._curve_slope(trans, at))
         validation = None
         if not quick and self._article is None:
             validation = validate(
                 self._rotation.batches,
                 self._rotation.counts,
-                self._grid,
+                self._basis,
                 self._noise(),
                 np.array([self._smoother.noise_gains(m)[1] for m in self._memories]),
                 self.prior,
@@ -233,9 +242,9 @@ class OnlineEstimator:
         if coupling is not None and coupling.contradicted and not quick:
             # What rotors turn against remains to be told: inertia in roll and pitch.
             rot = rotation.fit_rotation(
-                without_products(self._rotation.batches),
+                self._without_products(),
                 self._rotation.counts,
-                self._grid,
+                self._basis,
                 self._noise(),
                 prior=self.prior,
             )
@@ -249,9 +258,17 @@ class OnlineEstimator:
             return self._coupling
         self._coupling_at = _SETTLE_GROWTH * self.seconds
         batches = self._rotation.batches[:, fit.leak]
-        at_fit = self._grid.moments_at(batches, fit.coordinates)
+        at_fit = self._basis.moments_at(batches, fit.coordinates)
         self._coupling = gyroscopic_coupling(at_fit, fit.theta)
         return self._coupling
+
+    def _without_products(self) -> Array:
+        """The moments as if products of rates were zero: of a body without gyroscopic torque."""
+        moments: Array = self._rotation.batches.copy()
+        places = self._basis.body_places(PRODUCTS)
+        moments[..., places, :] = 0.0
+        moments[..., :, places] = 0.0
+        return moments
 
     def fit_translation(
         self, course: str | None = None, at: Array | None = None
@@ -260,18 +277,17 @@ class OnlineEstimator:
 
         Args:
             course: to go on with, of the better source alone; None: both, from the data alone.
-            at: (3,) coordinates of the grid; None: its middle.
+            at: (3,) coordinates of the basis; None: its middle.
         """
-        weights = self._grid.branch_weights(
-            self._grid.nodes[self._grid.middle] if at is None else at
-        )
+        where = self._basis.nodes[self._basis.middle] if at is None else at
+        weights = self._basis.thrust_weights(where)
         momentum = None
         if self._momentum.rows * self._row_time > MIN_MOMENTUM_SECONDS:
             momentum = self._fit_momentum(course, weights)
             if course is not None:
                 return momentum, None
         accelerometer = translation.fit_accelerometer(
-            _mixed(weights, self._accelerometer.batches, 1),
+            _mixed(weights, self._accelerometer.batches),
             self._accelerometer.counts,
             self.accelerometer_gain,
         )
@@ -282,18 +298,20 @@ class OnlineEstimator:
         moments = self._momentum if fit.source == "momentum" else self._accelerometer
         step = 0.05 * np.eye(3)[CURVE]
         less, more = (
-            float(np.atleast_1d(_mixed(self._grid.branch_weights(c), moments.total, 0)[..., 2, 0])[-1])
+            float(mixed[..., 2, 0].ravel()[-1])  # of the vertical axis
             for c in (at - step, at + step)
+            for mixed in (_mixed(self._basis.thrust_weights(c), moments.total),)
         )
-        return -fit.kappa * (more - less) / (0.5 * (more + less)) / (2.0 * step[CURVE])
+        change: float = -fit.kappa * (more - less) / (0.5 * (more + less)) / (2.0 * step[CURVE])
+        return change
 
     def _fit_momentum(self, course: str | None, weights: Array) -> TranslationFit | None:
         moments = self._momentum
-        total = _mixed(weights, moments.total, 0)
+        total = _mixed(weights, moments.total)
         known = None if course is None else self._thrust.get(course)
         if known is not None and known.batches == len(moments.batches):
             return translation.follow_momentum(total, moments.rows, known.fit)
-        fit = translation.fit_momentum(_mixed(weights, moments.batches, 1), moments.counts, total)
+        fit = translation.fit_momentum(_mixed(weights, moments.batches), moments.counts, total)
         if course is not None and fit is not None:
             self._thrust[course] = _FollowedThrust(fit, len(moments.batches))
         return fit
@@ -317,13 +335,13 @@ class OnlineEstimator:
     def _fit_rotation(self, course: str | None) -> rotation.RotationFit | None:
         if self._article:
             return self._article.fit()
-        moments, grid = self._rotation, self._grid
+        moments, basis = self._rotation, self._basis
         known = None if course is None else self._followed.get(course)
         if course is not None and known is not None and self.seconds < known.settle:
             latest = rotation.follow_rotation(
                 moments.total[known.fit.leak],
                 moments.rows,
-                grid,
+                basis,
                 self._noise_of(known.fit.leak),
                 known.fit,
                 self.prior,
@@ -331,7 +349,7 @@ class OnlineEstimator:
             self._followed[course] = _Followed(latest, known.settle)
             return latest
         fit = rotation.fit_rotation(
-            moments.batches, moments.counts, grid, self._noise(), prior=self.prior
+            moments.batches, moments.counts, basis, self._noise(), prior=self.prior
         )
         if course is not None and fit is not None:
             settle = max(self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds)
@@ -343,7 +361,7 @@ class OnlineEstimator:
 
     def _noise_of(self, leak: int) -> Array:
         if self._speed_noise is None:
-            return np.zeros((rotation.WIDTH, rotation.WIDTH))
+            return np.zeros((WIDTH, WIDTH))
         return self._speed_noise.moments(self._smoother, self._memories[leak])
 
 
@@ -401,10 +419,12 @@ def _complete(rows: Array) -> Array:
     return whole
 
 
-def _mixed(weights: Array, moments: Array, axis: int) -> Array:
-    """Moments of the branches, weighed; `axis` is theirs."""
+def _mixed(weights: Array, moments: Array) -> Array:
+    """(..., WIDTH, WIDTH) of rows whose thrusts are mixed by their (thrusts,) weights."""
     if len(weights) == 1:
-        only: Array = np.take(moments, 0, axis)
-        return only
-    mixed: Array = np.tensordot(weights, moments, ([0], [axis]))
+        return moments
+    mixer = np.zeros((translation.WIDTH, moments.shape[-1]))
+    mixer[0, :-3] = weights
+    mixer[1:, -3:] = np.eye(3)
+    mixed: Array = mixer @ moments @ mixer.T
     return mixed

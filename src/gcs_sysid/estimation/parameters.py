@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from gcs_sysid.estimation.anchors import Anchor, Known, resolve_scale
+from gcs_sysid.estimation.basis import CURVE, DELAY, LAG
 from gcs_sysid.estimation.coupling import Coupling
-from gcs_sysid.estimation.grid import CURVE, DELAY, LAG
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.estimation.translation import TranslationFit

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.grid import N_COORDINATES
+from gcs_sysid.estimation.basis import N_COORDINATES
 from gcs_sysid.model import rigid_body as rb
 
 N_UNKNOWNS = rb.N_THETA + N_COORDINATES
-"""theta, then the coordinates of `estimation.grid`: rotor delay, motor lag, thrust curve."""
+"""theta, then the coordinates of `estimation.basis`: rotor delay, motor lag, thrust curve."""
 COORDINATES = slice(rb.N_THETA, N_UNKNOWNS)
 DELAY, LAG, CURVE = range(rb.N_THETA, N_UNKNOWNS)
 """Their indices among the unknowns."""
@@ -22,7 +22,7 @@ DELAY, LAG, CURVE = range(rb.N_THETA, N_UNKNOWNS)
 
 @dataclass(frozen=True)
 class Prior:
-    """Knowledge about theta (relative to k_T) and the grid's coordinates.
+    """Knowledge about theta (relative to k_T) and the basis' coordinates.
 
     Attributes:
         mean: (N_UNKNOWNS,) in theta's units, s, s and 1; any number where nothing is known.

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, runs
-from gcs_sysid.estimation import translation
-from gcs_sysid.estimation.rotors import SIGNALS, RotorPath
+from gcs_sysid.estimation.basis import BODY, SIGNALS, RotorBasis
+from gcs_sysid.estimation.rotors import RotorPath
 from gcs_sysid.filters.smoothers import Smoother
 from gcs_sysid.model import attitude, rigid_body
 from gcs_sysid.model.parameters import GRAVITY
@@ -46,9 +46,10 @@ class Rows:
     """Regression rows, NaN where a window held a sample that must not be used.
 
     Attributes:
-        rotation: (nodes, n, rotation.WIDTH), see `estimation.grid`.
-        momentum: (branches, 3, n, translation.WIDTH), one for each world axis.
-        accelerometer: (branches, n, translation.WIDTH).
+        rotation: (1, n, width) of elements, see `estimation.basis`.
+        momentum: (3, n, thrusts + 3), one for each world axis: the thrust of each lag and set
+            along it, velocity, 1, and what they make up.
+        accelerometer: (n, thrusts + 3).
     """
 
     rotation: Array
@@ -61,19 +62,22 @@ class RowMaker:
 
     Args:
         path: makes the rotors' signals.
-        branches: how many of them it makes.
+        basis: that they are for.
         smoother: the filter on both sides.
     """
 
-    def __init__(self, path: RotorPath, branches: int, smoother: Smoother) -> None:
+    def __init__(self, path: RotorPath, basis: RotorBasis, smoother: Smoother) -> None:
         self._path = path
+        self._basis = basis
         self._smoother = smoother
-        self._branches = branches
-        self._late = SIGNALS * branches
+        self._thrusts = thrusts = len(basis.lags) * basis.sets
+        self._late = late = SIGNALS * thrusts
         # Columns of what is smoothed: after the rotors' signals those of the body, then the rest.
-        self._lift = slice(self._late + _BODY, self._late + _BODY + 3 * branches)
-        self._thrust = slice(self._lift.stop, self._lift.stop + branches)
+        self._lift = slice(late + BODY, late + BODY + 3 * thrusts)
+        self._thrust = slice(self._lift.stop, self._lift.stop + thrusts)
         self._width = self._thrust.stop + 4
+        self._lags = [e.lag for e in basis.elements]
+        self._delays = [e.delay for e in basis.elements]
 
     def restart(self) -> None:
         """Forget what a gap separates from the next samples."""
@@ -83,28 +87,31 @@ class RowMaker:
     def update(self, samples: Samples) -> Rows:
         """The rows that these samples complete."""
         rows = self._smoother.update(self._signals(samples), self._late)
-        n, delays, branches = len(rows.average), len(self._smoother.delays), self._branches
-        late = self._late
-        average = rows.late_average.reshape(delays, n, branches, SIGNALS)
-        derivative = rows.late_derivative.reshape(delays, n, branches, SIGNALS)
-        rotation = np.empty((branches, delays, n, rigid_body.N_SIGNALS + 3))
-        rotation[..., :4] = np.moveaxis(average[..., :4], 2, 0)
-        rotation[..., 4:_H] = rows.average[:, late : late + _H - 4]
-        rotation[..., _H] = np.moveaxis(derivative[..., 4], 2, 0)
-        rotation[..., _H + 1 :] = rows.derivative[:, late + _BODY - 3 : late + _BODY]
-        momentum = np.empty((branches, 3, n, translation.WIDTH))
-        momentum[..., 0] = rows.average[:, self._lift].T.reshape(branches, 3, n)
-        momentum[..., 1] = rows.average[:, -4:-1].T
-        momentum[..., 2] = 1.0
-        momentum[..., 3] = rows.derivative[:, -4:-1].T
-        momentum[:, 2, :, 3] -= GRAVITY
-        accelerometer = np.ones((branches, n, translation.WIDTH))
-        accelerometer[..., 0] = rows.average[:, self._thrust].T
-        accelerometer[..., 1] = 0.0
-        accelerometer[..., 3] = rows.average[:, -1]
-        return Rows(
-            rotation.reshape(branches * delays, n, rotation.shape[-1]), momentum, accelerometer
+        n, late, basis, thrusts = len(rows.average), self._late, self._basis, self._thrusts
+        shape = (len(self._smoother.delays), n, len(basis.lags), basis.sets, SIGNALS)
+        # Of roll, pitch, thrust and yaw the average, of H the derivative.
+        rotors = rows.late_average.reshape(shape)
+        rotors[..., -1] = rows.late_derivative.reshape(shape)[..., -1]
+        rotation = np.empty((1, n, basis.width))
+        chosen = rotors[self._delays, :, self._lags]
+        rotation[0, :, : basis.width - BODY] = np.swapaxes(chosen, 0, 1).reshape(
+            n, basis.width - BODY
         )
+        rotation[0, :, -BODY:-3] = rows.average[:, late : late + BODY - 3]
+        rotation[0, :, -3:] = rows.derivative[:, late + BODY - 3 : late + BODY]
+        momentum = np.empty((3, n, thrusts + 3))
+        momentum[..., :thrusts] = (
+            rows.average[:, self._lift].reshape(n, thrusts, 3).transpose(2, 0, 1)
+        )
+        momentum[..., -3] = rows.average[:, -4:-1].T
+        momentum[..., -2] = 1.0
+        momentum[..., -1] = rows.derivative[:, -4:-1].T
+        momentum[2, :, -1] -= GRAVITY
+        accelerometer = np.ones((n, thrusts + 3))
+        accelerometer[:, :thrusts] = rows.average[:, self._thrust]
+        accelerometer[:, -3] = 0.0
+        accelerometer[:, -1] = rows.average[:, -1]
+        return Rows(rotation, momentum, accelerometer)
 
     def _signals(self, s: Samples) -> Array:
         rotors, thrust = self._path.signals(s.speeds)
@@ -115,7 +122,7 @@ class RowMaker:
         out[:, late : late + 6] = rigid_body.rate_products(s.rates)
         out[:, late + 6 : late + 9] = s.rates
         out[:, late + 9 : late + 11] = s.rates[:, 1::-1] * H[:, None]  # q H, p H
-        out[:, late + 11 : late + _BODY] = s.gyro
+        out[:, late + 11 : late + BODY] = s.gyro
         lift = attitude.down_axis(s.attitude) * thrust[..., None]
         out[:, self._lift] = np.swapaxes(lift, 0, 1).reshape(n, -1)
         out[:, self._thrust] = thrust.T
@@ -174,8 +181,3 @@ class LeakySums:
             self._sum = sums[:, :, -1:]
             out[:, :, start : start + m] = sums
         return out
-
-
-_H = rigid_body.SIGNALS.index("dH")  # in a row, the last input; H itself is no input
-_BODY = 14
-"""Columns of the body's own signals: products of rates, rates, q H and p H, gyro."""

@@ -5,11 +5,9 @@ its derivatives follow from the moments alone. It is minimised by Gauss-Newton w
 Levenberg-Marquardt damping; W is the inverse of the residual covariance, which the same moments
 give (iterated to the maximum-likelihood point). See `gcs_sysid.model.rigid_body` for Q.
 
-Moments come as a bank of hypotheses: the same rows with several leaks, and with the rotors'
-signals taken at every node of a grid over what is not known of them (`estimation.grid`): delay,
-and with commands motor lag and thrust curve. All are fitted at once, as stacked arrays. Between
-the nodes the moments are interpolated, so these are estimated to a small fraction of the grid's
-step.
+Rows hold the rotors' signals in several forms, of which those at any delay, and with commands
+at any motor lag and thrust curve, are linear maps (`estimation.basis`); these are unknowns of the
+fit too. Moments come with several leaks as hypotheses, fitted at once as stacked arrays.
 
 Rows are correlated, so that the cost overstates what it knows. A prior joins the search as it
 is, but in the outcome it is weighed against the information that the scatter of the batch
@@ -23,22 +21,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation import grid as shapes
-from gcs_sysid.estimation.grid import Grid
+from gcs_sysid.estimation import basis as coordinate
+from gcs_sysid.estimation.basis import PLAIN, WIDTH, RotorBasis
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor, symmetric_roots
 from gcs_sysid.model import rigid_body as rb
 
 N_X = rb.N_SIGNALS
-WIDTH = N_X + 3
-"""Width of a row [x, y]."""
 
 COORDINATE_MEAN = np.array([0.0, 0.05, 0.5])
 COORDINATE_STD = np.array([0.03, 0.05, 0.5])
 """s, s and 1; keep delay, lag and curve in the ordinary while the flight does not tell them."""
 
 _MAX_ITERATIONS = 40
-_SCAN_ITERATIONS = 8
+_SCAN_ITERATIONS, _STARTS = 8, 4
 _WARM_ITERATIONS, _FOLLOW_ITERATIONS = 6, 2
 _CONVERGED = 1e-7
 """Steps smaller than this many standard deviations change nothing."""
@@ -52,9 +48,7 @@ _EPSILON = 4e-15
 _HALVINGS = 20
 """A step that leads out of the physical inertias is shortened so often, then not taken."""
 _IDENTITY = np.eye(3)
-_ONE_NODE = Grid((0.0,))
 _AXES, _DIAGONAL = np.arange(3), np.arange(WIDTH)
-_OUTPUTS = np.arange(N_X, WIDTH)
 
 
 @dataclass(frozen=True)
@@ -84,7 +78,7 @@ class RotationFit:
         r_squared: (3,) share of each axis' angular acceleration that the model explains.
         rows: how many rows it rests on.
         converged: whether the minimiser was reached.
-        coordinates: (3,) rotor delay (s), motor lag (s), thrust curve, see `estimation.grid`.
+        coordinates: (3,) rotor delay (s), motor lag (s), thrust curve, see `estimation.basis`.
         leak: index of the leak that left the least uncertainty.
         data_std: (N_THETA,) standard deviations without the prior: huge where the flight alone
             does not tell a parameter.
@@ -133,28 +127,28 @@ class RotationFit:
     @property
     def delay(self) -> float:
         """s, of the rotor stream behind the IMU stream."""
-        return float(self.coordinates[shapes.DELAY])
+        return float(self.coordinates[coordinate.DELAY])
 
     @property
     def delay_std(self) -> float:
         """s; zero where the delay was not estimated."""
-        return float(self.coordinates_std[shapes.DELAY])
+        return float(self.coordinates_std[coordinate.DELAY])
 
 
 def fit_rotation(
     batches: Array,
     counts: NDArray[np.int64],
-    grid: Grid,
+    basis: RotorBasis,
     noise: Array,
     start: RotationFit | None = None,
     prior: Prior | None = None,
 ) -> RotationFit | None:
-    """Fit theta and the grid's coordinates to a bank of moments.
+    """Fit theta and the basis' coordinates to moments.
 
     Args:
-        batches: (k, leaks, nodes, WIDTH, WIDTH) moments of rows [x, y].
+        batches: (k, leaks, width, width) moments of rows of elements.
         counts: (k,) rows in each.
-        grid: of the nodes.
+        basis: of the elements.
         noise: (leaks, WIDTH, WIDTH) what known noise of the inputs adds to the moments of a row.
         start: an earlier fit: a few steps from there, at every leak, at little cost. None: from
             the data alone, to the minimum.
@@ -168,21 +162,20 @@ def fit_rotation(
     if rows < 3 * rb.N_THETA:
         return None
     bank = batches.sum(axis=0)
-    problem = _Problem(bank.reshape(*bank.shape[:2], -1), rows, grid, prior)
-    middle = grid.middle
-    first = [_first_guess(m, rows, grid.nodes[middle], prior) for m in bank[:, middle]]
+    problem = _Problem(bank, rows, basis, prior)
+    at = basis.nodes[basis.middle]
+    first = [_first_guess(m, rows, at, prior) for m in basis.moments_at(bank, at)]
     if any(guess is None for guess in first):
         return None
     unknowns = np.stack([guess for guess in first if guess is not None])
     if start is None:
-        unknowns = _scan(problem, unknowns)
+        point, converged = _search(problem, _scan(problem, unknowns))
     else:
         # An earlier estimate from too little motion may lie in a valley of its own.
         earlier = np.tile(start.unknowns, (len(bank), 1))
         closer = problem.evaluate(earlier).cost < problem.evaluate(unknowns).cost
         unknowns = np.where(closer[:, None], earlier, unknowns)
-    limit = _MAX_ITERATIONS if start is None else _WARM_ITERATIONS
-    point, converged = _minimise(problem, unknowns, limit)
+        point, converged = _minimise(problem, unknowns, _WARM_ITERATIONS)
     fits = []
     for i in range(len(bank)):
         outcome = _Outcome(problem, point, i, noise[i])
@@ -195,7 +188,7 @@ def fit_rotation(
 def follow_rotation(
     total: Array,
     rows: int,
-    grid: Grid,
+    basis: RotorBasis,
     noise: Array,
     start: RotationFit,
     prior: Prior | None = None,
@@ -205,15 +198,15 @@ def follow_rotation(
     How far the score scatters is taken over from the earlier fit, as it hardly changes.
 
     Args:
-        total: (nodes, WIDTH, WIDTH) moments of all rows, with the leak of `start`.
+        total: (width, width) moments of all rows, with the leak of `start`.
         rows: in them.
-        grid: of the nodes.
+        basis: of the elements.
         noise: (WIDTH, WIDTH) as of `fit_rotation`.
         start: a fit of the same record when it was shorter.
         prior: what else is known.
     """
     assert start.footing is not None
-    problem = _Problem(total.reshape(1, grid.size, -1), rows, grid, prior)
+    problem = _Problem(total[None], rows, basis, prior)
     unknowns = start.footing.unknowns[None]
     scatter = start.footing.inflation, start.footing.widening
     outcome = _Outcome(problem, problem.evaluate(unknowns), 0, noise)
@@ -268,24 +261,23 @@ class _Problem:
     """Hypotheses that are fitted side by side.
 
     Args:
-        bank: (K, nodes, W * W) moments.
+        bank: (K, width, width) moments of rows of elements.
         rows: in each.
-        grid: of the nodes; what it leaves free is fitted.
+        basis: of the elements; what it leaves free is fitted.
         prior: what else is known.
     """
 
-    def __init__(self, bank: Array, rows: int, grid: Grid, prior: Prior | None) -> None:
+    def __init__(self, bank: Array, rows: int, basis: RotorBasis, prior: Prior | None) -> None:
         self.bank = bank
         self.rows = rows
-        self.grid = grid
+        self.basis = basis
         self.prior = prior
-        coordinates = rb.N_THETA + np.array(grid.free, dtype=int)
+        coordinates = rb.N_THETA + np.array(basis.free, dtype=int)
         self.free = np.concatenate([np.arange(rb.N_THETA), coordinates])
         """(p,) indices of the unknowns that are fitted."""
         self.p = len(self.free)
-        self._pairs = [(grid.free.index(i), grid.free.index(j)) for i, j in grid.pairs]
-        self._mean = COORDINATE_MEAN[list(grid.free)]
-        self._information = COORDINATE_STD[list(grid.free)] ** -2.0
+        self._mean = COORDINATE_MEAN[list(basis.free)]
+        self._information = COORDINATE_STD[list(basis.free)] ** -2.0
 
     def prior_information(self) -> Array:
         """(p, p) of the prior, on what is fitted."""
@@ -305,30 +297,49 @@ class _Problem:
         cost: Array = (away * away) @ self._information
         return cost
 
-    def weights(self, unknowns: Array) -> Array:
-        """(K, d, nodes): what makes moments, and their derivatives, of those at the nodes."""
-        return self.grid.weights(unknowns[:, COORDINATES])
+    def maps(self, unknowns: Array) -> Array:
+        """(K, 1 + f, WIDTH, width) what makes rows [x, y] here, and its derivatives."""
+        return self.basis.maps(unknowns[:, COORDINATES])
 
     def moved(self, unknowns: Array, step: Array) -> Array:
-        """(..., N_UNKNOWNS) after a (..., p) step, within the grid."""
+        """(..., N_UNKNOWNS) after a (..., p) step, within the basis' range."""
         moved: Array = unknowns.copy()
+        if len(self.basis.free) > 1:
+            step = step * self._room(unknowns, step)[..., None]
         moved[..., self.free] += step
-        moved[..., COORDINATES] = np.clip(moved[..., COORDINATES], self.grid.low, self.grid.high)
+        moved[..., COORDINATES] = np.clip(moved[..., COORDINATES], self.basis.low, self.basis.high)
         return moved
+
+    def _room(self, unknowns: Array, step: Array) -> Array:
+        """(...) share of a step that does not lead out of the basis' range.
+
+        Lag and delay do the same to slow signals: cut off singly, a step along both goes astray.
+        """
+        free = list(self.basis.free)
+        low, high = self.basis.low[free], self.basis.high[free]
+        at, way = unknowns[..., self.free[rb.N_THETA :]], step[..., rb.N_THETA :]
+        room = np.where(way > 0.0, high - at, at - low)
+        share = 0.9 * room / np.maximum(np.abs(way), 1e-300)
+        # At the edge itself a coordinate is just held.
+        share = np.where(room > 1e-3 * (high - low), share, 1.0)
+        smallest: Array = np.minimum(share.min(axis=-1), 1.0)
+        return smallest
 
     def evaluate(self, unknowns: Array) -> _Point:
         """Cost and its derivatives at (K, N_UNKNOWNS)."""
-        K, n, f = len(unknowns), rb.N_THETA, len(self.grid.free)
-        moments = (self.weights(unknowns) @ self.bank).reshape(K, -1, WIDTH, WIDTH)
+        K, n, f = len(unknowns), rb.N_THETA, len(self.basis.free)
+        P = self.maps(unknowns)
+        P0 = np.swapaxes(P[:, 0], -1, -2)
+        moments = P[:, 0] @ self.bank @ P0
         Q, G = rb.forward_jacobian(unknowns[:, :n])
         T = residual_maker(Q)
-        # Moments of residuals with rows: here, and derivatives by the grid's coordinates.
-        cross = T[:, None] @ moments
-        Tt = np.swapaxes(T, -1, -2)
-        residual = cross @ Tt[:, None]
-        S = residual[:, 0] / self.rows
+        # Moments of residuals with rows; of their derivatives by the coordinates with rows.
+        TP = T[:, None] @ P
+        TPM = TP @ self.bank[:, None]
+        cross = TPM @ P0[:, None]
+        S = TPM[:, 0] @ np.swapaxes(TP[:, 0], -1, -2) / self.rows
         # Without noise only rounding is left of large terms; that keeps it definite.
-        sizes = moments[:, 0, _DIAGONAL, _DIAGONAL]
+        sizes = moments[:, _DIAGONAL, _DIAGONAL]
         own = S[:, _AXES, _AXES]
         S[:, _AXES, _AXES] = own + (
             (T * T @ sizes[..., None])[..., 0] * (_EPSILON / self.rows)
@@ -337,45 +348,57 @@ class _Problem:
         cost = np.linalg.slogdet(S)[1]
         W = np.linalg.inv(S)
         WG = (W[:, None] @ G).reshape(K, n, 3 * N_X)
-        GR = (G.reshape(K, n * 3, N_X) @ moments[:, 0, :N_X, :N_X]).reshape(K, n, 3 * N_X)
+        GR = (G.reshape(K, n * 3, N_X) @ moments[:, :N_X, :N_X]).reshape(K, n, 3 * N_X)
         hessian = np.empty((K, self.p, self.p))
         hessian[:, :n, :n] = WG @ np.swapaxes(GR, -1, -2)
-        right = cross[:, : 1 + f, :, :N_X].reshape(K, -1, 3 * N_X)
+        right = cross[..., :N_X].reshape(K, -1, 3 * N_X)
         downhill = WG @ np.swapaxes(right, -1, -2)
         gradient = np.empty((K, self.p))
         gradient[:, :n] = downhill[..., 0]
         if f:
             cost = cost + self.weak_cost(unknowns) / self.rows
-            curves = 0.5 * (residual[:, 1:].reshape(K, -1, 9) @ W.reshape(K, 9, 1))[..., 0]
+            WT = W[:, None] @ TP
+            slopes = (WT[:, :1] * TPM[:, 1:]).sum(axis=(2, 3))
+            bends = WT[:, 1:].reshape(K, f, -1) @ np.swapaxes(TPM[:, 1:].reshape(K, f, -1), 1, 2)
             away = unknowns[:, self.free[n:]] - self._mean
-            gradient[:, n:] = -curves[:, :f] - away * self._information
+            gradient[:, n:] = -slopes - away * self._information
             hessian[:, n:, :n] = -np.swapaxes(downhill[..., 1:], 1, 2)
             hessian[:, :n, n:] = -downhill[..., 1:]
-            for k, (i, j) in enumerate(self._pairs):
-                curve = curves[:, f + k]
-                if i == j:
-                    curve = np.maximum(curve, 0.0) + self._information[i]
-                hessian[:, n + i, n + j] = hessian[:, n + j, n + i] = curve
+            hessian[:, n:, n:] = bends + np.diag(self._information)
         if self.prior is not None:
             cost = cost + self.prior.cost(unknowns) / self.rows
         return _Point(unknowns, cost, gradient, hessian, S, Q, W, WG)
 
 
 def _scan(problem: _Problem, unknowns: Array) -> Array:
-    """Fit at every node of the grid; the best one with its theta, for each leak."""
-    leaks, nodes = problem.bank.shape[:2]
+    """Fit at every node of the basis; (starts, leaks, N_UNKNOWNS) the best ones of each leak."""
+    basis, leaks = problem.basis, len(problem.bank)
+    nodes = len(basis.nodes)
     if nodes == 1:
-        return unknowns
+        return unknowns[None]
     every = np.repeat(unknowns, nodes, axis=0)
-    every[:, COORDINATES] = np.tile(problem.grid.nodes, (leaks, 1))
-    given = _Problem(
-        problem.bank.reshape(leaks * nodes, 1, -1), problem.rows, _ONE_NODE, problem.prior
-    )
+    every[:, COORDINATES] = np.tile(basis.nodes, (leaks, 1))
+    P = basis.maps(basis.nodes)[:, 0]
+    there = (P @ problem.bank[:, None] @ np.swapaxes(P, 1, 2)).reshape(-1, WIDTH, WIDTH)
+    given = _Problem(there, problem.rows, PLAIN, problem.prior)
     point, _ = _minimise(given, every, _SCAN_ITERATIONS)
-    weak = problem.weak_cost(every) / problem.rows
-    best = np.argmin((point.cost + weak).reshape(leaks, nodes), axis=1)
-    chosen: Array = point.unknowns.reshape(leaks, nodes, -1)[np.arange(leaks), best]
+    cost = point.cost + problem.weak_cost(every) / problem.rows
+    starts = 1 if len(basis.free) == 1 else _STARTS
+    best = np.argsort(cost.reshape(leaks, nodes), axis=1)[:, :starts]
+    found = point.unknowns.reshape(leaks, nodes, -1)
+    chosen: Array = np.swapaxes(np.take_along_axis(found, best[..., None], axis=1), 0, 1)
     return chosen
+
+
+def _search(problem: _Problem, starts: Array) -> tuple[_Point, Mask]:
+    """The best minimum that (starts, leaks, N_UNKNOWNS) lead to, for each leak."""
+    s, leaks, _ = starts.shape
+    if s == 1:
+        return _minimise(problem, starts[0], _MAX_ITERATIONS)
+    wide = _Problem(np.tile(problem.bank, (s, 1, 1)), problem.rows, problem.basis, problem.prior)
+    point, converged = _minimise(wide, starts.reshape(s * leaks, -1), _MAX_ITERATIONS)
+    best = np.argmin(point.cost.reshape(s, leaks), axis=0) * leaks + np.arange(leaks)
+    return _Point(*(values[best] for values in vars(point).values())), converged[best]
 
 
 def _minimise(problem: _Problem, unknowns: Array, limit: int) -> tuple[_Point, Mask]:
@@ -448,19 +471,17 @@ class _Outcome:
         """(k, p) scaled downhill gradient of half the cost, batch by batch.
 
         Args:
-            batches: (k, nodes, W, W) of this hypothesis.
+            batches: (k, width, width) of this hypothesis.
             counts: (k,) rows in each.
         """
-        k = len(batches)
-        f = len(self._problem.grid.free)
-        weights = self._problem.weights(self._unknowns[None])[0, : 1 + f]
-        moments = (weights @ batches.reshape(k, -1, WIDTH * WIDTH)).reshape(k, -1, WIDTH, WIDTH)
-        T = residual_maker(self._Q)
-        cross = T @ moments
-        scores = cross[:, 0, :, :N_X].reshape(k, -1) @ self._WG.T
+        k, f = len(batches), len(self._problem.basis.free)
+        P = self._problem.maps(self._unknowns[None])[0]
+        TP = residual_maker(self._Q) @ P
+        TPM = TP[:1] @ batches[:, None]
+        scores = (TPM[:, 0] @ P[0].T)[..., :N_X].reshape(k, -1) @ self._WG.T
         if f:
-            slopes = cross[:, 1:].reshape(k, f, -1) @ (self._W @ T).reshape(-1)
-            scores = np.column_stack([scores, -0.5 * slopes])
+            slopes = TPM.reshape(k, -1) @ (self._W @ TP[1:]).reshape(f, -1).T
+            scores = np.column_stack([scores, -slopes])
         # Away from the likelihood's own minimum all batches pull one way; that is no scatter.
         scores -= np.outer(counts / counts.sum(), scores.sum(axis=0))
         scaled: Array = scores / self._scale
@@ -472,22 +493,21 @@ class _Outcome:
         The diagonal of H^-1 H_b H^-1, H_b the information of a batch; any scale.
 
         Args:
-            batches: (k, nodes, W, W) of this hypothesis.
+            batches: (k, width, width) of this hypothesis.
         """
         k, n, inverse_root = len(batches), rb.N_THETA, self.roots[1]
-        weights = self._problem.weights(self._unknowns[None])[0]
-        moments = (weights @ batches.reshape(k, -1, WIDTH * WIDTH)).reshape(k, -1, WIDTH, WIDTH)
+        basis = self._problem.basis
+        P = self._problem.maps(self._unknowns[None])[0]
+        moments = P[0] @ batches @ P[0].T
         inverse = (inverse_root @ inverse_root) / (self._scale[:, None] * self._scale)
         weighted = (inverse[:n, :n] @ self._WG.reshape(n, -1)).reshape(n, 3, N_X)
         moved = np.linalg.inv(self._W) @ weighted
-        shares: Array = moments[:, 0, :N_X, :N_X].reshape(k, -1) @ (
+        shares: Array = moments[:, :N_X, :N_X].reshape(k, -1) @ (
             (np.swapaxes(moved, 1, 2) @ weighted).reshape(n, -1).T
         )
-        grid = self._problem.grid
-        if grid.free:
-            T = residual_maker(self._Q)
-            own = [1 + len(grid.free) + grid.pairs.index((i, i)) for i in grid.free]
-            bends = (T @ moments[:, own]).reshape(k, len(own), -1) @ (self._W @ T).reshape(-1)
+        if basis.free:
+            TP = residual_maker(self._Q) @ P[1:]
+            bends = ((self._W @ TP) * (TP @ batches[:, None])).sum(axis=(2, 3))
             shares = np.column_stack([shares, bends])
         return shares
 
@@ -535,9 +555,9 @@ class _Outcome:
             step = inverse_root @ (inverse_root @ (pull / d))
         else:
             pull += self._gradient
-            coordinates, grid = self._unknowns[COORDINATES], problem.grid
-            inside = (coordinates > grid.low) & (coordinates < grid.high)
-            pull[n:] *= inside[list(grid.free)]
+            coordinates, basis = self._unknowns[COORDINATES], problem.basis
+            inside = (coordinates > basis.low) & (coordinates < basis.high)
+            pull[n:] *= inside[list(basis.free)]
             held = (root / widening[:, None]) @ np.linalg.inv(spread)
             covariance = np.linalg.inv(
                 held @ (root / widening)
@@ -569,9 +589,7 @@ class _Outcome:
 
     def _powers(self) -> Array:
         """(3,) mean squares of the angular accelerations."""
-        nodes = self._problem.bank[self._index]
-        # The gyro is not moved with the rotors' delay: any node tells.
-        powers: Array = nodes[0].reshape(WIDTH, WIDTH)[_OUTPUTS, _OUTPUTS] / self._problem.rows
+        powers: Array = np.diag(self._problem.bank[self._index])[-3:] / self._problem.rows
         return powers
 
     def _moved(self, step: Array) -> Array:
@@ -606,7 +624,7 @@ def _first_guess(total: Array, rows: int, at: Array, prior: Prior | None) -> Arr
         return rough
     if rough is None:
         return guess
-    problem = _Problem(total.reshape(1, 1, -1), rows, _ONE_NODE, prior)
+    problem = _Problem(total[None], rows, PLAIN, prior)
     both = np.stack([rough, guess])
     costs = [float(problem.evaluate(u[None]).cost[0]) for u in both]
     chosen: Array = both[int(np.argmin(costs))]

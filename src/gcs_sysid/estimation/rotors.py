@@ -1,9 +1,9 @@
 """From what is telemetered of the rotors to what may act on the body.
 
 Measured speeds need no more than their squares. Commands pass a first-order motor lag and a
-thrust curve that are not known: their signals are formed once for each branch of a grid over
-both (`estimation.grid`). All are in units of the anchor: rad^2/s^2 with k_T for speeds, shares of
-full thrust with T_max for commands.
+thrust curve that are not known: their signals are formed for some lags, of the lagged commands
+and of their squares (`estimation.basis`). All are in units of the anchor: rad^2/s^2 with k_T for
+speeds, shares of full thrust with T_max for commands.
 
 An autopilot that low-passes its gyro sees the rotors' effect late and rounded; the same filter on
 the rotors' side puts both in step again.
@@ -15,25 +15,22 @@ import numpy as np
 from scipy.signal import butter, lfilter, sosfilt
 
 from gcs_sysid.arrays import Array, complete_rows, runs
-from gcs_sysid.estimation.grid import CURVE, LAG, Grid
+from gcs_sysid.estimation.basis import RotorBasis
 from gcs_sysid.model import rigid_body
 
 RotorInput = Literal["speed", "command"]
 
-SIGNALS = 5
-"""Roll, pitch, thrust, yaw, H: of each branch."""
 _SETTLED = 5.0
 """Time constants after which a motor's past is forgotten."""
 
 
 class RotorPath:
-    """The rotors' signals at every branch, block by block.
+    """The rotors' signals for every lag and set of a basis, block by block.
 
     Args:
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
-        kind: what the samples hold.
-        grid: of what is not known.
+        basis: for which lags, and whether the samples hold commands.
         gyro_cutoff: Hz of the second-order low-pass that the autopilot puts on its gyro; None: the
             gyro is not filtered.
     """
@@ -42,15 +39,13 @@ class RotorPath:
         self,
         geometry: Array,
         dt: float,
-        kind: RotorInput,
-        grid: Grid,
+        basis: RotorBasis,
         gyro_cutoff: float | None = None,
     ) -> None:
         self._geometry = geometry
-        self._kind = kind
-        self._curves = grid.axes[CURVE]
-        lags = grid.axes[LAG] if kind == "command" else np.zeros(1)
-        self._decay = np.array([np.exp(-dt / lag) if lag > 0.0 else 0.0 for lag in lags])
+        self._commands = basis.commands
+        lags = basis.lags
+        self._filters = [_motor(dt, lag) for lag in lags]
         self._lag_settling = int(np.ceil(_SETTLED * lags[-1] / dt))
         self._sections: Array | None = None
         self._filter_settling = 0
@@ -62,6 +57,7 @@ class RotorPath:
     def restart(self) -> None:
         """What comes next does not join on to what came before."""
         self._last: Array | None = None
+        self._last_command: Array = np.empty(0)
         self._state: Array | None = None
         self._wait = self._settle = 0
 
@@ -69,13 +65,13 @@ class RotorPath:
         """The signals of (n, rotors) speeds in rad/s, or commands of 0 to 1; NaN where missing.
 
         Returns:
-            (branches, n, SIGNALS) for the rotation, as the autopilot's gyro feels them, and
-            (branches, n) thrust as it acts.
+            (lags * sets, n, SIGNALS): roll, pitch, thrust, yaw and H for the rotation, as the
+            autopilot's gyro feels them, and (lags * sets, n) thrust as it acts.
         """
-        if self._kind == "speed":
-            mixed, H = rigid_body.rotor_signals(self._geometry, rotors[None])
-        else:
+        if self._commands:
             mixed, H = self._of_commands(np.clip(rotors, 0.0, None))
+        else:
+            mixed, H = rigid_body.rotor_signals(self._geometry, rotors[None])
         signals = np.concatenate([mixed, H[..., None]], axis=-1)
         thrust = mixed[..., 2]
         if self._sections is not None:
@@ -83,41 +79,41 @@ class RotorPath:
         return signals, thrust
 
     def _of_commands(self, commands: Array) -> tuple[Array, Array]:
-        """(branches, n, 4) signals and (branches, n) H of commands."""
-        w = self._lagged(commands)[:, None]
-        c = self._curves[:, None, None]
-        # A rotor's speed goes with the root of its thrust, sqrt(w) on one end of the curves and w
-        # on the other. Between them a straight line will do, and keeps moments polynomials in c.
-        speeds = (1.0 - c) * np.sqrt(w) + c * w
-        H = (speeds @ self._geometry[2]).reshape(-1, len(commands))
-        shares = (1.0 - c) * w + c * w * w
+        """(lags * 2, n, 4) signals and (lags * 2, n) H of commands: of each lag, w and w^2."""
+        w = self._lagged(commands)
+        shares = np.stack([w, w * w], axis=1)
         mixed = shares @ rigid_body.mixer(self._geometry)
-        return mixed.reshape(-1, len(commands), 4), H
+        # A rotor's speed goes with the root of its thrust: sqrt(w) at one end of the curves, w at
+        # the other; between them a straight line will do.
+        H = np.stack([np.sqrt(w), w], axis=1) @ self._geometry[2]
+        n = len(commands)
+        return mixed.reshape(-1, n, 4), H.reshape(-1, n)
 
     def _lagged(self, commands: Array) -> Array:
         """(lags, n, rotors) what first-order motors make of commands."""
-        out = np.full((len(self._decay), *commands.shape), np.nan)
+        out = np.full((len(self._filters), *commands.shape), np.nan)
         for run, there in runs(complete_rows(commands)):
             if not there:
                 self._last = None
                 continue
             part = commands[run]
             if self._last is None:
-                self._last = np.repeat(part[:1], len(self._decay), axis=0)
+                self._last = np.repeat(part[:1], len(self._filters), axis=0)
+                self._last_command = part[:1]
                 self._wait = self._lag_settling
             skip = min(self._wait, len(part))
             self._wait -= skip
-            for i, a in enumerate(self._decay):
-                # A command acts from its stamp until the next: the grid's step is the sender's.
-                lagged, _ = lfilter(
-                    [1.0 - a], [1.0, -a], part, axis=0, zi=a * self._last[i : i + 1]
-                )
+            with_last = np.concatenate([self._last_command, part])
+            self._last_command = part[-1:]
+            for i, (a, b0, b1) in enumerate(self._filters):
+                driven = b0 * with_last[1:] + b1 * with_last[:-1]
+                lagged, _ = lfilter([1.0], [1.0, -a], driven, axis=0, zi=a * self._last[i : i + 1])
                 self._last[i] = lagged[-1]
                 out[i, run.start + skip : run.stop] = lagged[skip:]
         return out
 
     def _filtered(self, signals: Array) -> Array:
-        """(branches, n, SIGNALS) through the gyro's low-pass; it needs some time to settle."""
+        """(lags * sets, n, SIGNALS) through the gyro's low-pass; it needs some time to settle."""
         out = np.full_like(signals, np.nan)
         whole = complete_rows(np.swapaxes(signals, 0, 1).reshape(signals.shape[1], -1))
         for run, there in runs(whole):
@@ -135,8 +131,21 @@ class RotorPath:
         return out
 
 
+def _motor(dt: float, lag: float) -> tuple[float, float, float]:
+    """(a, b0, b1) of w_k = a w_{k-1} + b0 u_k + b1 u_{k-1} for a motor of first order.
+
+    Exact for commands that run straight from stamp to stamp, which has no phase of its own;
+    that a command is held until the next one comes is then part of the delay.
+    """
+    if lag == 0.0:
+        return 0.0, 1.0, 0.0
+    a = float(np.exp(-dt / lag))
+    share = lag / dt * (1.0 - a)
+    return a, 1.0 - share, share - a
+
+
 def _steady(sections: Array | None, first: Array) -> Array:
-    """(1, branches, 2, signals) state of the filter as if the first value had always been."""
+    """(1, lags * sets, 2, signals) state of the filter as if the first value had always been."""
     assert sections is not None
     b0, b1, b2, _, a1, a2 = sections[0]
     gain = (b0 + b1 + b2) / (1.0 + a1 + a2)

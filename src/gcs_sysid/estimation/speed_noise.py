@@ -7,7 +7,7 @@ Where the noise is known, its part of the moments is known too and is taken out 
 import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows, runs
-from gcs_sysid.estimation.rotation import WIDTH
+from gcs_sysid.estimation.basis import WIDTH
 from gcs_sysid.filters.smoothers import Smoother
 from gcs_sysid.model import rigid_body
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtr
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.grid import Grid
+from gcs_sysid.estimation.basis import RotorBasis
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotation import N_X, fit_rotation
 from gcs_sysid.model import rigid_body as rb
@@ -56,7 +56,7 @@ class Validation:
 def validate(
     batches: Array,
     counts: NDArray[np.int64],
-    grid: Grid,
+    basis: RotorBasis,
     noise: Array,
     gains: Array,
     prior: Prior | None = None,
@@ -64,10 +64,10 @@ def validate(
     """Fit the first batches, predict the others.
 
     Args:
-        batches: (k, leaks, nodes, WIDTH, WIDTH), as of `fit_rotation`; the prediction is judged
+        batches: (k, leaks, width, width), as of `fit_rotation`; the prediction is judged
             on the first leak.
         counts: (k,) rows in each.
-        grid: of the nodes.
+        basis: of the elements.
         noise: (leaks, WIDTH, WIDTH).
         gains: (leaks,) 1/s^2, variance of a row's derivative over that of white gyro noise.
         prior: what else is known.
@@ -79,16 +79,16 @@ def validate(
     cut = round(FITTED_SHARE * k)
     if k < _MIN_BATCHES:
         return None
-    fit = fit_rotation(batches[:cut], counts[:cut], grid, noise, prior=prior)
+    fit = fit_rotation(batches[:cut], counts[:cut], basis, noise, prior=prior)
     if fit is None:
         return None
-    rest = grid.moments_at(batches[cut:, 0].sum(axis=0), fit.coordinates)
+    rest = basis.moments_at(batches[cut:, 0].sum(axis=0), fit.coordinates)
     Q = rb.forward_matrix(fit.theta)
     Rxx, Rxy, Ryy = rest[:N_X, :N_X], rest[:N_X, N_X:], rest[N_X:, N_X:]
     measured = np.diag(Ryy)
     predicted = np.diag(Q @ Rxx @ Q.T)
     error = np.maximum(measured - 2.0 * np.diag(Q @ Rxy) + predicted, 0.0)
-    whiteness, p = _whiteness(batches[cut:], counts[cut:], grid, noise, gains, fit.coordinates, Q)
+    whiteness, p = _whiteness(batches[cut:], counts[cut:], basis, noise, gains, fit.coordinates, Q)
     tiny = 1e-300
     return Validation(
         r_squared=1.0 - error / np.maximum(measured, tiny),
@@ -102,7 +102,7 @@ def validate(
 def _whiteness(
     batches: Array,
     counts: NDArray[np.int64],
-    grid: Grid,
+    basis: RotorBasis,
     noise: Array,
     gains: Array,
     at: Array,
@@ -113,7 +113,7 @@ def _whiteness(
         return np.full(3, np.nan), np.full(3, np.nan)
     T = np.hstack([-Q, np.eye(3)])
     pair = np.swapaxes(batches[:, [0, -1]], 0, 1)
-    here = grid.moments_at(pair, at)
+    here = basis.moments_at(pair, at)
     plain, summed = np.einsum("ai,lkij,aj->lka", T, here, T)  # (k, 3) each: residual power
     of_speeds = np.einsum("ai,lij,aj->la", T, noise[[0, -1]], T)
     ratio = gains[-1] / gains[0]

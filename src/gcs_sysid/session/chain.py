@@ -6,6 +6,7 @@ numbers that the live session ended with.
 """
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -52,6 +53,7 @@ class ChainOptions:
         start: s after the first record; earlier records are not used.
         end: s after the first record; later ones are not used.
         offline: whether the final estimate is the maximum-likelihood one.
+        parameters: of the autopilot, as far as they are known beforehand.
     """
 
     tuning: Tuning = field(default_factory=Tuning)
@@ -61,6 +63,7 @@ class ChainOptions:
     start: float = 0.0
     end: float = float("inf")
     offline: bool = False
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 class Chain:
@@ -92,6 +95,7 @@ class Chain:
             # The article knows rotor speeds alone.
             airframe = replace(airframe, rotor_input="speed")
         self.chooser = RotorChooser(airframe, anchor)
+        self.chooser.parameters |= options.parameters
         self.sampler = Sampler(
             self.chooser, len(airframe.rotors), options.tick, options.start, options.end
         )
@@ -157,6 +161,13 @@ class Chain:
         if self._rotors is not None:
             return self._rotors.kind
         return "command" if self.airframe.rotor_input == "command" else "speed"
+
+    @property
+    def outdated(self) -> bool:
+        """Whether parameters came too late: what they say is not what the estimate rests on."""
+        if self._tracker is None:
+            return False
+        return self.chooser.outdated or self._gyro_cutoff != self._cutoff_now()
 
     @property
     def anchor(self) -> Anchor:
@@ -314,6 +325,11 @@ class Chain:
             )
         if self._rotors is None and self.chooser.judged:
             return self._input_reasons()
+        if self.outdated:
+            return (
+                "the autopilot's parameters came too late to be used for filters and ranges: "
+                "analyse the recording",
+            )
         if Stream.ATTITUDE not in seen:
             return ("no attitude (ATTITUDE or ATTITUDE_QUATERNION)",)
         if self._fit.rotation is None:
@@ -375,14 +391,16 @@ class Chain:
         self._fit = Fit(None, None, 0.0)
         self._course.clear()
 
+    def _cutoff_now(self) -> float | None:
+        given, chooser = self.airframe.gyro_filter, self.chooser
+        return gyro_cutoff(given, chooser.autopilot, chooser.parameters)
+
     def _new_tracker(self, dt: float) -> Tracker:
         assert self._rotors is not None
         self._anchors = self._anchors[:1]
         self._told = 0
         own, changes = self.options.tuning, self.options.changes
-        self._gyro_cutoff = gyro_cutoff(
-            self.airframe.gyro_filter, self.chooser.autopilot, self.chooser.parameters
-        )
+        self._gyro_cutoff = self._cutoff_now()
         tuning = replace(own, gyro_cutoff=self._gyro_cutoff)
         if self._rotors.kind == "command":
             curve = self.airframe.command.thrust_curve

@@ -63,6 +63,7 @@ class Stretch:
     groups: dict[int, tuple[list[float], list[tuple[float, ...]]]] = field(default_factory=dict)
 
     def add(self, record: Record) -> None:
+        """Keep a record, while there is room."""
         times, values = self.groups.setdefault(record.offset, ([], []))
         if len(times) < _MOST:
             times.append(record.t)
@@ -109,6 +110,16 @@ class RotorChooser:
         elif flying and record.stream in _STREAMS:
             name = family(record.source)
             self._stretches.setdefault(name, Stretch(record.stream)).add(record)
+
+    @property
+    def outdated(self) -> bool:
+        """Whether parameters that came since would have given the commands another range."""
+        used = None if self.choice is None else self.choice.range
+        if used is None or self.choice is None:
+            return False
+        command = self._airframe.command
+        now = command_range(self.choice.name, command, self.autopilot, self.parameters, used.high)
+        return now is not None and (now.low, now.high) != (used.low, used.high)
 
     def gap(self) -> None:
         """The clock or the stream started anew: the stretch does too."""
@@ -242,7 +253,7 @@ class RotorChooser:
         diameter = apart[apart > 1e-3].min()
         power = sum(float(np.mean(v * v)) for _, v in stretch.rotors(len(x)))
         k_T = _MOST_THRUST_COEFFICIENT * _AIR * diameter**4 / (2.0 * math.pi) ** 2
-        return self._anchor.value * GRAVITY > _BEYOND * k_T * power
+        return self._anchor.value * GRAVITY > _BEYOND * float(k_T) * power
 
 
 def _is_function(t: Array, speeds: Array, command_t: Array, commands: Array) -> bool:
