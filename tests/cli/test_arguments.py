@@ -4,7 +4,6 @@ import argparse
 import os
 import subprocess
 import sys
-
 from importlib import resources
 
 import pytest
@@ -28,9 +27,9 @@ def files(tmp_path, monkeypatch):
     (tmp_path / "wrong-key.toml").write_text("colour = 3\n")
     (tmp_path / "broken.toml").write_text("mass = = 3\n")
     for kind, scale in (("speed", "T_max = 5.0"), ("command", "k_T = 2e-5")):
-        table = f"{scale}\nrotor_input = \"{kind}\"\n"
+        table = f'{scale}\nrotor_input = "{kind}"\n'
         rotors = resources.files("gcs_sysid.model") / "airframes" / "px4-quad-x.toml"
-        text = rotors.read_text(encoding="utf-8").replace("rotor_input = \"auto\"\n", table)
+        text = rotors.read_text(encoding="utf-8").replace('rotor_input = "auto"\n', table)
         (tmp_path / f"{kind}s.toml").write_text(text)
     (tmp_path / "truth.json").write_text("[1, 2]")
     (tmp_path / "broken.json").write_text("{")

@@ -133,14 +133,12 @@ class RotorSource:
     def read(self, values: Array) -> Array:
         """(n, rotors) of the stream to rad/s, or to commands of 0 (stopped) to 1 (full).
 
-        A rotor that reads 0 among others that turn is an ESC that did not answer: missing.
+        A speed of 0 is missing: in flight no rotor stands still, but an ESC may not answer.
         """
         if self.range is not None:
             return normalised(values, self.range)
-        speeds = values * self.scale
-        silent = (speeds <= 0.0) & (speeds > 0.0).any(axis=1, keepdims=True)
-        read: Array = np.where(silent, np.nan, speeds)
-        return read
+        speeds: Array = np.where(values > 0.0, values * self.scale, np.nan)
+        return speeds
 
 
 def normalised(outputs: Array, range_: Range) -> Array:
