@@ -149,7 +149,7 @@ def physical_parameters(
         if rotor_input == "command":
             out["thrust_curve"] = _coordinate(rotation, CURVE, 1.0)
             out["rotor_inertia"] = NOTHING
-            del out["k_M"]
+            out.pop("k_M", None)
         for name in _AXES.keys() & out.keys():
             out[name] = _doubted(out[name], float(rotation.r_squared[list(_AXES[name])].min()))
         if coupling is not None and coupling.contradicted:
