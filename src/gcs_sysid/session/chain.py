@@ -335,7 +335,7 @@ class Chain:
         if self._fit.rotation is None:
             return ("too little flight in which all the needed data came together",)
         if self._fit.rotation.r_squared.min() < WEAK_BELOW_R2:
-            share = 100.0 * self._fit.rotation.r_squared.min()
+            share = max(100.0 * self._fit.rotation.r_squared.min(), 0.0)
             return (
                 f"the rotors explain only {share:.0f} % of the motion on one axis: "
                 "fly it harder than the wind does, and check the motor order",
