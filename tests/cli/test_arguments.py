@@ -4,6 +4,7 @@ import argparse
 import os
 import subprocess
 import sys
+from importlib import resources
 
 import pytest
 
@@ -25,6 +26,11 @@ def files(tmp_path, monkeypatch):
     (tmp_path / "folder.tlog").mkdir()
     (tmp_path / "wrong-key.toml").write_text("colour = 3\n")
     (tmp_path / "broken.toml").write_text("mass = = 3\n")
+    for kind, scale in (("speed", "T_max = 5.0"), ("command", "k_T = 2e-5")):
+        table = f'{scale}\nrotor_input = "{kind}"\n'
+        rotors = resources.files("gcs_sysid.model") / "airframes" / "px4-quad-x.toml"
+        text = rotors.read_text(encoding="utf-8").replace('rotor_input = "auto"\n', table)
+        (tmp_path / f"{kind}s.toml").write_text(text)
     (tmp_path / "truth.json").write_text("[1, 2]")
     (tmp_path / "broken.json").write_text("{")
     (tmp_path / "taken.tlog").write_bytes(b"x")
@@ -45,7 +51,8 @@ CASES = {
     "wrong key": (["analyze", "a.tlog", "--airframe", "wrong-key.toml"], "'colour'"),
     "broken airframe": (["analyze", "a.tlog", "--airframe", "broken.toml"], "broken.toml"),
     "no scale": (["analyze", "a.tlog", "--airframe", "px4-quad-x"], "--mass"),
-    "T_max for speeds": (["analyze", "a.tlog", *PAPER, "--t-max", "5"], "T_max"),
+    "T_max for speeds": (["analyze", "a.tlog", "--airframe", "speeds.toml"], "T_max"),
+    "k_T for commands": (["analyze", "a.tlog", "--airframe", "commands.toml"], "k_T"),
     "end before start": (["analyze", "a.tlog", *PAPER, "--start", "9", "--end", "5"], "--end"),
     "missing truth": (["analyze", "a.tlog", *PAPER, "--truth", "no.json"], "no.json"),
     "truth is a list": (["analyze", "a.tlog", *PAPER, "--truth", "truth.json"], "truth.json"),

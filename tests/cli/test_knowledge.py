@@ -147,14 +147,14 @@ def test_scale_from_each_anchor():
     loaded = 2.05e-4 / 1.8
     added = resolve_scale(Anchor("added_mass", 0.3, loaded=(loaded, share * loaded)), fit, {})
     assert added.mass == pytest.approx(1.5)
-    assert added.k_T == pytest.approx(2.05e-4)
+    assert added.thrust == pytest.approx(2.05e-4)
     # kappa_1 and kappa_2 differ by a sixth: their errors count six and more times.
     assert added.mass_share == pytest.approx(6.0 * share * 2**0.5, rel=1e-6)
-    assert added.k_T_share == pytest.approx(share * (5.0**2 + 6.0**2) ** 0.5, rel=1e-6)
+    assert added.thrust_share == pytest.approx(share * (5.0**2 + 6.0**2) ** 0.5, rel=1e-6)
     # A prior on k_T is weighed by its variance.
     both = resolve_scale(Anchor("mass", 1.5), fit, {"k_T": (2.05e-4 * 1.002, 2.05e-7)})
-    assert both.k_T == pytest.approx(2.05e-4 * 1.001, rel=1e-6)
-    assert both.k_T_share == pytest.approx(share / 2**0.5, rel=2e-3)
+    assert both.thrust == pytest.approx(2.05e-4 * 1.001, rel=1e-6)
+    assert both.thrust_share == pytest.approx(share / 2**0.5, rel=2e-3)
 
 
 def test_priors_become_relative():

@@ -167,3 +167,15 @@ def test_verdict_and_its_reasons(statuses, word, said):
     for text in said:
         assert any(text in reason for reason in reasons)
     assert bool(reasons) is bool(said)
+
+
+def test_commands_name_their_own_parameters():
+    anchor = Anchor("mass", MASS)
+    for translation in (TRANSLATION, None):
+        values = physical_parameters(anchor, ROTATION, translation, ARM, rotor_input="command")
+        assert not {"k_T", "k_M"} & values.keys()
+        assert {"T_max", "thrust_curve", "moment_ratio"} <= values.keys()
+        assert values["rotor_inertia"] == NOTHING
+    assert physical_parameters(anchor, ROTATION, TRANSLATION, ARM, rotor_input="command")[
+        "T_max"
+    ].value == pytest.approx(K_T)

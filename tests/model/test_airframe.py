@@ -74,7 +74,7 @@ def test_a_full_file_is_read(write):
     airframe = load_airframe(path)
     assert airframe.name == "mine"
     assert airframe.rotor_input == "command"
-    assert dataclasses.astuple(airframe.command) == (0.0, 1.0, 0.3)
+    assert dataclasses.astuple(airframe.command) == (0.0, 1.0, 0.3, True)
     assert airframe.anchor() == ("mass", 2.0)
     assert airframe.rotors[1] == (airframe.rotors[0].__class__(-0.2, -0.3, 1))
 
@@ -83,7 +83,7 @@ def test_defaults_of_a_minimal_file(write):
     airframe = load_airframe(write(ROTORS))
     assert airframe.name == "quad"
     assert airframe.rotor_input == "auto"
-    assert dataclasses.astuple(airframe.command) == (1000.0, 2000.0, None)
+    assert dataclasses.astuple(airframe.command) == (1000.0, 2000.0, None, False)
     assert airframe.anchor() is None
 
 

@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.rotor_input import RotorChooser
 from gcs_sysid.session.sampling import Sampler
 
 RPM = 2.0 * math.pi / 60.0
@@ -108,8 +110,9 @@ def test_another_vehicle_than_the_logs_own_is_refused(airframe, ulog_file, tmp_p
 
 
 def test_parameters_are_no_samples():
-    sampler = Sampler(4)
-    assert sampler.push(Record(Stream.PARAMETER, 0.0, (1.0,), source="FRAME_CLASS")) is None
+    airframe = load_airframe("paper")
+    sampler = Sampler(RotorChooser(airframe, Anchor("mass", 1.5)), 4)
+    assert sampler.push(Record(Stream.PARAMETER, 0.0, (1.0,), source="FRAME_CLASS")) == ()
     assert sampler.recorded is None
     assert sampler.seen == set()
     sampler.push(Record(Stream.IMU, 500.0, (0.0,) * 6))

@@ -193,6 +193,17 @@ def add_inspect(parser: argparse.ArgumentParser) -> None:
     _add_link(link)
 
 
+def _check_scale_fits(airframe: "Airframe") -> None:
+    if airframe.T_max is not None and airframe.rotor_input == "speed":
+        raise InputError(
+            "T_max cannot set the scale with rotor speeds as the input; give --mass or --k-t"
+        )
+    if airframe.k_T is not None and airframe.rotor_input == "command":
+        raise InputError(
+            "k_T cannot set the scale with commands as the input; give --mass or --t-max"
+        )
+
+
 def airframe_of(options: argparse.Namespace) -> "Airframe":
     """The airframe with its anchor, as the options say.
 
@@ -221,14 +232,11 @@ def airframe_of(options: argparse.Namespace) -> "Airframe":
         airframe = airframe.with_anchor("mass", 1.0)
     for name, value, std in options.prior:
         airframe = airframe.with_prior(name, value, std)
-    anchor = airframe.anchor()
-    if anchor is None:
+    if airframe.anchor() is None:
         raise InputError(
-            "nothing sets the scale: weigh the vehicle and give --mass KG (or --k-t VALUE), "
-            "because IMU and rotor speeds alone do not tell heavy and strong from light and weak"
+            "nothing sets the scale: weigh the vehicle and give --mass KG (or --k-t VALUE, or "
+            "--t-max VALUE with commands), because IMU and rotors alone do not tell heavy and "
+            "strong from light and weak"
         )
-    if anchor[0] == "T_max":
-        raise InputError(
-            "T_max cannot set the scale with rotor speeds as the input; give --mass or --k-t"
-        )
+    _check_scale_fits(airframe)
     return airframe

@@ -182,7 +182,8 @@ def status_line(snapshot: Snapshot) -> str:
     if link.state is not LinkState.CONNECTED:
         words.append(str(link.state.value))
     words.append(snapshot.result.verdict)
-    for name in ("Ixx", "Iyy", "Izz", "k_T", "k_M"):
+    speeds = snapshot.result.rotor_input == "speed"
+    for name in ("Ixx", "Iyy", "Izz", *(("k_T", "k_M") if speeds else ("T_max", "moment_ratio"))):
         estimate = snapshot.result.parameters.get(name)
         if estimate is None or estimate.value is None or estimate.std is None:
             words.append(f"{name} -")

@@ -1,7 +1,8 @@
 """What sets the scale, and what else was known before the flight.
 
-IMU and rotor speeds tell everything divided by k_T, and k_T / m. One more fact makes that
-absolute: the mass, k_T, or a second flight with a known mass added:
+IMU and rotor speeds tell everything divided by k_T, and k_T / m; with commands the thrust at full
+command, T_max, takes the place of k_T throughout. One more fact makes that absolute: the mass,
+k_T or T_max, or a second flight with a known mass added:
 
     kappa_1 = k_T / m,  kappa_2 = k_T / (m + added)  =>  m = added kappa_2 / (kappa_1 - kappa_2)
 """
@@ -43,22 +44,25 @@ class Anchor:
 
 @dataclass(frozen=True)
 class Scale:
-    """Mass and k_T with relative standard deviations; None: not known."""
+    """Mass and thrust with relative standard deviations; None: not known.
+
+    Thrust is k_T with rotor speeds, T_max with commands.
+    """
 
     mass: float | None
     mass_share: float
-    k_T: float | None
-    k_T_share: float
+    thrust: float | None
+    thrust_share: float
 
 
 def resolve_scale(
     anchor: Anchor, translation: TranslationFit | None, known: Mapping[str, Known]
 ) -> Scale:
-    """Mass and k_T from the anchor, the flight, and priors on either.
+    """Mass and thrust from the anchor, the flight, and priors on either.
 
     Args:
         anchor: in force.
-        translation: k_T / m of the flight; None while there is none.
+        translation: thrust / m of the flight; None while there is none.
         known: priors; those on mass and k_T count here.
     """
     kappa, share = math.nan, math.inf
@@ -119,10 +123,10 @@ def relative_prior(known: Mapping[str, Known], scale: Scale) -> Prior | None:
         else:
             index = rb.THETA.index("moment_ratio" if name == "k_M" else name)
         if name not in (*LENGTHS, "rotor_delay"):
-            if scale.k_T is None:
+            if scale.thrust is None:
                 continue
-            value, std = value / scale.k_T, std / scale.k_T
-            std = math.hypot(std, value * scale.k_T_share)
+            value, std = value / scale.thrust, std / scale.thrust
+            std = math.hypot(std, value * scale.thrust_share)
         # Two priors on one unknown (k_M and moment_ratio) add up.
         weight = 1.0 / std**2
         total = information[index] + weight

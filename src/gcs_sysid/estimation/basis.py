@@ -181,6 +181,10 @@ class RotorBasis:
         out: Array = P @ moments @ P.T
         return out
 
+    def body_places(self, columns: Sequence[int]) -> list[int]:
+        """Where columns of x that do not come from the rotors lie in a row of elements."""
+        return [self.width - BODY + _BODY_COLUMNS.index(column) for column in columns]
+
     def thrust_weights(self, at: Array) -> Array:
         """(lags * sets,) what makes thrust, undelayed, of that of the lags at (3,) coordinates."""
         weights = self._lag_span.weights(np.zeros(1), at[LAG : LAG + 1])

@@ -1,7 +1,7 @@
 """The online estimator: samples in, relative estimates out, in bounded memory and time."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -9,7 +9,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import article, rotation, translation
-from gcs_sysid.estimation.basis import RotorBasis
+from gcs_sysid.estimation.basis import CURVE, RotorBasis
+from gcs_sysid.estimation.coupling import PRODUCTS, Coupling, gyroscopic_coupling
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.regression import LeakySums, RowMaker, Samples
@@ -20,6 +21,8 @@ from gcs_sysid.estimation.validation import Validation, validate
 from gcs_sysid.filters.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
 
 _SETTLE_GROWTH = 1.5
+_MIN_BATCHES = 10
+"""From which their scatter tells how sure a number is."""
 _PIECE_TIME = 0.1
 """s of samples that are taken at once."""
 MIN_MOMENTUM_SECONDS = 5.0
@@ -88,6 +91,8 @@ class Fit:
     """Only of full fits."""
     accelerometer: TranslationFit | None = None
     """The second source of k_T / m, whichever `translation` is; of full fits, for certain."""
+    coupling: Coupling | None = None
+    """Whether it moves like a rigid body; None while that cannot be told."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +159,8 @@ class OnlineEstimator:
         self._settle_interval = tuning.settle_interval
         self._followed: dict[str, _Followed] = {}
         self._thrust: dict[str, _FollowedThrust] = {}
+        self._coupling: Coupling | None = None
+        self._coupling_at = 0.0
         self._article = (
             None
             if tuning.method == "forward"
@@ -215,6 +222,8 @@ class OnlineEstimator:
         rot = self._fit_rotation(name)
         at = None if rot is None else rot.coordinates
         trans, accelerometer = self.fit_translation(name, at)
+        if trans is not None and at is not None and CURVE in self._basis.free:
+            trans = replace(trans, curve_slope=self._curve_slope(trans, at))
         validation = None
         if not quick and self._article is None:
             validation = validate(
@@ -225,7 +234,37 @@ class OnlineEstimator:
                 np.array([self._smoother.noise_gains(m)[1] for m in self._memories]),
                 self.prior,
             )
-        return Fit(rot, trans, self.seconds, validation, accelerometer)
+        coupling = self._coupling_of(rot, quick=quick)
+        if coupling is not None and coupling.contradicted and not quick:
+            # What rotors turn against remains to be told: inertia in roll and pitch.
+            rot = rotation.fit_rotation(
+                self._without_products(),
+                self._rotation.counts,
+                self._basis,
+                self._noise(),
+                prior=self.prior,
+            )
+        return Fit(rot, trans, self.seconds, validation, accelerometer, coupling)
+
+    def _coupling_of(self, fit: rotation.RotationFit | None, *, quick: bool) -> Coupling | None:
+        """Whether the body is rigid; between settled fits what the latest said."""
+        if fit is None or self._article is not None or len(self._rotation.batches) < _MIN_BATCHES:
+            return None
+        if quick and self.seconds < self._coupling_at:
+            return self._coupling
+        self._coupling_at = _SETTLE_GROWTH * self.seconds
+        batches = self._rotation.batches[:, fit.leak]
+        at_fit = self._basis.moments_at(batches, fit.coordinates)
+        self._coupling = gyroscopic_coupling(at_fit, fit.theta)
+        return self._coupling
+
+    def _without_products(self) -> Array:
+        """The moments as if products of rates were zero: of a body without gyroscopic torque."""
+        moments: Array = self._rotation.batches.copy()
+        places = self._basis.body_places(PRODUCTS)
+        moments[..., places, :] = 0.0
+        moments[..., :, places] = 0.0
+        return moments
 
     def fit_translation(
         self, course: str | None = None, at: Array | None = None
@@ -249,6 +288,18 @@ class OnlineEstimator:
             self.accelerometer_gain,
         )
         return momentum or accelerometer, accelerometer
+
+    def _curve_slope(self, fit: TranslationFit, at: Array) -> float:
+        """Change of kappa with the thrust curve: it is gravity over the mean share of thrust."""
+        moments = self._momentum if fit.source == "momentum" else self._accelerometer
+        step = 0.05 * np.eye(3)[CURVE]
+        less, more = (
+            float(mixed[..., 2, 0].ravel()[-1])  # of the vertical axis
+            for c in (at - step, at + step)
+            for mixed in (_mixed(self._basis.thrust_weights(c), moments.total),)
+        )
+        change: float = -fit.kappa * (more - less) / (0.5 * (more + less)) / (2.0 * step[CURVE])
+        return change
 
     def _fit_momentum(self, course: str | None, weights: Array) -> TranslationFit | None:
         moments = self._momentum

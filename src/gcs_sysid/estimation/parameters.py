@@ -8,14 +8,23 @@ from typing import Literal
 import numpy as np
 
 from gcs_sysid.estimation.anchors import Anchor, Known, resolve_scale
+from gcs_sysid.estimation.basis import CURVE, DELAY, LAG
+from gcs_sysid.estimation.coupling import Coupling
 from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.model import rigid_body as rb
 
 Status = Literal["identified", "given", "weak", "unobservable"]
 
-CORE = ("mass", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M")
+_BODY = ("mass", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y")
+CORE = (*_BODY, "k_T", "k_M")
 """What a complete identification with rotor speeds consists of."""
+CORE_OF: dict[RotorInput, tuple[str, ...]] = {
+    "speed": CORE,
+    "command": (*_BODY, "T_max", "moment_ratio"),
+}
+"""The same by what the rotors' input is."""
 
 IDENTIFIED_BELOW = 0.05
 """Standard deviation over reference value, below which a parameter counts as identified."""
@@ -34,8 +43,15 @@ _CG_FLOOR = 6e-6
 """Of the arm (a micrometre or two), least standard deviation of the CG: speeds in whole rpm
 leave a slow remainder of that size that no scatter within one flight tells."""
 
+_CURVE_SHAPE = 1e-3
+"""Of the CG's offset with commands, least standard deviation: thrust curves are not quite of the
+form fitted (measured: 0.13 % where the lag is the speed's, not the command's)."""
+
 _DELAY_YARDSTICK = 0.02
 """s, what a delay is measured against: 10 ms of it cost 30 % on Izz."""
+
+_LAG_YARDSTICK = 0.05
+"""s, what a motor's lag is measured against."""
 
 _AXES: dict[str, tuple[int, ...]] = {
     "Ixx": (0,),
@@ -50,6 +66,11 @@ _AXES: dict[str, tuple[int, ...]] = {
     "rotor_inertia": (0, 1, 2),
 }
 """The axes whose fit a parameter rests on. (The CG rests on the mean torque: on none.)"""
+
+
+COUPLED = frozenset({"Izz", "Ixy", "Iyz", "Ixz", "k_M", "moment_ratio", "rotational_damping",
+                     "rotor_inertia"})  # fmt: skip
+"""What rests on the vehicle being a rigid body, see `coupling`."""
 
 
 @dataclass(frozen=True)
@@ -70,43 +91,70 @@ def physical_parameters(
     translation: TranslationFit | None,
     arm: float,
     known: Mapping[str, Known] | None = None,
+    rotor_input: RotorInput = "speed",
+    coupling: Coupling | None = None,
 ) -> dict[str, Value]:
     """Physical parameters of the fits, at the anchor's scale.
 
+    With commands T_max and the thrust curve take the places of k_T and k_M, and a rotor's inertia
+    cannot be told.
+
     Args:
         anchor: the known value that sets the scale.
-        rotation: relative to k_T; None while there is none.
-        translation: k_T / m and D / m; None while there is none.
+        rotation: relative to k_T or T_max; None while there is none.
+        translation: the same over m, and D / m; None while there is none.
         arm: m, mean rotor distance: the yardstick for CG and moment ratio.
         known: priors on mass and k_T; those on the rotation are in its fit.
+        rotor_input: what the fits are relative to.
+        coupling: whether the vehicle moves like a rigid body.
     """
-    names = [*CORE, "moment_ratio", "rotational_damping", "rotor_inertia", "linear_drag"]
-    out = dict.fromkeys(names, NOTHING)
+    thrust = "k_T" if rotor_input == "speed" else "T_max"
+    own = ("k_T", "k_M") if rotor_input == "speed" else ("T_max", "thrust_curve")
+    more = ("moment_ratio", "rotational_damping", "rotor_inertia", "linear_drag")
+    out = dict.fromkeys((*_BODY, *own, *more), NOTHING)
     if rotation is not None:
         # Lengths need no scale at all.
         for name, index in (("cg_x", rb.CG_X), ("cg_y", rb.CG_Y)):
-            std = math.hypot(rotation.std[index], _CG_FLOOR * arm)
-            out[name] = _judged(float(rotation.theta[index]), std, 0.2 * arm)
+            offset = float(rotation.theta[index])
+            shape = 0.0 if rotor_input == "speed" else _CURVE_SHAPE * offset
+            std = math.hypot(rotation.std[index], _CG_FLOOR * arm, shape)
+            out[name] = _judged(offset, std, 0.2 * arm)
         ratio = float(rotation.theta[rb.MOMENT_RATIO])
         std = float(rotation.std[rb.MOMENT_RATIO])
         out["moment_ratio"] = _judged(ratio, std, abs(ratio))
     scale = resolve_scale(anchor, translation, known or {})
+    # What a wrong thrust curve would do to thrust over mass, as a share of it.
+    bend = 0.0
+    if translation is not None and translation.kappa > 0.0:
+        bend = translation.curve_slope / translation.kappa
+    bent = 0.0 if rotation is None else abs(bend) * float(rotation.coordinates_std[CURVE])
     for name, known_value, share in (
         ("mass", scale.mass, scale.mass_share),
-        ("k_T", scale.k_T, scale.k_T_share),
+        (thrust, scale.thrust, scale.thrust_share),
     ):
         if known_value is not None:
-            out[name] = _judged(known_value, known_value * share, known_value)
+            std = known_value * math.hypot(share, bent)
+            out[name] = _judged(known_value, std, known_value)
     if anchor.kind in out and anchor.std == 0.0:
         out[anchor.kind] = Value(anchor.value, 0.0, "given")
     if translation is not None and scale.mass is not None and math.isfinite(translation.delta):
         drag, std = scale.mass * translation.delta, scale.mass * translation.delta_std
         out["linear_drag"] = _judged(drag, std, max(abs(drag), 0.05 * scale.mass))
     if rotation is not None:
-        if scale.k_T is not None:
-            out |= _scaled(rotation, scale.k_T, scale.k_T_share)
-        for name, axes in _AXES.items():
-            out[name] = _doubted(out[name], float(rotation.r_squared[list(axes)].min()))
+        if scale.thrust is not None:
+            # A given T_max does not depend on the curve.
+            out |= _scaled(
+                rotation, scale.thrust, scale.thrust_share, 0.0 if anchor.kind == thrust else bend
+            )
+        if rotor_input == "command":
+            out["thrust_curve"] = _coordinate(rotation, CURVE, 1.0)
+            out["rotor_inertia"] = NOTHING
+            out.pop("k_M", None)
+        for name in _AXES.keys() & out.keys():
+            out[name] = _doubted(out[name], float(rotation.r_squared[list(_AXES[name])].min()))
+        if coupling is not None and coupling.contradicted:
+            for name in COUPLED & out.keys():
+                out[name] = replace(out[name], status="unobservable")
     return out
 
 
@@ -121,15 +169,40 @@ def rotor_delay(rotation: RotationFit | None) -> Value:
     """How far the rotor stream lags behind the IMU stream, s."""
     if rotation is None or rotation.r_squared.min() < UNOBSERVABLE_BELOW_R2:
         return NOTHING
-    if rotation.delay_std == 0.0:
-        return Value(rotation.delay, 0.0, "given")
-    return _judged(rotation.delay, rotation.delay_std, _DELAY_YARDSTICK)
+    return _coordinate(rotation, DELAY, _DELAY_YARDSTICK)
 
 
-def _scaled(rotation: RotationFit, k_T: float, spread: float) -> dict[str, Value]:
-    """Inertia and coefficients: relative values times k_T."""
-    values = rotation.theta * k_T
-    std = np.hypot(rotation.std * k_T, values * spread)
+def motor_lag(rotation: RotationFit | None) -> Value:
+    """Time constant from command to rotor, s."""
+    if rotation is None or rotation.r_squared.min() < UNOBSERVABLE_BELOW_R2:
+        return NOTHING
+    return _coordinate(rotation, LAG, _LAG_YARDSTICK)
+
+
+def _coordinate(rotation: RotationFit, which: int, yardstick: float) -> Value:
+    """One of the grid's coordinates; given where it was not estimated."""
+    value = float(rotation.coordinates[which])
+    std = float(rotation.coordinates_std[which])
+    return _judged(value, std, yardstick) if std > 0.0 else Value(value, 0.0, "given")
+
+
+def _scaled(rotation: RotationFit, thrust: float, spread: float, bend: float) -> dict[str, Value]:
+    """Inertia and coefficients: relative values times thrust (k_T or T_max).
+
+    Args:
+        rotation: the fit.
+        thrust: of the scale.
+        spread: its relative standard deviation, the thrust curve's part apart.
+        bend: relative change of thrust with the thrust curve.
+    """
+    values = rotation.theta * thrust
+    n, curve = rb.N_THETA, rb.N_THETA + CURVE
+    full = rotation.full_covariance
+    # Errors of the curve move the relative values and the scale together.
+    variance = rotation.std**2 + rotation.theta * bend * (
+        2.0 * full[:n, curve] + rotation.theta * bend * full[curve, curve]
+    )
+    std = np.hypot(np.sqrt(np.maximum(variance, 0.0)) * thrust, values * spread)
     Ixx, Iyy, Izz = (float(v) for v in values[:3])
     scales = {
         "Ixx": Ixx,
@@ -170,21 +243,33 @@ def _doubted(value: Value, r_squared: float) -> Value:
     return replace(value, status=status if value.status != "unobservable" else value.status)
 
 
-def verdict(parameters: Mapping[str, Value]) -> tuple[str, tuple[str, ...]]:
+def verdict(
+    parameters: Mapping[str, Value],
+    rotor_input: RotorInput = "speed",
+    coupling: Coupling | None = None,
+) -> tuple[str, tuple[str, ...]]:
     """One word for the whole, and why it is not better."""
-    missing = [n for n in CORE if parameters[n].status == "unobservable"]
-    weak = [n for n in CORE if parameters[n].status == "weak"]
+    core = CORE_OF[rotor_input]
+    missing = [n for n in core if parameters[n].status == "unobservable"]
+    weak = [n for n in core if parameters[n].status == "weak"]
     reasons = []
     if missing:
         reasons.append(f"the data do not tell {', '.join(missing)}")
     if weak:
         reasons.append(f"only roughly known: {', '.join(weak)}")
-    if {"Izz", "k_M"} <= set(missing) | set(weak):
+    torque = core[-1]
+    if coupling is not None and coupling.contradicted:
+        share = ", ".join(f"{value:.2f}" for value in coupling.share)
         reasons.append(
-            "Izz and k_M share one scale: only rotation about several axes at once, "
+            f"it does not move like a rigid body (gyroscopic torque on roll, pitch, yaw {share} "
+            "times that of one): Izz, products and rotor torque cannot be told"
+        )
+    elif {"Izz", torque} <= set(missing) | set(weak):
+        reasons.append(
+            f"Izz and {torque} share one scale: only rotation about several axes at once, "
             "such as roll and yaw together, tells them apart"
         )
-    identified = [n for n in CORE if parameters[n].status == "identified"]
+    identified = [n for n in core if parameters[n].status == "identified"]
     if not identified:
         return "refused", tuple(reasons)
     return ("partial" if reasons else "identified"), tuple(reasons)

@@ -64,7 +64,7 @@ class TranslationFit:
     """Thrust and drag over mass.
 
     Attributes:
-        kappa: k_T / m in N s^2/kg.
+        kappa: k_T / m in N s^2/kg; T_max / m in N/kg with commands.
         kappa_std: its standard deviation.
         delta: D / m in 1/s; NaN when the source is the accelerometer.
         delta_std: its standard deviation.
@@ -78,6 +78,8 @@ class TranslationFit:
     delta_std: float
     source: Literal["momentum", "accelerometer"]
     footing: Footing | None = None
+    curve_slope: float = 0.0
+    """Change of kappa with the thrust curve, where that is estimated."""
 
 
 def fit_momentum(

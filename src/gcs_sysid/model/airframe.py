@@ -57,6 +57,8 @@ class CommandRange:
     max: float = 2000.0
     thrust_curve: float | None = None
     """c of T/T_max = (1 - c) u + c u^2; None: to be identified."""
+    given: bool = False
+    """Whether min and max are known, not what is usual."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,8 @@ class Airframe:
         mass: kg, or None.
         k_T: N s^2, or None.
         T_max: N, or None.
+        gyro_filter: Hz, second-order low-pass that the gyro has passed; 0 for none, None for what
+            the autopilot does.
     """
 
     name: str
@@ -80,6 +84,7 @@ class Airframe:
     mass: float | None = None
     k_T: float | None = None
     T_max: float | None = None
+    gyro_filter: float | None = None
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Parameters known beforehand: name -> value and standard deviation, SI."""
 
@@ -189,7 +194,7 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
     Raises:
         InputError: a key is unknown, missing or has a value that makes no sense.
     """
-    known = {"name", "rotor_input", "command", "rotor", "prior", *ANCHORS, SIMULATION_TABLE}
+    known = {"name", "rotor_input", "command", "imu", "rotor", "prior", *ANCHORS, SIMULATION_TABLE}
     _reject_unknown(table, known, where)
     name = table.get("name", Path(where).stem)
     if not isinstance(name, str):
@@ -212,6 +217,7 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
         rotors=_rotors(table.get("rotor"), where),
         rotor_input=rotor_input,
         command=_command(table.get("command", {}), f"{where}: [command]"),
+        gyro_filter=_gyro_filter(table.get("imu", {}), f"{where}: [imu]"),
         priors=_priors(table.get("prior", {}), where),
         **anchors,
     )
@@ -281,7 +287,19 @@ def _command(table: object, where: str) -> CommandRange:
         curve = _number(curve, f"{where} thrust_curve")
         if not 0.0 <= curve <= 1.0:
             raise InputError(f"{where}: thrust_curve must lie in 0..1, got {curve:g}")
-    return CommandRange(low, high, curve)
+    return CommandRange(low, high, curve, given="min" in table or "max" in table)
+
+
+def _gyro_filter(table: object, where: str) -> float | None:
+    if not isinstance(table, dict):
+        raise InputError(f"{where} must be a table")
+    _reject_unknown(table, {"gyro_filter"}, where)
+    if "gyro_filter" not in table:
+        return None
+    cutoff = _number(table["gyro_filter"], f"{where} gyro_filter")
+    if not 0.0 <= cutoff <= 1000.0:
+        raise InputError(f"{where}: gyro_filter must lie in 0..1000 Hz, got {cutoff:g}")
+    return cutoff
 
 
 def _reject_unknown(table: Mapping[str, Any], known: set[str], where: str) -> None:

@@ -38,6 +38,11 @@ def analyze_log(
     options = options or ChainOptions(course_interval=None)
     pipeline = Pipeline(airframe, str(path), wanted, options, anchor)
     pipeline.take_log(open_log(path, wanted), progress)
+    if pipeline.chain.outdated:
+        # A ground station that fetched the parameters after the flight: they held all along.
+        known = replace(options, parameters=dict(pipeline.chain.chooser.parameters))
+        pipeline = Pipeline(airframe, str(path), wanted, known, anchor)
+        pipeline.take_log(open_log(path, wanted), progress)
     return pipeline.finish()
 
 

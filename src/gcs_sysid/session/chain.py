@@ -6,7 +6,8 @@ numbers that the live session ended with.
 """
 
 from collections import deque
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,16 @@ import numpy as np
 from gcs_sysid.estimation.anchors import Anchor, relative_prior, resolve_scale
 from gcs_sysid.estimation.changes import ChangeTuning
 from gcs_sysid.estimation.offline import OfflineFit, fit_offline
-from gcs_sysid.estimation.online import Fit, Tuning
-from gcs_sysid.estimation.parameters import WEAK_BELOW_R2, Value, rotor_delay, verdict
+from gcs_sysid.estimation.online import COMMANDS, Fit, Tuning
+from gcs_sysid.estimation.parameters import (
+    WEAK_BELOW_R2,
+    Value,
+    motor_lag,
+    rotor_delay,
+    verdict,
+)
 from gcs_sysid.estimation.priors import Prior
+from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.model.airframe import Airframe
@@ -25,6 +33,8 @@ from gcs_sysid.records import Record, Stream
 from gcs_sysid.session import summary
 from gcs_sysid.session.course import CourseRecorder
 from gcs_sysid.session.result import Estimate, Result
+from gcs_sysid.session.rotor_input import RotorChooser
+from gcs_sysid.session.rotor_units import RotorSource, gyro_cutoff
 from gcs_sysid.session.sampling import SampleBlock, Sampler
 from gcs_sysid.session.snapshot import Course, Event
 
@@ -36,13 +46,14 @@ class ChainOptions:
     """What a user may set.
 
     Attributes:
-        tuning: of the estimator.
+        tuning: of the estimator with rotor speeds; with commands it has its own.
         changes: of the change detector; None: changes in flight are not looked for.
         course_interval: s between refits for the estimate's course; None: only at the end.
         tick: s of vehicle time between blocks; the estimate does not depend on it.
         start: s after the first record; earlier records are not used.
         end: s after the first record; later ones are not used.
         offline: whether the final estimate is the maximum-likelihood one.
+        parameters: of the autopilot, as far as they are known beforehand.
     """
 
     tuning: Tuning = field(default_factory=Tuning)
@@ -52,6 +63,7 @@ class ChainOptions:
     start: float = 0.0
     end: float = float("inf")
     offline: bool = False
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 class Chain:
@@ -79,7 +91,16 @@ class Chain:
             raise ValueError("the airframe has no scale anchor (mass, k_T or T_max)")
         self.airframe = airframe
         self.options = options = options or ChainOptions()
-        self.sampler = Sampler(len(airframe.rotors), options.tick, options.start, options.end)
+        if options.tuning.method != "forward":
+            # The article knows rotor speeds alone.
+            airframe = replace(airframe, rotor_input="speed")
+        self.chooser = RotorChooser(airframe, anchor)
+        self.chooser.parameters |= options.parameters
+        self.sampler = Sampler(
+            self.chooser, len(airframe.rotors), options.tick, options.start, options.end
+        )
+        self._rotors: RotorSource | None = None
+        self._gyro_cutoff: float | None = None
         self._anchors = [anchor]
         self._tracker: Tracker | None = None
         self._told = 0
@@ -93,18 +114,20 @@ class Chain:
 
     def feed(self, record: Record) -> bool:
         """Take one record. Returns whether the estimate was renewed."""
-        block = self.sampler.push(record)
-        return block is not None and self._take(block)
+        renewed = False
+        for block in self.sampler.push(record):
+            renewed = self._take(block) or renewed
+        return renewed
 
     def finish(self) -> Result:
         """Use what is still held back and give the final result."""
-        block = self.sampler.finish()
-        if block is not None:
+        for block in self.sampler.finish():
             self._take(block)
         if self._tracker is not None and self._tracker.finish():
             self._tell_events(self._tracker)
         result = self.refit()
-        if self.options.offline and self._tracker is not None:
+        speeds = self.rotor_input == "speed"
+        if self.options.offline and self._tracker is not None and speeds:
             self._offline = fit_offline(self._tracker, self._fit)
             if self._offline is not None:
                 self._fit = self._offline.fit
@@ -136,6 +159,20 @@ class Chain:
         return self.sampler.t
 
     @property
+    def rotor_input(self) -> RotorInput:
+        """What the estimate rests on."""
+        if self._rotors is not None:
+            return self._rotors.kind
+        return "command" if self.airframe.rotor_input == "command" else "speed"
+
+    @property
+    def outdated(self) -> bool:
+        """Whether parameters came too late: what they say is not what the estimate rests on."""
+        if self._tracker is None:
+            return False
+        return self.chooser.outdated or self._gyro_cutoff != self._cutoff_now()
+
+    @property
     def anchor(self) -> Anchor:
         """The scale in force."""
         return self._anchors[-1]
@@ -158,13 +195,12 @@ class Chain:
     def result(self) -> Result:
         """The latest fit as a result."""
         values = self._values(self._fit, self.anchor)
-        word, reasons = verdict(values)
+        word, reasons = verdict(values, self.rotor_input, self._fit.coupling)
         first = self._data_reasons()
         if self._fit.rotation is None:
             word, reasons = "refused", first or reasons
         else:
             reasons = (*first, *reasons)
-        delay = rotor_delay(self._fit.rotation)
         past = self._past_values()
         return Result(
             verdict=word,  # type: ignore[arg-type]
@@ -172,14 +208,10 @@ class Chain:
             source="",
             vehicle={},
             scale=summary.scale_of(self.anchor),
-            rotor_input="speed",
+            rotor_input=self.rotor_input,
             parameters=summary.estimates_of(values, self._fit, self.anchor, self._bounds()),
             estimator="online" if self._offline is None else "offline",
-            timing={
-                "rotor_delay": Estimate(
-                    delay.value, delay.std, TIMING["rotor_delay"].unit, delay.status
-                ),
-            },
+            timing=self._timing(),
             events=self._changes([*past, values]),
             segments=self._segments(past),
             validation=summary.validation_of(self._fit),
@@ -192,8 +224,17 @@ class Chain:
 
     def _values(self, fit: Fit, anchor: Anchor) -> dict[str, Value]:
         # A prior on the mass is of the vehicle as it took off.
-        known = {} if anchor.origin else self.airframe.priors
-        return summary.values_of(fit, anchor, self.airframe.arm, known)
+        known = {} if anchor.origin else summary.priors_for(self.airframe.priors, self.rotor_input)
+        return summary.values_of(fit, anchor, self.airframe.arm, known, self.rotor_input)
+
+    def _timing(self) -> dict[str, Estimate]:
+        timing = {"rotor_delay": rotor_delay(self._fit.rotation)}
+        if self.rotor_input == "command":
+            timing["motor_lag"] = motor_lag(self._fit.rotation)
+        return {
+            name: Estimate(value.value, value.std, TIMING[name].unit, value.status)
+            for name, value in timing.items()
+        }
 
     def _past_values(self) -> list[dict[str, Value]]:
         if self._tracker is None:
@@ -208,7 +249,7 @@ class Chain:
             return None
         bounds = self._values(self._offline.bounding_fit, self.anchor)
         # The likelihood is that of the rotation.
-        return {n: v for n, v in bounds.items() if n not in ("mass", "k_T", "linear_drag")}
+        return {n: v for n, v in bounds.items() if n not in ("mass", "k_T", "T_max", "linear_drag")}
 
     def _changes(self, values: list[dict[str, Value]]) -> tuple[dict[str, Any], ...]:
         if self._tracker is None:
@@ -251,7 +292,24 @@ class Chain:
             "late": base.late,
             "repeated": base.repeated,
             "restarts": base.restarts,
+            "rotor_input": self._input_telemetry(),
         }
+
+    def _input_telemetry(self) -> dict[str, Any]:
+        """Which rotor stream is used, how it is read, and why not the others."""
+        source = self._rotors
+        if source is None:
+            return {"source": None, "refused": dict(self.chooser.refused)}
+        out: dict[str, Any] = {
+            "source": source.name,
+            "why": source.why,
+            "refused": dict(source.refused or {}),
+            "gyro_filter": None if self._tracker is None else self._gyro_cutoff,
+        }
+        if source.range is not None:
+            out["range"] = [source.range.low, source.range.high]
+            out["range_from"] = source.range.origin
+        return out
 
     def _data_reasons(self) -> tuple[str, ...]:
         """What is missing, the first cause alone: the rest follows from it."""
@@ -263,36 +321,57 @@ class Chain:
             return (f"nothing between --start and --end: the record lasts {seconds:.1f} s",)
         if Stream.IMU not in seen:
             return ("no IMU data (HIGHRES_IMU): the autopilot must be asked for it",)
-        if Stream.ROTOR_SPEED not in seen:
-            return ("no rotor speeds (ESC_STATUS): the ESCs must send rpm telemetry",)
+        if not seen & {Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND}:
+            return (
+                "no rotor speeds (ESC_STATUS, ESC_TELEMETRY) and no actuator outputs "
+                "(ACTUATOR_OUTPUT_STATUS, SERVO_OUTPUT_RAW): the autopilot must be asked for them",
+            )
+        if self._rotors is None and self.chooser.judged:
+            return self._input_reasons()
+        if self.outdated:
+            return (
+                "the autopilot's parameters came too late to be used for filters and ranges: "
+                "analyse the recording",
+            )
         if Stream.ATTITUDE not in seen:
             return ("no attitude (ATTITUDE or ATTITUDE_QUATERNION)",)
         if self._fit.rotation is None:
             return ("too little flight in which all the needed data came together",)
         if self._fit.rotation.r_squared.min() < WEAK_BELOW_R2:
-            share = 100.0 * self._fit.rotation.r_squared.min()
+            share = max(100.0 * self._fit.rotation.r_squared.min(), 0.0)
             return (
                 f"the rotors explain only {share:.0f} % of the motion on one axis: "
                 "fly it harder than the wind does, and check the motor order",
             )
         return ()
 
+    def _input_reasons(self) -> tuple[str, ...]:
+        """Why no rotor stream can be used."""
+        if not self.chooser.refused:
+            return ("no rotor speeds and no commands came while it flew",)
+        reasons = tuple(f"{name} {why}" for name, why in self.chooser.refused.items())
+        kind = self._anchors[0].kind
+        if kind == "k_T":
+            return (*reasons, "without rotor speeds k_T sets no scale: give --mass or --t-max")
+        if kind == "T_max":
+            return (*reasons, "without commands T_max sets no scale: give --mass or --k-t")
+        return reasons
+
     def _take(self, block: SampleBlock) -> bool:
+        if block.rotors is not None and block.rotors is not self._rotors:
+            self._use(block.rotors)
+        if self._rotors is None:
+            return False
         tracker = self._tracker
         if tracker is None or tracker.dt != block.dt:
+            if not np.isfinite(block.samples.gyro).any():
+                return False  # nothing flies: no reason to give up what is known
             if tracker is not None and tracker.start is not None:
                 old, new = 1.0 / tracker.dt, 1.0 / block.dt
                 self.note(f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate starts anew")
-            self._anchors = self._anchors[:1]
-            self._told = 0
-            tracker = self._tracker = Tracker(
-                self.airframe.geometry,
-                block.dt,
-                self.options.tuning,
-                self.options.changes if self.options.tuning.method == "forward" else None,
-                self._prior if self.airframe.priors else None,
-                keep=self.options.offline,
-            )
+            tracker = self._tracker = self._new_tracker(block.dt)
+            # Rows are counted from the first sample in flight, however blocks fall.
+            block = block.since(int(np.isfinite(block.samples.gyro).all(axis=1).argmax()))
         elif block.fresh:
             tracker.restart()
         self._tell_rate()
@@ -317,6 +396,48 @@ class Chain:
         rate = f"at {1.0 / base.imu_interval:.0f} Hz" if base.imu_interval else "anew"
         self.note(f"the IMU comes {rate}: {told}")
 
+    def _use(self, rotors: RotorSource) -> None:
+        """Take the rotors' input from this stream from now on."""
+        anew = "" if self._rotors is None else ": estimate starts anew"
+        self.note(f"rotors from {rotors.name}, {rotors.why}{anew}")
+        self._rotors = rotors
+        self._tracker = None
+        self._fit = Fit(None, None, 0.0)
+        self._course.clear()
+
+    def _cutoff_now(self) -> float | None:
+        given, chooser = self.airframe.gyro_filter, self.chooser
+        return gyro_cutoff(given, chooser.autopilot, chooser.parameters)
+
+    def _new_tracker(self, dt: float) -> Tracker:
+        assert self._rotors is not None
+        self._anchors = self._anchors[:1]
+        self._told = 0
+        own, changes = self.options.tuning, self.options.changes
+        self._gyro_cutoff = self._cutoff_now()
+        tuning = replace(own, gyro_cutoff=self._gyro_cutoff)
+        if self._rotors.kind == "command":
+            curve = self.airframe.command.thrust_curve
+            tuning = replace(
+                COMMANDS,
+                gyro_cutoff=self._gyro_cutoff,
+                smoother=own.smoother,
+                bandwidth=own.bandwidth,
+                curves=COMMANDS.curves if curve is None else (curve,),
+            )
+        if self._rotors.kind == "command" or self._gyro_cutoff is not None:
+            # Thrust at a command goes with the battery's voltage, and the detector compares
+            # speeds with a gyro that is not filtered.
+            changes = None
+        return Tracker(
+            self.airframe.geometry,
+            dt,
+            tuning,
+            changes if own.method == "forward" else None,
+            self._prior if self.airframe.priors else None,
+            keep=self.options.offline,
+        )
+
     def _tell_events(self, tracker: Tracker) -> None:
         for event in tracker.events[self._told :]:
             self.note(summary.note_of(event))
@@ -328,5 +449,5 @@ class Chain:
         self._told = len(tracker.events)
 
     def _prior(self, translation: TranslationFit | None) -> Prior | None:
-        known = self.airframe.priors
+        known = summary.priors_for(self.airframe.priors, self.rotor_input)
         return relative_prior(known, resolve_scale(self._anchors[0], translation, known))

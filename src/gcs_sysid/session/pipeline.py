@@ -85,6 +85,9 @@ class Pipeline:
 
     def _take_event(self, event: IntakeEvent) -> None:
         self.chain.note(event.text)
+        vehicle = self._telemetry.vehicle
+        if event.kind == "vehicle" and vehicle is not None:
+            self.chain.chooser.autopilot = vehicle.key
         if event.kind != "vehicle":
             self._events.append({"t": self.chain.t, "kind": event.kind, "text": event.text})
 

@@ -1,6 +1,6 @@
 """From records to aligned samples: time base, complementary filter, flight detection."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -10,10 +10,14 @@ from gcs_sysid.filters.complementary import ComplementaryFilter
 from gcs_sysid.model import attitude
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.session.flight import FlightDetector
+from gcs_sysid.session.rotor_input import RotorChooser, family
+from gcs_sysid.session.rotor_units import RotorSource
 from gcs_sysid.session.timebase import Block, TimeBase
 
 _STEP_BACK = 1.0
 """s; records further back than this are not late: the clock was set back."""
+_MOST_HELD = 10.0
+"""s of samples held back while no rotor stream is chosen."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,7 @@ class SampleBlock:
         flying: (n,) whether the vehicle flies.
         dt: s, the grid's step.
         fresh: whether nothing before joins on to this block.
+        rotors: the stream that `samples.speeds` come from; None: none is believed.
     """
 
     t: Array
@@ -33,12 +38,32 @@ class SampleBlock:
     flying: Mask
     dt: float
     fresh: bool
+    rotors: RotorSource | None = None
+
+    def since(self, first: int) -> "SampleBlock":
+        """The block without the samples before `first`."""
+        samples = Samples(
+            **{f.name: getattr(self.samples, f.name)[first:] for f in fields(Samples)}
+        )
+        return replace(self, t=self.t[first:], samples=samples, flying=self.flying[first:])
+
+
+@dataclass(frozen=True)
+class _Held:
+    """A block whose rotor stream is not chosen yet, with those that there are, by name."""
+
+    block: SampleBlock
+    rotors: dict[str, Array]
 
 
 class Sampler:
     """Aligns records, filters the attitude, takes the gyro's bias off, marks flight.
 
+    Until it is known which rotor stream to believe, blocks are held back, so that nothing of the
+    flight is lost.
+
     Args:
+        chooser: of the rotor stream.
         rotors: how many the airframe has.
         tick: s of vehicle time between blocks.
         start: s after the first record; earlier records are not used.
@@ -46,7 +71,12 @@ class Sampler:
     """
 
     def __init__(
-        self, rotors: int, tick: float = 0.1, start: float = 0.0, end: float = np.inf
+        self,
+        chooser: RotorChooser,
+        rotors: int,
+        tick: float = 0.1,
+        start: float = 0.0,
+        end: float = np.inf,
     ) -> None:
         self.time_base = TimeBase(tick)
         self.attitude: tuple[float, float, float] | None = None
@@ -58,7 +88,9 @@ class Sampler:
         """Time of the newest sample, s since the first record."""
         self.seen: set[Stream] = set()
         """Streams that came between start and end."""
+        self.chooser = chooser
         self._rotors = rotors
+        self._held: list[_Held] = []
         self._start, self._end = start, end
         self._flight = FlightDetector()
         self._filter: ComplementaryFilter | None = None
@@ -70,10 +102,11 @@ class Sampler:
         """Seconds of vehicle clock from the first record to the newest; None without any."""
         return None if self._first is None else self._newest - self._began
 
-    def push(self, record: Record) -> SampleBlock | None:
-        """Take one record; the next block when there is one."""
+    def push(self, record: Record) -> tuple[SampleBlock, ...]:
+        """Take one record; the next blocks when there are any."""
         if record.stream is Stream.PARAMETER:
-            return None
+            self.chooser.push(record, flying=self.flying)
+            return ()
         if self._first is None:
             self._first = self._began = self._newest = record.t
         if record.t < self._newest - _STEP_BACK:
@@ -82,17 +115,54 @@ class Sampler:
             self._newest = record.t
         self._newest = max(self._newest, record.t)
         if not self._start <= max(record.t - self._began, 0.0) <= self._end:
-            return None
+            return ()
         self.seen.add(record.stream)
+        self.chooser.push(record, flying=self.flying)
         block = self.time_base.push(record)
-        return None if block is None else self._samples(block)
+        return () if block is None else self._take(block)
 
-    def finish(self) -> SampleBlock | None:
+    def finish(self) -> tuple[SampleBlock, ...]:
         """What is still held back."""
         block = self.time_base.finish()
-        return None if block is None else self._samples(block)
+        ready = () if block is None else self._take(block)
+        if not self.chooser.judged:
+            self.chooser.judge()
+        return (*ready, *self._release())
 
-    def _samples(self, block: Block) -> SampleBlock:
+    def _take(self, block: Block) -> tuple[SampleBlock, ...]:
+        flew = self.flying
+        held = self._samples(block)
+        self._held.append(held)
+        if block.fresh:
+            self.chooser.gap()
+        flown = int(np.isfinite(held.block.samples.gyro[:, 0]).sum()) * held.block.dt
+        if flew:  # else the chooser has not seen what came in that time
+            self.chooser.fly(flown)
+        if self.chooser.choice is None and self._may_still_choose():
+            return ()
+        return self._release()
+
+    def _may_still_choose(self) -> bool:
+        """Whether what is held could be of use yet."""
+        waits = sum(len(held.block.t) * held.block.dt for held in self._held)
+        flies = any(np.isfinite(held.block.samples.gyro).any() for held in self._held)
+        return flies and not self.chooser.judged and waits < _MOST_HELD
+
+    def _release(self) -> tuple[SampleBlock, ...]:
+        """The blocks held back, with the rotor stream that is believed now."""
+        choice, ready = self.chooser.choice, []
+        for held in self._held:
+            rotors = held.rotors.get(choice.name) if choice is not None else None
+            samples = held.block.samples
+            if choice is not None and rotors is not None:
+                samples = replace(samples, speeds=choice.read(rotors))
+            ready.append(replace(held.block, samples=samples, rotors=choice))
+        self._held.clear()
+        if ready:
+            self._show_rotors(ready[-1].samples.speeds[-1])
+        return tuple(ready)
+
+    def _samples(self, block: Block) -> _Held:
         assert self._first is not None
         if block.fresh and block.t[0] - self._first < self.t:
             # The vehicle's clock stepped back (a reboot); the session's time goes on.
@@ -110,13 +180,13 @@ class Sampler:
         elif block.fresh:
             self._filter.restart()
         filtered, bias = self._attitude(self._filter, gyro, reference)
-        speeds = self._speeds(block, n)
+        rotors = self._rotor_streams(block, n)
         velocity = _stream(block, Stream.VELOCITY, n, 6)
         flying = self._flight.update(
             t,
             _stream(block, Stream.IN_AIR, n, 1)[:, 0],
             _stream(block, Stream.ARMED, n, 1)[:, 0],
-            speeds,
+            self._turning(block, n),
             velocity[:, 3:],
         )
         self.time_base.flown += dt * int(np.count_nonzero(flying))
@@ -124,7 +194,7 @@ class Sampler:
         samples = Samples(
             gyro=gyro,
             rates=gyro - bias,
-            speeds=speeds,
+            speeds=np.full((n, self._rotors), np.nan),
             attitude=filtered,
             force=force,
             velocity=velocity[:, :3],
@@ -132,7 +202,7 @@ class Sampler:
         self.t = float(t[-1])
         self.flying = bool(flying[-1])
         self._show(samples)
-        return SampleBlock(t, samples, flying, dt, block.fresh)
+        return _Held(SampleBlock(t, samples, flying, dt, block.fresh), rotors)
 
     def _attitude(
         self, flt: ComplementaryFilter, gyro: Array, reference: Array
@@ -150,13 +220,29 @@ class Sampler:
                 bias[run] = flt.bias
         return out, bias
 
-    def _speeds(self, block: Block, n: int) -> Array:
-        speeds = np.full((n, self._rotors), np.nan)
-        for (stream, _, offset), values in block.values.items():
-            if stream is Stream.ROTOR_SPEED and offset < self._rotors:
+    def _rotor_streams(self, block: Block, n: int) -> dict[str, Array]:
+        """(n, rotors) of every source of rotor speeds or commands, as they came."""
+        out: dict[str, Array] = {}
+        for (stream, source, offset), values in block.values.items():
+            if stream in (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND) and offset < self._rotors:
+                name = family(source)
+                whole = out.setdefault(name, np.full((n, self._rotors), np.nan))
                 width = min(values.shape[1], self._rotors - offset)
-                speeds[:, offset : offset + width] = values[:, :width]
-        return speeds
+                whole[:, offset : offset + width] = values[:, :width]
+        return out
+
+    def _turning(self, block: Block, n: int) -> Array:
+        """(n, rotors) above zero where a rotor turns, as far as any stream tells."""
+        turning = np.full((n, self._rotors), np.nan)
+        for (stream, _, offset), values in block.values.items():
+            if stream in (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND) and offset < self._rotors:
+                if stream is Stream.ROTOR_COMMAND:
+                    # Pulses of stopped motors are at most 1000 us; other units start from zero.
+                    stopped = (values >= 600.0) & (values <= 1000.0)
+                    values = np.where(stopped, 0.0, values)
+                part = turning[:, offset : offset + values.shape[1]]
+                np.fmax(part, values[:, : part.shape[1]], out=part)
+        return turning
 
     def _show(self, samples: Samples) -> None:
         if np.isfinite(samples.attitude[-1]).all():
@@ -165,8 +251,10 @@ class Sampler:
         if np.isfinite(samples.rates[-1]).all():
             p, q, r = samples.rates[-1]
             self.rates = (float(p), float(q), float(r))
-        if np.isfinite(samples.speeds[-1]).all():
-            self.rotor_speeds = tuple(float(v) for v in samples.speeds[-1])
+
+    def _show_rotors(self, newest: Array) -> None:
+        if np.isfinite(newest).all():
+            self.rotor_speeds = tuple(float(v) for v in newest)
 
 
 def _stream(block: Block, stream: Stream, n: int, width: int) -> Array:

@@ -11,6 +11,7 @@ from gcs_sysid.estimation.anchors import Anchor, Known
 from gcs_sysid.estimation.change_kinds import describe
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.parameters import Value, physical_parameters, rests_on_prior
+from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.estimation.tracking import Event
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.session.result import Estimate, Scale
@@ -31,11 +32,30 @@ _WORDS = {
 }
 
 
-def values_of(fit: Fit, anchor: Anchor, arm: float, known: Mapping[str, Known]) -> dict[str, Value]:
+_SPEEDS_ONLY = ("k_T", "k_M", "rotor_inertia")
+"""Priors that mean nothing where commands are the input."""
+
+
+def priors_for(known: Mapping[str, Known], rotor_input: RotorInput) -> Mapping[str, Known]:
+    """Those priors that make sense with this input."""
+    if rotor_input == "speed":
+        return known
+    return {name: value for name, value in known.items() if name not in _SPEEDS_ONLY}
+
+
+def values_of(
+    fit: Fit,
+    anchor: Anchor,
+    arm: float,
+    known: Mapping[str, Known],
+    rotor_input: RotorInput = "speed",
+) -> dict[str, Value]:
     """Physical parameters of a fit, or nothing but the anchor while it is too early."""
     early = fit.seconds < MIN_SECONDS and not anchor.origin
     rotation = None if early else fit.rotation
-    return physical_parameters(anchor, rotation, fit.translation, arm, known)
+    return physical_parameters(
+        anchor, rotation, fit.translation, arm, known, rotor_input, fit.coupling
+    )
 
 
 def estimates_of(
@@ -101,13 +121,19 @@ def validation_of(fit: Fit) -> dict[str, Any]:
             for axis, value in zip(_AXES, np.asarray(values).tolist(), strict=True)
         }
 
-    return {
+    out = {
         "fitted_share": found.fitted_share,
         "r_squared": axes(found.r_squared),
         "theil": axes(found.theil),
         "whiteness": axes(found.whiteness),
         "whiteness_p": axes(found.whiteness_p),
     }
+    if fit.coupling is not None:
+        out["gyroscopic"] = {
+            "share": axes(fit.coupling.share),
+            "std": axes(fit.coupling.std),
+        }
+    return out
 
 
 def event_of(

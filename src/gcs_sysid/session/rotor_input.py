@@ -1,0 +1,287 @@
+"""Which rotor stream is believed: the soundest of those that come, judged in flight.
+
+A stretch of flight tells. What each source sent in it is kept, then judged: does it cover all
+rotors, often enough, do its numbers live, are measured speeds more than the command repeated, is
+rpm really rpm. Measured speeds are preferred, because they know nothing of batteries and motors.
+The decision depends on the records and their order alone. It is looked after in every further
+stretch: a source that dies is replaced by what is sound then.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.anchors import Anchor
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.records import Record, Stream
+from gcs_sysid.session.rotor_units import PARAMETER_NAMES, Range, RotorSource, command_range
+
+STRETCH = 2.5
+"""s of flight that a judgement rests on."""
+MIN_RATE = 15.0
+"""Hz. Slower streams do not follow the rotors."""
+_MOST = 2048
+"""Samples of a source kept in a stretch."""
+_MOVES = 0.01
+"""Change in a stretch, relative to the mean, from which a rotor counts as alive."""
+_SAME = 0.02
+"""Error, relative to the change, below which speeds are a function of the command."""
+_RPM = 2.0 * math.pi / 60.0
+_AIR = 1.225
+"""kg/m^3"""
+_MOST_THRUST_COEFFICIENT = 0.15
+"""C_T of T = C_T rho n^2 D^4; that of propellers is 0.05 to 0.13."""
+_BEYOND = 3.0
+"""Times the thrust of the largest rotors that fit, from which speeds cannot be right."""
+
+_ORDER = ("ESC_STATUS", "esc_status", "ESC", "ESC_TELEMETRY", "RPM",
+          "actuator_motors", "ACTUATOR_OUTPUT_STATUS", "SERVO_OUTPUT_RAW", "RCOU")  # fmt: skip
+"""Of equals, the first; others after them."""
+_STREAMS = {Stream.ROTOR_SPEED: "speed", Stream.ROTOR_COMMAND: "command"}
+
+
+def family(source: str) -> str:
+    """Name of a source without the group of rotors that one of its messages is for."""
+    return re.sub(r"_\d+_TO_\d+$", "", source)
+
+
+@dataclass
+class Stretch:
+    """What one source sent over a stretch of flight.
+
+    Attributes:
+        stream: what it tells.
+        groups: first rotor -> times and values of the messages for that group.
+    """
+
+    stream: Stream
+    groups: dict[int, tuple[list[float], list[tuple[float, ...]]]] = field(default_factory=dict)
+
+    def add(self, record: Record) -> None:
+        """Keep a record, while there is room."""
+        times, values = self.groups.setdefault(record.offset, ([], []))
+        if len(times) < _MOST:
+            times.append(record.t)
+            values.append(record.values)
+
+    def rotors(self, count: int) -> list[tuple[Array, Array]]:
+        """Times and values of each rotor that there is, up to `count`, in order."""
+        out: list[tuple[Array, Array]] = []
+        for offset, (times, values) in sorted(self.groups.items()):
+            width = min(map(len, values))
+            columns = np.array([row[:width] for row in values]).T
+            if offset == len(out):
+                out += [(np.array(times), column) for column in columns]
+        return out[:count]
+
+
+class RotorChooser:
+    """Chooses the source of the rotors' input.
+
+    Args:
+        airframe: that flies.
+        anchor: of the scale: with k_T or T_max only one kind of input makes sense.
+    """
+
+    def __init__(self, airframe: Airframe, anchor: Anchor) -> None:
+        self.choice: RotorSource | None = None
+        """None until there was a stretch of flight, and while no source is sound."""
+        self.refused: dict[str, str] = {}
+        """Source -> why it was not chosen, from the latest judgement."""
+        self.autopilot = ""
+        self.parameters: dict[str, float] = {}
+        """Those of the autopilot that matter here."""
+        self.judged = False
+        """Whether there was any judgement yet."""
+        self._airframe = airframe
+        self._anchor = anchor
+        self._restart()
+
+    def push(self, record: Record, *, flying: bool) -> None:
+        """Take a record; those of rotors count in flight only."""
+        if record.stream is Stream.PARAMETER:
+            if record.source.startswith(PARAMETER_NAMES):
+                self.parameters[record.source] = record.values[0]
+        elif flying and record.stream in _STREAMS:
+            name = family(record.source)
+            self._stretches.setdefault(name, Stretch(record.stream)).add(record)
+
+    @property
+    def outdated(self) -> bool:
+        """Whether parameters that came since would have given the commands another range."""
+        used = None if self.choice is None else self.choice.range
+        if used is None or self.choice is None:
+            return False
+        command = self._airframe.command
+        now = command_range(self.choice.name, command, self.autopilot, self.parameters, used.high)
+        return now is not None and (now.low, now.high) != (used.low, used.high)
+
+    def gap(self) -> None:
+        """The clock or the stream started anew: the stretch does too."""
+        self._restart()
+
+    def fly(self, seconds: float) -> bool:
+        """So much flight went by. Returns whether a judgement was made."""
+        self._seconds += seconds
+        if self._seconds < STRETCH:
+            return False
+        self.judge()
+        return True
+
+    def judge(self) -> None:
+        """Judge what came since the last judgement."""
+        if self._seconds <= 0.0:
+            return
+        self.judged = True
+        refused = {}
+        judgements = {}
+        for name, stretch in self._stretches.items():
+            problem = self._unsound(stretch)
+            if problem:
+                refused[name] = problem
+            else:
+                judgements[name] = stretch
+        if self.choice is not None and self.choice.name in judgements:
+            self._restart()
+            return
+        chosen = self._choose(judgements, refused)
+        gone = "" if self.choice is None else f"{self.choice.name} died in flight; "
+        if chosen is not None:
+            chosen = replace(chosen, why=gone + chosen.why, refused=refused)
+        self.choice, self.refused = chosen, refused
+        self._restart()
+
+    def _restart(self) -> None:
+        self._stretches: dict[str, Stretch] = {}
+        self._seconds = 0.0
+
+    def _unsound(self, stretch: Stretch) -> str:
+        """Why a stretch of a source cannot be used; empty when it can."""
+        count = len(self._airframe.rotors)
+        rotors = stretch.rotors(count)
+        if len(rotors) < count:
+            return f"tells {len(rotors)} of {count} rotors"
+        rate = min(len(t) for t, _ in rotors) / self._seconds
+        if rate < MIN_RATE:
+            return f"comes at {rate:.1f} Hz, which does not follow the rotors"
+        values = [v for _, v in rotors]
+        if not any(v.any() for v in values):
+            return "reads 0 while the vehicle flies"
+        moves = np.array([np.ptp(v) / max(np.abs(v).mean(), 1e-9) for v in values])
+        still = [i for i, v in enumerate(values) if np.ptp(v) == 0.0]
+        if still and np.median(np.delete(moves, still) if len(still) < count else 0.0) > _MOVES:
+            rotor = still[0]
+            reads = f"reads {values[rotor][0]:.0f}" if values[rotor][0] == 0.0 else "stands still"
+            return f"rotor {rotor + 1} {reads} while the others move"
+        return ""
+
+    def _choose(
+        self, stretches: Mapping[str, Stretch], refused: dict[str, str]
+    ) -> RotorSource | None:
+        wanted = self._airframe.rotor_input
+        if wanted == "auto":
+            wanted = {"k_T": "speed", "T_max": "command"}.get(self._anchor.kind, "auto")  # type: ignore[assignment]
+        count = len(self._airframe.rotors)
+        commands = self._ranked(stretches, Stream.ROTOR_COMMAND)
+        for name in self._ranked(stretches, Stream.ROTOR_SPEED) if wanted != "command" else ():
+            stretch = stretches[name]
+            copied = next((c for c in commands if self._copies(stretch, stretches[c])), None)
+            if copied is not None:
+                refused[name] = f"is {copied} under another name, not a measurement"
+                continue
+            if self._too_slow(stretch):
+                why = "measured speeds, though in rad/s in a field of rpm, by the thrust needed"
+                return RotorSource("speed", name, why, scale=1.0 / _RPM)
+            return RotorSource("speed", name, "measured speeds")
+        for name in commands if wanted != "speed" else ():
+            range_ = self._range(name, stretches[name])
+            if range_ is None:
+                refused[name] = (
+                    "is in a unit that is not known: give [command] min and max in the airframe "
+                    "file, the outputs without thrust and at full thrust"
+                )
+                continue
+            if all(v.max() <= range_.low for _, v in stretches[name].rotors(count)):
+                refused[name] = "tells stopped rotors while the vehicle flies"
+                continue
+            asked = wanted == "command"
+            why = "commands, as asked for" if asked else "commands: no measured speeds are sound"
+            return RotorSource("command", name, why, range=range_)
+        for name in stretches:
+            refused.setdefault(name, f"{wanted} is wanted")
+        return None
+
+    def _ranked(self, stretches: Mapping[str, Stretch], stream: Stream) -> list[str]:
+        """The sources of a stream, the best first: those near the highest rate, in order."""
+        count = len(self._airframe.rotors)
+        rates = {
+            name: min(len(t) for t, _ in stretch.rotors(count))
+            for name, stretch in stretches.items()
+            if stretch.stream is stream
+        }
+        most = max(rates.values(), default=0)
+
+        def rank(name: str) -> tuple[bool, int, str]:
+            place = _ORDER.index(name) if name in _ORDER else len(_ORDER)
+            return rates[name] < 0.7 * most, place, name
+
+        return sorted(rates, key=rank)
+
+    def _range(self, name: str, stretch: Stretch) -> Range | None:
+        values = [v for _, v in stretch.rotors(len(self._airframe.rotors))]
+        largest = max(float(v.max()) for v in values)
+        command = self._airframe.command
+        return command_range(name, command, self.autopilot, self.parameters, largest)
+
+    def _copies(self, speeds: Stretch, commands: Stretch) -> bool:
+        """Whether the speeds are a function of the commands at the same time."""
+        count = len(self._airframe.rotors)
+        pairs = zip(speeds.rotors(count), commands.rotors(count), strict=True)
+        return all(_is_function(*speed, *command) for speed, command in pairs)
+
+    def _too_slow(self, stretch: Stretch) -> bool:
+        """Whether rotors so slow could not carry the vehicle however large they were."""
+        if self._anchor.kind != "mass":
+            return False
+        x, y, _ = self._airframe.geometry
+        apart = np.hypot(x[:, None] - x, y[:, None] - y)
+        diameter = apart[apart > 1e-3].min()
+        power = sum(float(np.mean(v * v)) for _, v in stretch.rotors(len(x)))
+        k_T = _MOST_THRUST_COEFFICIENT * _AIR * diameter**4 / (2.0 * math.pi) ** 2
+        return self._anchor.value * GRAVITY > _BEYOND * float(k_T) * power
+
+
+def _is_function(t: Array, speeds: Array, command_t: Array, commands: Array) -> bool:
+    """Whether speeds follow from the commands nearest in time, without lag or noise.
+
+    What rounding to whole numbers leaves is allowed for; where nothing but rounding moves,
+    nothing is told.
+    """
+    right = np.clip(np.searchsorted(command_t, t), 1, len(command_t) - 1)
+    nearest = np.where(command_t[right] - t < t - command_t[right - 1], right, right - 1)
+    near = np.abs(command_t[nearest] - t) < 0.6 * np.median(np.diff(command_t))
+    if near.sum() < 20:
+        return False
+    y, u = speeds[near], commands[nearest[near]]
+    spread = float(np.std(u))
+    if spread == 0.0:
+        return False
+    z = (u - u.mean()) / spread
+    fit = np.polynomial.Polynomial.fit(z, y, 3)
+    slope = float(np.std(fit(z))) / spread
+    rounding = math.hypot(_step(y), slope * _step(u)) / math.sqrt(12.0)
+    changes = float(np.std(y))
+    if changes < 10.0 * rounding:
+        return False
+    return float(np.std(y - fit(z))) < 1.5 * rounding + _SAME * changes
+
+
+def _step(values: Array) -> float:
+    """The least difference between values: what they are rounded to."""
+    steps = np.diff(np.unique(values))
+    return float(steps.min()) if len(steps) else 0.0

@@ -1,0 +1,147 @@
+"""What the numbers of a rotor stream mean: units, ranges, and the gyro's own filter.
+
+Commands come in the unit of whatever drives the motors. What maps them to 0..1 is taken from the
+airframe file, else from the autopilot's parameters, else from its convention. Which of them, is
+part of the result.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.model.airframe import CommandRange
+
+Parameters = Mapping[str, float]
+"""The autopilot's parameters by name, as far as they are known."""
+
+PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_MAIN_M", "PWM_MAIN_FUNC", "PWM_AUX_M",
+                   "PWM_AUX_FUNC", "SIM_GZ_EC_", "INS_GYRO_FILTER")  # fmt: skip
+"""How the names of the parameters that matter here begin."""
+
+_FIRST_MOTOR = 101
+"""Output function of motor 1 in PX4."""
+_PX4_DRIVERS = ("PWM_MAIN", "PWM_AUX", "SIM_GZ_EC")
+_USUAL = (800.0, 2200.0)
+"""Pulses of servo outputs lie between, in us."""
+ARDUPILOT_GYRO_FILTER = 20.0
+"""Hz, INS_GYRO_FILTER of a multirotor that nobody changed."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """Outputs at which a motor begins to thrust (low) and thrusts in full (high)."""
+
+    low: float
+    high: float
+    origin: str
+    """Where it comes from, in words."""
+
+
+def command_range(
+    source: str, given: CommandRange, autopilot: str, parameters: Parameters, largest: float
+) -> Range | None:
+    """The range of a source of commands; None when its unit is not known.
+
+    Args:
+        source: as in `Record`.
+        given: by the airframe file.
+        autopilot: "px4" or "ardupilot".
+        parameters: known so far.
+        largest: output seen in flight.
+    """
+    if source == "actuator_motors":  # PX4's own commands, before any unit
+        return Range(0.0, 1.0, "actuator_motors is 0..1")
+    if given.given:
+        return Range(given.min, given.max, "the airframe file")
+    if largest <= 1.0:
+        return Range(0.0, 1.0, "outputs up to 1")
+    if autopilot == "ardupilot":
+        return _of_ardupilot(parameters)
+    found = _of_px4(parameters)
+    if found is not None and largest <= 1.05 * found.high:
+        return found
+    if _USUAL[0] <= largest <= _USUAL[1]:
+        return Range(1000.0, 2000.0, "pulses of 1000 to 2000 us by convention")
+    return None
+
+
+def _of_ardupilot(parameters: Parameters) -> Range:
+    low, high = parameters.get("MOT_PWM_MIN", 0.0), parameters.get("MOT_PWM_MAX", 0.0)
+    if not 0.0 < low < high:
+        low, high = 1000.0, 2000.0
+    start = parameters.get("MOT_SPIN_MIN", 0.15)
+    full = parameters.get("MOT_SPIN_MAX", 0.95)
+    told = "MOT_SPIN_MIN" in parameters and "MOT_SPIN_MAX" in parameters
+    if not 0.0 <= start < full <= 1.0:
+        start, full, told = 0.15, 0.95, False
+    origin = "MOT_PWM_* and MOT_SPIN_*" if told else "MOT_SPIN_MIN 0.15, MOT_SPIN_MAX 0.95 assumed"
+    return Range(low + start * (high - low), low + full * (high - low), origin)
+
+
+def _of_px4(parameters: Parameters) -> Range | None:
+    """Of the driver whose output is motor 1, where its parameters tell a range."""
+    for driver in _PX4_DRIVERS:
+        for output in range(1, 17):
+            if parameters.get(f"{driver}_FUNC{output}") == _FIRST_MOTOR:
+                low = parameters.get(f"{driver}_MIN{output}")
+                high = parameters.get(f"{driver}_MAX{output}")
+                if low is not None and high is not None and low < high:
+                    return Range(low, high, f"{driver}_MIN{output}, {driver}_MAX{output}")
+    return None
+
+
+def gyro_cutoff(given: float | None, autopilot: str, parameters: Parameters) -> float | None:
+    """Hz of the low-pass that the gyro has passed when it is sent; None: there is none.
+
+    ArduPilot filters what it sends and logs; PX4 sends means over one interval, unfiltered.
+
+    Args:
+        given: by the airframe file; 0 for none.
+        autopilot: "px4" or "ardupilot".
+        parameters: known so far.
+    """
+    if given is None:
+        if autopilot != "ardupilot":
+            return None
+        given = parameters.get("INS_GYRO_FILTER", ARDUPILOT_GYRO_FILTER)
+    return given if given > 0.0 else None
+
+
+@dataclass(frozen=True)
+class RotorSource:
+    """The rotor stream that is believed, and how to read it.
+
+    Attributes:
+        kind: what it tells.
+        name: of the message or topic; messages of one kind for several groups share it.
+        why: in words.
+        range: of commands.
+        scale: of speeds: rad/s for what the decoder took for rad/s.
+        refused: name -> why not, of the others.
+    """
+
+    kind: Literal["speed", "command"]
+    name: str
+    why: str
+    range: Range | None = None
+    scale: float = 1.0
+    refused: Mapping[str, str] | None = None
+
+    def read(self, values: Array) -> Array:
+        """(n, rotors) of the stream to rad/s, or to commands of 0 (stopped) to 1 (full).
+
+        A speed of 0 is missing: in flight no rotor stands still, but an ESC may not answer.
+        """
+        if self.range is not None:
+            return normalised(values, self.range)
+        speeds: Array = np.where(values > 0.0, values * self.scale, np.nan)
+        return speeds
+
+
+def normalised(outputs: Array, range_: Range) -> Array:
+    """Commands of 0 to 1; what is below the range (disarmed, failsafe) is stopped."""
+    u: Array = np.clip((outputs - range_.low) / (range_.high - range_.low), 0.0, None)
+    return u

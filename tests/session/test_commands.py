@@ -1,0 +1,164 @@
+"""Whole flights with commands, unsound speeds, or a filtered gyro."""
+
+import pytest
+
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.records import Stream
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.chain import Chain, ChainOptions
+
+FLIGHT = ("--mission", "all-axes", "--rate", "100", "--duration", "40", "--seed", "3")
+
+
+@pytest.fixture(scope="module")
+def flight(fly):
+    """Commands and speeds, 100 Hz, MEMS noise."""
+    return fly(*FLIGHT)
+
+
+@pytest.fixture(scope="module")
+def both(flight):
+    return flight.records()
+
+
+def chain_of(records, anchor=None, **options):
+    airframe = load_airframe("paper")
+    if anchor:
+        airframe = airframe.with_anchor(*anchor)
+    chain = Chain(airframe, ChainOptions(course_interval=None, **options))
+    for record in records:
+        chain.feed(record)
+    return chain
+
+
+def identified(records, anchor=None):
+    return chain_of(records, anchor).finish()
+
+
+def commands_only(records):
+    return [r for r in records if r.stream is not Stream.ROTOR_SPEED]
+
+
+def agree(result, truth, names, deviations=4.0):
+    for name in names:
+        estimate = result.parameters[name]
+        assert estimate.status == "identified", name
+        assert abs(estimate.value - truth[name]) < deviations * estimate.std, name
+
+
+@pytest.fixture(scope="module")
+def by_commands(both):
+    return identified(commands_only(both))
+
+
+def test_commands_identify(by_commands, flight):
+    result = by_commands
+    assert result.verdict == "identified"
+    assert result.rotor_input == "command"
+    agree(result, flight.truth, ("Ixx", "Iyy", "Izz", "cg_x", "cg_y", "T_max", "moment_ratio"))
+    assert "k_T" not in result.parameters
+    assert "k_M" not in result.parameters
+    assert result.parameters["rotor_inertia"].status == "unobservable"
+    lag = result.timing["motor_lag"]
+    assert lag.value == pytest.approx(flight.truth["motor_lag"], abs=0.004)
+    told = result.telemetry["rotor_input"]
+    assert told["range"] == [1000.0, 2000.0]
+    assert "convention" in told["range_from"]
+
+
+def test_T_max_as_the_scale_gives_the_mass(by_commands, both, flight):
+    result = identified(both, ("T_max", flight.truth["T_max"]))
+    assert result.rotor_input == "command"
+    assert result.parameters["T_max"].status == "given"
+    mass = result.parameters["mass"]
+    assert abs(mass.value - flight.truth["mass"]) < 4.0 * mass.std
+    # What sets the scale does not move what has none.
+    for name in ("cg_x", "moment_ratio", "thrust_curve"):
+        expected = by_commands.parameters[name].value
+        assert result.parameters[name].value == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("gone", "anchor", "advice"),
+    [
+        (Stream.ROTOR_SPEED, ("k_T", 2e-4), "--t-max"),
+        (Stream.ROTOR_COMMAND, ("T_max", 7.0), "--k-t"),
+    ],
+)
+def test_a_scale_that_the_input_cannot_use_is_refused_with_advice(both, gone, anchor, advice):
+    result = identified([r for r in both if r.stream is not gone], anchor)
+    assert result.verdict == "refused"
+    assert any(advice in reason for reason in result.reasons)
+
+
+def test_nothing_is_lost_while_the_input_is_undecided(both):
+    chain = chain_of(both)
+    result = chain.finish()
+    in_air = [r.t for r in both if r.stream is Stream.IN_AIR and r.values[0]]
+    flown = max(in_air) - min(in_air)
+    # The windows of both ends, and the time that the first second's samples take to come.
+    assert result.telemetry["used_seconds"] > flown - 2.0
+
+
+@pytest.mark.parametrize(
+    ("trap", "kind", "why"),
+    [
+        ("rpm-zero", "command", "reads 0 while the vehicle flies"),
+        ("rpm-command", "command", "under another name, not a measurement"),
+        ("rpm-repeats=0.03", "speed", ""),
+        ("rpm-rad", "speed", "rad/s"),
+    ],
+)
+def test_traps_of_rotor_speeds(fly, trap, kind, why):
+    flown = fly(*FLIGHT, "--trap", trap)
+    result = analyze_log(flown.tlog, load_airframe("paper"))
+    told = result.telemetry["rotor_input"]
+    assert result.rotor_input == kind
+    assert why in told["refused"].get("ESC_STATUS", told["why"])
+    agree(result, flown.truth, ("Ixx", "Iyy", "Izz", "cg_x", "moment_ratio"))
+
+
+def test_speeds_that_die_in_flight_give_way_to_commands(both):
+    middle = both[len(both) // 2].t
+    died = [
+        r._replace(values=(0.0,) * 4) if r.stream is Stream.ROTOR_SPEED and r.t > middle else r
+        for r in both
+    ]
+    chain = chain_of(died)
+    result = chain.finish()
+    assert result.rotor_input == "command"
+    assert any("died in flight" in event.text for event in chain.events)
+    assert result.telemetry["used_seconds"] < 20.0
+
+
+@pytest.mark.parametrize("cutoff", [20, 40])
+def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
+    ardupilot = ("--autopilot", "ardupilot", "--param", f"INS_GYRO_FILTER={cutoff}")
+    flown = fly(*FLIGHT, *ardupilot, "--rate", "200")
+    records = flown.records()
+    parameter = next(r for r in records if r.stream is Stream.IMU)._replace(
+        stream=Stream.PARAMETER, values=(float(cutoff),), source="INS_GYRO_FILTER"
+    )
+    chain = Chain(load_airframe("paper"), ChainOptions(course_interval=None))
+    chain.chooser.autopilot = "ardupilot"
+    for record in (parameter, *records):
+        chain.feed(record)
+    result = chain.finish()
+    assert result.telemetry["rotor_input"]["gyro_filter"] == cutoff
+    assert not chain.outdated
+    for name in ("Ixx", "Iyy"):
+        assert result.parameters[name].value == pytest.approx(flown.truth[name], rel=0.02)
+    # The same parameter after the flight is too late, and is told so.
+    late = Chain(load_airframe("paper"), ChainOptions(course_interval=None))
+    late.chooser.autopilot = "ardupilot"
+    for record in (*records, parameter):
+        late.feed(record)
+    late.finish()
+    assert late.outdated == (cutoff != 20)
+
+
+def test_the_autopilot_decides_on_the_filter(fly):
+    flown = fly("--autopilot", "ardupilot", *FLIGHT[:2], "--duration", "12", "--rate", "50")
+    result = analyze_log(flown.tlog, load_airframe("paper"))
+    assert result.vehicle["autopilot"] == "ardupilot"
+    assert result.telemetry["rotor_input"]["gyro_filter"] == 20.0

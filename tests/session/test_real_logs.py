@@ -1,0 +1,109 @@
+"""Flights of unmodified autopilots, with true parameters beside them."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from gcs_sysid.model.airframe import Rotor, load_airframe
+from gcs_sysid.session.analysis import analyze_log
+
+LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not LOGS.is_dir(), reason="no ../shared/logs beside the project"),
+]
+
+
+def truth_of(log):
+    table = json.loads((LOGS / f"{Path(log).stem}.truth.json").read_text())
+    truth = {name.replace("i", "I", 1): table[name] for name in table if len(name) == 3}
+    truth |= {"mass": table["mass"], "cg_x": table["cg_m"][0], "cg_y": table["cg_m"][1]}
+    truth["k_T"] = table.get("kT_N_per_rad2")
+    if "kdw" in table:
+        truth |= {
+            "rotational_damping": table["kdw"],
+            "linear_drag": table["kdv"],
+            "T_max": table["t_max"],
+            "moment_ratio": table["q_max"] / table["t_max"],
+            "motor_lag": table["t_tau"],
+            "thrust_curve": 0.0,
+        }
+    return truth
+
+
+def airframe_of(log):
+    if "ardupilot" in log:
+        table = json.loads((LOGS / f"{Path(log).stem}.truth.json").read_text())
+        places, cg = table["rotor_pos_rel_cg_m"], table["cg_m"]
+        airframe = load_airframe("ardupilot-quad-x")
+        rotors = [
+            Rotor(places[str(i)][0] + cg[0], places[str(i)][1] + cg[1], rotor.spin)
+            for i, rotor in enumerate(airframe.rotors, 1)
+        ]
+        return replace(airframe, rotors=tuple(rotors))
+    airframe = load_airframe("px4-sih")
+    return airframe.with_arm(0.17 * 2.0**0.5) if "esc-cg" in log else airframe
+
+
+@cache
+def analyzed(log, anchor="mass"):
+    return analyze_log(LOGS / log, airframe_of(log).with_anchor(anchor, truth_of(log)[anchor]))
+
+
+SIH = {  # relative
+    "Ixx": 0.02, "Iyy": 0.02, "Izz": 0.03, "moment_ratio": 0.03, "rotational_damping": 0.10,
+    "linear_drag": 0.20,
+}  # fmt: skip
+PRODUCTS = {"Ixy": 1e-4, "Iyz": 1e-4, "Ixz": 1e-4}
+CASES = [
+    ("px4-sih-default.tlog", "command", {**SIH, "T_max": 0.02}, {**PRODUCTS, "thrust_curve": 0.1}),
+    ("px4-sih-default.ulg", "command", {**SIH, "T_max": 0.02}, {**PRODUCTS, "thrust_curve": 0.1}),
+    ("px4-esc-cg.tlog", "speed", {**SIH, "k_T": 0.01}, {**PRODUCTS, "cg_x": 5e-4, "cg_y": 5e-4}),
+    (
+        "ardupilot-sitl.tlog",
+        "speed",
+        {"Ixx": 0.02, "Iyy": 0.02, "k_T": 0.01},
+        {"cg_x": 5e-4, "cg_y": 5e-4},
+    ),
+]
+
+
+@pytest.mark.parametrize(("log", "kind", "relative", "absolute"), CASES, ids=[c[0] for c in CASES])
+def test_recorded_flights_reach_the_bars(log, kind, relative, absolute):
+    result, truth = analyzed(log), truth_of(log)
+    assert result.rotor_input == kind
+    for name, bar in relative.items():
+        assert result.parameters[name].value == pytest.approx(truth[name], rel=bar), name
+    for name, bar in absolute.items():
+        assert result.parameters[name].value == pytest.approx(truth[name], abs=bar), name
+    known = {n: e for n, e in result.parameters.items() if truth.get(n) is not None and e.std}
+    held = [n for n, e in known.items() if abs(e.value - truth[n]) <= 1.96 * e.std]
+    assert len(held) >= 0.75 * len(known), sorted(known.keys() - held)
+    if kind == "command":
+        assert result.timing["motor_lag"].value == pytest.approx(truth["motor_lag"], abs=0.004)
+
+
+@pytest.mark.parametrize("log", ["px4-sih-default.tlog", "px4-esc-cg.tlog"])
+def test_a_known_thrust_gives_the_mass(log):
+    result = analyzed(log, "k_T" if "esc" in log else "T_max")
+    assert result.parameters["mass"].value == pytest.approx(truth_of(log)["mass"], rel=0.02)
+
+
+def test_a_simulator_without_gyroscopic_torque_is_no_rigid_body():
+    result = analyzed("ardupilot-sitl.tlog")
+    assert result.verdict == "partial"
+    assert any("rigid body" in reason for reason in result.reasons)
+    for name in ("Izz", "k_M", "moment_ratio", "Ixy", "Iyz", "Ixz"):
+        assert result.parameters[name].status == "unobservable", name
+    assert result.parameters["Ixx"].status == "identified"
+
+
+def test_slow_logs_are_refused_with_reasons():
+    airframe = load_airframe("ardupilot-quad-x").with_anchor("mass", 1.5)
+    result = analyze_log(LOGS / "public" / "real-quad-mavlink1.tlog", airframe)
+    assert result.verdict == "refused"
+    assert any("does not follow the rotors" in reason for reason in result.reasons)

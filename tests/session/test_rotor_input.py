@@ -1,0 +1,257 @@
+"""Which rotor stream is believed."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.estimation.anchors import Anchor
+from gcs_sysid.model.airframe import CommandRange, load_airframe
+from gcs_sysid.records import Record, Stream
+from gcs_sysid.session.rotor_input import STRETCH, RotorChooser
+from gcs_sysid.session.rotor_units import (
+    Range,
+    RotorSource,
+    command_range,
+    gyro_cutoff,
+    normalised,
+)
+
+RATE = 100.0
+RPM = 2.0 * math.pi / 60.0
+MASS = Anchor("mass", 1.5)
+PAPER = load_airframe("paper")
+
+
+def signals(rotors=4, seconds=STRETCH, lag=0.03, rate=RATE, seed=1):
+    """Times, commands of 0..1, and the speeds (rad/s) of the paper's rotors that follow them."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds * rate)) / rate
+    wander = np.cumsum(rng.normal(size=(len(t), rotors)), axis=0) / math.sqrt(rate)
+    u = 0.5 + 0.05 * np.tanh(wander) + 0.02 * rng.normal(size=(len(t), rotors))
+    follows = u.copy()
+    decay = math.exp(-1.0 / (rate * lag)) if lag else 0.0
+    for k in range(1, len(t)):
+        follows[k] = decay * follows[k - 1] + (1.0 - decay) * u[k]
+    return t, u, 190.0 * np.sqrt(follows)
+
+
+def records(stream, source, t, values, offset=0):
+    return [
+        Record(stream, x, tuple(row), offset, source)
+        for x, row in zip(t.tolist(), values.tolist(), strict=True)
+    ]
+
+
+def speeds(values, t, source="ESC_STATUS", offset=0):
+    return records(Stream.ROTOR_SPEED, source, t, np.round(values / RPM) * RPM, offset)
+
+
+def commands(u, t, source="ACTUATOR_OUTPUT_STATUS"):
+    return records(Stream.ROTOR_COMMAND, source, t, np.round(1000.0 + 1000.0 * u))
+
+
+def judged(*streams, airframe=PAPER, anchor=MASS, chooser=None):
+    chooser = chooser or RotorChooser(airframe, anchor)
+    for record in sorted((r for s in streams for r in s), key=lambda r: r.t):
+        chooser.push(record, flying=True)
+    assert chooser.fly(STRETCH)
+    return chooser
+
+
+def test_measured_speeds_are_preferred():
+    t, u, v = signals()
+    chooser = judged(commands(u, t), speeds(v, t))
+    assert chooser.choice.name == "ESC_STATUS"
+    assert chooser.choice.kind == "speed"
+    assert chooser.choice.scale == 1.0
+    assert chooser.refused == {}
+
+
+def test_no_decision_before_enough_flight_and_none_from_the_ground():
+    t, _u, v = signals()
+    chooser = RotorChooser(PAPER, MASS)
+    for record in speeds(v, t):
+        chooser.push(record, flying=False)
+    assert not chooser.fly(0.9 * STRETCH)
+    assert not chooser.judged
+    assert chooser.fly(0.2 * STRETCH)
+    assert chooser.choice is None
+
+
+def dead(v):
+    v[:, 2] = 0.0
+
+
+def frozen(v):
+    v[:, 1] = v[0, 1]
+
+
+def silent(v):
+    v[:] = 0.0
+
+
+@pytest.mark.parametrize(
+    ("spoil", "why"),
+    [
+        (silent, "reads 0 while the vehicle flies"),
+        (dead, "rotor 3 reads 0 while the others move"),
+        (frozen, "rotor 2 stands still while the others move"),
+    ],
+)
+def test_unsound_speeds_give_way_to_commands(spoil, why):
+    t, u, v = signals()
+    spoil(v)
+    chooser = judged(commands(u, t), speeds(v, t))
+    assert chooser.choice.kind == "command"
+    assert chooser.choice.name == "ACTUATOR_OUTPUT_STATUS"
+    assert chooser.choice.refused == {"ESC_STATUS": why}
+    alone = judged(speeds(v, t))
+    assert alone.choice is None
+    assert alone.refused == {"ESC_STATUS": why}
+
+
+@pytest.mark.parametrize("rate", [4.0, 20.0])
+def test_slow_speeds_do_not_follow_the_rotors(rate):
+    t, u, v = signals()
+    every = round(RATE / rate)
+    chooser = judged(commands(u, t), speeds(v[::every], t[::every]))
+    assert chooser.choice.kind == ("command" if rate < 15.0 else "speed")
+
+
+@pytest.mark.parametrize("unit", [1.0, RPM])
+def test_commands_sold_as_measured_speeds_are_commands(unit):
+    t, u, v = signals(lag=0.0)
+    chooser = judged(commands(u, t), speeds(unit * v, t))
+    assert chooser.choice.kind == "command"
+    assert "ACTUATOR_OUTPUT_STATUS under another name" in chooser.refused["ESC_STATUS"]
+
+
+def test_quick_motors_are_still_measured():
+    t, u, v = signals(lag=0.005, rate=250.0)
+    assert judged(commands(u, t), speeds(v, t)).choice.kind == "speed"
+
+
+def test_motionless_hover_is_no_reason_to_refuse():
+    t, u, v = signals()
+    still = np.full_like(v, 100.0)
+    assert judged(commands(u, t), speeds(still, t)).choice.kind == "speed"
+
+
+def test_rad_per_second_in_a_field_of_rpm_shows_by_the_thrust():
+    t, _u, v = signals()
+    right, wrong = judged(speeds(v, t)), judged(speeds(RPM * v, t))
+    assert right.choice.scale == 1.0
+    assert wrong.choice.scale == pytest.approx(1.0 / RPM)
+    assert "rad/s" in wrong.choice.why
+    read = wrong.choice.read(RPM * v)
+    np.testing.assert_allclose(read, v)
+
+
+def test_groups_of_one_kind_are_one_source():
+    t, _u, v = signals(rotors=6)
+    airframe = load_airframe("ardupilot-hexa-x")
+    first = speeds(v[:, :4], t, "ESC_TELEMETRY_1_TO_4")
+    second = speeds(v[:, 4:], t, "ESC_TELEMETRY_5_TO_8", offset=4)
+    assert judged(first, second, airframe=airframe).choice.name == "ESC_TELEMETRY"
+    half = judged(first, airframe=airframe)
+    assert half.choice is None
+    assert half.refused == {"ESC_TELEMETRY": "tells 4 of 6 rotors"}
+
+
+@pytest.mark.parametrize(
+    ("anchor", "wanted", "kind"),
+    [
+        (Anchor("k_T", 2e-4), "auto", "speed"),
+        (Anchor("T_max", 7.0), "auto", "command"),
+        (MASS, "command", "command"),
+        (MASS, "speed", "speed"),
+    ],
+)
+def test_scale_and_airframe_decide_between_sound_sources(anchor, wanted, kind):
+    t, u, v = signals()
+    airframe = replace(PAPER, rotor_input=wanted)
+    assert (
+        judged(commands(u, t), speeds(v, t), airframe=airframe, anchor=anchor).choice.kind == kind
+    )
+
+
+def test_without_what_the_scale_needs_nothing_is_chosen():
+    t, u, _v = signals()
+    chooser = judged(commands(u, t), anchor=Anchor("k_T", 2e-4))
+    assert chooser.choice is None
+    assert chooser.refused == {"ACTUATOR_OUTPUT_STATUS": "speed is wanted"}
+
+
+def test_a_source_that_dies_in_flight_is_replaced():
+    t, u, v = signals()
+    chooser = judged(commands(u, t), speeds(v, t))
+    later = t + STRETCH
+    judged(commands(u, later), speeds(v, later), chooser=chooser)
+    assert chooser.choice.kind == "speed"
+    judged(commands(u, later), speeds(0.0 * v, later), chooser=chooser)
+    assert chooser.choice.kind == "command"
+    assert chooser.choice.why.startswith("ESC_STATUS died in flight")
+    # It does not come back: segments with different inputs cannot be one.
+    judged(commands(u, later), speeds(v, later), chooser=chooser)
+    assert chooser.choice.kind == "command"
+
+
+def test_stopped_outputs_are_no_input():
+    t, u, _v = signals()
+    chooser = judged(commands(0.0 * u - 0.1, t))
+    assert chooser.choice is None
+    assert "stopped" in chooser.refused["ACTUATOR_OUTPUT_STATUS"]
+
+
+USUAL = CommandRange()
+SPIN = {"MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0, "MOT_SPIN_MIN": 0.1, "MOT_SPIN_MAX": 0.9}
+GAZEBO = {"SIM_GZ_EC_FUNC1": 101.0, "SIM_GZ_EC_MIN1": 0.0, "SIM_GZ_EC_MAX1": 1000.0}
+BOARD = {"PWM_MAIN_FUNC3": 101.0, "PWM_MAIN_MIN3": 1100.0, "PWM_MAIN_MAX3": 1900.0}
+
+
+@pytest.mark.parametrize(
+    ("source", "given", "autopilot", "parameters", "largest", "expected"),
+    [
+        ("actuator_motors", CommandRange(900, 2100, given=True), "px4", {}, 0.7, (0, 1)),
+        ("RCOU", CommandRange(900, 2100, given=True), "ardupilot", SPIN, 1500, (900, 2100)),
+        ("RCOU", USUAL, "ardupilot", SPIN, 1500, (1180, 1820)),
+        ("SERVO_OUTPUT_RAW", USUAL, "ardupilot", {}, 1500, (1150, 1950)),
+        ("SERVO_OUTPUT_RAW", USUAL, "px4", {}, 1500, (1000, 2000)),
+        ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", BOARD, 1500, (1100, 1900)),
+        ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", GAZEBO, 640, (0, 1000)),
+        ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", {}, 0.6, (0, 1)),
+        ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", {}, 640, None),
+        ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", {}, 5000, None),
+    ],
+)
+def test_range_of_commands(source, given, autopilot, parameters, largest, expected):
+    found = command_range(source, given, autopilot, parameters, largest)
+    assert (found and (found.low, found.high)) == (expected and pytest.approx(expected))
+
+
+def test_stopped_is_zero():
+    u = normalised(np.array([[900.0, 600.0, 0.0, 1000.0, 1500.0, 2000.0]]), Range(1000, 2000, ""))
+    np.testing.assert_array_equal(u, [[0.0, 0.0, 0.0, 0.0, 0.5, 1.0]])
+
+
+def test_an_esc_that_does_not_answer_is_missing():
+    source = RotorSource("speed", "ESC_STATUS", "")
+    read = source.read(np.array([[500.0, 0.0, 510.0, 505.0], [0.0, 0.0, 0.0, 0.0]]))
+    assert np.isnan(read).tolist() == [[False, True, False, False], [True] * 4]
+
+
+@pytest.mark.parametrize(
+    ("given", "autopilot", "parameters", "expected"),
+    [
+        (None, "px4", {"IMU_GYRO_CUTOFF": 40.0}, None),
+        (None, "ardupilot", {}, 20.0),
+        (None, "ardupilot", {"INS_GYRO_FILTER": 40.0}, 40.0),
+        (None, "ardupilot", {"INS_GYRO_FILTER": 0.0}, None),
+        (30.0, "ardupilot", {"INS_GYRO_FILTER": 40.0}, 30.0),
+        (0.0, "ardupilot", {}, None),
+    ],
+)
+def test_filter_of_the_gyro(given, autopilot, parameters, expected):
+    assert gyro_cutoff(given, autopilot, parameters) == expected
