@@ -86,6 +86,6 @@ class Snapshot:
     rates: tuple[float, float, float] | None = None
     """Body rates p, q, r in rad/s."""
     rotor_speeds: tuple[float, ...] = ()
-    """rad/s, motor order."""
+    """rad/s, or commands of 0 to 1 where those are the input; motor order."""
     events: tuple[Event, ...] = ()
     """The latest last; at most a few hundred are kept."""

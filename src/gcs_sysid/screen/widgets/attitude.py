@@ -112,9 +112,19 @@ class AttitudePanel(Static):
         return lines
 
     def _rotor_lines(self, view: View) -> list[list[Part]]:
-        speeds = () if view.snapshot is None else view.snapshot.rotor_speeds
-        if not speeds:
+        if view.snapshot is None or not view.snapshot.rotor_speeds:
             return [[("no rotor speeds", fmt.MUTED)]]
+        speeds = view.snapshot.rotor_speeds
+        if view.snapshot.result.rotor_input == "command":
+            return [
+                [
+                    (f"rotor {number:<2}", fmt.MUTED),
+                    (f"{100.0 * command:5.1f}", "bold"),
+                    (" %     ", ""),
+                    (fmt.bar(command, 14), "$text-primary on $panel"),
+                ]
+                for number, command in enumerate(speeds, start=1)
+            ]
         # The scale only grows, in steps, so that the bars compare from one moment to the next.
         self._top_speed = max(self._top_speed, 100.0 * math.ceil(max(speeds) * 1.1 / 100.0))
         lines = []
