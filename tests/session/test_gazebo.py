@@ -19,7 +19,7 @@ pytestmark = [
 ]
 
 FULL_SPEED = 1100.0
-"""rad/s at 2000 us. Gazebo's motors turn at 100 + 1000 (u - 1000) / 1000: from 900 us on, straight."""
+"""rad/s at 2000 us. Gazebo's motors turn at u - 900 rad/s."""
 # Front right, rear left, front left, rear right.
 ROTORS = ((0.13, 0.22, "ccw"), (-0.13, -0.2, "ccw"), (0.13, -0.22, "cw"), (-0.13, 0.2, "cw"))
 
