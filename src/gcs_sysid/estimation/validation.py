@@ -108,15 +108,15 @@ def _whiteness(
     at: Array,
     Q: Array,
 ) -> tuple[Array, Array]:
-    """Whiteness and its p-value, per axis, from the first and the last leak."""
+    """Whiteness and its p-value, per axis, from the first two leaks: none, and a short one."""
     if len(gains) < 2:
         return np.full(3, np.nan), np.full(3, np.nan)
     T = np.hstack([-Q, np.eye(3)])
-    pair = np.swapaxes(batches[:, [0, -1]], 0, 1)
+    pair = np.swapaxes(batches[:, :2], 0, 1)
     here = basis.moments_at(pair, at)
     plain, summed = np.einsum("ai,lkij,aj->lka", T, here, T)  # (k, 3) each: residual power
-    of_speeds = np.einsum("ai,lij,aj->la", T, noise[[0, -1]], T)
-    ratio = gains[-1] / gains[0]
+    of_speeds = np.einsum("ai,lij,aj->la", T, noise[:2], T)
+    ratio = gains[1] / gains[0]
     # Of the plain power, what the speeds' noise does not explain is the gyro's.
     expected = ratio * plain + counts[:, None] * (of_speeds[1] - ratio * of_speeds[0])
     surplus = summed - expected
