@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from gcs_sysid.estimation import rotation, translation
 from gcs_sysid.estimation.article import METHODS, ArticleEstimator
-from gcs_sysid.estimation.basis import RotorBasis
+from gcs_sysid.estimation.basis import WIDTH, RotorBasis
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.online import OnlineEstimator, Tuning
 from gcs_sysid.estimation.regression import LeakySums, RowMaker, Samples
@@ -48,7 +48,7 @@ def bank_of(truth, samples, smoother, memory=0.0):
     basis = RotorBasis(smoother.delays)
     moments = Moments((1, basis.width, basis.width), 40)
     moments.add(rows[:, 0])
-    noise = np.zeros((1, rotation.WIDTH, rotation.WIDTH))
+    noise = np.zeros((1, WIDTH, WIDTH))
     return moments.batches, moments.counts, basis, noise
 
 
@@ -274,7 +274,7 @@ def test_noise_of_the_speeds_is_known_and_taken_out(truth, flight):
     follower.update(speeds[:1000])
     follower.update(speeds[1000:])
     np.testing.assert_allclose(follower.std, 2.0, rtol=0.05)  # 6000 samples, correlated fourfold
-    surplus = np.zeros((rotation.WIDTH, rotation.WIDTH))
+    surplus = np.zeros((WIDTH, WIDTH))
     runs = 20
     for _ in range(runs):
         speeds = flight.speeds + 2.0 * rng.standard_normal(flight.speeds.shape)

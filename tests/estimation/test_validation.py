@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.basis import PLAIN
+from gcs_sysid.estimation.basis import PLAIN, WIDTH
 from gcs_sysid.estimation.online import OnlineEstimator, Tuning
-from gcs_sysid.estimation.rotation import N_X, WIDTH
+from gcs_sysid.estimation.search import N_X
 from gcs_sysid.estimation.validation import validate
 from gcs_sysid.model import rigid_body as rb
 

@@ -21,7 +21,8 @@ from scipy.special import stdtr
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.basis import RotorBasis
 from gcs_sysid.estimation.priors import Prior
-from gcs_sysid.estimation.rotation import N_X, fit_rotation
+from gcs_sysid.estimation.rotation import fit_rotation
+from gcs_sysid.estimation.search import N_X
 from gcs_sysid.model import rigid_body as rb
 
 FITTED_SHARE = 0.6
