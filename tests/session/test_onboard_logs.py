@@ -92,9 +92,10 @@ def test_an_onboard_log_gives_what_the_tlog_gives(
     assert result.vehicle["autopilot"] == ("px4" if kind == "ulg" else "ardupilot")
     for name, parameter in expected.parameters.items():
         if parameter.status == "identified":
-            # Stamps of the attitude differ by less than a millisecond.
+            # Stamps of the attitude differ by less than a millisecond, and the kinds of log tell
+            # take-off at other instants: up to half a second of flight more or less.
             value = result.parameters[name].value
-            assert value == pytest.approx(parameter.value, abs=0.1 * parameter.std), name
+            assert value == pytest.approx(parameter.value, abs=0.3 * parameter.std), name
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
 

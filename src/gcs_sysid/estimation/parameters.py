@@ -72,6 +72,10 @@ COUPLED = frozenset({"Izz", "Ixy", "Iyz", "Ixz", "k_M", "moment_ratio", "rotatio
                      "rotor_inertia"})  # fmt: skip
 """What rests on the vehicle being a rigid body, see `coupling`."""
 
+_MODEL_ERROR = 0.005
+"""Relative, of what a model still tells that is known to be wrong elsewhere: the scatter within a
+flight is that of noise, and says nothing of it."""
+
 
 @dataclass(frozen=True)
 class Value:
@@ -155,6 +159,11 @@ def physical_parameters(
         if coupling is not None and coupling.contradicted:
             for name in COUPLED & out.keys():
                 out[name] = replace(out[name], status="unobservable")
+            for name in ("Ixx", "Iyy"):
+                told = out[name]
+                if told.value is not None and told.std is not None:
+                    doubt = math.hypot(told.std, _MODEL_ERROR * told.value)
+                    out[name] = replace(told, std=doubt)
     return out
 
 
