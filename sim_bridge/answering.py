@@ -1,5 +1,6 @@
 """What PX4 and ArduPilot have in common: one link, streams, answers to a ground station."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
@@ -28,7 +29,7 @@ FAILED: int = mavlink.MAV_RESULT_FAILED
 UNSUPPORTED: int = mavlink.MAV_RESULT_UNSUPPORTED
 
 
-class AnsweringAutopilot:
+class AnsweringAutopilot(ABC):
     """An autopilot on one link. Subclasses say which messages there are and who may ask.
 
     Attributes:
@@ -190,9 +191,9 @@ class AnsweringAutopilot:
     _no_such_message = DENIED
     """Answer to REQUEST_MESSAGE for a message that there is not."""
 
+    @abstractmethod
     def _set_interval(self, message: Any) -> int:
         """Do what SET_MESSAGE_INTERVAL asks; its MAV_RESULT."""
-        raise NotImplementedError
 
     def _interval(self, msgid: int) -> bytes:
         """MESSAGE_INTERVAL: 0 for a message there is none of, -1 for one that is off."""

@@ -34,6 +34,15 @@ class Flight:
         return Intake().frames(frame for _, frame in read_tlog(self.tlog))
 
 
+@pytest.fixture(scope="session")
+def shared_logs() -> Path:
+    """Recorded flights of real autopilots, where they lie beside the project."""
+    folder = Path(__file__).resolve().parents[2] / "shared" / "logs"
+    if not folder.is_dir():
+        pytest.skip("no ../shared/logs beside the project")
+    return folder
+
+
 FlyFunction = Callable[..., Flight]
 
 

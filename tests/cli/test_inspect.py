@@ -17,7 +17,6 @@ from gcs_sysid.cli.main import run
 from gcs_sysid.session.inspection.inspector import inspect_log
 
 GOLDEN = Path(__file__).parent / "golden"
-SHARED_LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
 
 
 @pytest.fixture(scope="module")
@@ -126,10 +125,8 @@ SHARED = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "expected"), SHARED.items(), ids=SHARED.keys())
-def test_real_logs(inspect, name, expected):
-    if not SHARED_LOGS.is_dir():
-        pytest.skip("no ../shared/logs beside the project")
-    status, out, _ = inspect(SHARED_LOGS / name, "--json")
+def test_real_logs(inspect, name, expected, shared_logs):
+    status, out, _ = inspect(shared_logs / name, "--json")
     assert status == 0
     found = json.loads(out)
     assert (found["verdict"], found["rotor_input"]["message"]) == expected

@@ -1,7 +1,6 @@
 """One flight, one answer: a .tlog, a .ulg and a .bin of it are identified alike."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -122,18 +121,13 @@ def test_parameters_are_no_samples():
     assert sampler.recorded == 1.0
 
 
-SHARED_LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "autopilot"),
     [("px4-sih-default.ulg", "px4"), ("ardupilot-sitl.bin", "ardupilot")],
 )
-def test_recorded_onboard_logs_go_through_the_chain(name, autopilot, airframe):
-    if not SHARED_LOGS.is_dir():
-        pytest.skip("no ../shared/logs beside the project")
-    result = analyze_log(SHARED_LOGS / name, airframe)
+def test_recorded_onboard_logs_go_through_the_chain(name, autopilot, airframe, shared_logs):
+    result = analyze_log(shared_logs / name, airframe)
     assert result.vehicle == {"sysid": 1, "compid": 1, "autopilot": autopilot}
     assert result.telemetry["duration"] > 150.0
     assert result.telemetry["late"] == 0

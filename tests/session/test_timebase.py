@@ -1,7 +1,5 @@
 """The time base: interpolation, order of arrival, gaps, repeats, and clocks that jump."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -335,13 +333,10 @@ def test_memory_stays_bounded_in_flight_and_after_the_imu_fell_silent():
 
 
 @pytest.mark.slow
-def test_a_real_ardupilot_log_has_one_grid():
+def test_a_real_ardupilot_log_has_one_grid(shared_logs):
     """250 Hz asked: 2.5 and 5 ms by turns, and spells of 15 ms from 241.6 s on."""
-    path = Path(__file__).parents[3] / "shared" / "logs" / "ardupilot-sitl.tlog"
-    if not path.exists():
-        pytest.skip("no recorded flights here")
     base, fresh = TimeBase(), 0
-    for r in open_log(path).records():
+    for r in open_log(shared_logs / "ardupilot-sitl.tlog").records():
         if r.stream is Stream.IMU:
             block = base.push(r)
             if block is not None:

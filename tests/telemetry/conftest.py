@@ -1,14 +1,11 @@
 """Frames made by pymavlink's own packer, for all telemetry tests."""
 
 import random
-from pathlib import Path
 
 import pytest
 
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
-
-SHARED_LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
 
 
 class Sender:
@@ -102,10 +99,3 @@ def stream():
         version = 2 if cls.id > 255 else rng.choice([1, 2])
         raws.append(source.raw(random_message(cls, rng), version))
     return b"".join(raws), [read_frame(raw) for raw in raws]
-
-
-@pytest.fixture
-def shared_logs():
-    if not SHARED_LOGS.is_dir():
-        pytest.skip("no ../shared/logs beside the project")
-    return SHARED_LOGS

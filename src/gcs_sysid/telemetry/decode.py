@@ -21,7 +21,7 @@ from gcs_sysid.telemetry import rotors
 from gcs_sysid.telemetry.clock import VehicleClock
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.messages import MESSAGE_IDS, message_name, picker
+from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 from gcs_sysid.telemetry.parameters import read_parameter
 
 MILLI_G = 9.80665e-3
@@ -298,7 +298,3 @@ class RecordDecoder:
     def _read_system_time(self, payload: bytes) -> Record | None:
         self.clock.system_time(*_system_time(payload))
         return None
-
-
-USED_MESSAGES = tuple(sorted(message_name(i) for i in RecordDecoder()._readers))
-"""Names of the messages that records are made from."""
