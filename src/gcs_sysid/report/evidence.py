@@ -1,6 +1,6 @@
 """The sections that tell how far the findings can be trusted."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,6 @@ from gcs_sysid.report.figures import (
     add_spectrum,
     add_timeline,
 )
-from gcs_sysid.report.findings import AXIS_COLUMNS
 from gcs_sysid.report.markup import Child, Markup, element
 from gcs_sysid.report.parts import Column, facts, figure, grid, legend, note, section, table
 
@@ -30,6 +29,7 @@ _STREAMS = {
     "velocity": "velocity",
 }
 _DOUBT = 0.05
+AXIS_COLUMNS = [Column(axis.capitalize(), numbers=True) for axis in AXES]
 
 
 def prediction(data: ReportData, figures: Figures) -> Markup:
@@ -48,8 +48,8 @@ def prediction(data: ReportData, figures: Figures) -> Markup:
         "prediction",
         "Prediction of data not fitted",
         note(
-            f"A model fitted to the first {share} of the flight predicts the angular acceleration "
-            "of the rest from the rotors alone. Both pass the estimator's window."
+            f"A model fitted to the first {share} of {_which_flight(data)} predicts the angular "
+            "acceleration of the rest from rotors and rates. Both sides pass the estimator's window."
         ),
         legend(("measured", "measured"), ("predicted", "predicted")) if shown else None,
         grid(
@@ -59,8 +59,17 @@ def prediction(data: ReportData, figures: Figures) -> Markup:
         )
         if shown
         else None,
-        table("Agreement on data not fitted", [Column("Measure"), *AXIS_COLUMNS], rows),
+        _per_axis("Agreement on data not fitted", rows),
     )  # fmt: skip
+
+
+def _which_flight(data: ReportData) -> str:
+    segments = data.result["segments"]
+    return f"the flight since {segments[-1]['end']:.1f} s" if segments else "the flight"
+
+
+def _per_axis(caption: str, rows: Iterable[Sequence[Child]]) -> Markup:
+    return table(caption, [Column("Measure"), *AXIS_COLUMNS], rows, layout="axes")
 
 
 def _agreement(found: Mapping[str, Any], axis: str) -> str:
@@ -97,13 +106,13 @@ def residual(data: ReportData, figures: Figures) -> Markup | None:
         "residual",
         "What is left: residual",
         note(
-            "Where only sensor noise is left, the residual follows the dashed curve at its upper "
-            "end. More at low frequencies is wind or a drifting parameter, peaks are vibration."
+            "Where only sensor noise is left, the residual follows the dashed curve. More at low "
+            "frequencies is wind or a drifting parameter, peaks are vibration."
         ),
-        legend(("residual", "residual"), ("white", "white gyro noise alone")) if shown else None,
+        legend(("residual", "residual"), ("white", "white sensor noise alone")) if shown else None,
         grid("three", (figure(f"spectrum-{axis}", axis.capitalize(), size="medium")
                        for axis in AXES)) if shown else None,
-        table("Whiteness of the residual, per axis", [Column("Measure"), *AXIS_COLUMNS], rows),
+        _per_axis("Whiteness of the residual, per axis", rows),
     )  # fmt: skip
 
 
@@ -156,7 +165,7 @@ def excitation(data: ReportData, figures: Figures) -> Markup:
         note("What does not move cannot be identified. Body rates over the whole flight:"),
         grid("one", (figure(f"rate-{axis}", f"{axis.capitalize()} rate", size="low")
                      for axis in AXES)) if shown else None,
-        table("Motion in flight, per axis", [Column("Measure"), *AXIS_COLUMNS], rows),
+        _per_axis("Motion in flight, per axis", rows),
     )  # fmt: skip
 
 
@@ -248,7 +257,11 @@ def _link_facts(data: ReportData, counts: Mapping[str, Any]) -> dict[str, Child]
     out["Damaged or dropped"] = ", ".join(damaged) or "none"
     drift = counts.get("clock_drift_ppm")
     boots = counts.get("reboots", 0)
-    pace = "drift not known" if drift is None else f"{wording.fixed(drift, 0)} ppm against the recorder"
+    pace = (
+        "drift not known"
+        if drift is None
+        else f"{wording.fixed(drift, 0)} ppm against the recorder"
+    )
     out["Vehicle's clock"] = pace + (f", {boots} reboot{'s' * (boots > 1)}" if boots else "")
     rate = counts.get("grid_rate")
     if rate:
@@ -281,5 +294,5 @@ def _messages(messages: Mapping[str, Any]) -> Markup | None:
     return element(
         "details",
         element("summary", f"All {len(rows)} kinds of messages"),
-        table("Messages received", columns, rows, stacked=False),
+        table("Messages received", columns, rows, layout="plain"),
     )

@@ -145,7 +145,7 @@ def add_prediction(figures: Figures, data: ReportData) -> bool:
 
 
 def add_spectrum(figures: Figures, data: ReportData) -> bool:
-    """The residual's spectrum beside that of white gyro noise; whether there is one."""
+    """The residual's spectrum beside that of white sensor noise; whether there is one."""
     found = data.spectrum
     if found is None:
         return False
@@ -165,7 +165,7 @@ def add_spectrum(figures: Figures, data: ReportData) -> bool:
                 }
                 for kind, words, values in (
                     ("residual", "residual", found.density),
-                    ("white", "white gyro noise", found.white),
+                    ("white", "white sensor noise", found.white),
                 )
             ],
         }

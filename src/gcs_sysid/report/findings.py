@@ -1,12 +1,13 @@
 """The sections that tell what was found: verdict, parameters, convergence."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 from gcs_sysid.estimation.parameters import CORE_OF
 from gcs_sysid.model.parameters import TIMING
 from gcs_sysid.report import wording
-from gcs_sysid.report.data import AXES, ReportData
+from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.figures import Figures, add_course
 from gcs_sysid.report.markup import Child, Markup, element, joined
 from gcs_sysid.report.parts import Column, facts, figure, grid, legend, note, section, table
@@ -42,6 +43,14 @@ def verdict(data: ReportData) -> Markup:
     )
 
 
+_TILES = {
+    "mass": "Mass",
+    "k_T": "Thrust, k_T",
+    "T_max": "Thrust, T_max",
+    "added_mass": "Added mass",
+}
+
+
 def _headline(data: ReportData) -> Markup:
     """The few numbers that a pilot looks for first."""
     result = data.result
@@ -49,11 +58,11 @@ def _headline(data: ReportData) -> Markup:
     tiles: dict[str, Child] = {}
     if scale is not None:
         origin = f"from {scale['from']}" if scale.get("from") else "given: it sets the scale"
-        what = {"mass": "Mass", "added_mass": "Added mass"}.get(scale["anchor"], scale["anchor"])
+        what = _TILES[scale["anchor"]]
         tiles[what] = _tile(
             f"{wording.number(scale['value'], 4)} {wording.unit_text(scale['unit'])}", origin
         )
-    for name, what in (("mass", "Mass"), ("k_T", "Thrust, k_T"), ("T_max", "Thrust, T_max")):
+    for name, what in _TILES.items():
         estimate = result["parameters"].get(name)
         if estimate and estimate["value"] is not None and estimate["status"] == "identified":
             share = (wording.half_of(estimate) or 0.0) / abs(estimate["value"])
@@ -69,8 +78,10 @@ def _headline(data: ReportData) -> Markup:
         tiles["Flight used"] = _tile(f"{wording.fixed(seconds, 1)} s", _of_flight(data))
     found = [v for v in result["validation"].get("r_squared", {}).values() if v is not None]
     if found:
-        tiles["Predicted of data not fitted"] = _tile(
-            wording.percent(max(min(found), 0.0), 3), "R² of the worst axis"
+        # Cut, not rounded: 0.99996 is not 1.
+        worst = math.floor(1e4 * min(found)) / 1e4
+        tiles["Prediction of data not fitted"] = _tile(
+            f"R² {wording.fixed(worst, 4)}", "the worst of three axes"
         )
     return element(
         "dl",
@@ -95,9 +106,8 @@ def parameters(data: ReportData) -> Markup:
     bounded = any("bound" in e for e in entries.values())
     columns = [
         Column("Parameter"),
-        Column("Value", numbers=True),
+        Column("Value ± 95 %", numbers=True),
         Column("95 % interval", numbers=True),
-        Column("± 95 %", numbers=True),
         Column("Status"),
         Column("Rests on"),
     ]
@@ -143,25 +153,28 @@ def _status(status: str) -> Markup:
 
 
 def _numbers(estimate: Mapping[str, Any]) -> list[Child]:
-    """Value, interval and relative half of an estimate."""
+    """Value with its uncertainty, and the interval."""
     half = wording.half_of(estimate)
     value, unit = estimate["value"], wording.unit_text(estimate["unit"])
     if value is None or half is None:
-        return [wording.NOTHING] * 3
+        return [wording.NOTHING] * 2
     text, half_text, power, exponent = wording.value_text(value, half)
     if estimate["status"] == "given":
-        return [f"{wording.number(value, 6)} {unit}", wording.NOTHING, wording.NOTHING]
+        return [f"{wording.number(value, 6)} {unit}", wording.NOTHING]
     decimals = wording.decimals_of(half / 10.0**exponent, abs(value) / 10.0**exponent)
     ends = [wording.fixed(end / 10.0**exponent, decimals) for end in estimate["ci95"] or ()]
     interval = f"{ends[0]} … {ends[1]}{power}" if ends else wording.NOTHING
-    share = half / abs(value) if value else None
-    relative = joined(
-        f"{half_text}{power}", element("span", wording.percent(share), class_="share")
+    untold = estimate["status"] == "unobservable"
+    if half > 0.3 * abs(value):
+        relative = "known to be this small" if estimate["status"] == "identified" else ""
+    else:
+        relative = f"± {wording.percent(half / abs(value))}"
+    both = f"({text} ± {half_text}){power}" if power else f"{text} ± {half_text}"
+    shown = joined(
+        element("span", f"{both} {unit}".rstrip(), class_="untold" if untold else None),
+        element("span", relative, class_="share") if relative and not untold else None,
     )
-    shown = f"{text}{power} {unit}".rstrip()
-    if estimate["status"] == "unobservable":
-        return [element("span", f"({shown})", class_="untold"), interval, relative]
-    return [shown, interval, relative]
+    return [shown, interval]
 
 
 def _bound(estimate: Mapping[str, Any]) -> str:
@@ -177,8 +190,10 @@ def _truth(estimate: Mapping[str, Any], true: float | None) -> Child:
     value = estimate["value"]
     error = None if value is None or not true else value / true - 1.0
     return joined(
-        wording.number(true, 5), element("span", f"error {wording.percent(error)}", class_="share")
-    )
+        wording.number(true, 5),
+        None if error is None
+        else element("span", f"error {wording.percent(error)}", class_="share"),
+    )  # fmt: skip
 
 
 def _timing(result: Mapping[str, Any]) -> Markup | None:
@@ -187,9 +202,7 @@ def _timing(result: Mapping[str, Any]) -> Markup | None:
         if estimate["value"] is None:
             continue
         half = wording.half_of(estimate)
-        text = f"{wording.number(1e3 * estimate['value'])} ms"
-        if half:
-            text += f" ± {wording.number(1e3 * half, 2)} ms"
+        text = wording.measure(1e3 * estimate["value"], 1e3 * half if half else None, "ms")
         entries[name.replace("_", " ").capitalize()] = joined(
             text, element("span", TIMING[name].meaning, class_="share")
         )
@@ -201,26 +214,16 @@ def _segments(result: Mapping[str, Any]) -> Markup | None:
     segments = result["segments"]
     if not segments:
         return None
-    columns = [Column("Parameter")] + [
-        Column(f"{s['start']:.1f} to {s['end']:.1f} s", numbers=True) for s in segments
+    parts = [(f"{s['start']:.1f} to {s['end']:.1f} s", s["parameters"]) for s in segments]
+    parts.append((f"from {segments[-1]['end']:.1f} s, in force", result["parameters"]))
+    columns = [Column("Parameter"), *(Column(title, numbers=True) for title, _ in parts)]
+    rows = [
+        [name, *(_numbers(held[name])[0] if name in held else wording.NOTHING for _, held in parts)]
+        for name in result["parameters"]
     ]
-    rows = []
-    for name in segments[0]["parameters"]:
-        cells: list[Child] = [name]
-        for part in segments:
-            estimate = part["parameters"].get(name)
-            half = wording.half_of(estimate) if estimate else None
-            if estimate is None or estimate["value"] is None or half is None:
-                cells.append(wording.NOTHING)
-                continue
-            value, half_text, power, _ = wording.value_text(estimate["value"], half)
-            unit = wording.unit_text(estimate["unit"])
-            cells.append(f"({value} ± {half_text}){power} {unit}".rstrip())
-        rows.append(cells)
     return joined(
-        element("h3", "Before the changes"),
-        note("The table above is in force at the end. These held before, value ± 95 %."),
-        table("Parameters of earlier segments", columns, rows),
+        element("h3", "Before and after the changes"),
+        table("Value ± 95 % in each segment of the flight", columns, rows),
     )
 
 
@@ -256,6 +259,3 @@ def convergence(data: ReportData, figures: Figures) -> Markup:
             ),
         ),
     )  # fmt: skip
-
-
-AXIS_COLUMNS = [Column(axis.capitalize(), numbers=True) for axis in AXES]

@@ -28,7 +28,9 @@ def escaped(text: str) -> Markup:
     return Markup(html.escape(_CONTROL.sub("\N{REPLACEMENT CHARACTER}", text), quote=True))
 
 
-def element(name: str, /, *children: Child, **attributes: str | int | float | bool | None) -> Markup:
+def element(
+    name: str, /, *children: Child, **attributes: str | int | float | bool | None
+) -> Markup:
     """An element; `class_` is class and `aria_label` is aria-label.
 
     Attributes that are None or False are left out, True ones have no value.

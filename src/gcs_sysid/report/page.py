@@ -10,7 +10,7 @@ from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.figures import Figures
 from gcs_sysid.report.markup import Child, Markup, element
 from gcs_sysid.report.parts import Column, facts, section, table
-from gcs_sysid.report.wording import VERDICT_WORDS, number
+from gcs_sysid.report.wording import VERDICT_WORDS, fixed
 
 _CONTENTS = (
     ("verdict", "Verdict"),
@@ -84,10 +84,13 @@ def _heading(data: ReportData, name: str) -> Markup:
     vehicle = data.result["vehicle"]
     about = [data.airframe.name]
     if vehicle:
-        about.insert(0, f"{vehicle['autopilot']} {vehicle['sysid']}:{vehicle['compid']}")
+        address = f"{vehicle['sysid']}:{vehicle['compid']}"
+        systems = map(str, data.result["telemetry"].get("systems", ()))
+        named = next((name for name in systems if name.endswith(f" {address}")), None)
+        about.insert(0, named or f"{vehicle['autopilot']} {address}")
     duration = data.inspection.get("duration")
     if duration:
-        about.append(f"{number(duration, 4)} s recorded")
+        about.append(f"{fixed(duration, 1)} s recorded")
     return element(
         "div",
         element("p", "Identification report", class_="kind"),
@@ -105,7 +108,7 @@ def _settings(data: ReportData) -> Markup:
         "Command": element("code", _command_line(made.command)),
         "Recording": f"{_file_name(result['source'])}, {made.log_bytes} bytes",
         "SHA-256": element("code", made.log_sha256, class_="hash"),
-        "Estimator": result["estimator"],
+        "Estimate": result["estimator"],
         "Rotors' input": {"speed": "measured speeds", "command": "commands"}[result["rotor_input"]],
     }
     if anchor is not None:
@@ -115,7 +118,12 @@ def _settings(data: ReportData) -> Markup:
     entries["Airframe"] = f"{airframe.name}, {len(airframe.rotors)} rotors"
     entries |= dict(made.versions)
     rotors = [
-        [str(i), f"{r.x:.6g} m", f"{r.y:.6g} m", "counter-clockwise" if r.spin > 0 else "clockwise"]
+        [
+            str(i),
+            f"{fixed(r.x, 4)} m",
+            f"{fixed(r.y, 4)} m",
+            "counter-clockwise" if r.spin > 0 else "clockwise",
+        ]
         for i, r in enumerate(airframe.rotors, 1)
     ]
     columns = [
@@ -128,7 +136,7 @@ def _settings(data: ReportData) -> Markup:
         "settings",
         "Settings that reproduce this",
         facts(entries),
-        table("Rotors of the airframe, from the geometric centre", columns, rotors),
+        table("Rotors of the airframe, from the geometric centre", columns, rotors, layout="axes"),
     )
 
 
@@ -164,5 +172,3 @@ def _policy(style: str, script: str) -> str:
         f"default-src 'none'; style-src '{hashes[0]}'; script-src '{hashes[1]}'; "
         "base-uri 'none'; form-action 'none'"
     )
-
-

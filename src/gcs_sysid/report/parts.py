@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from gcs_sysid.report.markup import Child, Markup, element, joined
 
@@ -21,18 +22,22 @@ def section(name: str, title: str, *children: Child) -> Markup:
 
 
 def table(
-    caption: str, columns: Sequence[Column], rows: Iterable[Sequence[Child]], *, stacked: bool = True
+    caption: str,
+    columns: Sequence[Column],
+    rows: Iterable[Sequence[Child]],
+    *,
+    layout: Literal["stacked", "axes", "plain"] = "stacked",
 ) -> Markup:
     """A table whose first column names the rows.
 
-    Where the page is narrow its rows become cards, each cell with its column's title; roles are
-    told expressly, because a table that is laid out as something else loses them.
+    Roles are told expressly, because a table that is laid out as something else loses them.
 
     Args:
         caption: what it shows.
         columns: of it.
         rows: their cells.
-        stacked: whether rows may become cards.
+        layout: what becomes of it where the page is narrow: "stacked" rows become cards, each cell
+            with its column's title; "axes" fits as it is, with words wrapped.
     """
     head = element(
         "tr",
@@ -74,7 +79,7 @@ def table(
             element("thead", head, role="rowgroup"),
             element("tbody", *body, role="rowgroup"),
             role="table",
-            class_="stacked" if stacked else None,
+            class_=layout,
         ),
         class_="scroll",
     )

@@ -6,7 +6,7 @@ import numpy as np
 
 from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.markup import Markup, element
-from gcs_sysid.report.wording import half_of, number
+from gcs_sysid.report.wording import fixed, half_of
 
 _SIZE = 300.0
 _MARGIN = 46.0
@@ -31,6 +31,7 @@ def plan_view(data: ReportData) -> Markup | None:
 
     parts: list[Markup] = [_line(*at(0.0, 0.0), *at(float(a), float(b)), "arm")
                            for a, b in zip(x, y, strict=True)]  # fmt: skip
+    parts.append(element("circle", cx=0.5 * _SIZE, cy=0.5 * _SIZE, r=3, class_="hub"))
     for i, (a, b, s) in enumerate(zip(x.tolist(), y.tolist(), spin.tolist(), strict=True), 1):
         u, v = at(a, b)
         parts.append(element("circle", cx=u, cy=v, r=round(radius, 2), class_="rotor"))
@@ -76,8 +77,8 @@ def plan_view(data: ReportData) -> Markup | None:
 def cg_text(cg: list[Any]) -> str:
     """Where the centre of gravity is, in words."""
     forward, right = (1e3 * float(e["value"]) for e in cg)
-    along = f"{number(abs(forward))} mm {'ahead' if forward >= 0.0 else 'behind'}"
-    across = f"{number(abs(right))} mm {'right' if right >= 0.0 else 'left'}"
+    along = f"{fixed(abs(forward), 1)} mm {'ahead' if forward >= 0.0 else 'behind'}"
+    across = f"{fixed(abs(right), 1)} mm {'right' if right >= 0.0 else 'left'}"
     return f"The centre of gravity (⊕) is {along} and {across} of the geometric centre."
 
 

@@ -13,6 +13,7 @@ from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.estimation.basis import CURVE, DELAY, LAG, RotorBasis
 from gcs_sysid.estimation.online import COMMANDS, Tuning
 from gcs_sysid.estimation.rotors import RotorInput, RotorPath
+from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.filters.smoothers import WindowSmoother
 from gcs_sysid.filters.windows import cosine_window
 from gcs_sysid.model import rigid_body as rb
@@ -54,6 +55,7 @@ class Prediction:
         predicted: (n, 3) the same of the model.
         step: s between rows.
         held_out: (n,) which rows were not fitted.
+        speed_noise: (3,) variance of a row's prediction by white noise of the rotors' stream.
     """
 
     t: Array
@@ -62,6 +64,7 @@ class Prediction:
     predicted: Array
     step: float
     held_out: Mask
+    speed_noise: Array
 
 
 @dataclass(frozen=True)
@@ -71,8 +74,8 @@ class Spectrum:
     Attributes:
         frequency: (n,) Hz.
         density: (n, 3) (rad/s^2)^2/Hz.
-        white: (n, 3) that white noise of the gyro alone would leave, as high as found where the
-            window amplifies such noise most.
+        white: (n, 3) that white noise of the sensors would leave: of the rotors' stream as it is
+            known, of the gyro as high as found where the window amplifies such noise most.
     """
 
     frequency: Array
@@ -105,7 +108,13 @@ def predict(
     delay = 0.0 if model is None else float(model.coordinates[DELAY])
     smoother = WindowSmoother(dt, half, (delay,))
     path = _path(model, dt, half)
-    found = [_rows(piece, path, smoother, model) for piece in pieces]
+    found, noise = [], None
+    if model is not None:
+        noise = SpeedNoise(model.geometry, dt, commands=model.rotor_input == "command")
+    for piece in pieces:
+        found.append(_rows(piece, path, smoother, model))
+        if noise is not None:
+            noise.update(piece.rotors)
     t, rates, measured, predicted = (
         np.concatenate(parts) if parts else np.empty((0, 3))
         for parts in ([rows[k] for rows in found] for k in range(4))
@@ -115,7 +124,11 @@ def predict(
     predicted = np.where(usable[:, None], predicted, np.nan)
     place = np.cumsum(usable)
     held_out: Mask = usable & (place > round(fitted_share * int(usable.sum())))
-    return Prediction(t, rates, measured, predicted, smoother.step * dt, held_out)
+    variance = np.zeros(3)
+    if model is not None and noise is not None:
+        Q = rb.forward_matrix(model.theta)[:, :4]
+        variance = np.diag(Q @ noise.moments(smoother, 0.0)[:4, :4] @ Q.T)
+    return Prediction(t, rates, measured, predicted, smoother.step * dt, held_out, variance)
 
 
 def _half(dt: float, tuning: Tuning) -> int:
@@ -194,8 +207,13 @@ def residual_spectrum(prediction: Prediction, dt: float, rotor_input: str) -> Sp
     half = _half(dt, COMMANDS if rotor_input == "command" else Tuning())
     window = cosine_window(half, dt)
     angles = 2.0 * np.pi * np.outer(frequency, dt * np.arange(-half, half + 1))
-    shape = np.abs(np.exp(-1j * angles) @ window.derivative) ** 2
+    averaged, shape = (
+        np.abs(np.exp(-1j * angles) @ taps) ** 2 for taps in (window.average, window.derivative)
+    )
+    total = float(window.average @ window.average)
+    speeds = np.outer(2.0 * dt / total * averaged, prediction.speed_noise)
     near = shape > 0.5 * shape.max()
-    level = np.exp(np.mean(np.log(density[near] / shape[near, None]), axis=0))
+    gyro = np.maximum(density[near] - speeds[near], 0.01 * density[near]) / shape[near, None]
+    white = speeds + shape[:, None] * gyro.mean(axis=0)
     seen = shape > 1e-4 * shape.max()
-    return Spectrum(frequency[seen], density[seen], (shape[:, None] * level)[seen])
+    return Spectrum(frequency[seen], density[seen], white[seen])

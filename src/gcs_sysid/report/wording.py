@@ -48,7 +48,7 @@ _TOLD_BY = {
 
 def unit_text(unit: str) -> str:
     """A unit with raised powers; nothing for pure numbers."""
-    return "" if unit == "1" else unit.replace("^2", "²")
+    return "" if unit == "1" else unit.replace("^2", "²").replace(" ", "\N{NO-BREAK SPACE}")
 
 
 def power_of_ten(size: float) -> int:
@@ -65,7 +65,10 @@ def times_power(exponent: int) -> str:
 
 def fixed(value: float, decimals: int) -> str:
     """A number with so many decimals and a true minus sign."""
-    return f"{value:.{decimals}f}".replace("-", "\N{MINUS SIGN}")
+    text = f"{value:.{decimals}f}"
+    if text.startswith("-") and not text.strip("-0."):
+        text = text[1:]
+    return text.replace("-", "\N{MINUS SIGN}")
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -74,7 +77,9 @@ def number(value: float | None, digits: int = 3) -> str:
         return NOTHING
     exponent = power_of_ten(abs(value))
     scaled = value / 10.0**exponent
-    size = math.floor(math.log10(abs(scaled))) if scaled else 0
+    if scaled == 0.0:
+        return "0"
+    size = math.floor(math.log10(abs(scaled)))
     return fixed(scaled, max(digits - 1 - size, 0)) + times_power(exponent)
 
 
@@ -87,6 +92,15 @@ def percent(share: float | None, digits: int = 2) -> str:
         return "> 999 %"
     size = math.floor(math.log10(abs(value))) if value else 0
     return fixed(value, max(digits - 1 - size, 0)) + " %"
+
+
+def measure(value: float, half: float | None, unit: str) -> str:
+    """A value in a unit that suits its size, with the half of its interval where there is one."""
+    if not half:
+        return f"{number(value)} {unit}"
+    half = max(half, 1e-3 * abs(value), 1e-3)
+    decimals = max(1 - math.floor(math.log10(half)), 0)
+    return f"{fixed(value, decimals)} ± {fixed(half, decimals)} {unit}"
 
 
 def decimals_of(half: float, size: float) -> int:
@@ -104,7 +118,7 @@ def value_text(value: float, half: float) -> tuple[str, str, str, int]:
     Returns:
         The value, the half, the power of ten as text, and that power.
     """
-    exponent = power_of_ten(max(abs(value), min(half, abs(value) or half)))
+    exponent = power_of_ten(max(abs(value), half))
     scale = 10.0**exponent
     decimals = decimals_of(half / scale, abs(value) / scale)
     return (
@@ -121,6 +135,8 @@ def told_by(name: str, estimate: Mapping[str, Any], scale: Mapping[str, Any] | N
         return "given: it sets the scale"
     if estimate.get("rests_on"):
         return f"mostly from {estimate['rests_on']}"
+    if estimate["status"] == "unobservable":
+        return f"would need: {_TOLD_BY[name]}"
     if scale and name == scale["anchor"] and scale.get("from"):
         return f"from {scale['from']}"
     return _TOLD_BY[name]
@@ -152,15 +168,24 @@ def verdict_sentence(result: Mapping[str, Any]) -> str:
     }
     if result["verdict"] == "refused":
         return "This recording does not tell what the vehicle is like."
+    since = ""
+    if result["segments"]:
+        since = f"The vehicle changed at {result['segments'][-1]['end']:.1f} s. Since then: "
     if result["verdict"] == "identified":
-        return "Everything asked for is known: " + "; ".join(_how_well(parameters)) + "."
-    known = _how_well({n: e for n, e in parameters.items() if e["status"] == "identified"})
-    out = [f"Known: {'; '.join(known)}."] if known else []
+        word = "every" if since else "Every"
+        return f"{since}{word} core parameter is known: {_listed(_how_well(parameters))}."
+    known = _how_well(parameters)
+    out = [f"{since}Known: {_listed(known)}."] if known else []
     if of["weak"]:
         out.append(f"Only roughly known: {names_text(of['weak'])}.")
     if of["unobservable"]:
         out.append(f"Not told by this flight: {names_text(of['unobservable'])}.")
     return " ".join(out)
+
+
+def _listed(words: Sequence[str]) -> str:
+    """Words in a sentence; the first says what the numbers are."""
+    return ", ".join([f"{words[0]} (95 % intervals)", *words[1:]])
 
 
 def _how_well(parameters: Mapping[str, Any]) -> list[str]:
@@ -179,31 +204,41 @@ def _how_well(parameters: Mapping[str, Any]) -> list[str]:
         if not told:
             continue
         halves = [(half_of(e) or 0.0, abs(e["value"] or 0.0)) for e in told.values()]
-        complete = len(told) == len([n for n in names if n in parameters]) or len(names) == 2
-        subject = what if complete or what in ("thrust", "rotor torque") else names_text(list(told))
+        either = what in ("thrust", "rotor torque")
+        complete = either or len(told) == len(names)
+        subject = what if complete else names_text(list(told))
         if what == "balance point":
-            millimetres = 1e3 * max(half for half, _ in halves)
-            out.append(f"{subject} to ± {number(millimetres, 2)} mm")
+            millimetres = max(1e3 * max(half for half, _ in halves), 0.01)
+            decimals = max(1 - math.floor(math.log10(millimetres)), 0)
+            out.append(f"{subject} to within {fixed(millimetres, decimals)} mm")
         elif what == "products of inertia":
             # Near zero a share of itself says nothing.
             moments = [parameters[n]["value"] for n in ("Ixx", "Iyy", "Izz") if n in parameters]
             least = min((m for m in moments if m), default=math.inf)
             share = max(half for half, _ in halves) / least
-            out.append(f"{subject} to ± {percent(share)} of the moments")
+            out.append(f"{subject} to within {percent(share)} of the moments")
         else:
             worst = max(half / size if size else math.inf for half, size in halves)
-            out.append(f"{subject} to ± {percent(worst)}")
+            out.append(f"{subject} to within {percent(worst)}")
     return out
+
+
+_IN_VERDICT = ("the data do not tell ", "only roughly known: ")
+"""How reasons begin that the verdict's sentence has told."""
 
 
 def advice(result: Mapping[str, Any], inspection: Mapping[str, Any]) -> list[tuple[str, str]]:
     """What is missing or stands in the way, and what would help."""
-    out = [(reason, "") for reason in result["reasons"]]
+    out = [(reason, "") for reason in result["reasons"] if not reason.startswith(_IN_VERDICT)]
     said = {text for text, _ in out}
     for finding in inspection.get("reasons", ()):
         if finding["level"] != "note" and finding["text"] not in said:
             out.append((finding["text"], finding["advice"]))
-    return out
+    # Advice that several share is given once, with the last of them.
+    last = {help_: place for place, (_, help_) in enumerate(out)}
+    return [
+        (text, help_ if last[help_] == place else "") for place, (text, help_) in enumerate(out)
+    ]
 
 
 def meaning(name: str) -> str:

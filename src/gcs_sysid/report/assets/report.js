@@ -175,7 +175,7 @@
       const height = strip ? this.rows.length * (wordy ? ROW : ROW + 12) + 52 : HEIGHTS[this.size];
       const top = 18, bottom = height - 32, right = width - 10;
       const yRange = strip ? [0, 1] : this.span();
-      const yTicks = strip ? [] : this.yTicks(yRange, (bottom - top) / 34);
+      const yTicks = strip ? [] : this.yTicks(yRange, (bottom - top) / 28);
       const longest = Math.max(...yTicks.map((tick) => tick.text.length), 2);
       const left = strip ? (wordy ? 116 : 8) : Math.max(36, 12 + 6.7 * longest);
       const svg = make(null, "svg", {
