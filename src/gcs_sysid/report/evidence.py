@@ -49,7 +49,8 @@ def prediction(data: ReportData, figures: Figures) -> Markup:
         "Prediction of data not fitted",
         note(
             f"A model fitted to the first {share} of {_which_flight(data)} predicts the angular "
-            "acceleration of the rest from rotors and rates. Both sides pass the estimator's window."
+            "acceleration of the rest from rotors and rates. Both sides pass the estimator's "
+            "window."
         ),
         legend(("measured", "measured"), ("predicted", "predicted")) if shown else None,
         grid(
@@ -225,8 +226,9 @@ def _stream(stream: Mapping[str, Any]) -> list[Child]:
     if needed and (rate is None or rate < 0.9 * needed):
         sign = element("span", "○", class_="sign", aria_hidden="true")
         got = element("span", sign, f"{got}, slow", class_="status weak")
+    offset = f" from rotor {stream['offset'] + 1}" if stream["offset"] else ""
     return [
-        _STREAMS.get(kind, kind) + (f" from rotor {stream['offset'] + 1}" if stream["offset"] else ""),
+        _STREAMS.get(kind, kind) + offset,
         stream["message"],
         f"{needed:g} Hz" if needed else wording.NOTHING,
         got,
@@ -234,7 +236,7 @@ def _stream(stream: Mapping[str, Any]) -> list[Child]:
         f"{wording.fixed(stream['longest_gap'], 2)} s" if stream["gaps"] else wording.NOTHING,
         f"{wording.fixed(stream['missing_percent'], 1)} %",
         f"{wording.fixed(stream['repeats_percent'], 1)} %",
-    ]  # fmt: skip
+    ]
 
 
 def _link_facts(data: ReportData, counts: Mapping[str, Any]) -> dict[str, Child]:
@@ -280,7 +282,7 @@ def _link_facts(data: ReportData, counts: Mapping[str, Any]) -> dict[str, Child]
     systems = counts.get("systems") or ()
     if systems:
         out["Systems heard"] = ", ".join(map(str, systems))
-    return out  # fmt: skip
+    return out
 
 
 def _messages(messages: Mapping[str, Any]) -> Markup | None:

@@ -22,11 +22,9 @@ def check_target(path: Path, *, replace: bool, sources: tuple[Path, ...] = ()) -
         raise InputError(f"{path}: cannot write: no such folder as {path.parent}")
     if path.is_dir():
         raise InputError(f"{path}: cannot write: it is a folder")
-    if not path.exists():
-        return
-    if any(source.exists() and path.samefile(source) for source in sources):
+    if path.resolve() in (source.resolve() for source in sources):
         raise InputError(f"{path} is what is to be read or written besides; name another file")
-    if not replace:
+    if path.exists() and not replace:
         raise InputError(f"{path} exists; --force replaces it")
 
 

@@ -49,7 +49,7 @@ class Recorder:
         self.dt: float | None = None
         """s between samples."""
         self._row = np.dtype([("t", "<f8"), ("x", "<f4", (6 + rotors,))])
-        self._file = tempfile.SpooledTemporaryFile(max_size=_IN_MEMORY)
+        self._file = tempfile.SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115
         self._input: object = None
 
     def begin(self) -> None:
