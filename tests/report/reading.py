@@ -44,6 +44,7 @@ class Page(HTMLParser):
         assert self._open.pop().name == tag
 
     def handle_data(self, data):
+        data = data.replace("\N{NO-BREAK SPACE}", " ")
         for element in self._open:
             element.text += data
 

@@ -28,7 +28,7 @@ _STREAMS = {
     "rotor_command": "commands",
     "velocity": "velocity",
 }
-_DOUBT = 0.05
+_DOUBT, _NEARLY_WHITE = 0.05, 1.5
 AXIS_COLUMNS = [Column(axis.capitalize(), numbers=True) for axis in AXES]
 
 
@@ -131,7 +131,8 @@ def _colour(whiteness: float | None, p: float | None) -> str:
     if whiteness is None or p is None:
         return "cannot be told"
     if p >= _DOUBT:
-        return "as sensor noise leaves it"
+        near = 1.0 / _NEARLY_WHITE < whiteness < _NEARLY_WHITE
+        return "as sensor noise leaves it" if near else "cannot be told"
     return "slow disturbances" if whiteness > 1.0 else "fast disturbances"
 
 

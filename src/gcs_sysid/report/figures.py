@@ -75,7 +75,7 @@ def add_course(figures: Figures, data: ReportData) -> list[str]:
             "x": SECONDS,
             "y": {
                 "unit": unit_text(PARAMETERS[name].unit),
-                "range": _settled_range(value, half, estimate["ci95"]),
+                "range": _settled_range(value, half, _intervals(data.result, name)),
             },
             "bands": [
                 {
@@ -98,16 +98,28 @@ def add_course(figures: Figures, data: ReportData) -> list[str]:
     return shown
 
 
-def _settled_range(value: Array, half: Array, ci95: Any) -> list[float] | None:
-    """A range in which the settled estimate and its bands are seen, not the first guesses."""
+def _intervals(result: Mapping[str, Any], name: str) -> list[list[float]]:
+    """The intervals that a parameter had at the end of each segment."""
+    tables = [result["parameters"], *(s["parameters"] for s in result["segments"])]
+    found = [table[name]["ci95"] for table in tables if name in table]
+    return [interval for interval in found if interval is not None]
+
+
+def _settled_range(value: Array, half: Array, ends: list[list[float]]) -> list[float] | None:
+    """A range in which the settled estimate and its bands are seen, not the first guesses.
+
+    Args:
+        value: (n,) over the flight.
+        half: (n,) of its intervals.
+        ends: the intervals of every segment's end.
+    """
     there = np.isfinite(value) & np.isfinite(half)
     if not there.any():
         return None
-    low = float(np.quantile((value - half)[there], 0.15))
-    high = float(np.quantile((value + half)[there], 0.85))
-    if ci95 is not None:
-        low, high = min(low, ci95[0]), max(high, ci95[1])
-    room = 0.12 * (high - low) or 0.1 * abs(high) or 1.0
+    low = float(np.quantile((value - half)[there], 0.25))
+    high = float(np.quantile((value + half)[there], 0.75))
+    low, high = min([low, *(end[0] for end in ends)]), max([high, *(end[1] for end in ends)])
+    room = 0.2 * (high - low) or 0.1 * abs(high) or 1.0
     return [low - room, high + room]
 
 

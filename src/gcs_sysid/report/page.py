@@ -10,7 +10,7 @@ from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.figures import Figures
 from gcs_sysid.report.markup import Child, Markup, element
 from gcs_sysid.report.parts import Column, facts, section, table
-from gcs_sysid.report.wording import VERDICT_WORDS, fixed
+from gcs_sysid.report.wording import VERDICT_WORDS, fixed, unit_text
 
 _CONTENTS = (
     ("verdict", "Verdict"),
@@ -112,7 +112,7 @@ def _settings(data: ReportData) -> Markup:
         "Rotors' input": {"speed": "measured speeds", "command": "commands"}[result["rotor_input"]],
     }
     if anchor is not None:
-        entries["Scale"] = f"{anchor['anchor']} = {anchor['value']:.9g} {anchor['unit']}"
+        entries["Scale"] = f"{anchor['anchor']} = {anchor['value']:.9g} {unit_text(anchor['unit'])}"
     for name, prior in result["priors"].items():
         entries[f"Prior on {name}"] = f"{prior['value']:.6g} ± {prior['std']:.3g}"
     entries["Airframe"] = f"{airframe.name}, {len(airframe.rotors)} rotors"

@@ -8,6 +8,8 @@ from gcs_sysid.estimation.parameters import CORE_OF
 from gcs_sysid.model.parameters import PARAMETERS
 
 Z95 = 1.959963984540054
+TIE = "\N{NO-BREAK SPACE}"
+"""A space at which lines do not break."""
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NOTHING = "\N{EN DASH}"
 _MOST_DIGITS = 7
@@ -48,7 +50,7 @@ _TOLD_BY = {
 
 def unit_text(unit: str) -> str:
     """A unit with raised powers; nothing for pure numbers."""
-    return "" if unit == "1" else unit.replace("^2", "²").replace(" ", "\N{NO-BREAK SPACE}")
+    return "" if unit == "1" else unit.replace("^2", "²").replace(" ", TIE)
 
 
 def power_of_ten(size: float) -> int:
@@ -89,9 +91,9 @@ def percent(share: float | None, digits: int = 2) -> str:
         return NOTHING
     value = 100.0 * share
     if abs(value) >= 1000.0:
-        return "> 999 %"
+        return f">{TIE}999{TIE}%"
     size = math.floor(math.log10(abs(value))) if value else 0
-    return fixed(value, max(digits - 1 - size, 0)) + " %"
+    return f"{fixed(value, max(digits - 1 - size, 0))}{TIE}%"
 
 
 def measure(value: float, half: float | None, unit: str) -> str:
@@ -149,7 +151,7 @@ def half_of(estimate: Mapping[str, Any]) -> float | None:
 
 def names_text(names: Sequence[str]) -> str:
     """Names in a sentence."""
-    shown = [name.replace("_", "\N{NO-BREAK SPACE}") if name in _PLAIN else name for name in names]
+    shown = [name.replace("_", TIE) if name in _PLAIN else name for name in names]
     if len(shown) < 2:
         return "".join(shown)
     return ", ".join(shown[:-1]) + " and " + shown[-1]
@@ -185,7 +187,7 @@ def verdict_sentence(result: Mapping[str, Any]) -> str:
 
 def _listed(words: Sequence[str]) -> str:
     """Words in a sentence; the first says what the numbers are."""
-    return ", ".join([f"{words[0]} (95 % intervals)", *words[1:]])
+    return ", ".join([f"{words[0]} (95{TIE}% intervals)", *words[1:]])
 
 
 def _how_well(parameters: Mapping[str, Any]) -> list[str]:
@@ -210,7 +212,7 @@ def _how_well(parameters: Mapping[str, Any]) -> list[str]:
         if what == "balance point":
             millimetres = max(1e3 * max(half for half, _ in halves), 0.01)
             decimals = max(1 - math.floor(math.log10(millimetres)), 0)
-            out.append(f"{subject} to within {fixed(millimetres, decimals)} mm")
+            out.append(f"{subject} to within {fixed(millimetres, decimals)}{TIE}mm")
         elif what == "products of inertia":
             # Near zero a share of itself says nothing.
             moments = [parameters[n]["value"] for n in ("Ixx", "Iyy", "Izz") if n in parameters]
