@@ -309,6 +309,7 @@ def test_numbers_beyond_all_measure_do_no_harm():
         "Ixx": estimate(1e-30, 1e30, "unobservable"),
         "Iyy": estimate(0.0, 1e-12, "identified"),
         "Izz": estimate(-1e200, 0.0, "weak"),
+        "rotor_inertia": estimate(0.0, 0.0, "identified"),
     }
     page = Page(render(replace(data, result=dict(data.result) | {"parameters": parameters})))
     text = page.one("section", id="parameters").text
