@@ -18,7 +18,7 @@ from gcs_sysid.report.page import render
 from gcs_sysid.report.prediction import Prediction, Spectrum
 from gcs_sysid.report.wording import STATUS_WORDS
 from gcs_sysid.session.inspection import readiness
-from gcs_sysid.session.snapshot import Course
+from gcs_sysid.session.snapshot import Course, Event
 from gcs_sysid.telemetry.streams import NEEDED_RATE
 
 from .reading import Page
@@ -161,6 +161,12 @@ def test_course_ends_with_the_result(page, report):
         assert np.nanmin(high - low) > 0.0
 
 
+def test_notes_of_the_analysis_are_told(page):
+    _, *rows = rows_of(page, "Notes")
+    assert all(re.fullmatch(r"[\d.]+ s", t) for t, _ in rows)
+    assert "rotors from ESC_STATUS, measured speeds" in [text for _, text in rows]
+
+
 def test_settings_reproduce_it(page, paper_flight, report):
     text = page.one("section", id="settings").text
     assert hashlib.sha256(paper_flight.tlog.read_bytes()).hexdigest() in text
@@ -246,6 +252,7 @@ def made_up(text="flight.tlog", rows=2000, instants=50):
         prediction=Prediction(t, y, y, y + 0.1, t[1] - t[0], t > 36.0, np.zeros(3)),
         spectrum=Spectrum(f, np.ones((200, 3)), np.ones((200, 3))),
         truth={"Ixx": 0.0164, "Iyy": 0.0},
+        notes=(Event(1.0, text),),
     )
 
 

@@ -43,10 +43,7 @@ def render(data: ReportData) -> str:
         "telemetry": evidence.telemetry(data),
         "settings": _settings(data),
     }
-    style, script = (
-        (resources.files("gcs_sysid.report") / "assets" / name).read_text(encoding="utf-8")
-        for name in ("report.css", "report.js")
-    )
+    style, script = _asset("report.css"), _asset("scales.js") + _asset("report.js")
     name = _file_name(data.result["source"])
     head = element(
         "head",
@@ -78,6 +75,12 @@ def render(data: ReportData) -> str:
         element("script", Markup(script)),
     )
     return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
+
+
+def _asset(name: str) -> str:
+    """A file of the page, with the line ends of every system."""
+    asset = resources.files("gcs_sysid.report") / "assets" / name
+    return asset.read_text(encoding="utf-8").replace("\r\n", "\n")
 
 
 def _heading(data: ReportData, name: str) -> Markup:
