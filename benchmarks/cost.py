@@ -14,8 +14,9 @@ import time
 from pathlib import Path
 
 from benchmarks.accuracy.flights import GEOMETRY, fly, measure
-from gcs_sysid.estimation.online import OnlineEstimator, Tuning
+from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.regression import Samples
+from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.filters.complementary import ComplementaryFilter
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.chain import Chain, ChainOptions

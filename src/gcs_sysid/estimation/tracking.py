@@ -10,7 +10,6 @@ A landing ends a flight. The next is estimated apart until it can be told whethe
 the same (`estimation.flights`): if so, the estimate goes on with both; else a segment has ended.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -18,15 +17,13 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask, runs
 from gcs_sysid.estimation.change_kinds import Cause
 from gcs_sysid.estimation.changes import Change, ChangeDetector, ChangeTuning
-from gcs_sysid.estimation.flights import Trial, is_another, part_of
-from gcs_sysid.estimation.online import Fit, OnlineEstimator, Tuning
+from gcs_sysid.estimation.flights import Trial, is_another
+from gcs_sysid.estimation.online import Fit, OnlineEstimator, PriorSource
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.regression import Samples
-from gcs_sysid.estimation.translation import TranslationFit, accelerometer_gain
+from gcs_sysid.estimation.translation import accelerometer_gain
+from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
-
-PriorSource = Callable[[TranslationFit | None], Prior | None]
-"""What is known beforehand, given k_T / m as far as it is known."""
 
 _ARM_EVERY, _ARM_GROWTH = 1.0, 1.2
 """s between new references of the detector, and growth of the record, whichever is later."""
@@ -116,7 +113,7 @@ class Tracker:
         self._tuning = tuning
         self._keep = keep
         self._estimator = OnlineEstimator(geometry, dt, tuning)
-        self._prior_source = prior
+        self._estimator.prior_source = prior
         self._next: OnlineEstimator | None = None
         self._next_start = 0.0
         self._next_kept: list[Samples] = []
@@ -164,7 +161,7 @@ class Tracker:
         known = len(self.events)
         for run, aloft in runs(np.ones(len(t), dtype=bool) if flying is None else flying):
             if aloft:
-                self._fly(t[run], part_of(samples, run))
+                self._fly(t[run], samples.part(run))
             else:
                 self._stand(t[run])
         return len(self.events) > known
@@ -203,7 +200,7 @@ class Tracker:
         while left > 0 and self.kept:
             last = self.kept.pop()
             if len(last.gyro) > left:
-                self.kept.append(part_of(last, slice(0, -left)))
+                self.kept.append(last.part(slice(0, -left)))
             left -= len(last.gyro)
         if self.kept:
             self.kept.append(_gap(self.kept[-1]))
@@ -225,11 +222,11 @@ class Tracker:
             self._follow(t, samples)
             return
         room = self._trial.room
-        self._trial.take(t[:room], part_of(samples, slice(0, room)))
+        self._trial.take(t[:room], samples.part(slice(0, room)))
         if len(t) >= room:
             self._end_trial()
         if len(t) > room:
-            self._follow(t[room:], part_of(samples, slice(room, None)))
+            self._follow(t[room:], samples.part(slice(room, None)))
 
     def _end_trial(self) -> None:
         """Tell whether the vehicle is the same, and go on with what the trial has seen."""
@@ -263,7 +260,7 @@ class Tracker:
             # What is decided, is decided after a fixed number of samples.
             stop = min(done + self._frame - self._count % self._frame, len(t))
             part = slice(done, stop)
-            self._take(t[part], part_of(samples, part))
+            self._take(t[part], samples.part(part))
             self._count += stop - done
             done = stop
             if self._count % self._frame == 0:
@@ -279,9 +276,9 @@ class Tracker:
             after = round((detector.seconds - found[0].detected) / self.dt)
             self._suspect(found[0], float(t[-1]))
             known = len(t) - min(after, len(t))
-            self._learn(part_of(samples, slice(0, known)))
+            self._learn(samples.part(slice(0, known)))
             self._next_start = float(t[min(known, len(t) - 1)])
-            samples = part_of(samples, slice(known, None))
+            samples = samples.part(slice(known, None))
         if self._next is None:
             self._learn(samples)
         elif len(samples.gyro):
@@ -305,8 +302,6 @@ class Tracker:
 
     def fit(self, *, quick: bool = False, course: str = "") -> Fit:
         """The fit in force; see `OnlineEstimator.fit`."""
-        if self._prior_source is not None and not self.segments:
-            self._estimator.prior = self._prior_source(self._estimator.fit_translation()[0])
         return self._estimator.fit(quick=quick, course=course)
 
     def _learn(self, samples: Samples) -> None:

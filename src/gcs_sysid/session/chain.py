@@ -15,7 +15,7 @@ import numpy as np
 from gcs_sysid.estimation.anchors import Anchor, relative_prior, resolve_scale
 from gcs_sysid.estimation.changes import ChangeTuning
 from gcs_sysid.estimation.offline import OfflineFit, fit_offline
-from gcs_sysid.estimation.online import COMMANDS, Fit, Tuning
+from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.parameters import (
     WEAK_BELOW_R2,
     Value,
@@ -27,6 +27,7 @@ from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.estimation.tuning import COMMANDS, Tuning
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import TIMING
 from gcs_sysid.records import Record, Stream
