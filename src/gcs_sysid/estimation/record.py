@@ -215,8 +215,8 @@ def _kept(rows: Array) -> tuple[Array, _Places]:
 def _places(rows: Array) -> _Places:
     if np.isfinite(rows.sum()):
         return None
-    there = np.isfinite(rows)
-    whole: Mask = there.all(axis=-1).reshape(-1, rows.shape[-2]).all(axis=0)
+    sums: Array = rows.sum(axis=-1).reshape(-1, rows.shape[-2]).sum(axis=0)
+    whole: Mask = np.isfinite(sums)
     return np.concatenate([[0], np.cumsum(whole)])
 
 

@@ -40,7 +40,7 @@ from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor, sy
 from gcs_sysid.model import rigid_body as rb
 
 _WARM_ITERATIONS, _FOLLOW_ITERATIONS = 6, 2
-_BLIND_STEP = 1.5
+_BLIND_STEP = 3.0
 """Standard deviations; a smaller step of a fit that follows is taken unseen."""
 _HALVINGS = 20
 """A step that leads out of the physical inertias is shortened so often, then not taken."""
