@@ -16,6 +16,4 @@ def result():
 @pytest.fixture
 def vehicle(result):
     """With what a flight with rotor speeds does not tell said beside it."""
-    return assemble(
-        result, given={"rotor_speed_max": known.FULL_SPEED, "motor_lag": known.LAG}
-    )
+    return assemble(result, given={"rotor_speed_max": known.FULL_SPEED, "motor_lag": known.LAG})

@@ -79,7 +79,7 @@ class Equations:
         lever = self.rotors - (self.cg if cg is None else cg)
         forces = np.outer(-np.asarray(thrusts), [0.0, 0.0, 1.0])
         torque = VALUES["moment_ratio"] * self.spins @ np.asarray(thrusts)
-        return np.cross(lever, forces).sum(axis=0) + [0.0, 0.0, torque]
+        return np.cross(lever, forces).sum(axis=0) + np.array([0.0, 0.0, torque])
 
     def acceleration(self, thrusts, rates, damping, cg=None):
         """(3,) angular acceleration at (3,) rates."""

@@ -93,9 +93,7 @@ def motors(text):
         assert plugin.get("filename") == "gz-sim-multicopter-motor-model-system"
         words = {"turningDirection", "linkName", "jointName", "robotNamespace"}
         words |= {"commandSubTopic", "motorType"}
-        found.append(
-            {e.tag: e.text if e.tag in words else float(e.text) for e in plugin}
-        )
+        found.append({e.tag: e.text if e.tag in words else float(e.text) for e in plugin})
     assert [motor["motorNumber"] for motor in found] == list(range(len(found)))
     return found
 

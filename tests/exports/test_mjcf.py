@@ -5,6 +5,7 @@ import pytest
 
 from gcs_sysid.exports import mjcf
 from gcs_sysid.exports.vehicle import assemble
+from gcs_sysid.model.airframe import load_airframe
 
 from .known import FULL_SPEED, LAG, TURN, VALUES, Equations, speed_result, without
 from .pilot import GRAVITY, Pilot
@@ -67,7 +68,9 @@ def test_drag_brakes_the_cg(result):
     data.qvel[:3] = velocity = np.array([3.0, -1.0, 2.0])
     mujoco.mj_forward(model, data)
     weight = np.array([0.0, 0.0, GRAVITY])
-    assert data.qacc[:3] == pytest.approx(-VALUES["linear_drag"] / VALUES["mass"] * velocity - weight)
+    assert data.qacc[:3] == pytest.approx(
+        -VALUES["linear_drag"] / VALUES["mass"] * velocity - weight
+    )
 
 
 def fly(model, data, goal, seconds=8.0):
@@ -113,7 +116,7 @@ def test_it_would_not_with_wrong_numbers(result, name, factor):
     """What the hover above proves: the pilot does not put errors right by itself."""
     known = {name: factor * VALUES[name], "motor_lag": LAG, "rotor_speed_max": FULL_SPEED}
     model, data = hovering(*load(assemble(result, given=known)))
-    place, furthest, _ = fly(model, data, np.zeros(3), 4.0)
+    _, furthest, _ = fly(model, data, np.zeros(3), 4.0)
     assert furthest > 0.05
 
 
@@ -129,8 +132,6 @@ def test_what_is_not_known_is_left_out(result):
 
 
 def test_a_hexacopter_loads():
-    from gcs_sysid.model.airframe import load_airframe
-
     airframe = load_airframe("px4-hexa-x").with_arm(0.3)
     vehicle = assemble(speed_result(airframe=airframe.as_json()))
     model, _ = load(vehicle)

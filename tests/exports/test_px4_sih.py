@@ -52,7 +52,9 @@ def sih(p, u, w):
 
 
 @pytest.mark.parametrize("rates", [(0.0, 0.0, 0.0), (1.0, -2.0, 3.0)])
-@pytest.mark.parametrize("outputs", [(0.4, 0.3, 0.3, 0.4), (0.5, 0.5, 0.3, 0.3), (0.5, 0.3, 0.5, 0.3)])
+@pytest.mark.parametrize(
+    "outputs", [(0.4, 0.3, 0.3, 0.4), (0.5, 0.5, 0.3, 0.3), (0.5, 0.3, 0.5, 0.3)]
+)
 def test_torque_becomes_the_identified_acceleration(vehicle, outputs, rates):
     found = sih(parameters(px4_sih.write(vehicle)), outputs, np.array(rates))
     thrusts = VALUES["k_T"] * FULL_SPEED**2 * np.array(outputs)

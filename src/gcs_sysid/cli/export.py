@@ -24,12 +24,12 @@ def run(options: argparse.Namespace) -> int:
     except MissingError as error:
         print(f"gcs-sysid: {options.result}: {error}", file=sys.stderr)
         return 1
-    for note in target.notes(vehicle):
-        print(f"gcs-sysid: note: {note}", file=sys.stderr)
     if path is None:
         print(text, end="")
     else:
         _save(path, text, options.force)
+    for note in target.notes(vehicle):
+        print(f"gcs-sysid: note: {note}", file=sys.stderr)
     return 0
 
 

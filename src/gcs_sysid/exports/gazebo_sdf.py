@@ -28,9 +28,7 @@ _FLAT = 0.6
 def notes(vehicle: Vehicle) -> list[str]:
     """What the user should know."""
     out = weak_note(vehicle, (*NEEDS, "motor_lag", "rotor_inertia"))
-    out += unplaced_note(
-        vehicle, ("linear_drag", "rotational_damping"), "Gazebo's motor model has"
-    )
+    out += unplaced_note(vehicle, ("linear_drag", "rotational_damping"), "Gazebo's motor model has")
     if not vehicle.get("motor_lag"):
         out.append("motor_lag is not known: Gazebo's own time constants are in force")
     out.append("rotor links weigh a token, taken from base_link: all links together are right")

@@ -234,9 +234,7 @@ def _rotors(result: Result, airframe: Airframe | None) -> tuple[tuple[Rotor, ...
         return airframe.rotors, airframe.name
     table = {"name": result.airframe.get("name"), "rotor": result.airframe.get("rotors")}
     own = parse_airframe(table, "the result's airframe")
-    if airframe is not None and not np.array_equal(
-        own.geometry.shape, airframe.geometry.shape
-    ):
+    if airframe is not None and not np.array_equal(own.geometry.shape, airframe.geometry.shape):
         raise InputError(
             f"the result is of a vehicle with {len(own.rotors)} rotors, --airframe "
             f"{airframe.name} has {len(airframe.rotors)}"
@@ -286,4 +284,3 @@ def _identifier(name: str) -> str:
     """A name that every format takes."""
     word = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)
     return word if word and not word[0].isdigit() else f"_{word}"
-
