@@ -223,6 +223,7 @@ class Chain:
                 for name, (value, std) in self.airframe.priors.items()
             },
             telemetry=self._telemetry(),
+            airframe=self.airframe.as_json(),
         )
 
     def _values(self, fit: Fit, anchor: Anchor) -> dict[str, Value]:
