@@ -10,6 +10,8 @@ from gcs_sysid.usage import not_negative, positive
 ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-difference")
 """Names of `estimation.article.METHODS` (a test compares); not imported, to start fast."""
 
+_Group = argparse._ArgumentGroup
+
 if TYPE_CHECKING:
     from gcs_sysid.model.airframe import Airframe
 
@@ -44,6 +46,13 @@ def rate(text: str) -> float:
     return value
 
 
+def rotors(text: str) -> int:
+    """An argparse type: how many rotors."""
+    if not text.isdecimal() or not 3 <= int(text) <= 32:
+        raise argparse.ArgumentTypeError(f"must be a whole number from 3 to 32, got {text!r}")
+    return int(text)
+
+
 def prior(text: str) -> tuple[str, float, float]:
     """An argparse type: NAME=VALUE±STD; +- and +/- do as well."""
     name, equals, rest = text.partition("=")
@@ -58,7 +67,8 @@ def prior(text: str) -> tuple[str, float, float]:
     raise argparse.ArgumentTypeError(f"must be NAME=VALUE±STD (or +-), got {text!r}")
 
 
-def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+def _add_layout(parser: argparse.ArgumentParser, default: str | None = None) -> _Group:
+    """Options of the airframe and its scale."""
     group = parser.add_argument_group("vehicle and scale")
     group.add_argument(
         "--airframe",
@@ -74,7 +84,11 @@ def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -
     scale.add_argument(
         "--t-max", type=positive, metavar="N", help="known thrust of a rotor at full command"
     )
-    group.add_argument(
+    return group
+
+
+def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    _add_layout(parser, default).add_argument(
         "--prior",
         type=prior,
         action="append",
@@ -182,6 +196,12 @@ def add_inspect(parser: argparse.ArgumentParser) -> None:
         help="as JSON: instead of the text, or to FILE beside it",
     )
     _add_vehicle_choice(parser)
+    _add_layout(parser).add_argument(
+        "--rotors",
+        type=rotors,
+        metavar="N",
+        help="how many, where neither --airframe nor the vehicle's type tells",
+    )
     link = parser.add_argument_group("of a link")
     link.add_argument(
         "--duration",
@@ -204,13 +224,33 @@ def _check_scale_fits(airframe: "Airframe") -> None:
         )
 
 
+def layout_of(options: argparse.Namespace) -> "Airframe":
+    """The airframe that is named, with the scale that is given, if any.
+
+    Raises:
+        InputError: there is none of that name, or it is no airframe.
+    """
+    from gcs_sysid.model.airframe import load_airframe
+
+    airframe = load_airframe(options.airframe)
+    if options.arm is not None:
+        airframe = airframe.with_arm(options.arm)
+    if options.mass is not None:
+        return airframe.with_anchor("mass", options.mass)
+    if options.k_t is not None:
+        return airframe.with_anchor("k_T", options.k_t)
+    if options.t_max is not None:
+        return airframe.with_anchor("T_max", options.t_max)
+    return airframe
+
+
 def airframe_of(options: argparse.Namespace) -> "Airframe":
     """The airframe with its anchor, as the options say.
 
     Raises:
         InputError: there is none, or nothing sets the scale.
     """
-    from gcs_sysid.model.airframe import builtin_names, load_airframe
+    from gcs_sysid.model.airframe import builtin_names
 
     if options.airframe is None:
         raise InputError(
@@ -218,16 +258,9 @@ def airframe_of(options: argparse.Namespace) -> "Airframe":
             + ", ".join(builtin_names())
             + " (with --arm for its size)"
         )
-    airframe = load_airframe(options.airframe)
-    if options.arm is not None:
-        airframe = airframe.with_arm(options.arm)
-    if options.mass is not None:
-        airframe = airframe.with_anchor("mass", options.mass)
-    elif options.k_t is not None:
-        airframe = airframe.with_anchor("k_T", options.k_t)
-    elif options.t_max is not None:
-        airframe = airframe.with_anchor("T_max", options.t_max)
-    elif getattr(options, "added_mass", None) is not None:
+    airframe = layout_of(options)
+    given = (options.mass, options.k_t, options.t_max)
+    if given.count(None) == len(given) and getattr(options, "added_mass", None) is not None:
         # Of the two flights; until they are compared any mass does.
         airframe = airframe.with_anchor("mass", 1.0)
     for name, value, std in options.prior:
