@@ -39,7 +39,7 @@ _RECORDS_AT_ONCE = 4096
 _STATES = (Stream.IN_AIR, Stream.ARMED)
 _ROTORS = (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND)
 _MESSAGES: dict[Stream, tuple[str, ...]] = {
-    Stream.IMU: ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "sensor_combined", "IMU"),
+    Stream.IMU: ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "sensor_combined", "IMU"),
     Stream.ATTITUDE: (
         *("ATTITUDE", "ATTITUDE_QUATERNION", "vehicle_attitude"),
         *("ATT", "XKQ", "XKQ1", "NKQ", "NKQ1"),
