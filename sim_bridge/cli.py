@@ -229,7 +229,7 @@ def run(args: argparse.Namespace) -> None:
         if args.connect is not None or args.tlog is None:
             links.append(open_link(args.connect or DEFAULT_CONNECT, args.baud))
         speed = args.speed or (1.0 if args.connect or args.tlog is None else math.inf)
-        fly(simulation, autopilot, links, duration, speed, truth)
+        fly(simulation, autopilot, links, duration, Pace(speed), truth)
     finally:
         for link in links:
             link.close()

@@ -2,23 +2,15 @@
 
 import time
 from collections.abc import Iterable, Iterator
-from typing import Protocol
 
 from gcs_sysid.telemetry.frames import Frame
 from sim_bridge.links import Link
+from sim_bridge.server import Pacing
 
 MOST_PAUSE = 60.0
 """s. Longer pauses in a recording are shortened to this: nothing flew, or a stamp is wrong."""
 _ANSWER = 0.05
 """s between looks whether somebody has spoken to a link that must be spoken to first."""
-
-
-class Pacing(Protocol):
-    """Holds the sender to a pace."""
-
-    def wait(self, flown: float) -> None:
-        """Wait until this many seconds of the recording are due."""
-        ...
 
 
 def play(recording: Iterable[tuple[int, Frame]], link: Link, pace: Pacing) -> int:

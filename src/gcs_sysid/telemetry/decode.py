@@ -108,6 +108,10 @@ class RecordDecoder:
             table[name] = partial(self._read_unstamped, rotors.esc_telemetry(name), first, name)
         self._readers = {MESSAGE_IDS[name]: reader for name, reader in table.items()}
 
+    def reads(self, message_id: int) -> bool:
+        """Whether there is anything to read in messages of a type."""
+        return message_id in self._readers
+
     def decode(self, frame: Frame) -> Record | None:
         """Take one frame whose checksum is right; None when it makes no record."""
         reader = self._readers.get(frame.message_id)
