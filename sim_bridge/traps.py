@@ -37,6 +37,7 @@ class Traps:
     reboot: float = 0.0
     rate_reset: float = 0.0
     never_sent: tuple[int, ...] = ()
+    groups_only: bool = False
     active_count: int = 0
     ground: float = 0.0
     flights: int = 1
@@ -159,6 +160,9 @@ KINDS: dict[str, Kind] = {
     ),
     "never-sent": Kind(
         "this message is acknowledged and never comes; may be given again", _message, "MESSAGE"
+    ),
+    "groups-only": Kind(
+        "ArduPilot before 4.0: no SET_MESSAGE_INTERVAL, no HIGHRES_IMU, groups at 50 Hz at most"
     ),
     "active-count": Kind(
         "ACTUATOR_OUTPUT_STATUS counts outputs that drive nothing, too", _whole(32), "N", "16"

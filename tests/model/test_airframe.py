@@ -121,6 +121,7 @@ WRONG = {
     "spin missing": (ROTORS.replace('spin = "cw"\n', "", 1), "number 3: spin"),
     "x is text": (ROTORS.replace("x = 0.2", "x = 'a'", 1), "number 1: x"),
     "y is infinite": (ROTORS.replace("y = 0.3", "y = inf", 1), "number 1: y"),
+    "y in mm": (ROTORS.replace("y = 0.3", "y = 300", 1), "number 1: x and y are metres"),
     "spin is a number": (ROTORS.replace('"ccw"', "1", 1), "number 1: spin"),
     "all spins alike": (ROTORS.replace('"cw"', '"ccw"'), "spins"),
     "all on one line": (ROTORS.replace("y = -0.3", "y = 0").replace("y = 0.3", "y = 0"), "roll"),
@@ -178,6 +179,11 @@ def test_with_anchor_and_arm_want_positive_numbers(value):
         airframe.with_anchor("mass", value)
     with pytest.raises(InputError, match="--arm must be a positive length"):
         airframe.with_arm(value)
+
+
+def test_with_arm_refuses_lengths_that_are_not_metres():
+    with pytest.raises(InputError, match="at most 100 m, got 250"):
+        load_airframe("paper").with_arm(250.0)
 
 
 def test_with_arm_scales_the_layout_and_keeps_the_rest():

@@ -138,8 +138,10 @@ class Airframe:
         Raises:
             InputError: the length is not a positive number.
         """
-        if not (math.isfinite(metres) and metres > 0):
-            raise InputError(f"--arm must be a positive length in m, got {metres}")
+        if not 0 < metres <= MOST_ARM:
+            raise InputError(
+                f"--arm must be a positive length of at most {MOST_ARM:g} m, got {metres:g}"
+            )
         k = metres / self.arm
         return replace(self, rotors=tuple(Rotor(r.x * k, r.y * k, r.spin) for r in self.rotors))
 
@@ -268,7 +270,10 @@ def _rotors(entries: object, where: str) -> tuple[Rotor, ...]:
         spin = {"ccw": 1, "cw": -1}.get(str(entry["spin"]).lower())
         if spin is None:
             raise InputError(f"{at}: spin must be 'ccw' or 'cw', got {entry['spin']!r}")
-        rotors.append(Rotor(_number(entry["x"], f"{at}: x"), _number(entry["y"], f"{at}: y"), spin))
+        x, y = (_number(entry[key], f"{at}: {key}") for key in ("x", "y"))
+        if math.hypot(x, y) > MOST_ARM:
+            raise InputError(f"{at}: x and y are metres; {math.hypot(x, y):g} m is too far out")
+        rotors.append(Rotor(x, y, spin))
     layout = np.array([[1.0, r.x, r.y, r.spin] for r in rotors])
     # Without full rank the rotors cannot make all three torques and the thrust apart.
     if np.linalg.matrix_rank(layout / np.maximum(np.abs(layout).max(axis=0), 1e-9)) < 4:

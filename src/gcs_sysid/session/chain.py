@@ -308,6 +308,7 @@ class Chain:
             "source": source.name,
             "why": source.why,
             "refused": dict(source.refused or {}),
+            "repeats": self.chooser.repeats[source.name].as_dict(),
             "gyro_filter": None if self._tracker is None else self._gyro_cutoff,
         }
         if source.range is not None:
