@@ -7,7 +7,7 @@ numbers that the live session ended with.
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -105,6 +105,7 @@ class Chain:
         self._tracker: Tracker | None = None
         self._told = 0
         self._usable = True
+        self._spiked = False
         self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self._next_refit = -np.inf
         self._fit = Fit(None, None, 0.0)
@@ -292,6 +293,7 @@ class Chain:
             "late": base.late,
             "repeated": base.repeated,
             "restarts": base.restarts,
+            "imu_outliers": asdict(base.faults),
             "rotor_input": self._input_telemetry(),
         }
 
@@ -375,6 +377,7 @@ class Chain:
         elif block.fresh:
             tracker.restart()
         self._tell_rate()
+        self._tell_outliers()
         if tracker.update(block.t, block.samples, block.flying):
             self._tell_events(tracker)
         if self._course_step is None or self.t < self._next_refit - 1e-6:
@@ -385,6 +388,12 @@ class Chain:
         self._fit = tracker.fit(quick=True)
         self._course.append(self.t, self._values(self._fit, self.anchor))
         return True
+
+    def _tell_outliers(self) -> None:
+        """Say when the first gyro spike was replaced; how many there were is in the result."""
+        if self.sampler.time_base.faults.spikes and not self._spiked:
+            self._spiked = True
+            self.note("spikes on the gyro: replaced by what their neighbours say")
 
     def _tell_rate(self) -> None:
         """Say when the IMU becomes too slow for the grid, and when it no longer is."""
