@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.session.inertial import at_cg
 from gcs_sysid.session.timebase import TimeBase
 
 END_ONLY = ChainOptions(course_interval=None)
@@ -153,3 +155,54 @@ def test_a_sensor_that_stands_still_is_missing_and_holds_nothing_up(paper_record
     assert result.telemetry["imu_outliers"]["frozen"] == pytest.approx(59, abs=2)
     assert 50.0 < result.telemetry["used_seconds"] < 58.0
     assert result.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.02)
+
+
+def test_the_lever_arm_is_subtracted_as_rigid_bodies_have_it():
+    """Against the second derivative of where the sensor is, in axes that turn at a steady rate."""
+    t = np.arange(0.0, 2.0, 1e-3)
+    arm = np.array([0.05, -0.03, 0.04])
+    # About one axis at a time, angle 0.4 sin(5 t): all is known in closed form.
+    w, dw = 2.0 * np.cos(5.0 * t), -10.0 * np.sin(5.0 * t)
+    for axis in np.eye(3):
+        radial = arm - axis * (arm @ axis)
+        reads = dw[:, None] * np.cross(axis, arm) - (w**2)[:, None] * radial
+        force = np.array([0.1, -0.2, -9.8])
+        moved = at_cg(t, w[:, None] * axis, force + reads, tuple(arm), 0.03)
+        np.testing.assert_allclose(moved[1:-1], np.tile(force, (len(t) - 2, 1)), atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def off_centre(fly, tmp_path_factory):
+    """A flight without velocity of a vehicle with its IMU far off, and its airframe."""
+    arm = (0.15, -0.10, -0.15)
+    builtin = resources.files("gcs_sysid.model") / "airframes" / "paper.toml"
+    vehicle = resources.files("sim_bridge") / "vehicles" / "paper.toml"
+    file = tmp_path_factory.mktemp("off-centre") / "off-centre.toml"
+    imu = "".join(f"imu_{axis} = {value}\n" for axis, value in zip("xyz", arm, strict=True))
+    file.write_text(f"{builtin.read_text()}\n[simulation]\n{vehicle.read_text()}{imu}")
+    options = ("--airframe", str(file), "--mission", "all-axes", "--rate", "100", "--seed", "1")
+    flight = fly(*options, "--noise", "mems")
+    records = [r for r in flight.records() if r.stream is not Stream.VELOCITY]
+    # The file tells where the IMU is from the CG; the airframe counts from the centre.
+    cg = (flight.truth["cg_x"], flight.truth["cg_y"])
+    given = replace(load_airframe(str(file)), imu_position=(arm[0] + cg[0], arm[1] + cg[1], arm[2]))
+    given = given.with_prior("cg_x", cg[0], 0.01).with_prior("cg_y", cg[1], 0.01)
+    return flight, records, given
+
+
+@pytest.mark.slow
+def test_a_given_lever_arm_frees_the_accelerometer_of_it(off_centre):
+    flight, records, given = off_centre
+    errors = {}
+    for airframe in (given, replace(given, imu_position=None)):
+        chain = Chain(airframe, END_ONLY)
+        for record in records:
+            chain.feed(record)
+        found = chain.finish().parameters["k_T"]
+        off = found.value - flight.truth["k_T"]
+        assert abs(off) < 1.96 * found.std
+        errors[airframe.imu_position] = abs(off) / flight.truth["k_T"], found.std / found.value
+    (known, sure), (unknown, unsure) = errors.values()
+    assert known < 0.006
+    assert unknown > 0.01
+    assert unsure > 2.0 * sure

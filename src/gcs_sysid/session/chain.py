@@ -97,7 +97,12 @@ class Chain:
         self.chooser = RotorChooser(airframe, anchor)
         self.chooser.parameters |= options.parameters
         self.sampler = Sampler(
-            self.chooser, len(airframe.rotors), options.tick, options.start, options.end
+            self.chooser,
+            len(airframe.rotors),
+            options.tick,
+            options.start,
+            options.end,
+            airframe.imu_arm,
         )
         self._rotors: RotorSource | None = None
         self._gyro_cutoff: float | None = None

@@ -45,10 +45,14 @@ class TimeBase:
 
     Args:
         tick: s of vehicle time between blocks.
+        imu_arm: m, the accelerometer from the CG, where known; forces are given at the CG.
     """
 
-    def __init__(self, tick: float = 0.1) -> None:
+    def __init__(
+        self, tick: float = 0.1, imu_arm: tuple[float, float, float] | None = None
+    ) -> None:
         self.tick = tick
+        self._imu_arm = imu_arm
         self.dt = 0.0
         """Grid step in s; 0 until it is known."""
         self.late = 0
@@ -138,7 +142,7 @@ class TimeBase:
     def _imu_buffer(self) -> InertialBuffer:
         buffer = self._buffers.get(_IMU)
         if not isinstance(buffer, InertialBuffer):
-            buffer = self._buffers[_IMU] = InertialBuffer(self.faults)
+            buffer = self._buffers[_IMU] = InertialBuffer(self.faults, self._imu_arm)
         return buffer
 
     def _grid_time(self, index: int) -> float:
