@@ -223,12 +223,14 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
             f"{where}: give one scale only, not {' and '.join(anchors)} together; "
             "the others are identified from it"
         )
+    gyro_filter, imu_position = _imu(table.get("imu", {}), f"{where}: [imu]")
     return Airframe(
         name=name,
         rotors=_rotors(table.get("rotor"), where),
         rotor_input=rotor_input,
         command=_command(table.get("command", {}), f"{where}: [command]"),
-        **_imu(table.get("imu", {}), f"{where}: [imu]"),
+        gyro_filter=gyro_filter,
+        imu_position=imu_position,
         priors=_priors(table.get("prior", {}), where),
         **anchors,
     )
@@ -301,14 +303,12 @@ def _command(table: object, where: str) -> CommandRange:
     return CommandRange(low, high, curve, given="min" in table or "max" in table)
 
 
-def _imu(table: object, where: str) -> dict[str, Any]:
+def _imu(table: object, where: str) -> tuple[float | None, tuple[float, float, float] | None]:
     if not isinstance(table, dict):
         raise InputError(f"{where} must be a table")
     _reject_unknown(table, {"gyro_filter", "position"}, where)
-    return {
-        "gyro_filter": _gyro_filter(table, where),
-        "imu_position": _imu_position(table.get("position"), f"{where} position"),
-    }
+    position = _imu_position(table.get("position"), f"{where} position")
+    return _gyro_filter(table, where), position
 
 
 def _imu_position(entry: object, where: str) -> tuple[float, float, float] | None:
