@@ -24,6 +24,7 @@ class Traps:
     rpm_signed: bool = False
     quaternion_flips: float = 0.0
     gyro_outliers: float = 0.0
+    imu_frozen: float = 0.0
     gyro_average: float = 0.0
     accelerometer_bias: float = 0.0
     rotor_late: float = 0.0
@@ -127,6 +128,9 @@ KINDS: dict[str, Kind] = {
     ),
     "gyro-outliers": Kind(
         "share of IMU samples with a spike on one gyro axis", _share, "SHARE", "0.002"
+    ),
+    "imu-frozen": Kind(
+        "share of IMU samples that repeat the last under a fresh stamp", _share, "SHARE", "0.02"
     ),
     "gyro-average": Kind(
         "gyro and accelerometer averaged over so long, stamped at the END as PX4 does",

@@ -87,6 +87,20 @@ def test_defaults_of_a_minimal_file(write):
     assert airframe.anchor() is None
 
 
+def test_the_imus_place_counts_from_the_cg_where_a_prior_tells_that(write):
+    text = ROTORS + "[imu]\nposition = [0.05, -0.02, -0.03]\n"
+    assert load_airframe(write(ROTORS)).imu_arm is None
+    assert load_airframe(write(text)).imu_arm == (0.05, -0.02, -0.03)
+    airframe = load_airframe(write(text + "[prior]\ncg_x = [0.01, 0.002]\n"))
+    assert airframe.imu_arm == pytest.approx((0.04, -0.02, -0.03))
+
+
+@pytest.mark.parametrize("wrong", ["1.0", "[0.1, 0.2]", '[0.1, "a", 0.2]', "[0.0, 200.0, 0.0]"])
+def test_a_place_of_the_imu_that_is_none_is_refused(write, wrong):
+    with pytest.raises(InputError, match=r"\[imu\] position"):
+        load_airframe(write(f"{ROTORS}[imu]\nposition = {wrong}\n"))
+
+
 def test_the_emulators_table_is_dropped_unread(write):
     truth = "[simulation]\nIxx = 'no number'\nwhatever = [1, 2]\n"
     with_it, without = load_airframe(write(ROTORS + truth)), load_airframe(write(ROTORS))

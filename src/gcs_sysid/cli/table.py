@@ -121,6 +121,9 @@ def _notes(result: Result) -> list[str]:
             leaning.setdefault(estimate.rests_on, []).append(name)
     notes = [f"{', '.join(names)}: mostly from {what}" for what, names in leaning.items()]
     notes += [_event_line(event) for event in result.events if "detected" in event]
+    spikes = result.telemetry.get("imu_outliers", {}).get("spikes", 0)
+    if spikes:
+        notes.append(f"{spikes} gyro samples were spikes, replaced by what their neighbours say")
     return [*notes, *result.reasons]
 
 

@@ -143,7 +143,12 @@ class RecordDecoder:
             self.dropped["no time"] += 1
             return None
         # One infinite or NaN value makes the sum so; large finite ones cannot overflow it.
-        if not math.isfinite(math.fsum(values) if len(values) > 32 else sum(values)):
+        if stream is Stream.IMU and not math.isfinite(sum(values[3:])):
+            # Nearly everything rests on the gyro: one without an accelerometer is of use.
+            self.dropped["accelerometer not finite"] += 1
+            values = (*values[:3], math.nan, math.nan, math.nan)
+        needed = values[:3] if stream is Stream.IMU else values
+        if not math.isfinite(math.fsum(needed) if len(needed) > 32 else sum(needed)):
             self.dropped["not finite"] += 1
             return None
         return Record(stream, t, values, offset, source)
