@@ -10,10 +10,11 @@ from gcs_sysid.estimation import rotation, translation
 from gcs_sysid.estimation.article import METHODS, ArticleEstimator
 from gcs_sysid.estimation.basis import WIDTH, RotorBasis
 from gcs_sysid.estimation.moments import Moments
-from gcs_sysid.estimation.online import OnlineEstimator, Tuning
+from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.regression import LeakySums, RowMaker, Samples
 from gcs_sysid.estimation.rotors import RotorPath
 from gcs_sysid.estimation.speed_noise import SpeedNoise
+from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.filters.smoothers import DifferentiatorSmoother, WindowSmoother
 from gcs_sysid.model import rigid_body as rb
 
@@ -181,7 +182,7 @@ def test_without_velocity_the_accelerometer_serves(truth, flight):
     kappa = truth.k_T / truth.m
     # A bias and the drag along z of a drifting vehicle are not in its model, but in its std.
     assert abs(fit.kappa - kappa) < 2.0 * fit.kappa_std
-    assert fit.kappa_std < 0.02 * kappa
+    assert fit.kappa_std < 0.03 * kappa
 
 
 def test_accelerometer_fit_is_least_squares():
@@ -190,10 +191,29 @@ def test_accelerometer_fit_is_least_squares():
     rows = np.column_stack([thrust, 0 * thrust, 1 + 0 * thrust, -1.4e-4 * thrust])
     moments = Moments((4, 4), 40)
     moments.add(rows)
+    few = translation.fit_accelerometer(moments.batches[:9], moments.counts[:9])
+    assert few.kappa == pytest.approx(1.4e-4, rel=1e-9)
+    # A bias over the mean of f, of nine batches.
+    bias = translation.ACCELEROMETER_BIAS_STD
+    assert few.kappa_std == pytest.approx(bias / thrust[:360].mean(), rel=1e-6)
+    # Thrust that varies tells a bias, of which kappa is then free.
     fit = translation.fit_accelerometer(moments.batches, moments.counts)
     assert fit.kappa == pytest.approx(1.4e-4, rel=1e-9)
-    # 0.05 m/s^2 of bias over the mean of f.
-    assert fit.kappa_std == pytest.approx(0.05 / thrust.mean(), rel=1e-6)
+    assert fit.kappa_std < 0.25 * few.kappa_std
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.02, 0.2])
+def test_an_accelerometers_bias_is_within_the_interval(spread):
+    """0.3 m/s^2, 3 % of gravity; the more thrust varies, the less of it is left."""
+    rng = np.random.default_rng(2)
+    thrust = 7e4 * (1.0 + spread * rng.normal(size=2000))
+    f = -1.4e-4 * thrust + 0.3 + 0.05 * rng.normal(size=2000)
+    moments = Moments((4, 4), 40)
+    moments.add(np.column_stack([thrust, 0 * thrust, 1 + 0 * thrust, f]))
+    fit = translation.fit_accelerometer(moments.batches, moments.counts)
+    assert abs(fit.kappa - 1.4e-4) < 1.96 * fit.kappa_std
+    assert fit.kappa_std < {0.0: 0.022, 0.02: 0.01, 0.2: 0.004}[spread] * 1.4e-4
+    assert fit.unbiased == pytest.approx(1.4e-4 - 0.3 / 7e4, rel=5e-3)
 
 
 def test_too_few_rows_make_no_translation():

@@ -229,6 +229,9 @@ def made_up(text="flight.tlog", rows=2000, instants=50):
         "priors": {"k_M": {"value": 1e-6, "std": 1e-7}},
         "telemetry": {
             "systems": [text],
+            "imu_outliers": {"spikes": 3, "frozen": 0},
+            "fates": {"used": 7, "dropped": 0},
+            "recorded": text,
             "messages": {text: {"count": 10, "rate": None}},
             "rotor_input": {"source": text, "why": text, "refused": {text: text}},
         },
@@ -308,6 +311,13 @@ def test_a_refused_recording_has_a_page_too():
     assert "Not identified" in page.one("section", id="verdict").text
     assert "no IMU data" in page.one("section", id="verdict").text
     assert page.data == {"arrays": {}, "figures": {}}
+
+
+def test_counts_that_are_not_zero_are_told():
+    text = Page(render(made_up())).one("section", id="telemetry").text
+    assert "Outliers of the IMU3 spikes" in text
+    assert "What became of them7 used" in text
+    assert "frozen" not in text
 
 
 def test_numbers_beyond_all_measure_do_no_harm():

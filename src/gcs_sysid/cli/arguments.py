@@ -5,10 +5,15 @@ import math
 from typing import TYPE_CHECKING
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.usage import not_negative, positive
+from gcs_sysid.usage import not_negative, number, positive
 
 ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-difference")
 """Names of `estimation.article.METHODS` (a test compares); not imported, to start fast."""
+
+EXPORT_TARGETS = ("px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy")
+"""Names of `exports.targets.TARGETS` (a test compares); not imported either."""
+
+_Group = argparse._ArgumentGroup
 
 if TYPE_CHECKING:
     from gcs_sysid.model.airframe import Airframe
@@ -44,6 +49,13 @@ def rate(text: str) -> float:
     return value
 
 
+def rotors(text: str) -> int:
+    """An argparse type: how many rotors."""
+    if not text.isdecimal() or not 3 <= int(text) <= 32:
+        raise argparse.ArgumentTypeError(f"must be a whole number from 3 to 32, got {text!r}")
+    return int(text)
+
+
 def prior(text: str) -> tuple[str, float, float]:
     """An argparse type: NAME=VALUE±STD; +- and +/- do as well."""
     name, equals, rest = text.partition("=")
@@ -58,7 +70,16 @@ def prior(text: str) -> tuple[str, float, float]:
     raise argparse.ArgumentTypeError(f"must be NAME=VALUE±STD (or +-), got {text!r}")
 
 
-def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+def setting(text: str) -> tuple[str, float]:
+    """An argparse type: NAME=VALUE."""
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise argparse.ArgumentTypeError(f"must be NAME=VALUE, got {text!r}")
+    return name.strip(), number(value)
+
+
+def _add_layout(parser: argparse.ArgumentParser, default: str | None = None) -> _Group:
+    """Options of the airframe and its scale."""
     group = parser.add_argument_group("vehicle and scale")
     group.add_argument(
         "--airframe",
@@ -74,7 +95,11 @@ def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -
     scale.add_argument(
         "--t-max", type=positive, metavar="N", help="known thrust of a rotor at full command"
     )
-    group.add_argument(
+    return group
+
+
+def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    _add_layout(parser, default).add_argument(
         "--prior",
         type=prior,
         action="append",
@@ -186,6 +211,12 @@ def add_inspect(parser: argparse.ArgumentParser) -> None:
         help="as JSON: instead of the text, or to FILE beside it",
     )
     _add_vehicle_choice(parser)
+    _add_layout(parser).add_argument(
+        "--rotors",
+        type=rotors,
+        metavar="N",
+        help="how many, where neither --airframe nor the vehicle's type tells",
+    )
     link = parser.add_argument_group("of a link")
     link.add_argument(
         "--duration",
@@ -195,6 +226,39 @@ def add_inspect(parser: argparse.ArgumentParser) -> None:
         help="listen for S seconds once the vehicle has spoken (default 10)",
     )
     _add_link(link)
+
+
+def add_export(parser: argparse.ArgumentParser) -> None:
+    """Options of `export`."""
+    parser.add_argument("result", metavar="RESULT.json", help="as --json writes it")
+    parser.add_argument("--to", choices=EXPORT_TARGETS, required=True, help="the format")
+    parser.add_argument(
+        "-o", "--output", metavar="FILE", required=True, help="to write; - is stdout"
+    )
+    parser.add_argument("--force", action="store_true", help="write over FILE if it exists")
+    parser.add_argument("--name", metavar="NAME", help="of the vehicle (default: the airframe's)")
+    group = parser.add_argument_group("what the flight does not tell")
+    group.add_argument(
+        "--set",
+        type=setting,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="a value known otherwise, SI, such as rotor_speed_max=900 or Ixy=0; may be repeated",
+    )
+    group.add_argument(
+        "--airframe",
+        metavar="NAME|FILE",
+        help="its [prior] and scale stand in; its rotors, where the result names none",
+    )
+    group.add_argument("--arm", type=positive, metavar="M", help="scale rotor distance to M metres")
+
+
+def add_compare(parser: argparse.ArgumentParser) -> None:
+    """Options of `compare`."""
+    parser.add_argument("before", metavar="A.json", help="a result, as --json writes it")
+    parser.add_argument("after", metavar="B.json", help="another of the same vehicle")
+    parser.add_argument("--json", metavar="FILE", help="write the comparison; - is stdout")
 
 
 def _check_scale_fits(airframe: "Airframe") -> None:
@@ -208,13 +272,33 @@ def _check_scale_fits(airframe: "Airframe") -> None:
         )
 
 
+def layout_of(options: argparse.Namespace) -> "Airframe":
+    """The airframe that is named, with the scale that is given, if any.
+
+    Raises:
+        InputError: there is none of that name, or it is no airframe.
+    """
+    from gcs_sysid.model.airframe import load_airframe
+
+    airframe = load_airframe(options.airframe)
+    if options.arm is not None:
+        airframe = airframe.with_arm(options.arm)
+    if options.mass is not None:
+        return airframe.with_anchor("mass", options.mass)
+    if options.k_t is not None:
+        return airframe.with_anchor("k_T", options.k_t)
+    if options.t_max is not None:
+        return airframe.with_anchor("T_max", options.t_max)
+    return airframe
+
+
 def airframe_of(options: argparse.Namespace) -> "Airframe":
     """The airframe with its anchor, as the options say.
 
     Raises:
         InputError: there is none, or nothing sets the scale.
     """
-    from gcs_sysid.model.airframe import builtin_names, load_airframe
+    from gcs_sysid.model.airframe import builtin_names
 
     if options.airframe is None:
         raise InputError(
@@ -222,16 +306,9 @@ def airframe_of(options: argparse.Namespace) -> "Airframe":
             + ", ".join(builtin_names())
             + " (with --arm for its size)"
         )
-    airframe = load_airframe(options.airframe)
-    if options.arm is not None:
-        airframe = airframe.with_arm(options.arm)
-    if options.mass is not None:
-        airframe = airframe.with_anchor("mass", options.mass)
-    elif options.k_t is not None:
-        airframe = airframe.with_anchor("k_T", options.k_t)
-    elif options.t_max is not None:
-        airframe = airframe.with_anchor("T_max", options.t_max)
-    elif getattr(options, "added_mass", None) is not None:
+    airframe = layout_of(options)
+    given = (options.mass, options.k_t, options.t_max)
+    if given.count(None) == len(given) and getattr(options, "added_mass", None) is not None:
         # Of the two flights; until they are compared any mass does.
         airframe = airframe.with_anchor("mass", 1.0)
     for name, value, std in options.prior:

@@ -275,6 +275,14 @@ def _link_facts(data: ReportData, counts: Mapping[str, Any]) -> dict[str, Child]
         )
         if counts.get(key)
     ]
+    outliers = {kind: n for kind, n in counts.get("imu_outliers", {}).items() if n}
+    if outliers:
+        out["Outliers of the IMU"] = ", ".join(f"{n} {kind}" for kind, n in outliers.items())
+    fates = {fate: n for fate, n in counts.get("fates", {}).items() if n}
+    if fates:
+        out["What became of them"] = ", ".join(f"{n} {fate}" for fate, n in fates.items())
+    if counts.get("recorded"):
+        out["Recorded"] = str(counts["recorded"])
     out["Damaged or dropped"] = ", ".join(damaged) or "none"
     drift = counts.get("clock_drift_ppm")
     boots = counts.get("reboots", 0)

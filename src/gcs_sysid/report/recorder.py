@@ -64,7 +64,9 @@ class Recorder:
         if block.rotors is None:
             return
         if block.dt != self.dt or block.rotors is not self._input:
-            # So does the estimate.
+            if not np.isfinite(block.samples.gyro).any():
+                return  # nothing flies: the estimate keeps what it has
+            # The estimate does so too.
             self._start_anew(block.dt, block.rotors)
         s = block.samples
         gap = int(block.fresh)

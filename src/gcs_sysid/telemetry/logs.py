@@ -55,6 +55,9 @@ class Log(Telemetry, Protocol):
     kind: str
     """"tlog", "ulog" or "dataflash"."""
 
+    recorded: float | None
+    """When it begins, seconds of Unix time; None when the log does not say, or is not yet read."""
+
     def records(self) -> Iterator[Record]:
         """The records of the chosen vehicle, once, in the order in which they came."""
 
@@ -71,6 +74,7 @@ class TlogLog:
     """What a ground station recorded."""
 
     kind = "tlog"
+    recorded: float | None = None
 
     def __init__(self, path: Path, wanted: tuple[int, int | None] | None = None) -> None:
         self.intake = Intake(wanted)
@@ -84,6 +88,8 @@ class TlogLog:
         intake, drift = self.intake, self._drift
         for time_us, frame in self._reader:
             self._done += STAMP + len(frame.raw)
+            if self.recorded is None:
+                self.recorded = time_us * 1e-6
             record = intake.frame(frame)
             if record is None:
                 continue
@@ -132,6 +138,7 @@ class OnboardLog:
     """What the autopilot recorded itself: all of one vehicle, read at once."""
 
     drift_ppm: float | None = None
+    recorded: float | None = None
 
     def __init__(
         self, kind: str, recording: Recording, wanted: tuple[int, int | None] | None = None

@@ -170,7 +170,7 @@
 
     drawXTicks(svg, X) {
       const { left, right, bottom } = this.frame;
-      const most = Math.max(2, (right - left) / 80);
+      const most = Math.max(3, (right - left) / 64);
       let labels;
       if (this.spec.x.log) {
         labels = logTicks(this.range, most).map((value) => ({ value, text: logLabel(value) }));
