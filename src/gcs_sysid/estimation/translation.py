@@ -202,11 +202,12 @@ def _with_bias(batches: Array, rows: int, total: Array) -> tuple[float, float]:
     The prior is weighed against the covariance that the scatter of the scores leaves: overlapping
     rows overstate what the data know.
     """
-    balance = _Balance(total[None], rows, _BIASED)
+    balance = _Balance(total[None, None], np.array([rows]), _BIASED)
     balance.converge()
-    covariance = balance.covariance(balance.inflation(batches[:, None]))
+    covariance = balance.covariance(balance.inflation(batches[:, None]))[0]
+    slope, bias = balance.estimate[0]
     gain = covariance[0, 1] / (covariance[1, 1] + ACCELEROMETER_BIAS_STD**2)
-    kappa = -float(balance.estimate[0] - gain * balance.estimate[1])
+    kappa = -float(slope - gain * bias)
     std = float(np.sqrt(covariance[0, 0] - gain * covariance[0, 1]))
     return kappa, float(np.hypot(std, _SLOPE_ERROR_SHARE * kappa))
 
