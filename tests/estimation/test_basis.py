@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.basis import RotorBasis, response
-from gcs_sysid.estimation.online import COMMANDS, Tuning
+from gcs_sysid.estimation.tuning import COMMANDS, Tuning
 
 SLOW = 2.0 * np.pi * np.array([0.3, 1.0, 2.0, 2.7])
 """rad/s, where vehicles are excited."""
