@@ -158,7 +158,8 @@ def _tilt_shares(balance: "_Balance") -> Array:
     estimate = balance.estimate.copy()
     estimate[:, 2], estimate[:, 3:] = estimate[:, 0], 0.0
     sideways = balance.mean_squares(estimate)[:, :2].sum(axis=1) / GRAVITY**2
-    return np.minimum(0.5 * sideways, TILT_ERROR_SHARE)
+    shares: Array = np.minimum(0.5 * sideways, TILT_ERROR_SHARE)
+    return shares
 
 
 def accelerometer_gain(
