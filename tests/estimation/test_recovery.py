@@ -334,3 +334,19 @@ def test_rounding_of_the_speeds_is_the_least_noise(truth):
     follower.update(np.full((500, 4), 100.0))
     # A whole number of revolutions a minute: 0.105 rad/s, uniform.
     np.testing.assert_allclose(follower.std, 2 * np.pi / 60 / np.sqrt(12))
+
+
+def test_of_fits_that_are_nearly_as_certain_the_first_is_taken():
+    def fit(std, leak):
+        covariance = np.diag(np.full(rb.N_THETA, std**2))
+        return rotation.RotationFit(
+            np.ones(rb.N_THETA), covariance, np.eye(3), np.ones(3), 100, converged=True, leak=leak
+        )
+
+    def taken(*stds):
+        return rotation.most_certain([fit(std, leak) for leak, std in enumerate(stds)]).leak
+
+    assert taken(1.3, 1.0, 0.95) == 1
+    assert taken(1.3, 1.0, 0.85) == 2
+    assert taken(1.05, 1.0, 1.0) == 0
+    assert taken(2.0) == 0
