@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.uncertainty import inflation, meat, symmetric_roots
+from gcs_sysid.model.parameters import GRAVITY
 
 _MAX_ITERATIONS = 20
 WIDTH = 4
@@ -27,8 +28,9 @@ ACCELEROMETER_BIAS_STD = 0.2
 """m/s^2, what a MEMS accelerometer's bias may be in flight: temperature, a level calibration of a
 degree or two, and a sensor 5 cm off the centre of gravity with rates of 2 rad/s."""
 
-TILT_ERROR_SHARE = 2e-4
-"""Relative error of kappa that attitude errors of 0.02 rad rms leave: 1 - mean cosine."""
+TILT_ERROR_SHARE = 5e-4
+"""Relative error of kappa that attitude errors of 0.03 rad rms leave: 1 - mean cosine. The most
+that is allowed for; the horizontal axes may show that it is less."""
 
 GAIN_DRIFT = 5e-4
 """Relative change of the gain that half an hour of temperature may bring (5 mm/s^2 of bias)."""
@@ -132,7 +134,7 @@ def follow_momentum(totals: Array, rows: Array, start: TranslationFit) -> list[T
 def _momentum(balance: "_Balance", inflated: Array) -> list[TranslationFit]:
     variance = np.diagonal(balance.covariance(inflated), axis1=1, axis2=2)
     kappas, deltas = -balance.estimate[:, 0], -balance.estimate[:, 1]
-    kappa_stds = np.hypot(np.sqrt(variance[:, 0]), TILT_ERROR_SHARE * kappas)
+    kappa_stds = np.hypot(np.sqrt(variance[:, 0]), _tilt_shares(balance) * kappas)
     delta_stds = np.sqrt(variance[:, 1])
     return [
         TranslationFit(
@@ -145,6 +147,19 @@ def _momentum(balance: "_Balance", inflated: Array) -> list[TranslationFit]:
         )
         for i, weights in enumerate(balance.weights)
     ]
+
+
+def _tilt_shares(balance: "_Balance") -> Array:
+    """(K,) relative errors of kappa that attitude errors leave.
+
+    They turn gravity into horizontal acceleration that nothing accounts for. What the horizontal
+    axes leave with the vertical one's thrust and without wind is the most that they can be.
+    """
+    estimate = balance.estimate.copy()
+    estimate[:, 2], estimate[:, 3:] = estimate[:, 0], 0.0
+    sideways = balance.mean_squares(estimate)[:, :2].sum(axis=1) / GRAVITY**2
+    shares: Array = np.minimum(0.5 * sideways, TILT_ERROR_SHARE)
+    return shares
 
 
 def accelerometer_gain(
@@ -202,11 +217,12 @@ def _with_bias(batches: Array, rows: int, total: Array) -> tuple[float, float]:
     The prior is weighed against the covariance that the scatter of the scores leaves: overlapping
     rows overstate what the data know.
     """
-    balance = _Balance(total[None], rows, _BIASED)
+    balance = _Balance(total[None, None], np.array([rows]), _BIASED)
     balance.converge()
-    covariance = balance.covariance(balance.inflation(batches[:, None]))
+    covariance = balance.covariance(balance.inflation(batches[:, None]))[0]
+    slope, bias = balance.estimate[0]
     gain = covariance[0, 1] / (covariance[1, 1] + ACCELEROMETER_BIAS_STD**2)
-    kappa = -float(balance.estimate[0] - gain * balance.estimate[1])
+    kappa = -float(slope - gain * bias)
     std = float(np.sqrt(covariance[0, 0] - gain * covariance[0, 1]))
     return kappa, float(np.hypot(std, _SLOPE_ERROR_SHARE * kappa))
 
@@ -265,10 +281,14 @@ class _Balance:
         d = _scales(normal)
         scaled = normal / (d[:, :, None] * d[:, None, :]) + 1e-12 * np.eye(d.shape[1])
         self.estimate = np.linalg.solve(scaled, (right / d)[..., None])[..., 0] / d
-        estimate = self.estimate[:, None, :, None]
-        halfway = 2.0 * self._rights - (self._normals @ estimate)[..., 0]
-        fitted = (halfway * self.estimate[:, None]).sum(axis=2)
-        self.weights = 1.0 / np.maximum((self._powers - fitted) / self._rows, self._floor)
+        self.weights = 1.0 / np.maximum(self.mean_squares(self.estimate), self._floor)
+
+    def mean_squares(self, estimate: Array) -> Array:
+        """(K, axes) of the residuals that (K, unknowns) leave."""
+        fitted = (self._normals @ estimate[:, None, :, None])[..., 0]
+        explained = ((2.0 * self._rights - fitted) * estimate[:, None]).sum(axis=2)
+        squares: Array = (self._powers - explained) / self._rows
+        return squares
 
     def converge(self) -> None:
         """Step until the weights are those of the residuals."""
