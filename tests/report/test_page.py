@@ -249,7 +249,9 @@ def made_up(text="flight.tlog", rows=2000, instants=50):
     return ReportData(
         result=result,
         inspection=inspection,
-        airframe=replace(load_airframe("paper"), name=text),
+        airframe=replace(
+            load_airframe("paper"), name=text, imu_position=(0.01, -0.02, 0.0), gyro_filter=20.0
+        ),
         provenance=Provenance(("gcs-sysid", "analyze", text), {text: text}, 10, "ab" * 32),
         course=Course(course, values, {n: np.full(instants, 1e-4) for n in PARAMETERS}),
         prediction=Prediction(t, y, y, y + 0.1, t[1] - t[0], t > 36.0, np.zeros(3)),
@@ -311,6 +313,12 @@ def test_a_refused_recording_has_a_page_too():
     assert "Not identified" in page.one("section", id="verdict").text
     assert "no IMU data" in page.one("section", id="verdict").text
     assert page.data == {"arrays": {}, "figures": {}}
+
+
+def test_what_the_airframe_says_of_the_imu_is_told():
+    text = Page(render(made_up())).one("section", id="settings").text
+    assert "0.0100 m, −0.0200 m, 0.0000 m" in text
+    assert "20 Hz" in text
 
 
 def test_counts_that_are_not_zero_are_told():

@@ -197,7 +197,7 @@ def events(data: ReportData, figures: Figures) -> Markup:
         "events",
         "Events",
         figure("timeline", "The flight on the time axis", size="strip") if shown else None,
-        table("Events", columns, rows) if rows else note("The vehicle stayed what it was."),
+        table("Events", columns, rows) if rows else note("No events."),
         _notes(data.notes),
     )
 

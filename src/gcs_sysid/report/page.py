@@ -119,6 +119,11 @@ def _settings(data: ReportData) -> Markup:
     for name, prior in result["priors"].items():
         entries[f"Prior on {name}"] = f"{prior['value']:.6g} ± {prior['std']:.3g}"
     entries["Airframe"] = f"{airframe.name}, {len(airframe.rotors)} rotors"
+    if airframe.imu_position is not None:
+        place = ", ".join(f"{fixed(v, 4)} m" for v in airframe.imu_position)
+        entries["IMU, forward, right, down"] = place
+    if airframe.gyro_filter is not None:
+        entries["Gyro filter given"] = f"{airframe.gyro_filter:g} Hz"
     entries |= dict(made.versions)
     rotors = [
         [
