@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.columns import RecordBlock
 from gcs_sysid.estimation.anchors import Anchor, relative_prior, resolve_scale
 from gcs_sysid.estimation.changes import ChangeTuning
 from gcs_sysid.estimation.offline import OfflineFit, fit_offline
@@ -41,6 +42,8 @@ from gcs_sysid.session.sampling import SampleBlock, Sampler
 from gcs_sysid.session.snapshot import Course, Event
 
 _MAX_EVENTS = 300
+_WINDOW = 2048
+"""IMU samples taken at once."""
 
 
 @dataclass(frozen=True)
@@ -98,10 +101,10 @@ class Chain:
         if options.tuning.method != "forward":
             # The article knows rotor speeds alone.
             airframe = replace(airframe, rotor_input="speed")
-        self.chooser = RotorChooser(airframe, anchor)
-        self.chooser.parameters |= options.parameters
+        chooser = RotorChooser(airframe, anchor)
+        chooser.parameters |= options.parameters
         self.sampler = Sampler(
-            self.chooser,
+            chooser,
             len(airframe.rotors),
             options.tick,
             options.start,
@@ -128,6 +131,27 @@ class Chain:
         for block in self.sampler.push(record):
             renewed = self._take(block) or renewed
         return renewed
+
+    def take(self, block: RecordBlock) -> None:
+        """Take many records at once, as `feed` would one by one, but for rounding.
+
+        Where nothing happens, whole windows are aligned, filtered and learnt from as arrays; where
+        something does, records are fed one by one.
+        """
+        for window in block.windows(_WINDOW):
+            if not (window.ends_with_imu and self._take_at_once(window)):
+                for _, record in window.records():
+                    self.feed(record)
+
+    def _take_at_once(self, window: RecordBlock) -> bool:
+        known = self.sampler.copy()
+        blocks = self.sampler.take(window.tracks)
+        if blocks is None:
+            self.sampler = known
+            return False
+        for block in blocks:
+            self._take(block)
+        return True
 
     def finish(self) -> Result:
         """Use what is still held back and give the final result."""
@@ -168,6 +192,11 @@ class Chain:
     def t(self) -> float:
         """Seconds of the vehicle's clock since the first record."""
         return self.sampler.t
+
+    @property
+    def chooser(self) -> RotorChooser:
+        """Of the rotor stream."""
+        return self.sampler.chooser
 
     @property
     def rotor_input(self) -> RotorInput:

@@ -9,12 +9,13 @@ stretch: a source that dies is replaced by what is sound then.
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.columns import Track
 from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import GRAVITY
@@ -69,6 +70,13 @@ class Stretch:
             times.append(record.t)
             values.append(record.values)
 
+    def extend(self, track: Track) -> None:
+        """Keep the samples of a track, while there is room."""
+        times, values = self.groups.setdefault(track.offset, ([], []))
+        room = max(_MOST - len(times), 0)
+        times += track.t[:room].tolist()
+        values += map(tuple, track.values[:room].tolist())
+
     def rotors(self, count: int) -> list[tuple[Array, Array]]:
         """Times and values of each rotor that there is, up to `count`, in order."""
         out: list[tuple[Array, Array]] = []
@@ -95,6 +103,17 @@ class Repeats:
             self.compared += 1
             self.repeated += record.values == last[1]
         self._last[record.offset] = record.t, record.values
+
+    def extend(self, track: Track) -> None:
+        """As `take`, of a track whose times rise."""
+        last = self._last.get(track.offset)
+        if last is not None:
+            self.compared += 1
+            self.repeated += tuple(track.values[0].tolist()) == last[1]
+        self.compared += len(track.t) - 1
+        same = (track.values[1:] == track.values[:-1]).all(axis=1)
+        self.repeated += int(np.count_nonzero(same))
+        self._last[track.offset] = float(track.t[-1]), tuple(track.values[-1].tolist())
 
     def as_dict(self) -> dict[str, float]:
         """For the result's `telemetry`."""
@@ -129,6 +148,11 @@ class RotorChooser:
         self._anchor = anchor
         self._restart()
 
+    @property
+    def settings(self) -> tuple[object, ...]:
+        """What never changes, and the source in use."""
+        return self._airframe, self._anchor, self.choice
+
     def push(self, record: Record, *, flying: bool) -> None:
         """Take a record; those of rotors count in flight only."""
         if record.stream is Stream.PARAMETER:
@@ -138,6 +162,14 @@ class RotorChooser:
             name = family(record.source)
             self._stretches.setdefault(name, Stretch(record.stream)).add(record)
             self.repeats.setdefault(name, Repeats()).take(record)
+
+    def extend(self, tracks: Sequence[Track]) -> None:
+        """Take the samples of a while of flight; those of rotors count."""
+        for track in tracks:
+            if track.stream in _STREAMS and len(track.t):
+                name = family(track.source)
+                self._stretches.setdefault(name, Stretch(track.stream)).extend(track)
+                self.repeats.setdefault(name, Repeats()).extend(track)
 
     @property
     def outdated(self) -> bool:

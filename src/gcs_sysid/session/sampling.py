@@ -1,16 +1,20 @@
 """From records to aligned samples: time base, complementary filter, flight detection."""
 
+from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
+from gcs_sysid.columns import Track
 from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.filters.complementary import ComplementaryFilter
 from gcs_sysid.model import attitude
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.session.flight import FlightDetector
-from gcs_sysid.session.rotor_input import RotorChooser, family
+from gcs_sysid.session.rotor_input import STRETCH, RotorChooser, family
 from gcs_sysid.session.rotor_units import RotorSource
 from gcs_sysid.session.timebase import Block, TimeBase
 
@@ -122,6 +126,53 @@ class Sampler:
         self.chooser.push(record, flying=self.flying)
         block = self.time_base.push(record)
         return () if block is None else self._take(block)
+
+    def copy(self) -> "Sampler":
+        """One in the same state, that goes its own way."""
+        shared = self.chooser.settings
+        return deepcopy(self, {id(thing): thing for thing in shared})
+
+    def take(self, tracks: Sequence[Track]) -> tuple[SampleBlock, ...] | None:
+        """Take the records of a while at once, where that tells what one by one would tell.
+
+        Args:
+            tracks: with their orders; the last record is one of the IMU.
+
+        Returns:
+            The next blocks; None where something happens in that while (a take-off, a rotor stream
+            that is no longer sound, see also `TimeBase.take`). Then this sampler is spoilt.
+        """
+        first = min(float(track.t[0]) for track in tracks)
+        last = max(float(track.t[-1]) for track in tracks)
+        steady = not self._held and (not self.flying or self.chooser.choice is not None)
+        inside = self._start <= first - self._began and last - self._began <= self._end
+        if self._first is None or not (steady and inside):
+            return None
+        block = self.time_base.take(tracks)
+        if block is None or block.fresh:
+            return None
+        flew, choice = self.flying, self.chooser.choice
+        held = self._samples(block)
+        if (held.block.flying != flew).any():
+            return None
+        self._newest = max(self._newest, last)
+        self.seen |= {track.stream for track in tracks}
+        if flew:
+            self._judge(tracks)
+            if self.chooser.choice is not choice:
+                return None
+        self._held.append(held)
+        return self._release()
+
+    def _judge(self, tracks: Sequence[Track]) -> None:
+        """Have the chooser look at stretches of a flight in which nothing else happens."""
+        imu = next(track for track in tracks if track.stream is Stream.IMU)
+        number = (imu.t - imu.t[0]) // STRETCH
+        edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(imu.t)]
+        for start, stop in pairwise(edges):
+            orders = imu.order[start], imu.order[stop - 1]
+            self.chooser.extend([track.between(*orders) for track in tracks])
+            self.chooser.fly((stop - start) * self.time_base.dt)
 
     def finish(self) -> tuple[SampleBlock, ...]:
         """What is still held back."""

@@ -74,6 +74,29 @@ class StreamBuffer:
         if len(self._new_t) > _AT_ONCE:
             self._arrays()
 
+    def extends(self, t: Array) -> bool:
+        """Whether (n,) times of samples go on where those before ended, and rise."""
+        return bool(t[0] > self._newest and (np.diff(t) > 0.0).all())
+
+    def extend(self, t: Array, values: Array) -> None:
+        """Add (n,) times and (n, width) samples that `extends` allows, as `push` one by one."""
+        _, n = self._arrays(), len(t)
+        steps = np.diff(t, prepend=self._newest)
+        if not self.hold:
+            steps = steps[steps < BREAK]
+        every = [*self._steps, *steps[-STEP_SAMPLES - _RENEW :].tolist()]
+        self._count += len(steps)
+        renewed = len(every) - self._count % _RENEW
+        if self._count >= _RENEW and renewed > len(self._steps):
+            self.interval = usual_interval(every[max(renewed - STEP_SAMPLES, 0) : renewed])
+        self._steps.extend(every[-STEP_SAMPLES:])
+        self._newest = float(t[-1])
+        if self._end + n > len(self._t):
+            self._make_room(n)
+        self._t[self._end : self._end + n] = t
+        self._values[self._end : self._end + n] = values
+        self._end += n
+
     @property
     def knows_interval(self) -> bool:
         """Whether enough samples came to know the interval."""

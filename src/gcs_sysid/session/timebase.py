@@ -6,11 +6,13 @@ never on when they happened to be read. Between samples a cubic through the four
 taken; where a stream has a gap its values are marked as missing.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.columns import Track
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.session.inertial import InertialBuffer, SensorFaults
 from gcs_sysid.session.streams import BREAK, StreamBuffer, usual_gap
@@ -19,10 +21,18 @@ Key = tuple[Stream, str, int]
 """Stream, source, first rotor."""
 _IMU: Key = (Stream.IMU, "", 0)
 
+_LEAST_LAG = 0.04
+"""s, of the grid behind the newest sample."""
+_FEW = 16
+"""Samples whose mean interval tells a changed rate."""
 _SAME_RATE = (0.7, 1.4)
 """The IMU's interval over the grid's step, between which the rate is what it was."""
 _WORTH_KEEPING = 10.0
 """s. What is learnt on a grid is given up for a rate that brings as many samples in this time."""
+
+
+def _key(samples: Record | Track) -> Key:
+    return samples.stream, samples.source, samples.offset
 
 
 @dataclass(frozen=True)
@@ -78,7 +88,7 @@ class TimeBase:
         Two samples of the slowest signal, so that the cubic has both its right neighbours.
         """
         slowest = max(b.interval for b in self._buffers.values() if not b.hold)
-        return min(max(4.0 * self.dt, 2.2 * slowest, 0.04), 0.3)
+        return min(max(4.0 * self.dt, 2.2 * slowest, _LEAST_LAG), 0.3)
 
     @property
     def imu_interval(self) -> float:
@@ -127,12 +137,53 @@ class TimeBase:
                 block = self._emit(min(record.t - self.lag, imu.settled()))
         return block
 
+    def take(self, tracks: Sequence[Track]) -> Block | None:
+        """Take the records of a while at once, where blocks in between would tell no more.
+
+        Args:
+            tracks: with their orders; the last record is one of the IMU.
+
+        Returns:
+            The next block; None where the records are not regular: a stream that begins, a pause,
+            a changed rate, stamps that stand still or come late. Then nothing was taken.
+        """
+        if not self._started or not self._are_regular(tracks):
+            return None
+        for track in tracks:
+            self._buffers[_key(track)].extend(track.t, track.values)
+        imu = self._imu_buffer()
+        self._newest = max(track.t[-1] for track in tracks if track.stream is Stream.IMU)
+        self._next_tick = self._newest + self.tick
+        return self._emit(min(self._newest - self.lag, imu.settled()))
+
+    def _are_regular(self, tracks: Sequence[Track]) -> bool:
+        imu = next((track for track in tracks if track.stream is Stream.IMU), None)
+        if imu is None or not all(_key(track) in self._buffers for track in tracks):
+            return False
+        if not all(self._buffers[_key(track)].extends(track.t) for track in tracks):
+            return False
+        if not np.isfinite(imu.values[:, :3].sum()):
+            return False
+        steps = np.diff(imu.t, prepend=self._newest)
+        few = len(steps) // _FEW * _FEW
+        rates = steps[:few].reshape(-1, _FEW).mean(axis=1) / self.dt
+        if not (_SAME_RATE[0] < rates).all() or not (rates < _SAME_RATE[1]).all():
+            return False
+        if steps.max() > BREAK:
+            return False
+        known = np.append(self._newest, imu.t)
+        for track in tracks:
+            late = known[np.searchsorted(imu.order, track.order)] - track.t
+            if late.max() > _LEAST_LAG or late.min() < -BREAK:
+                return False
+        return True
+
     def finish(self) -> Block | None:
         """Give out what is left, up to the newest IMU sample."""
         return self._emit(self._newest) if self._started else None
 
     def _buffer(self, record: Record) -> StreamBuffer:
-        key = (record.stream, record.source, record.offset)
+        key = _key(record)
         buffer = self._buffers.get(key)
         if buffer is None:
             hold = record.stream in (Stream.IN_AIR, Stream.ARMED)
