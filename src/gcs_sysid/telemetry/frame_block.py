@@ -169,19 +169,24 @@ class Scanner:
         before = np.concatenate([np.zeros(1, at.dtype), stop])[:-1]
         start = np.maximum(at - STAMP, before)
         hunting = self._hunting
+        behind = int(stop[-1]) if len(at) else 0
         if final:
-            kept, done = len(at), size
+            kept, done, rest = len(at), size, size - behind
+            self._hunting = hunting and not len(at)
         elif len(at):
             # The last frame comes again: its time is judged with its neighbour's.
-            kept, done = len(at) - 1, int(start[-1])
+            kept, done, rest = len(at) - 1, int(start[-1]), 0
             self._hunting = hunting and done == 0
         else:
-            kept, done = 0, max(limit - STAMP, 0)
+            kept = 0
+            done = rest = max(limit - STAMP, 0)
             self._hunting = hunting or done > 0
-        gaps = (start - before)[:kept]
+        gaps = start - before
         counts = self.counts
-        counts.garbage_bytes += int(gaps.sum()) + done - (int(stop[kept - 1]) if kept else 0)
-        counts.resyncs += int(np.count_nonzero(gaps)) + int(hunting and kept > 0 and gaps[0] == 0)
+        counts.garbage_bytes += int(gaps.sum()) + rest
+        counts.resyncs += int(np.count_nonzero(gaps))
+        if hunting and not self._hunting and gaps[:1].sum() == 0:
+            counts.resyncs += 1  # found where the piece begins
         time_us, damaged = self._times(data, at, at - before >= STAMP, kept)
         counts.repaired_times += damaged
         head = head.first(kept)
