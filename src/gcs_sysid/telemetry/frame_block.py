@@ -13,7 +13,7 @@ one by one. Then the checksums of all frames in the chain are taken together.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -93,27 +93,37 @@ class FrameBlock:
     def __len__(self) -> int:
         return len(self.at)
 
+    def part(self, start: int, stop: int) -> "FrameBlock":
+        """Frames [start, stop) of the block."""
+        columns = {
+            field.name: getattr(self, field.name)[start:stop]
+            for field in fields(self)
+            if field.name not in ("data", "number")
+        }
+        return FrameBlock(data=self.data, number=self.number + start, **columns)
+
     def frame(self, index: int) -> Frame:
         """One of them as an object."""
-        at, start = int(self.at[index]), int(self.payload_at[index])
-        stop = at + int(self.size[index])
-        version = int(self.version[index])
-        return Frame(
-            system=int(self.system[index]),
-            component=int(self.component[index]),
-            sequence=int(self.sequence[index]),
-            message_id=int(self.message_id[index]),
-            payload=self.data[start : start + int(self.payload_size[index])].tobytes(),
-            raw=self.data[at:stop].tobytes(),
-            version=version,
-            signed=version == 2 and bool(self.data[at + 2] & FLAG_SIGNED),
-            valid=_VALIDITY[self.validity[index]],
-        )
+        _, frame = next(iter(self.part(index, index + 1)))
+        return frame
 
     def __iter__(self) -> Iterator[tuple[int, Frame]]:
         """(time in us, frame) one by one."""
-        for index, time_us in enumerate(self.time_us.tolist()):
-            yield time_us, self.frame(index)
+        data = self.data
+        columns = (
+            self.time_us, self.system, self.component, self.sequence, self.message_id, self.at,
+            self.payload_at, self.payload_at + self.payload_size, self.at + self.size,
+            self.version, self.validity,
+        )  # fmt: skip
+        for (
+            time_us, system, component, sequence, message_id, at, start, end, stop, version, valid,
+        ) in zip(*(column.tolist() for column in columns), strict=True):  # fmt: skip
+            payload, raw = data[start:end].tobytes(), data[at:stop].tobytes()
+            signed = version == 2 and raw[2] == FLAG_SIGNED
+            yield time_us, Frame(
+                system, component, sequence, message_id, payload, raw, version, signed,
+                _VALIDITY[valid],
+            )  # fmt: skip
 
 
 @dataclass

@@ -172,11 +172,13 @@ class TlogReader:
 
     Attributes:
         counts: of what was seen while it was last read.
+        bytes_read: of the file, while it was last read.
     """
 
     def __init__(self, path: Path | str, window: int | None = None) -> None:
         self.path = Path(path)
         self.counts = ScanCounts()
+        self.bytes_read = 0
         self._window = window or WINDOW
         try:
             if self.path.is_dir():
@@ -209,11 +211,13 @@ class TlogReader:
         """
         scanner = Scanner()
         self.counts = scanner.counts
+        self.bytes_read = 0
         try:
             with open(self.path, "rb") as file:
                 content, final = b"", False
                 while not final:
                     more = file.read(self._window)
+                    self.bytes_read += len(more)
                     final = not more
                     block, done = scanner.scan(content + more, final=final)
                     content = (content + more)[done:]

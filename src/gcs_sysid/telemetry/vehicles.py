@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from gcs_sysid.arrays import Array
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.messages import picker
@@ -125,10 +128,36 @@ class VehicleSelector:
             self.systems[who] = Vehicle(*who)
             self.frames[who] = 1
         if frame.message_id == 0:
-            vehicle_type, autopilot = _heartbeat(frame.payload)
-            self._hear(Vehicle(*who, vehicle_type, autopilot, frame.version))
+            self.hear(frame)
+        return self.is_chosen(frame)
+
+    def take_block(self, systems: Array, components: Array) -> None:
+        """Note the senders of many frames whose checksums are right, heartbeats aside.
+
+        Args:
+            systems: (n,) uint8.
+            components: (n,) uint8.
+        """
+        who = systems.astype(np.uint16) << 8 | components
+        senders, first, count = np.unique(who, return_index=True, return_counts=True)
+        for i in np.argsort(first).tolist():
+            address = divmod(int(senders[i]), 256)
+            if address in self.systems:
+                self.frames[address] += int(count[i])
+            elif len(self.systems) < MOST_SYSTEMS:
+                self.systems[address] = Vehicle(*address)
+                self.frames[address] = int(count[i])
+
+    def is_chosen(self, frame: Frame) -> bool:
+        """Whether a frame is the chosen vehicle's."""
         chosen = self.chosen
-        return chosen is not None and who == chosen.address
+        return chosen is not None and (frame.system, frame.component) == chosen.address
+
+    def hear(self, heartbeat: Frame) -> None:
+        """Note what a heartbeat says of its sender."""
+        vehicle_type, autopilot = _heartbeat(heartbeat.payload)
+        who = (heartbeat.system, heartbeat.component)
+        self._hear(Vehicle(*who, vehicle_type, autopilot, heartbeat.version))
 
     @property
     def autopilots(self) -> list[Vehicle]:
