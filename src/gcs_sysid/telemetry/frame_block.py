@@ -104,7 +104,9 @@ class FrameBlock:
 
     def frame(self, index: int) -> Frame:
         """One of them as an object."""
-        _, frame = next(iter(self.part(index, index + 1)))
+        at = int(self.at[index])
+        frame = read_frame(self.data[at : at + int(self.size[index])].tobytes())
+        assert frame is not None
         return frame
 
     def __iter__(self) -> Iterator[tuple[int, Frame]]:
@@ -124,6 +126,17 @@ class FrameBlock:
                 system, component, sequence, message_id, payload, raw, version, signed,
                 _VALIDITY[valid],
             )  # fmt: skip
+
+
+def counts_of(numbers: Array) -> dict[int, int]:
+    """How often each of (n,) whole numbers comes, ids of messages or senders; in rising order."""
+    few = numbers < _IDS
+    count = np.bincount(numbers[few])
+    counts = {i: int(count[i]) for i in np.flatnonzero(count).tolist()}
+    if not few.all():  # the ids of made-up types may be very large
+        for i, n in zip(*np.unique(numbers[~few], return_counts=True), strict=True):
+            counts[int(i)] = int(n)
+    return counts
 
 
 @dataclass

@@ -8,7 +8,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.telemetry.checksums import rows_of
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.frame_block import OK, FrameBlock
+from gcs_sysid.telemetry.frame_block import OK, FrameBlock, counts_of
 from gcs_sysid.telemetry.messages import LAYOUTS, MESSAGE_IDS
 
 HEADER = [
@@ -67,14 +67,14 @@ def message_arrays(
     Raises:
         KeyError: the dialect has no message of a name.
     """
-    wanted = LAYOUTS if names is None else [MESSAGE_IDS[name] for name in names]
+    wanted = set(LAYOUTS) if names is None else {MESSAGE_IDS[name] for name in names}
     good = frames.validity == OK
     if among is not None:
         good &= among
-    occur = np.unique(frames.message_id[good])
     arrays: dict[str, Array] = {}
-    for message_id in occur[np.isin(occur, list(wanted))].tolist():
-        rows = np.flatnonzero(good & (frames.message_id == message_id))
+    good_ids = np.where(good, frames.message_id, -1)
+    for message_id in sorted(wanted.intersection(counts_of(frames.message_id[good]))):
+        rows = np.flatnonzero(good_ids == message_id)
         name = LAYOUTS[message_id].name
         arrays[name] = _gather(frames, rows, message_dtype(name), LAYOUTS[message_id].size)
     return arrays
@@ -89,8 +89,8 @@ def _gather(frames: FrameBlock, rows: Array, kind: np.dtype[np.void], size: int)
     messages["_component"] = frames.component[rows]
     payloads = rows_of(frames.data, frames.payload_at[rows], size)
     came = frames.payload_size[rows]
-    if (came < size).any():
-        # Zeros at the end are not sent; what lies there is the checksum and the next record.
-        payloads[np.arange(size) >= came[:, None]] = 0
+    # Zeros at the end are not sent; what lies there is the checksum and the next record.
+    for missing in np.flatnonzero(np.bincount(came)[:size]).tolist():
+        payloads[came == missing, missing:] = 0
     messages.view(np.uint8).reshape(len(rows), kind.itemsize)[:, -size:] = payloads
     return messages

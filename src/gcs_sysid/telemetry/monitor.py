@@ -14,7 +14,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.records import Record, Stream
-from gcs_sysid.telemetry.frame_block import OK, UNKNOWN
+from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, UNKNOWN, counts_of
 from gcs_sysid.telemetry.frames import Frame, Validity
 from gcs_sysid.telemetry.messages import message_name
 
@@ -85,7 +85,8 @@ class SequenceCount:
                 self.take(sequence)
             return
         seen = [-n for n in range(REORDERED) if self._seen >> n & 1]
-        distinct = np.unique(np.append(seen, numbers)).astype(np.int64)
+        numbers = np.sort(np.append(seen, numbers))
+        distinct = numbers[np.diff(numbers, append=np.iinfo(np.int64).max) > 0]
         moved = int(newest[-1])
         self.received += len(distinct) - len(seen)
         self.expected += moved
@@ -159,13 +160,10 @@ class Monitor:
 
     def take_block(self, validity: Array) -> None:
         """Count (n,) frames of any sender, by `FrameBlock.validity`."""
-        for kind, count in zip(*np.unique(validity, return_counts=True), strict=True):
-            if kind == OK:
-                self.received += int(count)
-            elif kind == UNKNOWN:
-                self.unknown += int(count)
-            else:
-                self.bad_crc += int(count)
+        counts = counts_of(validity)
+        self.received += counts.get(OK, 0)
+        self.unknown += counts.get(UNKNOWN, 0)
+        self.bad_crc += counts.get(BAD_CRC, 0)
 
     def take_chosen(self, frame: Frame, now: float | None) -> None:
         """Count a frame of the chosen vehicle; `now` is its clock after that frame."""
@@ -200,16 +198,14 @@ class Monitor:
         if not len(now):
             return
         self.heard += len(now)
-        for kind, count in zip(*np.unique(message_id, return_counts=True), strict=True):
-            self._counts[int(kind)] += int(count)
+        self._counts.update(counts_of(message_id))
         self._go_on(float(now[0]))
         self._now = float(now[-1])
         steps = (now / STEP).astype(np.int64)
         first = int(np.searchsorted(steps, steps[-1] - WINDOW / STEP))
         edges = np.flatnonzero(np.diff(steps[first:], prepend=-1, append=-1)) + first
         for start, end in pairwise(edges.tolist()):
-            kinds = zip(*np.unique(message_id[start:end], return_counts=True), strict=True)
-            counts = Counter({int(kind): int(count) for kind, count in kinds})
+            counts = counts_of(message_id[start:end])
             self._add_step(int(steps[start]), counts, int(size[start:end].sum()))
 
     def _count_step(self, frame: Frame, now: float) -> None:

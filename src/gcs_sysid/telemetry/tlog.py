@@ -35,7 +35,7 @@ an SD card, so it happens in the recorder's own thread, where it keeps nobody wa
 MOST_PENDING = 16 * 2**20
 """Bytes held for a disk that does not take them; what comes beyond is dropped and counted."""
 
-WINDOW = 2**23
+WINDOW = 2**21
 """Bytes read at once. Working on them takes about ten times as much memory."""
 HEAD = 2**20
 """Bytes that must show a record for the file to be a .tlog."""

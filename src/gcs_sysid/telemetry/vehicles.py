@@ -6,6 +6,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.frame_block import counts_of
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.messages import picker
 
@@ -139,14 +140,14 @@ class VehicleSelector:
             components: (n,) uint8.
         """
         who = systems.astype(np.uint16) << 8 | components
-        senders, first, count = np.unique(who, return_index=True, return_counts=True)
-        for i in np.argsort(first).tolist():
-            address = divmod(int(senders[i]), 256)
-            if address in self.systems:
-                self.frames[address] += int(count[i])
-            elif len(self.systems) < MOST_SYSTEMS:
-                self.systems[address] = Vehicle(*address)
-                self.frames[address] = int(count[i])
+        counts = {divmod(sender, 256): count for sender, count in counts_of(who).items()}
+        new = counts.keys() - self.systems.keys()
+        first = {(i, j): int(np.argmax(who == (i << 8 | j))) for i, j in new}
+        for address in sorted(new, key=first.__getitem__)[: MOST_SYSTEMS - len(self.systems)]:
+            self.systems[address] = Vehicle(*address)
+            self.frames[address] = 0
+        for address in counts.keys() & self.systems.keys():
+            self.frames[address] += counts[address]
 
     def is_chosen(self, frame: Frame) -> bool:
         """Whether a frame is the chosen vehicle's."""
