@@ -6,10 +6,8 @@ import struct
 import numpy as np
 import pytest
 
-from gcs_sysid.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.tlog import TlogReader, read_tlog
 
 START = 1_750_000_000_000_000
@@ -81,9 +79,7 @@ class Flier:
             "GLOBAL_POSITION_INT": lambda: m.MAVLink_global_position_int_message(
                 self.ms(), 1, 2, 3, *self.whole(4, -900, 900), 0
             ),
-            "EXTENDED_SYS_STATE": lambda: m.MAVLink_extended_sys_state_message(
-                0, rng.randrange(5)
-            ),
+            "EXTENDED_SYS_STATE": lambda: m.MAVLink_extended_sys_state_message(0, rng.randrange(5)),
             "HEARTBEAT": self.heartbeat,
             "PARAM_VALUE": lambda: m.MAVLink_param_value_message(
                 b"P%d" % rng.randrange(9), self.number(), rng.choice([6, 9]), 9, 0

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.arrays import Array, Mask, complete_rows
 from gcs_sysid.records import Stream
 from gcs_sysid.telemetry import rotors
 from gcs_sysid.telemetry.clock import JUMP_AHEAD, JUMP_BACK, UNIX_FROM, WRAP_MS, WRAP_US
@@ -56,8 +56,8 @@ class Moments:
 class Taken(NamedTuple):
     """How far `BlockDecoder.take` came."""
 
-    count: int
-    """Frames that were read."""
+    frames: int
+    """How many were read."""
     moments: Moments
     """The clock over them."""
     imu_times: Array
@@ -199,7 +199,7 @@ class BlockDecoder(RecordDecoder):
     ) -> Mask:
         """Pass on what has a time and is finite, as `_record` does; which that are."""
         timed = np.isfinite(t)
-        finite = np.isfinite(values).all(axis=1)
+        finite = complete_rows(values)
         sound = timed & finite
         self._drop("no time", ~timed)
         self._drop("not finite", timed & ~finite)
@@ -237,7 +237,7 @@ class BlockDecoder(RecordDecoder):
         names = ("ATTITUDE", "ATTITUDE_QUATERNION")
         if "ATTITUDE" in messages:
             angles = _columns(messages["ATTITUDE"], "roll", "pitch", "yaw")
-            finite = np.isfinite(angles).all(axis=1)
+            finite = complete_rows(angles)
             self._drop("not finite", ~finite)
             angles = angles[finite]
             messages["ATTITUDE"] = messages["ATTITUDE"][finite]
@@ -255,7 +255,7 @@ class BlockDecoder(RecordDecoder):
         order, t, q = (np.concatenate(column) for column in zip(*parts, strict=True))
         w, x, y, z = q.T
         norm = np.sqrt(w * w + x * x + y * y + z * z)
-        sound = (norm > 0.9) & (norm < 1.1)
+        sound: Mask = (norm > 0.9) & (norm < 1.1)
         self._drop("not finite", ~sound)
         rows = np.flatnonzero(sound)
         rows = rows[np.argsort(order[rows])]

@@ -14,7 +14,7 @@ ROWS_AT_ONCE = 8192
 
 def _byte_table() -> Array:
     """(256,) the state after one byte, from the state's low byte joined with it."""
-    state = np.arange(256, dtype=np.uint16)
+    state: Array = np.arange(256, dtype=np.uint16)
     for _ in range(8):
         state = (state >> 1) ^ np.where(state & 1, np.uint16(0x8408), np.uint16(0))
     return state

@@ -13,7 +13,8 @@ from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, FrameBlock
 from gcs_sysid.telemetry.frames import Frame, Validity
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
-from gcs_sysid.telemetry.tracks import IntakeEvent, RecordBlock, TrackCollector
+from gcs_sysid.telemetry.tracks import IntakeEvent as IntakeEvent
+from gcs_sysid.telemetry.tracks import RecordBlock, TrackCollector
 from gcs_sysid.telemetry.vehicles import Vehicle, VehicleSelector
 
 _HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
@@ -139,8 +140,9 @@ class Intake:
         chosens = (frames.system == chosen.system) & (frames.component == chosen.component)
         good &= chosens
         taken = self.decoder.take(frames, good, out)
-        stop = taken.count
-        frames, beats, chosens, good = frames.part(0, stop), beats[:stop], chosens[:stop], good[:stop]
+        stop = taken.frames
+        frames = frames.part(0, stop)
+        beats, chosens, good = beats[:stop], chosens[:stop], good[:stop]
         self._count(frames)
         now = taken.moments.after(frames.number + np.arange(stop))
         self.monitor.take_chosen_block(

@@ -75,7 +75,8 @@ class SequenceCount:
         if self._newest is None or not len(sequences):
             return
         # The numbers without wrapping, 0 being the newest before them.
-        steps = np.diff(sequences.astype(np.int64), prepend=self._newest) % 256
+        steps: Array = np.diff(sequences.astype(np.int64), prepend=self._newest)
+        steps %= 256
         steps[steps > 256 - REORDERED] -= 256
         numbers = np.cumsum(steps)
         newest = np.maximum.accumulate(np.append(0, numbers))

@@ -15,15 +15,10 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.telemetry.frame_block import (
-    STAMP,
-    FrameBlock,
-    ScanCounts,
-    Scanner,
-    record_follows,
-)
+from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame, find_frame
 from gcs_sysid.telemetry.message_arrays import message_arrays
+from gcs_sysid.telemetry.tlog_scan import STAMP, ScanCounts, Scanner, record_follows
 
 _stamp = struct.Struct(">Q")
 

@@ -80,11 +80,12 @@ class RecordBlock:
 
     def records(self) -> Iterator[tuple[int, Record]]:
         """(order, record) one by one, in order, without holding them all."""
-        numbers = [*(track.order for track in self.tracks), [n for n, _ in self.parameters]]
-        order = np.concatenate(numbers).astype(np.int64)
-        rows = [*(track.records() for track in self.tracks), (r for _, r in self.parameters)]
+        told = np.array([number for number, _ in self.parameters], np.int64)
+        orders = [told, *(track.order for track in self.tracks)]
+        rows = [(r for _, r in self.parameters), *(track.records() for track in self.tracks)]
+        order = np.concatenate(orders)
         sorting = np.argsort(order, kind="stable")
-        owner = np.repeat(np.arange(len(rows)), [len(n) for n in numbers])[sorting]
+        owner = np.repeat(np.arange(len(rows)), [len(part) for part in orders])[sorting]
         for number, index in zip(order[sorting].tolist(), owner.tolist(), strict=True):
             yield number, next(rows[index])
 
