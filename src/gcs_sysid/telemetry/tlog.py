@@ -213,7 +213,7 @@ class TlogReader:
                 while not final:
                     more = file.read(self._window)
                     self.bytes_read += len(more)
-                    final = not more
+                    final = len(more) < self._window
                     block, done = scanner.scan(content + more, final=final)
                     content = (content + more)[done:]
                     if len(block):
