@@ -5,6 +5,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 BENCH_INSTALLED := $(VENV)/.installed-bench
 SPEED_INSTALLED := $(VENV)/.installed-speed
+SIMULATORS_INSTALLED := $(VENV)/.installed-simulators
 
 .PHONY: help demo test quick check bench bench-accuracy bench-speed screenshot sample clean
 .DEFAULT_GOAL := help
@@ -23,10 +24,16 @@ $(INSTALLED): pyproject.toml constraints.txt
 demo: $(INSTALLED) ## fly the emulator and identify it on the live screen
 	$(BIN)/gcs-sysid demo
 
-test: $(INSTALLED) ## all tests
+# What the tests of exports load their files with: 60 MB without what they draw and train with.
+$(SIMULATORS_INSTALLED): $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint constraints.txt --no-deps mujoco mujoco-core rotorpy drake
+	@touch $@
+
+test: $(SIMULATORS_INSTALLED) ## all tests
 	$(BIN)/python -m pytest -n auto --dist loadfile
 
-quick: $(INSTALLED) ## the tests without whole flights
+quick: $(SIMULATORS_INSTALLED) ## the tests without whole flights
 	$(BIN)/python -m pytest -m "not slow"
 
 check: $(INSTALLED) ## lint, format, types, import contracts

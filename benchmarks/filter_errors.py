@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.accuracy.flights import PHYSICS_RATE, fly
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.online import Tuning
+from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.filters.complementary import ComplementaryFilter, complementary
 from gcs_sysid.filters.differentiator import (
     ARTICLE_R,

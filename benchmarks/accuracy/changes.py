@@ -7,8 +7,8 @@ import numpy as np
 
 from benchmarks.accuracy.flights import GEOMETRY, VEHICLE, fly, measure, part
 from gcs_sysid.estimation.changes import ChangeTuning
-from gcs_sysid.estimation.online import Tuning
 from gcs_sysid.estimation.tracking import Tracker
+from gcs_sysid.estimation.tuning import Tuning
 from sim_bridge.ensemble import Flight
 from sim_bridge.simulation import Change, mass_step
 from sim_bridge.vehicle import Vehicle

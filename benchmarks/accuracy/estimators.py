@@ -10,10 +10,11 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.estimation.innovations import AxisNoise, Noise
 from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximise_likelihood
-from gcs_sysid.estimation.online import Fit, OnlineEstimator, Tuning
+from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.parameters import Value, physical_parameters
 from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.speed_noise import ROUNDING_STD
+from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from sim_bridge.sensors import CORNER
 

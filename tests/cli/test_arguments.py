@@ -144,7 +144,14 @@ def test_the_program_itself(case, files):
     assert names in done.stderr
 
 
-@pytest.mark.parametrize("argument", ["--help", "--version", "analyze --help", "inspect --help"])
+@pytest.mark.parametrize(
+    "argument",
+    [
+        "--help",
+        "--version",
+        *(f"{name} --help" for name in ("analyze", "inspect", "export", "compare")),
+    ],
+)
 def test_help_and_version_load_nothing_heavy(argument):
     code = (
         "import sys\nfrom gcs_sysid.__main__ import main\nstatus = main(sys.argv[1:])\n"

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.basis import RotorBasis
-from gcs_sysid.estimation.online import COMMANDS, OnlineEstimator
+from gcs_sysid.estimation.online import OnlineEstimator
+from gcs_sysid.estimation.tuning import COMMANDS
 
 DT = 0.005
 FULL = 1.2

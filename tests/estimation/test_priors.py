@@ -7,8 +7,9 @@ from scipy.signal import lfilter
 from gcs_sysid.estimation import rotation
 from gcs_sysid.estimation.basis import N_COORDINATES, PLAIN, WIDTH
 from gcs_sysid.estimation.moments import Moments
-from gcs_sysid.estimation.online import OnlineEstimator, Tuning
+from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS, Prior, prior_of
+from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 
 IZZ, RATIO = 2, rb.MOMENT_RATIO

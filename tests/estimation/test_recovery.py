@@ -10,10 +10,11 @@ from gcs_sysid.estimation import rotation, translation
 from gcs_sysid.estimation.article import METHODS, ArticleEstimator
 from gcs_sysid.estimation.basis import WIDTH, RotorBasis
 from gcs_sysid.estimation.moments import Moments
-from gcs_sysid.estimation.online import OnlineEstimator, Tuning
+from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.regression import LeakySums, RowMaker, Samples
 from gcs_sysid.estimation.rotors import RotorPath
 from gcs_sysid.estimation.speed_noise import SpeedNoise
+from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.filters.smoothers import DifferentiatorSmoother, WindowSmoother
 from gcs_sysid.model import rigid_body as rb
 

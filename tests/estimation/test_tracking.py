@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.changes import ChangeTuning
-from gcs_sysid.estimation.online import Tuning
 from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.tracking import Tracker
+from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.missions import MISSIONS

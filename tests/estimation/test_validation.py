@@ -7,8 +7,9 @@ import pytest
 from scipy.signal import lfilter
 
 from gcs_sysid.estimation.basis import PLAIN, WIDTH
-from gcs_sysid.estimation.online import OnlineEstimator, Tuning
+from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.search import N_X
+from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.estimation.validation import validate
 from gcs_sysid.model import rigid_body as rb
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.online import Tuning
+from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.records import Record, Stream
@@ -24,6 +24,11 @@ def run(records, options=END_ONLY, airframe=None):
 
 def values(result):
     return {n: e.value for n, e in result.parameters.items() if e.value is not None}
+
+
+def rounded(result):
+    """What other results are, but for rounding: sums are the same, their order is not."""
+    return {n: pytest.approx(v, rel=1e-7) for n, v in values(result).items()}
 
 
 @pytest.fixture(scope="module")
@@ -47,22 +52,19 @@ def test_it_identifies_the_flight(whole, paper_flight):
 def test_size_of_blocks_does_not_matter(paper_records, whole, tick):
     _, other = run(paper_records, replace(END_ONLY, tick=tick))
     for name, estimate in whole.parameters.items():
-        # Not exactly: the gyro's bias is renewed once a block. Measured: 1 % of the std.
-        bar = 0.05 * estimate.std
-        assert other.parameters[name].value == pytest.approx(estimate.value, rel=1e-12, abs=bar)
+        bar = 1e-5 * estimate.std
+        assert other.parameters[name].value == pytest.approx(estimate.value, rel=1e-7, abs=bar)
         assert other.parameters[name].status == estimate.status
 
 
 def test_course_does_not_move_the_final_result(paper_records, whole):
     chain, result = run(paper_records, ChainOptions(course_interval=0.5))
-    assert values(result) == values(whole)
+    assert values(result) == rounded(whole)
     course = chain.course
     assert len(course.t) > 100
-    # Blocks end on samples, so single steps may be a little shorter; on average they are not.
-    assert np.all(np.diff(course.t) > 0.0)
-    # On average as asked for; blocks end a little early or late.
-    assert np.mean(np.diff(course.t)) == pytest.approx(0.5, rel=0.02)
-    assert np.mean(np.diff(course.t)) == pytest.approx(0.5, abs=0.01)
+    # Instants are those of samples, at 20 Hz.
+    assert np.abs(np.diff(course.t) - 0.5).max() < 0.051
+    assert np.mean(np.diff(course.t)) == pytest.approx(0.5, abs=0.001)
     assert set(course.value) == set(course.std) == set(PARAMETERS)
     # The last point is the quick fit of nearly all data: well within its own interval.
     last = course.value["Ixx"][-1]
@@ -207,8 +209,7 @@ def test_an_anchor_in_k_T_gives_the_mass(paper_records, whole):
     _, result = run(paper_records, airframe=load_airframe("paper").with_anchor("k_T", k_T))
     assert result.scale.anchor == "k_T"
     assert result.parameters["k_T"].status == "given"
-    expected = {n: pytest.approx(v, rel=1e-12) for n, v in values(whole).items()}
-    assert values(result) == expected
+    assert values(result) == rounded(whole)
 
 
 def test_an_airframe_without_scale_is_refused():
@@ -240,4 +241,4 @@ def test_rotor_records_in_two_parts_are_one_set(paper_records, whole):
             ]
         else:
             split.append(r)
-    assert values(run(split)[1]) == values(whole)
+    assert values(run(split)[1]) == rounded(whole)

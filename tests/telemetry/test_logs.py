@@ -62,7 +62,9 @@ def test_a_tlog_gives_what_its_frames_give(tmp_path, sender):
     intake = Intake()
     expected = intake.frames(frame for _, frame in read_tlog(path))
     log = open_log(path)
+    assert log.recorded is None
     assert list(log.records()) == expected
+    assert log.recorded == WALL
     assert log.as_dict() == {**intake.as_dict(), "clock_drift_ppm": log.drift_ppm}
     assert [event.kind for event in log.take_events()] == ["vehicle"]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gcs_sysid.cli import arguments, output
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.online import Tuning
+from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.analysis import analyze_log, analyze_pair
 from gcs_sysid.session.chain import ChainOptions

@@ -5,10 +5,13 @@ import math
 from typing import TYPE_CHECKING
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.usage import not_negative, positive
+from gcs_sysid.usage import not_negative, number, positive
 
 ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-difference")
 """Names of `estimation.article.METHODS` (a test compares); not imported, to start fast."""
+
+EXPORT_TARGETS = ("px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy")
+"""Names of `exports.targets.TARGETS` (a test compares); not imported either."""
 
 if TYPE_CHECKING:
     from gcs_sysid.model.airframe import Airframe
@@ -56,6 +59,14 @@ def prior(text: str) -> tuple[str, float, float]:
     except ValueError:
         pass
     raise argparse.ArgumentTypeError(f"must be NAME=VALUE±STD (or +-), got {text!r}")
+
+
+def setting(text: str) -> tuple[str, float]:
+    """An argparse type: NAME=VALUE."""
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise argparse.ArgumentTypeError(f"must be NAME=VALUE, got {text!r}")
+    return name.strip(), number(value)
 
 
 def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -> None:
@@ -191,6 +202,39 @@ def add_inspect(parser: argparse.ArgumentParser) -> None:
         help="listen for S seconds once the vehicle has spoken (default 10)",
     )
     _add_link(link)
+
+
+def add_export(parser: argparse.ArgumentParser) -> None:
+    """Options of `export`."""
+    parser.add_argument("result", metavar="RESULT.json", help="as --json writes it")
+    parser.add_argument("--to", choices=EXPORT_TARGETS, required=True, help="the format")
+    parser.add_argument(
+        "-o", "--output", metavar="FILE", required=True, help="to write; - is stdout"
+    )
+    parser.add_argument("--force", action="store_true", help="write over FILE if it exists")
+    parser.add_argument("--name", metavar="NAME", help="of the vehicle (default: the airframe's)")
+    group = parser.add_argument_group("what the flight does not tell")
+    group.add_argument(
+        "--set",
+        type=setting,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="a value known otherwise, SI, such as rotor_speed_max=900 or Ixy=0; may be repeated",
+    )
+    group.add_argument(
+        "--airframe",
+        metavar="NAME|FILE",
+        help="its [prior] and scale stand in; its rotors, where the result names none",
+    )
+    group.add_argument("--arm", type=positive, metavar="M", help="scale rotor distance to M metres")
+
+
+def add_compare(parser: argparse.ArgumentParser) -> None:
+    """Options of `compare`."""
+    parser.add_argument("before", metavar="A.json", help="a result, as --json writes it")
+    parser.add_argument("after", metavar="B.json", help="another of the same vehicle")
+    parser.add_argument("--json", metavar="FILE", help="write the comparison; - is stdout")
 
 
 def _check_scale_fits(airframe: "Airframe") -> None:

@@ -61,6 +61,19 @@ def build_parser() -> argparse.ArgumentParser:
         "back.",
     )
     arguments.add_inspect(inspect)
+    export = commands.add_parser(
+        "export",
+        help="write an identified vehicle for a simulator",
+        description="Writes a result as a file that PX4's SIH, Gazebo, MuJoCo, RotorPy or a "
+        "reader of URDF loads.",
+    )
+    arguments.add_export(export)
+    compare = commands.add_parser(
+        "compare",
+        help="see whether a vehicle has changed",
+        description="Compares two results of one vehicle, parameter by parameter.",
+    )
+    arguments.add_compare(compare)
     return parser
 
 

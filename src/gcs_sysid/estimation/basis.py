@@ -187,6 +187,8 @@ class RotorBasis:
 
     def thrust_weights(self, at: Array) -> Array:
         """(lags * sets,) what makes thrust, undelayed, of that of the lags at (3,) coordinates."""
+        if not self.commands:
+            return np.ones(1)
         weights = self._lag_span.weights(np.zeros(1), at[LAG : LAG + 1])
         mixture = self._mixture(at[CURVE : CURVE + 1], None)
         return np.outer(weights, mixture).ravel()

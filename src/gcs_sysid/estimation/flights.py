@@ -4,8 +4,6 @@ On the ground anything may be done to it: another battery, a payload, other prop
 first seconds of each further flight are estimated apart, and held against what was known.
 """
 
-from dataclasses import fields
-
 import numpy as np
 from scipy.stats import chi2
 
@@ -69,7 +67,7 @@ class Trial:
         for part in self.parts:
             if part is not None:
                 stay = part[0] <= self.end - seconds
-                part = part[0][stay], part_of(part[1], stay)
+                part = part[0][stay], part[1].part(stay)
             kept.append(part)
         self.parts = kept
 
@@ -118,8 +116,3 @@ def _thrust(before: Fit, now: Fit) -> tuple[float, int]:
         return 0.0, 0
     variance = a.kappa_std**2 + b.kappa_std**2 + (_MODEL_ERROR * a.kappa) ** 2
     return (b.kappa - a.kappa) ** 2 / variance, 1
-
-
-def part_of(samples: Samples, where: slice | Array) -> Samples:
-    """Some of the samples."""
-    return Samples(**{f.name: getattr(samples, f.name)[where] for f in fields(Samples)})

@@ -1,82 +1,36 @@
-"""The online estimator: samples in, relative estimates out, in bounded memory and time."""
+"""The online estimator: samples in, relative estimates out, in bounded memory and time.
 
-from collections.abc import Iterator
+A running flight is followed by quick fits: a step from an earlier fit of the same record, its
+footing, with the moments of that instant. The footing is renewed whenever a batch of moments has
+begun, about once a second; now and then a full fit chooses leak and delay anew. Quick fits of one
+footing do not depend on one another, so that a block with many of them is one call.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation import article, rotation, translation
-from gcs_sysid.estimation.basis import CURVE, RotorBasis
+from gcs_sysid.estimation import rotation, translation
+from gcs_sysid.estimation.basis import CURVE
 from gcs_sysid.estimation.coupling import PRODUCTS, Coupling, gyroscopic_coupling
-from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.priors import Prior
-from gcs_sysid.estimation.regression import LeakySums, RowMaker, Samples
-from gcs_sysid.estimation.rotors import RotorInput, RotorPath
-from gcs_sysid.estimation.speed_noise import SpeedNoise
+from gcs_sysid.estimation.record import FlightRecord
+from gcs_sysid.estimation.regression import Samples
+from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.estimation.validation import Validation, validate
-from gcs_sysid.filters.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
 
 _SETTLE_GROWTH = 1.5
 _MIN_BATCHES = 10
 """From which their scatter tells how sure a number is."""
-_PIECE_TIME = 0.1
-"""s of samples that are taken at once."""
 MIN_MOMENTUM_SECONDS = 5.0
 """Flight time from which momentum balance beats the accelerometer's bias."""
 
-
-@dataclass(frozen=True)
-class Tuning:
-    """Settings of the online estimator.
-
-    Attributes:
-        method: "forward", or one of the article's variants, for study (`estimation.article`).
-        smoother: "window" (symmetric, the default) or "td" (linear tracking differentiator).
-        half_width: s, half of the window, at high sample rates.
-        min_half_samples: the window's half never has fewer samples than this.
-        bandwidth: rad/s, R of the differentiator.
-        leaks: s, memories of the leaky sums carried side by side; 0 for none.
-        delays: s, nodes of rotor delay; one alone is taken as given.
-        rotor_input: what the samples hold of the rotors.
-        lags: s, nodes of motor lag, for commands; the first is none.
-        curves: least and greatest thrust curve, for commands; one value is taken as given.
-        gyro_cutoff: Hz, low-pass of the autopilot on its gyro; None: there is none.
-        settle_interval: s, least time between full fits of a running course, which choose
-            leak and delay; later they come when the record has grown by half.
-        batch_time: s, length of a batch of moments.
-    """
-
-    method: Literal["forward"] | article.Method = "forward"
-    smoother: Literal["window", "td"] = "window"
-    half_width: float = 0.1
-    min_half_samples: int = 4
-    bandwidth: float = 10.0
-    leaks: tuple[float, ...] = (0.0, 0.3, 1.0)
-    delays: tuple[float, ...] = tuple(0.01 * k - 0.015 for k in range(8))
-    rotor_input: RotorInput = "speed"
-    lags: tuple[float, ...] = (0.0,)
-    curves: tuple[float, ...] = (1.0,)
-    gyro_cutoff: float | None = None
-    settle_interval: float = 2.0
-    batch_time: float = 1.0
-
-
-COMMANDS = Tuning(
-    # Commands answer to the gyro's noise: a longer window lets less of that back in.
-    half_width=0.2,
-    rotor_input="command",
-    leaks=(0.0, 0.3),
-    delays=(-0.015, -0.00375, 0.0075, 0.01875, 0.03),
-    lags=(0.0, 0.015, 0.035, 0.06, 0.09, 0.13),
-    curves=(-0.2, 1.2),
-)
-"""Tuning for commands as the rotors' input."""
-_BATCHES, _FEWER_BATCHES = 512, 256
-"""Rows of commands are wide, and their batches large: fewer are kept apart."""
+PriorSource = Callable[[TranslationFit | None], Prior | None]
+"""What is known beforehand, given k_T / m as far as it is known."""
 
 
 @dataclass(frozen=True)
@@ -96,19 +50,41 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class _Followed:
-    """Where a course of quick fits is: its latest, and flight time of its next full one."""
+class _Footing:
+    """What a course of quick fits goes on from.
 
-    fit: rotation.RotationFit
+    Attributes:
+        rotation: fit that is followed.
+        thrust: fit of the momentum balance that is followed; None while it is too early for one.
+        batches: that had begun then.
+        settle: s, flight time of the next full fit.
+    """
+
+    rotation: RotationFit
+    thrust: TranslationFit | None
+    batches: tuple[int, int]
     settle: float
 
 
 @dataclass(frozen=True)
-class _FollowedThrust:
-    """The same of thrust and drag: the latest full fit, and how many batches it rests on."""
+class _Instant:
+    """The moments at one instant.
 
-    fit: TranslationFit
-    batches: int
+    Attributes:
+        rotation: (width, width) with the leak that is followed.
+        rows: in them.
+        noise: (WIDTH, WIDTH) see `rotation.fit_rotation`.
+        momentum: (3, thrusts + 3, thrusts + 3).
+        momentum_rows: in them.
+        seconds: flight time.
+    """
+
+    rotation: Array
+    rows: int
+    noise: Array
+    momentum: Array
+    momentum_rows: int
+    seconds: float
 
 
 class OnlineEstimator:
@@ -124,87 +100,48 @@ class OnlineEstimator:
         self.dt = dt
         self.prior: Prior | None = None
         """What else is known about the rotation; may be set at any time."""
+        self.prior_source: PriorSource | None = None
+        """Renews the prior with each footing and full fit."""
         self.accelerometer_gain: translation.Gain | None = None
         """How the accelerometer reads against gravity, from an earlier segment."""
-        smoother: Smoother
-        half_width = tuning.half_width
-        if tuning.smoother == "td":
-            smoother = DifferentiatorSmoother(dt, tuning.bandwidth)
-        else:
-            half = max(tuning.min_half_samples, round(tuning.half_width / dt))
-            half_width = half * dt
-            smoother = WindowSmoother(dt, half, tuning.delays)
-        self._smoother = smoother
-        self._speed_noise = SpeedNoise(geometry, dt, commands=tuning.rotor_input == "command")
-        self._memories = tuning.leaks
-        # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
-        piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
-        self._held = _Held(piece, geometry.shape[1])
-        commands = tuning.rotor_input == "command"
-        self._basis = basis = RotorBasis(
-            smoother.delays,
-            tuning.lags,
-            tuning.curves,
-            commands=commands,
-            half_width=half_width,
-        )
-        path = RotorPath(geometry, dt, basis, tuning.gyro_cutoff)
-        self._rows = RowMaker(path, basis, smoother)
-        self._row_time = smoother.step * dt
-        per_batch = max(round(tuning.batch_time / self._row_time), 1)
-        self._leaks = LeakySums(self._row_time, tuning.leaks)
-        kept = _FEWER_BATCHES if commands else _BATCHES
-        bank = (len(tuning.leaks), basis.width, basis.width)
-        self._rotation = Moments(bank, per_batch, kept)
+        self._record = FlightRecord(geometry, dt, tuning)
+        self._basis = self._record.basis
         self._settle_interval = tuning.settle_interval
-        self._followed: dict[str, _Followed] = {}
-        self._thrust: dict[str, _FollowedThrust] = {}
+        self._footings: dict[str, _Footing] = {}
         self._coupling: Coupling | None = None
         self._coupling_at = 0.0
-        self._article = (
-            None
-            if tuning.method == "forward"
-            else article.ArticleEstimator(geometry, dt, tuning.method)
-        )
-        width = len(basis.lags) * basis.sets + 3
-        self._momentum = Moments((3, width, width), per_batch, kept)
-        self._accelerometer = Moments((width, width), per_batch, kept)
-
-    def restart(self) -> None:
-        """A gap: what comes next does not join on to what came before."""
-        self._flush()
-        self._rows.restart()
-        self._speed_noise.restart()
-        self._leaks.restart()
-        if self._article:
-            self._article.restart()
-
-    def update(self, samples: Samples) -> None:
-        """Take a block of samples; the outcome does not depend on how they are grouped."""
-        for piece in self._held.add(samples):
-            self._take(piece)
-
-    def _flush(self) -> None:
-        """Take what is held back for want of a whole piece."""
-        rest = self._held.rest()
-        if rest is not None:
-            self._take(rest)
-
-    def _take(self, samples: Samples) -> None:
-        rows = self._rows.update(samples)
-        self._speed_noise.update(samples.speeds)
-        if self._article:
-            self._article.update(samples)
-        if rows.rotation.shape[1] == 0:
-            return
-        self._rotation.add(self._leaks.update(rows.rotation)[:, 0])
-        self._momentum.add(_complete(rows.momentum))
-        self._accelerometer.add(_complete(rows.accelerometer))
 
     @property
     def seconds(self) -> float:
         """Flight time that the rotational estimate rests on."""
-        return self._rotation.rows * self._row_time
+        return self._record.seconds
+
+    @property
+    def speed_std(self) -> Array:
+        """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
+        return self._record.speed_std
+
+    def restart(self) -> None:
+        """A gap: what comes next does not join on to what came before."""
+        self._record.restart()
+
+    def update(self, samples: Samples) -> None:
+        """Take a block of samples; the outcome does not depend on how they are grouped."""
+        for _ in self._record.take(samples):
+            pass
+
+    def follow(self, samples: Samples, stops: Sequence[int], course: str = "") -> list[Fit]:
+        """Take a block of samples, with quick fits on the way.
+
+        Args:
+            samples: n of them.
+            stops: rising, 0 to n: a fit after so many of them.
+            course: see `fit`.
+
+        Returns:
+            A fit for each stop, as `update` and `fit` would give them one by one.
+        """
+        return self._follow(self._record.take(samples, stops), course)
 
     def fit(self, *, quick: bool = False, course: str = "") -> Fit:
         """The estimate from everything so far.
@@ -216,199 +153,234 @@ class OnlineEstimator:
             course: name of the course of quick estimates to go on with. One that decides
                 something must not depend on how often others look.
         """
-        if not quick:
-            self._flush()
-        name = course if quick else None
-        rot = self._fit_rotation(name)
-        at = None if rot is None else rot.coordinates
-        trans, accelerometer = self.fit_translation(name, at)
-        if trans is not None and at is not None and CURVE in self._basis.free:
-            trans = replace(trans, curve_slope=self._curve_slope(trans, at))
+        if quick:
+            return self._follow((None,), course)[0]
+        record = self._record
+        record.flush()
+        self._renew_prior()
+        rot = self._fit_rotation()
+        trans, accelerometer = self.fit_translation(rot)
         validation = None
-        if not quick and self._article is None:
+        if record.article is None:
             validation = validate(
-                self._rotation.batches,
-                self._rotation.counts,
+                record.rotation.batches,
+                record.rotation.counts,
                 self._basis,
                 self._noise(),
-                np.array([self._smoother.noise_gains(m)[1] for m in self._memories]),
+                record.noise_gains(),
                 self.prior,
             )
-        coupling = self._coupling_of(rot, quick=quick)
-        if coupling is not None and coupling.contradicted and not quick:
+        coupling = self._coupling_of(rot)
+        if coupling is not None and coupling.contradicted:
             # What rotors turn against remains to be told: inertia in roll and pitch.
             rot = rotation.fit_rotation(
                 self._without_products(),
-                self._rotation.counts,
+                record.rotation.counts,
                 self._basis,
                 self._noise(),
                 prior=self.prior,
             )
         return Fit(rot, trans, self.seconds, validation, accelerometer, coupling)
 
-    def _coupling_of(self, fit: rotation.RotationFit | None, *, quick: bool) -> Coupling | None:
-        """Whether the body is rigid; between settled fits what the latest said."""
-        if fit is None or self._article is not None or len(self._rotation.batches) < _MIN_BATCHES:
+    def fit_translation(
+        self, at: RotationFit | None = None
+    ) -> tuple[TranslationFit | None, TranslationFit | None]:
+        """Thrust and drag over mass from the better source, and from the accelerometer.
+
+        Args:
+            at: gives the coordinates of the basis; None: its middle.
+        """
+        where = self._coordinates(at)
+        momentum = self._fit_momentum(where)
+        accelerometer = self._fit_accelerometer(where)
+        return self._with_slope(momentum or accelerometer, at), accelerometer
+
+    def forget_last(self, seconds: float) -> None:
+        """Leave out at least the last `seconds` of what was learnt (whole batches)."""
+        self._record.forget_last(seconds)
+        self._footings.clear()
+
+    def _follow(self, stops: Iterable[None], course: str) -> list[Fit]:
+        """Quick fits at stops of what is coming in."""
+        fits: list[Fit] = []
+        waiting: list[_Instant] = []
+        for _ in stops:
+            footing = self._footings.get(course)
+            if footing is None or self.seconds >= footing.settle:
+                if footing is not None:
+                    fits += self._followed(footing, waiting)
+                waiting = []
+                fits.append(self._settle(course))
+                continue
+            waiting.append(self._instant(footing.rotation.leak))
+            if self._is_outdated(footing):
+                fits += self._followed(footing, waiting)
+                waiting = []
+                fits[-1] = self._renewed(course, footing, fits[-1])
+        if waiting:
+            fits += self._followed(self._footings[course], waiting)
+        return fits
+
+    def _instant(self, leak: int) -> _Instant:
+        record = self._record
+        return _Instant(
+            record.rotation.total[leak].copy(),
+            record.rotation.rows,
+            record.noise(leak),
+            record.momentum.total.copy(),
+            record.momentum.rows,
+            self.seconds,
+        )
+
+    def _is_outdated(self, footing: _Footing) -> bool:
+        return (
+            footing.thrust is None
+            or footing.batches != self._record.batches
+            or self._is_coupling_due()
+        )
+
+    def _followed(self, footing: _Footing, instants: Sequence[_Instant]) -> list[Fit]:
+        """Quick fits at several instants, from one footing."""
+        if not instants:
+            return []
+        rotations = rotation.follow_rotation(
+            np.stack([i.rotation for i in instants]),
+            np.array([i.rows for i in instants]),
+            self._basis,
+            np.stack([i.noise for i in instants]),
+            footing.rotation,
+            self.prior,
+        )
+        thrusts: Sequence[TranslationFit | None] = [None] * len(instants)
+        if footing.thrust is not None:
+            weights = [self._basis.thrust_weights(fit.coordinates) for fit in rotations]
+            pairs = zip(weights, instants, strict=True)
+            thrusts = translation.follow_momentum(
+                np.stack([_mixed(w, i.momentum) for w, i in pairs]),
+                np.array([i.momentum_rows for i in instants]),
+                footing.thrust,
+            )
+        return [
+            Fit(rot, self._with_slope(thrust, rot, i.momentum), i.seconds, coupling=self._coupling)
+            for rot, thrust, i in zip(rotations, thrusts, instants, strict=True)
+        ]
+
+    def _renewed(self, course: str, footing: _Footing, fit: Fit) -> Fit:
+        """A quick fit of now with all that is renewed now and then; the next ones go on from it."""
+        record, rot = self._record, fit.rotation
+        assert rot is not None
+        thrust = self._fit_momentum(rot.coordinates)
+        trans = thrust or self._fit_accelerometer(rot.coordinates)
+        followed = rot if footing.batches != record.batches else footing.rotation
+        self._footings[course] = _Footing(followed, thrust, record.batches, footing.settle)
+        self._renew_prior()
+        coupling = self._coupling_of(rot) if self._is_coupling_due() else self._coupling
+        return replace(fit, translation=self._with_slope(trans, rot), coupling=coupling)
+
+    def _settle(self, course: str) -> Fit:
+        """A fit that chooses leak and delay, as a footing for those to come."""
+        self._renew_prior()
+        rot = self._fit_rotation()
+        where = self._coordinates(rot)
+        thrust = self._fit_momentum(where)
+        trans = thrust or self._fit_accelerometer(where)
+        if rot is not None and self._record.article is None:
+            settle = max(self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds)
+            self._footings[course] = _Footing(rot, thrust, self._record.batches, settle)
+        coupling = self._coupling_of(rot) if self._is_coupling_due() else self._coupling
+        return Fit(rot, self._with_slope(trans, rot), self.seconds, coupling=coupling)
+
+    def _renew_prior(self) -> None:
+        if self.prior_source is not None:
+            self.prior = self.prior_source(self.fit_translation()[0])
+
+    def _fit_rotation(self) -> RotationFit | None:
+        record = self._record
+        if record.article:
+            return record.article.fit()
+        moments = record.rotation
+        return rotation.fit_rotation(
+            moments.batches, moments.counts, self._basis, self._noise(), prior=self.prior
+        )
+
+    def _fit_momentum(self, where: Array) -> TranslationFit | None:
+        """Of the momentum balance, at (3,) coordinates; None while it is too early."""
+        record, weights = self._record, self._basis.thrust_weights(where)
+        if record.momentum_seconds <= MIN_MOMENTUM_SECONDS:
             return None
-        if quick and self.seconds < self._coupling_at:
-            return self._coupling
+        batches, total = (
+            _mixed(weights, m) for m in (record.momentum.batches, record.momentum.total)
+        )
+        return translation.fit_momentum(batches, record.momentum.counts, total)
+
+    def _fit_accelerometer(self, where: Array) -> TranslationFit | None:
+        """Of the accelerometer's z axis, at (3,) coordinates."""
+        moments = self._record.accelerometer
+        mixed = _mixed(self._basis.thrust_weights(where), moments.batches)
+        return translation.fit_accelerometer(mixed, moments.counts, self.accelerometer_gain)
+
+    def _coordinates(self, fit: RotationFit | None) -> Array:
+        """(3,) of a fit, or the basis' middle."""
+        where: Array = self._basis.nodes[self._basis.middle] if fit is None else fit.coordinates
+        return where
+
+    def _with_slope(
+        self,
+        fit: TranslationFit | None,
+        at: RotationFit | None,
+        momentum: Array | None = None,
+    ) -> TranslationFit | None:
+        """The fit with how kappa changes with the thrust curve, where that is unknown.
+
+        It is gravity over the mean share of thrust.
+
+        Args:
+            fit: of thrust over mass.
+            at: what else is known.
+            momentum: (3, ...) moments of the momentum balance at that instant; None: of now.
+        """
+        if fit is None or at is None or CURVE not in self._basis.free:
+            return fit
+        total = self._record.momentum.total if momentum is None else momentum
+        if fit.source == "accelerometer":
+            total = self._record.accelerometer.total
+        step = 0.05 * np.eye(3)[CURVE]
+        less, more = (
+            float(mixed[..., 2, 0].ravel()[-1])  # of the vertical axis
+            for c in (at.coordinates - step, at.coordinates + step)
+            for mixed in (_mixed(self._basis.thrust_weights(c), total),)
+        )
+        change = -fit.kappa * (more - less) / (0.5 * (more + less)) / (2.0 * step[CURVE])
+        return replace(fit, curve_slope=float(change))
+
+    def _is_coupling_due(self) -> bool:
+        record = self._record
+        return (
+            record.article is None
+            and len(record.rotation.batches) >= _MIN_BATCHES
+            and self.seconds >= self._coupling_at
+        )
+
+    def _coupling_of(self, fit: RotationFit | None) -> Coupling | None:
+        """Whether the body is rigid; None while that cannot be told."""
+        moments = self._record.rotation
+        if fit is None or self._record.article or len(moments.batches) < _MIN_BATCHES:
+            return None
         self._coupling_at = _SETTLE_GROWTH * self.seconds
-        batches = self._rotation.batches[:, fit.leak]
-        at_fit = self._basis.moments_at(batches, fit.coordinates)
+        at_fit = self._basis.moments_at(moments.batches[:, fit.leak], fit.coordinates)
         self._coupling = gyroscopic_coupling(at_fit, fit.theta)
         return self._coupling
 
     def _without_products(self) -> Array:
         """The moments as if products of rates were zero: of a body without gyroscopic torque."""
-        moments: Array = self._rotation.batches.copy()
+        moments: Array = self._record.rotation.batches.copy()
         places = self._basis.body_places(PRODUCTS)
         moments[..., places, :] = 0.0
         moments[..., :, places] = 0.0
         return moments
 
-    def fit_translation(
-        self, course: str | None = None, at: Array | None = None
-    ) -> tuple[TranslationFit | None, TranslationFit | None]:
-        """Thrust and drag over mass from the better source, and from the accelerometer.
-
-        Args:
-            course: to go on with, of the better source alone; None: both, from the data alone.
-            at: (3,) coordinates of the basis; None: its middle.
-        """
-        where = self._basis.nodes[self._basis.middle] if at is None else at
-        weights = self._basis.thrust_weights(where)
-        momentum = None
-        if self._momentum.rows * self._row_time > MIN_MOMENTUM_SECONDS:
-            momentum = self._fit_momentum(course, weights)
-            if course is not None:
-                return momentum, None
-        accelerometer = translation.fit_accelerometer(
-            _mixed(weights, self._accelerometer.batches),
-            self._accelerometer.counts,
-            self.accelerometer_gain,
-        )
-        return momentum or accelerometer, accelerometer
-
-    def _curve_slope(self, fit: TranslationFit, at: Array) -> float:
-        """Change of kappa with the thrust curve: it is gravity over the mean share of thrust."""
-        moments = self._momentum if fit.source == "momentum" else self._accelerometer
-        step = 0.05 * np.eye(3)[CURVE]
-        less, more = (
-            float(mixed[..., 2, 0].ravel()[-1])  # of the vertical axis
-            for c in (at - step, at + step)
-            for mixed in (_mixed(self._basis.thrust_weights(c), moments.total),)
-        )
-        change: float = -fit.kappa * (more - less) / (0.5 * (more + less)) / (2.0 * step[CURVE])
-        return change
-
-    def _fit_momentum(self, course: str | None, weights: Array) -> TranslationFit | None:
-        moments = self._momentum
-        total = _mixed(weights, moments.total)
-        known = None if course is None else self._thrust.get(course)
-        if known is not None and known.batches == len(moments.batches):
-            return translation.follow_momentum(total, moments.rows, known.fit)
-        fit = translation.fit_momentum(_mixed(weights, moments.batches), moments.counts, total)
-        if course is not None and fit is not None:
-            self._thrust[course] = _FollowedThrust(fit, len(moments.batches))
-        return fit
-
-    @property
-    def speed_std(self) -> Array:
-        """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
-        return self._speed_noise.std
-
-    def forget_last(self, seconds: float) -> None:
-        """Leave out at least the last `seconds` of what was learnt (whole batches)."""
-        self._flush()
-        rows = int(np.ceil(seconds / self._row_time))
-        for moments in (self._rotation, self._momentum, self._accelerometer):
-            moments.drop_last(rows)
-        self._followed.clear()
-        self._thrust.clear()
-
-    def _fit_rotation(self, course: str | None) -> rotation.RotationFit | None:
-        if self._article:
-            return self._article.fit()
-        moments, basis = self._rotation, self._basis
-        known = None if course is None else self._followed.get(course)
-        if course is not None and known is not None and self.seconds < known.settle:
-            latest = rotation.follow_rotation(
-                moments.total[known.fit.leak],
-                moments.rows,
-                basis,
-                self._noise_of(known.fit.leak),
-                known.fit,
-                self.prior,
-            )
-            self._followed[course] = _Followed(latest, known.settle)
-            return latest
-        fit = rotation.fit_rotation(
-            moments.batches, moments.counts, basis, self._noise(), prior=self.prior
-        )
-        if course is not None and fit is not None:
-            settle = max(self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds)
-            self._followed[course] = _Followed(fit, settle)
-        return fit
-
     def _noise(self) -> Array:
-        return np.stack([self._noise_of(leak) for leak in range(len(self._memories))])
-
-    def _noise_of(self, leak: int) -> Array:
-        return self._speed_noise.moments(self._smoother, self._memories[leak])
-
-
-class _Held:
-    """Samples held back until there are enough for a piece.
-
-    Args:
-        size: samples of a piece.
-        rotors: how many there are.
-    """
-
-    def __init__(self, size: int, rotors: int) -> None:
-        edges = np.cumsum([0, 3, 3, rotors, 4, 3, 3])
-        self._buffer = np.empty((size, edges[-1]))
-        self._columns = [slice(a, b) for a, b in pairwise(edges)]
-        self._count = 0
-
-    def add(self, samples: Samples) -> Iterator[Samples]:
-        """The pieces that these samples complete; each is valid until the next."""
-        signals = (
-            samples.gyro,
-            samples.rates,
-            samples.speeds,
-            samples.attitude,
-            samples.force,
-            samples.velocity,
-        )
-        done, n, size = 0, len(samples.gyro), len(self._buffer)
-        while done < n:
-            take = min(n - done, size - self._count)
-            to = slice(self._count, self._count + take)
-            for signal, columns in zip(signals, self._columns, strict=True):
-                self._buffer[to, columns] = signal[done : done + take]
-            done += take
-            self._count += take
-            if self._count == size:
-                self._count = 0
-                yield self._samples(size)
-
-    def rest(self) -> Samples | None:
-        """What is held, if anything."""
-        count, self._count = self._count, 0
-        return self._samples(count) if count else None
-
-    def _samples(self, count: int) -> Samples:
-        return Samples(*(self._buffer[:count, columns] for columns in self._columns))
-
-
-def _complete(rows: Array) -> Array:
-    """Of rows (..., n, width) those in which nothing is missing, in any part."""
-    if np.isfinite(rows.sum()):
-        return rows
-    there = np.isfinite(rows).all(axis=-1)
-    whole: Array = rows[..., there.reshape(-1, rows.shape[-2]).all(axis=0), :]
-    return whole
+        return np.stack([self._record.noise(i) for i in range(len(self._record.memories))])
 
 
 def _mixed(weights: Array, moments: Array) -> Array:

@@ -40,6 +40,15 @@ class Samples:
     force: Array
     velocity: Array
 
+    @property
+    def signals(self) -> tuple[Array, ...]:
+        """All of them, in order."""
+        return self.gyro, self.rates, self.speeds, self.attitude, self.force, self.velocity
+
+    def part(self, where: slice | Mask) -> "Samples":
+        """Some of the samples."""
+        return Samples(*(signal[where] for signal in self.signals))
+
 
 @dataclass(frozen=True)
 class Rows:
@@ -83,6 +92,10 @@ class RowMaker:
         """Forget what a gap separates from the next samples."""
         self._path.restart()
         self._smoother.restart()
+
+    def count_after(self, samples: int) -> int:
+        """How many rows so many more samples will complete."""
+        return self._smoother.count_after(samples)
 
     def update(self, samples: Samples) -> Rows:
         """The rows that these samples complete."""

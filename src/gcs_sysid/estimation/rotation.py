@@ -15,12 +15,13 @@ scores leaves: the curvature-adjusted composite likelihood of Chandler and Bate 
 Biometrika 94, 167-183.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation import basis as coordinate
 from gcs_sysid.estimation.basis import RotorBasis
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
@@ -39,7 +40,7 @@ from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor, sy
 from gcs_sysid.model import rigid_body as rb
 
 _WARM_ITERATIONS, _FOLLOW_ITERATIONS = 6, 2
-_BLIND_STEP = 1.5
+_BLIND_STEP = 3.0
 """Standard deviations; a smaller step of a fit that follows is taken unseen."""
 _HALVINGS = 20
 """A step that leads out of the physical inertias is shortened so often, then not taken."""
@@ -170,44 +171,59 @@ def fit_rotation(
         closer = problem.evaluate(earlier).cost < problem.evaluate(unknowns).cost
         unknowns = np.where(closer[:, None], earlier, unknowns)
         point, converged = minimise(problem, unknowns, _WARM_ITERATIONS)
-    fits = []
-    for i in range(len(bank)):
-        outcome = _Outcome(problem, point, i, noise[i])
-        spread = inflation(outcome.roots[1], meat(outcome.scores(batches[:, i], counts)))
-        widening = student_factor(outcome.shares(batches[:, i]))
-        fits.append(outcome.fit(spread, widening, bool(converged[i]), i))
-    return min(fits, key=uncertainty)
+    outcome = _Outcome(problem, point, noise)
+    inverse_roots = outcome.roots[1]
+    scatter = [
+        (
+            inflation(inverse_roots[i], meat(outcome.scores(i, batches[:, i], counts))),
+            student_factor(outcome.shares(i, batches[:, i])),
+        )
+        for i in range(len(bank))
+    ]
+    spread, widening = (np.stack(parts) for parts in zip(*scatter, strict=True))
+    return min(outcome.fits(spread, widening, converged, range(len(bank))), key=uncertainty)
 
 
 def follow_rotation(
-    total: Array,
-    rows: int,
+    totals: Array,
+    rows: Array,
     basis: RotorBasis,
     noise: Array,
     start: RotationFit,
     prior: Prior | None = None,
-) -> RotationFit:
+) -> list[RotationFit]:
     """Follow a growing record from an earlier fit: a step or two with its leak.
 
     How far the score scatters is taken over from the earlier fit, as it hardly changes.
 
     Args:
-        total: (width, width) moments of all rows, with the leak of `start`.
-        rows: in them.
+        totals: (K, width, width) moments of all rows at K instants, with the leak of `start`.
+        rows: (K,) in them.
         basis: of the elements.
-        noise: (WIDTH, WIDTH) as of `fit_rotation`.
+        noise: (K, WIDTH, WIDTH) as of `fit_rotation`.
         start: a fit of the same record when it was shorter.
         prior: what else is known.
+
+    Returns:
+        K fits, each of which depends on `start` and its own instant alone.
     """
     assert start.footing is not None
-    problem = Problem(total[None], rows, basis, prior)
+    problem = Problem(totals, rows, basis, prior)
     unknowns = start.footing.unknowns[None]
     scatter = start.footing.inflation, start.footing.widening
-    outcome = _Outcome(problem, problem.evaluate(unknowns), 0, noise)
-    if outcome.take_step(_BLIND_STEP):
-        return outcome.fit(*scatter, start.converged, start.leak)
-    point, converged = minimise(problem, unknowns, _FOLLOW_ITERATIONS)
-    return _Outcome(problem, point, 0, noise).fit(*scatter, bool(converged[0]), start.leak)
+    outcome = _Outcome(problem, problem.evaluate(unknowns), noise)
+    near = outcome.take_step(_BLIND_STEP)
+    fits = outcome.fits(*scatter, [start.converged] * len(rows), [start.leak] * len(rows))
+    if not near.all():
+        far = ~near
+        alone = Problem(totals[far], rows[far], basis, prior)
+        starts = np.repeat(unknowns, len(alone.rows), axis=0)
+        point, converged = minimise(alone, starts, _FOLLOW_ITERATIONS)
+        leaks = [start.leak] * len(converged)
+        better = _Outcome(alone, point, noise[far]).fits(*scatter, converged, leaks)
+        for i, fit in zip(np.flatnonzero(far), better, strict=True):
+            fits[i] = fit
+    return fits
 
 
 def uncertainty(fit: RotationFit) -> float:
@@ -216,160 +232,172 @@ def uncertainty(fit: RotationFit) -> float:
 
 
 class _Outcome:
-    """What follows from the minimum of one hypothesis.
+    """What follows from points near the minima of K hypotheses.
 
     Args:
         problem: that was solved.
         point: its solution.
-        index: of the hypothesis.
-        noise: (WIDTH, WIDTH) that known noise of the inputs adds to the moments of a row.
+        noise: (K, WIDTH, WIDTH) that known noise of the inputs adds to the moments of a row.
     """
 
-    def __init__(self, problem: Problem, point: Point, index: int, noise: Array) -> None:
+    def __init__(self, problem: Problem, point: Point, noise: Array) -> None:
         self._problem = problem
         self._noise = noise
-        self._unknowns: Array = point.unknowns[index]
-        self._gradient: Array = point.gradient[index]
-        self._hessian = point.hessian[index]
-        self._residual = point.residual[index]
-        self._index = index
-        self._scale = scales(self._hessian)
-        self._Q, self._W, self._WG = point.Q[index], point.W[index], point.WG[index]
+        self._point = point
+        self._unknowns: Array = point.unknowns
+        self._gradient: Array = point.gradient
+        self._scale = scales(point.hessian)
+        self._scales = self._scale[:, :, None] * self._scale[:, None, :]
         # A direction that the data do not see at all keeps a huge, finite variance.
-        self.roots = symmetric_roots(self._hessian / (self._scale[:, None] * self._scale))
-        """(p, p) root of the scaled information, and its inverse."""
+        self.roots = symmetric_roots(point.hessian / self._scales)
+        """(K, p, p) roots of the scaled information, and of its inverse."""
 
-    def scores(self, batches: Array, counts: NDArray[np.int64]) -> Array:
+    def scores(self, i: int, batches: Array, counts: NDArray[np.int64]) -> Array:
         """(k, p) scaled downhill gradient of half the cost, batch by batch.
 
         Args:
+            i: of the hypothesis.
             batches: (k, width, width) of this hypothesis.
             counts: (k,) rows in each.
         """
-        k, f = len(batches), len(self._problem.basis.free)
-        P = self._problem.maps(self._unknowns[None])[0]
-        TP = residual_maker(self._Q) @ P
+        k, f, point = len(batches), len(self._problem.basis.free), self._point
+        P = self._problem.maps(self._unknowns[i : i + 1])[0]
+        TP = residual_maker(point.Q[i]) @ P
         TPM = TP[:1] @ batches[:, None]
-        scores = (TPM[:, 0] @ P[0].T)[..., :N_X].reshape(k, -1) @ self._WG.T
+        scores = (TPM[:, 0] @ P[0].T)[..., :N_X].reshape(k, -1) @ point.WG[i].T
         if f:
-            slopes = TPM.reshape(k, -1) @ (self._W @ TP[1:]).reshape(f, -1).T
+            slopes = TPM.reshape(k, -1) @ (point.W[i] @ TP[1:]).reshape(f, -1).T
             scores = np.column_stack([scores, -slopes])
         # Away from the likelihood's own minimum all batches pull one way; that is no scatter.
         scores -= np.outer(counts / counts.sum(), scores.sum(axis=0))
-        scaled: Array = scores / self._scale
+        scaled: Array = scores / self._scale[i]
         return scaled
 
-    def shares(self, batches: Array) -> Array:
+    def shares(self, i: int, batches: Array) -> Array:
         """(k, p) what each batch is expected to add to the variance of each unknown.
 
         The diagonal of H^-1 H_b H^-1, H_b the information of a batch; any scale.
 
         Args:
+            i: of the hypothesis.
             batches: (k, width, width) of this hypothesis.
         """
-        k, n, inverse_root = len(batches), rb.N_THETA, self.roots[1]
-        basis = self._problem.basis
-        P = self._problem.maps(self._unknowns[None])[0]
+        k, n, inverse_root, point = len(batches), rb.N_THETA, self.roots[1][i], self._point
+        basis, W = self._problem.basis, point.W[i]
+        P = self._problem.maps(self._unknowns[i : i + 1])[0]
         moments = P[0] @ batches @ P[0].T
-        inverse = (inverse_root @ inverse_root) / (self._scale[:, None] * self._scale)
-        weighted = (inverse[:n, :n] @ self._WG.reshape(n, -1)).reshape(n, 3, N_X)
-        moved = np.linalg.inv(self._W) @ weighted
+        inverse = (inverse_root @ inverse_root) / self._scales[i]
+        weighted = (inverse[:n, :n] @ point.WG[i].reshape(n, -1)).reshape(n, 3, N_X)
+        moved = np.linalg.inv(W) @ weighted
         shares: Array = moments[:, :N_X, :N_X].reshape(k, -1) @ (
             (np.swapaxes(moved, 1, 2) @ weighted).reshape(n, -1).T
         )
         if basis.free:
-            TP = residual_maker(self._Q) @ P[1:]
-            bends = ((self._W @ TP) * (TP @ batches[:, None])).sum(axis=(2, 3))
+            TP = residual_maker(point.Q[i]) @ P[1:]
+            bends = ((W @ TP) * (TP @ batches[:, None])).sum(axis=(2, 3))
             shares = np.column_stack([shares, bends])
         return shares
 
-    def take_step(self, largest: float) -> bool:
-        """Go on by a Gauss-Newton step, unless that is longer than so many deviations."""
+    def take_step(self, largest: float) -> Mask:
+        """Go on by a Gauss-Newton step where that is no longer than so many deviations.
+
+        Returns:
+            (K,) where it was taken.
+        """
         problem, d = self._problem, self._scale
         root, inverse_root = self.roots
         downhill = self._gradient / d
         if problem.prior is None:
-            step = inverse_root @ (inverse_root @ downhill)
+            step = _times(inverse_root, _times(inverse_root, downhill))
         else:
             downhill = downhill + problem.prior_pull(self._unknowns) / d
-            step = np.linalg.solve(
-                root @ root + problem.prior_information() / (d[:, None] * d), downhill
-            )
-        if step @ downhill > largest**2:
-            return False
-        moved = self._moved(step / d)
-        self._gradient = self._gradient - self._hessian @ (moved - self._unknowns)[problem.free]
+            information = root @ root + problem.prior_information() / self._scales
+            step = np.linalg.solve(information, downhill[..., None])[..., 0]
+        near: Mask = (step * downhill).sum(axis=1) <= largest**2
+        moved = self._moved(np.where(near[:, None], step / d, 0.0))
+        way = (moved - self._unknowns)[:, problem.free]
+        self._gradient = self._gradient - _times(self._point.hessian, way)
         self._unknowns = moved
-        return True
+        return near
 
-    def fit(self, spread: Array, widening: Array, converged: bool, leak: int) -> RotationFit:
-        """The estimate.
+    def fits(
+        self, spread: Array, widening: Array, converged: Iterable[bool], leaks: Iterable[int]
+    ) -> list[RotationFit]:
+        """The K estimates.
 
         Args:
-            spread: (p, p) inflation of the covariance.
-            widening: (p,) factors on the standard deviations.
-            converged: whether the minimum was reached.
-            leak: index of the leak.
+            spread: (K, p, p) or (p, p) inflation of the covariance.
+            widening: (K, p) or (p,) factors on the standard deviations.
+            converged: whether each minimum was reached.
+            leaks: index of each one's leak.
         """
-        problem, d, p, n = self._problem, self._scale, self._problem.p, rb.N_THETA
+        problem, point, d, n = self._problem, self._point, self._scale, rb.N_THETA
+        K, p = d.shape
+        spread, widening = np.broadcast_to(spread, (K, p, p)), np.broadcast_to(widening, (K, p))
         root, inverse_root = self.roots
         prior = problem.prior
         # Noise on the inputs makes least squares underrate them; what that does to the gradient
         # is known, and one Newton step takes it back (first-order correction for errors in
         # variables).
-        pull = np.zeros(p)
-        noise = problem.rows * self._noise
-        pull[:n] = self._WG @ (self._Q @ noise[:N_X, :N_X] - noise[N_X:, :N_X]).reshape(-1)
-        wider = widening[:, None] * inverse_root
-        data_covariance = wider @ spread @ wider.T
+        pull = np.zeros((K, p))
+        noise = problem.rows[:, None, None] * self._noise
+        excess = point.Q @ noise[:, :N_X, :N_X] - noise[:, N_X:, :N_X]
+        pull[:, :n] = _times(point.WG, excess.reshape(K, -1))
+        wider = widening[:, :, None] * inverse_root
+        data_covariance = wider @ spread @ np.swapaxes(wider, 1, 2)
         covariance = data_covariance
         if prior is None:
-            step = inverse_root @ (inverse_root @ (pull / d))
+            step = _times(inverse_root, _times(inverse_root, pull / d))
         else:
             pull += self._gradient
-            coordinates, basis = self._unknowns[COORDINATES], problem.basis
+            coordinates, basis = self._unknowns[:, COORDINATES], problem.basis
             inside = (coordinates > basis.low) & (coordinates < basis.high)
-            pull[n:] *= inside[list(basis.free)]
-            held = (root / widening[:, None]) @ np.linalg.inv(spread)
+            pull[:, n:] *= inside[:, list(basis.free)]
+            held = (root / widening[:, :, None]) @ np.linalg.inv(spread)
             covariance = np.linalg.inv(
-                held @ (root / widening)
-                + problem.prior_information() / (d[:, None] * d)
+                held @ (root / widening[:, None, :])
+                + problem.prior_information() / self._scales
                 + 1e-15 * np.eye(p)
             )
-            step = covariance @ (
-                held @ (inverse_root @ (pull / (d * widening)))
-                + problem.prior_pull(self._unknowns) / d
-            )
+            told = _times(held, _times(inverse_root, pull / (d * widening)))
+            step = _times(covariance, told + problem.prior_pull(self._unknowns) / d)
         unknowns = self._moved(step / d)
-        covariance = covariance / (d[:, None] * d)
-        full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
-        full[np.ix_(problem.free, problem.free)] = covariance
-        power = self._powers()
-        return RotationFit(
-            theta=unknowns[:n],
-            covariance=full[:n, :n],
-            residual_covariance=self._residual,
-            r_squared=1.0 - np.diag(self._residual) / np.maximum(power, 1e-300),
-            rows=problem.rows,
-            converged=converged,
-            coordinates=unknowns[COORDINATES],
-            leak=leak,
-            data_std=(np.sqrt(np.diag(data_covariance)) / d)[:n],
-            full_covariance=full,
-            footing=Footing(self._unknowns, spread, widening),
-        )
-
-    def _powers(self) -> Array:
-        """(3,) mean squares of the angular accelerations."""
-        powers: Array = np.diag(self._problem.bank[self._index])[-3:] / self._problem.rows
-        return powers
+        full = np.zeros((K, N_UNKNOWNS, N_UNKNOWNS))
+        full[:, problem.free[:, None], problem.free] = covariance / self._scales
+        data_std = np.sqrt(np.diagonal(data_covariance, axis1=1, axis2=2)) / d
+        rows = problem.rows[:, None]
+        own, all_ = (np.diagonal(m, axis1=1, axis2=2) for m in (point.residual, problem.bank))
+        r_squared = 1.0 - own / np.maximum(all_[:, -3:] / rows, 1e-300)
+        return [
+            RotationFit(
+                theta=unknowns[i, :n],
+                covariance=full[i, :n, :n],
+                residual_covariance=point.residual[i],
+                r_squared=r_squared[i],
+                rows=int(problem.rows[i]),
+                converged=bool(reached),
+                coordinates=unknowns[i, COORDINATES],
+                leak=leak,
+                data_std=data_std[i, :n],
+                full_covariance=full[i],
+                footing=Footing(self._unknowns[i], spread[i], widening[i]),
+            )
+            for i, (reached, leak) in enumerate(zip(converged, leaks, strict=True))
+        ]
 
     def _moved(self, step: Array) -> Array:
-        """The unknowns after a step, shortened until the inertia is physical."""
+        """(K, N_UNKNOWNS) after a (K, p) step, shortened until the inertia is physical."""
         for _ in range(_HALVINGS):
             unknowns = self._problem.moved(self._unknowns, step)
-            if rb.is_physical(unknowns):
+            physical = rb.are_physical(unknowns)
+            if physical.all():
                 return unknowns
-            step = 0.5 * step
-        start: Array = self._unknowns
-        return start
+            step = np.where(physical[:, None], step, 0.5 * step)
+        physical = rb.are_physical(unknowns)
+        return np.where(physical[:, None], unknowns, self._unknowns)
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """(K, a) products of (K, a, b) and (K, b)."""
+    products: Array = (matrices @ vectors[..., None])[..., 0]
+    return products

@@ -22,8 +22,10 @@ COORDINATE_STD = np.array([0.03, 0.05, 0.5])
 
 MAX_ITERATIONS = 40
 _SCAN_ITERATIONS, _STARTS = 8, 4
-_CONVERGED = 1e-7
+_CONVERGED = 1e-6
 """Steps smaller than this many standard deviations change nothing."""
+_UNSEEN = 1e-2
+"""Smaller ones are taken without looking at the cost: what they gain is lost in its rounding."""
 _DAMPING = 1e-4
 _ALIKE = 3e-13
 """Share of all residual power that every axis has at least: weights stay finite."""
@@ -74,14 +76,17 @@ class Problem:
 
     Args:
         bank: (K, width, width) moments of rows of elements.
-        rows: in each.
+        rows: in each; (K,) where they are not equally many.
         basis: of the elements; what it leaves free is fitted.
         prior: what else is known.
     """
 
-    def __init__(self, bank: Array, rows: int, basis: RotorBasis, prior: Prior | None) -> None:
+    def __init__(
+        self, bank: Array, rows: Array | int, basis: RotorBasis, prior: Prior | None
+    ) -> None:
         self.bank = bank
-        self.rows = rows
+        self.rows: Array = np.full(len(bank), rows, dtype=float)
+        """(K,) in each."""
         self.basis = basis
         self.prior = prior
         coordinates = rb.N_THETA + np.array(basis.free, dtype=int)
@@ -138,8 +143,9 @@ class Problem:
         return smallest
 
     def evaluate(self, unknowns: Array) -> Point:
-        """Cost and its derivatives at (K, N_UNKNOWNS)."""
-        K, n, f = len(unknowns), rb.N_THETA, len(self.basis.free)
+        """Cost and its derivatives at (K, N_UNKNOWNS), or at (1, N_UNKNOWNS) for all."""
+        K, n, f = len(self.bank), rb.N_THETA, len(self.basis.free)
+        rows = self.rows[:, None, None]
         P = self.maps(unknowns)
         P0 = np.swapaxes(P[:, 0], -1, -2)
         moments = P[:, 0] @ self.bank @ P0
@@ -149,18 +155,18 @@ class Problem:
         TP = T[:, None] @ P
         TPM = TP @ self.bank[:, None]
         cross = TPM @ P0[:, None]
-        S = TPM[:, 0] @ np.swapaxes(TP[:, 0], -1, -2) / self.rows
+        S = TPM[:, 0] @ np.swapaxes(TP[:, 0], -1, -2) / rows
         # Without noise only rounding is left of large terms; that keeps it definite.
         sizes = moments[:, _DIAGONAL, _DIAGONAL]
         own = S[:, _AXES, _AXES]
         S[:, _AXES, _AXES] = own + (
-            (T * T @ sizes[..., None])[..., 0] * (_EPSILON / self.rows)
+            (T * T @ sizes[..., None])[..., 0] * (_EPSILON / rows[..., 0])
             + (_ALIKE * own.sum(axis=1) + 1e-300)[:, None]
         )
         cost = np.linalg.slogdet(S)[1]
         W = np.linalg.inv(S)
         WG = (W[:, None] @ G).reshape(K, n, 3 * N_X)
-        GR = (G.reshape(K, n * 3, N_X) @ moments[:, :N_X, :N_X]).reshape(K, n, 3 * N_X)
+        GR = (G.reshape(len(G), n * 3, N_X) @ moments[:, :N_X, :N_X]).reshape(K, n, 3 * N_X)
         hessian = np.empty((K, self.p, self.p))
         hessian[:, :n, :n] = WG @ np.swapaxes(GR, -1, -2)
         right = cross[..., :N_X].reshape(K, -1, 3 * N_X)
@@ -179,6 +185,8 @@ class Problem:
             hessian[:, n:, n:] = bends + np.diag(self._information)
         if self.prior is not None:
             cost = cost + self.prior.cost(unknowns) / self.rows
+        if len(unknowns) < K:
+            unknowns, Q = (np.broadcast_to(v, (K, *v.shape[1:])) for v in (unknowns, Q))
         return Point(unknowns, cost, gradient, hessian, S, Q, W, WG)
 
 
@@ -192,9 +200,10 @@ def scan(problem: Problem, unknowns: Array) -> Array:
     every[:, COORDINATES] = np.tile(basis.nodes, (leaks, 1))
     P = basis.maps(basis.nodes)[:, 0]
     there = (P @ problem.bank[:, None] @ np.swapaxes(P, 1, 2)).reshape(-1, WIDTH, WIDTH)
-    given = Problem(there, problem.rows, PLAIN, problem.prior)
+    rows = np.repeat(problem.rows, nodes)
+    given = Problem(there, rows, PLAIN, problem.prior)
     point, _ = minimise(given, every, _SCAN_ITERATIONS)
-    cost = point.cost + problem.weak_cost(every) / problem.rows
+    cost = point.cost + problem.weak_cost(every) / rows
     starts = 1 if len(basis.free) == 1 else _STARTS
     best = np.argsort(cost.reshape(leaks, nodes), axis=1)[:, :starts]
     found = point.unknowns.reshape(leaks, nodes, -1)
@@ -207,7 +216,8 @@ def search(problem: Problem, starts: Array) -> tuple[Point, Mask]:
     s, leaks, _ = starts.shape
     if s == 1:
         return minimise(problem, starts[0], MAX_ITERATIONS)
-    wide = Problem(np.tile(problem.bank, (s, 1, 1)), problem.rows, problem.basis, problem.prior)
+    bank, rows = np.tile(problem.bank, (s, 1, 1)), np.tile(problem.rows, s)
+    wide = Problem(bank, rows, problem.basis, problem.prior)
     point, converged = minimise(wide, starts.reshape(s * leaks, -1), MAX_ITERATIONS)
     best = np.argmin(point.cost.reshape(s, leaks), axis=0) * leaks + np.arange(leaks)
     return Point(*(values[best] for values in vars(point).values())), converged[best]
@@ -228,6 +238,7 @@ def minimise(problem: Problem, unknowns: Array, limit: int) -> tuple[Point, Mask
     damping = np.full(K, _DAMPING)
     converged = np.zeros(K, dtype=bool)
     eye = np.eye(p)
+    gain = np.full(K, np.inf)
     point = problem.evaluate(unknowns)
     for _ in range(limit):
         gradient, hessian = point.gradient, point.hessian
@@ -239,13 +250,15 @@ def minimise(problem: Problem, unknowns: Array, limit: int) -> tuple[Point, Mask
         downhill = gradient / d
         step = np.linalg.solve(H, downhill[..., None])[..., 0]
         # How much the cost can still fall, in units of the likelihood.
-        small = (step * downhill).sum(axis=1) < _CONVERGED**2
+        before, gain = gain, (step * downhill).sum(axis=1)
+        # Steps that do not become shorter any more are rounding.
+        small = (gain < _CONVERGED**2) | ((gain < _UNSEEN**2) & (gain > 0.5 * before))
         candidate = problem.moved(point.unknowns, step / d)
         physical = rb.are_physical(candidate)
         if not physical.all():
             candidate = np.where(physical[:, None], candidate, point.unknowns)
         tried = problem.evaluate(candidate)
-        better = physical & (tried.cost <= point.cost) & ~converged
+        better = physical & ((tried.cost <= point.cost) | (gain < _UNSEEN**2)) & ~converged
         point = point.where(better, tried)
         damping = np.where(better, np.maximum(damping * 0.1, 1e-12), damping * 10.0)
         # No step however small helps any more: rounding has the last word.

@@ -83,18 +83,21 @@ class Level:
 
     def update(self, frame: Array, floor: Array) -> None:
         """Take a frame (n, channels); a channel with less than half of it present is held."""
-        for c in np.flatnonzero(2 * np.isfinite(frame).sum(axis=0) > len(frame)):
-            e = frame[np.isfinite(frame[:, c]), c]
-            if self.frames[c] == 0:
-                self.mean[c] = np.median(e)
-                # Rough: the frames that follow in the warm-up outweigh it.
-                self.variance[c] = max((1.5 * np.median(np.abs(e - self.mean[c]))) ** 2, 1e-12)
-            gain = max(1.0 / (self.frames[c] + 1), self._least_gain)
-            limit = 4.0 * max(np.sqrt(self.variance[c]), floor[c])
-            d = np.clip(e - self.mean[c], -limit, limit)
-            self.mean[c] += gain * d.mean()
-            self.variance[c] += gain * (np.mean(d * d) - self.variance[c])
-            self.frames[c] += 1
+        there = np.isfinite(frame)
+        count = there.sum(axis=0)
+        enough = 2 * count > len(frame)
+        for c in np.flatnonzero(enough & (self.frames == 0)):
+            e = frame[there[:, c], c]
+            self.mean[c] = np.median(e)
+            # Rough: the frames that follow in the warm-up outweigh it.
+            self.variance[c] = max((1.5 * np.median(np.abs(e - self.mean[c]))) ** 2, 1e-12)
+        share = np.where(enough, np.maximum(1.0 / (self.frames + 1), self._least_gain), 0.0)
+        limit = 4.0 * np.maximum(np.sqrt(self.variance), floor)
+        d = np.where(there, np.clip(frame - self.mean, -limit, limit), 0.0)
+        count = np.maximum(count, 1)
+        self.mean += share * d.sum(axis=0) / count
+        self.variance += share * ((d * d).sum(axis=0) / count - self.variance)
+        self.frames += enough
 
     def std(self, floor: Array) -> Array:
         """(channels,) noise level, at least the floor."""
@@ -122,8 +125,15 @@ class Baseline:
             low: (channels,) values count as no less than this: an outlier moves little.
             high: (channels,) nor as more than this.
         """
-        before = np.full_like(values, np.nan)
         keep = self._keep
+        weights = [1.0 - keep], [1.0, -keep]
+        if np.isfinite(values.sum()) and np.isfinite(self.last.sum()):
+            clipped = np.clip(values, low, high)
+            after, _ = lfilter(*weights, clipped, axis=0, zi=keep * self.last[None])
+            whole: Array = np.concatenate([self.last[None], after[:-1]])
+            self.last = after[-1].copy()
+            return whole
+        before = np.full_like(values, np.nan)
         for c in range(values.shape[1]):
             there = np.isfinite(values[:, c])
             v = np.clip(values[there, c], low[c], high[c])
@@ -131,7 +141,7 @@ class Baseline:
                 continue
             if np.isnan(self.last[c]):
                 self.last[c] = v[0]
-            after, _ = lfilter([1.0 - keep], [1.0, -keep], v, zi=[keep * self.last[c]])
-            before[there, c] = np.append(self.last[c], after[:-1])
-            self.last[c] = after[-1]
+            filtered, _ = lfilter(*weights, v, zi=[keep * self.last[c]])
+            before[there, c] = np.append(self.last[c], filtered[:-1])
+            self.last[c] = filtered[-1]
         return before

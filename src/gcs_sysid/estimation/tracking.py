@@ -10,7 +10,8 @@ A landing ends a flight. The next is estimated apart until it can be told whethe
 the same (`estimation.flights`): if so, the estimate goes on with both; else a segment has ended.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -18,20 +19,22 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask, runs
 from gcs_sysid.estimation.change_kinds import Cause
 from gcs_sysid.estimation.changes import Change, ChangeDetector, ChangeTuning
-from gcs_sysid.estimation.flights import Trial, is_another, part_of
-from gcs_sysid.estimation.online import Fit, OnlineEstimator, Tuning
+from gcs_sysid.estimation.flights import Trial, is_another
+from gcs_sysid.estimation.online import Fit, OnlineEstimator, PriorSource
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.regression import Samples
-from gcs_sysid.estimation.translation import TranslationFit, accelerometer_gain
+from gcs_sysid.estimation.translation import accelerometer_gain
+from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
-
-PriorSource = Callable[[TranslationFit | None], Prior | None]
-"""What is known beforehand, given k_T / m as far as it is known."""
 
 _ARM_EVERY, _ARM_GROWTH = 1.0, 1.2
 """s between new references of the detector, and growth of the record, whichever is later."""
 _LOOK_EVERY = 0.1
 """s between decisions."""
+_MOST_AT_ONCE = 4096
+"""Samples."""
+_HELD_BACK = 0.3
+"""s, more than samples wait in the estimator."""
 _CONTAMINATED = 0.3
 """s before a change's onset that are forgotten too: windows reach over it."""
 _INERTIA_MOVES, _CG_MOVES = 0.25, 0.2
@@ -80,6 +83,14 @@ class Event:
     segment: int | None
 
 
+@dataclass(frozen=True)
+class Point:
+    """Of a course: a quick fit, and the number of segments that had ended before it."""
+
+    fit: Fit
+    segment: int
+
+
 class Tracker:
     """Follows a vehicle through its changes.
 
@@ -116,13 +127,13 @@ class Tracker:
         self._tuning = tuning
         self._keep = keep
         self._estimator = OnlineEstimator(geometry, dt, tuning)
-        self._prior_source = prior
+        self._estimator.prior_source = prior
         self._next: OnlineEstimator | None = None
         self._next_start = 0.0
         self._next_kept: list[Samples] = []
         self._pending: Event | None = None
         self._arm_at = 0.0
-        self._count = 0
+        self._count = self._hasty = 0
         self._frame = max(round(_LOOK_EVERY / dt), 1)
         self._changes = changes
         self._detector = None if changes is None else ChangeDetector(geometry, dt, changes)
@@ -150,30 +161,38 @@ class Tracker:
         if self._keep and self.kept:
             self.kept.append(_gap(self.kept[-1]))
 
-    def update(self, t: Array, samples: Samples, flying: Mask | None = None) -> bool:
+    def update(
+        self,
+        t: Array,
+        samples: Samples,
+        flying: Mask | None = None,
+        stops: Sequence[int] = (),
+    ) -> list[Point]:
         """Take a block of samples; how they are grouped is one.
 
         Args:
             t: (n,) s, session times.
             samples: n of them.
             flying: (n,) whether the vehicle flies; those on the ground are not looked at.
+            stops: rising, 0 to n: a quick fit after so many of them.
 
         Returns:
-            Whether an event came of it.
+            A point of the course for each stop.
         """
-        known = len(self.events)
+        points: list[Point] = []
         for run, aloft in runs(np.ones(len(t), dtype=bool) if flying is None else flying):
+            # A stop between two runs is the end of the first.
+            here = [stop - run.start for stop in stops[len(points) :] if stop <= run.stop]
             if aloft:
-                self._fly(t[run], part_of(samples, run))
+                points += self._fly(t[run], samples.part(run), here)
             else:
                 self._stand(t[run])
-        return len(self.events) > known
+                points += self._idle(len(here))
+        return points
 
-    def finish(self) -> bool:
-        """Decide what is undecided, because nothing more will come. Returns as `update`."""
-        known = len(self.events)
+    def finish(self) -> None:
+        """Decide what is undecided, because nothing more will come."""
         self._end_trial()
-        return len(self.events) > known
 
     def _stand(self, t: Array) -> None:
         """Take the (n,) times of samples on the ground."""
@@ -203,12 +222,12 @@ class Tracker:
         while left > 0 and self.kept:
             last = self.kept.pop()
             if len(last.gyro) > left:
-                self.kept.append(part_of(last, slice(0, -left)))
+                self.kept.append(last.part(slice(0, -left)))
             left -= len(last.gyro)
         if self.kept:
             self.kept.append(_gap(self.kept[-1]))
 
-    def _fly(self, t: Array, samples: Samples) -> None:
+    def _fly(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[Point]:
         """Take samples of flight."""
         if self.start is None:
             self.start = float(t[0])
@@ -222,14 +241,20 @@ class Tracker:
             self._trial = Trial(fresh, landed, float(t[0]))
         self._newest = float(t[-1])
         if self._trial is None:
-            self._follow(t, samples)
-            return
+            return self._follow(t, samples, stops)
         room = self._trial.room
-        self._trial.take(t[:room], part_of(samples, slice(0, room)))
+        points = self._idle(sum(stop <= room for stop in stops))
+        self._trial.take(t[:room], samples.part(slice(0, room)))
         if len(t) >= room:
             self._end_trial()
         if len(t) > room:
-            self._follow(t[room:], part_of(samples, slice(room, None)))
+            later = [stop - room for stop in stops[len(points) :]]
+            points += self._follow(t[room:], samples.part(slice(room, None)), later)
+        return points
+
+    def _idle(self, count: int) -> list[Point]:
+        """What stops show while nothing is learnt."""
+        return [Point(self.fit(quick=True), len(self.segments))] * count if count else []
 
     def _end_trial(self) -> None:
         """Tell whether the vehicle is the same, and go on with what the trial has seen."""
@@ -254,40 +279,67 @@ class Tracker:
             if part is None:
                 self._break()
             else:
-                self._follow(*part)
+                self._follow(*part, ())
 
-    def _follow(self, t: Array, samples: Samples) -> None:
+    def _follow(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[Point]:
         """Learn from samples of the vehicle that is being followed."""
+        points: list[Point] = []
         done = 0
         while done < len(t) and not self.stopped:
             # What is decided, is decided after a fixed number of samples.
-            stop = min(done + self._frame - self._count % self._frame, len(t))
+            stop = min(done + self._quiet_samples(), len(t))
             part = slice(done, stop)
-            self._take(t[part], part_of(samples, part))
+            here = [s - done for s in stops[len(points) :] if s <= stop]
+            taken = self._take(t[part], samples.part(part), here)
+            if taken is None:
+                # A change: again from there, deciding as often as ever.
+                self._hasty = stop - done
+                continue
+            points += taken
+            self._hasty = max(self._hasty - (stop - done), 0)
             self._count += stop - done
             done = stop
             if self._count % self._frame == 0:
                 self._look()
+        return points + self._idle(len(stops) - len(points))
 
-    def _take(self, t: Array, samples: Samples) -> None:
+    def _quiet_samples(self) -> int:
+        """Samples in which nothing is decided, if no change is detected."""
+        frame = self._frame - self._count % self._frame
+        if self._detector is None:
+            return _MOST_AT_ONCE
+        if self._next is not None or self._hasty:
+            return frame
+        quiet = self._arm_at - self._estimator.seconds - _HELD_BACK
+        return frame + self._frame * max(int(quiet / (self._frame * self.dt)) - 1, 0)
+
+    def _take(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[Point] | None:
+        """Take samples; None where many were tried at once, and there is a change in them."""
         detector = self._detector
         if detector is None:
-            self._learn(samples)
-            return
+            return self._learn(samples, stops)
+        at_once = len(t) > self._frame
+        known = deepcopy(detector) if at_once else detector
         found = detector.update(samples)
+        points: list[Point] = []
         if found:
+            if at_once:
+                self._detector = known
+                return None
             after = round((detector.seconds - found[0].detected) / self.dt)
             self._suspect(found[0], float(t[-1]))
-            known = len(t) - min(after, len(t))
-            self._learn(part_of(samples, slice(0, known)))
-            self._next_start = float(t[min(known, len(t) - 1)])
-            samples = part_of(samples, slice(known, None))
+            before = len(t) - min(after, len(t))
+            here = [stop for stop in stops if stop <= before]
+            points = self._learn(samples.part(slice(0, before)), here)
+            self._next_start = float(t[min(before, len(t) - 1)])
+            samples = samples.part(slice(before, None))
         if self._next is None:
-            self._learn(samples)
-        elif len(samples.gyro):
+            return self._learn(samples, stops)
+        if len(samples.gyro):
             self._next.update(samples)
             if self._keep:
                 self._next_kept.append(samples)
+        return points + self._idle(len(stops) - len(points))
 
     def _look(self) -> None:
         """Decide what there is to decide; give the detector a better reference."""
@@ -305,14 +357,13 @@ class Tracker:
 
     def fit(self, *, quick: bool = False, course: str = "") -> Fit:
         """The fit in force; see `OnlineEstimator.fit`."""
-        if self._prior_source is not None and not self.segments:
-            self._estimator.prior = self._prior_source(self._estimator.fit_translation()[0])
         return self._estimator.fit(quick=quick, course=course)
 
-    def _learn(self, samples: Samples) -> None:
-        self._estimator.update(samples)
+    def _learn(self, samples: Samples, stops: Sequence[int]) -> list[Point]:
         if self._keep:
             self.kept.append(samples)
+        fits = self._estimator.follow(samples, stops)
+        return [Point(fit, len(self.segments)) for fit in fits]
 
     def _suspect(self, change: Change, now: float) -> None:
         assert self._detector is not None

@@ -98,31 +98,45 @@ def fit_momentum(
     rows = int(counts.sum())
     if rows < _MIN_ROWS:
         return None
-    balance = _Balance(batches.sum(axis=0) if total is None else total, rows, _MOMENTUM)
+    total = batches.sum(axis=0) if total is None else total
+    balance = _Balance(total[None], np.array([rows]), _MOMENTUM)
     balance.converge()
-    return _momentum(balance, balance.inflation(batches))
+    return _momentum(balance, balance.inflation(batches))[0]
 
 
-def follow_momentum(total: Array, rows: int, start: TranslationFit) -> TranslationFit:
+def follow_momentum(totals: Array, rows: Array, start: TranslationFit) -> list[TranslationFit]:
     """Follow a growing record from an earlier fit; how far its score scatters is taken over.
 
     Args:
-        total: (3, WIDTH, WIDTH) moments of all rows.
-        rows: in them.
+        totals: (K, 3, WIDTH, WIDTH) moments of all rows at K instants.
+        rows: (K,) in them.
         start: a fit of the same record when it was shorter.
+
+    Returns:
+        K fits.
     """
     assert start.footing is not None
-    balance = _Balance(total, rows, _MOMENTUM)
+    balance = _Balance(totals, rows, _MOMENTUM)
     balance.step(start.footing.weights)
     return _momentum(balance, start.footing.inflation)
 
 
-def _momentum(balance: "_Balance", inflated: Array) -> TranslationFit:
-    std = np.sqrt(np.diag(balance.covariance(inflated)))
-    kappa, delta = -float(balance.estimate[0]), -float(balance.estimate[1])
-    kappa_std = float(np.hypot(std[0], TILT_ERROR_SHARE * kappa))
-    footing = Footing(balance.weights, inflated)
-    return TranslationFit(kappa, kappa_std, delta, float(std[1]), "momentum", footing)
+def _momentum(balance: "_Balance", inflated: Array) -> list[TranslationFit]:
+    variance = np.diagonal(balance.covariance(inflated), axis1=1, axis2=2)
+    kappas, deltas = -balance.estimate[:, 0], -balance.estimate[:, 1]
+    kappa_stds = np.hypot(np.sqrt(variance[:, 0]), TILT_ERROR_SHARE * kappas)
+    delta_stds = np.sqrt(variance[:, 1])
+    return [
+        TranslationFit(
+            float(kappas[i]),
+            float(kappa_stds[i]),
+            float(deltas[i]),
+            float(delta_stds[i]),
+            "momentum",
+            Footing(weights, inflated),
+        )
+        for i, weights in enumerate(balance.weights)
+    ]
 
 
 def accelerometer_gain(
@@ -155,10 +169,10 @@ def fit_accelerometer(
     if rows < (_MIN_ROWS if gain is None else _MIN_CALIBRATED_ROWS):
         return None
     total = batches.sum(axis=0)
-    balance = _Balance(total[None], rows, _VERTICAL)
+    balance = _Balance(total[None, None], np.array([rows]), _VERTICAL)
     balance.converge()
-    kappa = -float(balance.estimate[0])
-    std = float(np.sqrt(balance.covariance(balance.inflation(batches[:, None]))[0, 0]))
+    kappa = -float(balance.estimate[0, 0])
+    std = float(np.sqrt(balance.covariance(balance.inflation(batches[:, None]))[0, 0, 0]))
     if gain is not None:
         # A window's worth of neighbouring rows counts once: early on no batches tell that.
         share = float(np.hypot(_ROWS_IN_WINDOW * std / abs(kappa), gain.share))
@@ -192,33 +206,37 @@ class _Balance:
     """Least squares over several axes that share unknowns, weighted by each axis' residual.
 
     Args:
-        total: (axes, WIDTH, WIDTH) moments of all rows.
-        rows: in them.
+        totals: (K, axes, WIDTH, WIDTH) moments of all rows, at K instants.
+        rows: (K,) in them.
         layout: (axes, inputs, unknowns): inputs of an axis as combinations of unknowns.
 
     Attributes:
-        estimate: (unknowns,) after a step.
-        weights: (axes,) that follow from its residuals.
+        estimate: (K, unknowns) after a step.
+        weights: (K, axes) that follow from its residuals.
     """
 
-    def __init__(self, total: Array, rows: int, layout: Array) -> None:
-        self._layout, self._rows = layout, rows
+    def __init__(self, totals: Array, rows: Array, layout: Array) -> None:
+        self._layout, self._rows = layout, rows[:, None]
         axes, inputs, unknowns = layout.shape
         turned = np.swapaxes(layout, 1, 2)
-        self._normals = turned @ total[:, :inputs, :inputs] @ layout
-        self._rights = (turned @ total[:, :inputs, 3:])[:, :, 0]
-        self._powers = total[:, 3, 3]
-        self._floor = np.maximum(1e-12 * self._powers / rows, 1e-300)
-        self.estimate = np.zeros(unknowns)
-        self.weights = np.ones(axes)
+        self._normals = turned @ totals[..., :inputs, :inputs] @ layout
+        self._rights = (turned @ totals[..., :inputs, 3:])[..., 0]
+        self._powers = totals[..., 3, 3]
+        self._floor = np.maximum(1e-12 * self._powers / self._rows, 1e-300)
+        self.estimate = np.zeros((len(totals), unknowns))
+        self.weights = np.ones((len(totals), axes))
 
     def step(self, weights: Array) -> None:
-        """Solve with these weights."""
-        normal = self._normal(weights)
-        d = np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
-        scaled = normal / (d[:, None] * d) + 1e-12 * np.eye(len(d))
-        self.estimate = np.linalg.solve(scaled, weights @ self._rights / d) / d
-        fitted = (2.0 * self._rights - self._normals @ self.estimate) @ self.estimate
+        """Solve with (K, axes) weights, or (axes,) for all."""
+        weights = weights[..., None]
+        normal = (weights[..., None] * self._normals).sum(axis=1)
+        right = (weights * self._rights).sum(axis=1)
+        d = _scales(normal)
+        scaled = normal / (d[:, :, None] * d[:, None, :]) + 1e-12 * np.eye(d.shape[1])
+        self.estimate = np.linalg.solve(scaled, (right / d)[..., None])[..., 0] / d
+        estimate = self.estimate[:, None, :, None]
+        halfway = 2.0 * self._rights - (self._normals @ estimate)[..., 0]
+        fitted = (halfway * self.estimate[:, None]).sum(axis=2)
         self.weights = 1.0 / np.maximum((self._powers - fitted) / self._rows, self._floor)
 
     def converge(self) -> None:
@@ -233,29 +251,31 @@ class _Balance:
         """(unknowns, unknowns) by how much coloured residuals widen the covariance.
 
         Args:
-            batches: (k, axes, WIDTH, WIDTH).
+            batches: (k, axes, WIDTH, WIDTH) of the only instant.
         """
         axes, inputs, unknowns = self._layout.shape
         made = np.ones((axes, inputs + 1, 1))
-        made[:, :inputs, 0] = -self._layout @ self.estimate
+        made[:, :inputs, 0] = -self._layout @ self.estimate[0]
         residual = (batches[:, :, :inputs] @ made).reshape(len(batches), -1)
-        weighted = self.weights[:, None, None] * self._layout
+        weighted = self.weights[0, :, None, None] * self._layout
         scores = residual @ weighted.reshape(axes * inputs, unknowns)
-        d, (_, inverse_root) = self._roots()
-        return inflation(inverse_root, meat(scores / d))
+        d, inverse_root = self._inverse_root()
+        return inflation(inverse_root[0], meat(scores / d[0]))
 
     def covariance(self, inflated: Array) -> Array:
-        """(unknowns, unknowns), given that inflation."""
-        d, (_, inverse_root) = self._roots()
-        covariance: Array = inverse_root @ inflated @ inverse_root / (d[:, None] * d)
+        """(K, unknowns, unknowns), given that inflation."""
+        d, inverse_root = self._inverse_root()
+        scaled = inverse_root @ inflated @ inverse_root
+        covariance: Array = scaled / (d[:, :, None] * d[:, None, :])
         return covariance
 
-    def _roots(self) -> tuple[Array, tuple[Array, Array]]:
-        """(unknowns,) scales, and roots of the scaled information and its inverse."""
-        normal = self._normal(self.weights)
-        d = np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
-        return d, symmetric_roots(normal / (d[:, None] * d))
+    def _inverse_root(self) -> tuple[Array, Array]:
+        """(K, unknowns) scales, and the root of the inverse of the scaled information."""
+        normal = (self.weights[..., None, None] * self._normals).sum(axis=1)
+        d = _scales(normal)
+        return d, symmetric_roots(normal / (d[:, :, None] * d[:, None, :]))[1]
 
-    def _normal(self, weights: Array) -> Array:
-        normal: Array = np.tensordot(weights, self._normals, 1)
-        return normal
+
+def _scales(normal: Array) -> Array:
+    scales: Array = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))
+    return scales

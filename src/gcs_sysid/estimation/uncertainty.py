@@ -66,10 +66,11 @@ def inflation(inverse_root: Array, scatter: Array) -> Array:
 
 
 def symmetric_roots(matrix: Array, ridge: float = _RIDGE) -> tuple[Array, Array]:
-    """Symmetric roots of a (p, p) matrix, ridge added, and of its inverse."""
+    """Symmetric roots of (..., p, p) matrices, ridge added, and of their inverses."""
     values, vectors = np.linalg.eigh(matrix)
-    roots = np.sqrt(np.maximum(values, 0.0) + max(ridge, 1e-300))
-    return (vectors * roots) @ vectors.T, (vectors / roots) @ vectors.T
+    roots = np.sqrt(np.maximum(values, 0.0) + max(ridge, 1e-300))[..., None, :]
+    turned = np.swapaxes(vectors, -1, -2)
+    return (vectors * roots) @ turned, (vectors / roots) @ turned
 
 
 def student_factor(shares: Array) -> Array:

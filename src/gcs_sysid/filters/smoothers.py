@@ -54,6 +54,10 @@ class Smoother(Protocol):
         """What comes next does not join on to what came before."""
         ...
 
+    def count_after(self, samples: int) -> int:
+        """How many rows so many more samples will complete."""
+        ...
+
     def update(self, signals: Array, late: int) -> Smoothed:
         """(n, m) samples to rows; the first `late` signals are taken at every delay too."""
         ...
@@ -93,11 +97,16 @@ class WindowSmoother:
         """What comes next does not join on to what came before."""
         self._pending = None
 
+    def count_after(self, samples: int) -> int:
+        """How many rows so many more samples will complete."""
+        known = 0 if self._pending is None else len(self._pending)
+        return max((known + samples - self._window.length) // self.step + 1, 0)
+
     def update(self, signals: Array, late: int) -> Smoothed:
         """(n, m) samples to rows; the first `late` signals are taken at every delay too."""
+        count = self.count_after(len(signals))
         if self._pending is not None:
             signals = np.concatenate([self._pending, signals])
-        count = max((len(signals) - self._window.length) // self.step + 1, 0)
         self._pending = signals[count * self.step :]
         if count == 0:
             none = np.empty((len(self.delays), 0, late))
@@ -164,6 +173,10 @@ class DifferentiatorSmoother:
         """What comes next does not join on to what came before."""
         self._filter.restart()
         self._held = None
+
+    def count_after(self, samples: int) -> int:
+        """How many rows so many more samples will complete."""
+        return len(range(self._next_row, samples, self.step))
 
     def update(self, signals: Array, late: int) -> Smoothed:
         """(n, m) samples to rows."""

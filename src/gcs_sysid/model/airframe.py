@@ -98,6 +98,11 @@ class Airframe:
         """Mean distance of the rotors from the geometric centre, in m."""
         return sum(math.hypot(r.x, r.y) for r in self.rotors) / len(self.rotors)
 
+    def as_json(self) -> dict[str, Any]:
+        """Name and rotors, as a result tells what it rests on."""
+        rotors = [{"x": r.x, "y": r.y, "spin": "ccw" if r.spin > 0 else "cw"} for r in self.rotors]
+        return {"name": self.name, "rotors": rotors}
+
     def anchor(self) -> tuple[AnchorName, float] | None:
         """The scale anchor given, or None."""
         for name in ANCHORS:

@@ -113,22 +113,17 @@ def are_physical(elements: Array) -> Mask:
     That is so when the second-moment matrix tr(J)/2 - J is positive definite, which holds both
     J > 0 and the triangle inequality of the principal moments.
     """
-    if elements.ndim == 2 and len(elements) == 1:
-        return np.array([is_physical(elements[0])])
-    J = inertia_matrix(elements)
-    half_trace = 0.5 * np.trace(J, axis1=-2, axis2=-1)
-    largest = np.linalg.eigvalsh(J)[..., -1]
-    return np.asarray(half_trace - largest > 0.0)
-
-
-def is_physical(elements: Array) -> bool:
-    """Whether a rigid body can have this inertia matrix; one set of elements, see above."""
-    xx, yy, zz, xy, yz, xz = elements[:N_INERTIA].tolist()
+    xx, yy, zz, xy, yz, xz = (elements[..., i] for i in range(N_INERTIA))
     # Sylvester's criterion on tr(J)/2 - J.
     a, b, c = 0.5 * (yy + zz - xx), 0.5 * (zz + xx - yy), 0.5 * (xx + yy - zz)
     minor = a * b - xy * xy
     determinant = c * minor - a * yz * yz - b * xz * xz - 2.0 * xy * yz * xz
-    return bool(a > 0.0 and minor > 0.0 and determinant > 0.0)
+    return np.asarray((a > 0.0) & (minor > 0.0) & (determinant > 0.0))
+
+
+def is_physical(elements: Array) -> bool:
+    """Whether a rigid body can have this inertia matrix; one set of elements, see above."""
+    return bool(are_physical(elements))
 
 
 def forward_matrix(theta: Array) -> Array:

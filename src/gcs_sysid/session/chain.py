@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.anchors import Anchor, relative_prior, resolve_scale
 from gcs_sysid.estimation.changes import ChangeTuning
 from gcs_sysid.estimation.offline import OfflineFit, fit_offline
-from gcs_sysid.estimation.online import COMMANDS, Fit, Tuning
+from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.parameters import (
     WEAK_BELOW_R2,
     Value,
@@ -27,6 +28,7 @@ from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.estimation.tuning import COMMANDS, Tuning
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import TIMING
 from gcs_sysid.records import Record, Stream
@@ -106,7 +108,7 @@ class Chain:
         self._told = 0
         self._usable = True
         self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
-        self._next_refit = -np.inf
+        self._course_number = 0.0
         self._fit = Fit(None, None, 0.0)
         self._offline: OfflineFit | None = None
         self._course = CourseRecorder()
@@ -123,7 +125,8 @@ class Chain:
         """Use what is still held back and give the final result."""
         for block in self.sampler.finish():
             self._take(block)
-        if self._tracker is not None and self._tracker.finish():
+        if self._tracker is not None:
+            self._tracker.finish()
             self._tell_events(self._tracker)
         result = self.refit()
         speeds = self.rotor_input == "speed"
@@ -220,6 +223,7 @@ class Chain:
                 for name, (value, std) in self.airframe.priors.items()
             },
             telemetry=self._telemetry(),
+            airframe=self.airframe.as_json(),
         )
 
     def _values(self, fit: Fit, anchor: Anchor) -> dict[str, Value]:
@@ -375,16 +379,24 @@ class Chain:
         elif block.fresh:
             tracker.restart()
         self._tell_rate()
-        if tracker.update(block.t, block.samples, block.flying):
-            self._tell_events(tracker)
-        if self._course_step is None or self.t < self._next_refit - 1e-6:
-            return False
-        # On average at the interval asked for, although blocks end a little early or late.
-        behind = self.t - self._next_refit > self._course_step
-        self._next_refit = (self.t if behind else self._next_refit) + self._course_step
-        self._fit = tracker.fit(quick=True)
-        self._course.append(self.t, self._values(self._fit, self.anchor))
-        return True
+        stops = self._stops(block.t)
+        points = tracker.update(block.t, block.samples, block.flying, stops)
+        self._tell_events(tracker)
+        for stop, point in zip(stops, points, strict=True):
+            self._fit = point.fit
+            values = self._values(point.fit, self._anchors[point.segment])
+            self._course.append(float(block.t[stop - 1]), values)
+        return bool(points)
+
+    def _stops(self, t: Array) -> list[int]:
+        """After how many samples at (n,) times the estimate is renewed."""
+        if self._course_step is None:
+            return []
+        # Times are rounded; a sample that is early by so little is on time.
+        number = np.floor(t / self._course_step + 1e-3)
+        renewed = np.diff(number, prepend=self._course_number) > 0.0
+        self._course_number = max(float(number[-1]), self._course_number)
+        return [int(i) + 1 for i in np.flatnonzero(renewed)]
 
     def _tell_rate(self) -> None:
         """Say when the IMU becomes too slow for the grid, and when it no longer is."""

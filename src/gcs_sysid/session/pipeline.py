@@ -7,6 +7,7 @@ the same numbers.
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from datetime import UTC, datetime
 from typing import Any
 
 from gcs_sysid.estimation.anchors import Anchor
@@ -19,6 +20,8 @@ from gcs_sysid.telemetry.logs import Log, Telemetry
 
 _MAX_EVENTS = 1000
 _RECORDS_AT_ONCE = 4096
+_SENSIBLE = (946_684_800.0, 4_102_444_800.0)
+"""Unix times of the years 2000 and 2100: a record cannot be from outside."""
 
 
 class Pipeline:
@@ -46,6 +49,7 @@ class Pipeline:
         self._wanted = wanted
         self.chain = Chain(airframe, options, anchor)
         self._events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
+        self._recorded: datetime | None = None
 
     def take(self, frames: Iterable[Frame]) -> bool:
         """Take frames in the order received. Returns whether the estimate was renewed."""
@@ -74,6 +78,8 @@ class Pipeline:
                 progress(log.share_read)
         for event in log.take_events():
             self._take_event(event)
+        if log.recorded is not None and _SENSIBLE[0] <= log.recorded < _SENSIBLE[1]:
+            self._recorded = datetime.fromtimestamp(log.recorded, UTC)
         if progress:
             progress(1.0)
 
@@ -107,11 +113,14 @@ class Pipeline:
             heard = f"; heard: {others}" if others else ""
             which = " the wanted" if self._wanted else " any"
             reasons = (f"no heartbeat of{which} autopilot was heard{heard}",)
+        telemetry = {**self._telemetry.as_dict(), **result.telemetry}
+        if self._recorded is not None:
+            telemetry["recorded"] = f"{self._recorded:%Y-%m-%d %H:%M} UTC"
         return replace(
             result,
             source=self.source,
             reasons=reasons,
             vehicle=vehicle.as_dict() if vehicle else {},
             events=tuple(sorted([*self._events, *result.events], key=lambda event: event["t"])),
-            telemetry={**self._telemetry.as_dict(), **result.telemetry},
+            telemetry=telemetry,
         )

@@ -92,6 +92,8 @@ class Result:
     priors: dict[str, Any] = field(default_factory=dict)
     """What was known beforehand: name -> value and std."""
     telemetry: dict[str, Any] = field(default_factory=dict)
+    airframe: dict[str, Any] = field(default_factory=dict)
+    """Name and rotors that the identification rests on, as in airframe files."""
 
     def as_json(self) -> dict[str, Any]:
         """The result as the dictionary that `--json` writes."""
@@ -101,6 +103,7 @@ class Result:
             "reasons": list(self.reasons),
             "source": self.source,
             "vehicle": self.vehicle,
+            "airframe": self.airframe,
             "scale": None if self.scale is None else self.scale.as_json(),
             "estimator": self.estimator,
             "rotor_input": self.rotor_input,

@@ -153,7 +153,6 @@ class Intake:
             frames.validity[chosens] == BAD_CRC,
         )
         self.monitor.take_imu_times(taken.imu_times)
-        self.drift.take_block(now[good], frames.time_us[good] * 1e-6)
         rare = beats | (good & np.isin(frames.message_id, _RARE))
         clock = self.decoder.clock
         end = clock.now
@@ -161,6 +160,8 @@ class Intake:
             clock.now = float(now[row])
             self._take_rare(frames.number + row, frames.frame(row), out)
         clock.now = end
+        made = out.orders(frames.number) - frames.number
+        self.drift.take_block(now[made], frames.time_us[made] * 1e-6)
         return stop
 
     def _count(self, frames: FrameBlock) -> None:
@@ -177,8 +178,9 @@ class Intake:
         self._put(order, record, out)
 
     def _take_single(self, order: int, time_us: int, frame: Frame, out: TrackCollector) -> None:
-        self._put(order, self.frame(frame), out)
-        if self.clock is not None and frame.valid is Validity.OK and self.selector.is_chosen(frame):
+        record = self.frame(frame)
+        self._put(order, record, out)
+        if record is not None and self.clock is not None:
             self.drift.take(self.clock, time_us * 1e-6)
 
     def _put(self, order: int, record: Record | None, out: TrackCollector) -> None:

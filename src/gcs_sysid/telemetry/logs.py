@@ -56,6 +56,9 @@ class Log(Telemetry, Protocol):
     kind: str
     """"tlog", "ulog" or "dataflash"."""
 
+    recorded: float | None
+    """When it begins, seconds of Unix time; None when the log does not say, or is not yet read."""
+
     def blocks(self) -> Iterator[RecordBlock]:
         """The records of the chosen vehicle, once, as columns; blocks follow each other.
 
@@ -78,6 +81,7 @@ class TlogLog:
     """What a ground station recorded."""
 
     kind = "tlog"
+    recorded: float | None = None
 
     def __init__(self, path: Path, wanted: tuple[int, int | None] | None = None) -> None:
         self.intake = Intake(wanted)
@@ -88,6 +92,8 @@ class TlogLog:
     def blocks(self) -> Iterator[RecordBlock]:
         """As `Log` says."""
         for frames in self._reader.blocks():
+            if self.recorded is None:
+                self.recorded = float(frames.time_us[0]) * 1e-6
             yield self.intake.block(frames)
 
     def records(self) -> Iterator[Record]:
@@ -135,6 +141,7 @@ class OnboardLog:
     """What the autopilot recorded itself: all of one vehicle, read at once."""
 
     drift_ppm: float | None = None
+    recorded: float | None = None
 
     def __init__(
         self, kind: str, recording: Recording, wanted: tuple[int, int | None] | None = None

@@ -123,6 +123,14 @@ class TrackCollector:
             key = record.stream, record.source, record.offset, len(record.values)
             self._single.setdefault(key, []).append((order, record))
 
+    def orders(self, first: int) -> Array:
+        """(n,) rising, where the records stand that came with `first` or after it."""
+        single = [n for some in (self.parameters, *self._single.values()) for n, _ in some]
+        parts = [order for pieces in self._pieces.values() for order, _, _ in pieces]
+        orders = np.concatenate([np.array(single, np.int64), *parts])
+        made: Array = np.sort(orders[orders >= first])
+        return made
+
     def block(self) -> RecordBlock:
         """All of it."""
         for key in list(self._single):

@@ -1,0 +1,268 @@
+"""What a flight leaves behind for the fits: moments of rows, in bounded memory."""
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.estimation import article
+from gcs_sysid.estimation.basis import RotorBasis
+from gcs_sysid.estimation.moments import Moments
+from gcs_sysid.estimation.regression import LeakySums, RowMaker, Rows, Samples
+from gcs_sysid.estimation.rotors import RotorPath
+from gcs_sysid.estimation.speed_noise import SpeedNoise
+from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.filters.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
+
+_PIECE_TIME = 0.1
+"""s of samples that are taken at once."""
+_BATCHES, _FEWER_BATCHES = 512, 256
+"""Rows of commands are wide, and their batches large: fewer are kept apart."""
+
+
+class FlightRecord:
+    """Samples in; moments out.
+
+    Args:
+        geometry: (3, rotors) of the airframe.
+        dt: s between samples.
+        tuning: settings.
+
+    Attributes:
+        basis: of the rotors' part of the rows.
+        rotation: (leaks, width, width) moments of the rotation.
+        momentum: (3, thrusts + 3, ...) of the momentum balance.
+        accelerometer: (thrusts + 3, ...) of its z axis.
+        article: the article's estimator, where that is asked for.
+    """
+
+    def __init__(self, geometry: Array, dt: float, tuning: Tuning) -> None:
+        smoother: Smoother
+        half_width = tuning.half_width
+        if tuning.smoother == "td":
+            smoother = DifferentiatorSmoother(dt, tuning.bandwidth)
+        else:
+            half = max(tuning.min_half_samples, round(tuning.half_width / dt))
+            half_width = half * dt
+            smoother = WindowSmoother(dt, half, tuning.delays)
+        self._smoother = smoother
+        commands = tuning.rotor_input == "command"
+        self._speed_noise = SpeedNoise(geometry, dt, commands=commands)
+        self.memories = tuning.leaks
+        # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
+        piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
+        self._held = _Held(piece, geometry.shape[1])
+        self.basis = basis = RotorBasis(
+            smoother.delays,
+            tuning.lags,
+            tuning.curves,
+            commands=commands,
+            half_width=half_width,
+        )
+        path = RotorPath(geometry, dt, basis, tuning.gyro_cutoff)
+        self._rows = RowMaker(path, basis, smoother)
+        self._row_time = smoother.step * dt
+        per_batch = max(round(tuning.batch_time / self._row_time), 1)
+        self._leaks = LeakySums(self._row_time, tuning.leaks)
+        kept = _FEWER_BATCHES if commands else _BATCHES
+        bank = (len(tuning.leaks), basis.width, basis.width)
+        self.rotation = Moments(bank, per_batch, kept)
+        self.article = (
+            None
+            if tuning.method == "forward"
+            else article.ArticleEstimator(geometry, dt, tuning.method)
+        )
+        width = len(basis.lags) * basis.sets + 3
+        self.momentum = Moments((3, width, width), per_batch, kept)
+        self.accelerometer = Moments((width, width), per_batch, kept)
+
+    def restart(self) -> None:
+        """A gap: what comes next does not join on to what came before."""
+        self.flush()
+        self._rows.restart()
+        self._speed_noise.restart()
+        self._leaks.restart()
+        if self.article:
+            self.article.restart()
+
+    def take(self, samples: Samples, stops: Sequence[int] = ()) -> Iterator[None]:
+        """Take a block of samples; the outcome does not depend on how they are grouped.
+
+        Args:
+            samples: n of them.
+            stops: rising, 0 to n.
+
+        Yields:
+            After each stop, when so many of the samples have been taken; but for less than a
+            piece, 0.1 s, which is held back.
+        """
+        ends = self._held.ends(stops)
+        pieces = self._held.add(samples)
+        if pieces is None:
+            yield from (None for _ in stops)
+        else:
+            yield from self._take(pieces, ends)
+
+    def flush(self) -> None:
+        """Take what is held back for want of a whole piece."""
+        rest = self._held.rest()
+        if rest is not None:
+            for _ in self._take(rest, ()):
+                pass
+
+    def _take(self, samples: Samples, ends: Sequence[int]) -> Iterator[None]:
+        """Make rows of all samples at once; add them up from each end to the next."""
+        edges = [0, *ends, len(samples.gyro)]
+        counts = [self._rows.count_after(end) for end in edges]
+        sections = _Sections(self._rows.update(samples), self._leaks)
+        for number, (part, rows) in enumerate(zip(pairwise(edges), pairwise(counts), strict=True)):
+            piece = slice(*part)
+            if part[0] < part[1]:
+                self._speed_noise.update(samples.speeds[piece])
+                if self.article:
+                    self.article.update(samples.part(piece))
+            if rows[0] < rows[1]:
+                self.rotation.add(sections.rotation(*rows))
+                self.momentum.add(sections.momentum(*rows))
+                self.accelerometer.add(sections.accelerometer(*rows))
+            if number < len(ends):
+                yield
+
+    @property
+    def seconds(self) -> float:
+        """Flight time that the moments of the rotation are of."""
+        return self.rotation.rows * self._row_time
+
+    @property
+    def momentum_seconds(self) -> float:
+        """Flight time that those of the momentum balance are of."""
+        return self.momentum.rows * self._row_time
+
+    @property
+    def batches(self) -> tuple[int, int]:
+        """How many batches of rotation and momentum have begun."""
+        return len(self.rotation.batches), len(self.momentum.batches)
+
+    @property
+    def speed_std(self) -> Array:
+        """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
+        return self._speed_noise.std
+
+    def noise(self, leak: int) -> Array:
+        """(WIDTH, WIDTH) what known noise of the inputs adds to the moments of one row."""
+        return self._speed_noise.moments(self._smoother, self.memories[leak])
+
+    def noise_gains(self) -> Array:
+        """(leaks,) variance of a row's derivative over that of white noise of the gyro."""
+        return np.array([self._smoother.noise_gains(m)[1] for m in self.memories])
+
+    def forget_last(self, seconds: float) -> None:
+        """Leave out at least the last `seconds` of what was learnt (whole batches)."""
+        self.flush()
+        rows = int(np.ceil(seconds / self._row_time))
+        for moments in (self.rotation, self.momentum, self.accelerometer):
+            moments.drop_last(rows)
+
+
+class _Sections:
+    """Complete rows of a block, by index among all of its rows.
+
+    Args:
+        rows: of the block.
+        leaks: to sum up those of the rotation.
+    """
+
+    def __init__(self, rows: Rows, leaks: LeakySums) -> None:
+        self._rotation = leaks.update(rows.rotation)[:, 0]
+        self._of_rotation = _places(rows.rotation)
+        self._momentum, self._of_momentum = _kept(rows.momentum)
+        self._accelerometer, self._of_accelerometer = _kept(rows.accelerometer)
+
+    def rotation(self, start: int, stop: int) -> Array:
+        """(leaks, m, width) of rows start to stop."""
+        return _between(self._rotation, self._of_rotation, start, stop)
+
+    def momentum(self, start: int, stop: int) -> Array:
+        """(3, m, width)"""
+        return _between(self._momentum, self._of_momentum, start, stop)
+
+    def accelerometer(self, start: int, stop: int) -> Array:
+        """(m, width)"""
+        return _between(self._accelerometer, self._of_accelerometer, start, stop)
+
+
+_Places = Array | None
+"""(n + 1,) how many complete rows come before each; None where all are."""
+
+
+def _between(rows: Array, places: _Places, start: int, stop: int) -> Array:
+    if places is not None:
+        start, stop = int(places[start]), int(places[stop])
+    part: Array = rows[..., start:stop, :]
+    return part
+
+
+def _kept(rows: Array) -> tuple[Array, _Places]:
+    """The complete ones of (..., n, width) rows, and their places."""
+    places = _places(rows)
+    if places is None:
+        return rows, None
+    kept: Array = rows[..., np.diff(places) > 0, :]
+    return kept, places
+
+
+def _places(rows: Array) -> _Places:
+    if np.isfinite(rows.sum()):
+        return None
+    sums: Array = rows.sum(axis=-1).reshape(-1, rows.shape[-2]).sum(axis=0)
+    whole: Mask = np.isfinite(sums)
+    return np.concatenate([[0], np.cumsum(whole)])
+
+
+class _Held:
+    """Samples held back until there are enough for a piece.
+
+    Args:
+        size: samples of a piece.
+        rotors: how many there are.
+    """
+
+    def __init__(self, size: int, rotors: int) -> None:
+        edges = np.cumsum([0, 3, 3, rotors, 4, 3, 3])
+        self._size = size
+        self._buffer = np.empty((size, edges[-1]))
+        self._columns = [slice(a, b) for a, b in pairwise(edges)]
+        self._count = 0
+
+    def ends(self, stops: Sequence[int]) -> list[int]:
+        """How many samples whole pieces hold, once so many more samples have come."""
+        return [(self._count + stop) // self._size * self._size for stop in stops]
+
+    def add(self, samples: Samples) -> Samples | None:
+        """The whole pieces that these samples complete; valid until the next."""
+        signals, n = samples.signals, len(samples.gyro)
+        whole = (self._count + n) // self._size * self._size
+        taken = 0
+        pieces = None
+        if whole:
+            taken = whole - self._count
+            if self._count:
+                held = (self._buffer[: self._count, columns] for columns in self._columns)
+                signals_of = zip(held, signals, strict=True)
+                pieces = Samples(*(np.concatenate([h, s[:taken]]) for h, s in signals_of))
+            else:
+                pieces = samples.part(slice(0, taken))
+            self._count = 0
+        to = slice(self._count, self._count + n - taken)
+        for signal, columns in zip(signals, self._columns, strict=True):
+            self._buffer[to, columns] = signal[taken:]
+        self._count = to.stop
+        return pieces
+
+    def rest(self) -> Samples | None:
+        """What is held, if anything."""
+        count, self._count = self._count, 0
+        if not count:
+            return None
+        return Samples(*(self._buffer[:count, columns] for columns in self._columns))

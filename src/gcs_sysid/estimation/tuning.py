@@ -1,0 +1,55 @@
+"""Settings of the online estimator."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from gcs_sysid.estimation import article
+from gcs_sysid.estimation.rotors import RotorInput
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Settings of the online estimator.
+
+    Attributes:
+        method: "forward", or one of the article's variants, for study (`estimation.article`).
+        smoother: "window" (symmetric, the default) or "td" (linear tracking differentiator).
+        half_width: s, half of the window, at high sample rates.
+        min_half_samples: the window's half never has fewer samples than this.
+        bandwidth: rad/s, R of the differentiator.
+        leaks: s, memories of the leaky sums carried side by side; 0 for none.
+        delays: s, nodes of rotor delay; one alone is taken as given.
+        rotor_input: what the samples hold of the rotors.
+        lags: s, nodes of motor lag, for commands; the first is none.
+        curves: least and greatest thrust curve, for commands; one value is taken as given.
+        gyro_cutoff: Hz, low-pass of the autopilot on its gyro; None: there is none.
+        settle_interval: s, least time between full fits of a running course, which choose
+            leak and delay; later they come when the record has grown by half.
+        batch_time: s, length of a batch of moments.
+    """
+
+    method: Literal["forward"] | article.Method = "forward"
+    smoother: Literal["window", "td"] = "window"
+    half_width: float = 0.1
+    min_half_samples: int = 4
+    bandwidth: float = 10.0
+    leaks: tuple[float, ...] = (0.0, 0.3, 1.0)
+    delays: tuple[float, ...] = tuple(0.01 * k - 0.015 for k in range(8))
+    rotor_input: RotorInput = "speed"
+    lags: tuple[float, ...] = (0.0,)
+    curves: tuple[float, ...] = (1.0,)
+    gyro_cutoff: float | None = None
+    settle_interval: float = 2.0
+    batch_time: float = 1.0
+
+
+COMMANDS = Tuning(
+    # Commands answer to the gyro's noise: a longer window lets less of that back in.
+    half_width=0.2,
+    rotor_input="command",
+    leaks=(0.0, 0.3),
+    delays=(-0.015, -0.00375, 0.0075, 0.01875, 0.03),
+    lags=(0.0, 0.015, 0.035, 0.06, 0.09, 0.13),
+    curves=(-0.2, 1.2),
+)
+"""Tuning for commands as the rotors' input."""

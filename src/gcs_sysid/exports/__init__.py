@@ -1,0 +1,1 @@
+"""An identified vehicle as the files that simulators load."""

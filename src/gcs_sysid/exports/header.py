@@ -1,0 +1,83 @@
+"""What an exported file says of itself: where it comes from, how certain, what it leaves out."""
+
+from collections.abc import Iterable
+
+from gcs_sysid import __version__
+from gcs_sysid.exports.vehicle import UNITS, Quantity, Vehicle
+
+_Z95 = 1.959963984540054
+
+
+def provenance(vehicle: Vehicle, target: str, notes: Iterable[str]) -> list[str]:
+    """The head of a file as lines without comment marks.
+
+    Args:
+        vehicle: exported.
+        target: the format in words.
+        notes: what a reader of the file should know.
+    """
+    result = vehicle.result
+    scale = result.scale
+    lines = [
+        f"{vehicle.name}: {target}, written by gcs-sysid {__version__}",
+        f"Flight: {_plain(result.source) or 'not named'}{_recorded(result.telemetry)}",
+        f"Verdict: {result.verdict}"
+        + ("" if not result.reasons else f" ({_plain('; '.join(result.reasons))})"),
+        "Scale: "
+        + ("none" if scale is None else f"{scale.anchor} = {scale.value:g} {_plain(scale.unit)}"),
+        "Identified, 95 % intervals, SI; axes forward, right, down; inertia is matrix elements,",
+        "CG seen from the geometric centre:",
+    ]
+    lines += [_row(name, vehicle.known[name]) for name in UNITS if name in vehicle.known]
+    unknown = [name for name in UNITS if name not in vehicle.known]
+    if unknown:
+        lines.append(f"Not known: {', '.join(unknown)}")
+    return [*lines, *(f"Note: {note}" for note in notes)]
+
+
+def commented(lines: Iterable[str], mark: str) -> str:
+    """Lines, each after a comment mark."""
+    return "".join(f"{mark} {line}".rstrip() + "\n" for line in lines)
+
+
+def xml_comment(lines: Iterable[str]) -> str:
+    """Lines as one comment of XML, which must not hold two hyphens in a row."""
+    text = "\n".join(f"  {line}" for line in lines)
+    while "--" in text:
+        text = text.replace("--", "- -")
+    return f"<!--\n{text}\n-->\n"
+
+
+def weak_note(vehicle: Vehicle, names: Iterable[str]) -> list[str]:
+    """A note on those of the parameters used that are only roughly known."""
+    weak = [n for n in names if n in vehicle.known and vehicle.known[n].origin == "weak"]
+    return [f"only roughly known: {', '.join(weak)}"] if weak else []
+
+
+def unplaced_note(vehicle: Vehicle, names: Iterable[str], where: str) -> list[str]:
+    """A note on what is known, but has no place in the format."""
+    lost = [name for name in names if _is_there(vehicle, name)]
+    told = ", ".join(f"{name} ({vehicle[name]:.3g} {UNITS[name]})" for name in lost)
+    return [f"{where} no place for {told}"] if lost else []
+
+
+def _is_there(vehicle: Vehicle, name: str) -> bool:
+    """Whether a parameter is known, and known not to be zero."""
+    value = vehicle.get(name)
+    return bool(value) and abs(value or 0.0) > _Z95 * (vehicle.known[name].std or 0.0)
+
+
+def _row(name: str, known: Quantity) -> str:
+    unit = "" if UNITS[name] == "1" else f" {UNITS[name]}"
+    half = f" +- {_Z95 * known.std:.2g}" if known.std else ""
+    return f"  {name} = {known.value:.6g}{half}{unit} ({_plain(known.origin)})"
+
+
+def _recorded(telemetry: object) -> str:
+    when = telemetry.get("recorded") if isinstance(telemetry, dict) else None
+    return f", recorded {_plain(when)}" if isinstance(when, str) else ""
+
+
+def _plain(text: str) -> str:
+    """Text that stays on one line."""
+    return "".join(c if c.isprintable() else " " for c in text)

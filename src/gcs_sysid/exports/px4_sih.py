@@ -1,0 +1,106 @@
+"""PX4's simulator in hardware (SIH): its parameters, as QGroundControl loads them.
+
+SIH's body axes are ours (forward, right, down), and SIH_IXY is the element [x, y] of the inertia
+matrix, so nothing changes its sign:
+
+    J w' = M - SIH_KDW w - w x J w,   m v' = -SIH_T_MAX sum u z - SIH_KDV v + m g
+    M = (SIH_L_ROLL SIH_T_MAX ..., SIH_L_PITCH SIH_T_MAX ..., SIH_Q_MAX ...)
+
+with u the output, 0 to 1, behind a lag of SIH_T_TAU. (PX4's `simulator_sih/sih.cpp`.)
+"""
+
+import math
+
+import numpy as np
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.exports.header import commented, provenance, unplaced_note, weak_note
+from gcs_sysid.exports.vehicle import INERTIA, Vehicle
+
+TITLE = "parameters of PX4's SIH simulator"
+NEEDS = ("mass", *INERTIA, "T_max", "moment_ratio")
+OPTIONAL = {
+    "SIH_KDV": "linear_drag",
+    "SIH_KDW": "rotational_damping",
+    "SIH_T_TAU": "motor_lag",
+}
+_HALF, _FRONT = 0.5, math.sqrt(3.0) / 2.0
+_LAYOUTS = {
+    0: ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1)),
+    4: (
+        (_FRONT, _HALF, 1), (0, 1, -1), (-_FRONT, _HALF, 1),
+        (-_FRONT, -_HALF, -1), (0, -1, 1), (_FRONT, -_HALF, -1),
+    ),
+}  # fmt: skip
+"""SIH_VEHICLE_TYPE -> its rotors: x over SIH_L_PITCH, y over SIH_L_ROLL, spin."""
+_CLOSE = 0.02
+"""Of the arm: rotors further from SIH's layout are not flown by it."""
+_FLOAT, _INT32 = 9, 6
+"""MAVLink's parameter types."""
+_LITTLE_CURVE = 0.05
+
+
+def notes(vehicle: Vehicle) -> list[str]:
+    """What the user should know."""
+    out = weak_note(vehicle, (*NEEDS, *OPTIONAL.values()))
+    out += unplaced_note(vehicle, ("cg_x", "cg_y", "rotor_inertia"), "SIH has")
+    kept = [f"{sih} ({name})" for sih, name in OPTIONAL.items() if vehicle.get(name) is None]
+    if kept:
+        out.append(f"not known, so left as they are: {', '.join(kept)}")
+    if abs(vehicle.get("thrust_curve") or 0.0) > _LITTLE_CURVE:
+        out.append("SIH's thrust is linear in the output, this vehicle's is not")
+    elif vehicle.result.rotor_input == "speed":
+        out.append("SIH's thrust is linear in the output: set THR_MDL_FAC to 0 there")
+    return out
+
+
+def write(vehicle: Vehicle) -> str:
+    """The parameters as a .params file.
+
+    Raises:
+        MissingError: a parameter that SIH cannot do without is not known.
+        InputError: SIH has no such layout of rotors.
+    """
+    vehicle.need("px4-sih", NEEDS)
+    vehicle.check_inertia()
+    kind, roll_arm, pitch_arm = _layout(vehicle)
+    values = {
+        "SIH_MASS": vehicle["mass"],
+        **{f"SIH_{name.upper()}": vehicle[name] for name in INERTIA},
+        "SIH_T_MAX": vehicle["T_max"],
+        "SIH_Q_MAX": vehicle["T_max"] * vehicle["moment_ratio"],
+        "SIH_L_ROLL": roll_arm,
+        "SIH_L_PITCH": pitch_arm,
+    }
+    for sih, name in OPTIONAL.items():
+        value = vehicle.get(name)
+        if value is not None:
+            values[sih] = value
+    head = [
+        *provenance(vehicle, TITLE, notes(vehicle)),
+        "",
+        "Vehicle-Id Component-Id Name Value Type",
+    ]
+    # PX4 holds single precision; QGroundControl writes 18 decimals.
+    rows = [f"1\t1\t{n}\t{np.float32(v):.18f}\t{_FLOAT}\n" for n, v in sorted(values.items())]
+    return commented(head, "#") + "".join(rows) + f"1\t1\tSIH_VEHICLE_TYPE\t{kind}\t{_INT32}\n"
+
+
+def _layout(vehicle: Vehicle) -> tuple[int, float, float]:
+    """SIH's vehicle type, roll and pitch arm in m."""
+    own = np.array([[r.x, r.y, r.spin] for r in vehicle.rotors])
+    arm = float(np.hypot(own[:, 0], own[:, 1]).mean())
+    for kind, layout in _LAYOUTS.items():
+        unit = np.array(layout, float)
+        if len(unit) != len(own):
+            continue
+        pitch_arm, roll_arm = np.abs(own[:, :2]).max(axis=0) / np.abs(unit[:, :2]).max(axis=0)
+        wanted = unit * [pitch_arm, roll_arm, 1.0]
+        # The order of motors is SIH's own.
+        apart = np.abs(own[:, None] - wanted).max(axis=2)
+        if (apart.min(axis=0) < _CLOSE * arm).all():
+            return kind, float(roll_arm), float(pitch_arm)
+    raise InputError(
+        "px4-sih: SIH flies a symmetrical quad X (front right turns counter-clockwise) or hexa "
+        f"only, not the {len(own)} rotors of this airframe"
+    )

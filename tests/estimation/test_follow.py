@@ -1,0 +1,120 @@
+"""The course of quick fits: what a block gives at once, and what single fits give."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.estimation.online import OnlineEstimator
+from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
+from gcs_sysid.estimation.tuning import COMMANDS, Tuning
+from gcs_sysid.model import rigid_body as rb
+
+DT = 0.005
+STOP = 20
+"""Samples from fit to fit."""
+
+
+def measured(flight, *, commands=False):
+    rng = np.random.default_rng(5)
+    gyro = flight.gyro + 0.02 * rng.standard_normal(flight.gyro.shape)
+    # A gap in all, and one in the velocity alone.
+    gyro[2000:2100] = np.nan
+    velocity = flight.velocity.copy()
+    velocity[3000:3200] = np.nan
+    speeds = flight.speeds
+    if commands:
+        speeds = (speeds / (1.2 * speeds.max())) ** 2
+    return replace(flight, gyro=gyro, rates=gyro, speeds=speeds, velocity=velocity)
+
+
+def course(truth, samples, block, tuning, **attributes):
+    estimator = OnlineEstimator(truth.geometry, DT, tuning)
+    for name, value in attributes.items():
+        setattr(estimator, name, value)
+    fits = []
+    n = len(samples.gyro)
+    for start in range(0, n, block):
+        stop = min(start + block, n)
+        stops = [k - start for k in range(STOP, n + 1, STOP) if start < k <= stop]
+        fits += estimator.follow(samples.part(slice(start, stop)), stops)
+    return fits
+
+
+def single(truth, samples, tuning, **attributes):
+    estimator = OnlineEstimator(truth.geometry, DT, tuning)
+    for name, value in attributes.items():
+        setattr(estimator, name, value)
+    fits = []
+    for start in range(0, len(samples.gyro) - STOP + 1, STOP):
+        estimator.update(samples.part(slice(start, start + STOP)))
+        fits.append(estimator.fit(quick=True))
+    return fits
+
+
+def assert_same(fits, others):
+    assert len(fits) == len(others)
+    for k, (a, b) in enumerate(zip(fits, others, strict=True)):
+        assert a.seconds == b.seconds
+        assert (a.rotation is None) == (b.rotation is None), k
+        if a.rotation is not None:
+            assert a.rotation.leak == b.rotation.leak, k
+            difference = np.abs(a.rotation.unknowns - b.rotation.unknowns)
+            std = np.sqrt(np.diag(b.rotation.full_covariance))
+            # Sums in another order; a search stops at a small fraction of a deviation.
+            assert np.all(difference <= 1e-4 * std), (k, (difference / std).max())
+            assert a.rotation.std == pytest.approx(b.rotation.std, rel=1e-4)
+        assert (a.translation is None) == (b.translation is None), k
+        if a.translation is not None:
+            assert a.translation.source == b.translation.source
+            assert a.translation.kappa == pytest.approx(b.translation.kappa, rel=1e-6)
+            assert a.translation.kappa_std == pytest.approx(b.translation.kappa_std, rel=1e-4)
+        assert (a.coupling is None) == (b.coupling is None), k
+
+
+@pytest.mark.parametrize("block", [7, 250, 100_000])
+@pytest.mark.parametrize("smoother", ["window", "td"])
+def test_blocks_give_what_single_fits_give(truth, flight, block, smoother):
+    samples, tuning = measured(flight), Tuning(smoother=smoother)
+    fits = course(truth, samples, block, tuning)
+    assert sum(fit.rotation is not None for fit in fits) > 200
+    assert_same(fits, single(truth, samples, tuning))
+
+
+def test_blocks_of_commands_give_what_single_fits_give(truth, flight):
+    samples = measured(flight, commands=True)
+    # In the first seconds the valley of lag, delay and curve is flat, and rounding leads astray.
+    late = [
+        [fit for fit in fits if fit.seconds > 8.0]
+        for fits in (course(truth, samples, 3000, COMMANDS), single(truth, samples, COMMANDS))
+    ]
+    assert len(late[0]) > 150
+    assert_same(*late)
+
+
+def test_blocks_know_the_prior(truth, flight):
+    known = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+    mean = np.zeros(N_UNKNOWNS)
+    at = rb.MOMENT_RATIO
+    mean[at] = truth.k_M / truth.k_T
+    known[at, at] = (0.01 * mean[at]) ** -2.0
+    sources = {"prior_source": lambda translation: Prior(mean, known)}
+    samples = measured(flight)
+    fits = course(truth, samples, 400, Tuning(), **sources)
+    assert_same(fits, single(truth, samples, Tuning(), **sources))
+    early = next(fit for fit in fits if fit.rotation is not None and fit.seconds > 2.0)
+    assert early.rotation.std[at] < 0.011 * mean[at]
+
+
+def test_quick_fits_are_near_full_ones(truth, flight):
+    samples = measured(flight)
+    estimator = OnlineEstimator(truth.geometry, DT, Tuning())
+    off = []
+    for k, start in enumerate(range(0, len(samples.gyro), 10 * STOP)):
+        part = samples.part(slice(start, start + 10 * STOP))
+        quick = estimator.follow(part, list(range(STOP, len(part.gyro) + 1, STOP)))[-1]
+        if k % 4 == 3 and quick.seconds > 6.0:
+            full = estimator.fit()
+            off.append(np.abs((quick.rotation.theta - full.rotation.theta) / full.rotation.std))
+    assert len(off) > 4
+    assert np.max(off) < 0.2

@@ -1,0 +1,141 @@
+"""A file that QGroundControl takes, with which PX4's SIH flies the identified vehicle.
+
+SIH is part of the autopilot and in no package, so its equations (`simulator_sih/sih.cpp`) stand
+here, and its own recording: the parameters it flew with are found in the export of its flight.
+"""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.exports import px4_sih
+from gcs_sysid.exports.vehicle import MissingError, assemble
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.session.analysis import analyze_log
+
+from .known import FULL_SPEED, LAG, VALUES, Equations, command_result, speed_result, without
+
+REAL32, INT32 = 9, 6
+
+
+def parameters(text):
+    """As QGroundControl reads: five columns with tabs, `#` for comments."""
+    out = {}
+    for line in text.splitlines():
+        if line.startswith("#"):
+            continue
+        vehicle, component, name, value, kind = line.split("\t")
+        assert (vehicle, component) == ("1", "1")
+        assert len(name) <= 16
+        out[name] = {REAL32: float, INT32: int}[int(kind)](value)
+    return out
+
+
+def sih(p, u, w):
+    """Angular acceleration of SIH's quadcopter with parameters p, outputs u, rates w."""
+    inertia = np.diag([p["SIH_IXX"], p["SIH_IYY"], p["SIH_IZZ"]])
+    inertia[0, 1] = inertia[1, 0] = p["SIH_IXY"]
+    inertia[0, 2] = inertia[2, 0] = p["SIH_IXZ"]
+    inertia[1, 2] = inertia[2, 1] = p["SIH_IYZ"]
+    moment = np.array(
+        [
+            p["SIH_L_ROLL"] * p["SIH_T_MAX"] * (-u[0] + u[1] + u[2] - u[3]),
+            p["SIH_L_PITCH"] * p["SIH_T_MAX"] * (u[0] - u[1] + u[2] - u[3]),
+            p["SIH_Q_MAX"] * (u[0] + u[1] - u[2] - u[3]),
+        ]
+    )
+    drag = -p["SIH_KDW"] * w
+    return np.linalg.solve(inertia, moment + drag - np.cross(w, inertia @ w))
+
+
+@pytest.mark.parametrize("rates", [(0.0, 0.0, 0.0), (1.0, -2.0, 3.0)])
+@pytest.mark.parametrize(
+    "outputs", [(0.4, 0.3, 0.3, 0.4), (0.5, 0.5, 0.3, 0.3), (0.5, 0.3, 0.5, 0.3)]
+)
+def test_torque_becomes_the_identified_acceleration(vehicle, outputs, rates):
+    found = sih(parameters(px4_sih.write(vehicle)), outputs, np.array(rates))
+    thrusts = VALUES["k_T"] * FULL_SPEED**2 * np.array(outputs)
+    # SIH has no place for a CG that is off.
+    expected = Equations().acceleration(
+        thrusts, np.array(rates), VALUES["rotational_damping"], cg=np.zeros(3)
+    )
+    assert found == pytest.approx(expected, rel=1e-5, abs=1e-5)
+
+
+@pytest.mark.parametrize("by", ["speed", "command"])
+def test_values_units_and_signs(vehicle, by):
+    found = parameters(px4_sih.write(vehicle if by == "speed" else assemble(command_result())))
+    full = VALUES["k_T"] * FULL_SPEED**2
+    at = 0.3 / math.sqrt(2.0)
+    expected = {
+        "SIH_MASS": VALUES["mass"], "SIH_IXX": VALUES["Ixx"], "SIH_IYY": VALUES["Iyy"],
+        "SIH_IZZ": VALUES["Izz"], "SIH_IXY": VALUES["Ixy"], "SIH_IYZ": VALUES["Iyz"],
+        "SIH_IXZ": VALUES["Ixz"], "SIH_T_MAX": full, "SIH_Q_MAX": full * VALUES["moment_ratio"],
+        "SIH_L_ROLL": at, "SIH_L_PITCH": at, "SIH_KDV": VALUES["linear_drag"],
+        "SIH_KDW": VALUES["rotational_damping"], "SIH_T_TAU": LAG, "SIH_VEHICLE_TYPE": 0,
+    }  # fmt: skip
+    assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_what_has_no_place_is_said(vehicle):
+    text = px4_sih.write(vehicle)
+    note = next(n for n in px4_sih.notes(vehicle) if "no place" in n)
+    assert "cg_x (0.06 m)" in note
+    assert "cg_y (-0.025 m)" in note
+    assert f"# Note: {note}\n" in text
+
+
+def test_what_is_not_known_keeps_its_value(result):
+    vehicle = assemble(without(result, "linear_drag"), given={"T_max": 9.0})
+    found = parameters(px4_sih.write(vehicle))
+    assert found["SIH_T_MAX"] == 9.0
+    assert not {"SIH_KDV", "SIH_T_TAU"} & found.keys()
+    assert any("SIH_KDV (linear_drag), SIH_T_TAU" in note for note in px4_sih.notes(vehicle))
+
+
+def test_full_thrust_is_asked_for(result):
+    with pytest.raises(MissingError, match=r"needs T_max.*--set rotor_speed_max=RAD_S"):
+        px4_sih.write(assemble(result))
+
+
+def test_hexacopters_have_their_type():
+    airframe = load_airframe("px4-hexa-x").with_arm(0.4).as_json()
+    vehicle = assemble(speed_result(airframe=airframe), given={"T_max": 9.0})
+    found = parameters(px4_sih.write(vehicle))
+    assert found["SIH_VEHICLE_TYPE"] == 4
+    assert found["SIH_L_ROLL"] == pytest.approx(0.4)
+    assert found["SIH_L_PITCH"] == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("change", ["order", "spins", "lopsided"])
+def test_layouts(result, change):
+    rotors = [dict(rotor) for rotor in result.airframe["rotors"]]
+    if change == "order":
+        rotors = rotors[::-1]
+    elif change == "spins":
+        for rotor in rotors:
+            rotor["spin"] = {"cw": "ccw", "ccw": "cw"}[rotor["spin"]]
+    else:
+        rotors[0]["x"] *= 1.5
+    changed = speed_result(airframe={"name": "mine", "rotors": rotors})
+    vehicle = assemble(changed, given={"T_max": 9.0})
+    if change == "order":  # SIH has its own
+        assert parameters(px4_sih.write(vehicle))["SIH_VEHICLE_TYPE"] == 0
+    else:
+        with pytest.raises(InputError, match="px4-sih"):
+            px4_sih.write(vehicle)
+
+
+@pytest.mark.slow
+def test_the_parameters_sih_flew_with_are_found_in_the_export_of_its_flight(shared_logs):
+    airframe = load_airframe("px4-sih").with_anchor("mass", 1.0)
+    result = analyze_log(shared_logs / "px4-sih-default.ulg", airframe)
+    found = parameters(px4_sih.write(assemble(result)))
+    truth = json.loads((shared_logs / "px4-sih-default.truth.json").read_text())
+    for name in ("ixx", "iyy", "izz", "t_max", "q_max", "l_roll", "kdw"):
+        assert found[f"SIH_{name.upper()}"] == pytest.approx(truth[name], rel=0.015)
+    for name in ("kdv", "t_tau"):
+        assert found[f"SIH_{name.upper()}"] == pytest.approx(truth[name], rel=0.05)
