@@ -28,11 +28,11 @@ _PAUSE_US = 4000
 
 
 def long_log(path: Path, size: int) -> Path:
-    """Write a log of a size in bytes, or a little less, unless it is there already.
+    """Write a log of a size in bytes, or a record less, unless it is there already.
 
     Args:
         path: of the log; what lies there is taken to be it.
-        size: bytes, at least that of one record.
+        size: bytes.
     """
     if path.exists():
         return path
@@ -48,17 +48,17 @@ def long_log(path: Path, size: int) -> Path:
             # Whole milliseconds, so that all kinds of stamp move by the same time.
             span += -span % 1000
             number = 0
-            while file.tell() < size:
-                file.write(_later(frames, number, span)[: _whole(frames, size - file.tell())])
+            while fits := _whole(frames, size - file.tell()):
+                file.write(_later(frames, number, span)[:fits])
                 number += 1
         part.replace(path)
     return path
 
 
 def _whole(frames: FrameBlock, size: int) -> int:
-    """Bytes of the records that lie wholly within the first `size` bytes; at least one record."""
+    """Bytes of the records that lie wholly within the first `size` bytes."""
     ends = frames.at + frames.size
-    return int(ends[max(int(np.searchsorted(ends, size, side="right")) - 1, 0)])
+    return int(ends[ends <= size].max(initial=0))
 
 
 def _later(frames: FrameBlock, number: int, span: int) -> memoryview:

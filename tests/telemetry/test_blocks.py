@@ -6,6 +6,8 @@ import struct
 import numpy as np
 import pytest
 
+from gcs_sysid.records import Stream
+from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import TlogReader, read_tlog
@@ -140,12 +142,15 @@ def log_of(make_sender, seed, oddities, count):
 
 def compare(path, window, wanted=None):
     single = Intake(wanted)
+    drift = ClockDrift()
     records, events = [], []
-    for _, frame in read_tlog(path):
+    for time_us, frame in read_tlog(path):
         record = single.frame(frame)
         events += single.take_events()
         if record is not None:
             records.append(record)
+            if single.clock is not None:
+                drift.take(single.clock, time_us * 1e-6)
     blocks = Intake(wanted)
     made = [blocks.block(frames) for frames in TlogReader(path, window).blocks()]
     assert [record for block in made for _, record in block.records()] == records
@@ -155,6 +160,7 @@ def compare(path, window, wanted=None):
     assert blocks.turning == single.turning
     assert blocks.parameters == single.parameters
     assert blocks.clock == single.clock
+    assert blocks.drift.ppm == drift.ppm
     assert blocks.vehicle == single.vehicle
     assert blocks.systems == single.systems
     assert blocks.selector.frames == single.selector.frames
@@ -166,3 +172,44 @@ def test_blocks_make_what_single_frames_make(tmp_path, make_sender, seed):
     path = tmp_path / "odd.tlog"
     path.write_bytes(log_of(make_sender, seed, [0.0, 0.001, 0.01][seed % 3], 3000))
     compare(path, [30_000, 1 << 20][seed % 2], [None, (2, None), (9, 1)][seed // 2 % 3])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["px4-esc-cg.tlog", "ardupilot-sitl.tlog", "public/real-quad-mavlink1.tlog"]
+)
+def test_blocks_of_recorded_flights_make_what_single_frames_make(shared_logs, name):
+    compare(shared_logs / name, 1 << 21)
+
+
+def test_nothing_is_taken_one_by_one_while_nothing_is_odd(tmp_path, make_sender, monkeypatch):
+    vehicle = make_sender()
+    frames = [vehicle.heartbeat()]
+    for i in range(5000):
+        t = 3.0 + 0.004 * i
+        frames += [vehicle.imu(t), vehicle.attitude(t)] + [vehicle.heartbeat()] * (i % 250 == 0)
+    path = tmp_path / "even.tlog"
+    path.write_bytes(b"".join(struct.pack(">Q", START) + frame.raw for frame in frames))
+    singles = []
+    decode = Intake.frame
+    monkeypatch.setattr(
+        Intake, "frame", lambda self, frame: singles.append(frame) or decode(self, frame)
+    )
+    intake = Intake()
+    blocks = [intake.block(block) for block in TlogReader(path, 1 << 16).blocks()]
+    assert sum(map(len, blocks)) > 10_000
+    assert len(singles) < 200  # until the vehicle, its clock and its sensors are known
+
+
+def test_tracks_tell_where_their_samples_stand(tmp_path, make_sender):
+    vehicle = make_sender()
+    frames = [vehicle.heartbeat(), *(vehicle.imu(1.0 + 0.1 * i) for i in range(3))]
+    frames += [vehicle.attitude(1.3), vehicle.imu(1.3)]
+    path = tmp_path / "short.tlog"
+    path.write_bytes(b"".join(struct.pack(">Q", START) + frame.raw for frame in frames))
+    (block,) = compare(path, 1 << 20)
+    tracks = {track.stream: track for track in block.tracks}
+    assert tracks[Stream.IMU].order.tolist() == [1, 2, 3, 5]
+    assert tracks[Stream.IMU].values.shape == (4, 6)
+    assert tracks[Stream.ATTITUDE].order.tolist() == [4]
+    assert [(order, event.kind) for order, event in block.events] == [(0, "vehicle")]
