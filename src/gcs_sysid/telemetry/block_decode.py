@@ -102,13 +102,13 @@ class BlockDecoder(RecordDecoder):
         """Leave out what `decode` does not read either."""
         if "HIGHRES_IMU" in messages and self._imu_id is not None:
             imu = messages["HIGHRES_IMU"]
-            messages["HIGHRES_IMU"] = imu[imu["id"] == self._imu_id]
+            messages["HIGHRES_IMU"] = _kept(imu, imu["id"] == self._imu_id)
         if "RAW_IMU" in messages:
             raw = messages["RAW_IMU"]
-            messages["RAW_IMU"] = raw[(raw["id"] == 0) & (self._autopilot == _ARDUPILOT)]
+            messages["RAW_IMU"] = _kept(raw, (raw["id"] == 0) & (self._autopilot == _ARDUPILOT))
         if "SERVO_OUTPUT_RAW" in messages:
             servos = messages["SERVO_OUTPUT_RAW"]
-            messages["SERVO_OUTPUT_RAW"] = servos[servos["port"] == 0]
+            messages["SERVO_OUTPUT_RAW"] = _kept(servos, servos["port"] == 0)
 
     def _first_surprise(self, frames: FrameBlock, mine: Mask, messages: dict[str, Array]) -> int:
         """Number of the first frame that changes how others are read; else the end's."""
@@ -203,7 +203,8 @@ class BlockDecoder(RecordDecoder):
         sound = timed & finite
         self._drop("no time", ~timed)
         self._drop("not finite", timed & ~finite)
-        out.add(stream, order[sound], t[sound], values[sound], offset, source)
+        order, t, values = (_kept(part, sound) for part in (order, t, values))
+        out.add(stream, order, t, values, offset, source)
         return sound
 
     def _drop(self, reason: str, rows: Mask) -> None:
@@ -221,7 +222,7 @@ class BlockDecoder(RecordDecoder):
         for name in names:
             if name not in messages:
                 continue
-            rows, t = messages[name][allowed[name]], stamps[name][allowed[name]]
+            rows, t = (_kept(part[name], allowed[name]) for part in (messages, stamps))
             values = _columns(rows, *axes)
             if name != "HIGHRES_IMU":
                 values *= [1e-3, 1e-3, 1e-3, MILLI_G, MILLI_G, MILLI_G]
@@ -282,7 +283,7 @@ class BlockDecoder(RecordDecoder):
         for name in names:
             if name not in messages:
                 continue
-            rows, t = messages[name][allowed[name]], stamps[name][allowed[name]]
+            rows, t = (_kept(part[name], allowed[name]) for part in (messages, stamps))
             if name == "LOCAL_POSITION_NED":
                 values = _columns(rows, "vx", "vy", "vz", "x", "y", "z")
             else:
@@ -378,6 +379,12 @@ def _columns(rows: Array, *names: str) -> Array:
     for i, name in enumerate(names):
         values[:, i] = rows[name]
     return values
+
+
+def _kept(rows: Array, mask: Mask) -> Array:
+    """Rows of a mask, which most often is true throughout: then they are not copied."""
+    kept: Array = rows if mask.all() else rows[mask]
+    return kept
 
 
 def _last_true(there: Mask) -> Array:
