@@ -312,15 +312,7 @@ class BlockDecoder(RecordDecoder):
         if name not in messages:
             return
         rows = messages[name]
-        active = rows["active"].astype(np.int64)
-        values = rows["actuator"].astype(float)
-        most = values.shape[1]
-        bits = np.frexp(active.astype(float))[1]
-        count = np.where(active <= most, active, np.minimum(bits, most))
-        count[count == 0] = most
-        there = np.isfinite(values) & (np.arange(most) < count[:, None])
-        # What is not finite at the end is not there, but four rotors are.
-        width = np.maximum(_last_true(there), np.minimum(count, 4))
+        values, width = rotors.actuator_outputs_block(rows)
         self._give_by_width(out, name, rows["_frame"], stamps[name], values, width)
 
     def _read_servo_outputs(
@@ -335,8 +327,7 @@ class BlockDecoder(RecordDecoder):
         t = rows["time_usec"] * 1e-6
         t = t + WRAP_US * np.maximum(np.rint((now - t) / WRAP_US), 0.0)
         t[np.abs(t - now) >= JUMP_AHEAD] = np.nan
-        values = _columns(rows, *(f"servo{i}_raw" for i in range(1, 17)))
-        width = np.maximum(_last_true(values != 0.0), 4)
+        values, width = rotors.servo_outputs_block(rows)
         self._give_by_width(out, name, rows["_frame"], t, values, width)
         timed = np.isfinite(t)
         if timed.any():
@@ -385,13 +376,6 @@ def _kept(rows: Array, mask: Mask) -> Array:
     """Rows of a mask, which most often is true throughout: then they are not copied."""
     kept: Array = rows if mask.all() else rows[mask]
     return kept
-
-
-def _last_true(there: Mask) -> Array:
-    """(n,) how many entries of each row there are up to the last true one."""
-    count = there.shape[1] - np.argmax(there[:, ::-1], axis=1)
-    last: Array = np.where(there.any(axis=1), count, 0)
-    return last
 
 
 def _from_euler(angles: Array) -> Array:
