@@ -2,6 +2,7 @@
 
 import random
 import struct
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from gcs_sysid.records import Stream
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.intake import Intake
+from gcs_sysid.telemetry.monitor import SequenceCount
 from gcs_sysid.telemetry.tlog import TlogReader, read_tlog
 
 START = 1_750_000_000_000_000
@@ -112,6 +114,8 @@ class Flier:
         if self.rng.random() < oddities:
             self.unix = self.rng.choice([0.0, 1.7e9])
         if self.rng.random() < oddities:
+            self.autopilot = self.rng.choice([3, 12])
+        if self.rng.random() < oddities:
             self.sender.packer.seq = self.rng.randrange(256)
         self.t = max(self.t, 0.0)
         message = self.message()
@@ -140,7 +144,13 @@ def log_of(make_sender, seed, oddities, count):
     return b"".join(records)
 
 
-def compare(path, window, wanted=None):
+def in_pieces(block, rng):
+    """A block cut at random places."""
+    cuts = sorted(rng.sample(range(1, len(block)), min(40, len(block) - 1)))
+    return [block.part(a, b) for a, b in pairwise([0, *cuts, len(block)])]
+
+
+def compare(path, window, wanted=None, rng=None):
     single = Intake(wanted)
     drift = ClockDrift()
     records, events = [], []
@@ -152,7 +162,11 @@ def compare(path, window, wanted=None):
             if single.clock is not None:
                 drift.take(single.clock, time_us * 1e-6)
     blocks = Intake(wanted)
-    made = [blocks.block(frames) for frames in TlogReader(path, window).blocks()]
+    made = [
+        blocks.block(piece)
+        for block in TlogReader(path, window).blocks()
+        for piece in (in_pieces(block, rng) if rng else [block])
+    ]
     assert [record for block in made for _, record in block.records()] == records
     assert [event for block in made for _, event in block.events] == events
     assert blocks.as_dict() == single.as_dict()
@@ -171,7 +185,44 @@ def compare(path, window, wanted=None):
 def test_blocks_make_what_single_frames_make(tmp_path, make_sender, seed):
     path = tmp_path / "odd.tlog"
     path.write_bytes(log_of(make_sender, seed, [0.0, 0.001, 0.01][seed % 3], 3000))
-    compare(path, [30_000, 1 << 20][seed % 2], [None, (2, None), (9, 1)][seed // 2 % 3])
+    rng = random.Random(seed) if seed % 4 == 3 else None
+    window = [3000, 30_000, 1 << 20, 1 << 20][seed % 4]
+    compare(path, window, [None, None, (2, None), (9, 1)][seed // 4 % 4], rng)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_sequence_numbers_are_counted_alike(seed):
+    rng = random.Random(seed)
+    disorder = [0.0, 2.0, 70.0, 150.0][seed % 4]
+    numbers = sorted(range(3000), key=lambda n: n + disorder * rng.random())
+    numbers = [n % 256 for n in numbers if rng.random() > [0.0, 0.1, 0.9][seed % 3]]
+    single, blocks = SequenceCount(), SequenceCount()
+    at = 0
+    while at < len(numbers):
+        piece = numbers[at : at + rng.randrange(1, 500)]
+        at += len(piece)
+        for number in piece:
+            single.take(number)
+        blocks.take_block(np.array(piece, np.uint8))
+        assert vars(blocks) == vars(single)
+
+
+def test_a_stamp_that_is_off_is_doubted_again_after_others_that_are_not(tmp_path, make_sender):
+    vehicle = make_sender()
+    frames = [vehicle.heartbeat()]
+    for count, off in [(300, False), (1, True), (300, False), (1, True), (300, False)]:
+        frames += [
+            vehicle.imu(900.0 if off else 1.0 + 0.004 * (len(frames) + i)) for i in range(count)
+        ]
+    path = tmp_path / "doubt.tlog"
+    path.write_bytes(b"".join(struct.pack(">Q", START) + frame.raw for frame in frames))
+    (whole,) = TlogReader(path, 1 << 20).blocks()
+    single, blocks = Intake(), Intake()
+    records = single.frames(frames)
+    made = [blocks.block(piece) for piece in (whole.part(0, 302), whole.part(302, len(whole)))]
+    assert [record for block in made for _, record in block.records()] == records
+    assert vars(blocks.decoder.clock) == vars(single.decoder.clock)
+    assert single.decoder.clock.doubted == 2
 
 
 @pytest.mark.slow

@@ -141,3 +141,25 @@ def test_numbers_are_counted_however_large():
     numbers = np.array([3, 70_000, 3, 16_777_215, 0], np.int32)
     assert counts_of(numbers) == {0: 1, 3: 2, 70_000: 1, 16_777_215: 1}
     assert counts_of(numbers[:0]) == {}
+
+
+def test_a_damaged_length_that_leads_to_another_record_costs_one_frame(sender):
+    raws = [sender.attitude(1.0 + 0.01 * i, roll=0.1, pitch=0.2, yaw=0.3).raw for i in range(20)]
+    size = len(raws[0])
+    assert {len(raw) for raw in raws} == {size}
+    for lost in (4, 8, 11):
+        raw = bytearray(raws[lost])
+        raw[1] += size + 8  # to the record after the next one
+        raws[lost] = bytes(raw)
+    _, validities, counts = scan(as_log(raws))
+    assert validities == [OK] * 17
+    assert (counts.garbage_bytes, counts.resyncs) == (3 * (size + 8), 3)
+
+
+def test_garbage_that_looks_like_frames_of_unknown_types_is_not_taken_up_by_windows(raws):
+    unknown = bytes([0xFD, 1, 0, 0, 9, 1, 1, 0xFF, 0xFF, 0xFF, 7, 1, 2])
+    data = as_log(raws) + b"\x55" * 5 + (bytes(8) + unknown) * 300 + as_log(raws)
+    whole = scan(data)
+    assert whole[2].frames == 2 * len(raws)
+    for window in range(1000, 1000 + len(unknown) + 8):
+        assert scan(data, window) == whole
