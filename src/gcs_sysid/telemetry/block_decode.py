@@ -15,7 +15,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask, complete_rows
 from gcs_sysid.records import Stream
 from gcs_sysid.telemetry import rotors
-from gcs_sysid.telemetry.clock import JUMP_AHEAD, JUMP_BACK, UNIX_FROM, WRAP_MS, WRAP_US
+from gcs_sysid.telemetry.clock import JUMP_AHEAD, JUMP_BACK, UNIX_FROM, WRAP_MS, WRAP_US, may_wrap
 from gcs_sysid.telemetry.decode import MILLI_G, Preference, RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import FrameBlock
@@ -147,6 +147,8 @@ class BlockDecoder(RecordDecoder):
                 behind = self.clock.unix_minus_boot
                 since_boot = t - (np.nan if behind is None else behind)
                 stamps[name] = np.where(t > UNIX_FROM, since_boot, np.where(t > 0.0, t, np.nan))
+                if name == "RAW_IMU" and may_wrap(now):
+                    stamps[name][rows["time_usec"] < 2**32] = np.nan  # for the time being
         none = np.empty(0)
         order = np.concatenate([none.astype(int), *(messages[name]["_frame"] for name in stamped)])
         t = np.concatenate([none, *(stamps[name] for name in stamped)])
@@ -160,7 +162,24 @@ class BlockDecoder(RecordDecoder):
             first = int(np.argmin(runs_on))
             stop = int(order[first])
             order, running = order[:first], running[: first + 1]
-        return stamps, Moments(order, running), stop
+        moments = Moments(order, running)
+        if "RAW_IMU" in stamps:
+            stop = self._follow_raw_imu(messages["RAW_IMU"], stamps["RAW_IMU"], moments, stop)
+            count = int(np.searchsorted(order, stop))
+            moments = Moments(order[:count], running[: count + 1])
+        return stamps, moments, stop
+
+    def _follow_raw_imu(self, rows: Array, stamps: Array, moments: Moments, stop: int) -> int:
+        """Set times as `VehicleClock.stamp_us64_or_32` does; returns where that begins."""
+        wraps = (rows["time_usec"] > 0) & (rows["time_usec"] < 2**32)
+        if may_wrap(float(moments.now[0])):
+            stamps[wraps] = _following(
+                rows["time_usec"][wraps], moments.after(rows["_frame"][wraps])
+            )
+            return stop
+        before = moments.now[np.searchsorted(moments.order, rows["_frame"])]
+        first: list[int] = rows["_frame"][wraps & may_wrap(before)][:1].tolist()
+        return min([stop, *first])
 
     def _read_block(
         self,
@@ -200,6 +219,11 @@ class BlockDecoder(RecordDecoder):
         """Pass on what has a time and is finite, as `_record` does; which that are."""
         timed = np.isfinite(t)
         finite = complete_rows(values)
+        if stream is Stream.IMU:
+            lame = timed & ~complete_rows(values[:, 3:])
+            self._drop("accelerometer not finite", lame)
+            values[lame, 3:] = np.nan
+            finite = complete_rows(values[:, :3])
         sound = timed & finite
         self._drop("no time", ~timed)
         self._drop("not finite", timed & ~finite)
@@ -216,7 +240,7 @@ class BlockDecoder(RecordDecoder):
         self, messages: dict[str, Array], stamps: dict[str, Array], out: TrackCollector
     ) -> Array:
         axes = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc")
-        names = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU")
+        names = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU")
         allowed = _allowed(self._imu, names, messages, stamps)
         orders, times = [np.empty(0, int)], [np.empty(0)]
         for name in names:
@@ -324,9 +348,7 @@ class BlockDecoder(RecordDecoder):
             return np.empty(0, int), np.empty(0)
         rows = messages[name]
         now = moments.after(rows["_frame"])
-        t = rows["time_usec"] * 1e-6
-        t = t + WRAP_US * np.maximum(np.rint((now - t) / WRAP_US), 0.0)
-        t[np.abs(t - now) >= JUMP_AHEAD] = np.nan
+        t = _following(rows["time_usec"], now)
         values, width = rotors.servo_outputs_block(rows)
         self._give_by_width(out, name, rows["_frame"], t, values, width)
         timed = np.isfinite(t)
@@ -370,6 +392,13 @@ def _columns(rows: Array, *names: str) -> Array:
     for i, name in enumerate(names):
         values[:, i] = rows[name]
     return values
+
+
+def _following(time_usec: Array, now: Array) -> Array:
+    """Times of stamps that wrap, as `VehicleClock.stamp_us32`; NaN where it gives none."""
+    t = time_usec * 1e-6
+    t = t + WRAP_US * np.maximum(np.rint((now - t) / WRAP_US), 0.0)
+    return np.where(np.abs(t - now) < JUMP_AHEAD, t, np.nan)
 
 
 def _kept(rows: Array, mask: Mask) -> Array:

@@ -7,6 +7,7 @@ is only shown.
 """
 
 import statistics
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,11 @@ UNIX_FROM = 1e9
 
 WRAP_MS = 2**32 * 1e-3
 WRAP_US = 2**32 * 1e-6
+
+
+def may_wrap(now: Any) -> Any:
+    """Whether 32 bits of us may have wrapped when the clock says `now`, s."""
+    return now > WRAP_US - JUMP_AHEAD
 
 
 class VehicleClock:
@@ -68,6 +74,16 @@ class VehicleClock:
             return None
         t = self._unwrap(time_usec * 1e-6, WRAP_US)
         return t if abs(t - self.now) < JUMP_AHEAD else None
+
+    def stamp_us64_or_32(self, time_usec: int) -> float | None:
+        """Time of a stamp in us that may wrap, although its field has 64 bits.
+
+        ArduPilot before 4.0 puts a 32-bit count into RAW_IMU; from the first wrap on, such
+        stamps follow the clock that others drive.
+        """
+        if self.now is not None and may_wrap(self.now) and 0 < time_usec < 2**32:
+            return self.stamp_us32(time_usec)
+        return self.stamp_us64(time_usec)
 
     def system_time(self, time_unix_usec: int, time_boot_ms: int) -> None:
         """Learn how Unix time and time since boot hang together, from SYSTEM_TIME."""

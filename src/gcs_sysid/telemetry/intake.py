@@ -1,5 +1,6 @@
 """From frames to records of one vehicle: the part that live sessions and logs share."""
 
+from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
@@ -9,15 +10,19 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.telemetry.block_decode import BlockDecoder
 from gcs_sysid.telemetry.clock import ClockDrift
-from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, FrameBlock
+from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, FrameBlock, counts_of
 from gcs_sysid.telemetry.frames import Frame, Validity
+from gcs_sysid.telemetry.marks import is_reset_mark
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
+from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
 from gcs_sysid.telemetry.tracks import IntakeEvent as IntakeEvent
 from gcs_sysid.telemetry.tracks import RecordBlock, TrackCollector
 from gcs_sysid.telemetry.vehicles import Vehicle, VehicleSelector
 
+FATES = ("used", "not needed", "passed over", "dropped", "others")
 _HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
+_STATUSTEXT = MESSAGE_IDS["STATUSTEXT"]
 _RARE = [MESSAGE_IDS[name] for name in ("HEARTBEAT", "EXTENDED_SYS_STATE", "PARAM_VALUE")]
 _LEAST_SINGLE = 64
 """Frames taken one by one where a block cannot be read at once; doubled while that goes on."""
@@ -34,6 +39,10 @@ class Intake:
         monitor: counts and rates.
         drift: of the vehicle's clock, by the times of the records that `block` took.
         turning: names of the messages that have told of all their rotors turning.
+        fates: what became of the frames whose checksum is right, all of them: "used" (made a
+            record), "not needed" (of a type that tells nothing for identification), "passed over"
+            (a better message tells the same, or nothing new), "dropped" (see the decoder's),
+            "others" (not the vehicle's, or before its first heartbeat).
         garbage_bytes: set by the caller, from `Receiver` or `TlogReader`.
     """
 
@@ -43,6 +52,7 @@ class Intake:
         self.monitor = Monitor()
         self.drift = ClockDrift()
         self.turning: set[str] = set()
+        self.fates = Counter(dict.fromkeys(FATES, 0))
         self.garbage_bytes = 0
         self._others: set[tuple[int, int]] = set()
         self._events: list[IntakeEvent] = []
@@ -78,6 +88,9 @@ class Intake:
 
     def frame(self, frame: Frame) -> Record | None:
         """Take one frame; the record it makes, if any."""
+        if frame.system == OWN_SYSTEM and frame.valid is Validity.OK and is_reset_mark(frame):
+            self._note("reset", "estimate reset by the user")
+            return None
         self.monitor.take(frame)
         if frame.valid is not Validity.OK:
             chosen = self.selector.chosen
@@ -89,11 +102,20 @@ class Intake:
         if frame.message_id == _HEARTBEAT:
             self._note_other((frame.system, frame.component))
         if not is_chosen:
+            self.fates["others"] += 1
             return None
         clock = self.decoder.clock
         reboots = clock.reboots
         before = clock.now
+        dropped = self.decoder.dropped_messages
         record = self.decoder.decode(frame)
+        if record is not None:
+            self.fates["used"] += 1
+        elif not self.decoder.reads(frame.message_id):
+            self.fates["not needed"] += 1
+        else:
+            new = self.decoder.dropped_messages != dropped
+            self.fates["dropped" if new else "passed over"] += 1
         if not known:
             self._note("vehicle", f"{self.selector.chosen} heard")
         if clock.reboots != reboots:
@@ -132,13 +154,20 @@ class Intake:
         """Take frames up to one that only `frame` can take; returns how many."""
         chosen = self.selector.chosen
         good = frames.validity == OK
+        marks = good & (frames.system == OWN_SYSTEM) & (frames.message_id == _STATUSTEXT)
+        if marks.any():
+            stop = int(np.argmax(marks))
+            frames, good = frames.part(0, stop), good[:stop]
         beats = good & (frames.message_id == _HEARTBEAT)
         if chosen is None:
             stop = int(np.argmax(beats)) if beats.any() else len(frames)
             self._count(frames.part(0, stop))
+            self.fates["others"] += int(np.count_nonzero(good[:stop]))
             return stop
         chosens = (frames.system == chosen.system) & (frames.component == chosen.component)
+        others = good & ~chosens
         good &= chosens
+        dropped = self.decoder.dropped_messages
         taken = self.decoder.take(frames, good, out)
         stop = taken.frames
         frames = frames.part(0, stop)
@@ -161,6 +190,17 @@ class Intake:
             self._take_rare(frames.number + row, frames.frame(row), out)
         clock.now = end
         made = out.orders(frames.number) - frames.number
+        fates = {
+            "used": len(made),
+            "not needed": sum(
+                count
+                for message_id, count in counts_of(frames.message_id[good]).items()
+                if not self.decoder.reads(message_id)
+            ),
+            "dropped": self.decoder.dropped_messages - dropped,
+        }
+        fates["passed over"] = int(np.count_nonzero(good)) - sum(fates.values())
+        self.fates.update(fates, others=int(np.count_nonzero(others[:stop])))
         self.drift.take_block(now[made], frames.time_us[made] * 1e-6)
         return stop
 
@@ -203,6 +243,7 @@ class Intake:
             **self.monitor.as_dict(map(str, self.selector.systems.values()), self.garbage_bytes),
             "reboots": self.decoder.clock.reboots,
             "dropped": dict(self.decoder.dropped),
+            "fates": dict(self.fates),
         }
 
     def _note_other(self, who: tuple[int, int]) -> None:
