@@ -7,7 +7,7 @@ BENCH_INSTALLED := $(VENV)/.installed-bench
 SPEED_INSTALLED := $(VENV)/.installed-speed
 SIMULATORS_INSTALLED := $(VENV)/.installed-simulators
 
-.PHONY: help demo test quick check bench bench-accuracy bench-speed screenshot sample clean
+.PHONY: help demo test quick check bench bench-accuracy bench-speed screenshot report-picture sample clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -67,6 +67,9 @@ bench-speed: $(SPEED_INSTALLED) ## reading logs, against other readers (10 min)
 
 screenshot: $(INSTALLED) ## the README's picture of the screen
 	$(BIN)/python tools/screenshot.py --demo -o docs/screen.svg
+
+report-picture: $(INSTALLED) ## the picture in docs/report.md (needs a Chromium)
+	$(BIN)/python tools/report_picture.py -o docs/report.png
 
 sample: $(INSTALLED) ## the sample flight under logs/
 	$(BIN)/sim-bridge --airframe paper --mission paper --noise paper --sigma 0.02 --rate 20 \
