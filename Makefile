@@ -4,9 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 BENCH_INSTALLED := $(VENV)/.installed-bench
+SPEED_INSTALLED := $(VENV)/.installed-speed
 SIMULATORS_INSTALLED := $(VENV)/.installed-simulators
 
-.PHONY: help demo test quick check bench bench-accuracy screenshot report-picture sample clean
+.PHONY: help demo test quick check bench bench-accuracy bench-speed screenshot report-picture sample clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -51,6 +52,18 @@ $(BENCH_INSTALLED): $(INSTALLED)
 
 bench-accuracy: $(BENCH_INSTALLED) ## Monte Carlo over seeds: docs/accuracy.md (15 min)
 	$(BIN)/python -m benchmarks.accuracy
+
+$(SPEED_INSTALLED): $(INSTALLED)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint constraints.txt 'scikit-build-core>=0.10' 'pybind11>=2.13'
+	@for reader in fasttlogparser mavpose; do \
+	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation \
+	    --constraint constraints.txt $$reader || echo "$$reader cannot be installed: left out"; \
+	done
+	@touch $@
+
+bench-speed: $(SPEED_INSTALLED) ## reading logs, against other readers (10 min)
+	$(BIN)/python -m benchmarks.speed
 
 screenshot: $(INSTALLED) ## the README's picture of the screen
 	$(BIN)/python tools/screenshot.py --demo -o docs/screen.svg

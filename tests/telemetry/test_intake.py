@@ -262,7 +262,7 @@ def test_every_message_has_a_fate(sender, make_sender):
         sender.imu(1.1),
         sender.frame(mavlink.MAVLink_scaled_imu_message(1200, *[0] * 9)),  # there is a better one
         sender.frame(mavlink.MAVLink_vfr_hud_message(0, 0, 0, 0, 0, 0)),
-        sender.frame(imu(1_300_000, math.nan, *[0.0] * 12, 63)),
+        sender.frame(imu(1_300_000, 0.0, 0.0, 0.0, math.nan, *[0.0] * 9, 63)),  # no gyro
         make_sender(2, 1).imu(1.4),
     ]
     for frame in frames:

@@ -7,6 +7,11 @@ is only shown.
 """
 
 import statistics
+from typing import Any
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
 
 JUMP_BACK = 1.0
 """s. A stamp further back than this is a reboot, not reordering on the way."""
@@ -18,8 +23,13 @@ AGREE = 5.0
 UNIX_FROM = 1e9
 """s. A larger stamp is Unix time: some senders give that in time_usec."""
 
-_WRAP_MS = 2**32 * 1e-3
-_WRAP_US = 2**32 * 1e-6
+WRAP_MS = 2**32 * 1e-3
+WRAP_US = 2**32 * 1e-6
+
+
+def may_wrap(now: Any) -> Any:
+    """Whether 32 bits of us may have wrapped when the clock says `now`, s."""
+    return now > WRAP_US - JUMP_AHEAD
 
 
 class VehicleClock:
@@ -53,7 +63,7 @@ class VehicleClock:
         """Time of a 32-bit stamp in ms, s; None when it is not to be believed."""
         if not time_boot_ms:
             return None
-        return self._follow(self._unwrap(time_boot_ms * 1e-3, _WRAP_MS))
+        return self._follow(self._unwrap(time_boot_ms * 1e-3, WRAP_MS))
 
     def stamp_us32(self, time_usec: int) -> float | None:
         """Time of a 32-bit stamp in us, s; None while no other stamp tells the wraps.
@@ -62,7 +72,7 @@ class VehicleClock:
         """
         if self.now is None:
             return None
-        t = self._unwrap(time_usec * 1e-6, _WRAP_US)
+        t = self._unwrap(time_usec * 1e-6, WRAP_US)
         return t if abs(t - self.now) < JUMP_AHEAD else None
 
     def stamp_us64_or_32(self, time_usec: int) -> float | None:
@@ -71,8 +81,7 @@ class VehicleClock:
         ArduPilot before 4.0 puts a 32-bit count into RAW_IMU; from the first wrap on, such
         stamps follow the clock that others drive.
         """
-        old = self.now is not None and self.now > _WRAP_US - JUMP_AHEAD
-        if old and 0 < time_usec < 2**32:
+        if self.now is not None and may_wrap(self.now) and 0 < time_usec < 2**32:
             return self.stamp_us32(time_usec)
         return self.stamp_us64(time_usec)
 
@@ -82,6 +91,16 @@ class VehicleClock:
         # Kept once known: GPS corrects Unix time in flight, and the axis must not jump.
         if self._unix_minus_boot is None and unix > UNIX_FROM and time_boot_ms:
             self._unix_minus_boot = unix - time_boot_ms * 1e-3
+
+    @property
+    def unix_minus_boot(self) -> float | None:
+        """How far Unix time is ahead of the time since boot, s; None until it was told."""
+        return self._unix_minus_boot
+
+    def run_on(self, now: float) -> None:
+        """Take the latest of many stamps, each of which follows those before it."""
+        self.now = now
+        self._suspect = None
 
     def _unwrap(self, t: float, wrap: float) -> float:
         """Put a wrapped stamp into the turn nearest to the clock."""
@@ -143,6 +162,16 @@ class ClockDrift:
         if len(moments) > self.MOST:
             del moments[1::2]
             self._step *= 2.0
+
+    def take_block(self, vehicle: Array, wall: Array) -> None:
+        """Note (n,) moments, s, over which the vehicle's clock did not go back."""
+        at = 0
+        while at < len(wall):
+            self.take(float(vehicle[at]), float(wall[at]))
+            far = np.abs(wall[at + 1 :] - self._moments[-1][1]) >= self._step
+            if not far.any():
+                return
+            at += 1 + int(np.argmax(far))
 
     @property
     def ppm(self) -> float | None:

@@ -12,9 +12,12 @@ To take up another message, write its reader and add it to the table in `RecordD
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.model.attitude import from_euler
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.telemetry import rotors
@@ -51,7 +54,7 @@ _heartbeat = picker("HEARTBEAT", "autopilot", "base_mode", "system_status")
 _system_time = picker("SYSTEM_TIME", "time_unix_usec", "time_boot_ms")
 
 
-class _Preference:
+class Preference:
     """Lets a message through only while none that ranks better comes."""
 
     def __init__(self, lasts: float = PREFERRED_FOR) -> None:
@@ -66,6 +69,32 @@ class _Preference:
         return not any(
             heard is not None and abs(t - heard) <= self._lasts for heard in self._heard[:rank]
         )
+
+    def allows_all(self, ranked: Sequence[tuple[Array, Array]]) -> list[Mask]:
+        """The same for many messages.
+
+        Args:
+            ranked: of each rank the (n,) places of its messages in the order of arrival, and
+                their times, NaN where there is none.
+
+        Returns:
+            Of each rank (n,) whether to use the message.
+        """
+        heard: list[tuple[Array, Array]] = []
+        masks = []
+        for rank, (order, t) in enumerate(ranked):
+            allowed = np.ones(len(t), bool)
+            for better_order, better_t in heard:
+                last = better_t[np.searchsorted(better_order, order)]
+                allowed &= ~(np.abs(t - last) <= self._lasts)
+            masks.append(allowed)
+            timed = np.isfinite(t)
+            before = self._heard[rank]
+            times = np.append(np.nan if before is None else before, t[timed])
+            heard.append((order[timed], times))
+            if timed.any():
+                self._heard[rank] = float(times[-1])
+        return masks
 
 
 class RecordDecoder:
@@ -108,6 +137,11 @@ class RecordDecoder:
             table[name] = partial(self._read_unstamped, rotors.esc_telemetry(name), first, name)
         self._readers = {MESSAGE_IDS[name]: reader for name, reader in table.items()}
 
+    @property
+    def dropped_messages(self) -> int:
+        """How many messages gave no record though they should have."""
+        return self.dropped["no time"] + self.dropped["not finite"]
+
     def reads(self, message_id: int) -> bool:
         """Whether there is anything to read in messages of a type."""
         return message_id in self._readers
@@ -125,10 +159,10 @@ class RecordDecoder:
 
     def _forget_times(self) -> None:
         """What was heard at times of another boot says nothing of the present."""
-        self._imu = _Preference()
-        self._attitude = _Preference()
-        self._velocity = _Preference()
-        self._flight = _Preference(LANDED_STATE_FOR)
+        self._imu = Preference()
+        self._attitude = Preference()
+        self._velocity = Preference()
+        self._flight = Preference(LANDED_STATE_FOR)
         self._outputs_last = -math.inf
 
     def _record(

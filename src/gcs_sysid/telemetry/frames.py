@@ -33,10 +33,10 @@ LONGEST_FRAME = HEADER_2 + 255 + CHECKSUM + SIGNATURE
 _mcrf4xx = crc16.mcrf4xx
 _MAGIC = re.compile(b"[\xfd\xfe]")
 
-# CRC_EXTRA as one byte, ready to be appended to what the checksum covers.
-_CRC_EXTRA: dict[int, bytes] = {
+CRC_EXTRA: dict[int, bytes] = {
     message_id: bytes([crc_extra]) for message_id, (_, crc_extra, _) in KNOWN_MESSAGES.items()
 } | {message_id: bytes([message.crc_extra]) for message_id, message in mavlink.mavlink_map.items()}
+"""Message id -> CRC_EXTRA as one byte, ready to be appended to what the checksum covers."""
 
 
 class Validity(StrEnum):
@@ -107,7 +107,7 @@ def _frame_at(data: bytes, at: int, end: int) -> Frame | None:
     stop = at + total
     if stop > end:
         raise _Need
-    extra = _CRC_EXTRA.get(message_id)
+    extra = CRC_EXTRA.get(message_id)
     if extra is None:
         valid = Validity.UNKNOWN
     elif _mcrf4xx(data[at + 1 : payload_end] + extra) == (

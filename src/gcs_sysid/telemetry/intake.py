@@ -2,32 +2,30 @@
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from gcs_sysid.arrays import Array
 from gcs_sysid.records import Record, Stream
-from gcs_sysid.telemetry.decode import RecordDecoder
+from gcs_sysid.telemetry.block_decode import BlockDecoder
+from gcs_sysid.telemetry.clock import ClockDrift
+from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, FrameBlock, counts_of
 from gcs_sysid.telemetry.frames import Frame, Validity
 from gcs_sysid.telemetry.marks import is_reset_mark
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
+from gcs_sysid.telemetry.tracks import IntakeEvent as IntakeEvent
+from gcs_sysid.telemetry.tracks import RecordBlock, TrackCollector
 from gcs_sysid.telemetry.vehicles import Vehicle, VehicleSelector
 
 FATES = ("used", "not needed", "passed over", "dropped", "others")
 _HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
-
-
-@dataclass(frozen=True)
-class IntakeEvent:
-    """Something that happened on the way."""
-
-    t: float
-    """Vehicle time, s; after a reboot in the new count."""
-    kind: str
-    """"vehicle" (chosen), "vehicles" (another one that could be meant), "reboot" or "reset" (the
-    user had the estimate begin anew)."""
-    text: str
+_STATUSTEXT = MESSAGE_IDS["STATUSTEXT"]
+_RARE = [MESSAGE_IDS[name] for name in ("HEARTBEAT", "EXTENDED_SYS_STATE", "PARAM_VALUE")]
+_LEAST_SINGLE = 64
+"""Frames taken one by one where a block cannot be read at once; doubled while that goes on."""
 
 
 class Intake:
@@ -39,6 +37,7 @@ class Intake:
         selector: who was heard, who was chosen.
         decoder: makes the records; its `dropped` and `clock` are worth showing.
         monitor: counts and rates.
+        drift: of the vehicle's clock, by the times of the records that `block` took.
         turning: names of the messages that have told of all their rotors turning.
         fates: what became of the frames whose checksum is right, all of them: "used" (made a
             record), "not needed" (of a type that tells nothing for identification), "passed over"
@@ -49,8 +48,9 @@ class Intake:
 
     def __init__(self, wanted: tuple[int, int | None] | None = None) -> None:
         self.selector = VehicleSelector(wanted)
-        self.decoder = RecordDecoder()
+        self.decoder = BlockDecoder()
         self.monitor = Monitor()
+        self.drift = ClockDrift()
         self.turning: set[str] = set()
         self.fates = Counter(dict.fromkeys(FATES, 0))
         self.garbage_bytes = 0
@@ -107,8 +107,15 @@ class Intake:
         clock = self.decoder.clock
         reboots = clock.reboots
         before = clock.now
+        dropped = self.decoder.dropped_messages
         record = self.decoder.decode(frame)
-        self.fates["used" if record is not None else self._why_unused(frame)] += 1
+        if record is not None:
+            self.fates["used"] += 1
+        elif not self.decoder.reads(frame.message_id):
+            self.fates["not needed"] += 1
+        else:
+            new = self.decoder.dropped_messages != dropped
+            self.fates["dropped" if new else "passed over"] += 1
         if not known:
             self._note("vehicle", f"{self.selector.chosen} heard")
         if clock.reboots != reboots:
@@ -117,17 +124,109 @@ class Intake:
         if record is not None:
             self.monitor.take_record(record)
             if record.stream is Stream.ROTOR_SPEED and record.source not in self.turning:
-                self._note_turning(record)
+                self._note_turning(record.source, np.array([record.values]))
         return record
 
-    def _why_unused(self, frame: Frame) -> str:
-        """The fate of the vehicle's latest frame, which made no record."""
-        if not self.decoder.reads(frame.message_id):
-            return "not needed"
-        dropped = self.decoder.dropped.total()
-        if dropped == self.fates["dropped"]:
-            return "passed over"
-        return "dropped"
+    def block(self, frames: FrameBlock) -> RecordBlock:
+        """Take many frames; the records that `frame` would make of them.
+
+        What happened on the way is told in the block, and not by `take_events` again.
+        """
+        out = TrackCollector()
+        at, single = 0, _LEAST_SINGLE
+        while at < len(frames):
+            done = self._take_block(frames.part(at, len(frames)), out)
+            at += done
+            # Most often one frame is unusual, but it may be all of them.
+            single = 2 * single if done < single else _LEAST_SINGLE
+            if self.selector.chosen is None:  # a heartbeat comes, perhaps that of the vehicle
+                single = 1
+            for time_us, frame in frames.part(at, at + single):
+                self._take_single(frames.number + at, time_us, frame, out)
+                at += 1
+        block = out.block()
+        for track in block.tracks:
+            if track.stream is Stream.ROTOR_SPEED:
+                self._note_turning(track.source, track.values)
+        return block
+
+    def _take_block(self, frames: FrameBlock, out: TrackCollector) -> int:
+        """Take frames up to one that only `frame` can take; returns how many."""
+        chosen = self.selector.chosen
+        good = frames.validity == OK
+        marks = good & (frames.system == OWN_SYSTEM) & (frames.message_id == _STATUSTEXT)
+        if marks.any():
+            stop = int(np.argmax(marks))
+            frames, good = frames.part(0, stop), good[:stop]
+        beats = good & (frames.message_id == _HEARTBEAT)
+        if chosen is None:
+            stop = int(np.argmax(beats)) if beats.any() else len(frames)
+            self._count(frames.part(0, stop))
+            self.fates["others"] += int(np.count_nonzero(good[:stop]))
+            return stop
+        chosens = (frames.system == chosen.system) & (frames.component == chosen.component)
+        others = good & ~chosens
+        good &= chosens
+        dropped = self.decoder.dropped_messages
+        taken = self.decoder.take(frames, good, out)
+        stop = taken.frames
+        frames = frames.part(0, stop)
+        beats, chosens, good = beats[:stop], chosens[:stop], good[:stop]
+        self._count(frames)
+        now = taken.moments.after(frames.number + np.arange(stop))
+        self.monitor.take_chosen_block(
+            frames.message_id[chosens],
+            frames.sequence[chosens],
+            frames.size[chosens],
+            now[chosens],
+            frames.validity[chosens] == BAD_CRC,
+        )
+        self.monitor.take_imu_times(taken.imu_times)
+        rare = beats | (good & np.isin(frames.message_id, _RARE))
+        clock = self.decoder.clock
+        end = clock.now
+        for row in np.flatnonzero(rare).tolist():
+            clock.now = float(now[row])
+            self._take_rare(frames.number + row, frames.frame(row), out)
+        clock.now = end
+        made = out.orders(frames.number) - frames.number
+        fates = {
+            "used": len(made),
+            "not needed": sum(
+                count
+                for message_id, count in counts_of(frames.message_id[good]).items()
+                if not self.decoder.reads(message_id)
+            ),
+            "dropped": self.decoder.dropped_messages - dropped,
+        }
+        fates["passed over"] = int(np.count_nonzero(good)) - sum(fates.values())
+        self.fates.update(fates, others=int(np.count_nonzero(others[:stop])))
+        self.drift.take_block(now[made], frames.time_us[made] * 1e-6)
+        return stop
+
+    def _count(self, frames: FrameBlock) -> None:
+        self.monitor.take_block(frames.validity)
+        good = frames.validity == OK
+        self.selector.take_block(frames.system[good], frames.component[good])
+
+    def _take_rare(self, order: int, frame: Frame, out: TrackCollector) -> None:
+        """Take a message of a block that no columns are made of."""
+        if frame.message_id == _HEARTBEAT:
+            self.selector.hear(frame)
+            self._note_other((frame.system, frame.component))
+        record = self.decoder.decode(frame) if self.selector.is_chosen(frame) else None
+        self._put(order, record, out)
+
+    def _take_single(self, order: int, time_us: int, frame: Frame, out: TrackCollector) -> None:
+        record = self.frame(frame)
+        self._put(order, record, out)
+        if record is not None and self.clock is not None:
+            self.drift.take(self.clock, time_us * 1e-6)
+
+    def _put(self, order: int, record: Record | None, out: TrackCollector) -> None:
+        out.events += [(order, event) for event in self.take_events()]
+        if record is not None:
+            out.add_record(order, record)
 
     def take_events(self) -> list[IntakeEvent]:
         """What happened since this was last asked."""
@@ -160,10 +259,10 @@ class Intake:
                 f"(choose with --vehicle {other.system}:{other.component})",
             )
 
-    def _note_turning(self, record: Record) -> None:
+    def _note_turning(self, source: str, speeds: Array) -> None:
         # Outputs without a motor stay at zero in messages that have room for more.
-        if sum(1 for speed in record.values if speed) >= min(4, len(record.values)):
-            self.turning.add(record.source)
+        if (np.count_nonzero(speeds, axis=1) >= min(4, speeds.shape[1])).any():
+            self.turning.add(source)
 
     def _note(self, kind: str, text: str) -> None:
         self._events.append(IntakeEvent(self.clock or 0.0, kind, text))

@@ -8,7 +8,9 @@
 What a file is shows in its content, not in its name.
 """
 
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -17,12 +19,11 @@ import numpy as np
 from gcs_sysid.errors import InputError
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.telemetry import dataflash_format, ulog
-from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.dataflash import read_dataflash
-from gcs_sysid.telemetry.intake import Intake, IntakeEvent
+from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.monitor import GAP, GAPS_KEPT
-from gcs_sysid.telemetry.tlog import STAMP, read_tlog
-from gcs_sysid.telemetry.tracks import Recording
+from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tracks import IntakeEvent, RecordBlock, Recording
 from gcs_sysid.telemetry.ulog import read_ulog
 from gcs_sysid.telemetry.vehicles import Vehicle
 
@@ -58,8 +59,14 @@ class Log(Telemetry, Protocol):
     recorded: float | None
     """When it begins, seconds of Unix time; None when the log does not say, or is not yet read."""
 
+    def blocks(self) -> Iterator[RecordBlock]:
+        """The records of the chosen vehicle, once, as columns; blocks follow each other.
+
+        What happened on the way is told in the blocks, and not by `take_events`.
+        """
+
     def records(self) -> Iterator[Record]:
-        """The records of the chosen vehicle, once, in the order in which they came."""
+        """The same one by one, in the order in which they came; instead of `blocks`."""
 
     @property
     def share_read(self) -> float:
@@ -80,34 +87,28 @@ class TlogLog:
         self.intake = Intake(wanted)
         self._reader = read_tlog(path)
         self._size = max(path.stat().st_size, 1)
-        self._done = 0
-        self._drift = ClockDrift()
+        self._events: list[IntakeEvent] = []
+
+    def blocks(self) -> Iterator[RecordBlock]:
+        """As `Log` says."""
+        for frames in self._reader.blocks():
+            if self.recorded is None:
+                self.recorded = float(frames.time_us[0]) * 1e-6
+            yield self.intake.block(frames)
 
     def records(self) -> Iterator[Record]:
         """As `Log` says."""
-        intake, drift = self.intake, self._drift
-        for time_us, frame in self._reader:
-            self._done += STAMP + len(frame.raw)
-            if self.recorded is None:
-                self.recorded = time_us * 1e-6
-            record = intake.frame(frame)
-            if record is None:
-                continue
-            now = intake.clock
-            if now is not None:
-                drift.take(now, time_us * 1e-6)
-            yield record
-        self._done = self._size
+        return _one_by_one(self.blocks(), self._events)
 
     @property
     def share_read(self) -> float:
         """As `Log` says."""
-        return min(self._done / self._size, 1.0)
+        return self._reader.bytes_read / self._size
 
     @property
     def drift_ppm(self) -> float | None:
         """As `Log` says; by the times at which the ground station received."""
-        return self._drift.ppm
+        return self.intake.drift.ppm
 
     @property
     def vehicle(self) -> Vehicle | None:
@@ -126,7 +127,9 @@ class TlogLog:
 
     def take_events(self) -> list[IntakeEvent]:
         """As `Telemetry` says."""
-        return self.intake.take_events()
+        events = self._events[:]
+        self._events.clear()
+        return events
 
     def as_dict(self) -> dict[str, Any]:
         """As `Telemetry` says."""
@@ -155,13 +158,19 @@ class OnboardLog:
         self._given = 0
         self._total = max(sum(len(track.t) for track in recording.tracks), 1)
         start, _ = self._span()
-        self._events = [IntakeEvent(start, "vehicle", f"{own} heard")] if fits else []
+        heard = IntakeEvent(start, "vehicle", f"{own} heard")
+        self._told = ((0, heard),) if fits else ()
+        self._events: list[IntakeEvent] = []
+
+    def blocks(self) -> Iterator[RecordBlock]:
+        """As `Log` says: one block."""
+        if self.vehicle is not None:
+            yield replace(self._recording.block(), events=self._told)
+            self._given = self._total
 
     def records(self) -> Iterator[Record]:
         """As `Log` says."""
-        if self.vehicle is None:
-            return
-        for record in self._recording.records():
+        for record in _one_by_one(self.blocks(), self._events):
             self._given += record.stream is not Stream.PARAMETER
             yield record
 
@@ -172,7 +181,8 @@ class OnboardLog:
 
     def take_events(self) -> list[IntakeEvent]:
         """As `Telemetry` says."""
-        events, self._events = self._events, []
+        events = self._events[:]
+        self._events.clear()
         return events
 
     def as_dict(self) -> dict[str, Any]:
@@ -224,6 +234,17 @@ class OnboardLog:
                 ]
                 return {"count": len(long), "last": last}
         return {"count": 0, "last": []}
+
+
+def _one_by_one(blocks: Iterable[RecordBlock], told: list[IntakeEvent]) -> Iterator[Record]:
+    """The records of blocks; events are put into `told` before the records that follow them."""
+    for block in blocks:
+        events = deque(block.events)
+        for order, record in block.records():
+            while events and events[0][0] <= order:
+                told.append(events.popleft()[1])
+            yield record
+        told += (event for _, event in events)
 
 
 def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:

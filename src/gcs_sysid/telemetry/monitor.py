@@ -5,11 +5,16 @@ recording show the same figures.
 """
 
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.records import Record, Stream
+from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, UNKNOWN, counts_of
 from gcs_sysid.telemetry.frames import Frame, Validity
 from gcs_sysid.telemetry.messages import message_name
 
@@ -22,6 +27,10 @@ REORDERED = 64
 GAP = 0.1
 """s. A pause of the IMU longer than this, and than five of its usual steps, is a gap."""
 GAPS_KEPT = 100
+_NEW_SHARE = 0.02
+"""Of each step of the IMU in what its usual step is believed to be."""
+_REMEMBERED = 2048
+"""Steps after which nothing is left of an older one."""
 
 
 class SequenceCount:
@@ -55,6 +64,36 @@ class SequenceCount:
         self._seen = (self._seen << ahead | 1) & ((1 << REORDERED) - 1)
         self.received += 1
         self.expected += ahead
+
+    def take_block(self, sequences: Array) -> None:
+        """Count (n,) messages, uint8."""
+        singles = 0
+        while singles < len(sequences) and self.expected < 2 * REORDERED:
+            self.take(int(sequences[singles]))
+            singles += 1
+        sequences = sequences[singles:]
+        if self._newest is None or not len(sequences):
+            return
+        # The numbers without wrapping, 0 being the newest before them.
+        steps: Array = np.diff(sequences.astype(np.int64), prepend=self._newest)
+        steps %= 256
+        steps[steps > 256 - REORDERED] -= 256
+        numbers = np.cumsum(steps)
+        newest = np.maximum.accumulate(np.append(0, numbers))
+        ahead = numbers - newest[:-1]
+        if (ahead > 256 - REORDERED).any() or (ahead <= -REORDERED).any():
+            for sequence in sequences.tolist():
+                self.take(sequence)
+            return
+        seen = [-n for n in range(REORDERED) if self._seen >> n & 1]
+        numbers = np.sort(np.append(seen, numbers))
+        distinct = numbers[np.diff(numbers, append=np.iinfo(np.int64).max) > 0]
+        moved = int(newest[-1])
+        self.received += len(distinct) - len(seen)
+        self.expected += moved
+        self._newest = (self._newest + moved) % 256
+        recent = moved - distinct[distinct > moved - REORDERED]
+        self._seen = sum(1 << n for n in recent.tolist())
 
     def follows(self, sequence: int) -> bool:
         """Whether a number is among the next few: believable in a damaged frame."""
@@ -120,6 +159,13 @@ class Monitor:
         else:
             self.bad_crc += 1
 
+    def take_block(self, validity: Array) -> None:
+        """Count (n,) frames of any sender, by `FrameBlock.validity`."""
+        counts = counts_of(validity)
+        self.received += counts.get(OK, 0)
+        self.unknown += counts.get(UNKNOWN, 0)
+        self.bad_crc += counts.get(BAD_CRC, 0)
+
     def take_chosen(self, frame: Frame, now: float | None) -> None:
         """Count a frame of the chosen vehicle; `now` is its clock after that frame."""
         if frame.valid is not Validity.BAD_CRC:
@@ -131,7 +177,45 @@ class Monitor:
         if now is not None and frame.valid is not Validity.BAD_CRC:
             self._count_step(frame, now)
 
+    def take_chosen_block(
+        self, message_id: Array, sequence: Array, size: Array, now: Array, bad_crc: Mask
+    ) -> None:
+        """Count frames of the chosen vehicle while its clock runs on.
+
+        Args:
+            message_id: (n,).
+            sequence: (n,) uint8.
+            size: (n,) bytes of each.
+            now: (n,) s, its clock after each.
+            bad_crc: (n,) whether its checksum is wrong.
+        """
+        if bad_crc.any():
+            for number, bad in zip(sequence.tolist(), bad_crc.tolist(), strict=True):
+                if not bad or self._sequence.follows(number):
+                    self._sequence.take(number)
+            message_id, size, now = (part[~bad_crc] for part in (message_id, size, now))
+        else:
+            self._sequence.take_block(sequence)
+        if not len(now):
+            return
+        self.heard += len(now)
+        self._counts.update(counts_of(message_id))
+        self._go_on(float(now[0]))
+        self._now = float(now[-1])
+        steps = (now / STEP).astype(np.int64)
+        first = int(np.searchsorted(steps, steps[-1] - WINDOW / STEP))
+        edges = np.flatnonzero(np.diff(steps[first:], prepend=-1, append=-1)) + first
+        for start, end in pairwise(edges.tolist()):
+            counts = counts_of(message_id[start:end])
+            self._add_step(int(steps[start]), counts, int(size[start:end].sum()))
+
     def _count_step(self, frame: Frame, now: float) -> None:
+        self._go_on(now)
+        self._now = now
+        self._add_step(int(now / STEP), {frame.message_id: 1}, len(frame.raw))
+
+    def _go_on(self, now: float) -> None:
+        """See whether the clock went back."""
         if self._now is not None and self._first is not None and now < self._now - STEP:
             self._spans += self._now - self._first
             self._first = None
@@ -139,22 +223,50 @@ class Monitor:
             self._imu_last = None
         if self._first is None:
             self._first = now
-        self._now = now
-        step = int(now / STEP)
+
+    def _add_step(self, step: int, messages: Mapping[int, int], size: int) -> None:
         if not self._steps or self._steps[-1][0] != step:
             self._steps.append((step, Counter(), [0]))
             while self._steps[0][0] < step - WINDOW / STEP:
                 self._steps.popleft()
-        _, counts, size = self._steps[-1]
-        counts[frame.message_id] += 1
-        size[0] += len(frame.raw)
+        _, counts, sizes = self._steps[-1]
+        counts.update(messages)
+        sizes[0] += size
 
     def take_record(self, record: Record) -> None:
         """Watch the IMU for gaps."""
-        if record.stream is not Stream.IMU:
+        if record.stream is Stream.IMU:
+            self._take_imu_time(record.t)
+
+    def take_imu_times(self, t: Array) -> None:
+        """Watch (n,) times in s of IMU samples for gaps, while the clock runs on."""
+        if self._imu_last is None:
+            for first in t[:1].tolist():
+                self._take_imu_time(first)
+            t = t[1:]
+        newest = np.maximum.accumulate(np.append(self._imu_last or 0.0, t))
+        t = t[t > newest[:-1]]
+        steps = np.diff(t, prepend=newest[0])
+        start = 0
+        for long in np.flatnonzero(steps > GAP).tolist():  # only there can a gap be
+            self._take_imu_steps(t[start:long], steps[start:long])
+            self._take_imu_time(float(t[long]))
+            start = long + 1
+        self._take_imu_steps(t[start:], steps[start:])
+
+    def _take_imu_steps(self, t: Array, steps: Array) -> None:
+        """Take samples after steps that are no gaps."""
+        if not len(t):
             return
+        self._imu_last = float(t[-1])
+        usual = self._imu_step or float(steps[0])
+        steps = steps[-_REMEMBERED:]
+        left = (1.0 - _NEW_SHARE) ** np.arange(len(steps), -1, -1)
+        self._imu_step = float(usual * left[0] + _NEW_SHARE * (left[1:] @ steps))
+
+    def _take_imu_time(self, t: float) -> None:
         if self._imu_last is not None:
-            step = record.t - self._imu_last
+            step = t - self._imu_last
             if step <= 0.0:
                 return
             if step > max(GAP, 5.0 * self._imu_step):
@@ -163,8 +275,8 @@ class Monitor:
                     self.gap_count += 1
                 self._imu_step = self._imu_step or step
             else:
-                self._imu_step += 0.02 * (step - self._imu_step) if self._imu_step else step
-        self._imu_last = record.t
+                self._imu_step += _NEW_SHARE * (step - self._imu_step) if self._imu_step else step
+        self._imu_last = t
 
     @property
     def counts(self) -> dict[str, int]:

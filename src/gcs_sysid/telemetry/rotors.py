@@ -3,6 +3,9 @@
 import math
 from collections.abc import Callable
 
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.telemetry.messages import picker
 
 RPM = 2.0 * math.pi / 60.0
@@ -15,7 +18,8 @@ ESC_TELEMETRY = {
 _esc_status = picker("ESC_STATUS", "time_usec", "index", "rpm")
 _rpm = picker("RPM", "rpm1", "rpm2")
 _outputs = picker("ACTUATOR_OUTPUT_STATUS", "time_usec", "active", "actuator")
-_servos = picker("SERVO_OUTPUT_RAW", "time_usec", "port", *(f"servo{i}_raw" for i in range(1, 17)))
+_SERVOS = [f"servo{i}_raw" for i in range(1, 17)]
+_servos = picker("SERVO_OUTPUT_RAW", "time_usec", "port", *_SERVOS)
 
 
 def esc_status(payload: bytes) -> tuple[int, int, tuple[float, ...]]:
@@ -56,3 +60,27 @@ def servo_outputs(payload: bytes) -> tuple[int, int, tuple[float, ...]]:
     while len(servos) > 4 and servos[-1] == 0:  # 0 is: not there
         servos.pop()
     return time_usec, port, tuple(float(servo) for servo in servos)
+
+
+def actuator_outputs_block(messages: Array) -> tuple[Array, Array]:
+    """(n, 32) commands of n ACTUATOR_OUTPUT_STATUS, and how many of each row are used."""
+    outputs = messages["actuator"].astype(float)
+    most = outputs.shape[1]
+    active = messages["active"].astype(float)
+    bit_length = np.frexp(active)[1]
+    count = np.where(active <= most, active, np.minimum(bit_length, most)).astype(int)
+    count[count == 0] = most
+    there = np.isfinite(outputs) & (np.arange(most) < count[:, None])
+    return outputs, np.maximum(_to_last(there), np.minimum(count, 4))
+
+
+def servo_outputs_block(messages: Array) -> tuple[Array, Array]:
+    """(n, 16) commands of n SERVO_OUTPUT_RAW, and how many of each row are there."""
+    servos = np.column_stack([messages[name] for name in _SERVOS]).astype(float)
+    return servos, np.maximum(_to_last(servos != 0.0), 4)
+
+
+def _to_last(there: Mask) -> Array:
+    """(n,) how many entries of each row there are up to the last true one."""
+    count = there.shape[1] - np.argmax(there[:, ::-1], axis=1)
+    return np.where(there.any(axis=1), count, 0)

@@ -7,22 +7,19 @@ import os
 import struct
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from gcs_sysid.errors import InputError
-from gcs_sysid.telemetry.frames import (
-    LONGEST_FRAME,
-    MAGIC_1,
-    MAGIC_2,
-    Frame,
-    Validity,
-    find_frame,
-    read_frame,
-)
+import numpy as np
 
-STAMP = 8
+from gcs_sysid.arrays import Array
+from gcs_sysid.errors import InputError
+from gcs_sysid.telemetry.frame_block import FrameBlock
+from gcs_sysid.telemetry.frames import Frame, find_frame
+from gcs_sysid.telemetry.message_arrays import message_arrays
+from gcs_sysid.telemetry.tlog_scan import STAMP, ScanCounts, Scanner, record_follows
+
 _stamp = struct.Struct(">Q")
 
 WRITE_EVERY = 0.25
@@ -33,9 +30,10 @@ an SD card, so it happens in the recorder's own thread, where it keeps nobody wa
 MOST_PENDING = 16 * 2**20
 """Bytes held for a disk that does not take them; what comes beyond is dropped and counted."""
 
-WINDOW = 2**20
-PLAUSIBLE_STEP = 86_400_000_000
-"""us. After a break in the file, a stamp further than this from the last one is not believed."""
+WINDOW = 2**21
+"""Bytes read at once. Working on them takes about ten times as much memory."""
+HEAD = 2**20
+"""Bytes that must show a record for the file to be a .tlog."""
 
 
 class TlogWriter:
@@ -160,25 +158,29 @@ def unused_path(path: Path) -> Path:
 class TlogReader:
     """Reads a .tlog of any ground station, in windows of bounded memory.
 
-    Iterating gives (time_us, frame) for every record, frames of unknown types and with a
-    wrong checksum too where the chain of records is intact. Where it is broken, the reader
-    hunts for the next frame whose checksum is right.
+    Frames of unknown types and with a wrong checksum come too where the chain of records is
+    intact. Where it is broken, the reader hunts for the next frame whose checksum is right.
+
+    Args:
+        path: of the file.
+        window: bytes read at once.
 
     Attributes:
-        garbage_bytes: bytes that belong to no record.
-        bad_crc: frames whose checksum is wrong.
+        counts: of what was seen while it was last read.
+        bytes_read: of the file, while it was last read.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, window: int | None = None) -> None:
         self.path = Path(path)
-        self.garbage_bytes = 0
-        self.bad_crc = 0
+        self.counts = ScanCounts()
+        self.bytes_read = 0
+        self._window = window or WINDOW
         try:
             if self.path.is_dir():
                 raise InputError(f"{self.path} is a folder: give a .tlog file")
             size = self.path.stat().st_size
             with open(self.path, "rb") as file:
-                head = file.read(WINDOW)
+                head = file.read(HEAD)
         except OSError as error:
             raise InputError(f"cannot read {self.path}: {error.strerror}") from error
         if size == 0:
@@ -186,58 +188,52 @@ class TlogReader:
         if not _looks_like_tlog(head):
             raise InputError(f"{self.path} is not a .tlog: no MAVLink record found in it")
 
+    @property
+    def garbage_bytes(self) -> int:
+        """Bytes that belong to no record."""
+        return self.counts.garbage_bytes
+
+    @property
+    def bad_crc(self) -> int:
+        """Frames whose checksum is wrong."""
+        return self.counts.bad_crc
+
+    def blocks(self) -> Iterator[FrameBlock]:
+        """All frames as columns, window by window.
+
+        Raises:
+            InputError: the file can no longer be read.
+        """
+        scanner = Scanner()
+        self.counts = scanner.counts
+        self.bytes_read = 0
+        try:
+            with open(self.path, "rb") as file:
+                content, final = b"", False
+                while not final:
+                    more = file.read(self._window)
+                    self.bytes_read += len(more)
+                    final = len(more) < self._window
+                    block, done = scanner.scan(content + more, final=final)
+                    content = (content + more)[done:]
+                    if len(block):
+                        yield block
+        except OSError as error:
+            raise InputError(f"cannot read {self.path}: {error.strerror}") from error
+
     def __iter__(self) -> Iterator[tuple[int, Frame]]:
-        self.garbage_bytes = self.bad_crc = 0
-        last_us = 0
-        with open(self.path, "rb") as file:
-            data = file.read(WINDOW)
-            at = 0
-            ended = False
-            while True:
-                # The longest record and the header after it must lie in the window.
-                if not ended and len(data) - at < 2 * (STAMP + LONGEST_FRAME):
-                    more = file.read(WINDOW)
-                    ended = not more
-                    data = data[at:] + more
-                    at = 0
-                    continue
-                if at >= len(data):
-                    return
-                frame = read_frame(data, at + STAMP)
-                if frame is not None and (
-                    frame.valid is Validity.OK or _record_follows(data, at + STAMP, frame)
-                ):
-                    (last_us,) = _stamp.unpack_from(data, at)
-                    start = at
-                else:
-                    position, frame = find_frame(
-                        data, at, len(data) if ended else len(data) - LONGEST_FRAME, final=True
-                    )
-                    if frame is None:
-                        # A record's stamp may lie just before the frame that comes next.
-                        start = len(data) if ended else max(at, position - STAMP)
-                        self.garbage_bytes += start - at
-                        at = start
-                        if ended:
-                            return
-                        more = file.read(WINDOW)
-                        ended = not more
-                        data = data[at:] + more
-                        at = 0
-                        continue
-                    start = max(at, position - STAMP)
-                    if position - start == STAMP:
-                        (stamp,) = _stamp.unpack_from(data, start)
-                        if not last_us or abs(stamp - last_us) < PLAUSIBLE_STEP:
-                            last_us = stamp
-                    self.garbage_bytes += start - at
-                    at = position + len(frame.raw)
-                    yield last_us, frame
-                    continue
-                if frame.valid is Validity.BAD_CRC:
-                    self.bad_crc += 1
-                at = start + STAMP + len(frame.raw)
-                yield last_us, frame
+        """(time in us since 1970, frame) of every record."""
+        for block in self.blocks():
+            yield from block
+
+    def messages(self, names: Collection[str] | None = None) -> Iterator[dict[str, Array]]:
+        """Messages of the types named (None: of all that the dialect knows), window by window.
+
+        Gives name -> structured array, see `message_arrays`, for the types that occur in the
+        window. Joined, the windows are what `read_messages` gives.
+        """
+        for block in self.blocks():
+            yield message_arrays(block, names)
 
 
 def read_tlog(path: Path | str) -> TlogReader:
@@ -245,15 +241,30 @@ def read_tlog(path: Path | str) -> TlogReader:
     return TlogReader(path)
 
 
-def _record_follows(data: bytes, at: int, frame: Frame) -> bool:
-    """Whether another record, or the end of the data, comes after a frame."""
-    stop = at + len(frame.raw)
-    magic = stop + STAMP
-    intact = stop == len(data) if magic >= len(data) else data[magic] in (MAGIC_1, MAGIC_2)
-    if not intact or frame.valid is not Validity.BAD_CRC:
-        return intact
-    # A corrupted length byte can lead to another record by chance; then good ones lie inside.
-    return find_frame(data, at + 1, stop, final=True)[1] is None
+def read_messages(
+    path: Path | str, names: Collection[str] | None = None
+) -> tuple[dict[str, Array], ScanCounts]:
+    """All messages of a .tlog.
+
+    Args:
+        path: of the file.
+        names: of the message types wanted; None: all that the dialect knows.
+
+    Returns:
+        Message name -> structured array in the order of the file, see `message_arrays`, and
+        what was seen in the file, losses included.
+
+    Raises:
+        InputError: the file cannot be read, or is no .tlog.
+        KeyError: the dialect has no message of a name.
+    """
+    reader = TlogReader(path)
+    parts: dict[str, list[Array]] = {}
+    for window in reader.messages(names):
+        for name, messages in window.items():
+            parts.setdefault(name, []).append(messages)
+    # One type after the other, so that the pieces of the others are not held twice.
+    return {name: np.concatenate(parts.pop(name)) for name in list(parts)}, reader.counts
 
 
 def _looks_like_tlog(head: bytes) -> bool:
@@ -264,7 +275,7 @@ def _looks_like_tlog(head: bytes) -> bool:
         if frame is None:
             return False
         if at >= STAMP and (
-            _record_follows(head, at, frame) or at + len(frame.raw) + STAMP > len(head)
+            record_follows(head, at, frame) or at + len(frame.raw) + STAMP > len(head)
         ):
             return True
         at += 1

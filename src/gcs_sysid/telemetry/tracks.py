@@ -1,11 +1,12 @@
-"""Onboard logs as records: whole streams as arrays, merged by time.
+"""Logs as records: whole streams as arrays, merged in order.
 
 A log that the autopilot wrote itself (.ulg, .bin) is no row of frames. Its readers turn each of
-its topics into a `Track`; merging those gives the same records as a link would have given.
+its topics into a `Track`; merging those by time gives the same records as a link would have
+given. A ground station's log (.tlog) gives its tracks block by block, in the order of its frames.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,10 +26,12 @@ class Track:
 
     Attributes:
         stream: what the values are.
-        t: (n,) s, vehicle clock, rising.
+        t: (n,) s, vehicle clock; rising, but in a `RecordBlock` as the samples came.
         values: (n, width), laid out as `Stream` says.
         offset: as in `Record`.
         source: as in `Record`.
+        order: (n,) rising, where each sample stands among those of all tracks of a
+            `RecordBlock`: in a .tlog the number of its frame. Empty elsewhere.
     """
 
     stream: Stream
@@ -36,6 +39,7 @@ class Track:
     values: Array
     offset: int = 0
     source: str = ""
+    order: Array = field(default_factory=lambda: np.empty(0, np.int64))
 
     def records(self) -> Iterator[Record]:
         """One by one, without holding them all."""
@@ -43,6 +47,115 @@ class Track:
             rows = slice(start, start + _ROWS_AT_ONCE)
             for t, values in zip(self.t[rows].tolist(), self.values[rows].tolist(), strict=True):
                 yield Record(self.stream, t, tuple(values), self.offset, self.source)
+
+
+@dataclass(frozen=True)
+class IntakeEvent:
+    """Something that happened on the way."""
+
+    t: float
+    """Vehicle time, s; after a reboot in the new count."""
+    kind: str
+    """"vehicle" (chosen), "vehicles" (another one that could be meant), "reboot" or "reset" (the
+    user had the estimate begin anew)."""
+    text: str
+
+
+@dataclass(frozen=True)
+class RecordBlock:
+    """Records that follow each other in a log, as columns.
+
+    Attributes:
+        tracks: the samples, one track for each stream, source, offset and width; their `order`
+            tells how they follow each other. A frame makes at most one sample.
+        parameters: (order, record) of those that were told, rising.
+        events: (order, event), rising; each was known before the sample of the same order.
+    """
+
+    tracks: tuple[Track, ...]
+    parameters: tuple[tuple[int, Record], ...] = ()
+    events: tuple[tuple[int, IntakeEvent], ...] = ()
+
+    def __len__(self) -> int:
+        return sum(len(track.t) for track in self.tracks) + len(self.parameters)
+
+    def records(self) -> Iterator[tuple[int, Record]]:
+        """(order, record) one by one, in order, without holding them all."""
+        told = np.array([number for number, _ in self.parameters], np.int64)
+        orders = [told, *(track.order for track in self.tracks)]
+        rows = [(r for _, r in self.parameters), *(track.records() for track in self.tracks)]
+        order = np.concatenate(orders)
+        sorting = np.argsort(order, kind="stable")
+        owner = np.repeat(np.arange(len(rows)), [len(part) for part in orders])[sorting]
+        for number, index in zip(order[sorting].tolist(), owner.tolist(), strict=True):
+            yield number, next(rows[index])
+
+
+class TrackCollector:
+    """Puts a `RecordBlock` together from pieces that follow each other."""
+
+    def __init__(self) -> None:
+        self.parameters: list[tuple[int, Record]] = []
+        self.events: list[tuple[int, IntakeEvent]] = []
+        # (stream, source, offset, width) -> pieces (order, t, values).
+        self._pieces: dict[_Key, list[tuple[Array, Array, Array]]] = {}
+        self._single: dict[_Key, list[tuple[int, Record]]] = {}
+
+    def add(
+        self,
+        stream: Stream,
+        order: Array,
+        t: Array,
+        values: Array,
+        offset: int = 0,
+        source: str = "",
+    ) -> None:
+        """Add samples of one stream that come after those it has; arguments as of `Track`."""
+        if len(order):
+            key = stream, source, offset, values.shape[1]
+            self._settle(key)
+            self._pieces.setdefault(key, []).append((order, t, values))
+
+    def add_record(self, order: int, record: Record) -> None:
+        """Add one record."""
+        if record.stream is Stream.PARAMETER:
+            self.parameters.append((order, record))
+        else:
+            key = record.stream, record.source, record.offset, len(record.values)
+            self._single.setdefault(key, []).append((order, record))
+
+    def orders(self, first: int) -> Array:
+        """(n,) rising, where the records stand that came with `first` or after it."""
+        single = [n for some in (self.parameters, *self._single.values()) for n, _ in some]
+        parts = [order for pieces in self._pieces.values() for order, _, _ in pieces]
+        orders = np.concatenate([np.array(single, np.int64), *parts])
+        made: Array = np.sort(orders[orders >= first])
+        return made
+
+    def block(self) -> RecordBlock:
+        """All of it."""
+        for key in list(self._single):
+            self._settle(key)
+        tracks = []
+        for (stream, source, offset, _), pieces in self._pieces.items():
+            order, t, values = (np.concatenate(column) for column in zip(*pieces, strict=True))
+            if (np.diff(order) < 0).any():  # of several messages
+                by_order = np.argsort(order)
+                order, t, values = order[by_order], t[by_order], values[by_order]
+            tracks.append(Track(stream, t, values, offset, source, order))
+        return RecordBlock(tuple(tracks), tuple(self.parameters), tuple(self.events))
+
+    def _settle(self, key: "_Key") -> None:
+        """Turn the single records of a key into a piece."""
+        single = self._single.pop(key, None)
+        if single:
+            order = np.array([number for number, _ in single])
+            t = np.array([record.t for _, record in single])
+            values = np.array([record.values for _, record in single], dtype=float)
+            self._pieces.setdefault(key, []).append((order, t, values))
+
+
+_Key = tuple[Stream, str, int, int]
 
 
 @dataclass
@@ -130,24 +243,26 @@ class Recording:
         if rows.any():
             self.dropped[reason] = self.dropped.get(reason, 0) + int(rows.sum())
 
-    def records(self) -> Iterator[Record]:
-        """Everything in the order of time."""
+    def block(self) -> RecordBlock:
+        """Everything in the order of time; at the same time, parameters first, then tracks."""
+        told = np.array([t for t, _, _ in self.parameters])
+        times = np.concatenate([told, *(track.t for track in self.tracks)])
+        order = np.empty(len(times), np.int64)
+        order[np.argsort(times, kind="stable")] = np.arange(len(times))
+        ends = np.cumsum([len(told), *(len(track.t) for track in self.tracks)])
         parameters = [
-            Track(Stream.PARAMETER, np.array([t]), np.array([[value]]), source=name)
-            for t, name, value in self.parameters
+            (number, Record(Stream.PARAMETER, t, (value,), source=name))
+            for number, (t, name, value) in zip(
+                order[: len(told)].tolist(), self.parameters, strict=True
+            )
         ]
-        return merged([*parameters, *self.tracks])
-
-
-def merged(tracks: Sequence[Track]) -> Iterator[Record]:
-    """The records of all tracks in the order of time; at the same time, of the tracks."""
-    if not tracks:
-        return
-    order = np.argsort(np.concatenate([track.t for track in tracks]), kind="stable")
-    owner = np.repeat(np.arange(len(tracks)), [len(track.t) for track in tracks])[order]
-    rows = [track.records() for track in tracks]
-    for index in owner.tolist():
-        yield next(rows[index])
+        return RecordBlock(
+            tuple(
+                replace(track, order=order[end - len(track.t) : end])
+                for track, end in zip(self.tracks, ends[1:].tolist(), strict=True)
+            ),
+            tuple(sorted(parameters)),
+        )
 
 
 def believable_times(t: Array) -> Mask:

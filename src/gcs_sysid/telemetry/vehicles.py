@@ -2,7 +2,11 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from gcs_sysid.arrays import Array
 from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.frame_block import counts_of
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.messages import picker
 
@@ -125,10 +129,36 @@ class VehicleSelector:
             self.systems[who] = Vehicle(*who)
             self.frames[who] = 1
         if frame.message_id == 0:
-            vehicle_type, autopilot = _heartbeat(frame.payload)
-            self._hear(Vehicle(*who, vehicle_type, autopilot, frame.version))
+            self.hear(frame)
+        return self.is_chosen(frame)
+
+    def take_block(self, systems: Array, components: Array) -> None:
+        """Note the senders of many frames whose checksums are right, heartbeats aside.
+
+        Args:
+            systems: (n,) uint8.
+            components: (n,) uint8.
+        """
+        who = systems.astype(np.uint16) << 8 | components
+        counts = {divmod(sender, 256): count for sender, count in counts_of(who).items()}
+        new = counts.keys() - self.systems.keys()
+        first = {(i, j): int(np.argmax(who == (i << 8 | j))) for i, j in new}
+        for address in sorted(new, key=first.__getitem__)[: MOST_SYSTEMS - len(self.systems)]:
+            self.systems[address] = Vehicle(*address)
+            self.frames[address] = 0
+        for address in counts.keys() & self.systems.keys():
+            self.frames[address] += counts[address]
+
+    def is_chosen(self, frame: Frame) -> bool:
+        """Whether a frame is the chosen vehicle's."""
         chosen = self.chosen
-        return chosen is not None and who == chosen.address
+        return chosen is not None and (frame.system, frame.component) == chosen.address
+
+    def hear(self, heartbeat: Frame) -> None:
+        """Note what a heartbeat says of its sender."""
+        vehicle_type, autopilot = _heartbeat(heartbeat.payload)
+        who = (heartbeat.system, heartbeat.component)
+        self._hear(Vehicle(*who, vehicle_type, autopilot, heartbeat.version))
 
     @property
     def autopilots(self) -> list[Vehicle]:

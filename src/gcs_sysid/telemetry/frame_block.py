@@ -1,0 +1,96 @@
+"""Frames of a file as columns."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.telemetry.frames import FLAG_SIGNED, Frame, Validity, read_frame
+
+OK, UNKNOWN, BAD_CRC = range(3)
+_VALIDITY = (Validity.OK, Validity.UNKNOWN, Validity.BAD_CRC)
+
+
+@dataclass(frozen=True)
+class FrameBlock:
+    """Frames that follow each other in a file, as columns.
+
+    Attributes:
+        data: (size,) uint8 piece of the file, with at least `LONGEST_FRAME` bytes after the
+            end of each frame.
+        at: (n,) where each frame's magic byte lies in `data`.
+        number: of the first frame, counted from the beginning of the file.
+        time_us: (n,) uint64 the record's time, us since 1970; repaired where it was damaged.
+        message_id: (n,) int32.
+        payload_at: (n,) where its payload begins in `data`.
+        payload_size: (n,) uint8, without the zeros that version 2 cuts.
+        size: (n,) of the whole frame.
+        sequence: (n,) uint8.
+        system: (n,) uint8.
+        component: (n,) uint8.
+        version: (n,) uint8, 1 or 2.
+        validity: (n,) uint8: `OK`, `UNKNOWN` or `BAD_CRC`.
+    """
+
+    data: Array
+    at: Array
+    number: int
+    time_us: Array
+    message_id: Array
+    payload_at: Array
+    payload_size: Array
+    size: Array
+    sequence: Array
+    system: Array
+    component: Array
+    version: Array
+    validity: Array
+
+    def __len__(self) -> int:
+        return len(self.at)
+
+    def part(self, start: int, stop: int) -> "FrameBlock":
+        """Frames [start, stop) of the block."""
+        columns = {
+            field.name: getattr(self, field.name)[start:stop]
+            for field in fields(self)
+            if field.name not in ("data", "number")
+        }
+        return FrameBlock(data=self.data, number=self.number + start, **columns)
+
+    def frame(self, index: int) -> Frame:
+        """One of them as an object."""
+        at = int(self.at[index])
+        frame = read_frame(self.data[at : at + int(self.size[index])].tobytes())
+        assert frame is not None
+        return frame
+
+    def __iter__(self) -> Iterator[tuple[int, Frame]]:
+        """(time in us, frame) one by one."""
+        data = self.data
+        columns = (
+            self.time_us, self.system, self.component, self.sequence, self.message_id, self.at,
+            self.payload_at, self.payload_at + self.payload_size, self.at + self.size,
+            self.version, self.validity,
+        )  # fmt: skip
+        for (
+            time_us, system, component, sequence, message_id, at, start, end, stop, version, valid,
+        ) in zip(*(column.tolist() for column in columns), strict=True):  # fmt: skip
+            payload, raw = data[start:end].tobytes(), data[at:stop].tobytes()
+            signed = version == 2 and raw[2] == FLAG_SIGNED
+            yield time_us, Frame(
+                system, component, sequence, message_id, payload, raw, version, signed,
+                _VALIDITY[valid],
+            )  # fmt: skip
+
+
+def counts_of(numbers: Array) -> dict[int, int]:
+    """How often each of (n,) whole numbers comes, ids of messages or senders; in rising order."""
+    few = numbers < 65536
+    count = np.bincount(numbers[few])
+    counts = {i: int(count[i]) for i in np.flatnonzero(count).tolist()}
+    if not few.all():  # the ids of made-up types may be very large
+        for i, n in zip(*np.unique(numbers[~few], return_counts=True), strict=True):
+            counts[int(i)] = int(n)
+    return counts

@@ -1,0 +1,335 @@
+"""From the bytes of a .tlog to its frames, a piece at a time.
+
+What counts as a frame is what `frames` says; here the same is decided for arrays. A record is
+8 bytes of time and a frame, so each frame's length tells where the next one's magic byte must
+be. Every byte that could be a magic byte and leads to another one is a candidate; runs of
+candidates that lead to each other are the chain, and only where a run ends is anything decided
+one by one. Then the checksums of all frames in the chain are taken together.
+
+- A frame whose checksum is right is good, whatever follows.
+- One that is wrong, or of an unknown type, keeps its place when a record follows it and no good
+  frame begins inside of it: its definition has changed, or its content is damaged.
+- Else the chain is broken, and goes on with the next good frame.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.telemetry.checksums import checksums, rows_of
+from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, UNKNOWN, FrameBlock
+from gcs_sysid.telemetry.frames import (
+    CHECKSUM,
+    CRC_EXTRA,
+    FLAG_SIGNED,
+    HEADER_1,
+    HEADER_2,
+    LONGEST_FRAME,
+    MAGIC_1,
+    MAGIC_2,
+    SIGNATURE,
+    Frame,
+    Validity,
+    find_frame,
+    read_frame,
+)
+
+STAMP = 8
+MARGIN = 3 * (STAMP + LONGEST_FRAME)
+"""Bytes that must follow a record before it is decided, unless the file ends: the record after
+it, and what may begin inside of either."""
+CLOCK_STEP = 60_000_000
+"""us. A record's time further than this from those of both neighbours, which agree with each
+other, is damaged."""
+FAR_STEP = 86_400_000_000
+"""us. The same where there is only one neighbour."""
+
+_IDS = max(CRC_EXTRA) + 2
+_EXTRA = np.full(_IDS, -1, np.int16)
+"""Message id -> CRC_EXTRA, -1 where none is known; the last entry is for all larger ids."""
+for _message_id, _extra in CRC_EXTRA.items():
+    _EXTRA[_message_id] = _extra[0]
+
+
+@dataclass
+class ScanCounts:
+    """What was seen in a file so far.
+
+    Attributes:
+        frames: frames of any validity.
+        bad_crc: those of them with a wrong checksum: another definition, or damaged.
+        unknown: those of types that nobody here knows.
+        garbage_bytes: bytes that belong to no record.
+        resyncs: how often the chain of records was broken and found again.
+        repaired_times: record times that were damaged.
+    """
+
+    frames: int = 0
+    bad_crc: int = 0
+    unknown: int = 0
+    garbage_bytes: int = 0
+    resyncs: int = 0
+    repaired_times: int = 0
+
+
+class Scanner:
+    """Cuts the pieces of a file into frames, one piece after the other.
+
+    Attributes:
+        counts: of what was seen so far.
+    """
+
+    def __init__(self) -> None:
+        self.counts = ScanCounts()
+        self._hunting = False  # whether the last piece ended in garbage
+        self._behind_us: float = np.nan  # the last record's time as it stood there
+        self._time_us = 0  # and as it was believed
+
+    def scan(self, content: bytes, *, final: bool) -> tuple[FrameBlock, int]:
+        """Cut one piece.
+
+        Args:
+            content: from where the last piece was done.
+            final: whether the file ends with it.
+
+        Returns:
+            The frames that are decided, and how many bytes are done. The bytes after that must
+            come again, before those that follow.
+        """
+        size = len(content)
+        data = np.frombuffer(content + bytes(LONGEST_FRAME + STAMP), np.uint8)
+        limit = size if final else size - MARGIN
+        at, head = _Chain(content, data, limit).frames(hunting=self._hunting)
+        stop = at + head.size
+        before = np.concatenate([np.zeros(1, at.dtype), stop])[:-1]
+        start = np.maximum(at - STAMP, before)
+        hunting = self._hunting
+        behind = int(stop[-1]) if len(at) else 0
+        if final:
+            kept, done, rest = len(at), size, size - behind
+            self._hunting = hunting and not len(at)
+        elif len(at):
+            # The last frame comes again: its time is judged with its neighbour's.
+            kept, done, rest = len(at) - 1, int(start[-1]), 0
+            self._hunting = hunting and done == 0
+        else:
+            kept = 0
+            done = rest = max(limit - STAMP, 0)
+            self._hunting = hunting or done > 0
+        gaps = start - before
+        counts = self.counts
+        counts.garbage_bytes += int(gaps.sum()) + rest
+        counts.resyncs += int(np.count_nonzero(gaps))
+        if hunting and not self._hunting and gaps[:1].sum() == 0:
+            counts.resyncs += 1  # found where the piece begins
+        time_us, damaged = self._times(data, at, at - before >= STAMP, kept)
+        counts.repaired_times += damaged
+        head = head.first(kept)
+        block = FrameBlock(
+            data=data,
+            at=at[:kept],
+            number=counts.frames,
+            time_us=time_us,
+            message_id=head.message_id,
+            payload_at=head.payload_at,
+            payload_size=head.payload_size,
+            size=head.size,
+            sequence=head.sequence,
+            system=head.system,
+            component=head.component,
+            version=head.version,
+            validity=head.validity,
+        )
+        counts.frames += kept
+        counts.bad_crc += int(np.count_nonzero(block.validity == BAD_CRC))
+        counts.unknown += int(np.count_nonzero(block.validity == UNKNOWN))
+        return block, done
+
+    def _times(self, data: Array, at: Array, stamped: Mask, kept: int) -> tuple[Array, int]:
+        """(kept,) uint64 record times, and how many of them were damaged."""
+        time_us = np.zeros(len(at), np.uint64)
+        time_us[stamped] = rows_of(data, at[stamped] - STAMP, STAMP).view(">u8")[:, 0]
+        if not kept:
+            return time_us[:0], 0
+        around = np.full(len(at) + 2, np.nan)
+        around[0] = self._behind_us
+        around[1:-1] = np.where(stamped, time_us, np.nan)
+        past, here, ahead = around[:-2], around[1:-1], around[2:]
+        spike = (abs(here - past) > CLOCK_STEP) & (abs(here - ahead) > CLOCK_STEP)
+        spike &= abs(ahead - past) <= CLOCK_STEP
+        # The first and the last of a file have one neighbour, which must not be far away.
+        spike |= np.isnan(past) & (abs(here - ahead) > FAR_STEP)
+        spike |= np.isnan(ahead) & (abs(here - past) > FAR_STEP)
+        damaged = (spike | ~stamped)[:kept]
+        time_us = time_us[:kept]
+        if damaged.any():
+            sound = np.flatnonzero(~damaged)
+            last = np.searchsorted(sound, np.arange(kept), side="right") - 1
+            first = self._time_us or (int(time_us[sound[0]]) if len(sound) else 0)
+            held = time_us[sound[np.maximum(last, 0)]] if len(sound) else time_us
+            time_us = np.where(last >= 0, held, np.uint64(first))
+        self._behind_us, self._time_us = float(here[kept - 1]), int(time_us[-1])
+        return time_us, int(np.count_nonzero(damaged))
+
+
+class _Headers:
+    """What the frames at given positions say of themselves, and whether it is true."""
+
+    def __init__(self, data: Array, at: Array) -> None:
+        head = rows_of(data, at, HEADER_2)
+        second = head[:, 0] == MAGIC_2
+        self.version = second + np.uint8(1)
+        self.payload_size = head[:, 1].copy()
+        self.payload_at = at + np.where(second, HEADER_2, HEADER_1)
+        payload_end = self.payload_at + self.payload_size
+        signed = second & (head[:, 2] == FLAG_SIGNED)
+        self.size = payload_end + CHECKSUM + SIGNATURE * signed - at
+        self.sequence = np.where(second, head[:, 4], head[:, 2])
+        self.system = np.where(second, head[:, 5], head[:, 3])
+        self.component = np.where(second, head[:, 6], head[:, 4])
+        low, middle, high = (head[:, i].astype(np.int32) for i in (7, 8, 9))
+        self.message_id = np.where(second, low | middle << 8 | high << 16, head[:, 5])
+        extra = _EXTRA[np.minimum(self.message_id, _IDS - 1)]
+        right = data[payload_end] | data[payload_end + 1].astype(np.uint16) << 8
+        right = right == checksums(data, at + 1, payload_end - at - 1, extra.astype(np.uint8))
+        self.validity = np.where(extra < 0, UNKNOWN, np.where(right, OK, BAD_CRC)).astype(np.uint8)
+
+    def first(self, count: int) -> "_Headers":
+        """The same of the first few."""
+        part = _Headers.__new__(_Headers)
+        part.__dict__ = {name: column[:count] for name, column in self.__dict__.items()}
+        return part
+
+
+class _Chain:
+    """The frames in a piece of a file.
+
+    Args:
+        content: the piece.
+        data: the same as an array, with zeros behind it.
+        limit: frames are wanted that begin up to there.
+    """
+
+    def __init__(self, content: bytes, data: Array, limit: int) -> None:
+        self._content = content
+        self._data = data
+        self._limit = limit
+        magic = data - np.uint8(MAGIC_2) <= MAGIC_1 - MAGIC_2  # what is less wraps around
+        at = np.flatnonzero(magic[: len(content)])
+        second = data[at] == MAGIC_2
+        flags = data[at + 2]
+        stop = at + data[at + 1] + np.where(second, HEADER_2 + CHECKSUM, HEADER_1 + CHECKSUM)
+        stop += SIGNATURE * (second & (flags == FLAG_SIGNED))
+        fits = (stop <= len(content)) & (~second | (flags <= FLAG_SIGNED))
+        self._whole = at[fits]  # where whole frames could begin, by their headers alone
+        follows = stop[fits] + STAMP
+        linked = magic[follows]
+        self._linked = self._whole[linked]  # after which another record's magic byte stands
+        self._follows = follows[linked]  # and where it stands
+
+    def frames(self, *, hunting: bool) -> tuple[Array, _Headers]:
+        """Where the frames begin, and what they say.
+
+        Args:
+            hunting: whether the piece begins in garbage, not with a record.
+        """
+        chain = self._wanted(self._by_length(hunting=hunting))
+        head = _Headers(self._data, chain)
+        rejected = self._rejected(chain, head)
+        if not len(rejected):
+            return chain, head
+        pieces, done = [], 0
+        for index in rejected.tolist():
+            if index < done:
+                continue
+            pieces.append(chain[done:index])
+            found, done = self._detour(chain, int(chain[index]) - STAMP)
+            pieces.append(np.array(found, chain.dtype))
+        chain = self._wanted(np.concatenate([*pieces, chain[done:]]))
+        return chain, _Headers(self._data, chain)
+
+    def _wanted(self, chain: Array) -> Array:
+        return chain[: np.searchsorted(chain, self._limit, side="right")]
+
+    def _by_length(self, *, hunting: bool) -> Array:
+        """The chain as the lengths tell it, checksums aside."""
+        linked, follows = self._linked, self._follows
+        # Runs of candidates that lead to each other, and where the last of each leads.
+        last = np.flatnonzero(np.append(follows[:-1] != linked[1:], [True] * min(len(linked), 1)))
+        target = np.searchsorted(linked, follows[last])
+        known = linked[np.minimum(target, len(linked) - 1)] == follows[last]
+        runs_of_targets = np.searchsorted(last, target).tolist()
+        targets = np.where(known, target, -1).tolist()
+        lasts, leads_to = last.tolist(), follows[last].tolist()
+        pieces: list[Array] = []
+        record: int | None = 0
+        while record is not None and record <= self._limit:
+            first = int(np.searchsorted(linked, record + STAMP))
+            if not hunting and first < len(linked) and linked[first] == record + STAMP:
+                run = int(np.searchsorted(last, first))
+                while first >= 0:
+                    pieces.append(linked[first : lasts[run] + 1])
+                    record = leads_to[run] - STAMP
+                    first, run = targets[run], runs_of_targets[run]
+            else:
+                position, record = self._next(record, hunting=hunting)
+                if record is not None:
+                    pieces.append(np.array([position]))
+            hunting = False
+        return np.concatenate([np.empty(0, np.intp), *pieces])
+
+    def _next(self, record: int, *, hunting: bool) -> tuple[int, int | None]:
+        """Where the next frame begins, and the record after it; None when there is none."""
+        content = self._content
+        if not hunting:
+            frame = read_frame(content, record + STAMP)
+            if frame is not None and (
+                frame.valid is Validity.OK or record_follows(content, record + STAMP, frame)
+            ):
+                return record + STAMP, record + STAMP + len(frame.raw)
+        position, frame = find_frame(content, record, len(content), final=True)
+        return position, None if frame is None else position + len(frame.raw)
+
+    def _detour(self, chain: Array, record: int) -> tuple[list[int], int]:
+        """Frames from a hunt on until they meet the chain again, and where in it they do."""
+        found: list[int] = []
+        following: int | None = record
+        hunting = True
+        while following is not None and following <= self._limit:
+            position, following = self._next(following, hunting=hunting)
+            hunting = False
+            if following is None:
+                break
+            index = int(np.searchsorted(chain, position))
+            if index < len(chain) and chain[index] == position:
+                return found, index
+            found.append(position)
+        return found, len(chain)
+
+    def _rejected(self, chain: Array, head: _Headers) -> Array:
+        """Which frames of the chain have a wrong checksum and a good frame inside.
+
+        A damaged length can lead to another magic byte by chance.
+        """
+        bad = np.flatnonzero(head.validity == BAD_CRC)
+        if not len(bad):
+            return bad
+        first = np.searchsorted(self._whole, chain[bad], side="right")
+        count = np.searchsorted(self._whole, chain[bad] + head.size[bad]) - first
+        owner = np.repeat(np.arange(len(bad)), count)
+        nth = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+        inside = self._whole[first[owner] + nth]
+        good = _Headers(self._data, inside).validity == OK
+        rejected: Array = bad[np.unique(owner[good])]
+        return rejected
+
+
+def record_follows(data: bytes, at: int, frame: Frame) -> bool:
+    """Whether another record, or the end of the data, comes after a frame."""
+    stop = at + len(frame.raw)
+    magic = stop + STAMP
+    intact = stop == len(data) if magic >= len(data) else data[magic] in (MAGIC_1, MAGIC_2)
+    if not intact or frame.valid is not Validity.BAD_CRC:
+        return intact
+    return find_frame(data, at + 1, stop, final=True)[1] is None

@@ -1,0 +1,279 @@
+"""Frames taken in blocks make the same records, figures and events as one by one."""
+
+import math
+import random
+import struct
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from gcs_sysid.records import Stream
+from gcs_sysid.telemetry.clock import ClockDrift
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.intake import Intake
+from gcs_sysid.telemetry.marks import reset_mark
+from gcs_sysid.telemetry.monitor import SequenceCount
+from gcs_sysid.telemetry.tlog import TlogReader, read_tlog
+
+START = 1_750_000_000_000_000
+
+
+class Flier:
+    """A vehicle that sends everything that is read, and now and then something odd."""
+
+    def __init__(self, sender, rng, autopilot):
+        self.sender = sender
+        self.rng = rng
+        self.autopilot = autopilot
+        self.t = rng.choice([5.0, 4_294_960.0, 4_284.0])  # a stamp wraps soon
+        self.unix = 0.0
+        self.offset = 0
+
+    def us(self):
+        return round((self.t + self.unix) * 1e6)
+
+    def ms(self):
+        return round(self.t * 1e3) % 2**32
+
+    def number(self, low=-2.0, high=2.0):
+        return self.rng.uniform(low, high) if self.rng.random() > 0.01 else self.odd()
+
+    def odd(self):
+        return self.rng.choice([float("nan"), float("inf"), 0.0, 1e30])
+
+    def numbers(self, count):
+        return [self.number() for _ in range(count)]
+
+    def whole(self, count, low, high):
+        return [self.rng.choice([0, self.rng.randint(low, high)]) for _ in range(count)]
+
+    def message(self):
+        rng, m = self.rng, mavlink
+        makers = {
+            "HIGHRES_IMU": lambda: m.MAVLink_highres_imu_message(
+                self.us(), *self.numbers(13), 63, int(rng.random() < 0.1)
+            ),
+            "SCALED_IMU": lambda: m.MAVLink_scaled_imu_message(
+                self.ms(), *self.whole(9, -900, 900)
+            ),
+            "RAW_IMU": lambda: m.MAVLink_raw_imu_message(
+                self.us() % rng.choice([2**32, 2**64]),
+                *self.whole(9, -900, 900),
+                id=int(rng.random() < 0.2),
+            ),
+            "ATTITUDE": lambda: m.MAVLink_attitude_message(self.ms(), *self.numbers(6)),
+            "ATTITUDE_QUATERNION": lambda: m.MAVLink_attitude_quaternion_message(
+                self.ms(), *self.quaternion(), 0, 0, 0
+            ),
+            "ESC_STATUS": lambda: m.MAVLink_esc_status_message(
+                rng.choice([0, 4]), self.us(), self.whole(4, -9000, 9000), [0] * 4, [0] * 4
+            ),
+            "RPM": lambda: m.MAVLink_rpm_message(*(rng.choice([-1.0, 500.0]) for _ in "12")),
+            "ESC_TELEMETRY_1_TO_4": lambda: m.MAVLink_esc_telemetry_1_to_4_message(
+                [0] * 4, [0] * 4, [0] * 4, [0] * 4, self.whole(4, 1, 9000), [0] * 4
+            ),
+            "ACTUATOR_OUTPUT_STATUS": lambda: m.MAVLink_actuator_output_status_message(
+                self.us(),
+                rng.choice([0, 3, 4, 16, 32, 0b11111111, 2**31]),
+                [rng.choice([0.0, 1500.0, float("nan")]) for _ in range(32)],
+            ),
+            "SERVO_OUTPUT_RAW": lambda: m.MAVLink_servo_output_raw_message(
+                self.us() % 2**32, int(rng.random() < 0.1), *self.whole(16, 900, 2000)
+            ),
+            "LOCAL_POSITION_NED": lambda: m.MAVLink_local_position_ned_message(
+                self.ms(), *self.numbers(6)
+            ),
+            "GLOBAL_POSITION_INT": lambda: m.MAVLink_global_position_int_message(
+                self.ms(), 1, 2, 3, *self.whole(4, -900, 900), 0
+            ),
+            "EXTENDED_SYS_STATE": lambda: m.MAVLink_extended_sys_state_message(0, rng.randrange(5)),
+            "HEARTBEAT": self.heartbeat,
+            "PARAM_VALUE": lambda: m.MAVLink_param_value_message(
+                b"P%d" % rng.randrange(9), self.number(), rng.choice([6, 9]), 9, 0
+            ),
+            "SYSTEM_TIME": lambda: m.MAVLink_system_time_message(
+                rng.choice([0, round((1.7e9 + self.t) * 1e6)]), self.ms()
+            ),
+            "PING": lambda: m.MAVLink_ping_message(1, 1, 0, 0),
+        }
+        common = rng.choice(["HIGHRES_IMU", "ATTITUDE", "ESC_TELEMETRY_1_TO_4", *makers])
+        return makers[common]()
+
+    def heartbeat(self):
+        armed = self.rng.choice([0, mavlink.MAV_MODE_FLAG_SAFETY_ARMED])
+        status = self.rng.choice([mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_ACTIVE])
+        return mavlink.MAVLink_heartbeat_message(2, self.autopilot, armed, 0, status, 3)
+
+    def quaternion(self):
+        q = np.array([self.rng.gauss(0.0, 1.0) for _ in range(4)])
+        return (q / np.linalg.norm(q) * self.number(0.85, 1.05)).tolist()
+
+    def step(self, oddities):
+        self.t += self.rng.choice([0.0, 0.004, 0.004, 0.02, -0.003])
+        if self.rng.random() < oddities:
+            self.t = self.rng.choice(
+                [self.t + 5.0, self.t + 30.0, self.t - 5.0, self.t - 0.5, 2.0, 0.0]
+            )
+        if self.rng.random() < oddities:
+            self.unix = self.rng.choice([0.0, 1.7e9])
+        if self.rng.random() < oddities:
+            self.autopilot = self.rng.choice([3, 12])
+        if self.rng.random() < oddities:
+            self.sender.packer.seq = self.rng.randrange(256)
+        self.t = max(self.t, 0.0)
+        message = self.message()
+        return self.sender.raw(message, 2 if message.id > 255 else self.rng.choice([1, 2]))
+
+
+def log_of(make_sender, seed, oddities, count):
+    """The bytes of a .tlog with two vehicles and a ground station."""
+    rng = random.Random(seed)
+    autopilot = rng.choice([mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA])
+    vehicle, other = (Flier(make_sender(i, 1), rng, autopilot) for i in (1, 2))
+    station = make_sender(255, 190)
+    records = []
+    for i in range(count):
+        if rng.random() < 0.05:
+            beat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+            raw = reset_mark().raw if rng.random() < oddities else station.raw(beat)
+        else:
+            raw = (other if rng.random() < 0.1 else vehicle).step(oddities)
+        if rng.random() < oddities:
+            raw = raw[:-1] + bytes([raw[-1] ^ 1])
+        records.append(struct.pack(">Q", START + 4000 * i) + raw)
+    for _ in range(round(oddities * count)):
+        i = rng.randrange(count - 1)
+        records[i], records[i + 1] = records[i + 1], records[i]
+    return b"".join(records)
+
+
+def in_pieces(block, rng):
+    """A block cut at random places."""
+    cuts = sorted(rng.sample(range(1, len(block)), min(40, len(block) - 1)))
+    return [block.part(a, b) for a, b in pairwise([0, *cuts, len(block)])]
+
+
+def comparable(records):
+    """With something that equals itself where an accelerometer has no value."""
+    return [
+        record._replace(values=tuple(None if math.isnan(v) else v for v in record.values))
+        for record in records
+    ]
+
+
+def compare(path, window, wanted=None, rng=None):
+    single = Intake(wanted)
+    drift = ClockDrift()
+    records, events = [], []
+    for time_us, frame in read_tlog(path):
+        record = single.frame(frame)
+        events += single.take_events()
+        if record is not None:
+            records.append(record)
+            if single.clock is not None:
+                drift.take(single.clock, time_us * 1e-6)
+    blocks = Intake(wanted)
+    made = [
+        blocks.block(piece)
+        for block in TlogReader(path, window).blocks()
+        for piece in (in_pieces(block, rng) if rng else [block])
+    ]
+    told = [record for block in made for _, record in block.records()]
+    assert comparable(told) == comparable(records)
+    assert [event for block in made for _, event in block.events] == events
+    assert blocks.as_dict() == single.as_dict()
+    assert blocks.health() == single.health()
+    assert blocks.turning == single.turning
+    assert blocks.parameters == single.parameters
+    assert blocks.clock == single.clock
+    assert blocks.drift.ppm == drift.ppm
+    assert blocks.vehicle == single.vehicle
+    assert blocks.systems == single.systems
+    assert blocks.selector.frames == single.selector.frames
+    return made
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_blocks_make_what_single_frames_make(tmp_path, make_sender, seed):
+    path = tmp_path / "odd.tlog"
+    path.write_bytes(log_of(make_sender, seed, [0.0, 0.001, 0.01][seed % 3], 3000))
+    rng = random.Random(seed) if seed % 4 == 3 else None
+    window = [3000, 30_000, 1 << 20, 1 << 20][seed % 4]
+    compare(path, window, [None, None, (2, None), (9, 1)][seed // 4 % 4], rng)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_sequence_numbers_are_counted_alike(seed):
+    rng = random.Random(seed)
+    disorder = [0.0, 2.0, 70.0, 150.0][seed % 4]
+    numbers = sorted(range(3000), key=lambda n: n + disorder * rng.random())
+    numbers = [n % 256 for n in numbers if rng.random() > [0.0, 0.1, 0.9][seed % 3]]
+    single, blocks = SequenceCount(), SequenceCount()
+    at = 0
+    while at < len(numbers):
+        piece = numbers[at : at + rng.randrange(1, 500)]
+        at += len(piece)
+        for number in piece:
+            single.take(number)
+        blocks.take_block(np.array(piece, np.uint8))
+        assert vars(blocks) == vars(single)
+
+
+def test_a_stamp_that_is_off_is_doubted_again_after_others_that_are_not(tmp_path, make_sender):
+    vehicle = make_sender()
+    frames = [vehicle.heartbeat()]
+    for count, off in [(300, False), (1, True), (300, False), (1, True), (300, False)]:
+        frames += [
+            vehicle.imu(900.0 if off else 1.0 + 0.004 * (len(frames) + i)) for i in range(count)
+        ]
+    path = tmp_path / "doubt.tlog"
+    path.write_bytes(b"".join(struct.pack(">Q", START) + frame.raw for frame in frames))
+    (whole,) = TlogReader(path, 1 << 20).blocks()
+    single, blocks = Intake(), Intake()
+    records = single.frames(frames)
+    made = [blocks.block(piece) for piece in (whole.part(0, 302), whole.part(302, len(whole)))]
+    assert [record for block in made for _, record in block.records()] == records
+    assert vars(blocks.decoder.clock) == vars(single.decoder.clock)
+    assert single.decoder.clock.doubted == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["px4-esc-cg.tlog", "ardupilot-sitl.tlog", "public/real-quad-mavlink1.tlog"]
+)
+def test_blocks_of_recorded_flights_make_what_single_frames_make(shared_logs, name):
+    compare(shared_logs / name, 1 << 21)
+
+
+def test_nothing_is_taken_one_by_one_while_nothing_is_odd(tmp_path, make_sender, monkeypatch):
+    vehicle = make_sender()
+    frames = [vehicle.heartbeat()]
+    for i in range(5000):
+        t = 3.0 + 0.004 * i
+        frames += [vehicle.imu(t), vehicle.attitude(t)] + [vehicle.heartbeat()] * (i % 250 == 0)
+    path = tmp_path / "even.tlog"
+    path.write_bytes(b"".join(struct.pack(">Q", START) + frame.raw for frame in frames))
+    singles = []
+    decode = Intake.frame
+    monkeypatch.setattr(
+        Intake, "frame", lambda self, frame: singles.append(frame) or decode(self, frame)
+    )
+    intake = Intake()
+    blocks = [intake.block(block) for block in TlogReader(path, 1 << 16).blocks()]
+    assert sum(map(len, blocks)) > 10_000
+    assert len(singles) < 200  # until the vehicle, its clock and its sensors are known
+
+
+def test_tracks_tell_where_their_samples_stand(tmp_path, make_sender):
+    vehicle = make_sender()
+    frames = [vehicle.heartbeat(), *(vehicle.imu(1.0 + 0.1 * i) for i in range(3))]
+    frames += [vehicle.attitude(1.3), vehicle.imu(1.3)]
+    path = tmp_path / "short.tlog"
+    path.write_bytes(b"".join(struct.pack(">Q", START) + frame.raw for frame in frames))
+    (block,) = compare(path, 1 << 20)
+    tracks = {track.stream: track for track in block.tracks}
+    assert tracks[Stream.IMU].order.tolist() == [1, 2, 3, 5]
+    assert tracks[Stream.IMU].values.shape == (4, 6)
+    assert tracks[Stream.ATTITUDE].order.tolist() == [4]
+    assert [(order, event.kind) for order, event in block.events] == [(0, "vehicle")]

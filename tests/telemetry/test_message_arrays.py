@@ -1,0 +1,176 @@
+"""Messages as structured arrays hold what pymavlink reads, of every type and every log."""
+
+import random
+import struct
+
+import numpy as np
+import pytest
+from pymavlink import mavutil
+
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.frames import Validity
+from gcs_sysid.telemetry.message_arrays import HEADER, message_dtype
+from gcs_sysid.telemetry.messages import LAYOUTS
+from gcs_sysid.telemetry.tlog import TlogReader, read_messages, read_tlog
+
+START = 1_750_000_000_000_000
+
+
+def as_log(raws):
+    return b"".join(struct.pack(">Q", START + 4000 * i) + raw for i, raw in enumerate(raws))
+
+
+@pytest.fixture
+def pymavlink_reads(monkeypatch):
+    """Reads a log with pymavlink: message name -> messages, without what it cannot read."""
+    # The project's dialect; those of pymavlink lack messages.
+    monkeypatch.setattr(mavutil, "mavlink", mavlink)
+
+    def read(path):
+        log = mavutil.mavlogfile(str(path), robust_parsing=True)
+        found = {}
+        while (message := log.recv_msg()) is not None:
+            name = message.get_type()
+            if name != "BAD_DATA" and not name.startswith("UNKNOWN"):
+                found.setdefault(name, []).append(message)
+        log.f.close()
+        return found
+
+    return read
+
+
+def assert_same(name, rows, messages):
+    """All fields of all messages of a type."""
+    assert len(rows) == len(messages)
+    stamps = [round(m._timestamp * 1e6) for m in messages]
+    np.testing.assert_allclose(rows["_time_us"].astype(float), stamps, atol=1.0, rtol=0.0)
+    assert rows["_sequence"].tolist() == [m.get_seq() for m in messages]
+    assert rows["_system"].tolist() == [m.get_srcSystem() for m in messages]
+    assert rows["_component"].tolist() == [m.get_srcComponent() for m in messages]
+    for field in mavlink.mavlink_map[messages[0].get_msgId()].fieldnames:
+        theirs = [getattr(m, field) for m in messages]
+        ours = rows[field]
+        if ours.dtype.kind == "S":
+            texts = [value.split(b"\0", 1)[0].decode("utf-8", "replace") for value in ours]
+            assert texts == [value.split("\0", 1)[0] for value in theirs], (name, field)
+        else:
+            np.testing.assert_array_equal(ours, np.array(theirs, ours.dtype), f"{name}.{field}")
+
+
+def test_every_type_is_read_as_pymavlink_reads_it(tmp_path, make_sender, make_message):
+    rng = random.Random(4)
+    sender = make_sender(7, 8)
+    signer = make_sender(7, 9)
+    signer.packer.signing.secret_key = bytes(range(32))
+    signer.packer.signing.sign_outgoing = True
+    raws = []
+    for cls in mavlink.mavlink_map.values():
+        for _ in range(6):
+            version = 2 if cls.id > 255 else rng.choice([1, 2])
+            raws.append(sender.raw(make_message(cls, rng), version))
+            raws.append(signer.raw(make_message(cls, rng)))
+    rng.shuffle(raws)
+    path = tmp_path / "all.tlog"
+    path.write_bytes(as_log(raws))
+    ours, counts = read_messages(path)
+    parser = mavlink.MAVLink(None)
+    theirs = {}
+    for i, raw in enumerate(raws):
+        message = parser.decode(bytearray(raw))
+        message._timestamp = (START + 4000 * i) * 1e-6
+        theirs.setdefault(message.get_type(), []).append(message)
+    assert set(ours) == set(theirs) == {layout.name for layout in LAYOUTS.values()}
+    assert (counts.frames, counts.bad_crc, counts.garbage_bytes) == (len(raws), 0, 0)
+    for name, rows in ours.items():
+        assert_same(name, rows, theirs[name])
+    order = np.sort(np.concatenate([rows["_frame"] for rows in ours.values()]))
+    assert order.tolist() == list(range(len(raws)))
+
+
+def test_arrays_have_the_fields_of_the_wire():
+    kind = message_dtype("ESC_STATUS")
+    assert kind.itemsize == np.dtype(HEADER).itemsize + LAYOUTS[291].size
+    assert kind["rpm"].subdtype == (np.dtype("<i4"), (4,))
+    assert message_dtype("PARAM_VALUE")["param_id"] == np.dtype("S16")
+    with pytest.raises(KeyError):
+        message_dtype("NO_SUCH_MESSAGE")
+
+
+def test_only_the_types_wanted_are_read(tmp_path, sender):
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(as_log([sender.heartbeat().raw, sender.imu(1.0).raw, sender.imu(2.0).raw]))
+    arrays, _ = read_messages(path, ["HIGHRES_IMU", "ATTITUDE"])
+    assert {name: len(rows) for name, rows in arrays.items()} == {"HIGHRES_IMU": 2}
+    assert arrays["HIGHRES_IMU"]["time_usec"].tolist() == [1_000_000, 2_000_000]
+    assert arrays["HIGHRES_IMU"]["_frame"].tolist() == [1, 2]
+    with pytest.raises(KeyError):
+        read_messages(path, ["NO_SUCH_MESSAGE"])
+
+
+def test_windows_joined_are_the_whole(tmp_path, stream):
+    _, frames = stream
+    path = tmp_path / "long.tlog"
+    path.write_bytes(as_log([frame.raw for frame in frames * 20]))
+    whole, counts = read_messages(path)
+    reader = TlogReader(path, window=4000)
+    windows = list(reader.messages())
+    assert len(windows) > 10
+    assert reader.counts == counts
+    assert {name for window in windows for name in window} == set(whole)
+    for name, rows in whole.items():
+        joined = np.concatenate([window[name] for window in windows if name in window])
+        assert joined.tobytes() == rows.tobytes()
+
+
+def damaged(data, rng):
+    """A copy with bytes flipped, cut and inserted."""
+    data = bytearray(data)
+    for _ in range(rng.randrange(1, 8)):
+        at = rng.randrange(len(data))
+        match rng.randrange(3):
+            case 0:
+                data[at] ^= 1 << rng.randrange(8)
+            case 1:
+                del data[at : at + rng.randrange(1, 60)]
+            case _:
+                data[at:at] = rng.randbytes(rng.randrange(1, 60))
+    return bytes(data)
+
+
+@pytest.mark.parametrize("seeds", [range(first, first + 20) for first in range(0, 200, 20)])
+def test_damaged_logs_give_no_less_than_pymavlink_and_nothing_wrong(
+    tmp_path, stream, pymavlink_reads, seeds
+):
+    raws = [frame.raw for frame in stream[1]] * 2
+    path = tmp_path / "hurt.tlog"
+    for seed in seeds:
+        path.write_bytes(damaged(as_log(raws), random.Random(seed)))
+        good = [frame for _, frame in read_tlog(path) if frame.valid is Validity.OK]
+        assert {frame.raw for frame in good} <= set(raws), seed
+        arrays, counts = read_messages(path)
+        found = sum(map(len, arrays.values()))
+        assert found == len(good) == counts.frames - counts.bad_crc - counts.unknown
+        theirs = pymavlink_reads(path)
+        true = set(raws)
+        assert found >= sum(
+            bytes(message.get_msgbuf()) in true for some in theirs.values() for message in some
+        ), seed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name",
+    [
+        "px4-sih-default.tlog",
+        "px4-esc-cg.tlog",
+        "ardupilot-sitl.tlog",
+        "public/real-quad-mavlink1.tlog",
+    ],
+)
+def test_recorded_flights_are_read_as_pymavlink_reads_them(shared_logs, pymavlink_reads, name):
+    path = shared_logs / name
+    ours, _ = read_messages(path)
+    theirs = pymavlink_reads(path)
+    assert set(ours) == set(theirs)
+    for message, rows in ours.items():
+        assert_same(message, rows, theirs[message])

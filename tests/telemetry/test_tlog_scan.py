@@ -1,0 +1,165 @@
+"""From bytes to frames: what is lost and why, damaged times, changed definitions, memory."""
+
+import random
+import struct
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, counts_of
+from gcs_sysid.telemetry.tlog import TlogReader
+from gcs_sysid.telemetry.tlog_scan import ScanCounts, Scanner
+
+START = 1_750_000_000_000_000
+STEP = 4000
+
+
+def times(count):
+    return [START + STEP * i for i in range(count)]
+
+
+def as_log(raws, stamps=None):
+    stamps = times(len(raws)) if stamps is None else stamps
+    return b"".join(struct.pack(">Q", t) + raw for t, raw in zip(stamps, raws, strict=True))
+
+
+def scan(data, window=None):
+    """All frames of some bytes, cut into windows: (times, validities, counts)."""
+    scanner = Scanner()
+    stamps, validities = [], []
+    rest, at, final = b"", 0, False
+    while not final:
+        more = data[at : at + window] if window else data
+        at += len(more)
+        final = at >= len(data)
+        block, done = scanner.scan(rest + more, final=final)
+        rest = (rest + more)[done:]
+        stamps += block.time_us.tolist()
+        validities += block.validity.tolist()
+    return stamps, validities, scanner.counts
+
+
+@pytest.fixture
+def raws(stream):
+    return [frame.raw for frame in stream[1]]
+
+
+def test_what_is_lost_is_counted_by_its_reason(raws):
+    changed = raws[5][:-1] + bytes([raws[5][-1] ^ 1])
+    unknown = bytes([0xFD, 1, 0, 0, 9, 1, 1, 0xFF, 0xFF, 0xFF, 7, 1, 2])
+    data = as_log([*raws[:5], changed, *raws[6:19], unknown, raws[19]])
+    data += bytes(50) + as_log(raws[20:40]) + b"cut short"
+    _, validities, counts = scan(data)
+    assert counts == ScanCounts(
+        frames=41, bad_crc=1, unknown=1, garbage_bytes=59, resyncs=1, repaired_times=0
+    )
+    assert validities.count(OK) == 39
+    assert validities[5] == BAD_CRC
+
+
+def test_a_damaged_time_is_replaced_by_the_one_before(raws):
+    stamps = times(len(raws))
+    for i in (7, 20):
+        stamps[i] ^= 1 << 40
+    expected = [*stamps]
+    expected[7], expected[20] = stamps[6], stamps[19]
+    found, _, counts = scan(as_log(raws, stamps))
+    assert found == expected
+    assert counts.repaired_times == 2
+
+
+def test_a_damaged_first_or_last_time_is_seen_by_its_one_neighbour(raws):
+    stamps = times(len(raws))
+    stamps[0], stamps[-1] = stamps[0] ^ 1 << 60, 0
+    found, _, counts = scan(as_log(raws, stamps))
+    assert found == [stamps[1], *stamps[1:-1], stamps[-2]]
+    assert counts.repaired_times == 2
+
+
+def test_times_that_jump_for_good_or_come_rarely_are_believed(raws):
+    jump = [t + 10**12 * (i > 30) for i, t in enumerate(times(len(raws)))]
+    assert scan(as_log(raws, jump))[0] == jump
+    rare = [START + 3_600_000_000 * i for i in range(len(raws))]
+    assert scan(as_log(raws, rare))[0] == rare
+
+
+def test_a_frame_found_after_garbage_has_its_own_time_if_that_is_whole(raws):
+    data = as_log(raws[:10]) + b"\x55" * 33 + as_log(raws[10:20], times(20)[10:])
+    found, _, counts = scan(data)
+    assert found == times(20)
+    assert (counts.garbage_bytes, counts.resyncs) == (33, 1)
+    cut = as_log(raws[:10]) + as_log(raws[10:20], times(20)[10:])[5:]
+    found, _, counts = scan(cut)
+    assert found == [*times(10), times(10)[-1], *times(20)[11:]]
+    assert counts.repaired_times == 1
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_windows_of_any_size_give_the_same_frames_times_and_counts(raws, seed):
+    rng = random.Random(seed)
+    data = bytearray(as_log(raws * 2))
+    for _ in range(rng.choice([0, 2, 20])):
+        at = rng.randrange(len(data))
+        match rng.randrange(3):
+            case 0:
+                data[at] ^= 1 << rng.randrange(8)
+            case 1:
+                del data[at : at + rng.randrange(1, 60)]
+            case _:
+                data[at:at] = rng.choice([rng.randbytes(rng.randrange(1, 3000)), b"\xfd\xfe" * 20])
+    whole = scan(bytes(data))
+    for window in (300, 1000, 4096):
+        assert scan(bytes(data), window) == whole
+
+
+def test_a_whole_type_of_another_definition_keeps_the_chain(sender):
+    raws = []
+    for i in range(2000):
+        raw = sender.imu(1.0 + 0.004 * i).raw
+        raws += [raw[:-1] + bytes([raw[-1] ^ 1]), sender.attitude(1.0 + 0.004 * i).raw]
+    _, validities, counts = scan(as_log(raws))
+    assert validities == [BAD_CRC, OK] * 2000
+    assert (counts.bad_crc, counts.garbage_bytes, counts.resyncs) == (2000, 0, 0)
+
+
+def test_a_long_log_is_read_in_little_memory(tmp_path, raws):
+    record = as_log(raws)
+    path = tmp_path / "long.tlog"
+    path.write_bytes(record * (20_000_000 // len(record)))
+    tracemalloc.start()
+    try:
+        frames = sum(map(len, TlogReader(path).blocks()))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert frames == len(raws) * (20_000_000 // len(record))
+    assert peak < 40_000_000
+
+
+def test_numbers_are_counted_however_large():
+    numbers = np.array([3, 70_000, 3, 16_777_215, 0], np.int32)
+    assert counts_of(numbers) == {0: 1, 3: 2, 70_000: 1, 16_777_215: 1}
+    assert counts_of(numbers[:0]) == {}
+
+
+def test_a_damaged_length_that_leads_to_another_record_costs_one_frame(sender):
+    raws = [sender.attitude(1.0 + 0.01 * i, roll=0.1, pitch=0.2, yaw=0.3).raw for i in range(20)]
+    size = len(raws[0])
+    assert {len(raw) for raw in raws} == {size}
+    for lost in (4, 8, 11):
+        raw = bytearray(raws[lost])
+        raw[1] += size + 8  # to the record after the next one
+        raws[lost] = bytes(raw)
+    _, validities, counts = scan(as_log(raws))
+    assert validities == [OK] * 17
+    assert (counts.garbage_bytes, counts.resyncs) == (3 * (size + 8), 3)
+
+
+def test_garbage_that_looks_like_frames_of_unknown_types_is_not_taken_up_by_windows(raws):
+    unknown = bytes([0xFD, 1, 0, 0, 9, 1, 1, 0xFF, 0xFF, 0xFF, 7, 1, 2])
+    data = as_log(raws) + b"\x55" * 5 + (bytes(8) + unknown) * 300 + as_log(raws)
+    whole = scan(data)
+    assert whole[2].frames == 2 * len(raws)
+    for window in range(1000, 1000 + len(unknown) + 8):
+        assert scan(data, window) == whole
