@@ -26,6 +26,8 @@ from gcs_sysid.estimation.validation import Validation, validate
 _SETTLE_GROWTH = 1.5
 _MIN_BATCHES = 10
 """From which their scatter tells how sure a number is."""
+_WELL_KNOWN = 10.0
+"""s of flight from which the search for a footing starts from the one before."""
 MIN_MOMENTUM_SECONDS = 5.0
 """Flight time from which momentum balance beats the accelerometer's bias."""
 
@@ -212,7 +214,7 @@ class OnlineEstimator:
                 if footing is not None:
                     fits += self._followed(footing, waiting)
                 waiting = []
-                fits.append(self._settle(course))
+                fits.append(self._settle(course, footing))
                 continue
             waiting.append(self._instant(footing.rotation.leak))
             if self._is_outdated(footing):
@@ -285,10 +287,11 @@ class OnlineEstimator:
         coupling = self._coupling_of(rot) if self._is_coupling_due() else self._coupling
         return replace(fit, translation=self._with_slope(trans, rot), coupling=coupling)
 
-    def _settle(self, course: str) -> Fit:
+    def _settle(self, course: str, before: _Footing | None) -> Fit:
         """A fit that chooses leak and delay, as a footing for those to come."""
         self._renew_prior()
-        rot = self._fit_rotation()
+        known = before if self.seconds > _WELL_KNOWN else None
+        rot = self._fit_rotation(None if known is None else known.rotation)
         where = self._coordinates(rot)
         thrust = self._fit_momentum(where)
         trans = thrust or self._fit_accelerometer(where)
@@ -303,14 +306,17 @@ class OnlineEstimator:
         if self.prior_source is not None:
             self.prior = self.prior_source(self.fit_translation()[0])
 
-    def _fit_rotation(self) -> RotationFit | None:
+    def _fit_rotation(self, start: RotationFit | None = None) -> RotationFit | None:
         record = self._record
         if record.article:
             return record.article.fit()
         moments = record.rotation
-        return rotation.fit_rotation(
-            moments.batches, moments.counts, self._basis, self._noise(), prior=self.prior
-        )
+        data = moments.batches, moments.counts, self._basis, self._noise()
+        if start is not None:
+            fit = rotation.fit_rotation(*data, start, self.prior)
+            if fit is not None and fit.converged:
+                return fit
+        return rotation.fit_rotation(*data, prior=self.prior)
 
     def _fit_momentum(self, where: Array) -> TranslationFit | None:
         """Of the momentum balance, at (3,) coordinates; None while it is too early."""

@@ -39,7 +39,7 @@ from gcs_sysid.estimation.search import (
 from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor, symmetric_roots
 from gcs_sysid.model import rigid_body as rb
 
-_WARM_ITERATIONS, _FOLLOW_ITERATIONS = 6, 2
+_WARM_ITERATIONS, _FOLLOW_ITERATIONS = 12, 2
 _BLIND_STEP = 3.0
 """Standard deviations; a smaller step of a fit that follows is taken unseen."""
 _ALIKE = 0.1

@@ -42,8 +42,8 @@ from gcs_sysid.session.sampling import SampleBlock, Sampler
 from gcs_sysid.session.snapshot import Course, Event
 
 _MAX_EVENTS = 300
-_WINDOW = 2048
-"""IMU samples taken at once."""
+WINDOW = 2048
+"""IMU samples that are best taken at once."""
 
 
 @dataclass(frozen=True)
@@ -132,16 +132,15 @@ class Chain:
             renewed = self._take(block) or renewed
         return renewed
 
-    def take(self, block: RecordBlock) -> None:
-        """Take many records at once, as `feed` would one by one, but for rounding.
+    def take(self, window: RecordBlock) -> None:
+        """Take records that follow each other, as `feed` would one by one, but for rounding.
 
-        Where nothing happens, whole windows are aligned, filtered and learnt from as arrays; where
-        something does, records are fed one by one.
+        Where nothing happens, the window is aligned, filtered and learnt from as arrays; where
+        something does, its records are fed one by one.
         """
-        for window in block.windows(_WINDOW):
-            if not (window.ends_with_imu and self._take_at_once(window)):
-                for _, record in window.records():
-                    self.feed(record)
+        if not (window.ends_with_imu and self._take_at_once(window)):
+            for _, record in window.records():
+                self.feed(record)
 
     def _take_at_once(self, window: RecordBlock) -> bool:
         known = self.sampler.copy()

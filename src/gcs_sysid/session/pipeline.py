@@ -10,16 +10,16 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
+from gcs_sysid.columns import IntakeEvent
 from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
 from gcs_sysid.session.result import Result
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.intake import Intake, IntakeEvent
+from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.logs import Log, Telemetry
 
 _MAX_EVENTS = 1000
-_RECORDS_AT_ONCE = 4096
 _SENSIBLE = (946_684_800.0, 4_102_444_800.0)
 """Unix times of the years 2000 and 2100: a record cannot be from outside."""
 
@@ -70,14 +70,13 @@ class Pipeline:
             progress: called with the share of the log done, 0 to 1, now and then.
         """
         self._telemetry = log
-        for number, record in enumerate(log.records()):
-            for event in log.take_events():
-                self._take_event(event)
-            self.chain.feed(record)
-            if progress and number % _RECORDS_AT_ONCE == 0:
+        for block in log.blocks():
+            for window in block.windows(WINDOW):
+                for _, event in window.events:
+                    self._take_event(event)
+                self.chain.take(window)
+            if progress:
                 progress(log.share_read)
-        for event in log.take_events():
-            self._take_event(event)
         if log.recorded is not None and _SENSIBLE[0] <= log.recorded < _SENSIBLE[1]:
             self._recorded = datetime.fromtimestamp(log.recorded, UTC)
         if progress:

@@ -167,12 +167,12 @@ class Sampler:
     def _judge(self, tracks: Sequence[Track]) -> None:
         """Have the chooser look at stretches of a flight in which nothing else happens."""
         imu = next(track for track in tracks if track.stream is Stream.IMU)
-        number = (imu.t - imu.t[0]) // STRETCH
-        edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(imu.t)]
-        for start, stop in pairwise(edges):
-            orders = imu.order[start], imu.order[stop - 1]
+        starts = np.flatnonzero(np.diff((imu.t - imu.t[0]) // STRETCH)) + 1
+        edges = [0, *imu.order[starts].tolist(), int(imu.order[-1]) + 1]
+        counts = np.diff([0, *starts, len(imu.t)])
+        for orders, count in zip(pairwise(edges), counts.tolist(), strict=True):
             self.chooser.extend([track.between(*orders) for track in tracks])
-            self.chooser.fly((stop - start) * self.time_base.dt)
+            self.chooser.fly(count * self.time_base.dt)
 
     def finish(self) -> tuple[SampleBlock, ...]:
         """What is still held back."""

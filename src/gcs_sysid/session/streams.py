@@ -74,8 +74,10 @@ class StreamBuffer:
         if len(self._new_t) > _AT_ONCE:
             self._arrays()
 
-    def extends(self, t: Array) -> bool:
-        """Whether (n,) times of samples go on where those before ended, and rise."""
+    def extends(self, t: Array, values: Array) -> bool:
+        """Whether samples are like those before, go on where they ended, and rise in time."""
+        if values.shape[1] != self.width:
+            return False
         return bool(t[0] > self._newest and (np.diff(t) > 0.0).all())
 
     def extend(self, t: Array, values: Array) -> None:

@@ -128,7 +128,7 @@ class TimeBase:
         if not self._started:
             self._try_start(imu)
         elif record.t >= self._next_tick:
-            self._next_tick += self.tick * (1 + (record.t - self._next_tick) // self.tick)
+            self._tick_on(record.t)
             if self._is_outgrown(imu):
                 block = self.finish()
                 self._stop(clear=False)
@@ -153,15 +153,20 @@ class TimeBase:
             self._buffers[_key(track)].extend(track.t, track.values)
         imu = self._imu_buffer()
         self._newest = max(track.t[-1] for track in tracks if track.stream is Stream.IMU)
-        self._next_tick = self._newest + self.tick
+        self._tick_on(self._newest)
         return self._emit(min(self._newest - self.lag, imu.settled()))
+
+    def _tick_on(self, t: float) -> None:
+        self._next_tick += self.tick * max(1 + (t - self._next_tick) // self.tick, 0)
 
     def _are_regular(self, tracks: Sequence[Track]) -> bool:
         imu = next((track for track in tracks if track.stream is Stream.IMU), None)
-        if imu is None or not all(_key(track) in self._buffers for track in tracks):
+        if imu is None or len({_key(track) for track in tracks}) < len(tracks):
             return False
-        if not all(self._buffers[_key(track)].extends(track.t) for track in tracks):
-            return False
+        buffers = [self._buffers.get(_key(track)) for track in tracks]
+        for track, buffer in zip(tracks, buffers, strict=True):
+            if buffer is None or not buffer.extends(track.t, track.values):
+                return False
         if not np.isfinite(imu.values[:, :3].sum()):
             return False
         steps = np.diff(imu.t, prepend=self._newest)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.columns import IntakeEvent, RecordBlock
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.telemetry.block_decode import BlockDecoder
 from gcs_sysid.telemetry.clock import ClockDrift
@@ -16,8 +17,7 @@ from gcs_sysid.telemetry.marks import is_reset_mark
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
-from gcs_sysid.telemetry.tracks import IntakeEvent as IntakeEvent
-from gcs_sysid.telemetry.tracks import RecordBlock, TrackCollector
+from gcs_sysid.telemetry.tracks import TrackCollector
 from gcs_sysid.telemetry.vehicles import Vehicle, VehicleSelector
 
 FATES = ("used", "not needed", "passed over", "dropped", "others")

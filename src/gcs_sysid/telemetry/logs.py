@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from gcs_sysid.columns import IntakeEvent, RecordBlock
 from gcs_sysid.errors import InputError
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.telemetry import dataflash_format, ulog
@@ -23,7 +24,7 @@ from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.monitor import GAP, GAPS_KEPT
 from gcs_sysid.telemetry.tlog import read_tlog
-from gcs_sysid.telemetry.tracks import IntakeEvent, RecordBlock, Recording
+from gcs_sysid.telemetry.tracks import Recording
 from gcs_sysid.telemetry.ulog import read_ulog
 from gcs_sysid.telemetry.vehicles import Vehicle
 

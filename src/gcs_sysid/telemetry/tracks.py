@@ -5,90 +5,19 @@ its topics into a `Track`; merging those by time gives the same records as a lin
 given. A ground station's log (.tlog) gives its tracks block by block, in the order of its frames.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.columns import IntakeEvent, RecordBlock, Track
 from gcs_sysid.model.attitude import align_signs
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.telemetry.clock import JUMP_AHEAD
 
 STATE_EVERY = 1.0
 """s between two reports of a state that is only logged when it changes."""
-_ROWS_AT_ONCE = 4096
-
-
-@dataclass(frozen=True)
-class Track:
-    """The samples of one stream.
-
-    Attributes:
-        stream: what the values are.
-        t: (n,) s, vehicle clock; rising, but in a `RecordBlock` as the samples came.
-        values: (n, width), laid out as `Stream` says.
-        offset: as in `Record`.
-        source: as in `Record`.
-        order: (n,) rising, where each sample stands among those of all tracks of a
-            `RecordBlock`: in a .tlog the number of its frame. Empty elsewhere.
-    """
-
-    stream: Stream
-    t: Array
-    values: Array
-    offset: int = 0
-    source: str = ""
-    order: Array = field(default_factory=lambda: np.empty(0, np.int64))
-
-    def records(self) -> Iterator[Record]:
-        """One by one, without holding them all."""
-        for start in range(0, len(self.t), _ROWS_AT_ONCE):
-            rows = slice(start, start + _ROWS_AT_ONCE)
-            for t, values in zip(self.t[rows].tolist(), self.values[rows].tolist(), strict=True):
-                yield Record(self.stream, t, tuple(values), self.offset, self.source)
-
-
-@dataclass(frozen=True)
-class IntakeEvent:
-    """Something that happened on the way."""
-
-    t: float
-    """Vehicle time, s; after a reboot in the new count."""
-    kind: str
-    """"vehicle" (chosen), "vehicles" (another one that could be meant), "reboot" or "reset" (the
-    user had the estimate begin anew)."""
-    text: str
-
-
-@dataclass(frozen=True)
-class RecordBlock:
-    """Records that follow each other in a log, as columns.
-
-    Attributes:
-        tracks: the samples, one track for each stream, source, offset and width; their `order`
-            tells how they follow each other. A frame makes at most one sample.
-        parameters: (order, record) of those that were told, rising.
-        events: (order, event), rising; each was known before the sample of the same order.
-    """
-
-    tracks: tuple[Track, ...]
-    parameters: tuple[tuple[int, Record], ...] = ()
-    events: tuple[tuple[int, IntakeEvent], ...] = ()
-
-    def __len__(self) -> int:
-        return sum(len(track.t) for track in self.tracks) + len(self.parameters)
-
-    def records(self) -> Iterator[tuple[int, Record]]:
-        """(order, record) one by one, in order, without holding them all."""
-        told = np.array([number for number, _ in self.parameters], np.int64)
-        orders = [told, *(track.order for track in self.tracks)]
-        rows = [(r for _, r in self.parameters), *(track.records() for track in self.tracks)]
-        order = np.concatenate(orders)
-        sorting = np.argsort(order, kind="stable")
-        owner = np.repeat(np.arange(len(rows)), [len(part) for part in orders])[sorting]
-        for number, index in zip(order[sorting].tolist(), owner.tolist(), strict=True):
-            yield number, next(rows[index])
 
 
 class TrackCollector:

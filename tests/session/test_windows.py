@@ -1,0 +1,99 @@
+"""Whole windows of a log at once give what its records give one by one."""
+
+import pytest
+
+from gcs_sysid.estimation.anchors import Anchor
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.telemetry.logs import open_log
+
+pytestmark = pytest.mark.slow
+
+MEMS = ("--noise", "mems", "--rate", "250")
+
+
+def analysed(path, airframe, *, windows, mass=None, course=None):
+    """The result, the chain, and the share of records that were fed one by one."""
+    anchor = None if mass is None else Anchor("mass", mass)
+    options = ChainOptions(course_interval=course)
+    pipeline = Pipeline(load_airframe(airframe), str(path), None, options, anchor)
+    chain, fed, given = pipeline.chain, [], []
+    feed, take = chain.feed, chain.take
+    chain.feed = lambda record: (fed.append(None), feed(record))[1]
+    if windows:
+        chain.take = lambda window: (given.append(len(window)), take(window))[1]
+    else:
+        chain.take = lambda window: [chain.feed(record) for _, record in window.records()]
+    pipeline.take_log(open_log(path))
+    result = pipeline.finish()
+    return result, chain, len(fed) / max(sum(given), 1)
+
+
+def assert_same(result, other, *, share=1e-5):
+    assert result.verdict == other.verdict
+    assert result.telemetry == other.telemetry
+    assert len(result.segments) == len(other.segments)
+    assert [e["kind"] for e in result.events] == [e["kind"] for e in other.events]
+    for event, told in zip(result.events, other.events, strict=True):
+        assert event["t"] == pytest.approx(told["t"], abs=1e-6)
+    for name, value in result.parameters.items():
+        expected = other.parameters[name]
+        assert value.status == expected.status, name
+        if expected.value is not None:
+            near = pytest.approx(expected.value, abs=share * (expected.std or 0.0), rel=1e-9)
+            assert value.value == near, name
+            assert value.std == pytest.approx(expected.std, rel=max(share, 1e-3)), name
+
+
+FLIGHTS = {
+    "sound": ("--mission", "all-axes", "--duration", "40"),
+    "ground and two flights": (
+        *("--mission", "all-axes", "--duration", "25"),
+        *("--trap", "ground=6", "--trap", "flights=2"),
+    ),
+    "a mass step": ("--mission", "all-axes", "--duration", "40", "--mass-step", "25:1.2"),
+    "a reboot": ("--mission", "all-axes", "--duration", "40", "--trap", "reboot=22"),
+    "skipped samples": ("--mission", "all-axes", "--duration", "40", "--trap", "skips"),
+    "disorder": ("--mission", "all-axes", "--duration", "30", "--trap", "disorder"),
+    "late rotors": ("--mission", "all-axes", "--duration", "30", "--trap", "rotor-late=0.03"),
+    "spikes": ("--mission", "all-axes", "--duration", "30", "--trap", "gyro-outliers"),
+    "ArduPilot": ("--mission", "all-axes", "--duration", "30", "--autopilot", "ardupilot"),
+}
+
+
+@pytest.mark.parametrize("name", FLIGHTS)
+def test_windows_give_what_records_give(fly, name):
+    flight = fly(*MEMS, *FLIGHTS[name], "--seed", "3")
+    result, _, share = analysed(flight.tlog, "paper", windows=True)
+    # What counts as a pause follows a stream's usual interval, which is taken anew now and then.
+    fraction = 0.05 if name == "skipped samples" else 1e-5
+    assert_same(result, analysed(flight.tlog, "paper", windows=False)[0], share=fraction)
+    if name == "sound":
+        # Take-off, and what comes behind the last whole window.
+        assert share < 0.6
+
+
+@pytest.mark.parametrize("name", ["px4-esc-cg.tlog", "px4-sih-default.ulg", "ardupilot-sitl.tlog"])
+def test_windows_of_recorded_flights(shared_logs, name):
+    airframe, mass = ("px4-quad-x", 1.5) if "ardupilot" in name else ("px4-sih", 1.0)
+    path = shared_logs / name
+    result, _, share = analysed(path, airframe, windows=True, mass=mass)
+    assert_same(result, analysed(path, airframe, windows=False, mass=mass)[0])
+    assert share < 0.5
+
+
+def test_the_course_in_windows_is_that_of_records(fly):
+    flight = fly(*MEMS, *FLIGHTS["a mass step"], "--seed", "4")
+    courses = [
+        analysed(flight.tlog, "paper", windows=windows, course=0.1)[1].course
+        for windows in (True, False)
+    ]
+    now, before = courses
+    assert len(now.t) == len(before.t) > 350
+    assert now.t == pytest.approx(before.t, abs=1e-9)
+    for name in ("Ixx", "Izz", "k_M", "mass"):
+        late = now.t > 10.0
+        assert now.value[name][late] == pytest.approx(
+            before.value[name][late], rel=1e-4, nan_ok=True
+        )
