@@ -6,7 +6,7 @@ INSTALLED := $(VENV)/.installed
 BENCH_INSTALLED := $(VENV)/.installed-bench
 SIMULATORS_INSTALLED := $(VENV)/.installed-simulators
 
-.PHONY: help demo test quick check bench bench-accuracy screenshot sample clean
+.PHONY: help demo test quick check bench bench-accuracy screenshot report-picture sample clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -54,6 +54,9 @@ bench-accuracy: $(BENCH_INSTALLED) ## Monte Carlo over seeds: docs/accuracy.md (
 
 screenshot: $(INSTALLED) ## the README's picture of the screen
 	$(BIN)/python tools/screenshot.py --demo -o docs/screen.svg
+
+report-picture: $(INSTALLED) ## the picture in docs/report.md (needs a Chromium)
+	$(BIN)/python tools/report_picture.py -o docs/report.png
 
 sample: $(INSTALLED) ## the sample flight under logs/
 	$(BIN)/sim-bridge --airframe paper --mission paper --noise paper --sigma 0.02 --rate 20 \

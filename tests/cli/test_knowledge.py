@@ -84,6 +84,7 @@ def test_offline_shows_the_bound(analyze, paper_flight):
     for name in ("Ixx", "Izz", "Ixy", "cg_x", "k_M", "moment_ratio"):
         estimate = result["parameters"][name]
         assert 0.0 < estimate["bound"] <= 1.02 * estimate["std"]
+        assert "rests_on" not in estimate  # nothing was known beforehand
         assert estimate["value"] == pytest.approx(paper_flight.truth[name], rel=0.03)
     assert "bound" not in result["parameters"]["k_T"]  # the likelihood is that of the rotation
     _, table, _ = analyze(paper_flight.tlog, *PAPER, "--offline")

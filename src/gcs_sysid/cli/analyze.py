@@ -1,6 +1,7 @@
 """`gcs-sysid analyze`: identify from recordings."""
 
 import argparse
+import contextlib
 import json
 import sys
 from collections.abc import Mapping
@@ -21,9 +22,14 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"--end {options.end:g} must come after --start {options.start:g}")
     airframe = arguments.airframe_of(options)
     truth = output.read_truth(options.truth) if options.truth else None
+    reporter = None
+    if options.report is not None:
+        from gcs_sysid.cli.reporting import Reporter  # only those who ask wait for it
+
+        reporter = Reporter(options, airframe, truth)
     chain = ChainOptions(
         tuning=_tuning(options.method),
-        course_interval=None,
+        course_interval=None if reporter is None else reporter.course_interval,
         start=options.start,
         end=options.end,
         offline=options.offline,
@@ -38,17 +44,21 @@ def run(options: argparse.Namespace) -> int:
         for log, result in zip(options.logs, results, strict=True):
             _print(log, result, truth, table=options.json != "-")
     for log in options.logs if not results else ():
-        try:
-            result = analyze_log(
-                Path(log), airframe, options.vehicle, chain, output.progress_bar(log)
-            )
-        except InputError as error:
-            # The others may still be good.
-            print(f"gcs-sysid: error: {error}", file=sys.stderr)
-            unreadable += 1
-            continue
-        results.append(result)
-        _print(log, result, truth, table=options.json != "-")
+        bar = output.progress_bar(log)
+        with contextlib.nullcontext() if reporter is None else reporter as observer:
+            try:
+                result = analyze_log(
+                    Path(log), airframe, options.vehicle, chain, bar, observer=observer
+                )
+            except InputError as error:
+                # The others may still be good.
+                print(f"gcs-sysid: error: {error}", file=sys.stderr)
+                unreadable += 1
+                continue
+            results.append(result)
+            _print(log, result, truth, table=options.json != "-")
+            if reporter is not None:
+                reporter.write(result)
     if target and results:
         documents = [result.as_json() for result in results]
         document = documents[0] if len(options.logs) == 1 else documents

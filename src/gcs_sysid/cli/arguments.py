@@ -157,6 +157,10 @@ def add_analyze(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("logs", nargs="+", metavar="LOG")
     _add_airframe(parser)
     parser.add_argument("--json", metavar="FILE", help="write the result; - is stdout")
+    parser.add_argument(
+        "--report", metavar="FILE.html", help="write a report with figures, to open in a browser"
+    )
+    parser.add_argument("--force", action="store_true", help="replace the report if there is one")
     parser.add_argument("--start", type=not_negative, default=0.0, metavar="S")
     parser.add_argument("--end", type=positive, default=math.inf, metavar="S")
     parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")

@@ -84,6 +84,7 @@ def run(argv: Sequence[str]) -> int:
         options = parser.parse_args(argv)
     except SystemExit as stop:  # argparse has printed its line
         return stop.code if isinstance(stop.code, int) else USAGE
+    options.argv = (PROGRAM, *argv)
     if options.command is None:
         parser.print_help(sys.stderr)
         return USAGE

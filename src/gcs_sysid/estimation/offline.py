@@ -54,7 +54,15 @@ def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | None:
     )
     if found is None or not found.converged:
         return None
-    fit = replace(rotation, theta=found.theta, covariance=found.covariance)
+    fit = replace(
+        rotation,
+        theta=found.theta,
+        covariance=found.covariance,
+        # Without a prior the data tell all there is, and more than they told online.
+        data_std=rotation.data_std
+        if tracker.estimator.prior is not None
+        else np.sqrt(np.diag(found.covariance)),
+    )
     bounding = replace(fit, covariance=np.diag(found.bound**2))
     return OfflineFit(replace(online, rotation=fit), replace(online, rotation=bounding), found)
 

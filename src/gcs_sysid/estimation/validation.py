@@ -45,6 +45,8 @@ class Validation:
             about 3 Hz). NaN where no second leak is carried.
         whiteness_p: (3,) two-sided probability of a whiteness so far from 1 if the noise is
             white, from its scatter over the batches: below 0.05 one doubts it.
+        theta: (N_THETA,) fitted on the first part.
+        coordinates: (3,) rotor delay (s), motor lag (s) and thrust curve, of the same fit.
     """
 
     r_squared: Array
@@ -52,6 +54,8 @@ class Validation:
     fitted_share: float
     whiteness: Array
     whiteness_p: Array
+    theta: Array
+    coordinates: Array
 
 
 def validate(
@@ -97,6 +101,8 @@ def validate(
         fitted_share=float(counts[:cut].sum() / counts.sum()),
         whiteness=whiteness,
         whiteness_p=p,
+        theta=fit.theta,
+        coordinates=fit.coordinates,
     )
 
 

@@ -4,14 +4,32 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
 from gcs_sysid.session.result import Result
+from gcs_sysid.session.sampling import SampleBlock
 from gcs_sysid.telemetry.logs import open_log
+
+
+class Observer(Protocol):
+    """Looks on while a log is analysed."""
+
+    def begin(self) -> None:
+        """A reading of the log begins; one before it does not count."""
+        ...
+
+    def take(self, block: SampleBlock) -> None:
+        """The next block of samples."""
+        ...
+
+    def end(self, chain: Chain) -> None:
+        """All is read, and the estimate final."""
+        ...
 
 
 def analyze_log(
@@ -21,6 +39,7 @@ def analyze_log(
     options: ChainOptions | None = None,
     progress: Callable[[float], None] | None = None,
     anchor: Anchor | None = None,
+    observer: Observer | None = None,
 ) -> Result:
     """Identify from a recording.
 
@@ -31,19 +50,31 @@ def analyze_log(
         options: of the chain; by default the estimate's course is not computed.
         progress: called with the share of the log done, 0 to 1, now and then.
         anchor: sets the scale instead of the airframe's.
+        observer: looks on.
 
     Raises:
         InputError: the file cannot be read as a log.
     """
     options = options or ChainOptions(course_interval=None)
     pipeline = Pipeline(airframe, str(path), wanted, options, anchor)
+    _watch(pipeline, observer)
     pipeline.take_log(open_log(path, wanted), progress)
     if pipeline.chain.outdated:
         # A ground station that fetched the parameters after the flight: they held all along.
         known = replace(options, parameters=dict(pipeline.chain.chooser.parameters))
         pipeline = Pipeline(airframe, str(path), wanted, known, anchor)
+        _watch(pipeline, observer)
         pipeline.take_log(open_log(path, wanted), progress)
-    return pipeline.finish()
+    result = pipeline.finish()
+    if observer is not None:
+        observer.end(pipeline.chain)
+    return result
+
+
+def _watch(pipeline: Pipeline, observer: Observer | None) -> None:
+    if observer is not None:
+        observer.begin()
+        pipeline.chain.observer = observer.take
 
 
 def analyze_pair(

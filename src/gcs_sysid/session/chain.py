@@ -6,7 +6,7 @@ numbers that the live session ended with.
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -92,6 +92,8 @@ class Chain:
         if anchor is None:
             raise ValueError("the airframe has no scale anchor (mass, k_T or T_max)")
         self.airframe = airframe
+        self.observer: Callable[[SampleBlock], None] | None = None
+        """Is shown every block of samples before the estimator takes it."""
         self.options = options = options or ChainOptions()
         if options.tuning.method != "forward":
             # The article knows rotor speeds alone.
@@ -174,6 +176,11 @@ class Chain:
         if self._tracker is None:
             return False
         return self.chooser.outdated or self._gyro_cutoff != self._cutoff_now()
+
+    @property
+    def fit(self) -> Fit:
+        """The latest fit."""
+        return self._fit
 
     @property
     def anchor(self) -> Anchor:
@@ -364,6 +371,8 @@ class Chain:
     def _take(self, block: SampleBlock) -> bool:
         if block.rotors is not None and block.rotors is not self._rotors:
             self._use(block.rotors)
+        if self.observer is not None:
+            self.observer(block)
         if self._rotors is None:
             return False
         tracker = self._tracker

@@ -1,0 +1,97 @@
+"""`analyze --report`: gathers what a report needs while a log is analysed, then writes it."""
+
+import argparse
+import hashlib
+import platform
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import scipy
+
+from gcs_sysid import __version__
+from gcs_sysid.cli import output
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.report.data import Provenance, gather
+from gcs_sysid.report.files import check_target, write_whole
+from gcs_sysid.report.page import render
+from gcs_sysid.report.recorder import Recorder
+from gcs_sysid.session.inspection.inspector import inspect_log
+from gcs_sysid.session.result import Result
+
+
+class Reporter:
+    """Looks on while one log is analysed; as a context, the observer to hand over.
+
+    Args:
+        options: of the command line.
+        airframe: with its anchor.
+        truth: of an emulated vehicle.
+
+    Raises:
+        InputError: the report cannot be of this, or not be written there.
+    """
+
+    course_interval = 0.5
+    """s between the instants of the estimates' course."""
+
+    def __init__(
+        self, options: argparse.Namespace, airframe: Airframe, truth: Mapping[str, float] | None
+    ) -> None:
+        if len(options.logs) != 1:
+            raise InputError("--report is of one LOG; give them one by one")
+        if options.report in ("", "-"):
+            raise InputError("--report needs the name of a file, such as flight.html")
+        others = [options.json if options.json != "-" else None, options.truth, options.airframe]
+        sources = tuple(Path(name) for name in (*options.logs, *others) if name)
+        check_target(Path(options.report), replace=options.force, sources=sources)
+        self._options = options
+        self._airframe = airframe
+        self._truth = truth
+        self._recorder = Recorder(len(airframe.rotors))
+
+    def __enter__(self) -> Recorder:
+        return self._recorder
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._recorder.close()
+
+    def write(self, result: Result) -> None:
+        """Write the report of the log analysed.
+
+        Raises:
+            InputError: the file cannot be written, or has come into being meanwhile.
+        """
+        options = self._options
+        (log,) = map(Path, options.logs)
+        progress = output.progress_bar(f"{log}, telemetry")
+        inspection = inspect_log(log, options.vehicle, progress).as_json()
+        data = gather(
+            result,
+            self._recorder,
+            inspection,
+            self._airframe,
+            provenance_of(options.argv, log),
+            self._truth,
+        )
+        write_whole(Path(options.report), render(data), replace=options.force)
+
+
+def provenance_of(command: tuple[str, ...], log: Path) -> Provenance:
+    """What reproduces a report of this log."""
+    with log.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    versions = {
+        "gcs-sysid": __version__,
+        "Python": f"{platform.python_version()}, {platform.system()} {platform.machine()}",
+        "NumPy": np.__version__,
+        "SciPy": scipy.__version__,
+    }
+    return Provenance(command, versions, log.stat().st_size, digest)

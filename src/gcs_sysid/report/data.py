@@ -1,0 +1,112 @@
+"""Everything that a report is made of."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.report.prediction import Model, Prediction, Spectrum, predict, residual_spectrum
+from gcs_sysid.report.recorder import Recorder
+from gcs_sysid.session.result import Result
+from gcs_sysid.session.snapshot import Course
+
+AXES = ("roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What reproduces a report.
+
+    Attributes:
+        command: the command line, word by word.
+        versions: of the program and what it computes with, by name.
+        log_bytes: length of the recording.
+        log_sha256: its hash.
+    """
+
+    command: tuple[str, ...]
+    versions: Mapping[str, str]
+    log_bytes: int
+    log_sha256: str
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """What the pages' sections and figures take.
+
+    Attributes:
+        result: as `Result.as_json`.
+        inspection: as `Inspection.as_json`; empty where there is none.
+        airframe: with its anchor.
+        provenance: what reproduces it.
+        course: of the estimates.
+        prediction: None where nothing flew.
+        spectrum: of the residual; None where too little of the flight was kept apart.
+        truth: true parameters of an emulated vehicle.
+    """
+
+    result: Mapping[str, Any]
+    inspection: Mapping[str, Any]
+    airframe: Airframe
+    provenance: Provenance
+    course: Course
+    prediction: Prediction | None = None
+    spectrum: Spectrum | None = None
+    truth: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def geometry(self) -> Array:
+        """(3, rotors) of the airframe."""
+        return self.airframe.geometry
+
+
+def gather(
+    result: Result,
+    recorder: Recorder,
+    inspection: Mapping[str, Any],
+    airframe: Airframe,
+    provenance: Provenance,
+    truth: Mapping[str, float] | None = None,
+) -> ReportData:
+    """Put together what a report needs.
+
+    Args:
+        result: of the analysis that the recorder looked at.
+        recorder: its samples are read once more.
+        inspection: as `ReportData.inspection`.
+        airframe: with its anchor.
+        provenance: what reproduces it.
+        truth: as `ReportData.truth`.
+    """
+    found = result.as_json()
+    prediction = spectrum = None
+    if recorder.dt is not None:
+        validation, model = recorder.validation, None
+        if validation is not None:
+            cutoff = found["telemetry"]["rotor_input"].get("gyro_filter")
+            model = Model(
+                validation.theta,
+                validation.coordinates,
+                airframe.geometry,
+                result.rotor_input,
+                cutoff,
+            )
+        since = max((segment["end"] for segment in result.segments), default=float("-inf"))
+        failures = [event["t"] for event in result.events if event["kind"] == "rotor_failure"]
+        until = min((t for t in failures if t > since), default=float("inf"))
+        share = 0.0 if validation is None else validation.fitted_share
+        prediction = predict(
+            recorder.samples(), recorder.dt, model, since, until, share, result.rotor_input
+        )
+        spectrum = residual_spectrum(prediction, recorder.dt, result.rotor_input)
+    return ReportData(
+        found,
+        inspection,
+        airframe,
+        provenance,
+        recorder.course,
+        prediction,
+        spectrum,
+        dict(truth or {}),
+    )

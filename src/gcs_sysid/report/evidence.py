@@ -1,0 +1,301 @@
+"""The sections that tell how far the findings can be trusted."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from gcs_sysid.report import wording
+from gcs_sysid.report.data import AXES, ReportData
+from gcs_sysid.report.figures import (
+    Figures,
+    add_prediction,
+    add_rates,
+    add_spectrum,
+    add_timeline,
+)
+from gcs_sysid.report.markup import Child, Markup, element
+from gcs_sysid.report.parts import Column, facts, figure, grid, legend, note, section, table
+
+LITTLE = {"roll": 1.0, "pitch": 1.0, "yaw": 0.25}
+"""rad/s^2 rms of `session.inspection.readiness` (a test compares), which needs MAVLink."""
+NEEDED = {"imu": 50.0, "rotor_speed": 50.0, "rotor_command": 100.0, "attitude": 5.0}
+"""Hz of the same."""
+_STREAMS = {
+    "imu": "IMU",
+    "attitude": "attitude",
+    "rotor_speed": "rotor speeds",
+    "rotor_command": "commands",
+    "velocity": "velocity",
+}
+_DOUBT, _NEARLY_WHITE = 0.05, 1.5
+AXIS_COLUMNS = [Column(axis.capitalize(), numbers=True) for axis in AXES]
+
+
+def prediction(data: ReportData, figures: Figures) -> Markup:
+    """Measured against predicted, on what was not fitted."""
+    found = data.result["validation"]
+    shown = add_prediction(figures, data)
+    if not found:
+        text = "The flight is too short, or says too little, to keep a part of it apart."
+        return section("prediction", "Prediction of data not fitted", note(text))
+    share = wording.percent(found["fitted_share"])
+    rows = [
+        ["R² (1 is perfect)", *(_number(found["r_squared"][axis], 4) for axis in AXES)],
+        ["Theil (0 is perfect)", *(_number(found["theil"][axis], 3) for axis in AXES)],
+    ]
+    return section(
+        "prediction",
+        "Prediction of data not fitted",
+        note(
+            f"A model fitted to the first {share} of {_which_flight(data)} predicts the angular "
+            "acceleration of the rest from rotors and rates. Both sides pass the estimator's "
+            "window."
+        ),
+        legend(("measured", "measured"), ("predicted", "predicted")) if shown else None,
+        grid(
+            "one",
+            (figure(f"prediction-{axis}", axis.capitalize(), _agreement(found, axis))
+             for axis in AXES),
+        )
+        if shown
+        else None,
+        _per_axis("Agreement on data not fitted", rows),
+    )  # fmt: skip
+
+
+def _which_flight(data: ReportData) -> str:
+    segments = data.result["segments"]
+    return f"the flight since {segments[-1]['end']:.1f} s" if segments else "the flight"
+
+
+def _per_axis(caption: str, rows: Iterable[Sequence[Child]]) -> Markup:
+    return table(caption, [Column("Measure"), *AXIS_COLUMNS], rows, layout="axes")
+
+
+def _agreement(found: Mapping[str, Any], axis: str) -> str:
+    r_squared, theil = (_number(found[key][axis], 4) for key in ("r_squared", "theil"))
+    return f"R² {r_squared}, Theil {theil}"
+
+
+def _number(value: float | None, digits: int) -> str:
+    return wording.NOTHING if value is None else wording.fixed(value, digits)
+
+
+def residual(data: ReportData, figures: Figures) -> Markup | None:
+    """The spectrum of what is left, and whether it is noise."""
+    found = data.result["validation"]
+    if not found:
+        return None
+    shown = add_spectrum(figures, data)
+    whiteness, p = found["whiteness"], found["whiteness_p"]
+    rows: list[list[Child]] = [
+        ["Whiteness (1 is white)", *(_number(whiteness[axis], 2) for axis in AXES)],
+        ["Probability by chance", *(_probability(p[axis]) for axis in AXES)],
+        ["In words", *(_colour(whiteness[axis], p[axis]) for axis in AXES)],
+    ]
+    gyroscopic = found.get("gyroscopic")
+    if gyroscopic:
+        share, std = gyroscopic["share"], gyroscopic["std"]
+        rows.append(
+            [
+                "Gyroscopic torque found (1 is a rigid body)",
+                *(f"{_number(share[a], 2)} ± {_half(std[a])}" for a in AXES),
+            ]
+        )
+    return section(
+        "residual",
+        "What is left: residual",
+        note(
+            "Where only sensor noise is left, the residual follows the dashed curve. More at low "
+            "frequencies is wind or a drifting parameter, peaks are vibration."
+        ),
+        legend(("residual", "residual"), ("white", "white sensor noise alone")) if shown else None,
+        grid("three", (figure(f"spectrum-{axis}", axis.capitalize(), size="medium")
+                       for axis in AXES)) if shown else None,
+        _per_axis("Whiteness of the residual, per axis", rows),
+    )  # fmt: skip
+
+
+def _half(std: float | None) -> str:
+    return wording.NOTHING if std is None else wording.fixed(wording.Z95 * std, 2)
+
+
+def _probability(p: float | None) -> str:
+    if p is None:
+        return wording.NOTHING
+    return "< 0.001" if p < 0.001 else wording.fixed(p, 3)
+
+
+def _colour(whiteness: float | None, p: float | None) -> str:
+    if whiteness is None or p is None:
+        return "cannot be told"
+    if p >= _DOUBT:
+        near = 1.0 / _NEARLY_WHITE < whiteness < _NEARLY_WHITE
+        return "as sensor noise leaves it" if near else "cannot be told"
+    return "slow disturbances" if whiteness > 1.0 else "fast disturbances"
+
+
+def excitation(data: ReportData, figures: Figures) -> Markup:
+    """How each axis was moved."""
+    shown = add_rates(figures, data)
+    motion = data.inspection.get("excitation", {})
+    rows: list[list[Child]] = []
+    if data.prediction is not None:
+        rates = data.prediction.rates
+        rates = rates[np.isfinite(rates).all(axis=1)]
+        if len(rates):
+            peak = np.abs(rates).max(axis=0)
+            rows.append(["Largest rate, rad/s", *(wording.number(v) for v in peak.tolist())])
+    if motion:
+        for key, words in (
+            ("rate_rms", "Rate, rms, rad/s"),
+            ("acceleration_rms", "Angular acceleration, rms, rad/s²"),
+        ):
+            rows.append([words, *(wording.number(motion[axis][key]) for axis in AXES)])
+        rows.append(
+            [
+                "Enough to tell?",
+                *(_enough(axis, motion[axis]["acceleration_rms"]) for axis in AXES),
+            ]
+        )
+    if not rows and not shown:
+        return section("excitation", "Excitation", note("Nothing flew."))
+    return section(
+        "excitation",
+        "Excitation",
+        note("What does not move cannot be identified. Body rates over the whole flight:"),
+        grid("one", (figure(f"rate-{axis}", f"{axis.capitalize()} rate", size="low")
+                     for axis in AXES)) if shown else None,
+        _per_axis("Motion in flight, per axis", rows),
+    )  # fmt: skip
+
+
+def _enough(axis: str, acceleration: float) -> Markup:
+    good = acceleration >= LITTLE[axis]
+    sign = element("span", "●" if good else "○", class_="sign", aria_hidden="true")
+    word = "yes" if good else f"too little: below {LITTLE[axis]:g} rad/s²"
+    return element("span", sign, word, class_=f"status {'identified' if good else 'weak'}")
+
+
+def events(data: ReportData, figures: Figures) -> Markup:
+    """What happened, on the time axis."""
+    shown = add_timeline(figures, data)
+    listed = data.result["events"]
+    rows = [
+        [str(number), f"{wording.fixed(event['t'], 2)} s", wording.event_text(event)]
+        for number, event in enumerate(listed, 1)
+    ]
+    columns = [Column("No."), Column("Time", numbers=True), Column("What")]
+    return section(
+        "events",
+        "Events",
+        figure("timeline", "The flight on the time axis", size="strip") if shown else None,
+        table("Events", columns, rows) if rows else note("Nothing out of the ordinary happened."),
+    )
+
+
+def telemetry(data: ReportData) -> Markup:
+    """How sound the data were."""
+    counts = data.result["telemetry"]
+    streams = data.inspection.get("streams", ())
+    columns = [
+        Column("Stream"),
+        Column("Message"),
+        Column("Needed", numbers=True),
+        Column("Got", numbers=True),
+        Column("Gaps", numbers=True),
+        Column("Longest", numbers=True),
+        Column("Missing", numbers=True),
+        Column("Repeats", numbers=True),
+    ]
+    return section(
+        "telemetry",
+        "Telemetry",
+        table("Streams in flight", columns, (_stream(stream) for stream in streams))
+        if streams
+        else note("No stream came that could be used."),
+        facts(_link_facts(data, counts)),
+        _messages(counts.get("messages", {})),
+    )
+
+
+def _stream(stream: Mapping[str, Any]) -> list[Child]:
+    kind = stream["stream"]
+    rate, needed = stream["rate"], NEEDED.get(kind)
+    got: Child = wording.NOTHING if rate is None else f"{wording.fixed(rate, 1)} Hz"
+    if needed and (rate is None or rate < 0.9 * needed):
+        sign = element("span", "○", class_="sign", aria_hidden="true")
+        got = element("span", sign, f"{got}, slow", class_="status weak")
+    offset = f" from rotor {stream['offset'] + 1}" if stream["offset"] else ""
+    return [
+        _STREAMS.get(kind, kind) + offset,
+        stream["message"],
+        f"{needed:g} Hz" if needed else wording.NOTHING,
+        got,
+        str(stream["gaps"]),
+        f"{wording.fixed(stream['longest_gap'], 2)} s" if stream["gaps"] else wording.NOTHING,
+        f"{wording.fixed(stream['missing_percent'], 1)} %",
+        f"{wording.fixed(stream['repeats_percent'], 1)} %",
+    ]
+
+
+def _link_facts(data: ReportData, counts: Mapping[str, Any]) -> dict[str, Child]:
+    """Counts of the link, the clock and the rotors' stream."""
+    out: dict[str, Child] = {}
+    if "received" in counts:
+        lost, share = counts.get("lost", 0), counts.get("lost_percent", 0.0)
+        out["Messages"] = f"{counts['received']}, lost {lost} ({wording.fixed(share, 2)} %)"
+    damaged = [
+        f"{counts[key]} {words}"
+        for key, words in (
+            ("bad_crc", "with a wrong checksum"),
+            ("garbage_bytes", "bytes of garbage"),
+            ("unknown", "of unknown kinds"),
+            ("late", "too late"),
+            ("repeated", "repeated"),
+        )
+        if counts.get(key)
+    ]
+    out["Damaged or dropped"] = ", ".join(damaged) or "none"
+    drift = counts.get("clock_drift_ppm")
+    boots = counts.get("reboots", 0)
+    pace = (
+        "drift not known"
+        if drift is None
+        else f"{wording.fixed(drift, 0)} ppm against the recorder"
+    )
+    out["Vehicle's clock"] = pace + (f", {boots} reboot{'s' * (boots > 1)}" if boots else "")
+    rate = counts.get("grid_rate")
+    if rate:
+        out["Common time base"] = f"{wording.fixed(rate, 1)} Hz"
+    gaps = counts.get("imu_gaps", {}).get("count")
+    if gaps is not None:
+        out["Gaps of the IMU"] = str(gaps)
+    rotors = counts.get("rotor_input", {})
+    if rotors.get("source"):
+        out["Rotors from"] = f"{rotors['source']}: {rotors['why']}"
+    refused = rotors.get("refused") or {}
+    if refused:
+        out["Not believed"] = "; ".join(f"{name} {why}" for name, why in refused.items())
+    if rotors.get("gyro_filter"):
+        out["Gyro filter reckoned with"] = f"{rotors['gyro_filter']:g} Hz"
+    systems = counts.get("systems") or ()
+    if systems:
+        out["Systems heard"] = ", ".join(map(str, systems))
+    return out
+
+
+def _messages(messages: Mapping[str, Any]) -> Markup | None:
+    if not messages:
+        return None
+    rows = [
+        [name, str(entry["count"]), _number(entry.get("rate"), 1)]
+        for name, entry in sorted(messages.items(), key=lambda item: -(item[1]["count"] or 0))
+    ]
+    columns = [Column("Message"), Column("Count", numbers=True), Column("Hz", numbers=True)]
+    return element(
+        "details",
+        element("summary", f"All {len(rows)} kinds of messages"),
+        table("Messages received", columns, rows, layout="plain"),
+    )

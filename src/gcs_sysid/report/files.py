@@ -1,0 +1,83 @@
+"""Writes a file whole or not at all, and never over another one unasked."""
+
+import os
+import tempfile
+from pathlib import Path
+
+from gcs_sysid.errors import InputError
+
+
+def check_target(path: Path, *, replace: bool, sources: tuple[Path, ...] = ()) -> None:
+    """See beforehand, because an analysis takes its time, whether a file can be written.
+
+    Args:
+        path: of it.
+        replace: whether one that is there may be replaced.
+        sources: files that it must not replace in any case.
+
+    Raises:
+        InputError: it cannot be written, or must not.
+    """
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: cannot write: no such folder as {path.parent}")
+    if path.is_dir():
+        raise InputError(f"{path}: cannot write: it is a folder")
+    if path.resolve() in (source.resolve() for source in sources):
+        raise InputError(f"{path} is what is to be read or written besides; name another file")
+    if path.exists() and not replace:
+        raise InputError(f"{path} exists; --force replaces it")
+
+
+def write_whole(path: Path, text: str, *, replace: bool) -> None:
+    """Write a text file, UTF-8, in one step: readers see all of it or none.
+
+    Args:
+        path: of it.
+        text: all of it.
+        replace: whether one that is there may be replaced.
+
+    Raises:
+        InputError: it cannot be written, or exists and must not be replaced.
+    """
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+    except OSError as error:
+        raise InputError(f"{path}: cannot write: {error.strerror}") from error
+    part = Path(name)
+    try:
+        with open(handle, "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+        if os.name == "posix":
+            part.chmod(0o666 & ~_umask())
+        if replace:
+            part.replace(path)
+        else:
+            _put_new(part, path)
+    except FileExistsError as error:
+        raise InputError(f"{path} exists; --force replaces it") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot write: {error.strerror}") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _put_new(part: Path, path: Path) -> None:
+    """Give a file its name, unless that is taken."""
+    if os.name != "posix":
+        part.rename(path)  # which does not replace there
+        return
+    try:
+        os.link(part, path)
+    except FileExistsError:
+        raise
+    except OSError:
+        # A file system without links: a name taken within this blink would be lost.
+        if path.exists():
+            raise FileExistsError from None
+        part.replace(path)
+
+
+def _umask() -> int:
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,174 @@
+"""The page: head, sections, styles and script in one HTML text."""
+
+import base64
+import hashlib
+import json
+from importlib import resources
+
+from gcs_sysid.report import evidence, findings
+from gcs_sysid.report.data import ReportData
+from gcs_sysid.report.figures import Figures
+from gcs_sysid.report.markup import Child, Markup, element
+from gcs_sysid.report.parts import Column, facts, section, table
+from gcs_sysid.report.wording import VERDICT_WORDS, fixed, unit_text
+
+_CONTENTS = (
+    ("verdict", "Verdict"),
+    ("parameters", "Parameters"),
+    ("convergence", "Convergence"),
+    ("prediction", "Prediction"),
+    ("residual", "Residual"),
+    ("excitation", "Excitation"),
+    ("events", "Events"),
+    ("telemetry", "Telemetry"),
+    ("settings", "Settings"),
+)
+_KEYS = (
+    "Drag across a figure to zoom, double click to see all again. With the keyboard: Tab to a "
+    "figure, then + and − to zoom, ← and → to move, 0 to see all."
+)
+
+
+def render(data: ReportData) -> str:
+    """The whole report as HTML text; the same data give the same text."""
+    figures = Figures()
+    sections: dict[str, Child] = {
+        "verdict": findings.verdict(data),
+        "parameters": findings.parameters(data),
+        "convergence": findings.convergence(data, figures),
+        "prediction": evidence.prediction(data, figures),
+        "residual": evidence.residual(data, figures),
+        "excitation": evidence.excitation(data, figures),
+        "events": evidence.events(data, figures),
+        "telemetry": evidence.telemetry(data),
+        "settings": _settings(data),
+    }
+    style, script = (
+        (resources.files("gcs_sysid.report") / "assets" / name).read_text(encoding="utf-8")
+        for name in ("report.css", "report.js")
+    )
+    name = _file_name(data.result["source"])
+    head = element(
+        "head",
+        element("meta", charset="utf-8"),
+        element("meta", http_equiv="Content-Security-Policy", content=_policy(style, script)),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("meta", name="color-scheme", content="light dark"),
+        element("meta", name="referrer", content="no-referrer"),
+        element("title", f"{name}: {VERDICT_WORDS[data.result['verdict']].lower()} (gcs-sysid)"),
+        element("style", Markup(style)),
+    )
+    contents = element(
+        "nav",
+        *(element("a", title, href=f"#{key}") for key, title in _CONTENTS if sections[key]),
+        aria_label="Contents",
+    )
+    body = element(
+        "body",
+        element("header", _heading(data, name), contents),
+        element(
+            "main",
+            sections.pop("verdict"),
+            element("p", _KEYS, id="keys", class_="note keys"),
+            element("noscript", element("p", "Figures need scripts; all tables do not.")),
+            *sections.values(),
+        ),
+        element("footer", f"gcs-sysid {data.provenance.versions.get('gcs-sysid', '')}"),
+        element("script", _json(figures), type="application/json", id="data"),
+        element("script", Markup(script)),
+    )
+    return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
+
+
+def _heading(data: ReportData, name: str) -> Markup:
+    vehicle = data.result["vehicle"]
+    about = [data.airframe.name]
+    if vehicle:
+        address = f"{vehicle['sysid']}:{vehicle['compid']}"
+        systems = map(str, data.result["telemetry"].get("systems", ()))
+        named = next((name for name in systems if name.endswith(f" {address}")), None)
+        about.insert(0, named or f"{vehicle['autopilot']} {address}")
+    duration = data.inspection.get("duration")
+    if duration:
+        about.append(f"{fixed(duration, 1)} s recorded")
+    return element(
+        "div",
+        element("p", "Identification report", class_="kind"),
+        element("h1", name),
+        element("p", " · ".join(about), class_="about"),
+        class_="heading",
+    )
+
+
+def _settings(data: ReportData) -> Markup:
+    """What reproduces the report."""
+    made, airframe, result = data.provenance, data.airframe, data.result
+    anchor = result["scale"]
+    entries: dict[str, Child] = {
+        "Command": element("code", _command_line(made.command)),
+        "Recording": f"{_file_name(result['source'])}, {made.log_bytes} bytes",
+        "SHA-256": element("code", made.log_sha256, class_="hash"),
+        "Estimate": result["estimator"],
+        "Rotors' input": {"speed": "measured speeds", "command": "commands"}[result["rotor_input"]],
+    }
+    if anchor is not None:
+        entries["Scale"] = f"{anchor['anchor']} = {anchor['value']:.9g} {unit_text(anchor['unit'])}"
+    for name, prior in result["priors"].items():
+        entries[f"Prior on {name}"] = f"{prior['value']:.6g} ± {prior['std']:.3g}"
+    entries["Airframe"] = f"{airframe.name}, {len(airframe.rotors)} rotors"
+    entries |= dict(made.versions)
+    rotors = [
+        [
+            str(i),
+            f"{fixed(r.x, 4)} m",
+            f"{fixed(r.y, 4)} m",
+            "counter-clockwise" if r.spin > 0 else "clockwise",
+        ]
+        for i, r in enumerate(airframe.rotors, 1)
+    ]
+    columns = [
+        Column("Motor"),
+        Column("Forward", numbers=True),
+        Column("Right", numbers=True),
+        Column("Turns, seen from above"),
+    ]
+    return section(
+        "settings",
+        "Settings that reproduce this",
+        facts(entries),
+        table("Rotors of the airframe, from the geometric centre", columns, rotors, layout="axes"),
+    )
+
+
+def _command_line(words: tuple[str, ...]) -> str:
+    """The words as one types them; quoted where that is needed, in any shell's reading."""
+    plain = set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789-_./:=+,@%\\±")
+    return " ".join(
+        word if word and set(word) <= plain else '"' + word.replace('"', '\\"') + '"'
+        for word in words
+    )
+
+
+def _file_name(source: str) -> str:
+    """The last part of a path of any system."""
+    return source.replace("\\", "/").rstrip("/").rpartition("/")[2] or source
+
+
+def _json(figures: Figures) -> Markup:
+    """The figures as JSON that cannot end the element that it is in."""
+    text = json.dumps(figures.as_json(), allow_nan=False, separators=(",", ":"))
+    for sign in "<>&\u2028\u2029":
+        text = text.replace(sign, f"\\u{ord(sign):04x}")
+    return Markup(text)
+
+
+def _policy(style: str, script: str) -> str:
+    """Nothing is loaded, and nothing but our own style and script is obeyed."""
+    hashes = [
+        "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        for text in (style, script)
+    ]
+    return (
+        f"default-src 'none'; style-src '{hashes[0]}'; script-src '{hashes[1]}'; "
+        "base-uri 'none'; form-action 'none'"
+    )

@@ -1,0 +1,152 @@
+"""Building blocks that several sections use."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from gcs_sysid.report.markup import Child, Markup, element, joined
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table: its title, and whether it holds numbers."""
+
+    title: str
+    numbers: bool = False
+
+
+def section(name: str, title: str, *children: Child) -> Markup:
+    """A section of the page with its heading."""
+    heading = element("h2", title, id=f"{name}-title")
+    return element("section", heading, *children, id=name, aria_labelledby=f"{name}-title")
+
+
+def table(
+    caption: str,
+    columns: Sequence[Column],
+    rows: Iterable[Sequence[Child]],
+    *,
+    layout: Literal["stacked", "axes", "plain"] = "stacked",
+) -> Markup:
+    """A table whose first column names the rows.
+
+    Roles are told expressly, because a table that is laid out as something else loses them.
+
+    Args:
+        caption: what it shows.
+        columns: of it.
+        rows: their cells.
+        layout: what becomes of it where the page is narrow: "stacked" rows become cards, each cell
+            with its column's title; "axes" fits as it is, with words wrapped.
+    """
+    head = element(
+        "tr",
+        *(
+            element(
+                "th",
+                column.title,
+                scope="col",
+                role="columnheader",
+                class_="number" if column.numbers else None,
+            )
+            for column in columns
+        ),
+        role="row",
+    )
+    body = [
+        element(
+            "tr",
+            *(
+                element(
+                    "td" if place else "th",
+                    cell,
+                    scope=None if place else "row",
+                    role="cell" if place else "rowheader",
+                    class_="number" if column.numbers else None,
+                    data_title=column.title,
+                )
+                for place, (column, cell) in enumerate(zip(columns, row, strict=True))
+            ),
+            role="row",
+        )
+        for row in rows
+    ]
+    return element(
+        "div",
+        element(
+            "table",
+            element("caption", caption),
+            element("thead", head, role="rowgroup"),
+            element("tbody", *body, role="rowgroup"),
+            role="table",
+            class_=layout,
+        ),
+        class_="scroll",
+    )
+
+
+def facts(entries: Mapping[str, Child]) -> Markup:
+    """Names and what they are."""
+    return element(
+        "dl",
+        *(
+            element("div", element("dt", name), element("dd", value))
+            for name, value in entries.items()
+        ),
+        class_="facts",
+    )
+
+
+def figure(name: str, title: str, text: str = "", *, size: str = "wide") -> Markup:
+    """A place that the page's script draws a figure in.
+
+    Args:
+        name: of the figure.
+        title: its caption.
+        text: more to say, under the title.
+        size: "wide", "small" or "strip".
+    """
+    caption = element(
+        "figcaption",
+        element("span", title, class_="title"),
+        element("span", text, class_="more") if text else None,
+        element("output", class_="readout"),
+        element("button", "Reset zoom", type="button", class_="reset", hidden=True),
+    )
+    return element(
+        "figure",
+        caption,
+        element(
+            "div",
+            class_=f"plot {size}",
+            data_figure=name,
+            tabindex=0,
+            role="group",
+            aria_roledescription="figure that can be zoomed",
+            aria_label=title,
+            aria_describedby="keys",
+        ),
+        class_="drawn",
+    )
+
+
+def legend(*entries: tuple[str, str]) -> Markup:
+    """What the lines mean: (class, words) each."""
+    return element(
+        "ul",
+        *(
+            element("li", element("span", class_=f"key {kind}", aria_hidden="true"), words)
+            for kind, words in entries
+        ),
+        class_="legend",
+    )
+
+
+def note(*children: Child) -> Markup:
+    """A paragraph that explains."""
+    return element("p", *children, class_="note")
+
+
+def grid(kind: str, children: Iterable[Child]) -> Markup:
+    """Figures beside each other, where there is room."""
+    return element("div", joined(*children), class_=f"grid {kind}")

@@ -1,0 +1,94 @@
+"""Keeps what an analysis uses, in bounded memory, for figures that are drawn afterwards."""
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.validation import Validation
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.sampling import SampleBlock
+from gcs_sysid.session.snapshot import Course
+
+_IN_MEMORY = 64 << 20
+"""Bytes of samples kept in memory; more go to a temporary file."""
+_AT_ONCE = 8192
+"""Samples read back at once."""
+NO_COURSE = Course(np.empty(0), {}, {})
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Samples of rotation on the uniform grid; NaN where there are none or it does not fly.
+
+    Attributes:
+        t: (n,) s since the first record.
+        gyro: (n, 3) as measured, rad/s.
+        rates: (n, 3) without bias, rad/s.
+        rotors: (n, rotors) speeds in rad/s, or commands of 0 to 1.
+    """
+
+    t: Array
+    gyro: Array
+    rates: Array
+    rotors: Array
+
+
+class Recorder:
+    """An observer of `analyze_log`: the samples, the estimate's course and the validation.
+
+    Args:
+        rotors: how many the airframe has.
+    """
+
+    def __init__(self, rotors: int) -> None:
+        self.course = NO_COURSE
+        self.validation: Validation | None = None
+        self.dt: float | None = None
+        """s between samples."""
+        self._row = np.dtype([("t", "<f8"), ("x", "<f4", (6 + rotors,))])
+        self._file = tempfile.SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115
+        self._input: object = None
+
+    def begin(self) -> None:
+        """A reading of the log begins; one before it does not count."""
+        self.course, self.validation = NO_COURSE, None
+        self._start_anew(None, None)
+
+    def take(self, block: SampleBlock) -> None:
+        """The next block of samples."""
+        if block.rotors is None:
+            return
+        if block.dt != self.dt or block.rotors is not self._input:
+            # So does the estimate.
+            self._start_anew(block.dt, block.rotors)
+        s = block.samples
+        gap = int(block.fresh)
+        rows = np.full(len(block.t) + gap, np.nan, self._row)
+        rows["x"][:gap] = np.nan
+        rows["t"][gap:] = block.t
+        rows["x"][gap:] = np.column_stack([s.gyro, s.rates, s.speeds])
+        self._file.write(rows.tobytes())
+
+    def end(self, chain: Chain) -> None:
+        """All is read, and the estimate final."""
+        self.course, self.validation = chain.course, chain.fit.validation
+
+    def samples(self) -> Iterator[Motion]:
+        """What was taken, in pieces; a gap is a sample that is missing."""
+        self._file.seek(0)
+        while data := self._file.read(_AT_ONCE * self._row.itemsize):
+            rows = np.frombuffer(data, self._row)
+            x = rows["x"].astype(float)
+            yield Motion(rows["t"], x[:, :3], x[:, 3:6], x[:, 6:])
+
+    def close(self) -> None:
+        """Drop the samples."""
+        self._file.close()
+
+    def _start_anew(self, dt: float | None, rotors: object) -> None:
+        self._file.seek(0)
+        self._file.truncate()
+        self.dt, self._input = dt, rotors

@@ -1,0 +1,65 @@
+"""Whole or not at all, and over nothing."""
+
+import os
+import sys
+
+import pytest
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.report.files import check_target, write_whole
+
+
+def test_writes_a_new_file_and_leaves_nothing_else(tmp_path):
+    path = tmp_path / "flight.html"
+    check_target(path, replace=False)
+    write_whole(path, "ä\n", replace=False)
+    assert path.read_bytes() == "ä\n".encode()
+    assert os.listdir(tmp_path) == ["flight.html"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such modes there")
+def test_others_may_read_it_as_any_new_file(tmp_path):
+    write_whole(tmp_path / "a", "", replace=False)
+    (tmp_path / "b").touch()
+    assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
+
+
+def test_never_replaces_a_file_unasked(tmp_path):
+    path = tmp_path / "flight.html"
+    path.write_text("mine")
+    with pytest.raises(InputError, match="--force"):
+        check_target(path, replace=False)
+    with pytest.raises(InputError, match="--force"):  # one that came meanwhile
+        write_whole(path, "new", replace=False)
+    assert path.read_text() == "mine"
+    assert os.listdir(tmp_path) == ["flight.html"]
+
+
+def test_replaces_it_when_asked(tmp_path):
+    path = tmp_path / "flight.html"
+    path.write_text("mine")
+    check_target(path, replace=True)
+    write_whole(path, "new", replace=True)
+    assert path.read_text() == "new"
+
+
+def test_a_failure_leaves_the_old_file(tmp_path):
+    path = tmp_path / "flight.html"
+    path.write_text("mine")
+    with pytest.raises(UnicodeEncodeError):
+        write_whole(path, "x" * 100_000 + "\udc80", replace=True)
+    assert path.read_text() == "mine"
+    assert os.listdir(tmp_path) == ["flight.html"]
+
+
+@pytest.mark.parametrize("name", ["no/such/folder.html", "."])
+def test_says_beforehand_that_it_cannot_be_written(tmp_path, name):
+    with pytest.raises(InputError, match="cannot write"):
+        check_target(tmp_path / name, replace=True)
+
+
+def test_never_replaces_what_is_read(tmp_path):
+    log = tmp_path / "flight.tlog"
+    log.write_bytes(b"x")
+    with pytest.raises(InputError, match="another file"):
+        check_target(tmp_path / "." / "flight.tlog", replace=True, sources=(log,))
