@@ -152,7 +152,8 @@ class ClusterPool:
     @property
     def capacity(self) -> int:
         """As `Pool` says: workers come and go."""
-        return max(2 * sum(self._client.nthreads().values()), 2)
+        threads: int = sum(self._client.nthreads().values())
+        return max(2 * threads, 2)
 
     def submit(self, task: Task) -> Future[Document]:
         """As `Pool` says; Dask itself tries anew where a worker dies."""

@@ -116,7 +116,7 @@ def _schema() -> Any:
         ]
     )
     columns = [
-        pa.field("path", pa.string(), nullable=False),
+        ("path", pa.string()),
         ("sha256", pa.string()),
         ("bytes", pa.int64()),
         ("result", pa.string()),
@@ -128,7 +128,7 @@ def _schema() -> Any:
         ("sysid", pa.int16()),
         ("compid", pa.int16()),
         ("autopilot", pa.string()),
-        ("recorded", pa.timestamp("s", tz="UTC")),
+        ("recorded", pa.timestamp("ms", tz="UTC")),
         ("rotor_input", pa.string()),
         ("estimator", pa.string()),
         ("scale", scale),
@@ -185,7 +185,7 @@ def read_table(path: Path) -> list[Row]:
         reason = getattr(error, "strerror", None) or "not Parquet"
         raise InputError(f"{path}: cannot read the table: {reason}") from error
     known = (table.schema.metadata or {}).get(b"schema")
-    if known != SCHEMA.encode() or not table.schema.equals(_schema()):
+    if known != SCHEMA.encode() or not set(_schema().names) <= set(table.schema.names):
         raise InputError(f"{path}: not a table of gcs-sysid batch (of this version)")
     rows: list[Row] = table.to_pylist()
     return rows
