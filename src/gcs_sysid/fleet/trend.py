@@ -1,20 +1,34 @@
 """A fleet's vehicles over their flights, and where one changed from its earlier flights.
 
 Flights of one vehicle differ by more than each flight's own uncertainty: air, battery, wind. That
-scatter is learnt from the flights themselves (DerSimonian and Laird 1986), so a new flight is
-compared with what the earlier ones predict for it, not with their mean alone.
+scatter is learnt from the differences of neighbouring flights, by their median, which single
+changes do not move: the moving range of control charts for single values (Shewhart's charts). A
+flight is then compared with what the earlier ones predict for it.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from statistics import median
 from typing import Any
+
+from scipy.special import ndtri, stdtrit
 
 from gcs_sysid.fleet.table import Row
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
 from gcs_sysid.session.comparison import LEVEL, Comparison, Difference, compare
 from gcs_sysid.session.result import Estimate, Result, Scale
+
+FEWEST = 4
+"""Flights from which their scatter can be told."""
+_MEDIAN = 0.45493642311957283
+"""Of chi squared with one degree of freedom."""
+_FREEDOM = 0.55
+"""Degrees of freedom that a difference brings to the median (a test counts false alarms)."""
+
+Scatter = Mapping[str, float]
+"""Parameter -> variance between flights, beyond their own."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +67,11 @@ class Flight:
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A vehicle's flights in the order of time."""
+    """A vehicle's flights in the order of time, and how its parameters scatter between them."""
 
     name: str
     flights: tuple[Flight, ...]
+    scatter: Scatter
 
     @property
     def changed(self) -> list[Flight]:
@@ -95,26 +110,55 @@ def _when(row: Row) -> tuple[bool, float, str]:
 
 
 def _vehicle(name: str, rows: Sequence[Row]) -> Vehicle:
-    flights: list[Flight] = []
-    earlier: list[Result] = []
+    results = [result_of(row) for row in rows]
     level = LEVEL / max(len(rows) - 1, 1)
-    for number, row in enumerate(rows, 1):
-        result, change = result_of(row), None
-        if earlier:
-            last = number - 1
-            first = number - len(earlier)
-            comparison = compare(predicted(earlier), result)
+    scatter = scatter_of(results, level)
+    flights: list[Flight] = []
+    first = 0
+    for place, (row, result) in enumerate(zip(rows, results, strict=True)):
+        change = None
+        if place > first:
+            comparison = compare(predicted(results[first:place], scatter), result)
             found = tuple(
                 difference
                 for difference in comparison.differences.values()
                 if difference.p_holm is not None and difference.p_holm < level
             )
             if found:
-                change = Change(first, last, comparison, found)
-                earlier = []
-        earlier.append(result)
-        flights.append(Flight(number, row, result, change))
-    return Vehicle(name, tuple(flights))
+                change = Change(first + 1, place, comparison, found)
+                first = place
+        flights.append(Flight(place + 1, row, result, change))
+    return Vehicle(name, tuple(flights), scatter)
+
+
+def scatter_of(results: Sequence[Result], level: float) -> Scatter:
+    """How parameters scatter from flight to flight.
+
+    Args:
+        results: of a vehicle's flights, in the order of time.
+        level: probability of a false alarm at one flight. The variances are larger than the
+            likeliest, by Student's t, so that this holds though few flights tell them.
+
+    Returns:
+        Variances; zero with fewer than `FEWEST` flights.
+    """
+    names = dict.fromkeys(name for result in results for name in _estimates(result))
+    series = {
+        name: [e for r in results if (e := _estimates(r).get(name)) is not None and is_sound(e)]
+        for name in names
+    }
+    tested = max(sum(len(known) > 1 for known in series.values()), 1)
+    return {name: _variance(known, level / tested) for name, known in series.items()}
+
+
+def _variance(known: Sequence[Estimate], level: float) -> float:
+    if len(known) < FEWEST:
+        return 0.0
+    found = [(_value(a) - _value(b)) ** 2 for a, b in pairwise(known)]
+    own = [_std(a) ** 2 + _std(b) ** 2 for a, b in pairwise(known)]
+    freedom = max(_FREEDOM * len(found), 1.0)
+    caution = float(stdtrit(freedom, 1.0 - 0.5 * level) / ndtri(1.0 - 0.5 * level)) ** 2
+    return max(0.5 * (caution * median(found) / _MEDIAN - median(own)), 0.0)
 
 
 def result_of(row: Row) -> Result:
@@ -148,34 +192,39 @@ def _scale(entry: dict[str, Any] | None) -> Scale | None:
     return Scale(entry["anchor"], entry["value"], entry["unit"], entry["std"] or 0.0)
 
 
-def predicted(flights: Sequence[Result]) -> Result:
+def predicted(flights: Sequence[Result], scatter: Scatter) -> Result:
     """What flights of a vehicle that stays as it is predict for one more.
 
     Args:
         flights: at least one.
+        scatter: between flights.
 
     Returns:
         The last one's result with the values expected, and their standard deviations with the
-        scatter between flights in them.
+        scatter in them.
     """
     last = flights[-1]
     source = f"{len(flights)} flights from {flights[0].source} to {last.source}"
+    names = dict.fromkeys(name for flight in flights for name in _estimates(flight))
+    expected = {}
+    for name in names:
+        known = [_estimates(flight)[name] for flight in flights if name in _estimates(flight)]
+        sound = [estimate for estimate in known if is_sound(estimate)]
+        expected[name] = known[-1]
+        if sound:
+            value, variance = mean(sound, scatter[name])
+            std = math.sqrt(variance + scatter[name])
+            expected[name] = replace(sound[-1], value=value, std=std)
+    return replace(
+        last,
+        source=source,
+        parameters={name: e for name, e in expected.items() if name in PARAMETERS},
+        timing={name: e for name, e in expected.items() if name in TIMING},
+    )
 
-    def table(kind: str) -> dict[str, Estimate]:
-        tables: list[dict[str, Estimate]] = [getattr(flight, kind) for flight in flights]
-        names = dict.fromkeys(name for known in tables for name in known)
-        return {name: _pooled([known[name] for known in tables if name in known]) for name in names}
 
-    return replace(last, source=source, parameters=table("parameters"), timing=table("timing"))
-
-
-def _pooled(estimates: Sequence[Estimate]) -> Estimate:
-    """The estimate that is expected next; the last one where there is nothing to put together."""
-    sound = [e for e in estimates if is_sound(e)]
-    if not sound:
-        return estimates[-1]
-    value, std, scatter = pool(sound)
-    return replace(sound[-1], value=value, std=math.hypot(std, scatter), bound=None)
+def _estimates(result: Result) -> dict[str, Estimate]:
+    return result.parameters | result.timing
 
 
 def is_sound(estimate: Estimate) -> bool:
@@ -188,25 +237,22 @@ def is_sound(estimate: Estimate) -> bool:
     )
 
 
-def pool(estimates: Sequence[Estimate]) -> tuple[float, float, float]:
-    """Sound estimates of one thing that scatters from flight to flight.
+def mean(sound: Sequence[Estimate], between: float) -> tuple[float, float]:
+    """Weighted mean of sound estimates and its variance.
 
-    Returns:
-        Their mean, its standard deviation, and the scatter's, after DerSimonian and Laird,
-        "Meta-analysis in clinical trials", 1986.
+    Args:
+        sound: at least one.
+        between: variance between flights.
     """
-    known = [(e.value or 0.0, (e.std or 0.0) ** 2) for e in estimates]
-    mean, precision = _mean(known)
-    # Precisions by their sum: sums of squares of tiny variances' inverses need not overflow.
-    weights = [1.0 / variance / precision for _, variance in known]
-    misfit = precision * sum(w * (v - mean) ** 2 for w, (v, _) in zip(weights, known, strict=True))
-    free = precision * (1.0 - sum(w * w for w in weights))
-    between = max((misfit - (len(known) - 1)) / free, 0.0) if len(known) > 1 else 0.0
-    mean, precision = _mean([(value, variance + between) for value, variance in known])
-    return mean, math.sqrt(1.0 / precision), math.sqrt(between)
+    weights = [1.0 / (_std(estimate) ** 2 + between) for estimate in sound]
+    total = sum(weights)
+    value = sum(w * _value(e) for w, e in zip(weights, sound, strict=True)) / total
+    return value, 1.0 / total
 
 
-def _mean(known: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Weighted mean of (value, variance), and its precision."""
-    precision = sum(1.0 / variance for _, variance in known)
-    return sum(value / variance for value, variance in known) / precision, precision
+def _value(estimate: Estimate) -> float:
+    return math.nan if estimate.value is None else estimate.value
+
+
+def _std(estimate: Estimate) -> float:
+    return math.nan if estimate.std is None else estimate.std

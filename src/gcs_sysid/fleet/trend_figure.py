@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 
-from gcs_sysid.fleet.trend import Flight, Vehicle, is_sound, pool
+from gcs_sysid.fleet.trend import Flight, Vehicle, is_sound, mean
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.report.markup import Markup, element
 from gcs_sysid.report.wording import fixed, power_of_ten, times_power, unit_text, value_text
@@ -64,7 +64,7 @@ def trend_figure(vehicle: Vehicle, name: str) -> Markup:
     unit = " ".join(filter(None, [times_power(power).strip(), unit_text(PARAMETERS[name].unit)]))
     parts.append(_text(unit, _LEFT, 11, ""))
     for era in vehicle.eras:
-        parts += _mean_line(era, name, x, y)
+        parts += _mean_line(era, name, vehicle.scatter.get(name, 0.0), x, y)
     for flight in vehicle.changed:
         cut = _at(x(flight.number - 0.5))
         parts.append(element("line", x1=cut, x2=cut, y1=_TOP, y2=_BOTTOM, class_="cut"))
@@ -103,12 +103,14 @@ def _ticks(low: float, high: float) -> tuple[list[float], int]:
     return [k * step for k in range(first, last + 1)], max(0, -math.floor(math.log10(step) + 1e-9))
 
 
-def _mean_line(era: Sequence[Flight], name: str, x: _Axis, y: _Axis) -> list[Markup]:
+def _mean_line(
+    era: Sequence[Flight], name: str, scatter: float, x: _Axis, y: _Axis
+) -> list[Markup]:
     estimates = [f.result.parameters[name] for f in era if name in f.result.parameters]
     sound = [estimate for estimate in estimates if is_sound(estimate)]
     if len(sound) < 2:
         return []
-    at = _at(y(pool(sound)[0]))
+    at = _at(y(mean(sound, scatter)[0]))
     first, last = _at(x(era[0].number - 0.35)), _at(x(era[-1].number + 0.35))
     return [element("line", x1=first, x2=last, y1=at, y2=at, class_="mean")]
 

@@ -7,7 +7,7 @@ from importlib import resources
 
 from gcs_sysid import __version__
 from gcs_sysid.fleet.table import Row
-from gcs_sysid.fleet.trend import Change, Flight, Vehicle
+from gcs_sysid.fleet.trend import FEWEST, Change, Flight, Vehicle
 from gcs_sysid.fleet.trend_figure import shown_names, trend_figure
 from gcs_sysid.report.markup import Child, Markup, element
 from gcs_sysid.report.parts import Column, grid, legend, note, section, table
@@ -31,8 +31,12 @@ _LEGEND = (
 )
 _RULE = (
     "A flight is compared with what the earlier flights since the last change predict for it, "
-    "their scatter from flight to flight counted. A vehicle that stays the same is called changed "
-    "at any of its flights in one case of twenty at most, if flights scatter as they did."
+    "their usual scatter from flight to flight counted. A vehicle that stays the same is called "
+    "changed at any of its flights in one case of twenty at most."
+)
+_FEW = (
+    f"With fewer than {FEWEST} flights their usual scatter is not known: a difference may be that, "
+    "and not a change."
 )
 
 
@@ -98,8 +102,8 @@ def _overview(vehicles: Sequence[Vehicle], unused: Sequence[Row]) -> Markup:
         [
             element("a", vehicle.name, href=f"#vehicle-{place}"),
             str(len(vehicle.flights)),
-            _date(vehicle.flights[0].row),
-            _date(vehicle.flights[-1].row),
+            _date(vehicle.flights[0].row).partition(" ")[0],
+            _date(vehicle.flights[-1].row).partition(" ")[0],
             _changes_text(vehicle),
         ]
         for place, vehicle in enumerate(vehicles, 1)
@@ -115,10 +119,10 @@ def _overview(vehicles: Sequence[Vehicle], unused: Sequence[Row]) -> Markup:
         "overview",
         "Has a vehicle changed?",
         element("p", words, class_="sentence"),
+        note(_RULE),
         table("Vehicles by the name of their airframe and their address", columns, rows)
         if rows
         else None,
-        note(_RULE),
     )
 
 
@@ -141,19 +145,20 @@ def _vehicle(place: int, vehicle: Vehicle) -> Markup:
         Column("Found", numbers=True),
         Column("Difference", numbers=True),
     ]
-    notes = dict.fromkeys(
-        text
+    notes = [
+        text.replace("the mass of B", f"the mass at flight {flight.number}")
         for flight in vehicle.changed
         if flight.change is not None
         for text in flight.change.comparison.notes
         if "changed at the masses given" in text
-    )
+    ]
     return section(
         f"vehicle-{place}",
         vehicle.name,
         element("h3", "Changes") if changes else None,
         table("Differences with their 95 % intervals", columns, changes) if changes else None,
         *(note(text) for text in notes),
+        note(_FEW) if changes and len(vehicle.flights) < FEWEST else None,
         element("h3", "Parameters over flights"),
         legend(*_LEGEND),
         grid("three", figures),
