@@ -6,7 +6,7 @@ it, and several parameters can be stacked. docs/batch.md describes the columns.
 
 import os
 import tempfile
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -88,9 +88,9 @@ def row(
 
 
 def _time(text: str | None) -> datetime | None:
-    """Of a result's `recorded`."""
+    """Of a result's `recorded`: UTC, and naive, because readers turn others to local time."""
     try:
-        return datetime.strptime(text or "", "%Y-%m-%d %H:%M UTC").replace(tzinfo=UTC)
+        return datetime.strptime(text or "", "%Y-%m-%d %H:%M UTC")
     except ValueError:
         return None
 
@@ -128,7 +128,7 @@ def _schema() -> Any:
         ("sysid", pa.int16()),
         ("compid", pa.int16()),
         ("autopilot", pa.string()),
-        ("recorded", pa.timestamp("ms", tz="UTC")),
+        ("recorded", pa.timestamp("ms")),
         ("rotor_input", pa.string()),
         ("estimator", pa.string()),
         ("scale", scale),

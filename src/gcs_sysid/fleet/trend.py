@@ -9,6 +9,7 @@ flight is then compared with what the earlier ones predict for it.
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from itertools import pairwise
 from statistics import median
 from typing import Any
@@ -104,9 +105,9 @@ def vehicles_of(rows: Iterable[Row]) -> tuple[list[Vehicle], list[Row]]:
     return [_vehicle(name, list(flights[name].values())) for name in sorted(flights)], unused
 
 
-def _when(row: Row) -> tuple[bool, float, str]:
+def _when(row: Row) -> tuple[bool, datetime, str]:
     recorded = row["recorded"]
-    return recorded is None, recorded.timestamp() if recorded else 0.0, row["path"]
+    return recorded is None, recorded or datetime.min, row["path"]
 
 
 def _vehicle(name: str, rows: Sequence[Row]) -> Vehicle:
