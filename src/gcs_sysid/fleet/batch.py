@@ -50,6 +50,7 @@ class Batch:
         self._jobs, self._store, self._pool = jobs, store, pool
         self._show, self._stopped = show, stopped
         self._copies: dict[str, list[Task]] = {}
+        self._made: set[str] = set()
         self.tally = Tally(len(jobs))
 
     def run(self) -> list[Row]:
@@ -62,6 +63,7 @@ class Batch:
             document = None if isinstance(ended, BaseException) else ended
             if document is not None:
                 self._store.keep(task, document)
+                self._made.add(task.key)
             why = reason(ended) if isinstance(ended, BaseException) else None
             for copy in self._copies.pop(task.key):
                 self._take(copy.job, copy, document, why)
@@ -85,7 +87,7 @@ class Batch:
                 self._copies[task.key] = [task]
                 yield task
             else:
-                self.tally.kept += 1
+                self.tally.kept += task.key not in self._made
                 self._take(job, task, document)
 
     def _take(

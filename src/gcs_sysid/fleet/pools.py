@@ -7,7 +7,14 @@ import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
@@ -156,7 +163,13 @@ class ClusterPool:
         return max(2 * threads, 2)
 
     def submit(self, task: Task) -> Future[Document]:
-        """As `Pool` says; Dask itself tries anew where a worker dies."""
+        """As `Pool` says; Dask itself tries anew where a worker dies.
+
+        Raises:
+            InputError: the scheduler is gone.
+        """
+        if self._client.status != "running":
+            raise InputError("the Dask scheduler is gone; the same command does what is left")
         future: Future[Document] = self._executor.submit(analyze, task)
         return future
 
@@ -204,7 +217,7 @@ def complete(pool: Pool, tasks: Iterator[Task], stopped: Callable[[], bool]) -> 
         done, _ = wait(flying, timeout=_LOOK, return_when=FIRST_COMPLETED)
         for future in done:
             task = flying.pop(future)
-            error = future.exception()
+            error = CancelledError() if future.cancelled() else future.exception()
             if isinstance(error, BrokenExecutor) and task is not alone:
                 suspects.append(task)
                 continue
@@ -220,6 +233,8 @@ def reason(error: BaseException) -> str:
         return "the process that analysed it died, again when tried anew (out of memory?)"
     if isinstance(error, InputError):
         return str(error)
+    if isinstance(error, CancelledError):
+        return "the cluster gave it up"
     if isinstance(error, MemoryError):
         return "not enough memory for it"
     text = " ".join(str(error).split())

@@ -4,8 +4,6 @@ Every parameter is a column of the same structure, so `Ixx.value` is a number, `
 it, and several parameters can be stacked. docs/batch.md describes the columns.
 """
 
-import os
-import tempfile
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ from typing import Any
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet.jobs import Document, Job, Task
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.report.files import write_whole
 
 SCHEMA = "gcs-sysid/fleet/1"
 ESTIMATES = {**PARAMETERS, **TIMING}
@@ -149,25 +148,9 @@ def write_table(path: Path, rows: list[Row]) -> None:
     from pyarrow import parquet
 
     table = pa.Table.from_pylist(sorted(rows, key=lambda row: row["path"]), _schema())
-    part: Path | None = None
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
-        os.close(handle)
-        part = Path(name)
-        parquet.write_table(table, part, compression="zstd")
-        part.chmod(0o666 & ~_umask())
-        part.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot write: {error.strerror or error}") from error
-    finally:
-        if part is not None:
-            part.unlink(missing_ok=True)
-
-
-def _umask() -> int:
-    mask = os.umask(0o022)
-    os.umask(mask)
-    return mask
+    buffer = pa.BufferOutputStream()
+    parquet.write_table(table, buffer, compression="zstd")
+    write_whole(path, buffer.getvalue().to_pybytes(), replace=True)
 
 
 def read_table(path: Path) -> list[Row]:
