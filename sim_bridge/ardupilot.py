@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.telemetry.dialect import mavlink
-from sim_bridge.answering import ACCEPTED, DENIED, FAILED, AnsweringAutopilot
+from sim_bridge.answering import ACCEPTED, DENIED, FAILED, UNSUPPORTED, AnsweringAutopilot
 from sim_bridge.ardupilot_instruments import ESC_PERIOD, ArduPilotInstruments
 from sim_bridge.ardupilot_messages import ArduPilotMessages
 from sim_bridge.ardupilot_parameters import ardupilot_parameters
@@ -29,6 +29,9 @@ LEAST_INTERVAL_MS = 3
 """No message more often: 0.8 times the loop's rate, in whole milliseconds."""
 
 MOST_INTERVAL_MS = 60_000
+
+LEAST_INTERVAL_BEFORE_4_MS = 20
+"""Of groups, before 4.0."""
 
 BOOT_US = 60_000_000
 """The vehicle's clock at the start of the flight: long enough for the EKF to have a position."""
@@ -146,6 +149,8 @@ class ArduPilot(AnsweringAutopilot):
         self._status = StatusMessages(self._instruments, writer, IDENTITY)
         self.schedule = Schedule(simulation.step_us)
         self._make_streams()
+        if traps.groups_only:
+            self._never_sent.add(mavlink.MAVLINK_MSG_ID_HIGHRES_IMU)
         self._asked = dict(asked or {})
         self._ask(0)
 
@@ -209,6 +214,8 @@ class ArduPilot(AnsweringAutopilot):
         return [self._flight.text(words) for words in texts]
 
     def _set_interval(self, message: Any) -> int:
+        if self._traps.groups_only:
+            return UNSUPPORTED
         msgid, asked = round(message.param1), message.param2
         stream = self.schedule.streams.get(msgid)
         if stream is None:
@@ -237,7 +244,8 @@ class ArduPilot(AnsweringAutopilot):
     def _set_group(self, group: int, rate: int, tick: int) -> None:
         """Set the rates of a group's messages, whatever was asked of each before."""
         groups = _GROUPS if group == mavlink.MAV_DATA_STREAM_ALL else (group,)
-        interval = max(1000 // rate, LEAST_INTERVAL_MS) if rate else 0
+        least = LEAST_INTERVAL_BEFORE_4_MS if self._traps.groups_only else LEAST_INTERVAL_MS
+        interval = max(1000 // rate, least) if rate else 0
         for number in groups:
             for msgid in _GROUPS.get(number, ()):
                 stream = self.schedule.streams.get(msgid)

@@ -14,6 +14,7 @@ import numpy as np
 
 from gcs_sysid import __version__
 from gcs_sysid.errors import GcsSysidError, InputError
+from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.usage import OneLineParser, not_negative, number, positive
 from sim_bridge import ardupilot
 from sim_bridge.answering import AnsweringAutopilot
@@ -22,9 +23,10 @@ from sim_bridge.autopilot import BOOT_US, EPOCH_US
 from sim_bridge.links import Link, TlogLink, open_link
 from sim_bridge.missions import MISSIONS, Mission
 from sim_bridge.outing import Outing
+from sim_bridge.playback import play, wait_for_somebody
 from sim_bridge.px4 import Px4
 from sim_bridge.sensors import NOISE_MODELS
-from sim_bridge.server import TruthFile, fly
+from sim_bridge.server import Pace, TruthFile, fly
 from sim_bridge.simulation import Change, Simulation, mass_step
 from sim_bridge.traps import Traps, make_traps, message_number, parse_trap, trap_help
 from sim_bridge.vehicle_files import load_vehicle
@@ -148,6 +150,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     link = parser.add_argument_group("where to")
     add = link.add_argument
+    add("url", nargs="?", metavar="URL", help="the same as --connect URL")
     add(
         "--connect",
         metavar="URL",
@@ -159,7 +162,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--speed",
         type=_speed,
         default=None,
-        metavar="1|max",
+        metavar="X|max",
         help="times real time, or max (default: 1; max when only a file is written)",
     )
     add("--mavlink", type=int, choices=(1, 2), default=2, help="version (default: 2)")
@@ -168,6 +171,12 @@ def make_parser() -> argparse.ArgumentParser:
         type=Path,
         metavar="FILE",
         help="sign with this key, and obey only who does: 32 bytes, or 64 hexadecimal digits",
+    )
+    add(
+        "--play",
+        type=Path,
+        metavar="LOG.tlog",
+        help="send this recording again, its frames as they are, at its own pace times --speed",
     )
     add("--tlog", type=Path, metavar="FILE", help="write the flight straight to a .tlog")
     add("--force", action="store_true", help="replace the .tlog if there is one")
@@ -187,6 +196,13 @@ def run(args: argparse.Namespace) -> None:
     Raises:
         GcsSysidError: something in it cannot be used.
     """
+    if args.url is not None:
+        if args.connect is not None:
+            raise InputError("give the URL once: alone, or with --connect")
+        args.connect = args.url
+    if args.play is not None:
+        _play(args)
+        return
     vehicle = load_vehicle(args.airframe, args.arm)
     traps = _traps(args)
     mission: Mission = MISSIONS[args.mission]
@@ -213,10 +229,24 @@ def run(args: argparse.Namespace) -> None:
         if args.connect is not None or args.tlog is None:
             links.append(open_link(args.connect or DEFAULT_CONNECT, args.baud))
         speed = args.speed or (1.0 if args.connect or args.tlog is None else math.inf)
-        fly(simulation, autopilot, links, duration, speed, truth)
+        fly(simulation, autopilot, links, duration, Pace(speed), truth)
     finally:
         for link in links:
             link.close()
+
+
+def _play(args: argparse.Namespace) -> None:
+    for name in ("tlog", "truth", "signing_key"):
+        if getattr(args, name) is not None:
+            raise InputError(f"--play and --{name.replace('_', '-')} exclude each other")
+    recording = read_tlog(args.play)
+    link = open_link(args.connect or DEFAULT_CONNECT, args.baud)
+    try:
+        wait_for_somebody(link)
+        count = play(recording, link, Pace(args.speed or 1.0))
+    finally:
+        link.close()
+    print(f"played {count} frames of {args.play}", file=sys.stderr)
 
 
 def _traps(args: argparse.Namespace) -> Traps:

@@ -31,12 +31,14 @@ class SensorFaults:
     ) -> None:
         self.traps = traps
         # A generator each: one trap does not move what another does.
-        rotor, attitude, gyro = (seed or np.random.SeedSequence(0)).spawn(3)
+        rotor, attitude, gyro, imu = (seed or np.random.SeedSequence(0)).spawn(4)
         self._rotor_random = np.random.default_rng(rotor)
         self._attitude_random = np.random.default_rng(attitude)
         self._gyro_random = np.random.default_rng(gyro)
+        self._imu_random = np.random.default_rng(imu)
         self._spins = [rotor.spin for rotor in vehicle.rotors]
         self._last_rpm: list[int] = []
+        self._last_inertial: tuple[Sample, Sample] | None = None
 
     def rpm(self, speeds: Sample) -> list[int]:
         """What the rpm field says of these rotor speeds in rad/s, motor by motor."""
@@ -61,8 +63,12 @@ class SensorFaults:
         return q
 
     def inertial(self, gyro: Sample, accelerometer: Sample) -> tuple[Sample, Sample]:
-        """Gyro (rad/s) and accelerometer (m/s^2) with outliers and bias."""
+        """Gyro (rad/s) and accelerometer (m/s^2) with outliers, repeats and bias."""
         traps = self.traps
+        if traps.imu_frozen:
+            last = self._last_inertial
+            if last is not None and self._imu_random.random() < traps.imu_frozen:
+                return last
         if traps.gyro_outliers and self._gyro_random.random() < traps.gyro_outliers:
             axis = int(self._gyro_random.integers(3))
             size = SPIKE * (1.0 + self._gyro_random.random())
@@ -70,4 +76,5 @@ class SensorFaults:
             gyro[axis] += size * (1.0 if self._gyro_random.random() < 0.5 else -1.0)
         if traps.accelerometer_bias:
             accelerometer = [a + traps.accelerometer_bias for a in accelerometer]
+        self._last_inertial = gyro, accelerometer
         return gyro, accelerometer

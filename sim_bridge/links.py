@@ -22,6 +22,11 @@ CONNECT_PATIENCE = 5.0
 class Link(Protocol):
     """Where frames go and questions come from."""
 
+    @property
+    def connected(self) -> bool:
+        """Whether it is known whom to send to."""
+        ...
+
     def send(self, frames: list[bytes], time_us: int) -> None:
         """Send frames made at this time of the vehicle's clock."""
         ...
@@ -54,6 +59,11 @@ class UdpLink:
             except OSError as error:
                 self._socket.close()
                 raise LinkError(f"cannot listen on UDP {host}:{port}: {error.strerror}") from error
+
+    @property
+    def connected(self) -> bool:
+        """Whether the other side's address is known."""
+        return self.peer is not None
 
     def send(self, frames: list[bytes], time_us: int) -> None:
         """Send frames in as few datagrams as they fit into."""
@@ -99,6 +109,8 @@ class UdpLink:
 
 class TcpLink:
     """TCP: connecting, or listening for one ground station after the other."""
+
+    connected = True  # made so
 
     def __init__(self, host: str, port: int, listen: bool) -> None:
         family, address = _resolve(host, port, socket.SOCK_STREAM)
@@ -165,6 +177,8 @@ class TcpLink:
 class SerialLink:
     """A serial port."""
 
+    connected = True
+
     def __init__(self, device: str, baud: int) -> None:
         try:
             self._port = serial.Serial(device, baud, timeout=0)
@@ -193,6 +207,8 @@ class SerialLink:
 
 class TlogLink:
     """A .tlog file: big-endian microseconds since 1970, then the frame."""
+
+    connected = True
 
     def __init__(self, path: Path, replace: bool = False) -> None:
         """Open a new file, or empty one that there is if `replace` allows it."""

@@ -5,7 +5,7 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from gcs_sysid.errors import InputError
 from sim_bridge.autopilot import BOOT_US, Autopilot
@@ -15,6 +15,14 @@ from sim_bridge.vehicle import Vehicle
 
 LISTEN_STEPS = 4
 """Physics steps between looks at what has arrived."""
+
+
+class Pacing(Protocol):
+    """Holds a sender to a pace."""
+
+    def wait(self, flown: float) -> None:
+        """Wait until this many seconds of flight are due."""
+        ...
 
 
 class Pace:
@@ -79,7 +87,7 @@ def fly(
     autopilot: Autopilot,
     links: list[Link],
     duration: float,
-    speed: float,
+    pace: Pacing,
     truth: TruthFile,
 ) -> None:
     """Fly to the end of the mission, sending and answering all the way.
@@ -89,10 +97,9 @@ def fly(
         autopilot: what speaks.
         links: where to.
         duration: s.
-        speed: times real time; infinity for as fast as it goes.
+        pace: of the flight.
         truth: kept up to date.
     """
-    pace = Pace(speed)
     progress = Progress(duration)
     steps = round(duration * 1e6 / simulation.step_us)
     for tick in range(steps + 1):

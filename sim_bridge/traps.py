@@ -24,6 +24,7 @@ class Traps:
     rpm_signed: bool = False
     quaternion_flips: float = 0.0
     gyro_outliers: float = 0.0
+    imu_frozen: float = 0.0
     gyro_average: float = 0.0
     accelerometer_bias: float = 0.0
     rotor_late: float = 0.0
@@ -37,6 +38,7 @@ class Traps:
     reboot: float = 0.0
     rate_reset: float = 0.0
     never_sent: tuple[int, ...] = ()
+    groups_only: bool = False
     active_count: int = 0
     ground: float = 0.0
     flights: int = 1
@@ -127,6 +129,9 @@ KINDS: dict[str, Kind] = {
     "gyro-outliers": Kind(
         "share of IMU samples with a spike on one gyro axis", _share, "SHARE", "0.002"
     ),
+    "imu-frozen": Kind(
+        "share of IMU samples that repeat the last under a fresh stamp", _share, "SHARE", "0.02"
+    ),
     "gyro-average": Kind(
         "gyro and accelerometer averaged over so long, stamped at the END as PX4 does",
         _milliseconds,
@@ -159,6 +164,9 @@ KINDS: dict[str, Kind] = {
     ),
     "never-sent": Kind(
         "this message is acknowledged and never comes; may be given again", _message, "MESSAGE"
+    ),
+    "groups-only": Kind(
+        "ArduPilot before 4.0: no SET_MESSAGE_INTERVAL, no HIGHRES_IMU, groups at 50 Hz at most"
     ),
     "active-count": Kind(
         "ACTUATOR_OUTPUT_STATUS counts outputs that drive nothing, too", _whole(32), "N", "16"

@@ -76,6 +76,8 @@ def paper_records(paper_flight: Flight) -> list[Record]:
 class UlogFile:
     """A PX4 log, put together entry by entry."""
 
+    SUFFIX = ".ulg"
+
     SIZES = {  # noqa: RUF012
         "uint64_t": "Q", "uint32_t": "I", "uint8_t": "B", "int8_t": "b", "int32_t": "i",
         "float": "f", "bool": "?", "uint16_t": "H",
@@ -140,6 +142,8 @@ class UlogFile:
 
 class DataflashFile:
     """An ArduPilot log, put together entry by entry."""
+
+    SUFFIX = ".bin"
 
     CODES = {  # noqa: RUF012
         "Q": "Q", "B": "B", "f": "f", "H": "H", "h": "h", "c": "h", "C": "H", "I": "I",

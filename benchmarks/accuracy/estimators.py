@@ -11,11 +11,12 @@ from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.estimation.innovations import AxisNoise, Noise
 from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximise_likelihood
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
-from gcs_sysid.estimation.parameters import Value, physical_parameters
+from gcs_sysid.estimation.parameters import Value
 from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.speed_noise import ROUNDING_STD
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.session.summary import values_of
 from sim_bridge.sensors import CORNER
 
 Outcome = dict[str, list[float]]
@@ -47,8 +48,8 @@ def offline(samples: Samples, dt: float, start: Fit, speed_std: float | None) ->
 
 
 def at_known_mass(fit: Fit) -> dict[str, Value]:
-    """The physical parameters at the scale of the known mass."""
-    return physical_parameters(Anchor("mass", VEHICLE.mass), fit.rotation, fit.translation, ARM)
+    """The physical parameters at the scale of the known mass, as the program tells them."""
+    return values_of(fit, Anchor("mass", VEHICLE.mass), ARM, {})
 
 
 def outcome(fit: Fit) -> Outcome:

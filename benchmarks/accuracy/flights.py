@@ -83,10 +83,12 @@ def measure(
     if vibration:
         gyro = gyro + vibration * _imbalance(flight.speeds[0], dt, seed)
     if rounded:
-        # Noise does not act on the flight, so without it all seeds would share one rounding, and
-        # a study over seeds would show that one outcome. An offset of each rotor's counter, a
-        # fraction of a revolution per minute, makes roundings as different as flights are.
-        offset = np.random.default_rng([seed, 0x4F5]).uniform(-0.5, 0.5, speeds.shape[1])
+        # Noise does not act on the flight, so without it all seeds, and all turns of a pattern that
+        # is flown again, would share one rounding, and a study would show that one outcome. In a
+        # flight the gyro's noise reaches the rotors: any rate loop turns the article's into more
+        # than 1 rpm from sample to sample. An offset of each rotor's counter, a fraction of a
+        # revolution per minute and another at each sample, makes roundings as different.
+        offset = np.random.default_rng([seed, 0x4F5]).uniform(-0.5, 0.5, speeds.shape)
         speeds = (np.round(speeds / RPM + offset) - offset) * RPM
     complementary = ComplementaryFilter(dt)
     attitude = complementary.update(gyro, noisy.quaternion[0])

@@ -51,8 +51,8 @@ def convergence(data: Data) -> Section:
     lines = [
         f"{case['seeds']} seeds, a refit each 0.1 s. The article says {CONVERGENCE:g} s for all. "
         "“Wrong” counts a parameter with the status `identified` whose 95 % interval misses the "
-        "truth; `weak` and `unobservable` do not count. An interval that holds in 95 % of all "
-        "runs at each refit still misses in more of them at some refit; and ten independent ones "
+        "truth; `weak` and `unobservable` do not count. Intervals of a running flight are meant to "
+        "hold at all refits together, the last one is a single look; ten independent ones "
         f"miss somewhere in {ideal:.0f} % of runs.",
         "",
         *table(["", *NAMES, "any"], rows),

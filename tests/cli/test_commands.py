@@ -10,7 +10,9 @@ import sys
 import pytest
 
 from gcs_sysid.cli.main import run
+from gcs_sysid.cli.table import result_table
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.session.result import Estimate, Result
 from gcs_sysid.telemetry.tlog import TlogWriter, read_tlog
 
 PAPER = ("--airframe", "paper")
@@ -105,6 +107,30 @@ def test_table_shows_truth_and_error(analyze, paper_flight):
         assert truth == pytest.approx(paper_flight.truth[name], rel=1e-5)
         assert error == pytest.approx(100 * (value / truth - 1), abs=0.01)
     assert max(map(len, out.splitlines())) < 110
+
+
+@pytest.mark.parametrize(("with_truth", "with_bounds"), [(0, 0), (0, 1), (1, 0), (1, 1)])
+def test_the_table_fits_a_terminal_of_80_columns(with_truth, with_bounds):
+    bound = 1.2e-6 if with_bounds else None
+    estimates = {
+        name: Estimate(-1.23456e-4, 3.4e-6, p.unit, "identified", bound)
+        for name, p in PARAMETERS.items()
+    }
+    estimates["mass"] = Estimate(1.5, 0.0, "kg", "given")
+    estimates["rotor_inertia"] = Estimate(None, None, "kg m^2", "unobservable")
+    truth = dict.fromkeys(PARAMETERS, -2.34567e-4) if with_truth else None
+    reasons = ("a reason that is longer than what is left of a line: " + "word " * 20,)
+    result = Result("partial", reasons, "flight.tlog", {}, None, "speed", estimates)
+    table = result_table(result, truth, 80)
+    lines = table.splitlines()
+    assert max(map(len, lines)) <= 80
+    head = next(line for line in lines if line.startswith("parameter"))
+    kept = {"value", "± 95 %", "unit", "status"} | ({"truth", "error %"} if with_truth else set())
+    assert all(column in head for column in kept)
+    assert table.count("word") == 20
+    free = result_table(result, truth)
+    assert max(map(len, free.splitlines())) > 80
+    assert "-0.000123456" in free
 
 
 def test_json_in_a_file_comes_beside_the_table(analyze, paper_flight, tmp_path):

@@ -98,6 +98,36 @@ def test_unreadable_gives_one_line(inspect, name, tmp_path, monkeypatch):
     assert name in err
 
 
+def test_an_airframe_or_a_number_of_rotors_may_be_named(inspect, flight):
+    for options in (("--airframe", "paper", "--mass", "1.5"), ("--rotors", "4")):
+        status, out, _ = inspect(flight.tlog, "--json", "-", *options)
+        assert status == 0
+        rotor_input = json.loads(out)["rotor_input"]
+        assert (rotor_input["rotors"], rotor_input["message"]) == (4, "ESC_TELEMETRY")
+    _, out, _ = inspect(flight.tlog, "--rotors", "6")
+    assert "Can be identified from: NO" in out
+    assert "of 6 rotors" in out
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (("--rotors", "2"), "3 to 32"),
+        (("--rotors", "4", "--airframe", "paper"), "exclude each other"),
+        (("--mass", "1.5"), "need --airframe"),
+        (("--airframe", "nonesuch"), "no airframe 'nonesuch'"),
+    ],
+)
+def test_vehicles_that_make_no_sense_give_one_line(inspect, flight, options, why, capsys):
+    try:
+        status, _, err = inspect(flight.tlog, *options)
+    except SystemExit as exit:  # of the parser
+        status, err = exit.code, capsys.readouterr().err
+    assert status == 2
+    assert why in err
+    assert err.count("\n") == 1
+
+
 def test_a_target_is_needed(inspect):
     status, _, err = inspect()
     assert status == 2

@@ -87,6 +87,20 @@ def test_defaults_of_a_minimal_file(write):
     assert airframe.anchor() is None
 
 
+def test_the_imus_place_counts_from_the_cg_where_a_prior_tells_that(write):
+    text = ROTORS + "[imu]\nposition = [0.05, -0.02, -0.03]\n"
+    assert load_airframe(write(ROTORS)).imu_arm is None
+    assert load_airframe(write(text)).imu_arm == (0.05, -0.02, -0.03)
+    airframe = load_airframe(write(text + "[prior]\ncg_x = [0.01, 0.002]\n"))
+    assert airframe.imu_arm == pytest.approx((0.04, -0.02, -0.03))
+
+
+@pytest.mark.parametrize("wrong", ["1.0", "[0.1, 0.2]", '[0.1, "a", 0.2]', "[0.0, 200.0, 0.0]"])
+def test_a_place_of_the_imu_that_is_none_is_refused(write, wrong):
+    with pytest.raises(InputError, match=r"\[imu\] position"):
+        load_airframe(write(f"{ROTORS}[imu]\nposition = {wrong}\n"))
+
+
 def test_the_emulators_table_is_dropped_unread(write):
     truth = "[simulation]\nIxx = 'no number'\nwhatever = [1, 2]\n"
     with_it, without = load_airframe(write(ROTORS + truth)), load_airframe(write(ROTORS))
@@ -121,6 +135,7 @@ WRONG = {
     "spin missing": (ROTORS.replace('spin = "cw"\n', "", 1), "number 3: spin"),
     "x is text": (ROTORS.replace("x = 0.2", "x = 'a'", 1), "number 1: x"),
     "y is infinite": (ROTORS.replace("y = 0.3", "y = inf", 1), "number 1: y"),
+    "y in mm": (ROTORS.replace("y = 0.3", "y = 300", 1), "number 1: x and y are metres"),
     "spin is a number": (ROTORS.replace('"ccw"', "1", 1), "number 1: spin"),
     "all spins alike": (ROTORS.replace('"cw"', '"ccw"'), "spins"),
     "all on one line": (ROTORS.replace("y = -0.3", "y = 0").replace("y = 0.3", "y = 0"), "roll"),
@@ -178,6 +193,11 @@ def test_with_anchor_and_arm_want_positive_numbers(value):
         airframe.with_anchor("mass", value)
     with pytest.raises(InputError, match="--arm must be a positive length"):
         airframe.with_arm(value)
+
+
+def test_with_arm_refuses_lengths_that_are_not_metres():
+    with pytest.raises(InputError, match="at most 100 m, got 250"):
+        load_airframe("paper").with_arm(250.0)
 
 
 def test_with_arm_scales_the_layout_and_keeps_the_rest():

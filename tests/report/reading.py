@@ -20,10 +20,16 @@ class Element:
 
 
 class Page(HTMLParser):
-    """A page taken apart; fails where elements do not close in order."""
+    """A page taken apart; fails where elements do not close in order.
 
-    def __init__(self, html: str) -> None:
+    Args:
+        html: the page.
+        plain: whether spaces that do not break are read as spaces.
+    """
+
+    def __init__(self, html: str, *, plain: bool = True) -> None:
         super().__init__()
+        self._plain = plain
         self.html = html
         self.elements: list[Element] = []
         self._open: list[Element] = []
@@ -44,7 +50,8 @@ class Page(HTMLParser):
         assert self._open.pop().name == tag
 
     def handle_data(self, data):
-        data = data.replace("\N{NO-BREAK SPACE}", " ")
+        if self._plain:
+            data = data.replace("\N{NO-BREAK SPACE}", " ")
         for element in self._open:
             element.text += data
 

@@ -118,7 +118,7 @@ def test_button_shows_all_again(visit):
 
 def test_keys_do_all_that_the_mouse_does(visit):
     page = visit()
-    figure = plot(page, "course-Ixx")
+    figure = plot(page, "rate-pitch")
     figure.focus()
     before = x_ticks(figure)
     for _ in range(3):

@@ -18,7 +18,7 @@ from gcs_sysid.report.page import render
 from gcs_sysid.report.prediction import Prediction, Spectrum
 from gcs_sysid.report.wording import STATUS_WORDS
 from gcs_sysid.session.inspection import readiness
-from gcs_sysid.session.snapshot import Course
+from gcs_sysid.session.snapshot import Course, Event
 from gcs_sysid.telemetry.streams import NEEDED_RATE
 
 from .reading import Page
@@ -161,6 +161,12 @@ def test_course_ends_with_the_result(page, report):
         assert np.nanmin(high - low) > 0.0
 
 
+def test_notes_of_the_analysis_are_told(page):
+    _, *rows = rows_of(page, "Notes")
+    assert all(re.fullmatch(r"[\d.]+ s", t) for t, _ in rows)
+    assert "rotors from ESC_STATUS, measured speeds" in [text for _, text in rows]
+
+
 def test_settings_reproduce_it(page, paper_flight, report):
     text = page.one("section", id="settings").text
     assert hashlib.sha256(paper_flight.tlog.read_bytes()).hexdigest() in text
@@ -223,6 +229,9 @@ def made_up(text="flight.tlog", rows=2000, instants=50):
         "priors": {"k_M": {"value": 1e-6, "std": 1e-7}},
         "telemetry": {
             "systems": [text],
+            "imu_outliers": {"spikes": 3, "frozen": 0},
+            "fates": {"used": 7, "dropped": 0},
+            "recorded": text,
             "messages": {text: {"count": 10, "rate": None}},
             "rotor_input": {"source": text, "why": text, "refused": {text: text}},
         },
@@ -240,12 +249,15 @@ def made_up(text="flight.tlog", rows=2000, instants=50):
     return ReportData(
         result=result,
         inspection=inspection,
-        airframe=replace(load_airframe("paper"), name=text),
+        airframe=replace(
+            load_airframe("paper"), name=text, imu_position=(0.01, -0.02, 0.0), gyro_filter=20.0
+        ),
         provenance=Provenance(("gcs-sysid", "analyze", text), {text: text}, 10, "ab" * 32),
         course=Course(course, values, {n: np.full(instants, 1e-4) for n in PARAMETERS}),
         prediction=Prediction(t, y, y, y + 0.1, t[1] - t[0], t > 36.0, np.zeros(3)),
         spectrum=Spectrum(f, np.ones((200, 3)), np.ones((200, 3))),
         truth={"Ixx": 0.0164, "Iyy": 0.0},
+        notes=(Event(1.0, text),),
     )
 
 
@@ -303,12 +315,26 @@ def test_a_refused_recording_has_a_page_too():
     assert page.data == {"arrays": {}, "figures": {}}
 
 
+def test_what_the_airframe_says_of_the_imu_is_told():
+    text = Page(render(made_up())).one("section", id="settings").text
+    assert "0.0100 m, −0.0200 m, 0.0000 m" in text
+    assert "20 Hz" in text
+
+
+def test_counts_that_are_not_zero_are_told():
+    text = Page(render(made_up())).one("section", id="telemetry").text
+    assert "Outliers of the IMU3 spikes" in text
+    assert "What became of them7 used" in text
+    assert "frozen" not in text
+
+
 def test_numbers_beyond_all_measure_do_no_harm():
     data = made_up()
     parameters = dict(data.result["parameters"]) | {
         "Ixx": estimate(1e-30, 1e30, "unobservable"),
         "Iyy": estimate(0.0, 1e-12, "identified"),
         "Izz": estimate(-1e200, 0.0, "weak"),
+        "rotor_inertia": estimate(0.0, 0.0, "identified"),
     }
     page = Page(render(replace(data, result=dict(data.result) | {"parameters": parameters})))
     text = page.one("section", id="parameters").text

@@ -7,16 +7,18 @@ import math
 import numpy as np
 import pytest
 
+from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.records import Record, Stream
-from gcs_sysid.session.inspection.facts import RotorFacts, RotorSource
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.inspection.assumed import assumed_airframe
 from gcs_sysid.session.inspection.inspector import Inspector, inspect_link, inspect_log
 from gcs_sysid.session.inspection.parameters import that_matter
-from gcs_sysid.session.inspection.rotor_input import choose_rotor_input
 from gcs_sysid.session.inspection.watch import CHUNK, MotionWatch, RotorWatch, StreamWatch
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Chunk, Link
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import parse_url
+from gcs_sysid.telemetry.vehicles import Vehicle
 
 FLIGHT = ("--mission", "all-axes", "--rate", "100", "--duration", "16", "--seed", "3")
 
@@ -129,48 +131,73 @@ def test_too_little_flight_tells_no_motion():
     assert watch.motion() == []
 
 
-# Rotor input.
+# Rotor input: what the chain decides.
+
+DECISIONS = {
+    "sound": (),
+    "all zero": ("--trap", "rpm-zero"),
+    "one dead": ("--trap", "rpm-dead=2"),
+    "commands sold as speeds": ("--trap", "rpm-command"),
+    "rad/s": ("--trap", "rpm-rad"),
+    "few readings": ("--trap", "rpm-repeats=0.95"),
+    "commands alone": ("--rotor-input", "command"),
+    "ArduPilot": ("--autopilot", "ardupilot"),
+}
 
 
-def source(kind="speed", rate=100.0, rotors=4, repeats=0.0, dead=(), message="ESC_STATUS"):
-    alive, silent = RotorFacts(100.0, 200.0, 150.0, 0.0), RotorFacts(0.0, 0.0, 0.0, 100.0)
-    facts = tuple(silent if i + 1 in dead else alive for i in range(rotors))
-    return RotorSource(message, kind, rate, repeats, facts)
+@pytest.mark.slow
+@pytest.mark.parametrize("options", DECISIONS.values(), ids=DECISIONS.keys())
+def test_inspect_and_analyze_use_the_same_rotor_input(recording, options):
+    path = recording(*options)
+    airframe = load_airframe("paper")
+    analyzed = analyze_log(path, airframe).telemetry["rotor_input"]
+    found = inspect_log(path, airframe=airframe).rotor_input
+    assert found.judged
+    assert found.chosen.message == analyzed["source"]
+    assert (list(found.range) if found.range else None) == analyzed.get("range")
+    for name, why in analyzed["refused"].items():
+        assert f"{name} {why}" in found.reasons
 
 
-OUTPUTS = source("command", message="SERVO_OUTPUT_RAW")
+@pytest.mark.slow
+def test_without_an_airframe_the_vehicles_type_tells_how_many_rotors(fly):
+    flight = (*FLIGHT, "--autopilot", "ardupilot", "--airframe", "ardupilot-hexa-x")
+    path = fly(*flight).tlog
+    found = inspect_log(path)
+    assert (found.rotors, found.rotors_assumed) == (6, False)
+    assert len(found.rotor_input.chosen.rotors) == 6
+    eight = inspect_log(path, airframe=assumed_airframe(8))
+    assert eight.rotor_input.chosen is None
+    assert any("of 8 rotors" in reason for reason in eight.rotor_input.reasons)
 
 
-@pytest.mark.parametrize(
-    ("speeds", "chosen", "reason"),
-    [
-        (source(), "speed", ""),
-        (source(dead=(1, 2, 3, 4)), "command", "all zero"),
-        (source(dead=(3,)), "command", "motor 3"),
-        (source(rate=4.0), "command", "4.0 Hz"),
-        (source(repeats=95.0), "command", "5 new ones a second"),
-        (source(rotors=2), "command", "2 rotors only"),
-    ],
-    ids=["sound", "zero", "dead", "slow", "repeats", "few"],
-)
-def test_measured_speeds_unless_they_are_unsound(speeds, chosen, reason):
-    decision = choose_rotor_input([OUTPUTS, speeds], flown=True)
-    assert decision.chosen.kind == chosen
-    assert reason in " ".join(decision.reasons)
-    assert bool(reason) is bool(decision.reasons)
+def flown(*speeds, vehicle_type):
+    """Inspects 12 s of flight with these rotor speeds, varied a little."""
+    intake = Intake()
+    intake.selector.chosen = Vehicle(1, 1, vehicle_type, 12)
+    inspector = Inspector(intake)
+    for i in range(1200):
+        t = 1.0 + 0.01 * i
+        if i % 50 == 0:
+            inspector.take(Record(Stream.IN_AIR, t, (1.0,)))
+        inspector.take(Record(Stream.IMU, t, (0.0,) * 5 + (-9.8,)))
+        values = tuple(v + v / 50.0 * math.sin(i * (k + 1)) for k, v in enumerate(speeds))
+        inspector.take(Record(Stream.ROTOR_SPEED, t, values, 0, "ESC_STATUS"))
+    return inspector.finish("made", "tlog", None)
 
 
-def test_on_the_ground_only_the_rate_is_judged():
-    assert choose_rotor_input([source(dead=(1, 2, 3, 4))], flown=False).chosen is not None
-    assert choose_rotor_input([source(rate=2.0)], flown=False).chosen is None
-    assert choose_rotor_input([], flown=True).chosen is None
+def test_a_type_that_tells_no_number_is_said():
+    found = flown(500.0, 500.0, 500.0, 500.0, vehicle_type=0)
+    assert (found.rotors, found.rotors_assumed) == (4, True)
+    assert found.rotor_input.chosen.message == "ESC_STATUS"
+    assert "does not tell how many rotors it has: 4 assumed" in texts(found, "note")
 
 
-def test_outputs_that_do_not_change_are_no_input():
-    still = RotorSource("RCOU", "command", 50.0, 100.0, (RotorFacts(1e3, 1e3, 1e3, 0.0),) * 4)
-    decision = choose_rotor_input([still], flown=True)
-    assert decision.chosen is None
-    assert "does not change" in decision.reasons[0]
+def test_a_dead_rotor_is_refused_as_by_analyze():
+    found = flown(500.0, 500.0, 0.0, 500.0, vehicle_type=2)
+    assert not found.rotors_assumed
+    assert found.rotor_input.chosen is None
+    assert "rotor 3 reads 0 while the others move" in texts(found, "blocks")
 
 
 # Whole recordings of the emulator.
@@ -191,8 +218,8 @@ def test_a_sound_flight(inspect):
 
 
 TRAPS = {
-    "rpm-zero": "all zero in flight",
-    "rpm-dead=2": "motor 2 tells nothing",
+    "rpm-zero": "ESC_STATUS reads 0 while the vehicle flies",
+    "rpm-dead=2": "rotor 2 reads 0 while the others move",
     "skips=0.05": "never sent",
     "forwarded": "other vehicles speak too: PX4 quadrotor 2:1",
     "reboot=8": "restarted",
@@ -239,14 +266,14 @@ def test_a_reboot_parts_the_flights_and_time_goes_on(inspect):
 
 
 def test_several_flights_and_the_ground_between():
-    inspector = Inspector()
+    inspector = Inspector(Intake())
     for i in range(6000):
         t = 0.01 * i
         if i % 50 == 0:
             inspector.take(Record(Stream.IN_AIR, t, (float(500 <= i % 3000 < 2500),)))
         if not 3000 <= i < 3300:  # a gap on the ground is none in flight
             inspector.take(Record(Stream.IMU, t, (0.0,) * 5 + (-9.8,)))
-    found = inspector.finish("made", "tlog", Intake(), None)
+    found = inspector.finish("made", "tlog", None)
     assert found.flights == (pytest.approx((5.0, 25.0)), pytest.approx((35.0, 55.0)))
     assert found.stream(Stream.IMU).gaps == 0
     assert found.stream(Stream.IMU).samples == 4000
@@ -278,7 +305,7 @@ def test_commands_alone_will_do_but_not_slow_ones(fly):
     flight = ("--mission", "all-axes", "--duration", "16", "--rotor-input", "command")
     found = inspect_log(fly(*flight, "--rate", "100").tlog)
     assert found.verdict == "yes"
-    assert "commands stand in" in texts(found, "note")
+    assert "commands: no measured speeds are sound" in texts(found, "note")
     slow = inspect_log(fly(*flight, "--rate", "50").tlog)
     assert slow.verdict == "partly"
     assert "commands at 50 Hz miss" in texts(slow, "limits")
@@ -311,7 +338,7 @@ def test_eight_rotors_are_one_source(inspect):
 
 
 def test_flight_by_armed_and_turning_rotors():
-    inspector = Inspector()
+    inspector = Inspector(Intake())
     for i in range(4000):
         t = 0.01 * i
         if i % 100 == 0:
@@ -319,7 +346,7 @@ def test_flight_by_armed_and_turning_rotors():
         inspector.take(Record(Stream.IMU, t, (0.0,) * 3 + (0.0, 0.0, -9.8)))
         speed = 500.0 + i % 7 if 500 <= i < 3000 else 0.0
         inspector.take(Record(Stream.ROTOR_SPEED, t, (speed, speed, speed, 0.0), 0, "ESC_STATUS"))
-    found = inspector.finish("made", "tlog", Intake(), None)
+    found = inspector.finish("made", "tlog", None)
     assert found.flight_told_by == "rotors"
     assert found.flights == (pytest.approx((5.0, 30.0), abs=0.02),)
 
@@ -395,7 +422,8 @@ def test_a_link_on_the_ground_says_what_it_cannot_see(recording):
     found = listen(link, listen_only=True)
     assert found.verdict == "no"
     assert "not in the air while listening" in texts(found, "blocks")
-    assert found.rotor_input.chosen is not None
+    assert not found.rotor_input.judged
+    assert "rotor" not in texts(found)
 
 
 def test_it_ends_early_when_told_to(recording):

@@ -9,6 +9,7 @@ import sys
 import threading
 
 import pytest
+from pymavlink import mavutil
 
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
@@ -201,6 +202,40 @@ def test_marks_and_reset_reach_the_event_log(udp, airframe, paper_flight, tmp_pa
     assert [e.text for e in session.latest().events] in (["gust", "estimate reset"], [])
 
 
+def test_a_reset_is_in_the_recording_and_its_analysis(udp, airframe, paper_flight, tmp_path):
+    path = tmp_path / "live.tlog"
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, path, sender_gone=sent.is_set)
+    session.start()
+    raws = [frame.raw for _, frame in read_tlog(paper_flight.tlog)]
+    half = len(raws) // 2
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for raw in raws[:half]:
+            sender.sendto(raw, ("127.0.0.1", udp.port))
+        for _ in range(round(LONGEST / 0.1)):
+            if session.latest().link.received == half or session.join(0.1):
+                break
+        session.reset()
+        for raw in raws[half:]:
+            sender.sendto(raw, ("127.0.0.1", udp.port))
+    sent.set()
+    final = finish(session)
+    again = analyze_log(path, airframe)
+    assert_same_numbers(final, again)
+    assert [event["kind"] for event in final.events] == ["reset"]
+    assert final.events == again.events
+    # Neither is it a message that was received.
+    assert final.telemetry["received"] == again.telemetry["received"] == len(raws)
+    # Seen as the whole flight, the estimate rests on more of it.
+    whole = analyze_log(paper_flight.tlog, airframe)
+    assert final.telemetry["used_seconds"] < 0.7 * whole.telemetry["used_seconds"]
+    # Other readers see a line of text of this tool's own address.
+    reader = mavutil.mavlink_connection(str(path), dialect="common")
+    text = reader.recv_match(type="STATUSTEXT", condition="STATUSTEXT.get_srcSystem() == 245")
+    assert text.text == "gcs-sysid: estimate reset"
+    reader.close()
+
+
 def test_actions_are_done_while_it_runs(udp, airframe, tmp_path):
     session = LiveSession(udp, airframe, LiveOptions(listen_only=True, duration=1.0))
     session._recording_stem = tmp_path / "toggled.tlog"
@@ -211,7 +246,8 @@ def test_actions_are_done_while_it_runs(udp, airframe, tmp_path):
     texts = [e.text for e in session.latest().events]
     assert texts == ["gust", said]
     assert said == f"recording to {tmp_path / 'toggled.tlog'}"
-    assert (tmp_path / "toggled.tlog").exists()
+    assert session.recordings() == [f"nothing was heard: {tmp_path / 'toggled.tlog'} is not kept"]
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_recording_that_cannot_be_made_is_a_note(udp, airframe, paper_flight, tmp_path):
@@ -273,7 +309,8 @@ def test_snapshots_do_not_change(udp, airframe, paper_flight):
     last = session.latest()
     with pytest.raises(dataclasses.FrozenInstanceError):
         last.t = 0.0
-    assert last.link.url == "udpin:127.0.0.1"
+    assert last.link.url == f"udpin:127.0.0.1:{udp.url.port}"
+    assert udp.url.port > 0
     assert last.link.rates["HIGHRES_IMU"] == pytest.approx(20.0, rel=0.05)
     assert last.link.rejected == last.link.unknown == 0
     assert last.link.lost_percent == 0.0
@@ -440,4 +477,5 @@ def test_a_flight_signed_with_another_key_is_refused_with_the_reason(
     assert final.verdict == "refused"
     count = sum(1 for _ in read_tlog(paper_flight.tlog))
     assert f"no frame has the signature of this key; refused: {count} wrong key" in final.reasons
-    assert path.stat().st_size == 0
+    assert not path.exists()
+    assert session.recordings() == [f"nothing was heard: {path} is not kept"]

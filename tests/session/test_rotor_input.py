@@ -255,3 +255,42 @@ def test_an_esc_that_does_not_answer_is_missing():
 )
 def test_filter_of_the_gyro(given, autopilot, parameters, expected):
     assert gyro_cutoff(given, autopilot, parameters) == expected
+
+
+def repeating(v, every):
+    """Speeds of which only every so many-th is read anew."""
+    return v[np.arange(len(v)) // every * every]
+
+
+def test_speeds_that_repeat_old_readings_give_way():
+    t, u, v = signals()
+    chooser = judged(commands(u, t), speeds(repeating(v, 20), t))
+    assert chooser.choice.kind == "command"
+    assert chooser.choice.refused == {"ESC_STATUS": "repeats old readings, 5 new ones a second"}
+
+
+def test_a_few_repeats_are_counted_and_forgiven():
+    t, u, v = signals()
+    chooser = judged(commands(u, t), speeds(repeating(v, 2), t))
+    assert chooser.choice.name == "ESC_STATUS"
+    repeats = chooser.repeats["ESC_STATUS"].as_dict()
+    assert repeats["percent"] == pytest.approx(50.0, abs=1.0)
+    assert repeats["count"] == len(t) // 2
+    assert chooser.repeats["ACTUATOR_OUTPUT_STATUS"].repeated < 5
+
+
+def test_what_rounding_repeats_in_calm_air_is_no_old_reading():
+    t, _u, v = signals()
+    calm = 400.0 + 0.3 * RPM * (v - v.mean(axis=0)) / v.std(axis=0)
+    slow = repeating(calm, 10)  # a change of one rpm now and then
+    assert judged(speeds(slow, t)).choice.name == "ESC_STATUS"
+
+
+def test_groups_of_rotors_repeat_on_their_own():
+    chooser = RotorChooser(PAPER, MASS)
+    for i in range(50):
+        for offset in (0, 4):
+            values = (float(i),) * 4 if offset else (1.0,) * 4
+            source = f"ESC_TELEMETRY_{offset + 1}_TO_{offset + 4}"
+            chooser.push(Record(Stream.ROTOR_SPEED, 0.01 * i, values, offset, source), flying=True)
+    assert chooser.repeats["ESC_TELEMETRY"].as_dict() == {"count": 49, "percent": 50.0}

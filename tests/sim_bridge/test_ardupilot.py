@@ -11,12 +11,17 @@ import pytest
 from scipy.signal import butter, lfilter, lfilter_zi
 
 from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.frames import read_frame
+from gcs_sysid.telemetry.intake import Intake
+from gcs_sysid.telemetry.outgoing import Gate
+from gcs_sysid.telemetry.requests import StreamRequests
 from sim_bridge import ardupilot
 from sim_bridge.ardupilot import ArduPilot
 from sim_bridge.ardupilot_instruments import LowPass2p
 from sim_bridge.cli import main
 from sim_bridge.missions import MISSIONS
 from sim_bridge.simulation import Simulation
+from sim_bridge.traps import NO_TRAPS, Traps
 from sim_bridge.vehicle_files import load_vehicle
 
 Read = Callable[[Path], Any]
@@ -30,7 +35,10 @@ SERVO = mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW
 @pytest.fixture
 def make_desk(open_desk: Any) -> Callable[..., Any]:
     def make(
-        airframe: str = "ardupilot-quad-x", mission: str = "hover", noise: str = "none"
+        airframe: str = "ardupilot-quad-x",
+        mission: str = "hover",
+        noise: str = "none",
+        traps: Traps = NO_TRAPS,
     ) -> Any:
         gusts, sensors = np.random.SeedSequence(0).spawn(2)
         simulation = Simulation(
@@ -41,7 +49,7 @@ def make_desk(open_desk: Any) -> Callable[..., Any]:
             step_us=ardupilot.STEP_US,
             control_steps=ardupilot.LOOP_STEPS,
         )
-        return open_desk(simulation, ArduPilot(simulation, noise, 0.02, sensors))
+        return open_desk(simulation, ArduPilot(simulation, noise, 0.02, sensors, traps))
 
     return make
 
@@ -142,6 +150,40 @@ def test_another_ground_stations_request_resets_the_rates(desk: Any) -> None:
     assert counts["SERVO_OUTPUT_RAW"] == 8
     # It is in no group: only an interval of its own moves it.
     assert counts["HIGHRES_IMU"] == 500
+
+
+def test_before_4_0_there_are_groups_alone(make_desk: Callable[..., Any]) -> None:
+    desk = make_desk(traps=Traps(groups_only=True))
+    assert desk.command(SET, SERVO, 4000)[0].result == mavlink.MAV_RESULT_UNSUPPORTED
+    desk.ask(stream(mavlink.MAV_DATA_STREAM_ALL, 250))
+    counts = desk.counts(2.0)
+    assert counts["SERVO_OUTPUT_RAW"] == counts["RAW_IMU"] == counts["ATTITUDE"] == 100
+    assert "HIGHRES_IMU" not in counts
+
+
+def test_the_tools_requests_bring_what_it_needs_before_4_0(make_desk: Callable[..., Any]) -> None:
+    """Asked by flight time, and given its silence back at the end."""
+    desk = make_desk(traps=Traps(groups_only=True))
+    intake, sent = Intake(), []
+    requests = StreamRequests(Gate(sent.append), 250.0)
+    step = 0.2
+    for turn in range(round(20.0 / step)):
+        arrived = []
+        for raw in sent:
+            arrived += desk.autopilot.receive(raw, desk.simulation.tick)
+        sent.clear()
+        for _ in range(round(step / desk.simulation.step_size)):
+            desk.simulation.step()
+            arrived += desk.autopilot.poll(desk.simulation.tick)
+        intake.frames(frame for raw in arrived if (frame := read_frame(raw)) is not None)
+        requests.tick(turn * step, intake.vehicle, intake.monitor.rates())
+    rates = intake.monitor.rates()
+    needed = {"RAW_IMU": 50.0, "SERVO_OUTPUT_RAW": 50.0, "ATTITUDE": 50.0}
+    assert {name: rates[name] for name in needed} == pytest.approx(needed, rel=0.05)
+    requests.close()
+    for raw in sent:
+        desk.autopilot.receive(raw, desk.simulation.tick)
+    assert set(desk.counts(2.0)) == {"HEARTBEAT"}
 
 
 def test_parameters_travel_as_floats_nearest_to_them(desk: Any) -> None:

@@ -83,7 +83,7 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run("--help", capsys)
     assert status == 0
     for action in make_parser()._actions:
-        assert action.option_strings[-1] in out
+        assert (action.option_strings or [action.metavar])[-1] in out
         assert action.help, f"{action.option_strings} has no help"
 
 

@@ -134,6 +134,12 @@ def test_gyro_outliers(px4: OpenDesk) -> None:
     assert ((off > 0.0).sum(axis=1) <= 1).all()
 
 
+def test_a_frozen_imu_repeats_all_its_values(px4: OpenDesk) -> None:
+    messages = px4("imu-frozen=0.05").hear(8.0)
+    values = np.hstack([gyro_of(messages), force_of(messages)])
+    assert np.mean((np.diff(values, axis=0) == 0.0).all(axis=1)) == pytest.approx(0.05, abs=0.015)
+
+
 def test_an_accelerometer_bias(px4: OpenDesk) -> None:
     off = force_of(px4("accelerometer-bias=0.3").hear(1.0)) - force_of(px4().hear(1.0))
     np.testing.assert_allclose(off, 0.3, atol=1e-5)

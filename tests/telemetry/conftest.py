@@ -99,3 +99,21 @@ def stream():
         version = 2 if cls.id > 255 else rng.choice([1, 2])
         raws.append(source.raw(random_message(cls, rng), version))
     return b"".join(raws), [read_frame(raw) for raw in raws]
+
+
+@pytest.fixture
+def path(tmp_path, flight):
+    """The file of an onboard log put together in the module's `flight`."""
+    path = tmp_path / f"flight{flight.SUFFIX}"
+    path.write_bytes(flight.bytes())
+    return path
+
+
+@pytest.fixture
+def of():
+    """Picks the records of a stream, and of a source where there are several."""
+
+    def of(log, stream, source=""):
+        return [r for r in log.records() if r.stream is stream and r.source == source]
+
+    return of

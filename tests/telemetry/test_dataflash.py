@@ -68,25 +68,14 @@ def flight(dataflash_file):
     return log
 
 
-@pytest.fixture
-def path(tmp_path, flight):
-    path = tmp_path / "flight.bin"
-    path.write_bytes(flight.bytes())
-    return path
-
-
-def of(log, stream, source=""):
-    return [r for r in log.records() if r.stream is stream and r.source == source]
-
-
-def test_the_first_imu_alone_is_taken(path):
+def test_the_first_imu_alone_is_taken(path, of):
     records = of(open_log(path), Stream.IMU)
     assert len(records) == 300
     np.testing.assert_allclose(records[0].values, (1.0, 2.0, 3.0, 4.0, 5.0, -9.8), rtol=1e-6)
     assert (records[0].t, records[-1].t) == (5.0, pytest.approx(7.99))
 
 
-def test_rotors_come_in_motor_order_by_the_functions_of_the_channels(path):
+def test_rotors_come_in_motor_order_by_the_functions_of_the_channels(path, of):
     outputs = of(open_log(path), Stream.ROTOR_COMMAND, "RCOU")
     assert outputs[0].values == (1101.0, 1102.0, 1103.0, 1104.0, 1105.0, 1106.0)
     speeds = of(open_log(path), Stream.ROTOR_SPEED, "ESC")
@@ -96,13 +85,13 @@ def test_rotors_come_in_motor_order_by_the_functions_of_the_channels(path):
     assert len(speeds) == 300
 
 
-def test_rpm_sensors_that_are_not_there_make_no_records(path):
+def test_rpm_sensors_that_are_not_there_make_no_records(path, of):
     sensors = of(open_log(path), Stream.ROTOR_SPEED, "RPM")
     assert {r.offset for r in sensors} == {0}
     assert sensors[0].values == (pytest.approx(600.0 * RPM),)
 
 
-def test_attitude_is_that_of_the_angles_and_continuous_through_north(path):
+def test_attitude_is_that_of_the_angles_and_continuous_through_north(path, of):
     q = np.array([r.values for r in of(open_log(path), Stream.ATTITUDE)])
     assert len(q) == 30  # ATT at 10 Hz, not the quaternions at 5
     assert (np.sum(q[1:] * q[:-1], axis=1) > 0.99).all()
@@ -113,11 +102,11 @@ def test_attitude_is_that_of_the_angles_and_continuous_through_north(path):
     np.testing.assert_allclose(angles, [10.0, -20.0, -10.0], atol=1e-4)
 
 
-def test_velocity_is_that_of_the_estimator_in_use(path):
+def test_velocity_is_that_of_the_estimator_in_use(path, of):
     assert of(open_log(path), Stream.VELOCITY)[0].values == (2.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 
 
-def test_a_log_that_begins_on_arming_was_armed_and_landing_is_not_flying(path):
+def test_a_log_that_begins_on_arming_was_armed_and_landing_is_not_flying(path, of):
     armed = {r.t: r.values[0] for r in of(open_log(path), Stream.ARMED)}
     assert (armed[5.0], armed[7.8]) == (1.0, 0.0)
     flies = of(open_log(path), Stream.IN_AIR)
@@ -135,7 +124,7 @@ def test_vehicle_parameters_and_losses_are_told(path):
     assert log.as_dict()["messages"]["IMU"]["count"] == 600
 
 
-def test_old_firmware_has_other_names_and_no_times(tmp_path, dataflash_file):
+def test_old_firmware_has_other_names_and_no_times(tmp_path, dataflash_file, of):
     log = dataflash_file
     log.type("IMU", "Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
     log.type("ATT", "IccccCC", "TimeMS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
@@ -169,7 +158,7 @@ def test_old_firmware_has_other_names_and_no_times(tmp_path, dataflash_file):
     assert (flies[1.0], flies[1.8]) == (0.0, 1.0)
 
 
-def test_an_escs_own_times_are_kept(tmp_path, dataflash_file):
+def test_an_escs_own_times_are_kept(tmp_path, dataflash_file, of):
     log = dataflash_file
     log.type("IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
     log.type("ESC", "QBff", "TimeUS,Instance,RPM,RawRPM")
@@ -184,7 +173,7 @@ def test_an_escs_own_times_are_kept(tmp_path, dataflash_file):
     ]
 
 
-def test_damaged_stamps_and_values_are_left_out_and_counted(tmp_path, flight, path):
+def test_damaged_stamps_and_values_are_left_out_and_counted(tmp_path, flight, path, of):
     flight.row("IMU", 10**15, 0, 1.0, 2.0, 3.0, 4.0, 5.0, -9.8)
     flight.row("IMU", 8_000_000, 0, float("nan"), 2.0, 3.0, 4.0, 5.0, -9.8)
     path.write_bytes(flight.bytes())
@@ -224,7 +213,7 @@ def test_damaged_logs_give_records_or_one_line(tmp_path, flight):
     assert not any("\n" in line for line in told)
 
 
-def test_a_gap_in_the_file_costs_what_lay_in_it_alone(tmp_path, flight):
+def test_a_gap_in_the_file_costs_what_lay_in_it_alone(tmp_path, flight, of):
     data = bytearray(flight.bytes())
     data[20_000:20_400] = b"\xa3\x95" * 200
     path = tmp_path / "gap.bin"

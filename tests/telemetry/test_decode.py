@@ -187,10 +187,13 @@ def test_states_without_a_stamp_take_the_latest_time(decoder, sender):
 @pytest.mark.parametrize("value", [NAN, float("inf"), -float("inf")])
 def test_values_that_are_not_finite_are_dropped_and_counted(decoder, sender, value):
     assert decoder.decode(sender.imu(1.0, gyro=(value, 0.0, 0.0))) is None
-    assert decoder.decode(sender.imu(1.1, acc=(value, 0.0, 0.0))) is None
+    half = decoder.decode(sender.imu(1.1, acc=(value, 0.0, 0.0))).values
+    assert math.isfinite(sum(half[:3]))
+    assert all(math.isnan(v) for v in half[3:])
+    assert decoder.dropped["accelerometer not finite"] == 1
     assert decoder.decode(sender.attitude(1.2, roll=value)) is None
     assert decoder.decode(outputs(sender, 1.3, [value] * 4, active=4)) is None
-    assert decoder.dropped["not finite"] == 4
+    assert decoder.dropped["not finite"] == 3
 
 
 def test_a_quaternion_of_zeros_is_dropped(decoder, sender):
@@ -295,8 +298,21 @@ def test_raw_imu_is_believed_of_ardupilot_alone(decoder, sender):
     raw = decoder.decode(raw_imu(sender, 1.1, (0, 0, -1000), (100, 0, 0)))
     np.testing.assert_allclose(raw.values, (0.1, 0.0, 0.0, 0.0, 0.0, -9.80665))
     assert decoder.decode(raw_imu(sender, 1.1, (0, 0, 0), (0, 0, 0), imu_id=1)) is None
-    decoder.decode(scaled_imu(sender, 1.2, (0, 0, 0), (0, 0, 0)))
-    assert decoder.decode(raw_imu(sender, 1.3, (0, 0, 0), (0, 0, 0))) is None
+    assert decoder.decode(scaled_imu(sender, 1.2, (0, 0, 0), (0, 0, 0))) is None
+    assert decoder.decode(raw_imu(sender, 1.3, (0, 0, 0), (0, 0, 0))) is not None
+
+
+def test_raw_imu_with_a_count_of_32_bits_goes_on_over_its_wrap(decoder, sender):
+    """As ArduPilot sent it before 4.0; the attitude's stamps tell the turn."""
+    wrap = 2**32 * 1e-6
+    decoder.decode(sender.heartbeat(autopilot=ARDUPILOT))
+    times = []
+    for i in range(200):
+        t = wrap - 1.003 + 0.01 * i
+        decoder.decode(sender.attitude(t))
+        times.append(decoder.decode(raw_imu(sender, t % wrap, (0, 0, -1000), (0, 0, 0))).t)
+    np.testing.assert_allclose(np.diff(times), 0.01, atol=1e-5)
+    assert decoder.clock.reboots == 0
 
 
 def test_global_position_counts_only_while_local_position_is_missing(decoder, sender):

@@ -170,6 +170,15 @@ def test_a_pulled_plug_is_told_at_once(sender):
     assert "udpin:0.0.0.0:14550 was closed by the other side or unplugged" in talk.said[-1]
 
 
+def test_a_sender_that_connects_once_has_finished_when_it_hangs_up(sender):
+    talk = Talk(connects_once=True)
+    talk.hear(sender.heartbeat())
+    talk.link.breaks += 1
+    talk.turn(0.2)
+    assert not talk.station.lost
+    assert talk.said[-1] == "udpin:0.0.0.0:14550: the sender has finished"
+
+
 def test_rates_are_given_back_at_the_end_and_the_port_too(sender):
     talk = Talk()
     talk.hear(sender.heartbeat())

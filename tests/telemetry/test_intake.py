@@ -1,5 +1,6 @@
 """The part that live sessions and logs share: choosing, decoding, counting."""
 
+import math
 import random
 
 import pytest
@@ -250,3 +251,27 @@ def test_recorded_flights_give_their_streams_and_lost_nothing(shared_logs, name,
     assert intake.decoder.clock.reboots == 0
     times = [record.t for record in records if record.stream is Stream.IMU]
     assert times == sorted(times)
+
+
+def test_every_message_has_a_fate(sender, make_sender):
+    intake = Intake()
+    imu = mavlink.MAVLink_highres_imu_message
+    frames = [
+        sender.imu(1.0),  # before its first heartbeat
+        sender.heartbeat(),  # without a time as yet
+        sender.imu(1.1),
+        sender.frame(mavlink.MAVLink_scaled_imu_message(1200, *[0] * 9)),  # there is a better one
+        sender.frame(mavlink.MAVLink_vfr_hud_message(0, 0, 0, 0, 0, 0)),
+        sender.frame(imu(1_300_000, math.nan, *[0.0] * 12, 63)),
+        make_sender(2, 1).imu(1.4),
+    ]
+    for frame in frames:
+        intake.frame(frame)
+    assert intake.as_dict()["fates"] == {
+        "used": 1,
+        "not needed": 1,
+        "passed over": 2,
+        "dropped": 1,
+        "others": 2,
+    }
+    assert sum(intake.fates.values()) == intake.monitor.received == len(frames)

@@ -14,7 +14,9 @@ from gcs_sysid.telemetry.messages import unpack
 from gcs_sysid.telemetry.outgoing import Gate, NotAllowedError, is_allowed
 
 PACKAGE = Path(gcs_sysid.__file__).parent
-ALLOWED = {"HEARTBEAT", "COMMAND_LONG", "TIMESYNC", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST"}
+CHECKED = {"HEARTBEAT", "COMMAND_LONG", "REQUEST_DATA_STREAM"}
+"""Allowed in harmless forms alone."""
+ALLOWED = CHECKED | {"TIMESYNC", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST"}
 ALLOWED_COMMANDS = {510, 511, 512}
 
 
@@ -37,7 +39,7 @@ def test_no_other_message_can_be_sent(cls, gate, sent, make_message):
     rng = random.Random(1)
     for _ in range(50):
         message = make_message(cls, rng)
-        if cls.msgname in ALLOWED - {"HEARTBEAT", "COMMAND_LONG"}:
+        if cls.msgname in ALLOWED - CHECKED:
             assert gate.send(message)
         elif not is_allowed(message):
             with pytest.raises(NotAllowedError):
@@ -53,9 +55,25 @@ def test_no_other_command_can_be_sent():
     assert passing == ALLOWED_COMMANDS
 
 
+def group(stream, rate, start=1, target=(1, 1)):
+    return mavlink.MAVLink_request_data_stream_message(*target, stream, rate, start)
+
+
+def test_no_other_group_can_be_asked_for():
+    forms = [(s, r, b) for s in range(256) for r in (0, 1, 50, 51, 65535) for b in range(256)]
+    passing = {form for form in forms if is_allowed(group(*form))}
+    streams = {1, 3, 6, 10, 12}
+    started = {(s, r, 1) for s in streams for r in (1, 50)}
+    # A rate of 0 stops: the way back to a vehicle that was silent.
+    stopped = {(s, 0, 0) for s in streams}
+    assert passing == started | stopped
+
+
 @pytest.mark.parametrize(
     "message",
     [
+        group(0, 4),  # all of them
+        group(1, 50, target=(0, 0)),
         command(511, 105.0, -1.0),  # would switch a message off
         command(511, 105.0, 1e9),
         command(511, 60_999.0, 4000.0),
@@ -81,6 +99,8 @@ def speak(gate):
         gate.set_message_interval((1, 1), 105, 0),
         gate.get_message_interval((1, 1), 105),
         gate.request_message((1, 1), 148),
+        gate.request_group((1, 1), 1, 50),
+        gate.request_group((1, 1), 1, 0),
         gate.timesync(123),
         gate.read_parameter((1, 1), "INS_GYRO_FILTER"),
         gate.read_all_parameters((1, 1)),
@@ -92,7 +112,7 @@ def test_everything_the_gate_offers_passes_and_is_ours(gate, sent):
     frames = [read_frame(raw) for raw in sent]
     assert all(frame.valid == "ok" for frame in frames)
     assert {(frame.system, frame.component) for frame in frames} == {(245, 190)}
-    assert [frame.sequence for frame in frames] == list(range(8))
+    assert [frame.sequence for frame in frames] == list(range(10))
     interval = unpack(76, frames[1].payload)
     assert (interval["command"], interval["param1"], interval["param2"]) == (511, 105.0, 4000.0)
 

@@ -57,25 +57,14 @@ def flight(ulog_file):
     return log
 
 
-@pytest.fixture
-def path(tmp_path, flight):
-    path = tmp_path / "flight.ulg"
-    path.write_bytes(flight.bytes())
-    return path
-
-
-def of(log, stream, source=""):
-    return [r for r in log.records() if r.stream is stream and r.source == source]
-
-
-def test_the_imu_is_less_the_estimators_bias_as_on_the_link(path):
+def test_the_imu_is_less_the_estimators_bias_as_on_the_link(path, of):
     records = of(open_log(path), Stream.IMU)
     assert len(records) == 80
     assert records[0] == Record(Stream.IMU, 2.0, (1.0, 2.0, 3.0, 0.0, 0.0, -9.0))
     assert records[-1].values == (0.5, 2.0, 3.0, 0.0, 0.0, -10.0)
 
 
-def test_commands_undo_the_thrust_curve_and_keep_their_sources_apart(path):
+def test_commands_undo_the_thrust_curve_and_keep_their_sources_apart(path, of):
     motors = of(open_log(path), Stream.ROTOR_COMMAND, "actuator_motors")[0].values
     assert len(motors) == 3  # the fourth never came
     u = np.array(motors)
@@ -85,7 +74,7 @@ def test_commands_undo_the_thrust_curve_and_keep_their_sources_apart(path):
     assert second[0].values == (1600.0,) * 2
 
 
-def test_attitude_is_continuous_and_velocity_comes_before_position(path):
+def test_attitude_is_continuous_and_velocity_comes_before_position(path, of):
     q = np.array([r.values for r in of(open_log(path), Stream.ATTITUDE)])
     assert (np.sum(q[1:] * q[:-1], axis=1) > 0.99).all()
     assert q[0, 0] > 0.0
@@ -93,7 +82,7 @@ def test_attitude_is_continuous_and_velocity_comes_before_position(path):
     assert velocity.values == (4.0, 5.0, 6.0, 1.0, 2.0, 3.0)
 
 
-def test_taking_off_is_not_flying(path):
+def test_taking_off_is_not_flying(path, of):
     log = open_log(path)
     states = [(r.t, r.values[0]) for r in of(log, Stream.IN_AIR)]
     assert states == [(2.0, 0.0), (2.15, 0.0), (pytest.approx(2.2), 1.0)]
@@ -105,7 +94,7 @@ def test_records_come_in_the_order_of_time(path):
     assert times == sorted(times)
 
 
-def test_vehicle_parameters_and_dropouts_are_told(path):
+def test_vehicle_parameters_and_dropouts_are_told(path, of):
     log = open_log(path)
     assert str(log.vehicle) == "PX4 hexarotor 7:1"
     assert log.vehicle.key == "px4"
@@ -118,7 +107,7 @@ def test_vehicle_parameters_and_dropouts_are_told(path):
     assert log.share_read == 1.0
 
 
-def test_escs_are_put_in_motor_order(tmp_path, ulog_file):
+def test_escs_are_put_in_motor_order(tmp_path, ulog_file, of):
     log = ulog_file
     log.nested("esc_report", ["uint64_t timestamp", "int32_t esc_rpm", "uint8_t actuator_function"])
     log.topic("esc_status", ["uint8_t esc_count", "esc_report[2] esc"])

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from gcs_sysid.cli import arguments, output
+from gcs_sysid.cli.table import result_table
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model.airframe import Airframe
@@ -92,7 +93,7 @@ def _print(log: str, result: Result, truth: Mapping[str, float] | None, *, table
         print(f"gcs-sysid: {log}: cannot identify from this: {why}", file=sys.stderr)
     known = any(e.value is not None and e.status != "given" for e in result.parameters.values())
     if table and known:
-        print(output.result_table(result, truth))
+        print(result_table(result, truth, output.terminal_width()))
 
 
 def _tuning(method: str) -> Tuning:

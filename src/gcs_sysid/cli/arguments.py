@@ -13,6 +13,8 @@ ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-d
 EXPORT_TARGETS = ("px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy")
 """Names of `exports.targets.TARGETS` (a test compares); not imported either."""
 
+_Group = argparse._ArgumentGroup
+
 if TYPE_CHECKING:
     from gcs_sysid.model.airframe import Airframe
 
@@ -47,6 +49,13 @@ def rate(text: str) -> float:
     return value
 
 
+def rotors(text: str) -> int:
+    """An argparse type: how many rotors."""
+    if not text.isdecimal() or not 3 <= int(text) <= 32:
+        raise argparse.ArgumentTypeError(f"must be a whole number from 3 to 32, got {text!r}")
+    return int(text)
+
+
 def prior(text: str) -> tuple[str, float, float]:
     """An argparse type: NAME=VALUE±STD; +- and +/- do as well."""
     name, equals, rest = text.partition("=")
@@ -69,7 +78,8 @@ def setting(text: str) -> tuple[str, float]:
     return name.strip(), number(value)
 
 
-def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+def _add_layout(parser: argparse.ArgumentParser, default: str | None = None) -> _Group:
+    """Options of the airframe and its scale."""
     group = parser.add_argument_group("vehicle and scale")
     group.add_argument(
         "--airframe",
@@ -85,7 +95,11 @@ def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -
     scale.add_argument(
         "--t-max", type=positive, metavar="N", help="known thrust of a rotor at full command"
     )
-    group.add_argument(
+    return group
+
+
+def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    _add_layout(parser, default).add_argument(
         "--prior",
         type=prior,
         action="append",
@@ -197,6 +211,12 @@ def add_inspect(parser: argparse.ArgumentParser) -> None:
         help="as JSON: instead of the text, or to FILE beside it",
     )
     _add_vehicle_choice(parser)
+    _add_layout(parser).add_argument(
+        "--rotors",
+        type=rotors,
+        metavar="N",
+        help="how many, where neither --airframe nor the vehicle's type tells",
+    )
     link = parser.add_argument_group("of a link")
     link.add_argument(
         "--duration",
@@ -291,13 +311,33 @@ def _check_scale_fits(airframe: "Airframe") -> None:
         )
 
 
+def layout_of(options: argparse.Namespace) -> "Airframe":
+    """The airframe that is named, with the scale that is given, if any.
+
+    Raises:
+        InputError: there is none of that name, or it is no airframe.
+    """
+    from gcs_sysid.model.airframe import load_airframe
+
+    airframe = load_airframe(options.airframe)
+    if options.arm is not None:
+        airframe = airframe.with_arm(options.arm)
+    if options.mass is not None:
+        return airframe.with_anchor("mass", options.mass)
+    if options.k_t is not None:
+        return airframe.with_anchor("k_T", options.k_t)
+    if options.t_max is not None:
+        return airframe.with_anchor("T_max", options.t_max)
+    return airframe
+
+
 def airframe_of(options: argparse.Namespace) -> "Airframe":
     """The airframe with its anchor, as the options say.
 
     Raises:
         InputError: there is none, or nothing sets the scale.
     """
-    from gcs_sysid.model.airframe import builtin_names, load_airframe
+    from gcs_sysid.model.airframe import builtin_names
 
     if options.airframe is None:
         raise InputError(
@@ -305,16 +345,9 @@ def airframe_of(options: argparse.Namespace) -> "Airframe":
             + ", ".join(builtin_names())
             + " (with --arm for its size)"
         )
-    airframe = load_airframe(options.airframe)
-    if options.arm is not None:
-        airframe = airframe.with_arm(options.arm)
-    if options.mass is not None:
-        airframe = airframe.with_anchor("mass", options.mass)
-    elif options.k_t is not None:
-        airframe = airframe.with_anchor("k_T", options.k_t)
-    elif options.t_max is not None:
-        airframe = airframe.with_anchor("T_max", options.t_max)
-    elif getattr(options, "added_mass", None) is not None:
+    airframe = layout_of(options)
+    given = (options.mass, options.k_t, options.t_max)
+    if given.count(None) == len(given) and getattr(options, "added_mass", None) is not None:
         # Of the two flights; until they are compared any mass does.
         airframe = airframe.with_anchor("mass", 1.0)
     for name, value, std in options.prior:

@@ -7,10 +7,12 @@ import sys
 import threading
 from pathlib import Path
 
-from gcs_sysid.cli import output
+from gcs_sysid.cli import arguments, output
 from gcs_sysid.cli.inspection_text import report
 from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.session.inspection.assumed import assumed_airframe
 from gcs_sysid.session.inspection.facts import Inspection
 from gcs_sysid.session.inspection.inspector import inspect_link, inspect_log
 from gcs_sysid.telemetry.link import open_link
@@ -46,9 +48,21 @@ def _is_log(target: str) -> bool:
     return path.is_file() or path.is_dir() or path.suffix.lower() in LOG_SUFFIXES
 
 
+def _airframe(options: argparse.Namespace) -> Airframe | None:
+    """As named, or with as many rotors as said; None: the vehicle's type tells."""
+    scale = [options.mass, options.k_t, options.t_max]
+    if options.airframe is not None:
+        if options.rotors is not None:
+            raise InputError("--rotors and --airframe exclude each other")
+        return arguments.layout_of(options)
+    if options.arm is not None or scale.count(None) < len(scale):
+        raise InputError("--arm and a scale need --airframe")
+    return None if options.rotors is None else assumed_airframe(options.rotors)
+
+
 def _log(options: argparse.Namespace) -> Inspection:
-    path = Path(options.target)
-    return inspect_log(path, options.vehicle, output.progress_bar(options.target))
+    path, progress = Path(options.target), output.progress_bar(options.target)
+    return inspect_log(path, options.vehicle, progress, _airframe(options))
 
 
 def _link(options: argparse.Namespace) -> Inspection:
@@ -57,12 +71,14 @@ def _link(options: argparse.Namespace) -> Inspection:
     except InputError as error:
         raise InputError(f"{options.target} is no file; {error}") from error
     stop = threading.Event()
+    airframe = _airframe(options)
     link = open_link(url)
     with on_signals(stop.set):
         return inspect_link(
             link,
             options.duration,
             rate=options.rate,
+            airframe=airframe,
             listen_only=options.listen_only,
             wanted=options.vehicle,
             signing_key=Path(options.signing_key) if options.signing_key else None,

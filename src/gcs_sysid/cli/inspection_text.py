@@ -187,7 +187,10 @@ def _rotors(found: Inspection, width: int) -> list[str]:
     shown = chosen or min(found.rotor_sources, key=lambda source: source.kind == "command")
     what = "measured speeds" if shown.kind == "speed" else "commands"
     text = f"{shown.message}, {what} at {_short(shown.rate or 0.0)} Hz"
-    lines = _entry("Rotor input", text if chosen else f"none is usable; {text}", width)
+    if chosen is None:
+        told = "none is usable" if found.rotor_input.judged else "chosen in flight"
+        text = f"{told}; {text}"
+    lines = _entry("Rotor input", text, width)
     if shown.rotors:
         unit = "rpm" if shown.kind == "speed" else "output"
         lines.append(f"{'  motor':<{_NAME}}{'lowest':>9}{'mean':>9}{'highest':>9}  {unit}")

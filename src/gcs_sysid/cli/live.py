@@ -10,6 +10,7 @@ from typing import TextIO
 
 from gcs_sysid.cli import arguments, output
 from gcs_sysid.cli.signals import on_signals
+from gcs_sysid.cli.table import result_table
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.session.live import LiveOptions, LiveSession
 from gcs_sysid.session.result import Result
@@ -131,7 +132,7 @@ def follow(
     writer.write(session.final)
     writer.close()
     if not writer.to_stdout:
-        print(output.result_table(session.final, truth))
+        print(result_table(session.final, truth, output.terminal_width()))
     for line in session.recordings():
         print(line, file=sys.stderr)
     return 1 if session.final.verdict == "refused" else 0

@@ -64,14 +64,14 @@ class _Span:
         # What the window lets pass; commands and their noise grow with frequency.
         self._passed = np.abs(np.cos(np.outer(self.omega, places)) @ window)
         self._passed *= 1.0 + (0.5 * half_width * self.omega) ** 2
-        k = len(delays)
         A = self._stacked(response(self.omega, delays, lags)).T
-        # Weighted least squares with the weights' sum given, for all right-hand sides.
-        system = np.ones((k + 1, k + 1))
-        system[:k, :k] = A.T @ A + _RIDGE * np.eye(k)
-        system[k, k] = 0.0
-        inverse = np.linalg.inv(system)[:k]
-        self._of_target, self._of_sum = inverse[:, :k] @ A.T, inverse[:, k]
+        # Weighted least squares with the weights' sum given, for all right-hand sides. Filters
+        # resemble each other in a long window: the sum is put right by itself, as rounding in a
+        # bordered system would leave it off by 3e-4, and with it every moment of inertia.
+        system = A.T @ A + _RIDGE * np.eye(len(delays))
+        free, even = np.linalg.solve(system, A.T), np.linalg.solve(system, np.ones(len(delays)))
+        self._of_sum = even / even.sum()
+        self._of_target = free - np.outer(self._of_sum, free.sum(axis=0))
 
     def weights(self, delay: Array, lag: Array, by: int | None = None) -> Array:
         """(K, k) for (K,) delays and lags, differentiated by one of them or not."""

@@ -47,9 +47,10 @@ from gcs_sysid.model import rigid_body as rb
 
 MIN_RUN = 24
 """Samples; shorter pieces between gaps say little and are left out."""
-MODEL_PRECISION = 1.5e-4
+MODEL_PRECISION = 1e-4
 """Share of the angular acceleration that no model explains. Rotors that follow held commands
-(250 Hz, 30 ms lag) leave about that between any samples of their speeds."""
+(250 Hz, 30 ms lag) leave about that between any samples of their speeds. A third of it would
+leave biases of a standard deviation, half as much again costs more accuracy than it saves."""
 _MAX_ITERATIONS = 25
 _NOISE_REFITS = 3
 """The noise model is fitted anew in so many first iterations, then where the search settles."""

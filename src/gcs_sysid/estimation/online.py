@@ -47,6 +47,8 @@ class Fit:
     """The second source of k_T / m, whichever `translation` is; of full fits, for certain."""
     coupling: Coupling | None = None
     """Whether it moves like a rigid body; None while that cannot be told."""
+    running: bool = False
+    """Whether it is one of many looks at a running flight, see `uncertainty.watched_factor`."""
 
 
 @dataclass(frozen=True)
@@ -261,7 +263,13 @@ class OnlineEstimator:
                 footing.thrust,
             )
         return [
-            Fit(rot, self._with_slope(thrust, rot, i.momentum), i.seconds, coupling=self._coupling)
+            Fit(
+                rot,
+                self._with_slope(thrust, rot, i.momentum),
+                i.seconds,
+                coupling=self._coupling,
+                running=True,
+            )
             for rot, thrust, i in zip(rotations, thrusts, instants, strict=True)
         ]
 
@@ -288,7 +296,8 @@ class OnlineEstimator:
             settle = max(self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds)
             self._footings[course] = _Footing(rot, thrust, self._record.batches, settle)
         coupling = self._coupling_of(rot) if self._is_coupling_due() else self._coupling
-        return Fit(rot, self._with_slope(trans, rot), self.seconds, coupling=coupling)
+        trans = self._with_slope(trans, rot)
+        return Fit(rot, trans, self.seconds, coupling=coupling, running=True)
 
     def _renew_prior(self) -> None:
         if self.prior_source is not None:

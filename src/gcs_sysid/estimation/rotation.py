@@ -15,7 +15,7 @@ scores leaves: the curvature-adjusted composite likelihood of Chandler and Bate 
 Biometrika 94, 167-183.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -42,6 +42,8 @@ from gcs_sysid.model import rigid_body as rb
 _WARM_ITERATIONS, _FOLLOW_ITERATIONS = 6, 2
 _BLIND_STEP = 3.0
 """Standard deviations; a smaller step of a fit that follows is taken unseen."""
+_ALIKE = 0.1
+"""Of standard deviations, relative: in a minute of flight chance makes them differ by 0.07."""
 _HALVINGS = 20
 """A step that leads out of the physical inertias is shortened so often, then not taken."""
 
@@ -74,7 +76,7 @@ class RotationFit:
         rows: how many rows it rests on.
         converged: whether the minimiser was reached.
         coordinates: (3,) rotor delay (s), motor lag (s), thrust curve, see `estimation.basis`.
-        leak: index of the leak that left the least uncertainty.
+        leak: index of the leak that was taken, see `most_certain`.
         data_std: (N_THETA,) standard deviations without the prior: huge where the flight alone
             does not tell a parameter.
         full_covariance: (N_UNKNOWNS, N_UNKNOWNS) of theta and the coordinates; zeros where one
@@ -181,7 +183,7 @@ def fit_rotation(
         for i in range(len(bank))
     ]
     spread, widening = (np.stack(parts) for parts in zip(*scatter, strict=True))
-    return min(outcome.fits(spread, widening, converged, range(len(bank))), key=uncertainty)
+    return most_certain(outcome.fits(spread, widening, converged, range(len(bank))))
 
 
 def follow_rotation(
@@ -226,9 +228,19 @@ def follow_rotation(
     return fits
 
 
+def most_certain(fits: Sequence[RotationFit]) -> RotationFit:
+    """The first that is nearly as certain as any, so the one with the shortest memory.
+
+    How certain each is, scatter tells with an error of its own. The least of several such numbers
+    is too small, and long memories, which sum up slow errors, gain most by chance.
+    """
+    uncertain = np.array([uncertainty(fit) for fit in fits])
+    return fits[int(np.argmax(uncertain <= uncertain.min() + _ALIKE))]
+
+
 def uncertainty(fit: RotationFit) -> float:
-    """Sum of log standard deviations of what makes up the core parameters."""
-    return float(np.sum(np.log(fit.std[: rb.DAMPING])))
+    """Mean log standard deviation of what makes up the core parameters."""
+    return float(np.mean(np.log(fit.std[: rb.DAMPING])))
 
 
 class _Outcome:

@@ -6,8 +6,8 @@ Momentum balance in world axes, averaged with the same window on both sides:
 
 Gravity is the yardstick: over a flight the mean vertical acceleration is nearly nothing, so
 kappa does not suffer from an accelerometer's bias. Where the vehicle sends no velocity, the
-accelerometer itself, f = -kappa sum O z + bias, serves as second source; its bias is then part
-of the uncertainty.
+accelerometer itself, f = -kappa sum O z + bias, serves as second source; its bias is then an
+unknown, which the flight tells as far as thrust varies.
 """
 
 from dataclasses import dataclass
@@ -18,22 +18,30 @@ from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.uncertainty import inflation, meat, symmetric_roots
+from gcs_sysid.model.parameters import GRAVITY
 
 _MAX_ITERATIONS = 20
 WIDTH = 4
 """Width of a row [thrust direction times sum O, velocity, 1, output], one for each axis."""
 
-ACCELEROMETER_BIAS_STD = 0.05
-"""m/s^2, what a calibrated MEMS accelerometer's bias may be when nothing else is known."""
+ACCELEROMETER_BIAS_STD = 0.2
+"""m/s^2, what a MEMS accelerometer's bias may be in flight: temperature, a level calibration of a
+degree or two, and a sensor 5 cm off the centre of gravity with rates of 2 rad/s."""
 
-TILT_ERROR_SHARE = 2e-4
-"""Relative error of kappa that attitude errors of 0.02 rad rms leave: 1 - mean cosine."""
+TILT_ERROR_SHARE = 5e-4
+"""Relative error of kappa that attitude errors of 0.03 rad rms leave: 1 - mean cosine. The most
+that is allowed for; the horizontal axes may show that it is less."""
 
 GAIN_DRIFT = 5e-4
 """Relative change of the gain that half an hour of temperature may bring (5 mm/s^2 of bias)."""
 
 _MIN_ROWS = 50
 _MIN_CALIBRATED_ROWS = 12
+_SLOPE_ERROR_SHARE = 3e-3
+"""Relative error of kappa where it rests on how thrust varies: noise of the rotor speeds draws it
+towards zero, and drag is not in it."""
+_MIN_BATCHES_FOR_BIAS = 10
+"""Fewer do not tell how far the bias itself may be off."""
 _ROWS_IN_WINDOW = 3.0
 """Square root of the rows that share a window's noise."""
 
@@ -80,6 +88,8 @@ class TranslationFit:
     footing: Footing | None = None
     curve_slope: float = 0.0
     """Change of kappa with the thrust curve, where that is estimated."""
+    unbiased: float = np.nan
+    """Of the accelerometer: kappa as if it had no bias, which is what a `Gain` belongs to."""
 
 
 def fit_momentum(
@@ -124,7 +134,7 @@ def follow_momentum(totals: Array, rows: Array, start: TranslationFit) -> list[T
 def _momentum(balance: "_Balance", inflated: Array) -> list[TranslationFit]:
     variance = np.diagonal(balance.covariance(inflated), axis1=1, axis2=2)
     kappas, deltas = -balance.estimate[:, 0], -balance.estimate[:, 1]
-    kappa_stds = np.hypot(np.sqrt(variance[:, 0]), TILT_ERROR_SHARE * kappas)
+    kappa_stds = np.hypot(np.sqrt(variance[:, 0]), _tilt_shares(balance) * kappas)
     delta_stds = np.sqrt(variance[:, 1])
     return [
         TranslationFit(
@@ -139,6 +149,19 @@ def _momentum(balance: "_Balance", inflated: Array) -> list[TranslationFit]:
     ]
 
 
+def _tilt_shares(balance: "_Balance") -> Array:
+    """(K,) relative errors of kappa that attitude errors leave.
+
+    They turn gravity into horizontal acceleration that nothing accounts for. What the horizontal
+    axes leave with the vertical one's thrust and without wind is the most that they can be.
+    """
+    estimate = balance.estimate.copy()
+    estimate[:, 2], estimate[:, 3:] = estimate[:, 0], 0.0
+    sideways = balance.mean_squares(estimate)[:, :2].sum(axis=1) / GRAVITY**2
+    shares: Array = np.minimum(0.5 * sideways, TILT_ERROR_SHARE)
+    return shares
+
+
 def accelerometer_gain(
     momentum: TranslationFit | None, accelerometer: TranslationFit | None
 ) -> Gain | None:
@@ -150,7 +173,7 @@ def accelerometer_gain(
     if momentum is None or accelerometer is None or momentum.source != "momentum":
         return None
     return Gain(
-        momentum.kappa / accelerometer.kappa,
+        momentum.kappa / accelerometer.unbiased,
         float(np.hypot(momentum.kappa_std / momentum.kappa, GAIN_DRIFT)),
     )
 
@@ -176,15 +199,36 @@ def fit_accelerometer(
     if gain is not None:
         # A window's worth of neighbouring rows counts once: early on no batches tell that.
         share = float(np.hypot(_ROWS_IN_WINDOW * std / abs(kappa), gain.share))
-        kappa *= gain.value
-        return TranslationFit(kappa, share * abs(kappa), np.nan, np.nan, "accelerometer")
+        scaled = kappa * gain.value
+        return TranslationFit(
+            scaled, share * abs(scaled), np.nan, np.nan, "accelerometer", unbiased=kappa
+        )
     mean_thrust = total[0, 2] / max(total[2, 2], 1e-300)
     bias_std = ACCELEROMETER_BIAS_STD / max(abs(mean_thrust), 1e-300)
-    return TranslationFit(kappa, float(np.hypot(std, bias_std)), np.nan, np.nan, "accelerometer")
+    best = kappa, float(np.hypot(std, bias_std))
+    if len(batches) >= _MIN_BATCHES_FOR_BIAS:
+        best = _with_bias(batches, rows, total)
+    return TranslationFit(*best, np.nan, np.nan, "accelerometer", unbiased=kappa)
 
 
-def _layouts() -> tuple[Array, Array]:
-    """Of momentum balance and of the accelerometer's z axis, see `_Balance`."""
+def _with_bias(batches: Array, rows: int, total: Array) -> tuple[float, float]:
+    """Kappa and its standard deviation with the bias as an unknown, known beforehand to so much.
+
+    The prior is weighed against the covariance that the scatter of the scores leaves: overlapping
+    rows overstate what the data know.
+    """
+    balance = _Balance(total[None, None], np.array([rows]), _BIASED)
+    balance.converge()
+    covariance = balance.covariance(balance.inflation(batches[:, None]))[0]
+    slope, bias = balance.estimate[0]
+    gain = covariance[0, 1] / (covariance[1, 1] + ACCELEROMETER_BIAS_STD**2)
+    kappa = -float(slope - gain * bias)
+    std = float(np.sqrt(covariance[0, 0] - gain * covariance[0, 1]))
+    return kappa, float(np.hypot(std, _SLOPE_ERROR_SHARE * kappa))
+
+
+def _layouts() -> tuple[Array, Array, Array]:
+    """Of momentum balance, of the accelerometer's z axis, and of that with a bias."""
     # Unknowns: -kappa, -delta, -kappa of the horizontal axes, wind north, wind east. Wind is a
     # nuisance (a vertical one would be taken for thrust). So is horizontal thrust: the vertical
     # axis rests on gravity, the horizontal ones on tilt alone, and what velocity and attitude lag
@@ -196,10 +240,13 @@ def _layouts() -> tuple[Array, Array]:
     momentum[0, 2, 3] = momentum[1, 2, 4] = 1.0
     vertical = np.zeros((1, 3, 1))
     vertical[0, 0, 0] = 1.0
-    return momentum, vertical
+    # Unknowns: -kappa, bias.
+    biased = np.zeros((1, 3, 2))
+    biased[0, 0, 0] = biased[0, 2, 1] = 1.0
+    return momentum, vertical, biased
 
 
-_MOMENTUM, _VERTICAL = _layouts()
+_MOMENTUM, _VERTICAL, _BIASED = _layouts()
 
 
 class _Balance:
@@ -234,10 +281,14 @@ class _Balance:
         d = _scales(normal)
         scaled = normal / (d[:, :, None] * d[:, None, :]) + 1e-12 * np.eye(d.shape[1])
         self.estimate = np.linalg.solve(scaled, (right / d)[..., None])[..., 0] / d
-        estimate = self.estimate[:, None, :, None]
-        halfway = 2.0 * self._rights - (self._normals @ estimate)[..., 0]
-        fitted = (halfway * self.estimate[:, None]).sum(axis=2)
-        self.weights = 1.0 / np.maximum((self._powers - fitted) / self._rows, self._floor)
+        self.weights = 1.0 / np.maximum(self.mean_squares(self.estimate), self._floor)
+
+    def mean_squares(self, estimate: Array) -> Array:
+        """(K, axes) of the residuals that (K, unknowns) leave."""
+        fitted = (self._normals @ estimate[:, None, :, None])[..., 0]
+        explained = ((2.0 * self._rights - fitted) * estimate[:, None]).sum(axis=2)
+        squares: Array = (self._powers - explained) / self._rows
+        return squares
 
     def converge(self) -> None:
         """Step until the weights are those of the residuals."""

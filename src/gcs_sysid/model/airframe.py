@@ -75,6 +75,7 @@ class Airframe:
         T_max: N, or None.
         gyro_filter: Hz, second-order low-pass that the gyro has passed; 0 for none, None for what
             the autopilot does.
+        imu_position: m, forward, right and down from the geometric centre, or None.
     """
 
     name: str
@@ -85,6 +86,7 @@ class Airframe:
     k_T: float | None = None
     T_max: float | None = None
     gyro_filter: float | None = None
+    imu_position: tuple[float, float, float] | None = None
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Parameters known beforehand: name -> value and standard deviation, SI."""
 
@@ -102,6 +104,15 @@ class Airframe:
         """Name and rotors, as a result tells what it rests on."""
         rotors = [{"x": r.x, "y": r.y, "spin": "ccw" if r.spin > 0 else "cw"} for r in self.rotors]
         return {"name": self.name, "rotors": rotors}
+
+    @property
+    def imu_arm(self) -> tuple[float, float, float] | None:
+        """The IMU from the CG in m, as far as a prior tells where that is; None: not given."""
+        if self.imu_position is None:
+            return None
+        x, y, z = self.imu_position
+        cg_x, cg_y = (self.priors.get(name, (0.0, 0.0))[0] for name in ("cg_x", "cg_y"))
+        return x - cg_x, y - cg_y, z
 
     def anchor(self) -> tuple[AnchorName, float] | None:
         """The scale anchor given, or None."""
@@ -138,8 +149,10 @@ class Airframe:
         Raises:
             InputError: the length is not a positive number.
         """
-        if not (math.isfinite(metres) and metres > 0):
-            raise InputError(f"--arm must be a positive length in m, got {metres}")
+        if not 0 < metres <= MOST_ARM:
+            raise InputError(
+                f"--arm must be a positive length of at most {MOST_ARM:g} m, got {metres:g}"
+            )
         k = metres / self.arm
         return replace(self, rotors=tuple(Rotor(r.x * k, r.y * k, r.spin) for r in self.rotors))
 
@@ -217,12 +230,14 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
             f"{where}: give one scale only, not {' and '.join(anchors)} together; "
             "the others are identified from it"
         )
+    gyro_filter, imu_position = _imu(table.get("imu", {}), f"{where}: [imu]")
     return Airframe(
         name=name,
         rotors=_rotors(table.get("rotor"), where),
         rotor_input=rotor_input,
         command=_command(table.get("command", {}), f"{where}: [command]"),
-        gyro_filter=_gyro_filter(table.get("imu", {}), f"{where}: [imu]"),
+        gyro_filter=gyro_filter,
+        imu_position=imu_position,
         priors=_priors(table.get("prior", {}), where),
         **anchors,
     )
@@ -268,7 +283,10 @@ def _rotors(entries: object, where: str) -> tuple[Rotor, ...]:
         spin = {"ccw": 1, "cw": -1}.get(str(entry["spin"]).lower())
         if spin is None:
             raise InputError(f"{at}: spin must be 'ccw' or 'cw', got {entry['spin']!r}")
-        rotors.append(Rotor(_number(entry["x"], f"{at}: x"), _number(entry["y"], f"{at}: y"), spin))
+        x, y = (_number(entry[key], f"{at}: {key}") for key in ("x", "y"))
+        if math.hypot(x, y) > MOST_ARM:
+            raise InputError(f"{at}: x and y are metres; {math.hypot(x, y):g} m is too far out")
+        rotors.append(Rotor(x, y, spin))
     layout = np.array([[1.0, r.x, r.y, r.spin] for r in rotors])
     # Without full rank the rotors cannot make all three torques and the thrust apart.
     if np.linalg.matrix_rank(layout / np.maximum(np.abs(layout).max(axis=0), 1e-9)) < 4:
@@ -295,10 +313,26 @@ def _command(table: object, where: str) -> CommandRange:
     return CommandRange(low, high, curve, given="min" in table or "max" in table)
 
 
-def _gyro_filter(table: object, where: str) -> float | None:
+def _imu(table: object, where: str) -> tuple[float | None, tuple[float, float, float] | None]:
     if not isinstance(table, dict):
         raise InputError(f"{where} must be a table")
-    _reject_unknown(table, {"gyro_filter"}, where)
+    _reject_unknown(table, {"gyro_filter", "position"}, where)
+    position = _imu_position(table.get("position"), f"{where} position")
+    return _gyro_filter(table, where), position
+
+
+def _imu_position(entry: object, where: str) -> tuple[float, float, float] | None:
+    if entry is None:
+        return None
+    if not isinstance(entry, list) or len(entry) != 3:
+        raise InputError(f"{where} must be [x, y, z] in m, got {entry!r:.40}")
+    x, y, z = (_number(value, where) for value in entry)
+    if max(abs(x), abs(y), abs(z)) > MOST_ARM:
+        raise InputError(f"{where} must be in m, got {entry!r:.40}")
+    return x, y, z
+
+
+def _gyro_filter(table: Mapping[str, Any], where: str) -> float | None:
     if "gyro_filter" not in table:
         return None
     cutoff = _number(table["gyro_filter"], f"{where} gyro_filter")

@@ -9,7 +9,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.report.prediction import Model, Prediction, Spectrum, predict, residual_spectrum
 from gcs_sysid.report.recorder import Recorder
 from gcs_sysid.session.result import Result
-from gcs_sysid.session.snapshot import Course
+from gcs_sysid.session.snapshot import Course, Event
 
 AXES = ("roll", "pitch", "yaw")
 
@@ -44,6 +44,7 @@ class ReportData:
         prediction: None where nothing flew.
         spectrum: of the residual; None where too little of the flight was kept apart.
         truth: true parameters of an emulated vehicle.
+        notes: of the analysis, such as which rotor stream it took, and when it began anew.
     """
 
     result: Mapping[str, Any]
@@ -54,6 +55,7 @@ class ReportData:
     prediction: Prediction | None = None
     spectrum: Spectrum | None = None
     truth: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[Event, ...] = ()
 
     @property
     def geometry(self) -> Array:
@@ -109,4 +111,5 @@ def gather(
         prediction,
         spectrum,
         dict(truth or {}),
+        recorder.notes,
     )

@@ -16,6 +16,7 @@ from gcs_sysid.report.figures import (
 )
 from gcs_sysid.report.markup import Child, Markup, element
 from gcs_sysid.report.parts import Column, facts, figure, grid, legend, note, section, table
+from gcs_sysid.session.snapshot import Event
 
 LITTLE = {"roll": 1.0, "pitch": 1.0, "yaw": 0.25}
 """rad/s^2 rms of `session.inspection.readiness` (a test compares), which needs MAVLink."""
@@ -146,11 +147,16 @@ def excitation(data: ReportData, figures: Figures) -> Markup:
         rates = rates[np.isfinite(rates).all(axis=1)]
         if len(rates):
             peak = np.abs(rates).max(axis=0)
-            rows.append(["Largest rate, rad/s", *(wording.number(v) for v in peak.tolist())])
+            rows.append(
+                [
+                    "Largest rate of what was used, rad/s",
+                    *(wording.number(v) for v in peak.tolist()),
+                ]
+            )
     if motion:
         for key, words in (
-            ("rate_rms", "Rate, rms, rad/s"),
-            ("acceleration_rms", "Angular acceleration, rms, rad/s²"),
+            ("rate_rms", "Rate, rms, rad/s, of the whole recording"),
+            ("acceleration_rms", "Angular acceleration, rms, rad/s², the same"),
         ):
             rows.append([words, *(wording.number(motion[axis][key]) for axis in AXES)])
         rows.append(
@@ -191,8 +197,16 @@ def events(data: ReportData, figures: Figures) -> Markup:
         "events",
         "Events",
         figure("timeline", "The flight on the time axis", size="strip") if shown else None,
-        table("Events", columns, rows) if rows else note("Nothing out of the ordinary happened."),
+        table("Events", columns, rows) if rows else note("No events."),
+        _notes(data.notes),
     )
+
+
+def _notes(notes: Iterable[Event]) -> Markup | None:
+    """What the analysis itself noted."""
+    rows = [[f"{wording.fixed(event.t, 2)} s", event.text] for event in notes]
+    columns = [Column("Time"), Column("Note")]
+    return table("Notes of the analysis", columns, rows, layout="axes") if rows else None
 
 
 def telemetry(data: ReportData) -> Markup:
@@ -212,7 +226,11 @@ def telemetry(data: ReportData) -> Markup:
     return section(
         "telemetry",
         "Telemetry",
-        table("Streams in flight", columns, (_stream(stream) for stream in streams))
+        table(
+            "Streams in flight, of the whole recording",
+            columns,
+            (_stream(stream) for stream in streams),
+        )
         if streams
         else note("No stream came that could be used."),
         facts(_link_facts(data, counts)),
@@ -257,6 +275,14 @@ def _link_facts(data: ReportData, counts: Mapping[str, Any]) -> dict[str, Child]
         )
         if counts.get(key)
     ]
+    outliers = {kind: n for kind, n in counts.get("imu_outliers", {}).items() if n}
+    if outliers:
+        out["Outliers of the IMU"] = ", ".join(f"{n} {kind}" for kind, n in outliers.items())
+    fates = {fate: n for fate, n in counts.get("fates", {}).items() if n}
+    if fates:
+        out["What became of them"] = ", ".join(f"{n} {fate}" for fate, n in fates.items())
+    if counts.get("recorded"):
+        out["Recorded"] = str(counts["recorded"])
     out["Damaged or dropped"] = ", ".join(damaged) or "none"
     drift = counts.get("clock_drift_ppm")
     boots = counts.get("reboots", 0)

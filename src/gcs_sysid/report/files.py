@@ -68,12 +68,10 @@ def _put_new(part: Path, path: Path) -> None:
         return
     try:
         os.link(part, path)
-    except FileExistsError:
-        raise
-    except OSError:
-        # A file system without links: a name taken within this blink would be lost.
+    except OSError as error:
         if path.exists():
-            raise FileExistsError from None
+            raise FileExistsError from error
+        # A file system without links: a name taken within this blink would be lost.
         part.replace(path)
 
 

@@ -165,7 +165,9 @@ def _numbers(estimate: Mapping[str, Any]) -> list[Child]:
     ends = [wording.fixed(end / 10.0**exponent, decimals) for end in estimate["ci95"] or ()]
     interval = f"{ends[0]} … {ends[1]}{power}" if ends else wording.NOTHING
     untold = estimate["status"] == "unobservable"
-    if half > 0.3 * abs(value):
+    if not half:
+        relative = ""  # not estimated
+    elif half > 0.3 * abs(value):
         relative = "known to be this small" if estimate["status"] == "identified" else ""
     else:
         relative = f"± {wording.percent(half / abs(value))}"

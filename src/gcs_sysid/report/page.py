@@ -43,10 +43,7 @@ def render(data: ReportData) -> str:
         "telemetry": evidence.telemetry(data),
         "settings": _settings(data),
     }
-    style, script = (
-        (resources.files("gcs_sysid.report") / "assets" / name).read_text(encoding="utf-8")
-        for name in ("report.css", "report.js")
-    )
+    style, script = _asset("report.css"), _asset("scales.js") + _asset("report.js")
     name = _file_name(data.result["source"])
     head = element(
         "head",
@@ -78,6 +75,12 @@ def render(data: ReportData) -> str:
         element("script", Markup(script)),
     )
     return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
+
+
+def _asset(name: str) -> str:
+    """A file of the page, with the line ends of every system."""
+    asset = resources.files("gcs_sysid.report") / "assets" / name
+    return asset.read_text(encoding="utf-8").replace("\r\n", "\n")
 
 
 def _heading(data: ReportData, name: str) -> Markup:
@@ -116,6 +119,11 @@ def _settings(data: ReportData) -> Markup:
     for name, prior in result["priors"].items():
         entries[f"Prior on {name}"] = f"{prior['value']:.6g} ± {prior['std']:.3g}"
     entries["Airframe"] = f"{airframe.name}, {len(airframe.rotors)} rotors"
+    if airframe.imu_position is not None:
+        place = ", ".join(f"{fixed(v, 4)} m" for v in airframe.imu_position)
+        entries["IMU, forward, right, down"] = place
+    if airframe.gyro_filter is not None:
+        entries["Gyro filter given"] = f"{airframe.gyro_filter:g} Hz"
     entries |= dict(made.versions)
     rotors = [
         [

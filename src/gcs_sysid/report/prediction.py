@@ -11,9 +11,9 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.estimation.basis import CURVE, DELAY, LAG, RotorBasis
-from gcs_sysid.estimation.online import COMMANDS, Tuning
 from gcs_sysid.estimation.rotors import RotorInput, RotorPath
 from gcs_sysid.estimation.speed_noise import SpeedNoise
+from gcs_sysid.estimation.tuning import COMMANDS, Tuning
 from gcs_sysid.filters.smoothers import WindowSmoother
 from gcs_sysid.filters.windows import cosine_window
 from gcs_sysid.model import rigid_body as rb

@@ -10,7 +10,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.validation import Validation
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.sampling import SampleBlock
-from gcs_sysid.session.snapshot import Course
+from gcs_sysid.session.snapshot import Course, Event
 
 _IN_MEMORY = 64 << 20
 """Bytes of samples kept in memory; more go to a temporary file."""
@@ -46,6 +46,8 @@ class Recorder:
     def __init__(self, rotors: int) -> None:
         self.course = NO_COURSE
         self.validation: Validation | None = None
+        self.notes: tuple[Event, ...] = ()
+        """What the analysis noted on the way."""
         self.dt: float | None = None
         """s between samples."""
         self._row = np.dtype([("t", "<f8"), ("x", "<f4", (6 + rotors,))])
@@ -54,7 +56,7 @@ class Recorder:
 
     def begin(self) -> None:
         """A reading of the log begins; one before it does not count."""
-        self.course, self.validation = NO_COURSE, None
+        self.course, self.validation, self.notes = NO_COURSE, None, ()
         self._start_anew(None, None)
 
     def take(self, block: SampleBlock) -> None:
@@ -62,7 +64,9 @@ class Recorder:
         if block.rotors is None:
             return
         if block.dt != self.dt or block.rotors is not self._input:
-            # So does the estimate.
+            if not np.isfinite(block.samples.gyro).any():
+                return  # nothing flies: the estimate keeps what it has
+            # The estimate does so too.
             self._start_anew(block.dt, block.rotors)
         s = block.samples
         gap = int(block.fresh)
@@ -75,6 +79,7 @@ class Recorder:
     def end(self, chain: Chain) -> None:
         """All is read, and the estimate final."""
         self.course, self.validation = chain.course, chain.fit.validation
+        self.notes = chain.events
 
     def samples(self) -> Iterator[Motion]:
         """What was taken, in pieces; a gap is a sample that is missing."""

@@ -7,7 +7,7 @@ numbers that the live session ended with.
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -101,7 +101,12 @@ class Chain:
         self.chooser = RotorChooser(airframe, anchor)
         self.chooser.parameters |= options.parameters
         self.sampler = Sampler(
-            self.chooser, len(airframe.rotors), options.tick, options.start, options.end
+            self.chooser,
+            len(airframe.rotors),
+            options.tick,
+            options.start,
+            options.end,
+            airframe.imu_arm,
         )
         self._rotors: RotorSource | None = None
         self._gyro_cutoff: float | None = None
@@ -109,6 +114,7 @@ class Chain:
         self._tracker: Tracker | None = None
         self._told = 0
         self._usable = True
+        self._spiked = False
         self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self._course_number = 0.0
         self._fit = Fit(None, None, 0.0)
@@ -303,6 +309,7 @@ class Chain:
             "late": base.late,
             "repeated": base.repeated,
             "restarts": base.restarts,
+            "imu_outliers": asdict(base.faults),
             "rotor_input": self._input_telemetry(),
         }
 
@@ -315,6 +322,7 @@ class Chain:
             "source": source.name,
             "why": source.why,
             "refused": dict(source.refused or {}),
+            "repeats": self.chooser.repeats[source.name].as_dict(),
             "gyro_filter": None if self._tracker is None else self._gyro_cutoff,
         }
         if source.range is not None:
@@ -388,6 +396,7 @@ class Chain:
         elif block.fresh:
             tracker.restart()
         self._tell_rate()
+        self._tell_outliers()
         stops = self._stops(block.t)
         points = tracker.update(block.t, block.samples, block.flying, stops)
         self._tell_events(tracker)
@@ -406,6 +415,12 @@ class Chain:
         renewed = np.diff(number, prepend=self._course_number) > 0.0
         self._course_number = max(float(number[-1]), self._course_number)
         return [int(i) + 1 for i in np.flatnonzero(renewed)]
+
+    def _tell_outliers(self) -> None:
+        """Say when the first gyro spike was replaced; how many there were is in the result."""
+        if self.sampler.time_base.faults.spikes and not self._spiked:
+            self._spiked = True
+            self.note("spikes on the gyro: replaced by what their neighbours say")
 
     def _tell_rate(self) -> None:
         """Say when the IMU becomes too slow for the grid, and when it no longer is."""

@@ -1,5 +1,6 @@
 """The live session: a thread from the link to immutable snapshots."""
 
+import contextlib
 import queue
 import threading
 import time
@@ -14,6 +15,7 @@ from gcs_sysid.session.result import Result
 from gcs_sysid.session.snapshot import LinkState, LinkStatus, Snapshot
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.link import Link
+from gcs_sysid.telemetry.marks import reset_mark
 from gcs_sysid.telemetry.tlog import TlogWriter, unused_path
 
 _POLL = 0.05
@@ -61,7 +63,8 @@ class LiveSession:
         airframe: with a scale anchor.
         options: settings.
         record_to: recording; None for none. An existing file is never overwritten.
-        sender_gone: tells that whoever sends has ended (an emulator that exited).
+        sender_gone: tells that whoever sends has ended (an emulator that exited); who can be
+            told of so connects once.
         on_result: called in the session's thread about once a second of vehicle time.
     """
 
@@ -86,6 +89,7 @@ class LiveSession:
             options.rate,
             listen_only=options.listen_only,
             signing_key=options.signing_key,
+            connects_once=sender_gone is not None,
         )
         self._pipeline = Pipeline(
             airframe,
@@ -101,7 +105,7 @@ class LiveSession:
         self._stop = threading.Event()
         self._latest: Snapshot | None = None
         self._told_result_at = 0.0
-        self._written: list[TlogWriter] = []
+        self._recordings: list[str] = []
         self._told_problem = ""
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
 
@@ -134,8 +138,8 @@ class LiveSession:
         self._actions.put(lambda: self._pipeline.chain.note(text))
 
     def reset(self) -> None:
-        """Forget the estimate and start anew."""
-        self._actions.put(self._pipeline.reset)
+        """Forget the estimate and start anew, as the analysis of the recording then does too."""
+        self._actions.put(self._reset)
 
     def toggle_recording(self) -> str:
         """Start or stop recording; says which."""
@@ -149,7 +153,7 @@ class LiveSession:
 
     def recordings(self) -> list[str]:
         """A line for each recording of an ended session: where it is, or why it is not."""
-        return [w.problem or f"recorded to {w.path}" for w in self._written]
+        return list(self._recordings)
 
     def _run(self) -> None:
         try:
@@ -159,8 +163,7 @@ class LiveSession:
         finally:
             self._station.close()
             if self._writer:
-                self._writer.close()
-                self._written.append(self._writer)
+                self._end_recording(self._writer)
             try:
                 self.final = self._complete(self._pipeline.finish())
             except Exception as problem:  # noqa: BLE001 - as above
@@ -238,10 +241,25 @@ class LiveSession:
 
     def _stop_recording(self) -> None:
         if self._writer:
-            self._writer.close()
-            self._written.append(self._writer)
+            self._end_recording(self._writer)
             self._pipeline.chain.note(f"recording {self._writer.path} stopped")
             self._writer = None
+
+    def _end_recording(self, writer: TlogWriter) -> None:
+        """Close it, and leave no file behind in which there is nothing."""
+        writer.close()
+        line = writer.problem or f"recorded to {writer.path}"
+        with contextlib.suppress(OSError):  # it never came to be, or is gone
+            if writer.path.stat().st_size == 0:
+                writer.path.unlink()
+                line = writer.problem or f"nothing was heard: {writer.path} is not kept"
+        self._recordings.append(line)
+
+    def _reset(self) -> None:
+        mark = [reset_mark()]
+        if self._writer:
+            self._writer.write(time.time_ns() // 1000, mark)
+        self._pipeline.take(mark)
 
     def _publish(self, state: LinkState) -> None:
         chain, intake = self._pipeline.chain, self._pipeline.intake

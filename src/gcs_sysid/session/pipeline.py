@@ -83,14 +83,11 @@ class Pipeline:
         if progress:
             progress(1.0)
 
-    def reset(self) -> None:
-        """Forget the estimate; the result tells that, because a recording does not."""
-        self.chain.reset()
-        text = "estimate reset by the user"
-        self._events.append({"t": self.chain.t, "kind": "reset", "text": text})
-
     def _take_event(self, event: IntakeEvent) -> None:
-        self.chain.note(event.text)
+        if event.kind == "reset":
+            self.chain.reset()
+        else:
+            self.chain.note(event.text)
         vehicle = self._telemetry.vehicle
         if event.kind == "vehicle" and vehicle is not None:
             self.chain.chooser.autopilot = vehicle.key

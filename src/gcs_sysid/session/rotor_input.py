@@ -80,15 +80,40 @@ class Stretch:
         return out[:count]
 
 
+@dataclass
+class Repeats:
+    """Messages of one source that repeat the values of the one before under a later stamp."""
+
+    compared: int = 0
+    repeated: int = 0
+    _last: dict[int, tuple[float, tuple[float, ...]]] = field(default_factory=dict)
+
+    def take(self, record: Record) -> None:
+        """Compare a message with the one before for the same rotors."""
+        last = self._last.get(record.offset)
+        if last is not None and record.t > last[0]:
+            self.compared += 1
+            self.repeated += record.values == last[1]
+        self._last[record.offset] = record.t, record.values
+
+    def as_dict(self) -> dict[str, float]:
+        """For the result's `telemetry`."""
+        return {
+            "count": self.repeated,
+            "percent": 100.0 * self.repeated / max(self.compared, 1),
+        }
+
+
 class RotorChooser:
     """Chooses the source of the rotors' input.
 
     Args:
         airframe: that flies.
-        anchor: of the scale: with k_T or T_max only one kind of input makes sense.
+        anchor: of the scale: with k_T or T_max only one kind of input makes sense; None while it
+            is not known, and then nobody can tell whether the speeds could carry the vehicle.
     """
 
-    def __init__(self, airframe: Airframe, anchor: Anchor) -> None:
+    def __init__(self, airframe: Airframe, anchor: Anchor | None) -> None:
         self.choice: RotorSource | None = None
         """None until there was a stretch of flight, and while no source is sound."""
         self.refused: dict[str, str] = {}
@@ -98,6 +123,8 @@ class RotorChooser:
         """Those of the autopilot that matter here."""
         self.judged = False
         """Whether there was any judgement yet."""
+        self.repeats: dict[str, Repeats] = {}
+        """Source -> repeats in flight."""
         self._airframe = airframe
         self._anchor = anchor
         self._restart()
@@ -110,6 +137,7 @@ class RotorChooser:
         elif flying and record.stream in _STREAMS:
             name = family(record.source)
             self._stretches.setdefault(name, Stretch(record.stream)).add(record)
+            self.repeats.setdefault(name, Repeats()).take(record)
 
     @property
     def outdated(self) -> bool:
@@ -172,6 +200,10 @@ class RotorChooser:
         values = [v for _, v in rotors]
         if not any(v.any() for v in values):
             return "reads 0 while the vehicle flies"
+        if stretch.stream is Stream.ROTOR_SPEED:
+            fresh = max(_readings(v) for v in values) / self._seconds
+            if fresh < MIN_RATE:
+                return f"repeats old readings, {fresh:.0f} new ones a second"
         moves = np.array([np.ptp(v) / max(np.abs(v).mean(), 1e-9) for v in values])
         still = [i for i, v in enumerate(values) if np.ptp(v) == 0.0]
         if still and np.median(np.delete(moves, still) if len(still) < count else 0.0) > _MOVES:
@@ -185,7 +217,8 @@ class RotorChooser:
     ) -> RotorSource | None:
         wanted = self._airframe.rotor_input
         if wanted == "auto":
-            wanted = {"k_T": "speed", "T_max": "command"}.get(self._anchor.kind, "auto")  # type: ignore[assignment]
+            kind = "" if self._anchor is None else self._anchor.kind
+            wanted = {"k_T": "speed", "T_max": "command"}.get(kind, "auto")  # type: ignore[assignment]
         count = len(self._airframe.rotors)
         commands = self._ranked(stretches, Stream.ROTOR_COMMAND)
         for name in self._ranked(stretches, Stream.ROTOR_SPEED) if wanted != "command" else ():
@@ -246,7 +279,7 @@ class RotorChooser:
 
     def _too_slow(self, stretch: Stretch) -> bool:
         """Whether rotors so slow could not carry the vehicle however large they were."""
-        if self._anchor.kind != "mass":
+        if self._anchor is None or self._anchor.kind != "mass":
             return False
         x, y, _ = self._airframe.geometry
         apart = np.hypot(x[:, None] - x, y[:, None] - y)
@@ -254,6 +287,15 @@ class RotorChooser:
         power = sum(float(np.mean(v * v)) for _, v in stretch.rotors(len(x)))
         k_T = _MOST_THRUST_COEFFICIENT * _AIR * diameter**4 / (2.0 * math.pi) ** 2
         return self._anchor.value * GRAVITY > _BEYOND * float(k_T) * power
+
+
+def _readings(values: Array) -> float:
+    """How many readings there are, repeats apart; infinite where rounding alone may repeat them."""
+    jumps = np.abs(np.diff(values))
+    jumps = jumps[jumps > 0.0]
+    if not len(jumps) or float(np.median(jumps)) <= 2.0 * _step(values):
+        return math.inf
+    return float(len(jumps))
 
 
 def _is_function(t: Array, speeds: Array, command_t: Array, commands: Array) -> bool:

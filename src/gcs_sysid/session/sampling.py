@@ -68,6 +68,7 @@ class Sampler:
         tick: s of vehicle time between blocks.
         start: s after the first record; earlier records are not used.
         end: s after the first record; later ones are not used.
+        imu_arm: m, the accelerometer from the CG, where known.
     """
 
     def __init__(
@@ -77,8 +78,9 @@ class Sampler:
         tick: float = 0.1,
         start: float = 0.0,
         end: float = np.inf,
+        imu_arm: tuple[float, float, float] | None = None,
     ) -> None:
-        self.time_base = TimeBase(tick)
+        self.time_base = TimeBase(tick, imu_arm)
         self.attitude: tuple[float, float, float] | None = None
         """Roll, pitch, yaw in rad of the newest sample that has them."""
         self.rates: tuple[float, float, float] | None = None

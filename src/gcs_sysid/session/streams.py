@@ -14,7 +14,7 @@ _RENEW = 16
 BREAK = 1.0
 """s; a longer silence is no interval."""
 _KEEP = 8
-"""Samples of each stream kept behind the grid for interpolation."""
+"""Samples of a stream kept behind the grid for interpolation."""
 _SAME = 5e-7
 """Times closer than this (s) are the same: stamps are whole microseconds."""
 _REORDER = 0.02
@@ -32,10 +32,12 @@ class StreamBuffer:
     Args:
         width: numbers in a sample.
         hold: whether the last value holds (states) instead of being interpolated (signals).
+        keep: samples kept behind the grid.
     """
 
-    def __init__(self, width: int, *, hold: bool = False) -> None:
+    def __init__(self, width: int, *, hold: bool = False, keep: int = _KEEP) -> None:
         self.width = width
+        self._keep = keep
         self.hold = hold
         self.repeated = 0
         """Samples dropped because their stamp was not new."""
@@ -111,7 +113,7 @@ class StreamBuffer:
         """Drop what no later grid point needs."""
         times, _ = self._arrays()
         older = int(np.searchsorted(times, t))
-        self._start += max(min(older, len(times)) - _KEEP, 0)
+        self._start += max(min(older, len(times)) - self._keep, 0)
 
     def _arrays(self) -> tuple[Array, Array]:
         """Times and values of all samples, as views."""

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.parameters import Value, physical_parameters, rests_on_prior
 from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.estimation.tracking import Event
+from gcs_sysid.estimation.uncertainty import watched_factor
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.session.result import Estimate, Scale
 
@@ -50,12 +52,36 @@ def values_of(
     known: Mapping[str, Known],
     rotor_input: RotorInput = "speed",
 ) -> dict[str, Value]:
-    """Physical parameters of a fit, or nothing but the anchor while it is too early."""
+    """Physical parameters of a fit, or nothing but the anchor while it is too early.
+
+    While the flight goes on, somebody looks at every estimate and believes the one that says
+    `identified`: intervals are then wide enough to hold at all times.
+    """
+    if fit.running:
+        fit = _widened(fit, watched_factor(fit.seconds))
     early = fit.seconds < MIN_SECONDS and not anchor.origin
     rotation = None if early else fit.rotation
     return physical_parameters(
         anchor, rotation, fit.translation, arm, known, rotor_input, fit.coupling
     )
+
+
+def _widened(fit: Fit, factor: float) -> Fit:
+    """The fit with standard deviations times a factor."""
+    rotation, translation = fit.rotation, fit.translation
+    if rotation is not None:
+        rotation = replace(
+            rotation,
+            covariance=factor**2 * rotation.covariance,
+            full_covariance=factor**2 * rotation.full_covariance,
+        )
+    if translation is not None:
+        translation = replace(
+            translation,
+            kappa_std=factor * translation.kappa_std,
+            delta_std=factor * translation.delta_std,
+        )
+    return replace(fit, rotation=rotation, translation=translation)
 
 
 def estimates_of(

@@ -12,6 +12,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.records import Record, Stream
+from gcs_sysid.session.inertial import InertialBuffer, SensorFaults
 from gcs_sysid.session.streams import BREAK, StreamBuffer, usual_gap
 
 Key = tuple[Stream, str, int]
@@ -44,10 +45,14 @@ class TimeBase:
 
     Args:
         tick: s of vehicle time between blocks.
+        imu_arm: m, the accelerometer from the CG, where known; forces are given at the CG.
     """
 
-    def __init__(self, tick: float = 0.1) -> None:
+    def __init__(
+        self, tick: float = 0.1, imu_arm: tuple[float, float, float] | None = None
+    ) -> None:
         self.tick = tick
+        self._imu_arm = imu_arm
         self.dt = 0.0
         """Grid step in s; 0 until it is known."""
         self.late = 0
@@ -56,6 +61,8 @@ class TimeBase:
         """How often the grid started anew (silence, reboot, changed rate)."""
         self.flown = 0.0
         """s of flight on a grid of this step, as the owner tells; what is learnt rests on it."""
+        self.faults = SensorFaults()
+        """Outliers of the IMU, found so far."""
         self._buffers: dict[Key, StreamBuffer] = {}
         self._newest = -np.inf
         self._started = False
@@ -105,7 +112,7 @@ class TimeBase:
         if step < -BREAK or (self._started and step > BREAK):
             block = self.finish()
             self._stop(clear=step < 0.0)
-        imu = self._buffer(record)
+        imu = self._imu_buffer()
         imu.push(record.t, record.values)
         self._newest = max(self._newest, record.t)
         if not self._started:
@@ -117,7 +124,7 @@ class TimeBase:
                 self._stop(clear=False)
                 self._try_start(imu)
             else:
-                block = self._emit(record.t - self.lag)
+                block = self._emit(min(record.t - self.lag, imu.settled()))
         return block
 
     def finish(self) -> Block | None:
@@ -132,16 +139,23 @@ class TimeBase:
             buffer = self._buffers[key] = StreamBuffer(len(record.values), hold=hold)
         return buffer
 
+    def _imu_buffer(self) -> InertialBuffer:
+        buffer = self._buffers.get(_IMU)
+        if not isinstance(buffer, InertialBuffer):
+            buffer = self._buffers[_IMU] = InertialBuffer(self.faults, self._imu_arm)
+        return buffer
+
     def _grid_time(self, index: int) -> float:
         return self._origin + index * self.dt
 
-    def _try_start(self, imu: StreamBuffer) -> None:
+    def _try_start(self, imu: InertialBuffer) -> None:
         if not imu.knows_interval:
             return
         if not self.dt or self._is_outgrown(imu):
             # Whole microseconds, as the stamps are.
             self.dt = max(round(imu.interval * 1e6), 1) * 1e-6
             self.flown = 0.0
+        imu.step = self.dt
         self._origin = imu.oldest if self._fresh and not self.restarts else self._newest
         self._next_index = 0
         self._next_tick = self._newest + self.tick

@@ -65,6 +65,17 @@ class VehicleClock:
         t = self._unwrap(time_usec * 1e-6, _WRAP_US)
         return t if abs(t - self.now) < JUMP_AHEAD else None
 
+    def stamp_us64_or_32(self, time_usec: int) -> float | None:
+        """Time of a stamp in us that may wrap, although its field has 64 bits.
+
+        ArduPilot before 4.0 puts a 32-bit count into RAW_IMU; from the first wrap on, such
+        stamps follow the clock that others drive.
+        """
+        old = self.now is not None and self.now > _WRAP_US - JUMP_AHEAD
+        if old and 0 < time_usec < 2**32:
+            return self.stamp_us32(time_usec)
+        return self.stamp_us64(time_usec)
+
     def system_time(self, time_unix_usec: int, time_boot_ms: int) -> None:
         """Learn how Unix time and time since boot hang together, from SYSTEM_TIME."""
         unix = time_unix_usec * 1e-6

@@ -108,6 +108,10 @@ class RecordDecoder:
             table[name] = partial(self._read_unstamped, rotors.esc_telemetry(name), first, name)
         self._readers = {MESSAGE_IDS[name]: reader for name, reader in table.items()}
 
+    def reads(self, message_id: int) -> bool:
+        """Whether there is anything to read in messages of a type."""
+        return message_id in self._readers
+
     def decode(self, frame: Frame) -> Record | None:
         """Take one frame whose checksum is right; None when it makes no record."""
         reader = self._readers.get(frame.message_id)
@@ -139,7 +143,12 @@ class RecordDecoder:
             self.dropped["no time"] += 1
             return None
         # One infinite or NaN value makes the sum so; large finite ones cannot overflow it.
-        if not math.isfinite(math.fsum(values) if len(values) > 32 else sum(values)):
+        if stream is Stream.IMU and not math.isfinite(sum(values[3:])):
+            # Nearly everything rests on the gyro: one without an accelerometer is of use.
+            self.dropped["accelerometer not finite"] += 1
+            values = (*values[:3], math.nan, math.nan, math.nan)
+        needed = values[:3] if stream is Stream.IMU else values
+        if not math.isfinite(math.fsum(needed) if len(needed) > 32 else sum(needed)):
             self.dropped["not finite"] += 1
             return None
         return Record(stream, t, values, offset, source)
@@ -156,14 +165,16 @@ class RecordDecoder:
 
     def _read_scaled_imu(self, payload: bytes) -> Record | None:
         time_boot_ms, *values = _scaled_imu(payload)
-        return self._milli_imu(1, self.clock.stamp_ms32(time_boot_ms), values)
+        return self._milli_imu(2, self.clock.stamp_ms32(time_boot_ms), values)
 
     def _read_raw_imu(self, payload: bytes) -> Record | None:
         time_usec, imu_id, *values = _raw_imu(payload)
-        # By the definition in the sensor's own counts; ArduPilot sends what SCALED_IMU has.
+        # By the definition in the sensor's own counts; ArduPilot sends what SCALED_IMU has, with
+        # stamps a thousand times finer.
         if self._autopilot != mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA or imu_id != 0:
             return None
-        return self._milli_imu(2, self.clock.stamp_us64(time_usec), values)
+        t = self.clock.stamp_us64_or_32(time_usec)
+        return self._milli_imu(1, t, values)
 
     def _milli_imu(self, rank: int, t: float | None, values: list[int]) -> Record | None:
         """From mrad/s and thousandths of g."""

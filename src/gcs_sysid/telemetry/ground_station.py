@@ -38,6 +38,7 @@ class GroundStation:
         rate: Hz wished for IMU and rotors.
         listen_only: send nothing at all.
         signing_key: file with the key; None: nothing is signed or checked.
+        connects_once: whether a connection that is closed means that the sender has finished.
 
     Attributes:
         lost: whether a vehicle that spoke before is silent now, or the link is gone.
@@ -55,10 +56,12 @@ class GroundStation:
         *,
         listen_only: bool = False,
         signing_key: Path | None = None,
+        connects_once: bool = False,
     ) -> None:
         self.lost = False
         self.heard_at: float | None = None
         self._link = link
+        self._connects_once = connects_once
         self._clock: SigningClock | None = None
         check = signer = None
         if signing_key is not None:
@@ -108,11 +111,14 @@ class GroundStation:
             self._streams.reboot()
         if self._link.breaks != self._breaks:
             self._breaks = self._link.breaks
-            self._events.append(
-                f"{self._link.url} was closed by the other side or unplugged: "
-                "waiting for it to come back"
-            )
-            self.lost = True
+            if self._connects_once:
+                self._events.append(f"{self._link.url}: the sender has finished")
+            else:
+                self._events.append(
+                    f"{self._link.url} was closed by the other side or unplugged: "
+                    "waiting for it to come back"
+                )
+                self.lost = True
         heard = intake.monitor.heard
         if heard != self._heard:
             self._heard = heard

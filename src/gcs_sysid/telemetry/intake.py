@@ -1,5 +1,6 @@
 """From frames to records of one vehicle: the part that live sessions and logs share."""
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -7,10 +8,13 @@ from typing import Any
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.telemetry.decode import RecordDecoder
 from gcs_sysid.telemetry.frames import Frame, Validity
+from gcs_sysid.telemetry.marks import is_reset_mark
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
+from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
 from gcs_sysid.telemetry.vehicles import Vehicle, VehicleSelector
 
+FATES = ("used", "not needed", "passed over", "dropped", "others")
 _HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
 
 
@@ -21,7 +25,8 @@ class IntakeEvent:
     t: float
     """Vehicle time, s; after a reboot in the new count."""
     kind: str
-    """"vehicle" (chosen), "vehicles" (another one that could be meant) or "reboot"."""
+    """"vehicle" (chosen), "vehicles" (another one that could be meant), "reboot" or "reset" (the
+    user had the estimate begin anew)."""
     text: str
 
 
@@ -35,6 +40,10 @@ class Intake:
         decoder: makes the records; its `dropped` and `clock` are worth showing.
         monitor: counts and rates.
         turning: names of the messages that have told of all their rotors turning.
+        fates: what became of the frames whose checksum is right, all of them: "used" (made a
+            record), "not needed" (of a type that tells nothing for identification), "passed over"
+            (a better message tells the same, or nothing new), "dropped" (see the decoder's),
+            "others" (not the vehicle's, or before its first heartbeat).
         garbage_bytes: set by the caller, from `Receiver` or `TlogReader`.
     """
 
@@ -43,6 +52,7 @@ class Intake:
         self.decoder = RecordDecoder()
         self.monitor = Monitor()
         self.turning: set[str] = set()
+        self.fates = Counter(dict.fromkeys(FATES, 0))
         self.garbage_bytes = 0
         self._others: set[tuple[int, int]] = set()
         self._events: list[IntakeEvent] = []
@@ -78,6 +88,9 @@ class Intake:
 
     def frame(self, frame: Frame) -> Record | None:
         """Take one frame; the record it makes, if any."""
+        if frame.system == OWN_SYSTEM and frame.valid is Validity.OK and is_reset_mark(frame):
+            self._note("reset", "estimate reset by the user")
+            return None
         self.monitor.take(frame)
         if frame.valid is not Validity.OK:
             chosen = self.selector.chosen
@@ -89,11 +102,13 @@ class Intake:
         if frame.message_id == _HEARTBEAT:
             self._note_other((frame.system, frame.component))
         if not is_chosen:
+            self.fates["others"] += 1
             return None
         clock = self.decoder.clock
         reboots = clock.reboots
         before = clock.now
         record = self.decoder.decode(frame)
+        self.fates["used" if record is not None else self._why_unused(frame)] += 1
         if not known:
             self._note("vehicle", f"{self.selector.chosen} heard")
         if clock.reboots != reboots:
@@ -104,6 +119,15 @@ class Intake:
             if record.stream is Stream.ROTOR_SPEED and record.source not in self.turning:
                 self._note_turning(record)
         return record
+
+    def _why_unused(self, frame: Frame) -> str:
+        """The fate of the vehicle's latest frame, which made no record."""
+        if not self.decoder.reads(frame.message_id):
+            return "not needed"
+        dropped = self.decoder.dropped.total()
+        if dropped == self.fates["dropped"]:
+            return "passed over"
+        return "dropped"
 
     def take_events(self) -> list[IntakeEvent]:
         """What happened since this was last asked."""
@@ -120,6 +144,7 @@ class Intake:
             **self.monitor.as_dict(map(str, self.selector.systems.values()), self.garbage_bytes),
             "reboots": self.decoder.clock.reboots,
             "dropped": dict(self.decoder.dropped),
+            "fates": dict(self.fates),
         }
 
     def _note_other(self, who: tuple[int, int]) -> None:

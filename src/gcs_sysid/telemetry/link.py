@@ -16,6 +16,7 @@ import errno
 import select
 import socket
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from typing import NamedTuple
 
 import serial
@@ -113,6 +114,7 @@ class UdpLink(Link):
         except OSError as error:
             self._socket.close()
             raise _cannot_open(url, error) from error
+        self.url = _with_port(url, self.port)
 
     @property
     def port(self) -> int:
@@ -169,6 +171,7 @@ class TcpLink(Link):
                 self._listener.setblocking(False)
         except OSError as error:
             raise _cannot_open(url, error) from error
+        self.url = _with_port(url, self.port)
 
     @property
     def port(self) -> int:
@@ -284,6 +287,11 @@ def open_link(url: LinkUrl, patience: float = CONNECT_TIMEOUT) -> Link:
     if url.kind == "serial":
         return SerialLink(url)
     return UdpLink(url) if url.kind in ("udpin", "udpout") else TcpLink(url, patience)
+
+
+def _with_port(url: LinkUrl, port: int) -> LinkUrl:
+    """The URL with the port that the system has chosen, where it was left to choose."""
+    return url if url.port else replace(url, port=port, text=f"{url.text}:{port}")
 
 
 def _resolve(url: LinkUrl, kind: socket.SocketKind) -> tuple[socket.AddressFamily, Address]:

@@ -1,8 +1,9 @@
 """The one place that decides what may be sent to a vehicle.
 
 A tool that only listens can do no harm, and this one must not do more than ask: its heartbeat,
-requests for message rates, requests for what describes the vehicle, time synchronisation, and
-reading of parameters. Nothing that moves, arms, configures or restarts a vehicle can pass.
+requests for the rates of messages and groups of them, requests for what describes the vehicle, time
+synchronisation, and reading of parameters. Nothing that moves, arms, configures or restarts a
+vehicle can pass.
 """
 
 import math
@@ -22,6 +23,18 @@ OWN_COMPONENT: int = mavlink.MAV_COMP_ID_MISSIONPLANNER
 _MAY_BE_REQUESTED = frozenset(
     {mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, mavlink.MAVLINK_MSG_ID_PROTOCOL_VERSION}
 )
+# Groups with what identification needs; never "all", which would reset those of others.
+_GROUPS = frozenset(
+    {
+        mavlink.MAV_DATA_STREAM_RAW_SENSORS,
+        mavlink.MAV_DATA_STREAM_RC_CHANNELS,
+        mavlink.MAV_DATA_STREAM_POSITION,
+        mavlink.MAV_DATA_STREAM_EXTRA1,
+        mavlink.MAV_DATA_STREAM_EXTRA3,
+    }
+)
+MOST_OF_GROUP = 50
+"""Hz. ArduPilot before 4.0 sends no group faster, and nobody else is asked for groups."""
 LONGEST_INTERVAL = 60_000_000
 """us. Nobody needs a stream slower than one a minute."""
 
@@ -56,6 +69,16 @@ def _is_harmless_command(message: Any) -> bool:
     return False
 
 
+def _is_harmless_group(message: Any) -> bool:
+    """Of one vehicle, and stopped only where nothing came before."""
+    if message.target_system == 0 or message.req_stream_id not in _GROUPS:
+        return False
+    rate = message.req_message_rate
+    if message.start_stop == 0:
+        return bool(rate == 0)
+    return bool(message.start_stop == 1 and 0 < rate <= MOST_OF_GROUP)
+
+
 def _always(_message: Any) -> bool:
     return True
 
@@ -63,6 +86,7 @@ def _always(_message: Any) -> bool:
 _ALLOWED: dict[int, Callable[[Any], bool]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: _is_harmless_heartbeat,
     mavlink.MAVLINK_MSG_ID_COMMAND_LONG: _is_harmless_command,
+    mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: _is_harmless_group,
     mavlink.MAVLINK_MSG_ID_TIMESYNC: _always,
     mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ: _always,
     mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: _always,
@@ -158,6 +182,12 @@ class Gate:
     def get_message_interval(self, target: tuple[int, int], message_id: int) -> bool:
         """Ask at which interval a message is sent."""
         return self._command(target, mavlink.MAV_CMD_GET_MESSAGE_INTERVAL, message_id)
+
+    def request_group(self, target: tuple[int, int], group: int, hertz: int) -> bool:
+        """Ask for a group of messages (REQUEST_DATA_STREAM) at a rate; 0 Hz stops it."""
+        return self.send(
+            mavlink.MAVLink_request_data_stream_message(*target, group, hertz, int(hertz > 0))
+        )
 
     def request_message(self, target: tuple[int, int], message_id: int) -> bool:
         """Ask once for a message that describes the vehicle."""

@@ -7,9 +7,11 @@ caller says what time it is.
 
 from collections.abc import Collection, Mapping
 
+from gcs_sysid.telemetry.group_requests import GroupRequests
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
-from gcs_sysid.telemetry.outgoing import Gate
+from gcs_sysid.telemetry.outgoing import MOST_OF_GROUP, Gate
 from gcs_sysid.telemetry.streams import (
+    IMU,
     NEEDED_RATE,
     USABLE,
     bytes_per_second,
@@ -80,6 +82,7 @@ class StreamRequests:
         self._told: set[str] = set()
         self._events: list[str] = []
         self._loss = _LossCut()
+        self._groups: GroupRequests | None = None
 
     def tick(
         self,
@@ -105,6 +108,7 @@ class StreamRequests:
         ):
             self.reboot()
             self.asked = {}
+            self._groups = None
             self._came, self._turning = set(), set()
         self._vehicle = vehicle
         self._heartbeat(now, vehicle)
@@ -113,6 +117,11 @@ class StreamRequests:
         self._came |= {name for name, hz in arriving.items() if hz > 0.0}
         self._turning |= set(turning)
         share = self._loss.take(now, *lost_of, bytes_per_second(self.asked, self._rotors))
+        if self._groups is None and self._knows_groups_alone(vehicle, arriving):
+            self._turn_to_groups(vehicle, arriving)
+        if self._groups is not None:
+            self._see_to_groups(self._groups, vehicle, now, arriving)
+            return
         self._plan(vehicle)
         if share is not None:
             self._tell_loss(share)
@@ -136,9 +145,8 @@ class StreamRequests:
         """Decide what to ask for; ask at once for what has changed."""
         speeds, commands = rotor_streams(vehicle.key, self._rotors, vehicle.version)
         signed = self._gate.signing and vehicle.version == 2
-        limits = [limit for limit in (self._line, self._loss.capacity) if limit is not None]
-        capacity = min(limits, default=None)
-        absent = {name for name in (*speeds, commands) if self._is_absent(name)}
+        capacity = self._capacity
+        absent = {name for name in ("HIGHRES_IMU", *speeds, commands) if self._is_absent(name)}
         wanted: tuple[str, ...] = (*speeds, commands)
         if capacity is not None and speeds and self._turning.issuperset(speeds):
             wanted = speeds  # no room for both, and speeds are the better input
@@ -149,6 +157,8 @@ class StreamRequests:
         rates = fitting_rates(present, self._rate, self._rotors, capacity, signed)
         # An absent one takes no room, and may still begin: some ESCs report once they turn.
         rates |= {name: rates["HIGHRES_IMU"] for name in wanted if name not in rates}
+        if vehicle.key == "ardupilot" and self._is_absent("HIGHRES_IMU"):
+            rates["RAW_IMU"] = rates["HIGHRES_IMU"]  # as it came before 4.6
         for name, hz in rates.items():
             if hz != self._rates.get(name):
                 self._asked_at.pop(name, None)
@@ -157,6 +167,53 @@ class StreamRequests:
         before, self._rates = self._rates, rates
         if self._baud is not None and not self._loss.capacity:
             self._tell_line(before.get("HIGHRES_IMU"), rates["HIGHRES_IMU"])
+
+    def _knows_groups_alone(self, vehicle: Vehicle, arriving: Mapping[str, float]) -> bool:
+        """Whether this is ArduPilot before 4.0, by what does not come although asked for.
+
+        HIGHRES_IMU came to ArduPilot after the requests for single messages. Those in between
+        bring at least the commands.
+        """
+        if vehicle.key != "ardupilot" or "HIGHRES_IMU" in self._came:
+            return False
+        _, commands = rotor_streams(vehicle.key, self._rotors, vehicle.version)
+        if arriving.get(commands, 0.0) > 1.1 * MOST_OF_GROUP:
+            return False
+        return all(self._asks.get(name, 0) >= TELL_AFTER for name in ("HIGHRES_IMU", commands))
+
+    def _turn_to_groups(self, vehicle: Vehicle, arriving: Mapping[str, float]) -> None:
+        for name in list(self.asked):
+            self._restore(name)
+        self._groups = GroupRequests(self._gate, vehicle, arriving)
+        self._tell(
+            "this ArduPilot does not know SET_MESSAGE_INTERVAL: asking for groups of messages, "
+            f"which it sends at {MOST_OF_GROUP} Hz at most"
+        )
+
+    def _see_to_groups(
+        self, groups: GroupRequests, vehicle: Vehicle, now: float, arriving: Mapping[str, float]
+    ) -> None:
+        speeds, _ = rotor_streams(vehicle.key, self._rotors, vehicle.version)
+        turning = speeds[0] if speeds and self._turning.issuperset(speeds) else None
+        groups.tick(now, arriving, self._rate, self._capacity, turning)
+        self.asked = dict(groups.asked)
+        hertz = groups.asked.get("RAW_IMU", 0.0)
+        got = groups.short.get("RAW_IMU")
+        self.problem = ""
+        if got is not None and got < self._needed:
+            what = f"asked for {hertz:.0f} Hz, this link brings"
+            self.problem = too_slow(what, got, self._needed)
+        elif hertz < self._needed:
+            what = "such losses leave" if self._baud is None else f"{self._baud} baud carries"
+            self.problem = too_slow(what, hertz, self._needed)
+        if self.problem and "RAW_IMU" not in self._told:
+            self._told.add("RAW_IMU")
+            self._tell(self.problem)
+
+    @property
+    def _capacity(self) -> float | None:
+        limits = [limit for limit in (self._line, self._loss.capacity) if limit is not None]
+        return min(limits, default=None)
 
     def _is_absent(self, name: str) -> bool:
         return name not in self._came and self._asks.get(name, 0) >= TELL_AFTER
@@ -190,7 +247,7 @@ class StreamRequests:
         if enough:
             self._asks[name] = min(self._asks.get(name, 0), 1)
             self._told.discard(name)
-            if name == "HIGHRES_IMU" and hz >= self._needed:
+            if name in IMU and hz >= self._needed:
                 self.problem = ""
         asks = self._asks.get(name, 0)
         if not enough and asks >= TELL_AFTER and name not in self._told:
@@ -206,7 +263,7 @@ class StreamRequests:
     def _tell_shortage(self, name: str, hz: float, got: float) -> None:
         if got == 0.0:
             self._tell(f"{name} does not arrive, although asked for {TELL_AFTER} times")
-        elif name == "HIGHRES_IMU" and got < self._needed:
+        elif name in IMU and got < self._needed:
             self.problem = too_slow(f"asked for {hz:.0f} Hz, this link brings", got, self._needed)
             self._tell(self.problem)
         else:
@@ -234,6 +291,8 @@ class StreamRequests:
 
     def reboot(self) -> None:
         """Ask anew: the vehicle has forgotten, or may have while it was not heard."""
+        if self._groups is not None:
+            self._groups.again()
         self._asked_at.clear()
         self._asks.clear()
         self._told.clear()
@@ -243,6 +302,9 @@ class StreamRequests:
         """Give the vehicle its own rates back. Said twice: nobody is there to say it again."""
         asked = dict(self.asked)
         for _ in range(2):
+            if self._groups is not None:
+                self._groups.close()
+                continue
             self.asked = dict(asked)
             for name in asked:
                 self._restore(name)

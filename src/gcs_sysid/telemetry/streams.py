@@ -1,8 +1,11 @@
 """Which messages identification needs of an autopilot, and at which rates they fit a link."""
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
+from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
+from gcs_sysid.telemetry.outgoing import MOST_OF_GROUP
 
 NEEDED_RATE = 50.0
 """Hz of IMU and rotor data below which identification is not to be had from real flights."""
@@ -21,6 +24,31 @@ SPEEDS = {
 COMMANDS = {"px4": "ACTUATOR_OUTPUT_STATUS", "ardupilot": "SERVO_OUTPUT_RAW"}
 """Autopilot -> the message with its actuator outputs."""
 
+IMU = ("HIGHRES_IMU", "RAW_IMU")
+"""Messages that the IMU is asked for by; the second of ArduPilot before 4.6, which has no first."""
+
+
+class Group(NamedTuple):
+    """A group of messages as ArduPilot sets their rates together."""
+
+    number: int
+    """MAV_DATA_STREAM."""
+    size: int
+    """Bytes of all that comes with one round of it."""
+    most: int
+    """Hz; more adds nothing."""
+
+
+GROUPS = {
+    "RAW_IMU": Group(mavlink.MAV_DATA_STREAM_RAW_SENSORS, 160, MOST_OF_GROUP),
+    "SERVO_OUTPUT_RAW": Group(mavlink.MAV_DATA_STREAM_RC_CHANNELS, 100, MOST_OF_GROUP),
+    "ATTITUDE": Group(mavlink.MAV_DATA_STREAM_EXTRA1, 80, MOST_OF_GROUP),
+    "GLOBAL_POSITION_INT": Group(mavlink.MAV_DATA_STREAM_POSITION, 80, 10),
+}
+"""Message that is needed -> the group of ArduPilot's that brings it."""
+ESC_GROUP = Group(mavlink.MAV_DATA_STREAM_EXTRA3, 300, MOST_OF_GROUP)
+"""The group with ESC_TELEMETRY, which brings much besides."""
+
 _LAST_ID_OF_VERSION_1 = 255
 _ARDUPILOT_SHORTEST = 3
 """ms. It sends nothing faster than 0.8 of its loop rate, which is 400 Hz."""
@@ -31,6 +59,7 @@ _LANDED_STATE = 2.0
 # Bytes of whole frames in version 2, as recorded from real autopilots: trailing zeros are cut.
 _SIZES = {
     "HIGHRES_IMU": 74,
+    "RAW_IMU": 41,
     "ATTITUDE": 40,
     "LOCAL_POSITION_NED": 40,
     "EXTENDED_SYS_STATE": 14,
@@ -112,6 +141,24 @@ def fitting_rates(
             return rates
         low -= 1
     return default_rates(rotor_messages, 1.0)
+
+
+def fitting_groups(speeds: str | None, rate: float, capacity: float | None) -> dict[str, float]:
+    """Whole Hz to ask ArduPilot's groups for, by the message that each is asked for.
+
+    Args:
+        speeds: the message with rotor speeds, where the vehicle has any.
+        rate: Hz wished for IMU and rotors.
+        capacity: bytes a second; None for a link without a known limit.
+    """
+    groups = GROUPS if speeds is None else {**GROUPS, speeds: ESC_GROUP}
+    low = max(round(min(rate, MOST_OF_GROUP)), 1)
+    while True:
+        rates = {name: float(min(low, group.most)) for name, group in groups.items()}
+        total = sum(rates[name] * group.size for name, group in groups.items())
+        if low == 1 or capacity is None or total <= capacity:
+            return rates
+        low -= 1
 
 
 def interval_us(autopilot: str, hertz: float) -> int:

@@ -93,7 +93,12 @@ class Recording:
             return
         values = values.astype(float).reshape(len(t), -1)
         believable = believable_times(t)
-        finite = np.isfinite(values).all(axis=1)
+        whole = np.isfinite(values)
+        finite = whole.all(axis=1)
+        if stream is Stream.IMU:
+            # Nearly everything rests on the gyro: one without an accelerometer is of use.
+            finite = whole[:, :3].all(axis=1)
+            values[finite & ~whole.all(axis=1), 3:] = np.nan
         self._drop("no time", ~believable)
         self._drop("not finite", believable & ~finite)
         sound = believable & finite

@@ -71,10 +71,16 @@ class RotorSource:
 
 @dataclass(frozen=True)
 class RotorInput:
-    """The source that identification would use, and why."""
+    """The source that identification uses, as the chain's own chooser decides."""
 
     chosen: RotorSource | None
-    reasons: tuple[str, ...]
+    reasons: tuple[str, ...] = ()
+    """Why not the others, and why this one where that is not plain."""
+    judged: bool = False
+    """Whether there was flight to judge by."""
+    range: tuple[float, float] | None = None
+    """Outputs without thrust and at full thrust, of commands."""
+    range_from: str = ""
 
 
 @dataclass(frozen=True)
@@ -129,9 +135,13 @@ class Inspection:
     """Those that matter for identification."""
     parameter_count: int
     """How many there are."""
+    rotors: int
+    """How many the airframe has, by its name, by the vehicle's type or as assumed."""
+    rotors_assumed: bool
+    """Whether nothing tells how many."""
     telemetry: Mapping[str, Any]
     """As in a result: counts, losses, messages."""
-    rotor_input: RotorInput = field(default_factory=lambda: RotorInput(None, ()))
+    rotor_input: RotorInput = field(default_factory=lambda: RotorInput(None))
     problems: tuple[str, ...] = ()
     """Why a link brings too little, as far as the link itself tells."""
     findings: tuple[Finding, ...] = ()
@@ -183,7 +193,11 @@ class Inspection:
             "rotor_input": {
                 "kind": self.rotor_input.chosen.kind if self.rotor_input.chosen else None,
                 "message": self.rotor_input.chosen.message if self.rotor_input.chosen else None,
+                "rotors": self.rotors,
+                "judged": self.rotor_input.judged,
                 "reasons": list(self.rotor_input.reasons),
+                "range": list(self.rotor_input.range) if self.rotor_input.range else None,
+                "range_from": self.rotor_input.range_from or None,
                 "sources": [
                     {**asdict(source), "unit": unit(source), "dead": list(source.dead)}
                     for source in self.rotor_sources

@@ -6,19 +6,24 @@ from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.records import Record, Stream
+from gcs_sysid.session.inspection.assumed import USUAL, assumed_airframe, rotor_count
 from gcs_sysid.session.inspection.facts import (
     AXES,
     ClockFacts,
     Inspection,
     RotorFacts,
+    RotorInput,
     RotorSource,
     StreamFacts,
 )
+from gcs_sysid.session.inspection.flight import FlightWatch
 from gcs_sysid.session.inspection.parameters import that_matter
 from gcs_sysid.session.inspection.readiness import findings_of
-from gcs_sysid.session.inspection.rotor_input import choose_rotor_input, rotor_count
+from gcs_sysid.session.inspection.rotor_input import RotorJudge
 from gcs_sysid.session.inspection.watch import MotionWatch, RotorWatch, StreamWatch
+from gcs_sysid.session.rotor_input import family
 from gcs_sysid.telemetry.clock import JUMP_BACK, ClockDrift
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
@@ -27,9 +32,6 @@ from gcs_sysid.telemetry.logs import Telemetry, open_log
 
 SETTLING = 2.0
 """s after which a vehicle sends what it was asked for: streams are watched from then on."""
-SHORTEST_FLIGHT = 1.0
-"""s; less is a jump of the autopilot's judgement."""
-MOST_FLIGHTS = 1000
 _WRAP = 2**32 * 1e-6
 """s between two wraps of 32-bit stamps in microseconds."""
 _POLL, _ASK_EVERY = 0.05, 0.2
@@ -37,7 +39,7 @@ _RECORDS_AT_ONCE = 4096
 _STATES = (Stream.IN_AIR, Stream.ARMED)
 _ROTORS = (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND)
 _MESSAGES: dict[Stream, tuple[str, ...]] = {
-    Stream.IMU: ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "sensor_combined", "IMU"),
+    Stream.IMU: ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "sensor_combined", "IMU"),
     Stream.ATTITUDE: (
         *("ATTITUDE", "ATTITUDE_QUATERNION", "vehicle_attitude"),
         *("ATT", "XKQ", "XKQ1", "NKQ", "NKQ1"),
@@ -52,67 +54,19 @@ _MESSAGES: dict[Stream, tuple[str, ...]] = {
 Key = tuple[Stream, str, int]
 
 
-class FlightWatch:
-    """When the vehicle flies: what the autopilot says, else armed with its rotors turning."""
-
-    def __init__(self) -> None:
-        self.spans: list[tuple[float, float]] = []
-        self._in_air: bool | None = None
-        self._armed: bool | None = None
-        self._turning: dict[tuple[str, int], bool] = {}
-        self._since: float | None = None
-
-    @property
-    def told_by(self) -> str:
-        """As `Inspection.flight_told_by` says."""
-        if self._in_air is not None:
-            return "autopilot"
-        if self._turning:
-            return "rotors"
-        return "arming" if self._armed is not None else ""
-
-    @property
-    def flying(self) -> bool:
-        """Whether it flies, by the records so far."""
-        return self._since is not None
-
-    def take(self, record: Record) -> bool:
-        """Note a record; whether it flies now."""
-        if record.stream is Stream.IN_AIR:
-            self._in_air = record.values[0] > 0.5
-        elif record.stream is Stream.ARMED:
-            self._armed = record.values[0] > 0.5
-        elif record.stream is Stream.ROTOR_SPEED and self._in_air is None:
-            # One dead ESC does not mean that all stand still.
-            turning = sum(1 for speed in record.values if speed > 0.0)
-            self._turning[record.source, record.offset] = 2 * turning >= len(record.values)
-        if self._in_air is not None:
-            return self._in_air
-        if self._turning:
-            return self._armed is not False and any(self._turning.values())
-        return bool(self._armed)
-
-    def turn(self, t: float, *, flying: bool) -> None:
-        """Take-off or landing at a time."""
-        if flying:
-            self._since = t
-        elif self._since is not None:
-            if t - self._since >= SHORTEST_FLIGHT and len(self.spans) < MOST_FLIGHTS:
-                self.spans.append((self._since, t))
-            self._since = None
-
-    def reboot(self, t: float) -> None:
-        """The autopilot began anew, not knowing of any flight; session time of the moment."""
-        self.turn(t, flying=False)
-        self._in_air = self._armed = None
-        self._turning.clear()
-
-
 class Inspector:
-    """Takes the records of one vehicle, in the order in which they came."""
+    """Takes the records of one vehicle, in the order in which they came.
 
-    def __init__(self) -> None:
+    Args:
+        telemetry: what the log or link tells beside its records.
+        airframe: of the vehicle; None: its type tells how many rotors it has.
+    """
+
+    def __init__(self, telemetry: Telemetry, airframe: Airframe | None = None) -> None:
         self.duration = 0.0
+        self._telemetry = telemetry
+        self._airframe = airframe
+        self._judge: RotorJudge | None = None
         self._flight = FlightWatch()
         self._streams: dict[Key, StreamWatch] = {}
         self._rotors: dict[Key, RotorWatch] = {}
@@ -126,6 +80,9 @@ class Inspector:
     def take(self, record: Record, *, count: bool = True) -> None:
         """Take a record; without `count` for what it says of flight alone."""
         stream, t, values, offset, source = record
+        if self._judge is None:
+            self._judge = self._new_judge()
+        self._judge.take(record)
         if stream is Stream.PARAMETER:
             return
         if self._began is None:
@@ -148,6 +105,17 @@ class Inspector:
             watch = self._streams[key] = StreamWatch()
         if watch.add(t, values):
             self._look_at(key, watch)
+
+    @property
+    def _known_rotors(self) -> int | None:
+        if self._airframe is not None:
+            return len(self._airframe.rotors)
+        return rotor_count(self._telemetry.vehicle)
+
+    def _new_judge(self) -> RotorJudge:
+        vehicle = self._telemetry.vehicle
+        airframe = self._airframe or assumed_airframe(self._known_rotors or USUAL)
+        return RotorJudge(airframe, vehicle.key if vehicle else "")
 
     def _reboot(self, t: float) -> None:
         assert self._began is not None
@@ -182,7 +150,6 @@ class Inspector:
         self,
         source: str,
         kind: str,
-        telemetry: Telemetry,
         drift_ppm: float | None,
         problems: tuple[str, ...] = (),
     ) -> Inspection:
@@ -191,7 +158,6 @@ class Inspector:
         Args:
             source: name of the log or link.
             kind: as `Inspection.kind`.
-            telemetry: what the log or link tells beside its records.
             drift_ppm: of the vehicle's clock.
             problems: that a link has.
         """
@@ -199,15 +165,16 @@ class Inspector:
         told_by = self._flight.told_by
         self._flight.turn(self.duration, flying=False)
         self._count_wraps()
+        telemetry = self._telemetry
         counts = telemetry.as_dict()
-        vehicle = telemetry.vehicle
+        rotors = self._known_rotors
         messages = {name: entry["count"] for name, entry in counts.get("messages", {}).items()}
-        sources = self._sources(rotor_count(vehicle))
+        sources = self._sources(rotors)
         inspection = Inspection(
             source=source,
             kind=kind,  # type: ignore[arg-type]
             duration=self.duration,
-            vehicle=vehicle,
+            vehicle=telemetry.vehicle,
             systems=tuple(telemetry.systems),
             flights=tuple(self._flight.spans),
             flight_told_by=told_by,  # type: ignore[arg-type]
@@ -220,8 +187,10 @@ class Inspector:
             clock=ClockFacts(drift_ppm, self._reboots, self._wraps),
             parameters=that_matter(telemetry.parameters),
             parameter_count=len(telemetry.parameters),
+            rotors=rotors or USUAL,
+            rotors_assumed=rotors is None,
             telemetry=counts,
-            rotor_input=choose_rotor_input(sources, flown=bool(self._flight.spans)),
+            rotor_input=RotorInput(None) if self._judge is None else self._judge.finish(sources),
             problems=problems,
         )
         return replace(inspection, findings=findings_of(inspection))
@@ -231,18 +200,17 @@ class Inspector:
         joined: dict[tuple[Stream, str], dict[int, StreamWatch]] = {}
         for (stream, source, offset), watch in self._streams.items():
             if stream in _ROTORS:
-                family = "ESC_TELEMETRY" if source.startswith("ESC_TELEMETRY") else source
-                joined.setdefault((stream, family), {})[offset] = watch
+                joined.setdefault((stream, family(source)), {})[offset] = watch
         found = []
-        for (stream, family), watches in joined.items():
+        for (stream, name), watches in joined.items():
             facts: dict[int, RotorFacts] = {}
             for (kind, source, offset), ranges in self._rotors.items():
-                if kind is stream and source.startswith(family):
+                if kind is stream and family(source) == name:
                     facts |= {offset + i: rotor for i, rotor in enumerate(ranges.rotors())}
             rates = [watch.tally.rate for watch in watches.values() if watch.tally.rate]
             found.append(
                 RotorSource(
-                    message=family,
+                    message=name,
                     kind="speed" if stream is Stream.ROTOR_SPEED else "command",
                     rate=min(rates, default=None),
                     repeats_percent=max(w.tally.repeats_percent for w in watches.values()),
@@ -290,6 +258,7 @@ def inspect_log(
     path: Path,
     wanted: tuple[int, int | None] | None = None,
     progress: Callable[[float], None] | None = None,
+    airframe: Airframe | None = None,
 ) -> Inspection:
     """See what is in a recording.
 
@@ -297,12 +266,14 @@ def inspect_log(
         path: a .tlog, .ulg or .bin file.
         wanted: system and perhaps component; None: the first autopilot in it.
         progress: called with the share of the log done, 0 to 1, now and then.
+        airframe: of the vehicle; its rotors and its anchor, if any, count. None: the vehicle's
+            type tells how many rotors it has.
 
     Raises:
         InputError: the file cannot be read as a log.
     """
     log = open_log(path, wanted)
-    inspector = Inspector()
+    inspector = Inspector(log, airframe)
     for number, record in enumerate(log.records()):
         inspector.take(record)
         if number % _RECORDS_AT_ONCE == 0:
@@ -311,7 +282,7 @@ def inspect_log(
                 progress(log.share_read)
     if progress:
         progress(1.0)
-    return inspector.finish(str(path), log.kind, log, log.drift_ppm)
+    return inspector.finish(str(path), log.kind, log.drift_ppm)
 
 
 def inspect_link(
@@ -319,7 +290,7 @@ def inspect_link(
     duration: float,
     *,
     rate: float,
-    rotors: int = 4,
+    airframe: Airframe | None = None,
     listen_only: bool = False,
     wanted: tuple[int, int | None] | None = None,
     signing_key: Path | None = None,
@@ -333,7 +304,7 @@ def inspect_link(
         link: open; it is closed at the end.
         duration: s to listen once the vehicle has spoken, and to wait for it to speak.
         rate: Hz to ask for, for IMU and rotors.
-        rotors: how many to ask for.
+        airframe: as of `inspect_log`; None: what four rotors need is asked for.
         listen_only: send nothing at all.
         wanted: as of `inspect_log`.
         signing_key: file with the key of MAVLink 2 signing.
@@ -344,7 +315,9 @@ def inspect_link(
     Raises:
         InputError: the signing key cannot be read.
     """
-    intake, inspector, drift = Intake(wanted), Inspector(), ClockDrift()
+    intake, drift = Intake(wanted), ClockDrift()
+    inspector = Inspector(intake, airframe)
+    rotors = USUAL if airframe is None else len(airframe.rotors)
     try:
         station = GroundStation(
             link, rotors, rate, listen_only=listen_only, signing_key=signing_key
@@ -381,4 +354,4 @@ def inspect_link(
         station.close()
     if progress:
         progress(1.0)
-    return inspector.finish(str(link.url), "link", intake, drift.ppm, station.problems)
+    return inspector.finish(str(link.url), "link", drift.ppm, station.problems)

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from typing import Literal
 
 from gcs_sysid.records import Stream
-from gcs_sysid.session.inspection.facts import AXES, ONBOARD, Finding, Inspection
-from gcs_sysid.session.inspection.rotor_input import LEAST_RATE
+from gcs_sysid.session.inspection.facts import AXES, ONBOARD, Finding, Inspection, RotorSource
+from gcs_sysid.session.rotor_input import MIN_RATE
 from gcs_sysid.telemetry.streams import NEEDED_RATE
 
 COMMANDS_FROM = 100.0
@@ -78,7 +78,7 @@ def _imu(found: Inspection) -> Iterator[Finding]:
         yield Finding("blocks", "no IMU data (HIGHRES_IMU)", _faster(found))
         return
     rate = imu.rate or 0.0
-    if rate < LEAST_RATE:
+    if rate < MIN_RATE:
         text = f"{imu.message} comes at {rate:.1f} Hz; identification needs {NEEDED_RATE:.0f} Hz"
         yield Finding("blocks", text, _faster(found))
     elif rate < NEARLY * COMMANDS_FROM:
@@ -93,8 +93,16 @@ def _imu(found: Inspection) -> Iterator[Finding]:
 
 def _rotors(found: Inspection) -> Iterator[Finding]:
     chosen = found.rotor_input.chosen
+    if found.rotors_assumed and found.rotor_sources:
+        text = f"the vehicle's type does not tell how many rotors it has: {found.rotors} assumed"
+        yield Finding("note", text, "give --rotors N, or --airframe")
     if chosen is None:
-        why = "; ".join(found.rotor_input.reasons)
+        if not found.rotor_input.judged and any(_is_quick(s) for s in found.rotor_sources):
+            return  # what flight would show; that there was none is told apart
+        why = "; ".join(found.rotor_input.reasons) or "; ".join(
+            f"{source.message} comes at {source.rate or 0.0:.1f} Hz"
+            for source in found.rotor_sources
+        )
         yield Finding(
             "blocks",
             f"no rotor input that can be used: {why}" if why else "no rotor input at all",
@@ -116,6 +124,10 @@ def _rotors(found: Inspection) -> Iterator[Finding]:
     elif (chosen.rate or 0.0) < NEARLY * NEEDED_RATE:
         text = f"{chosen.message} at {chosen.rate:.0f} Hz is slow: quick motion goes unused"
         yield Finding("limits", text, _faster(found))
+
+
+def _is_quick(source: RotorSource) -> bool:
+    return source.rate is not None and source.rate >= MIN_RATE
 
 
 def _attitude_and_velocity(found: Inspection) -> Iterator[Finding]:

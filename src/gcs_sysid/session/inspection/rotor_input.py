@@ -1,67 +1,54 @@
-"""Which rotor telemetry identification would use: a plain judgement by ranges and rates."""
+"""Which rotor stream identification uses: asked of the chain itself."""
 
 from collections.abc import Sequence
 
+from gcs_sysid.estimation.anchors import Anchor
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.records import Record
 from gcs_sysid.session.inspection.facts import RotorInput, RotorSource
-from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.vehicles import Vehicle
-
-LEAST_RATE = 15.0
-"""Hz below which rotor telemetry tells nothing of how the vehicle turns."""
-
-_ROTORS = {
-    mavlink.MAV_TYPE_TRICOPTER: 3,
-    mavlink.MAV_TYPE_QUADROTOR: 4,
-    mavlink.MAV_TYPE_HEXAROTOR: 6,
-    mavlink.MAV_TYPE_OCTOROTOR: 8,
-    mavlink.MAV_TYPE_DECAROTOR: 10,
-    mavlink.MAV_TYPE_DODECAROTOR: 12,
-}
+from gcs_sysid.session.rotor_input import RotorChooser
+from gcs_sysid.session.rotor_units import RotorSource as BelievedSource
+from gcs_sysid.session.sampling import SampleBlock, Sampler
 
 
-def rotor_count(vehicle: Vehicle | None) -> int | None:
-    """How many rotors a vehicle has by its type; None when that does not tell."""
-    return None if vehicle is None else _ROTORS.get(vehicle.vehicle_type or -1)
-
-
-def choose_rotor_input(sources: Sequence[RotorSource], *, flown: bool) -> RotorInput:
-    """Choose the soundest source: measured speeds before commands, then the faster.
+class RotorJudge:
+    """Asks the chain's own chooser, on the chain's own samples, which rotor stream to believe.
 
     Args:
-        sources: all that there are.
-        flown: whether they were seen in flight; without, only rates can be judged.
+        airframe: whose rotors; its anchor is used where it has one.
+        autopilot: "px4", "ardupilot".
     """
-    best_first = sorted(sources, key=lambda s: (s.kind == "command", -(s.rate or 0.0)))
-    reasons: list[str] = []
-    chosen = None
-    for source in best_first:
-        fault = _fault(source, flown=flown)
-        if not fault:
-            chosen = source
-            break
-        reasons.append(f"{source.message}: {fault}")
-    if chosen is not None and chosen.kind == "command":
-        measured = any(source.kind == "speed" for source in sources)
-        what = "no sound rotor speeds" if measured else "no measured rotor speeds"
-        reasons.append(f"{what}: {chosen.message}'s commands stand in")
-    return RotorInput(chosen, tuple(reasons))
 
+    def __init__(self, airframe: Airframe, autopilot: str) -> None:
+        own = airframe.anchor()
+        self._chooser = RotorChooser(airframe, Anchor(*own) if own else None)
+        self._chooser.autopilot = autopilot
+        self._sampler = Sampler(self._chooser, len(airframe.rotors))
+        self._believed: BelievedSource | None = None
 
-def _fault(source: RotorSource, *, flown: bool) -> str:
-    """Why a source cannot be used, in a few words; "" when it can."""
-    if source.rate is None or source.rate < LEAST_RATE:
-        return f"too slow ({source.rate or 0.0:.1f} Hz)"
-    if not flown:
-        return ""
-    if len(source.rotors) < 3:
-        return f"tells of {len(source.rotors)} rotors only"
-    dead = source.dead
-    new = source.rate * (1.0 - 0.01 * source.repeats_percent)
-    if source.kind == "speed" and not dead and new < LEAST_RATE:
-        return f"repeats old readings, {new:.0f} new ones a second"
-    if len(dead) == len(source.rotors):
-        return "all zero in flight" if source.kind == "speed" else "does not change in flight"
-    if dead:
-        motors = ", ".join(map(str, dead))
-        return f"motor {motors} tells nothing while the others turn"
-    return ""
+    def take(self, record: Record) -> None:
+        """Take a record, of whatever stream."""
+        self._note(self._sampler.push(record))
+
+    def finish(self, sources: Sequence[RotorSource]) -> RotorInput:
+        """What identification rests on at the end, among the sources described."""
+        self._note(self._sampler.finish())
+        believed, chooser = self._believed, self._chooser
+        refused = chooser.refused if believed is None else believed.refused or {}
+        reasons = [f"{name} {why}" for name, why in refused.items()]
+        if believed is None:
+            return RotorInput(None, tuple(reasons), chooser.judged)
+        if believed.kind == "command" or believed.scale != 1.0:
+            reasons.append(f"rotors from {believed.name}, {believed.why}")
+        span = believed.range
+        return RotorInput(
+            next((source for source in sources if source.message == believed.name), None),
+            tuple(reasons),
+            chooser.judged,
+            None if span is None else (span.low, span.high),
+            "" if span is None else span.origin,
+        )
+
+    def _note(self, blocks: Sequence[SampleBlock]) -> None:
+        for block in blocks:
+            self._believed = block.rotors or self._believed

@@ -1,0 +1,168 @@
+"""Outliers: samples that agree with nothing around them, and samples that were never taken.
+
+A Hampel test asks how far a sample lies from the median of its neighbours, in units of their
+scatter. On a moving signal (a doublet at 20 Hz) that median is not where the sample should be, so
+the sample is asked instead whether it agrees with any one of four readings of its neighbours: it
+lies between the two sides, on the line through the two before it or the two after it, or on
+the cubic through all four. Motion agrees with one of them, however hard; a spike with none, and
+its neighbours still agree with the side that has no spike. The unit is the median disagreement
+around and before, so that vibration and noise raise the bar, and so does the start of either.
+
+A verdict depends on `AHEAD` samples after and `BEHIND` before, and on nothing else: samples may
+come in any grouping.
+"""
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
+
+_REACH = 2
+"""Neighbours on each side that a sample is compared with."""
+_AROUND = 3
+"""Samples on each side for the usual disagreement around: two spikes in turn are no noise yet,
+but noise that begins is."""
+_PAST = 64
+"""Samples before those, for the usual disagreement."""
+_LEAST_PAST = 24
+"""Known disagreements among these, fewer than which allow no verdict."""
+_USUAL = 15.0
+"""A spike disagrees by so many medians; white noise, one sample in millions."""
+JOLT = 25.0
+"""rad/s^2; what a sample of a gyro may disagree by in any case, over the time between samples."""
+
+_FILL = 3
+"""Samples on each side among which a spike's sound neighbours are looked for."""
+AHEAD = _FILL + _REACH + _AROUND
+"""Samples after one that `despiked` needs for it: its neighbours' verdicts need theirs."""
+BEHIND = AHEAD + _PAST
+"""The same before it."""
+
+
+def despiked(t: Array, x: Array, gap: float, least: float) -> tuple[Array, Mask]:
+    """Replace spikes by what their neighbours say, each column for itself.
+
+    Args:
+        t: (n,) s, rising.
+        x: (n, width) samples.
+        gap: s; samples further apart have nothing to say of each other.
+        least: unit of x; a smaller disagreement is no spike.
+
+    Returns:
+        (n, width), NaN where a spike has no sound neighbour on a side, x itself where there is
+        no spike; and (n, width) where spikes were.
+    """
+    if len(t) < 2 * _REACH + 1 or not _may_spike(x, least):
+        return x, np.zeros(x.shape, dtype=bool)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = _disagreement(t, x, gap)
+        size = np.minimum(off, _outside(x))
+        spikes: Mask = size > least
+        rows, columns = np.nonzero(spikes)
+        spikes[rows, columns] = size[rows, columns] > _USUAL * _usual(off, rows, columns)
+    return (_filled(t, x, spikes, gap) if spikes.any() else x), spikes
+
+
+def frozen(x: Array) -> Mask:
+    """(n,) whether a row of (n, width) repeats the one before in every column.
+
+    Values of noisy sensors never do: nothing was measured.
+    """
+    out: Mask = np.zeros(len(x), dtype=bool)
+    # One column tells nearly always, at a fraction of the cost.
+    out[1:] = x[1:, 0] == x[:-1, 0]
+    if out.any():
+        now, before = x[1:], x[:-1]
+        out[1:] &= ((now == before) | (np.isnan(now) & np.isnan(before))).all(axis=1)
+    return out
+
+
+def _may_spike(x: Array, least: float) -> bool:
+    """Whether any sample is `least` off the middle of its neighbours: cheap, and never missed."""
+    bend = x[1:-1] - 0.5 * (x[:-2] + x[2:])
+    return bool(max(bend.max(), -bend.min()) > least)
+
+
+def _outside(x: Array) -> Array:
+    """(n, width) how far a sample is from lying between its two sides; NaN at the ends.
+
+    Each side is read by either of its two samples: between a value and a spike is no place.
+    """
+    out = np.full(x.shape, np.nan)
+    middle, sizes = x[2:-2], []
+    for left, right in ((x[1:-3], x[3:-1]), (x[1:-3], x[4:]), (x[:-4], x[3:-1])):
+        clipped = np.clip(middle, np.minimum(left, right), np.maximum(left, right))
+        sizes.append(np.abs(middle - clipped))
+    out[2:-2] = np.max(sizes, axis=0)
+    return out
+
+
+def _disagreement(t: Array, x: Array, gap: float) -> Array:
+    """(n, width) distance to the nearest of the two lines and the cubic; NaN: fewer than two."""
+    step = np.diff(t)
+    step[step > gap] = np.nan
+    slope = np.diff(x, axis=0) / step[:, None]
+    bend = np.abs(np.diff(slope, axis=0))
+    readings = np.full((3, *x.shape), np.nan)
+    readings[0, 2:] = bend * step[1:, None]
+    readings[1, :-2] = bend * step[:-1, None]
+    k = np.arange(_REACH, len(t) - _REACH)
+    around = k[:, None] + np.array([-2, -1, 1, 2])
+    apart = t[k, None] - t[around]
+    weights = np.ones_like(apart)
+    for j in range(4):
+        for i in range(4):
+            if i != j:
+                weights[:, j] *= apart[:, i] / (t[around[:, j]] - t[around[:, i]])
+    cubic = np.einsum("kj,kjw->kw", weights, x[around])
+    cubic[np.isnan(step[around[:, 0]] + step[k - 1] + step[k] + step[k + 1])] = np.nan
+    readings[2, k] = np.abs(x[k] - cubic)
+    out: Array = np.fmin(np.fmin(readings[0], readings[1]), readings[2])
+    # By one reading alone, a spike beside a sample would be taken for one in it.
+    out[np.isnan(readings).sum(axis=0) > 1] = np.nan
+    return out
+
+
+def _usual(off: Array, rows: Array, columns: Array) -> Array:
+    """(m,) usual disagreement at those places, the larger of that around and that before."""
+    near = rows[:, None] + np.arange(-_AROUND, _AROUND + 1)
+    past = rows[:, None] - _AROUND - 1 - np.arange(_PAST)
+    around = _medians(off, near, columns, least=1)
+    before = _medians(off, past, columns, least=_LEAST_PAST)
+    # Without enough of the past nothing is known to be unusual.
+    return np.where(np.isnan(before), np.inf, np.fmax(around, before))
+
+
+def _medians(off: Array, rows: Array, columns: Array, least: int) -> Array:
+    """(m,) medians over (m, k) rows, NaN where fewer than `least` are known."""
+    inside = (rows >= 0) & (rows < len(off))
+    values = np.where(inside, off[np.clip(rows, 0, len(off) - 1), columns[:, None]], np.nan)
+    values = np.sort(values, axis=1)  # NaN come last
+    known = np.isfinite(values).sum(axis=1)
+    medians = values[np.arange(len(values)), np.maximum(known - 1, 0) // 2]
+    return np.where(known >= least, medians, np.nan)
+
+
+def _filled(t: Array, x: Array, spikes: Mask, gap: float) -> Array:
+    """Spikes replaced by the cubic through four neighbours, or the line where it must be."""
+    out: Array = x.copy()
+    for row, column in zip(*np.nonzero(spikes), strict=True):
+        near = np.arange(max(row - _FILL, 0), min(row + _FILL + 1, len(t)))
+        sound = near[~spikes[near, column]]
+        before, after = sound[sound < row][-2:], sound[sound > row][:2]
+        out[row, column] = np.nan
+        if not len(before) or not len(after) or t[after[0]] - t[before[-1]] > gap:
+            continue
+        chosen = np.concatenate([before, after])
+        if len(chosen) < 4 or t[chosen[-1]] - t[chosen[0]] > 2.0 * gap:
+            chosen = np.array([before[-1], after[0]])
+        out[row, column] = _lagrange(t[chosen] - t[row], x[chosen, column])
+    return out
+
+
+def _lagrange(t: Array, x: Array) -> float:
+    """The polynomial through the points, at t = 0."""
+    total = 0.0
+    for j in range(len(t)):
+        others = np.delete(t, j)
+        total += x[j] * float(np.prod(others / (others - t[j])))
+    return total
