@@ -11,6 +11,7 @@ pytest.importorskip("distributed", reason="needs the extra cluster")
 
 import distributed
 
+from gcs_sysid.fleet.pools import reason
 from gcs_sysid.fleet.table import read_table
 
 pytestmark = pytest.mark.slow
@@ -53,6 +54,10 @@ def test_a_batch_over_two_workers(batch, logs, scheduler, tmp_path):
     assert read_table(out / "fleet.parquet") == read_table(local / "fleet.parquet")
     status, err = batch(logs, "-o", out, "--airframe", "paper", "--scheduler", scheduler)
     assert (status, "(5 done before)" in err) == (0, True)
+
+
+def test_a_log_that_kills_workers_is_told_as_on_one_machine():
+    assert "died" in reason(distributed.scheduler.KilledWorker("task", None, 3))
 
 
 def test_no_scheduler_is_a_line(batch, logs, tmp_path, monkeypatch):
