@@ -95,8 +95,8 @@ def _range(estimates: Sequence[Estimate]) -> tuple[float, float]:
 
 
 def _ticks(low: float, high: float) -> tuple[list[float], int]:
-    """Round values between, about four, and the decimals that show them."""
-    raw = (high - low) / 4.0
+    """Round values between, about five, and the decimals that show them."""
+    raw = (high - low) / 5.0
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= 0.999 * raw)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
