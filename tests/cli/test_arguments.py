@@ -149,7 +149,10 @@ def test_the_program_itself(case, files):
     [
         "--help",
         "--version",
-        *(f"{name} --help" for name in ("analyze", "inspect", "export", "compare")),
+        *(
+            f"{name} --help"
+            for name in ("analyze", "inspect", "export", "compare", "batch", "trend")
+        ),
     ],
 )
 def test_help_and_version_load_nothing_heavy(argument):

@@ -261,6 +261,45 @@ def add_compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", metavar="FILE", help="write the comparison; - is stdout")
 
 
+def _workers(text: str) -> int:
+    """An argparse type: how many processes."""
+    if not text.isdecimal() or not 1 <= int(text) <= 1024:
+        raise argparse.ArgumentTypeError(f"must be a whole number from 1 to 1024, got {text!r}")
+    return int(text)
+
+
+def add_batch(parser: argparse.ArgumentParser) -> None:
+    """Options of `batch`."""
+    parser.add_argument(
+        "logs", nargs="+", metavar="PATH", help="a log, or a folder with logs at any depth"
+    )
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", required=True, help="for results and table"
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="do all anew, and write over what DIR holds"
+    )
+    processes = parser.add_mutually_exclusive_group()
+    processes.add_argument(
+        "--workers", type=_workers, metavar="N", help="processes (default: one a processor)"
+    )
+    processes.add_argument(
+        "--scheduler", metavar="URL", help="work on a Dask cluster, such as tcp://10.0.0.1:8786"
+    )
+    _add_airframe(parser)
+    parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
+    parser.add_argument(
+        "--offline", action="store_true", help="maximum likelihood over whole records (slower)"
+    )
+
+
+def add_trend(parser: argparse.ArgumentParser) -> None:
+    """Options of `trend`."""
+    parser.add_argument("fleet", metavar="DIR|FILE.parquet", help="what batch wrote")
+    parser.add_argument("-o", "--output", metavar="FILE.html", required=True, help="to write")
+    parser.add_argument("--force", action="store_true", help="write over FILE if it exists")
+
+
 def _check_scale_fits(airframe: "Airframe") -> None:
     if airframe.T_max is not None and airframe.rotor_input == "speed":
         raise InputError(

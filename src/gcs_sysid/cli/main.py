@@ -74,6 +74,21 @@ def build_parser() -> argparse.ArgumentParser:
         description="Compares two results of one vehicle, parameter by parameter.",
     )
     arguments.add_compare(compare)
+    batch = commands.add_parser(
+        "batch",
+        help="identify from many logs",
+        description="Identifies from every log in files and folders, side by side: a result a "
+        "log, and a Parquet table of all. Called again, it does what is not done yet. Without "
+        "--airframe every log takes the nearest airframe.toml, beside it or in a folder above.",
+    )
+    arguments.add_batch(batch)
+    trend = commands.add_parser(
+        "trend",
+        help="see how a fleet's vehicles change from flight to flight",
+        description="Writes an HTML page of a batch: parameters over flights for every vehicle, "
+        "and where a vehicle changed from its earlier flights.",
+    )
+    arguments.add_trend(trend)
     return parser
 
 

@@ -28,12 +28,12 @@ def check_target(path: Path, *, replace: bool, sources: tuple[Path, ...] = ()) -
         raise InputError(f"{path} exists; --force replaces it")
 
 
-def write_whole(path: Path, text: str, *, replace: bool) -> None:
-    """Write a text file, UTF-8, in one step: readers see all of it or none.
+def write_whole(path: Path, content: str | bytes, *, replace: bool) -> None:
+    """Write a file in one step: readers see all of it or none.
 
     Args:
         path: of it.
-        text: all of it.
+        content: all of it; text becomes UTF-8.
         replace: whether one that is there may be replaced.
 
     Raises:
@@ -45,8 +45,8 @@ def write_whole(path: Path, text: str, *, replace: bool) -> None:
         raise InputError(f"{path}: cannot write: {error.strerror}") from error
     part = Path(name)
     try:
-        with open(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
+        with open(handle, "wb") as file:
+            file.write(content.encode() if isinstance(content, str) else content)
         if os.name == "posix":
             part.chmod(0o666 & ~_umask())
         if replace:

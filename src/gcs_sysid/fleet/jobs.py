@@ -1,0 +1,100 @@
+"""One log's analysis as a piece of work that any process on any machine can do."""
+
+import dataclasses
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gcs_sysid import __version__
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.chain import ChainOptions
+
+FAILURE = "gcs-sysid/failure/1"
+"""Schema of the document of a log that cannot be read."""
+
+Document = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A log and how it is analysed.
+
+    Attributes:
+        log: its path as it was found, for people.
+        airframe: with a scale anchor.
+        vehicle: system and perhaps component; None: the first autopilot in the log.
+        offline: whether the estimate is the maximum-likelihood one.
+    """
+
+    log: Path
+    airframe: Airframe
+    vehicle: tuple[int, int | None] | None = None
+    offline: bool = False
+
+    def settings(self) -> dict[str, Any]:
+        """All that the result depends on beside the log's content, as plain JSON values."""
+        return {
+            "version": __version__,
+            "airframe": dataclasses.asdict(self.airframe),
+            "vehicle": self.vehicle,
+            "offline": self.offline,
+        }
+
+
+@dataclass(frozen=True)
+class Task:
+    """A job whose log's content is known.
+
+    Attributes:
+        job: what is to be done.
+        path: of the log, absolute: a worker has another working folder.
+        sha256: of its content.
+        size: bytes.
+    """
+
+    job: Job
+    path: str
+    sha256: str
+    size: int
+
+    @property
+    def key(self) -> str:
+        """Equal for the same content and settings, whatever the log is called."""
+        text = json.dumps([self.sha256, self.job.settings()], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def make_task(job: Job) -> Task:
+    """Read a log's content through for its digest.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with open(job.log, "rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        size = file.tell()
+    return Task(job, str(job.log.absolute()), digest, size)
+
+
+def analyze(task: Task) -> Document:
+    """The result of one log, or why it is none, as the file that is kept.
+
+    Raises:
+        InputError: the log cannot be opened just now; that says nothing of its content.
+    """
+    job = task.job
+    made: Document
+    try:
+        options = ChainOptions(course_interval=None, offline=job.offline)
+        made = analyze_log(Path(task.path), job.airframe, job.vehicle, options).as_json()
+    except InputError as error:
+        if isinstance(error.__cause__, OSError):
+            raise
+        reason = str(error).replace(task.path, str(job.log))
+        made = {"schema": FAILURE, "error": reason}
+    about = {"sha256": task.sha256, "bytes": task.size, "settings": job.settings()}
+    return {**made, "source": str(job.log), "log": about}

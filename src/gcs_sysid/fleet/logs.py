@@ -1,0 +1,76 @@
+"""Which files are logs, and which airframe file is a log's."""
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NoReturn
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.telemetry import dataflash_format, ulog
+from gcs_sysid.telemetry.frames import Validity, read_frame
+from gcs_sysid.telemetry.tlog import STAMP
+
+AIRFRAME_FILE = "airframe.toml"
+_SUFFIXES = frozenset({".tlog", ".ulg", ".bin"})
+_HEAD = 1024
+"""Bytes: the longest record of a .tlog and more."""
+
+
+def find_logs(paths: Iterable[Path]) -> list[Path]:
+    """The logs among files and in folders, each once.
+
+    A file that is named counts as a log whatever it is. In a folder and the folders in it, a log
+    is what its content or its name says is one; a log that is damaged from the beginning is found
+    by its name. What begins with a dot is passed over.
+
+    Args:
+        paths: of files and folders.
+
+    Returns:
+        As reached from `paths`, in their order, and by name within a folder.
+
+    Raises:
+        InputError: there is no such file or folder, or a folder cannot be read.
+    """
+    found: dict[Path, Path] = {}
+    for path in paths:
+        if not path.exists():
+            raise InputError(f"{path}: no such file or folder")
+        for log in _in_folder(path) if path.is_dir() else [path]:
+            found.setdefault(log.resolve(), log)
+    return list(found.values())
+
+
+def _in_folder(folder: Path) -> Iterable[Path]:
+    def refuse(error: OSError) -> NoReturn:
+        raise InputError(f"{error.filename}: cannot read the folder: {error.strerror}")
+
+    for parent, folders, files in os.walk(folder, onerror=refuse):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        for name in sorted(files):
+            path = Path(parent, name)
+            if not name.startswith(".") and path.is_file() and _is_log(path):
+                yield path
+
+
+def _is_log(path: Path) -> bool:
+    if path.suffix.lower() in _SUFFIXES:
+        return True
+    try:
+        with open(path, "rb") as file:
+            head = file.read(_HEAD)
+    except OSError:
+        return False
+    if head.startswith((ulog.MAGIC[:4], dataflash_format.HEAD)):
+        return True
+    frame = read_frame(head, STAMP)
+    return frame is not None and frame.valid is Validity.OK
+
+
+def nearest_airframe(log: Path) -> Path | None:
+    """The airframe.toml beside a log, or in the nearest folder above that has one."""
+    for folder in log.absolute().parents:
+        file = folder / AIRFRAME_FILE
+        if file.is_file():
+            return file
+    return None

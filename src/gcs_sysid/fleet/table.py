@@ -1,0 +1,174 @@
+"""The table of a batch: a row a log, in Parquet.
+
+Every parameter is a column of the same structure, so `Ixx.value` is a number, `Ixx.*` is all of
+it, and several parameters can be stacked. docs/batch.md describes the columns.
+"""
+
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.fleet.jobs import Document, Job, Task
+from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.report.files import write_whole
+
+SCHEMA = "gcs-sysid/fleet/1"
+ESTIMATES = {**PARAMETERS, **TIMING}
+_SCALE = ("anchor", "value", "unit", "std")
+
+Row = dict[str, Any]
+
+
+def require() -> None:
+    """See beforehand that tables can be written and read.
+
+    Raises:
+        InputError: PyArrow is not installed.
+    """
+    try:
+        import pyarrow.parquet  # noqa: F401
+    except ImportError as error:
+        raise InputError(
+            "the table of a fleet is written and read by PyArrow: pip install 'gcs-sysid[fleet]'"
+        ) from error
+
+
+def row(
+    job: Job,
+    task: Task | None,
+    document: Document | None,
+    name: str | None = None,
+    error: str | None = None,
+) -> Row:
+    """The row of one log.
+
+    Args:
+        job: of the log.
+        task: the same with the log's content known, if it could be read.
+        document: of its analysis; None where it has none.
+        name: of the document's file.
+        error: why it has none.
+    """
+    made = document or {}
+    vehicle = made.get("vehicle") or {}
+    address = f"{vehicle['sysid']}:{vehicle['compid']}" if vehicle else None
+    scale = made.get("scale")
+    known = {**made.get("parameters", {}), **made.get("timing", {})}
+    out: Row = {
+        "path": str(job.log),
+        "sha256": task.sha256 if task else None,
+        "bytes": task.size if task else None,
+        "result": name,
+        "error": error or made.get("error"),
+        "verdict": made.get("verdict"),
+        "reasons": made.get("reasons"),
+        "vehicle": f"{job.airframe.name} {address}" if address else None,
+        "airframe": job.airframe.name,
+        "sysid": vehicle.get("sysid"),
+        "compid": vehicle.get("compid"),
+        "autopilot": vehicle.get("autopilot"),
+        "recorded": _time(made.get("telemetry", {}).get("recorded")),
+        "rotor_input": made.get("rotor_input"),
+        "estimator": made.get("estimator"),
+        "scale": None if scale is None else {key: scale.get(key) for key in _SCALE},
+        "changes": sum("detected" in event for event in made["events"])
+        if "events" in made
+        else None,
+        "version": job.settings()["version"],
+    }
+    for key in ESTIMATES:
+        estimate = known.get(key)
+        out[key] = estimate and {
+            **{part: estimate[part] for part in ("value", "std", "unit", "status")},
+            "rests_on": estimate.get("rests_on"),
+        }
+    return out
+
+
+def _time(text: str | None) -> datetime | None:
+    """Of a result's `recorded`: UTC, and naive, because readers turn others to local time."""
+    try:
+        return datetime.strptime(text or "", "%Y-%m-%d %H:%M UTC")
+    except ValueError:
+        return None
+
+
+def _schema() -> Any:
+    import pyarrow as pa
+
+    estimate = pa.struct(
+        [
+            ("value", pa.float64()),
+            ("std", pa.float64()),
+            ("unit", pa.string()),
+            ("status", pa.string()),
+            ("rests_on", pa.string()),
+        ]
+    )
+    scale = pa.struct(
+        [
+            ("anchor", pa.string()),
+            ("value", pa.float64()),
+            ("unit", pa.string()),
+            ("std", pa.float64()),
+        ]
+    )
+    columns = [
+        ("path", pa.string()),
+        ("sha256", pa.string()),
+        ("bytes", pa.int64()),
+        ("result", pa.string()),
+        ("error", pa.string()),
+        ("verdict", pa.string()),
+        ("reasons", pa.list_(pa.string())),
+        ("vehicle", pa.string()),
+        ("airframe", pa.string()),
+        ("sysid", pa.int16()),
+        ("compid", pa.int16()),
+        ("autopilot", pa.string()),
+        ("recorded", pa.timestamp("ms")),
+        ("rotor_input", pa.string()),
+        ("estimator", pa.string()),
+        ("scale", scale),
+        ("changes", pa.int32()),
+        ("version", pa.string()),
+        *((name, estimate) for name in ESTIMATES),
+    ]
+    return pa.schema(columns, metadata={"schema": SCHEMA})
+
+
+def write_table(path: Path, rows: list[Row]) -> None:
+    """Write the rows, by path, in place of the table that is there.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    table = pa.Table.from_pylist(sorted(rows, key=lambda row: row["path"]), _schema())
+    buffer = pa.BufferOutputStream()
+    parquet.write_table(table, buffer, compression="zstd")
+    write_whole(path, buffer.getvalue().to_pybytes(), replace=True)
+
+
+def read_table(path: Path) -> list[Row]:
+    """Read a table's rows.
+
+    Raises:
+        InputError: it cannot be read, or is no table of a batch.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        table = parquet.read_table(path, partitioning=None)
+    except (OSError, pa.ArrowInvalid) as error:
+        reason = getattr(error, "strerror", None) or "not Parquet"
+        raise InputError(f"{path}: cannot read the table: {reason}") from error
+    known = (table.schema.metadata or {}).get(b"schema")
+    if known != SCHEMA.encode() or not set(_schema().names) <= set(table.schema.names):
+        raise InputError(f"{path}: not a table of gcs-sysid batch (of this version)")
+    rows: list[Row] = table.to_pylist()
+    return rows

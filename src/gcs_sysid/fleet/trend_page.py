@@ -1,0 +1,252 @@
+"""The page of a fleet: every vehicle's parameters over its flights, and its changes."""
+
+import base64
+import hashlib
+from collections.abc import Sequence
+from importlib import resources
+
+from gcs_sysid import __version__
+from gcs_sysid.fleet.table import Row
+from gcs_sysid.fleet.trend import FEWEST, Change, Flight, Vehicle
+from gcs_sysid.fleet.trend_figure import shown_names, trend_figure
+from gcs_sysid.report.markup import Child, Markup, element
+from gcs_sysid.report.parts import Column, grid, legend, note, section, table
+from gcs_sysid.report.wording import (
+    NOTHING,
+    VERDICT_WORDS,
+    Z95,
+    fixed,
+    names_text,
+    number,
+    unit_text,
+    value_text,
+)
+from gcs_sysid.session.result import Estimate
+
+_LEGEND = (
+    ("identified", "identified, with its 95 % interval"),
+    ("weak", "rough"),
+    ("changed", "changed from the flights before"),
+    ("mean", "mean of flights without a change between"),
+)
+_RULE = (
+    "A flight is compared with what the earlier flights since the last change predict for it, "
+    "their usual scatter from flight to flight counted. A vehicle that stays the same is called "
+    "changed at any of its flights in one case of twenty at most."
+)
+_FEW = (
+    f"With fewer than {FEWEST} flights their usual scatter is not known: a difference may be that, "
+    "and not a change."
+)
+
+
+def render(title: str, vehicles: Sequence[Vehicle], unused: Sequence[Row]) -> str:
+    """The page as HTML text; the same table gives the same text."""
+    style = "".join(
+        (resources.files(package) / name).read_text(encoding="utf-8")
+        for package, name in (
+            ("gcs_sysid.report", "assets/report.css"),
+            ("gcs_sysid.fleet", "trend.css"),
+        )
+    )
+    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
+    policy = f"default-src 'none'; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
+    head = element(
+        "head",
+        element("meta", charset="utf-8"),
+        element("meta", http_equiv="Content-Security-Policy", content=policy),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("meta", name="color-scheme", content="light dark"),
+        element("title", f"{title}: fleet (gcs-sysid)"),
+        element("style", Markup(style)),
+    )
+    contents = element(
+        "nav",
+        *(
+            element("a", vehicle.name, href=f"#vehicle-{place}")
+            for place, vehicle in enumerate(vehicles, 1)
+        ),
+        element("a", "Logs that tell nothing", href="#unused") if unused else None,
+        aria_label="Contents",
+    )
+    body = element(
+        "body",
+        element(
+            "header",
+            element("p", "Fleet over its flights", class_="kind"),
+            element("h1", title),
+            contents,
+        ),
+        element(
+            "main",
+            _overview(vehicles, unused),
+            *(_vehicle(place, vehicle) for place, vehicle in enumerate(vehicles, 1)),
+            _unused(unused) if unused else None,
+        ),
+        element("footer", f"gcs-sysid {__version__}"),
+    )
+    return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
+
+
+def _overview(vehicles: Sequence[Vehicle], unused: Sequence[Row]) -> Markup:
+    changed = [vehicle for vehicle in vehicles if vehicle.changed]
+    flights = sum(len(vehicle.flights) for vehicle in vehicles)
+    words = f"{_count(len(vehicles), 'vehicle')}, {_count(flights, 'flight')}. "
+    if changed:
+        words += f"Changed: {names_text([vehicle.name for vehicle in changed])}."
+    else:
+        words += "No change seen from flight to flight." if flights > len(vehicles) else ""
+    if unused:
+        words += f" {_count(len(unused), 'log')} told nothing."
+    rows: list[list[Child]] = [
+        [
+            element("a", vehicle.name, href=f"#vehicle-{place}"),
+            str(len(vehicle.flights)),
+            _date(vehicle.flights[0].row).partition(" ")[0],
+            _date(vehicle.flights[-1].row).partition(" ")[0],
+            _changes_text(vehicle),
+        ]
+        for place, vehicle in enumerate(vehicles, 1)
+    ]
+    columns = [
+        Column("Vehicle"),
+        Column("Flights", numbers=True),
+        Column("First"),
+        Column("Last"),
+        Column("Changes"),
+    ]
+    return section(
+        "overview",
+        "Has a vehicle changed?",
+        element("p", words, class_="sentence"),
+        note(_RULE),
+        table("Vehicles by the name of their airframe and their address", columns, rows)
+        if rows
+        else None,
+    )
+
+
+def _changes_text(vehicle: Vehicle) -> str:
+    return "; ".join(
+        f"flight {flight.number}: {names_text([d.name for d in flight.change.differences])}"
+        for flight in vehicle.changed
+        if flight.change is not None
+    ) or ("no change seen" if len(vehicle.flights) > 1 else NOTHING)
+
+
+def _vehicle(place: int, vehicle: Vehicle) -> Markup:
+    figures = [trend_figure(vehicle, name) for name in shown_names(vehicle)]
+    changes = [row for flight in vehicle.changed for row in _change_rows(flight)]
+    columns = [
+        Column("Flight"),
+        Column("Compared with"),
+        Column("Parameter"),
+        Column("Expected", numbers=True),
+        Column("Found", numbers=True),
+        Column("Difference", numbers=True),
+    ]
+    notes = [
+        text.replace("the mass of B", f"the mass at flight {flight.number}")
+        for flight in vehicle.changed
+        if flight.change is not None
+        for text in flight.change.comparison.notes
+        if "changed at the masses given" in text
+    ]
+    return section(
+        f"vehicle-{place}",
+        vehicle.name,
+        element("h3", "Changes") if changes else None,
+        table("Differences with their 95 % intervals", columns, changes) if changes else None,
+        *(note(text) for text in notes),
+        note(_FEW) if changes and len(vehicle.flights) < FEWEST else None,
+        element("h3", "Parameters over flights"),
+        legend(*_LEGEND),
+        grid("three", figures),
+        element("details", element("summary", "The flights"), _flights(vehicle)),
+    )
+
+
+def _change_rows(flight: Flight) -> list[list[Child]]:
+    change = flight.change
+    assert change is not None
+    out: list[list[Child]] = []
+    for found in change.differences:
+        assert found.value is not None
+        assert found.std is not None
+        expected = None if found.before is None else found.before.value
+        share = f" ({fixed(100.0 * found.value / abs(expected), 1)} %)" if expected else ""
+        out.append(
+            [
+                str(flight.number),
+                _span(change),
+                found.name,
+                _value(found.before),
+                _value(found.after),
+                _interval(found.value, found.std, found.unit) + share,
+            ]
+        )
+    return out
+
+
+def _span(change: Change) -> str:
+    if change.first == change.last:
+        return f"flight {change.first}"
+    return f"flights {change.first} to {change.last}"
+
+
+def _value(estimate: Estimate | None) -> str:
+    if estimate is None or estimate.value is None or estimate.std is None:
+        return NOTHING
+    return _interval(estimate.value, estimate.std, estimate.unit)
+
+
+def _interval(value: float, std: float, unit: str) -> str:
+    told, half, power, _ = value_text(value, Z95 * std)
+    return f"({told} ± {half}){power} {unit_text(unit)}".rstrip()
+
+
+def _flights(vehicle: Vehicle) -> Markup:
+    rows: list[list[Child]] = []
+    for flight in vehicle.flights:
+        row, scale = flight.row, flight.result.scale
+        words = VERDICT_WORDS[flight.result.verdict]
+        rows.append(
+            [
+                str(flight.number),
+                _date(row),
+                row["path"],
+                f"{words}; changed in flight" if row["changes"] else words,
+                NOTHING
+                if scale is None
+                else f"{scale.anchor} {number(scale.value, 4)} {unit_text(scale.unit)}",
+            ]
+        )
+    columns = [
+        Column("Flight"),
+        Column("Recorded"),
+        Column("Log"),
+        Column("Verdict"),
+        Column("Scale", numbers=True),
+    ]
+    return table("In the order of time; those that do not tell it last, by path", columns, rows)
+
+
+def _unused(rows: Sequence[Row]) -> Markup:
+    return section(
+        "unused",
+        "Logs that tell nothing",
+        table(
+            "Refused or unreadable",
+            [Column("Log"), Column("Why")],
+            [[row["path"], row["error"] or "; ".join(row["reasons"] or ())] for row in rows],
+        ),
+    )
+
+
+def _date(row: Row) -> str:
+    recorded = row["recorded"]
+    return f"{recorded:%Y-%m-%d %H:%M}" if recorded else NOTHING
+
+
+def _count(count: int, word: str) -> str:
+    return f"{count} {word}{'s' if count != 1 else ''}"

@@ -1,0 +1,59 @@
+"""A few short flights in folders as people keep them, and the command on them."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from gcs_sysid.cli.main import run
+from gcs_sysid.model.airframe import load_airframe
+
+SHORT = ("--mission", "all-axes", "--noise", "paper", "--sigma", "0.002", "--rate", "20")
+
+
+@pytest.fixture(scope="session")
+def flights(fly) -> list[Path]:
+    """Three flights of half a minute."""
+    return [fly(*SHORT, "--duration", "30", "--seed", str(n)).tlog for n in (1, 2, 3)]
+
+
+@pytest.fixture
+def logs(flights, tmp_path) -> Path:
+    """A folder: two vehicles with flights of equal names, a copy, and a broken log."""
+    folder = tmp_path / "logs"
+    for name in ("one", "two"):
+        (folder / name).mkdir(parents=True)
+    for flight, place in zip(flights, ("one/a.tlog", "one/b.tlog", "two/a.tlog"), strict=True):
+        shutil.copy(flight, folder / place)
+    shutil.copy(flights[0], folder / "one" / "copy without a suffix")
+    (folder / "two" / "broken.ulg").write_bytes(b"nothing of the kind" * 20)
+    (folder / "two" / "notes.txt").write_text("wind from the west")
+    return folder
+
+
+@pytest.fixture
+def batch(capsys):
+    """Runs `batch`; (status, standard error). Nothing may go to standard output."""
+
+    def batch(*argv):
+        status = run(["batch", *map(str, argv)])
+        out = capsys.readouterr()
+        assert out.out == ""
+        return status, out.err
+
+    return batch
+
+
+@pytest.fixture
+def airframe_file():
+    """Writes the paper's airframe under another name."""
+
+    def write(path: Path, name: str, mass: float = 1.5) -> None:
+        airframe = load_airframe("paper")
+        lines = [f"name = {json.dumps(name)}", f"mass = {mass}"]
+        for rotor in airframe.as_json()["rotors"]:
+            lines += ["[[rotor]]", *(f"{key} = {json.dumps(v)}" for key, v in rotor.items())]
+        path.write_text("\n".join(lines))
+
+    return write
