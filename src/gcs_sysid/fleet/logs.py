@@ -8,7 +8,7 @@ from typing import NoReturn
 from gcs_sysid.errors import InputError
 from gcs_sysid.telemetry import dataflash_format, ulog
 from gcs_sysid.telemetry.frames import Validity, read_frame
-from gcs_sysid.telemetry.tlog import STAMP
+from gcs_sysid.telemetry.tlog_scan import STAMP
 
 AIRFRAME_FILE = "airframe.toml"
 _SUFFIXES = frozenset({".tlog", ".ulg", ".bin"})
