@@ -103,7 +103,7 @@ def data() -> dict[str, Any]:
         "changes": case([{"mass": changed(), "payload": changed()} for _ in some]),
         "false-alarms": case([{"hover": {"alarms": 0, "minutes": 1.0}}]),
         "filters": case([filtered()], seeds=50),
-        "speed": case([{"block": 30000.0, "single": 4000.0}]),
+        "speed": case([{"block": 30000.0, "ticks": 12000.0, "single": 4000.0}]),
         "end-to-end": case([{"a flight": flight}]),
     }
 

@@ -243,7 +243,8 @@ def test_live_where_nobody_speaks_says_so_and_goes_on(tmp_path):
     out, err = process.communicate(timeout=60)
     assert process.returncode == 1
     assert "Traceback" not in err
-    assert re.search(r"recorded to logs/.*\.tlog", err)
+    assert re.search(r"nothing was heard: logs/.*\.tlog is not kept", err)
+    assert not list((tmp_path / "logs").glob("*.tlog"))
     (line,) = out.splitlines()
     result = read_strict(line)
     assert result["verdict"] == "refused"

@@ -81,7 +81,7 @@ def test_mems_noise_at_250_hz(fly, airframe):
 
 
 def test_size_of_portions_does_not_matter(paper_flight, paper_result, airframe):
-    pipeline = Pipeline(airframe, str(paper_flight.tlog))
+    pipeline = Pipeline(airframe, str(paper_flight.tlog), None, ChainOptions(course_interval=None))
     for _, frame in read_tlog(paper_flight.tlog):
         pipeline.take([frame])
     result = pipeline.finish()

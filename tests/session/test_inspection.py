@@ -180,7 +180,7 @@ def flown(*speeds, vehicle_type):
         t = 1.0 + 0.01 * i
         if i % 50 == 0:
             inspector.take(Record(Stream.IN_AIR, t, (1.0,)))
-        inspector.take(Record(Stream.IMU, t, (0.0,) * 5 + (-9.8,)))
+        inspector.take(Record(Stream.IMU, t, (0.001 * math.sin(i),) + (0.0,) * 4 + (-9.8,)))
         values = tuple(v + v / 50.0 * math.sin(i * (k + 1)) for k, v in enumerate(speeds))
         inspector.take(Record(Stream.ROTOR_SPEED, t, values, 0, "ESC_STATUS"))
     return inspector.finish("made", "tlog", None)

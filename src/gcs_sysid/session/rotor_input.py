@@ -226,14 +226,15 @@ class RotorChooser:
         rotors = stretch.rotors(count)
         if len(rotors) < count:
             return f"tells {len(rotors)} of {count} rotors"
-        rate = min(len(t) for t, _ in rotors) / self._seconds
+        rotors, seconds = _until_landing(rotors, self._seconds)
+        rate = min(len(t) for t, _ in rotors) / seconds
         if rate < MIN_RATE:
             return f"comes at {rate:.1f} Hz, which does not follow the rotors"
         values = [v for _, v in rotors]
         if not any(v.any() for v in values):
             return "reads 0 while the vehicle flies"
         if stretch.stream is Stream.ROTOR_SPEED:
-            fresh = max(_readings(v) for v in values) / self._seconds
+            fresh = max(_readings(v) for v in values) / seconds
             if fresh < MIN_RATE:
                 return f"repeats old readings, {fresh:.0f} new ones a second"
         moves = np.array([np.ptp(v) / max(np.abs(v).mean(), 1e-9) for v in values])
@@ -328,6 +329,15 @@ def _readings(values: Array) -> float:
     if not len(jumps) or float(np.median(jumps)) <= 2.0 * _step(values):
         return math.inf
     return float(len(jumps))
+
+
+def _until_landing(
+    rotors: list[tuple[Array, Array]], seconds: float
+) -> tuple[list[tuple[Array, Array]], float]:
+    """A stretch without the end in which all rotors stand: a landing is told a little late."""
+    share = max(len(np.trim_zeros(v, "b")) / len(v) for _, v in rotors) or 1.0
+    kept = [math.ceil(share * len(t)) for t, _ in rotors]
+    return [(t[:n], v[:n]) for (t, v), n in zip(rotors, kept, strict=True)], share * seconds
 
 
 def _is_function(t: Array, speeds: Array, command_t: Array, commands: Array) -> bool:

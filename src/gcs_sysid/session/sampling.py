@@ -191,6 +191,8 @@ class Sampler:
         flown = int(np.isfinite(held.block.samples.gyro[:, 0]).sum()) * held.block.dt
         if flew:  # else the chooser has not seen what came in that time
             self.chooser.fly(flown)
+        if flew and not self.flying and self.chooser.choice is not None:
+            self.chooser.gap()  # what came since it landed tells nothing of the next flight
         if self.chooser.choice is None and self._may_still_choose():
             return ()
         return self._release()
