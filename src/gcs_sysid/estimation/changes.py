@@ -316,11 +316,15 @@ class ChangeDetector:
 
     def _close_frame(self) -> Change | None:
         """Test the frame's mean, then let mean and levels move."""
-        there = np.isfinite(self._e)
-        count = there.sum(axis=0)
-        total = np.where(there, self._e, 0.0).sum(axis=0)
-        enough = 2 * count > self._frame
-        mean = np.where(enough, total / np.maximum(count, 1), np.nan) - self._level.mean
+        total = self._e.sum(axis=0)
+        if np.isfinite(total.sum()):
+            mean = total / self._frame - self._level.mean
+        else:
+            there = np.isfinite(self._e)
+            count = there.sum(axis=0)
+            total = np.where(there, self._e, 0.0).sum(axis=0)
+            enough = 2 * count > self._frame
+            mean = np.where(enough, total / np.maximum(count, 1), np.nan) - self._level.mean
         self._move_floor()
         # A frame's mean of white noise is this much quieter; colour keeps it louder.
         floor = 0.5 * self._floor

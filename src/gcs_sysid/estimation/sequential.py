@@ -83,6 +83,12 @@ class Level:
 
     def update(self, frame: Array, floor: Array) -> None:
         """Take a frame (n, channels); a channel with less than half of it present is held."""
+        if np.isfinite(frame.sum()) and self.frames.all():
+            self._learn(
+                frame, len(frame), np.maximum(1.0 / (self.frames + 1), self._least_gain), floor
+            )
+            self.frames += 1
+            return
         there = np.isfinite(frame)
         count = there.sum(axis=0)
         enough = 2 * count > len(frame)
@@ -92,12 +98,15 @@ class Level:
             # Rough: the frames that follow in the warm-up outweigh it.
             self.variance[c] = max((1.5 * np.median(np.abs(e - self.mean[c]))) ** 2, 1e-12)
         share = np.where(enough, np.maximum(1.0 / (self.frames + 1), self._least_gain), 0.0)
-        limit = 4.0 * np.maximum(np.sqrt(self.variance), floor)
-        d = np.where(there, np.clip(frame - self.mean, -limit, limit), 0.0)
-        count = np.maximum(count, 1)
-        self.mean += share * d.sum(axis=0) / count
-        self.variance += share * ((d * d).sum(axis=0) / count - self.variance)
+        self._learn(np.where(there, frame, self.mean), np.maximum(count, 1), share, floor)
         self.frames += enough
+
+    def _learn(self, frame: Array, count: Array | int, gain: Array, floor: Array) -> None:
+        """Move towards a frame without gaps; what is far off counts less."""
+        limit = 4.0 * np.maximum(np.sqrt(self.variance), floor)
+        d = np.minimum(np.maximum(frame - self.mean, -limit), limit)
+        self.mean += gain * (d.sum(axis=0) / count)
+        self.variance += gain * (np.einsum("nc,nc->c", d, d) / count - self.variance)
 
     def std(self, floor: Array) -> Array:
         """(channels,) noise level, at least the floor."""
