@@ -116,6 +116,11 @@ class RecordBlock:
                 yield window
 
     @property
+    def imu_samples(self) -> int:
+        """How many samples of the IMU there are."""
+        return sum(len(track.t) for track in self.tracks if track.stream is Stream.IMU)
+
+    @property
     def ends_with_imu(self) -> bool:
         """Whether there are samples alone, the last one of the IMU."""
         if self.parameters or not self.tracks:

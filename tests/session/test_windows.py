@@ -32,11 +32,14 @@ def analysed(path, airframe, *, windows, mass=None, course=None):
 
 def assert_same(result, other, *, share=1e-5):
     assert result.verdict == other.verdict
+    repeats = [dict(r.telemetry["rotor_input"].pop("repeats")) for r in (result, other)]
     assert result.telemetry == other.telemetry
+    # A window ends beside the ticks: flight is told up to a tenth of a second earlier.
+    assert repeats[0]["count"] == pytest.approx(repeats[1]["count"], abs=40, rel=0.002)
     assert len(result.segments) == len(other.segments)
     assert [e["kind"] for e in result.events] == [e["kind"] for e in other.events]
     for event, told in zip(result.events, other.events, strict=True):
-        assert event["t"] == pytest.approx(told["t"], abs=1e-6)
+        assert event["t"] == pytest.approx(told["t"], abs=0.1)
     for name, value in result.parameters.items():
         expected = other.parameters[name]
         assert value.status == expected.status, name
@@ -46,19 +49,15 @@ def assert_same(result, other, *, share=1e-5):
             assert value.std == pytest.approx(expected.std, rel=max(share, 1e-3)), name
 
 
+ALL_AXES = ("--mission", "all-axes", "--duration", "25")
 FLIGHTS = {
-    "sound": ("--mission", "all-axes", "--duration", "40"),
-    "ground and two flights": (
-        *("--mission", "all-axes", "--duration", "25"),
-        *("--trap", "ground=6", "--trap", "flights=2"),
-    ),
-    "a mass step": ("--mission", "all-axes", "--duration", "40", "--mass-step", "25:1.2"),
-    "a reboot": ("--mission", "all-axes", "--duration", "40", "--trap", "reboot=22"),
-    "skipped samples": ("--mission", "all-axes", "--duration", "40", "--trap", "skips"),
-    "disorder": ("--mission", "all-axes", "--duration", "30", "--trap", "disorder"),
-    "late rotors": ("--mission", "all-axes", "--duration", "30", "--trap", "rotor-late=0.03"),
-    "spikes": ("--mission", "all-axes", "--duration", "30", "--trap", "gyro-outliers"),
-    "ArduPilot": ("--mission", "all-axes", "--duration", "30", "--autopilot", "ardupilot"),
+    "sound": ALL_AXES,
+    "ground and two flights": (*ALL_AXES, "--trap", "ground=6", "--trap", "flights=2"),
+    "a mass step": (*ALL_AXES, "--mass-step", "15:1.2"),
+    "a reboot": (*ALL_AXES, "--trap", "reboot=12"),
+    "skipped samples": (*ALL_AXES, "--trap", "skips"),
+    "spikes": (*ALL_AXES, "--trap", "gyro-outliers"),
+    "ArduPilot": (*ALL_AXES, "--autopilot", "ardupilot"),
 }
 
 
@@ -71,7 +70,7 @@ def test_windows_give_what_records_give(fly, name):
     assert_same(result, analysed(flight.tlog, "paper", windows=False)[0], share=fraction)
     if name == "sound":
         # Take-off, and what comes behind the last whole window.
-        assert share < 0.6
+        assert share < 0.5
 
 
 @pytest.mark.parametrize("name", ["px4-esc-cg.tlog", "px4-sih-default.ulg", "ardupilot-sitl.tlog"])
@@ -80,7 +79,7 @@ def test_windows_of_recorded_flights(shared_logs, name):
     path = shared_logs / name
     result, _, share = analysed(path, airframe, windows=True, mass=mass)
     assert_same(result, analysed(path, airframe, windows=False, mass=mass)[0])
-    assert share < 0.5
+    assert share < 0.2
 
 
 def test_the_course_in_windows_is_that_of_records(fly):
@@ -90,7 +89,7 @@ def test_the_course_in_windows_is_that_of_records(fly):
         for windows in (True, False)
     ]
     now, before = courses
-    assert len(now.t) == len(before.t) > 350
+    assert len(now.t) == len(before.t) > 200
     assert now.t == pytest.approx(before.t, abs=1e-9)
     for name in ("Ixx", "Izz", "k_M", "mass"):
         late = now.t > 10.0

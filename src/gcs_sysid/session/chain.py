@@ -44,6 +44,8 @@ from gcs_sysid.session.snapshot import Course, Event
 _MAX_EVENTS = 300
 WINDOW = 2048
 """IMU samples that are best taken at once."""
+_LEAST_WINDOW = 64
+"""Fewer are fed one by one as fast."""
 
 
 @dataclass(frozen=True)
@@ -138,9 +140,15 @@ class Chain:
         Where nothing happens, the window is aligned, filtered and learnt from as arrays; where
         something does, its records are fed one by one.
         """
-        if not (window.ends_with_imu and self._take_at_once(window)):
-            for _, record in window.records():
-                self.feed(record)
+        if window.ends_with_imu and self._take_at_once(window):
+            return
+        if window.imu_samples >= 4 * _LEAST_WINDOW:
+            # What happens, happens in one part of it.
+            for part in window.windows(window.imu_samples // 4):
+                self.take(part)
+            return
+        for _, record in window.records():
+            self.feed(record)
 
     def _take_at_once(self, window: RecordBlock) -> bool:
         known = self.sampler.copy()

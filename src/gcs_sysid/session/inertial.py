@@ -1,7 +1,9 @@
 """The inertial sensor's own stream: freed of outliers and moved to the CG before interpolation."""
 
 import math
+from copy import deepcopy
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 
@@ -49,6 +51,11 @@ class InertialBuffer(StreamBuffer):
         self.step = 0.0
         """Usual time between samples, s, as the owner tells once it is known."""
         self._counted = -np.inf
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        other = super().__deepcopy__(memo)
+        other.faults = deepcopy(self.faults, memo)  # its owner's copy counts in the same
+        return other
 
     def push(self, t: float, values: tuple[float, ...]) -> None:
         """Add a sample, if its gyro is finite; its accelerometer need not be."""

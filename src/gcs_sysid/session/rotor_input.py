@@ -63,6 +63,9 @@ class Stretch:
     stream: Stream
     groups: dict[int, tuple[list[float], list[tuple[float, ...]]]] = field(default_factory=dict)
 
+    def __deepcopy__(self, memo: object) -> "Stretch":
+        return Stretch(self.stream, {k: (t[:], v[:]) for k, (t, v) in self.groups.items()})
+
     def add(self, record: Record) -> None:
         """Keep a record, while there is room."""
         times, values = self.groups.setdefault(record.offset, ([], []))

@@ -2,6 +2,8 @@
 
 from collections import deque
 from collections.abc import Sequence
+from copy import copy
+from typing import Any, Self
 
 import numpy as np
 
@@ -52,6 +54,15 @@ class StreamBuffer:
         self._t = np.empty(_LEAST)
         self._values = np.empty((_LEAST, width))
         self._start = self._end = 0
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        # Nothing but arrays and numbers, of which the arrays alone are written to.
+        t, values = self._arrays()
+        other = copy(self)
+        other._steps = self._steps.copy()
+        other._new_t, other._new_values = [], []
+        other._t, other._values, other._start, other._end = t.copy(), values.copy(), 0, len(t)
+        return other
 
     def __len__(self) -> int:
         return self._end - self._start + len(self._new_t)
