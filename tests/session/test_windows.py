@@ -56,7 +56,6 @@ FLIGHTS = {
     "a mass step": (*ALL_AXES, "--mass-step", "15:1.2"),
     "a reboot": (*ALL_AXES, "--trap", "reboot=12"),
     "skipped samples": (*ALL_AXES, "--trap", "skips"),
-    "spikes": (*ALL_AXES, "--trap", "gyro-outliers"),
     "ArduPilot": (*ALL_AXES, "--autopilot", "ardupilot"),
 }
 
