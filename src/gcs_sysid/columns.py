@@ -95,15 +95,15 @@ class RecordBlock:
         """
         if not len(self) and not self.events:
             return
-        cuts = {0}
+        cuts, end = {0}, 0
         for track in self.tracks:
-            cuts.add(int(track.order[-1]) + 1)
+            end = max(end, int(track.order[-1]) + 1)
             if track.stream is Stream.IMU:
                 cuts |= set((track.order[imu_samples - 1 :: imu_samples] + 1).tolist())
                 cuts.add(int(track.order[-1]) + 1)
         for number, _ in self.parameters:
             cuts |= {number, number + 1}
-        cuts |= {number for number, _ in self.events}
+        cuts |= {number for number, _ in self.events} | {end}
         last = max(cuts)
         for first, stop in pairwise([*sorted(cuts), last + 1]):
             tracks = (track.between(first, stop) for track in self.tracks)

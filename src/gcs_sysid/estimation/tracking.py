@@ -12,7 +12,7 @@ the same (`estimation.flights`): if so, the estimate goes on with both; else a s
 
 from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -435,6 +435,4 @@ def _after_change(before: Fit, geometry: Array) -> Prior | None:
 
 def _gap(samples: Samples) -> Samples:
     """One missing sample."""
-    return Samples(
-        **{f.name: np.full_like(getattr(samples, f.name)[:1], np.nan) for f in fields(Samples)}
-    )
+    return Samples(*(np.full_like(signal[:1], np.nan) for signal in samples.signals))

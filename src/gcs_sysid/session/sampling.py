@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -46,10 +46,10 @@ class SampleBlock:
 
     def since(self, first: int) -> "SampleBlock":
         """The block without the samples before `first`."""
-        samples = Samples(
-            **{f.name: getattr(self.samples, f.name)[first:] for f in fields(Samples)}
+        rest = slice(first, None)
+        return replace(
+            self, t=self.t[rest], samples=self.samples.part(rest), flying=self.flying[rest]
         )
-        return replace(self, t=self.t[first:], samples=samples, flying=self.flying[first:])
 
 
 @dataclass(frozen=True)
