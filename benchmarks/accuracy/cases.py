@@ -26,7 +26,6 @@ from benchmarks.accuracy.flights import (
     fly,
     fly_late,
     measure,
-    part,
 )
 from benchmarks.accuracy.statistics import Z95, settled
 from gcs_sysid.arrays import Array, Mask
@@ -139,7 +138,7 @@ def course(seed: int) -> dict[str, Any]:
     step = round(REFIT / dt)
     t, errors, std, identified = [], [], [], []
     for begin in range(0, len(samples.gyro), step):
-        estimator.update(part(samples, slice(begin, begin + step)))
+        estimator.update(samples.part(slice(begin, begin + step)))
         # The last is the one that a session ends with.
         fit = estimator.fit(quick=begin + step < len(samples.gyro))
         if fit.seconds < NOTHING_BEFORE:
@@ -217,7 +216,7 @@ def speed(seed: int) -> dict[str, float]:
         estimator = OnlineEstimator(GEOMETRY, dt, Tuning())
         began = time.process_time()
         for begin in range(0, n, size):
-            now = part(samples, slice(begin, begin + size))
+            now = samples.part(slice(begin, begin + size))
             attitude = complementary.update(now.gyro, now.attitude)
             rates = now.gyro - complementary.biases
             first = (begin // each + 1) * each

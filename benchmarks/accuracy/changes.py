@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.flights import GEOMETRY, VEHICLE, fly, measure, part
+from benchmarks.accuracy.flights import GEOMETRY, VEHICLE, fly, measure
 from gcs_sysid.estimation.changes import ChangeTuning
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import Tuning
@@ -83,7 +83,7 @@ def _follow(change: Change, seed: int) -> dict[str, Any]:
     out: dict[str, Any] = {"t": [], "error": []}
     for k in range(0, len(flight.t), BLOCK):
         now = slice(k, k + BLOCK)
-        tracker.update(flight.t[now], part(samples, now))
+        tracker.update(flight.t[now], samples.part(now))
         since = flight.t[now][-1] - AT
         step = EARLY_STEP if since < EARLY else STEP
         if since < 0.0 or (k // BLOCK) % round(step / DT / BLOCK):
@@ -126,6 +126,6 @@ def quiet(seed: int) -> dict[str, Any]:
         tracker = Tracker(GEOMETRY, DT, Tuning(), ChangeTuning())
         for k in range(0, len(flight.t), BLOCK):
             now = slice(k, k + BLOCK)
-            tracker.update(flight.t[now], part(samples, now))
+            tracker.update(flight.t[now], samples.part(now))
         out[mission] = {"alarms": len(tracker.events), "minutes": float(flight.t[-1]) / 60.0}
     return out

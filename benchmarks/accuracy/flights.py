@@ -1,6 +1,6 @@
 """Flights of the article's vehicle, and what its sensors make of them."""
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import lru_cache
 
 import numpy as np
@@ -112,11 +112,6 @@ def exact(flight: Flight) -> Samples:
         force=flight.specific_force[0],
         velocity=flight.velocity[0],
     )
-
-
-def part(samples: Samples, where: slice) -> Samples:
-    """A stretch of samples."""
-    return replace(samples, **{f.name: getattr(samples, f.name)[where] for f in fields(Samples)})
 
 
 def _imbalance(speeds: Array, dt: float, seed: int) -> Array:

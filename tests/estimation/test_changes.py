@@ -1,6 +1,6 @@
 """Change detection on emulated flights with MEMS noise, against a reference that is known."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,10 +63,6 @@ def measured(flight, seed=1):
     )
 
 
-def part(samples, where):
-    return Samples(**{f.name: getattr(samples, f.name)[where] for f in fields(Samples)})
-
-
 def reference(delay=0.0, r_squared=0.99, kappa_factor=1.0):
     v = VEHICLE
     inertia = np.array([v.Ixx, v.Iyy, v.Izz, v.Ixy, v.Iyz, v.Ixz]) / v.k_T
@@ -89,7 +85,7 @@ def watch(samples, fit=None, block=25, detector=None):
     detector.arm(fit or reference())
     found = []
     for k in range(0, len(samples.gyro), block):
-        found += detector.update(part(samples, slice(k, k + block)))
+        found += detector.update(samples.part(slice(k, k + block)))
     return found, detector
 
 
@@ -203,10 +199,10 @@ def test_grouping_of_samples_does_not_matter(changed, name):
 def test_a_renewed_reference_is_no_change(quiet_flight):
     samples = measured(quiet_flight)
     cut = 2000
-    _, detector = watch(part(samples, slice(0, cut)))
+    _, detector = watch(samples.part(slice(0, cut)))
     # 3 % in kappa is 0.3 m/s^2: six noise levels, if it were taken for a jump.
     fit = reference(kappa_factor=1.03)
-    found, detector = watch(part(samples, slice(cut, None)), fit, detector=detector)
+    found, detector = watch(samples.part(slice(cut, None)), fit, detector=detector)
     assert found == []
 
 
@@ -215,7 +211,7 @@ def test_silent_after_a_detection_until_armed_anew(changed):
     found, detector = watch(samples)
     assert len(found) == 1
     assert not detector.armed
-    assert detector.update(part(samples, slice(0, 500))) == []
+    assert detector.update(samples.part(slice(0, 500))) == []
     detector.arm(reference())
     assert detector.armed
 

@@ -1,6 +1,6 @@
 """The offline estimator on flights whose truth is known."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,15 +11,10 @@ from scipy.signal import lfilter
 from gcs_sysid.estimation.innovations import BIAS_STD, AxisNoise
 from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximise_likelihood
 from gcs_sysid.estimation.propagation import SPLINE_END
-from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.model import rigid_body as rb
 
 SIZE = np.array([80.0, 80.0, 140.0, 7.0, 12.0, 8.0, 0.1, 0.05, 0.03, 20.0, 0.3])
 """Rough size of theta's entries: what an error is measured against."""
-
-
-def part(samples, where):
-    return Samples(**{f.name: getattr(samples, f.name)[where] for f in fields(Samples)})
 
 
 def with_noise(samples, noise):
@@ -39,7 +34,7 @@ def high_pass(samples, sigma, corner, dt, seed):
 @pytest.fixture(scope="module")
 def slow(flight):
     """30 s at 40 Hz, and its sample time."""
-    return part(flight, slice(None, None, 5)), 0.025
+    return flight.part(slice(None, None, 5)), 0.025
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +47,7 @@ def start(truth):
 def test_exact_without_noise(truth, flight, start, every):
     """At 20 Hz too, where the fastest signal turns by half a radian a sample."""
     dt = 0.005 * every
-    fit = maximise_likelihood(part(flight, slice(None, None, every)), truth.geometry, dt, start)
+    fit = maximise_likelihood(flight.part(slice(None, None, every)), truth.geometry, dt, start)
     assert fit.converged
     assert np.abs((fit.theta - truth.theta) / SIZE).max() < 2e-4
 
@@ -98,7 +93,7 @@ def test_colour_is_found_and_used(truth, slow, start):
 @pytest.mark.parametrize("colour", [None, 5.0])
 def test_bound_equals_the_dense_computation(truth, slow, colour):
     """Against finite differences of the simulated record and its full covariance matrix."""
-    samples, dt = part(slow[0], slice(120)), slow[1]
+    samples, dt = slow[0].part(slice(120)), slow[1]
     n = len(samples.gyro)
     sigma, process = 0.02, 0.1
     axis = AxisNoise(sigma, colour, 0.0 if colour is None else 1.0, process)
@@ -154,7 +149,7 @@ def test_bound_equals_the_dense_computation(truth, slow, colour):
 @pytest.mark.slow
 def test_noise_of_speeds_does_not_bias(truth, flight, start):
     """Strong enough that without its correction inertia would be too large by far."""
-    samples, dt, level = part(flight, slice(None, 4000, 2)), 0.01, 0.7
+    samples, dt, level = flight.part(slice(None, 4000, 2)), 0.01, 0.7
     errors, uncorrected = [], []
     for seed in range(3):
         noise = level * np.random.default_rng(seed).standard_normal(samples.speeds.shape)
@@ -214,9 +209,9 @@ def test_prior_enters_as_information(truth, slow, start):
 
 def test_nothing_to_fit(truth, slow, start):
     samples, dt = slow
-    assert maximise_likelihood(part(samples, slice(20)), truth.geometry, dt, start) is None
+    assert maximise_likelihood(samples.part(slice(20)), truth.geometry, dt, start) is None
     with pytest.raises(ValueError, match="no rigid body"):
         maximise_likelihood(samples, truth.geometry, dt, -start)
     noise = AxisNoise(0.02, None, 0.0, 0.0)
     with pytest.raises(ValueError, match="without a gap"):
-        cramer_rao_bound(part(samples, slice(20)), truth.geometry, dt, start, (noise, noise, noise))
+        cramer_rao_bound(samples.part(slice(20)), truth.geometry, dt, start, (noise, noise, noise))

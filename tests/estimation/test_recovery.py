@@ -1,6 +1,6 @@
 """Rows and fits on flights whose truth is known."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from gcs_sysid.estimation.article import METHODS, ArticleEstimator
 from gcs_sysid.estimation.basis import WIDTH, RotorBasis
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.regression import LeakySums, RowMaker, Samples
+from gcs_sysid.estimation.regression import LeakySums, RowMaker
 from gcs_sysid.estimation.rotors import RotorPath
 from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.estimation.tuning import Tuning
@@ -19,10 +19,6 @@ from gcs_sysid.filters.smoothers import DifferentiatorSmoother, WindowSmoother
 from gcs_sysid.model import rigid_body as rb
 
 DT = 0.005
-
-
-def part(samples, where):
-    return Samples(**{f.name: getattr(samples, f.name)[where] for f in fields(Samples)})
 
 
 def noisy(samples, sigma, seed):
@@ -135,7 +131,7 @@ def test_grouping_of_samples_does_not_matter(truth, flight, step):
     n, measured = len(flight.gyro), noisy(flight, 0.02, 1)
     estimators[0].update(measured)
     for k in range(0, n, round(step / DT)):
-        estimators[1].update(part(measured, slice(k, k + round(step / DT))))
+        estimators[1].update(measured.part(slice(k, k + round(step / DT))))
     whole, parts = (e.fit() for e in estimators)
     assert whole.seconds == parts.seconds > 25.0
     # Sums in another order; the minimiser stops at a small fraction of a standard deviation.
@@ -245,7 +241,7 @@ def test_too_few_rows_make_no_translation():
 
 def article_fit(truth, samples, method, every=10):
     estimator = ArticleEstimator(truth.geometry, DT * every, method)
-    estimator.update(part(samples, slice(None, None, every)))
+    estimator.update(samples.part(slice(None, None, every)))
     return estimator.fit()
 
 
@@ -271,7 +267,7 @@ def test_direct_form_is_drawn_to_zero_by_noise(truth, plain_flight):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_every_variant_of_the_article_gives_numbers(truth, plain_flight, method):
-    samples = part(noisy(plain_flight, 0.02, 1), slice(None, None, 10))
+    samples = noisy(plain_flight, 0.02, 1).part(slice(None, None, 10))
     whole = ArticleEstimator(truth.geometry, 0.05, method)
     whole.update(samples)
     fit = whole.fit()
@@ -281,7 +277,7 @@ def test_every_variant_of_the_article_gives_numbers(truth, plain_flight, method)
     if method != "central-difference":  # which needs the neighbours of a sample
         parts = ArticleEstimator(truth.geometry, 0.05, method)
         for k in range(0, len(samples.gyro), 7):
-            parts.update(part(samples, slice(k, k + 7)))
+            parts.update(samples.part(slice(k, k + 7)))
         np.testing.assert_allclose(parts.fit().theta, fit.theta, rtol=1e-6)
 
 
@@ -293,7 +289,7 @@ def test_a_delay_of_the_rotors_is_found(truth, flight, delay):
     """Speeds stamped late, by whole samples and by parts of one."""
     t = np.arange(len(flight.speeds)) * DT
     late = CubicSpline(t, flight.speeds)(np.maximum(t - delay, 0.0))
-    samples = part(noisy(replace(flight, speeds=late), 0.01, 1), slice(50, None))
+    samples = noisy(replace(flight, speeds=late), 0.01, 1).part(slice(50, None))
     fit = rotation_fit(truth, samples, WindowSmoother(DT, 20, BANK))
     assert abs(fit.delay - delay) < 3.0 * fit.delay_std
     assert fit.delay_std < 1e-3

@@ -117,3 +117,24 @@ def of():
         return [r for r in log.records() if r.stream is stream and r.source == source]
 
     return of
+
+
+def _damaged(data, rng):
+    """A copy with bytes flipped, cut and inserted."""
+    data = bytearray(data)
+    for _ in range(rng.randrange(1, 8)):
+        at = rng.randrange(len(data))
+        match rng.randrange(3):
+            case 0:
+                data[at] ^= 1 << rng.randrange(8)
+            case 1:
+                del data[at : at + rng.randrange(1, 60)]
+            case _:
+                data[at:at] = rng.randbytes(rng.randrange(1, 60))
+    return bytes(data)
+
+
+@pytest.fixture(scope="session")
+def damage():
+    """Damages bytes: (data, rng) to a copy with bytes flipped, cut and inserted."""
+    return _damaged

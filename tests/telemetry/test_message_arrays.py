@@ -122,29 +122,14 @@ def test_windows_joined_are_the_whole(tmp_path, stream):
         assert joined.tobytes() == rows.tobytes()
 
 
-def damaged(data, rng):
-    """A copy with bytes flipped, cut and inserted."""
-    data = bytearray(data)
-    for _ in range(rng.randrange(1, 8)):
-        at = rng.randrange(len(data))
-        match rng.randrange(3):
-            case 0:
-                data[at] ^= 1 << rng.randrange(8)
-            case 1:
-                del data[at : at + rng.randrange(1, 60)]
-            case _:
-                data[at:at] = rng.randbytes(rng.randrange(1, 60))
-    return bytes(data)
-
-
 @pytest.mark.parametrize("seeds", [range(first, first + 20) for first in range(0, 200, 20)])
 def test_damaged_logs_give_no_less_than_pymavlink_and_nothing_wrong(
-    tmp_path, stream, pymavlink_reads, seeds
+    damage, tmp_path, stream, pymavlink_reads, seeds
 ):
     raws = [frame.raw for frame in stream[1]] * 2
     path = tmp_path / "hurt.tlog"
     for seed in seeds:
-        path.write_bytes(damaged(as_log(raws), random.Random(seed)))
+        path.write_bytes(damage(as_log(raws), random.Random(seed)))
         good = [frame for _, frame in read_tlog(path) if frame.valid is Validity.OK]
         assert {frame.raw for frame in good} <= set(raws), seed
         arrays, counts = read_messages(path)
