@@ -178,6 +178,9 @@ class Chain:
 
     def reset(self) -> None:
         """Forget the estimate; go on with the next samples."""
+        # However records were taken, what came before is forgotten, and nothing else.
+        for block in self.sampler.catch_up():
+            self._take(block)
         self._tracker = None
         self._anchors = self._anchors[:1]
         self._told = 0

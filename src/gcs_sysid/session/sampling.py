@@ -174,6 +174,11 @@ class Sampler:
             self.chooser.extend([track.between(*orders) for track in tracks])
             self.chooser.fly(count * self.time_base.dt)
 
+    def catch_up(self) -> tuple[SampleBlock, ...]:
+        """The next blocks, up to now instead of to the last tick."""
+        block = self.time_base.catch_up()
+        return () if block is None else self._take(block)
+
     def finish(self) -> tuple[SampleBlock, ...]:
         """What is still held back."""
         block = self.time_base.finish()

@@ -23,6 +23,8 @@ _IMU: Key = (Stream.IMU, "", 0)
 
 _LEAST_LAG = 0.04
 """s, of the grid behind the newest sample."""
+_ROUNDING = 1e-6
+"""s, of sums of ticks."""
 _FEW = 16
 """Samples whose mean interval tells a changed rate."""
 _SAME_RATE = (0.7, 1.4)
@@ -127,14 +129,14 @@ class TimeBase:
         self._newest = max(self._newest, record.t)
         if not self._started:
             self._try_start(imu)
-        elif record.t >= self._next_tick:
+        elif record.t >= self._next_tick - _ROUNDING:
             self._tick_on(record.t)
             if self._is_outgrown(imu):
                 block = self.finish()
                 self._stop(clear=False)
                 self._try_start(imu)
             else:
-                block = self._emit(min(record.t - self.lag, imu.settled()))
+                block = self.catch_up()
         return block
 
     def take(self, tracks: Sequence[Track]) -> Block | None:
@@ -151,13 +153,19 @@ class TimeBase:
             return None
         for track in tracks:
             self._buffers[_key(track)].extend(track.t, track.values)
-        imu = self._imu_buffer()
         self._newest = max(track.t[-1] for track in tracks if track.stream is Stream.IMU)
         self._tick_on(self._newest)
-        return self._emit(min(self._newest - self.lag, imu.settled()))
+        return self.catch_up()
+
+    def catch_up(self) -> Block | None:
+        """Give out what there is, tick or no tick: all but the samples of the last `lag`."""
+        if not self._started:
+            return None
+        return self._emit(min(self._newest - self.lag, self._imu_buffer().settled()))
 
     def _tick_on(self, t: float) -> None:
-        self._next_tick += self.tick * max(1 + (t - self._next_tick) // self.tick, 0)
+        past = t + _ROUNDING - self._next_tick
+        self._next_tick += self.tick * max(1 + past // self.tick, 0)
 
     def _are_regular(self, tracks: Sequence[Track]) -> bool:
         imu = next((track for track in tracks if track.stream is Stream.IMU), None)
