@@ -70,6 +70,42 @@ class Event:
 
 
 @dataclass(frozen=True)
+class Gain:
+    """What flying an advised manoeuvre does to one parameter.
+
+    Attributes:
+        name: of the parameter.
+        now: half its 95 % interval now, as a share of its value; None: not known at all.
+        expected: the same after the manoeuvre.
+    """
+
+    name: str
+    now: float | None
+    expected: float
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to fly next, in a pilot's words; never more than words.
+
+    Attributes:
+        manoeuvre: name in the library, empty when there is nothing left to fly.
+        text: one sentence that says what to fly, how hard, how long and what for.
+        seconds: how long the manoeuvre takes.
+        progress: 0 to 1, how much of it was flown since it was advised.
+        gains: the parameters that it is for, the widest first.
+        enough: every interval meets the target.
+    """
+
+    manoeuvre: str
+    text: str
+    seconds: float = 0.0
+    progress: float = 0.0
+    gains: tuple[Gain, ...] = ()
+    enough: bool = False
+
+
+@dataclass(frozen=True)
 class Snapshot:
     """One instant of a running session. Nothing in it changes afterwards."""
 
@@ -89,3 +125,5 @@ class Snapshot:
     """rad/s, or commands of 0 to 1 where those are the input; motor order."""
     events: tuple[Event, ...] = ()
     """The latest last; at most a few hundred are kept."""
+    advice: Advice | None = None
+    """What to fly next; None while nobody can tell, or nobody asked."""
