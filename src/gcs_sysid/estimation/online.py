@@ -22,6 +22,7 @@ from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.estimation.validation import Validation, validate
+from gcs_sysid.model import rigid_body
 
 _SETTLE_GROWTH = 1.5
 _MIN_BATCHES = 10
@@ -30,6 +31,9 @@ _WELL_KNOWN = 10.0
 """s of flight from which the search for a footing starts from the one before."""
 MIN_MOMENTUM_SECONDS = 5.0
 """Flight time from which momentum balance beats the accelerometer's bias."""
+
+_LEAST_OWN = 0.02
+"""Of a residual's power, what is the gyro's at least: the rotors' noise is known to so much."""
 
 PriorSource = Callable[[TranslationFit | None], Prior | None]
 """What is known beforehand, given k_T / m as far as it is known."""
@@ -124,6 +128,28 @@ class OnlineEstimator:
     def speed_std(self) -> Array:
         """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
         return self._record.speed_std
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """The coordinates that are estimated, see `estimation.basis`."""
+        return self._basis.free
+
+    def gyro_density(self, fit: RotationFit, theta: Array) -> Array:
+        """(3, 3) two-sided density of gyro noise, rad^2/s, that leaves a fit's residual.
+
+        Noise of the rotors' inputs apart, as far as that is known.
+
+        Args:
+            fit: of this record.
+            theta: (N_THETA,) what the rotors' noise acts with.
+        """
+        record, n = self._record, rigid_body.N_SIGNALS
+        Q = rigid_body.forward_matrix(theta)
+        own = np.diag(fit.residual_covariance)
+        rotors = np.diag(Q @ record.noise(fit.leak)[:n, :n] @ Q.T)
+        left = np.maximum(own - rotors, _LEAST_OWN * own)
+        density: Array = np.diag(left) * (self.dt / record.noise_gains()[fit.leak])
+        return density
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""

@@ -17,7 +17,7 @@ from gcs_sysid.columns import RecordBlock
 from gcs_sysid.estimation.anchors import Anchor, relative_prior, resolve_scale
 from gcs_sysid.estimation.changes import ChangeTuning
 from gcs_sysid.estimation.offline import OfflineFit, fit_offline
-from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.parameters import (
     WEAK_BELOW_R2,
     Value,
@@ -226,6 +226,15 @@ class Chain:
     def fit(self) -> Fit:
         """The latest fit."""
         return self._fit
+
+    @property
+    def estimator(self) -> OnlineEstimator | None:
+        """The one in force; None before the first sample in flight."""
+        return None if self._tracker is None else self._tracker.estimator
+
+    def values(self, fit: Fit) -> dict[str, Value]:
+        """Physical parameters of any fit, by the rules of this flight's own."""
+        return self._values(fit, self.anchor)
 
     @property
     def anchor(self) -> Anchor:

@@ -1,0 +1,103 @@
+"""Which manoeuvre to fly next."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.coach.information import information
+from gcs_sysid.coach.manoeuvres import Manoeuvre
+from gcs_sysid.coach.motion import Motion, within_reach
+from gcs_sysid.coach.outlook import Outlook
+from gcs_sysid.coach.targets import excess, is_enough
+from gcs_sysid.estimation.basis import LAG
+from gcs_sysid.estimation.online import Fit
+
+Judge = Callable[[Fit], Mapping[str, float | None]]
+"""Shares of a fit, see `targets.shares`."""
+
+USUAL = 10.0
+"""s that a manoeuvre lasts."""
+_LENGTHS = (*range(5, 16), 18, 20)
+_BOTH = 0.1
+"""Of roll's and pitch's squared rates, what the lesser needs of the greater to start a fit."""
+_CLOSE = 0.9
+"""Expected intervals are aimed to be so much narrower than asked for: they are an estimate."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A manoeuvre and what it is expected to bring.
+
+    Attributes:
+        manoeuvre: within the vehicle's reach, with its length.
+        motion: of it.
+        now: shares before.
+        expected: shares after.
+        after: the fit expected then.
+        told: (N_UNKNOWNS, N_UNKNOWNS) information of a second of it.
+    """
+
+    manoeuvre: Manoeuvre
+    motion: Motion
+    now: Mapping[str, float | None]
+    expected: Mapping[str, float | None]
+    after: Fit
+    told: Array
+
+    @property
+    def names(self) -> list[str]:
+        """Parameters that it is for: those it narrows, the widest first."""
+        gained = []
+        for name, share in self.expected.items():
+            before = self.now.get(name)
+            if share is not None and (before is None or share < 0.8 * before):
+                gained.append((float("inf") if before is None else before, share, name))
+        return [name for _, _, name in sorted(gained, reverse=True)]
+
+
+def choose(
+    outlook: Outlook, library: Iterable[Manoeuvre], judge: Judge, target: float
+) -> Choice | None:
+    """The manoeuvre that brings the widest intervals nearest to the target; None: none can.
+
+    Args:
+        outlook: what is known.
+        library: to choose from.
+        judge: tells the shares of a fit.
+        target: share to reach.
+    """
+    now = judge(outlook.after())
+    far = excess(now, target)
+    best: tuple[float, Manoeuvre, Motion, Array] | None = None
+    for manoeuvre in library:
+        found = within_reach(manoeuvre, outlook.craft)
+        if found is None:
+            continue
+        reached, motion = found
+        if outlook.fit.rotation is None and not _starts(motion):
+            continue
+        told = information(motion, outlook.craft, outlook.noise, float(outlook.coordinates[LAG]))
+        reached = reached.lasting(USUAL)
+        left = excess(judge(_after(outlook, told, reached)), _CLOSE * target)
+        if best is None or left < best[0]:
+            best = left, reached, motion, told
+    if best is None or not best[0] < far:
+        return None
+    _, chosen, motion, told = best
+    for seconds in _LENGTHS:
+        tried = chosen.lasting(float(seconds))
+        if is_enough(judge(_after(outlook, told, tried)), _CLOSE * target):
+            chosen = tried
+            break
+    after = _after(outlook, told, chosen)
+    return Choice(chosen, motion, now, judge(after), after, told)
+
+
+def _starts(motion: Motion) -> bool:
+    """Whether a fit can start from it alone: that takes motion in roll and in pitch."""
+    roll, pitch, _ = (motion.rates**2).mean(axis=0)
+    return bool(min(roll, pitch) > _BOTH * max(roll, pitch))
+
+
+def _after(outlook: Outlook, told: Array, manoeuvre: Manoeuvre) -> Fit:
+    return outlook.after(told, manoeuvre.seconds, manoeuvre.effective_seconds)

@@ -1,0 +1,122 @@
+"""A small library of manoeuvres that a pilot can fly by hand.
+
+All are swings to and fro: sine-like doublets of attitude angles and of height, about one place.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+
+RAMP = 1.0
+"""s, over which a swing grows at the start of a manoeuvre and fades at its end."""
+_PACES = (0.7, 1.0, 1.4)
+"""Hz, of roll and pitch: slow, usual and brisk by hand."""
+_CLIMB_PACE = 0.5
+"""Hz, of height."""
+_YAW_MOST = math.radians(45.0)
+_STEP = math.radians(5.0)
+"""Angles are told in steps of so much."""
+LEAST = math.radians(5.0)
+"""A smaller swing cannot be flown by eye."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the pilot does not want to exceed.
+
+    Attributes:
+        tilt: rad, of roll and pitch.
+        rate: rad/s, about each body axis.
+        height: m, up and down from where the manoeuvre begins.
+    """
+
+    tilt: float = math.radians(20.0)
+    rate: float = math.radians(150.0)
+    height: float = 1.0
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """Swings about several axes at once.
+
+    Attributes:
+        name: in the library.
+        roll: rad, how far to each side; so are pitch and yaw.
+        climb: m, how far up and down.
+        pace: Hz, of roll, pitch and height.
+        yaw_pace: Hz, of yaw: the same or half.
+        seconds: from start to end, the ramps included.
+    """
+
+    name: str
+    roll: float = 0.0
+    pitch: float = 0.0
+    yaw: float = 0.0
+    climb: float = 0.0
+    pace: float = 1.0
+    yaw_pace: float = 1.0
+    seconds: float = 10.0
+
+    @property
+    def effective_seconds(self) -> float:
+        """Seconds at full swing that tell as much: squares of the ramps count for 3/8 each."""
+        return self.seconds - 2.0 * RAMP * (1.0 - 0.375)
+
+    def lasting(self, seconds: float) -> "Manoeuvre":
+        """The same, longer or shorter."""
+        return replace(self, seconds=seconds)
+
+    def angles(self, t: Array) -> Array:
+        """(n, 4) roll, pitch, yaw (rad) and height (m) at full swing, at (n,) times in s."""
+        # Pitch follows roll by a quarter: the stick goes round.
+        waves = (
+            np.sin(2.0 * np.pi * self.pace * t),
+            np.cos(2.0 * np.pi * self.pace * t) if self.roll else np.sin(2.0 * np.pi * self.pace * t),
+            np.sin(2.0 * np.pi * self.yaw_pace * t),
+            np.sin(2.0 * np.pi * self.pace * t),
+        )
+        return np.stack(waves, axis=1) * (self.roll, self.pitch, self.yaw, self.climb)
+
+    def as_json(self) -> dict[str, Any]:
+        """For a plan's JSON, angles in degrees."""
+        return {
+            "name": self.name,
+            "roll_deg": round(math.degrees(self.roll), 1),
+            "pitch_deg": round(math.degrees(self.pitch), 1),
+            "yaw_deg": round(math.degrees(self.yaw), 1),
+            "climb_m": self.climb,
+            "hz": self.pace,
+            "yaw_hz": self.yaw_pace,
+            "seconds": self.seconds,
+        }
+
+
+def library(limits: Limits) -> tuple[Manoeuvre, ...]:
+    """Every manoeuvre within the limits, as hard as they allow."""
+    out: list[Manoeuvre] = []
+    for pace in _PACES:
+        tilt = _rounded(min(limits.tilt, limits.rate / (2.0 * math.pi * pace)))
+        yaw = _rounded(min(_YAW_MOST, limits.rate / (2.0 * math.pi * pace)))
+        slow = _rounded(min(_YAW_MOST, limits.rate / (math.pi * pace)))
+        found = [
+            Manoeuvre("roll", roll=tilt, pace=pace),
+            Manoeuvre("pitch", pitch=tilt, pace=pace),
+            Manoeuvre("yaw", yaw=yaw, pace=pace, yaw_pace=pace),
+            Manoeuvre("roll and pitch", roll=tilt, pitch=tilt, pace=pace),
+            Manoeuvre("roll and yaw", roll=tilt, yaw=yaw, pace=pace, yaw_pace=pace),
+            Manoeuvre("pitch and yaw", pitch=tilt, yaw=yaw, pace=pace, yaw_pace=pace),
+            Manoeuvre("roll and slow yaw", roll=tilt, yaw=slow, pace=pace, yaw_pace=0.5 * pace),
+            Manoeuvre("pitch and slow yaw", pitch=tilt, yaw=slow, pace=pace, yaw_pace=0.5 * pace),
+        ]
+        out += [m for m in found if not 0.0 < max(m.roll, m.pitch, m.yaw) < LEAST]
+    if limits.height >= 0.2:
+        out.append(Manoeuvre("climb", climb=min(limits.height, 1.0), pace=_CLIMB_PACE))
+    return tuple(m for m in out if m.roll or m.pitch or m.yaw or m.climb)
+
+
+def _rounded(angle: float) -> float:
+    return math.floor(angle / _STEP + 1e-9) * _STEP

@@ -1,0 +1,148 @@
+"""What a manoeuvre asks of a vehicle: the regression's signals over one period."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.coach.manoeuvres import LEAST, Manoeuvre
+from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.parameters import GRAVITY
+
+_POINTS = 96
+"""In a period; the fastest products of the fastest pace take eight of them."""
+_LEAST_THRUST = 0.15
+"""Of the mean hover thrust of a rotor: what each has to keep."""
+_MOST_THRUST = 2.0
+"""The same, what each may give where the greatest thrust is not known."""
+_YAW_STEPS = 4
+
+
+@dataclass(frozen=True)
+class Craft:
+    """What is known, or supposed, of the vehicle.
+
+    Attributes:
+        geometry: (3, rotors) x, y, spin.
+        theta: (N_THETA,) see `rigid_body.THETA`.
+        thrust: sum of the rotors' Omega^2 in hover; of T / T_max with commands.
+        commands: whether the rotors' inputs are commands.
+        most: greatest thrust of a rotor over its mean hover share; None: not known.
+        curve: thrust curve with commands, see `estimation.basis`.
+    """
+
+    geometry: Array
+    theta: Array
+    thrust: float
+    commands: bool = False
+    most: float | None = None
+    curve: float = 1.0
+
+    @property
+    def mean_share(self) -> float:
+        """Thrust of a rotor in hover, on average, in units of `thrust`."""
+        return self.thrust / self.geometry.shape[1]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One period of a manoeuvre at full swing.
+
+    Attributes:
+        signals: (n, N_SIGNALS) of the forward form.
+        rates: (n, 3) body rates, rad/s.
+        shares: (n, rotors) thrust of each, in units of `Craft.thrust`.
+        period: s.
+    """
+
+    signals: Array
+    rates: Array
+    shares: Array
+    period: float
+
+
+def within_reach(manoeuvre: Manoeuvre, craft: Craft) -> tuple[Manoeuvre, Motion] | None:
+    """The manoeuvre with no more swing than the rotors can give, and its motion.
+
+    Yaw is given up first, as rotors have least to turn it with. None: not even a small one.
+    """
+    share = 1.0
+    for _ in range(3):
+        tilted = replace(
+            manoeuvre,
+            roll=_whole(share * manoeuvre.roll),
+            pitch=_whole(share * manoeuvre.pitch),
+            climb=share * manoeuvre.climb,
+        )
+        for step in range(_YAW_STEPS):
+            yaw = _whole(manoeuvre.yaw * 0.7**step)
+            if manoeuvre.yaw and yaw < LEAST:
+                break
+            tried = replace(tilted, yaw=yaw)
+            motion = motion_of(tried, craft)
+            if _is_within(motion.shares, craft):
+                return tried, motion
+            if not manoeuvre.yaw:
+                break
+        share *= 0.7
+        if 0.0 < max(tilted.roll, tilted.pitch) <= LEAST:
+            return None
+    return None
+
+
+def _whole(angle: float) -> float:
+    """rad, in whole steps of a degree."""
+    return math.radians(round(math.degrees(angle)))
+
+
+def _is_within(shares: Array, craft: Craft) -> bool:
+    most = _MOST_THRUST if craft.most is None else 0.9 * craft.most
+    return bool(
+        shares.min() >= _LEAST_THRUST * craft.mean_share and shares.max() <= most * craft.mean_share
+    )
+
+
+def motion_of(manoeuvre: Manoeuvre, craft: Craft) -> Motion:
+    """The motion that the manoeuvre is, and the rotors' part in it."""
+    paces = [manoeuvre.pace] if not manoeuvre.yaw else [manoeuvre.pace, manoeuvre.yaw_pace]
+    period = 1.0 / min(paces)
+    t = np.arange(_POINTS) * (period / _POINTS)
+    roll, pitch, yaw, _ = angles = manoeuvre.angles(t).T
+    roll_rate, pitch_rate, yaw_rate, _ = (_derivative(a, period) for a in angles)
+    up = _derivative(_derivative(angles[3], period), period)
+    rates = np.stack(
+        [
+            roll_rate - yaw_rate * np.sin(pitch),
+            pitch_rate * np.cos(roll) + yaw_rate * np.cos(pitch) * np.sin(roll),
+            yaw_rate * np.cos(pitch) * np.cos(roll) - pitch_rate * np.sin(roll),
+        ],
+        axis=1,
+    )
+    turning = np.stack([_derivative(w, period) for w in rates.T], axis=1)
+    thrust = craft.thrust * (1.0 + up / GRAVITY) / (np.cos(roll) * np.cos(pitch))
+    x = np.zeros((_POINTS, rb.N_SIGNALS))
+    x[:, 4:10] = rb.rate_products(rates)
+    x[:, 10:13] = rates
+    x[:, 2] = thrust
+    # What the rotors have to give on top of what these signals do by themselves.
+    theta = craft.theta.copy()
+    theta[rb.ROTOR_INERTIA] = 0.0
+    J = rb.inertia_matrix(theta)
+    left = turning @ J.T - x @ (J @ rb.forward_matrix(theta)).T
+    x[:, 0], x[:, 1] = left[:, 0], left[:, 1]
+    x[:, 3] = left[:, 2] / theta[rb.MOMENT_RATIO]
+    shares = x[:, :4] @ np.linalg.pinv(rb.mixer(craft.geometry))
+    speeds = np.sqrt(np.maximum(shares, 0.0))
+    H = (shares if craft.commands else speeds) @ craft.geometry[2]
+    x[:, 13], x[:, 14] = rates[:, 1] * H, rates[:, 0] * H
+    x[:, 15] = _derivative(H, period)
+    return Motion(x, rates, shares, period)
+
+
+def _derivative(signal: Array, period: float) -> Array:
+    """Of a periodic signal, exactly up to half the points' frequency."""
+    spectrum = np.fft.rfft(signal)
+    spectrum *= 2j * np.pi / period * np.arange(len(spectrum))
+    derived: Array = np.fft.irfft(spectrum, len(signal))
+    return derived

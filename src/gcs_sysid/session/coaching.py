@@ -1,0 +1,177 @@
+"""The flight coach beside a running chain: advice for the snapshots.
+
+It only reads: what the chain estimates is the same with a coach and without.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.coach.choice import Choice, choose
+from gcs_sysid.coach.information import Noise, speed_noise
+from gcs_sysid.coach.manoeuvres import Limits, library
+from gcs_sysid.coach.outlook import Outlook, outlook_of
+from gcs_sysid.coach.supposed import supposed, supposed_noise
+from gcs_sysid.coach.targets import is_enough, shares
+from gcs_sysid.coach.words import sentence
+from gcs_sysid.estimation.online import Fit
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.sampling import SampleBlock
+from gcs_sysid.session.snapshot import Advice, Gain
+
+_EVERY = 1.0
+"""s of vehicle time between looks."""
+_STALE = 10.0
+"""s after which advice that nobody follows is thought over."""
+_BEGUN = 0.1
+"""Progress from which advice is being followed."""
+_FLOWN = 0.97
+_LEAST_SECONDS = 3.0
+"""s of flight from which its residuals tell the noise, and hover has told the CG."""
+_MATTERS = 0.1
+"""Share of a manoeuvre's motion from which an axis belongs to it."""
+_MOST_GAINS = 4
+
+
+@dataclass(frozen=True)
+class CoachOptions:
+    """What a pilot may set.
+
+    Attributes:
+        target: half of a 95 % interval over the value, which every parameter is to reach.
+        limits: of the manoeuvres.
+    """
+
+    target: float = 0.02
+    limits: Limits = Limits()
+
+
+class Coach:
+    """Watches a chain and says what to fly next.
+
+    Args:
+        chain: fed by somebody else; the coach observes its samples.
+        options: settings.
+    """
+
+    def __init__(self, chain: Chain, options: CoachOptions | None = None) -> None:
+        self.options = options or CoachOptions()
+        self.choice: Choice | None = None
+        """What is advised."""
+        self._chain = chain
+        self._library = library(self.options.limits)
+        self._advice: Advice | None = None
+        self._text = ""
+        self._next_look = 0.0
+        self._chosen_at = 0.0
+        self._seconds = 0.0
+        self._gathered = np.zeros(4)
+        chain.observer = self.take
+
+    def take(self, block: SampleBlock) -> None:
+        """Gather what motion there is in a block."""
+        samples = block.samples.part(block.flying)
+        rates = samples.rates[np.isfinite(samples.rates).all(axis=1)]
+        down = samples.velocity[:, 2]
+        down = down[np.isfinite(down)]
+        self._gathered[:3] += (rates * rates).sum(axis=0) * block.dt
+        if down.size:
+            # Velocity comes more slowly than the samples it is placed on.
+            self._gathered[3] += float(np.mean(down * down)) * len(samples.gyro) * block.dt
+
+    def advise(self) -> Advice | None:
+        """What to fly next; about once a second it is thought over."""
+        chain = self._chain
+        if not chain.sampler.flying:
+            self.choice = self._advice = None
+            self._next_look = 0.0
+            return None
+        if chain.t >= self._next_look:
+            self._next_look = chain.t + _EVERY
+            self._advice = self._look()
+        return self._advice
+
+    def _look(self) -> Advice | None:
+        fit = self._chain.fit
+        if fit.seconds < _LEAST_SECONDS:
+            self.choice = None
+            return None
+        now = self._judge(fit)
+        if is_enough(now, self.options.target):
+            self.choice = None
+            return Advice("", f"enough: {self._met(now)}", progress=1.0, enough=True)
+        progress = self._progress()
+        since = self._chain.t - self._chosen_at
+        if (
+            self.choice is None
+            or fit.seconds < self._seconds  # something has changed, or was reset
+            or progress >= _FLOWN
+            or (progress < _BEGUN and since >= _STALE)
+        ):
+            self._choose(fit, now)
+            progress = 0.0
+        self._seconds = fit.seconds
+        choice = self.choice
+        if choice is None:
+            return None
+        gains = tuple(
+            Gain(name, now.get(name), share)
+            for name in choice.names[:_MOST_GAINS]
+            for share in (choice.expected[name],)
+            if share is not None
+        )
+        manoeuvre = choice.manoeuvre
+        return Advice(manoeuvre.name, self._text, manoeuvre.seconds, progress, gains)
+
+    def _choose(self, fit: Fit, now: Mapping[str, float | None]) -> None:
+        self.choice = choose(
+            self._outlook(fit), self._library, self._judge, self.options.target
+        )
+        self._chosen_at = self._chain.t
+        self._gathered[:] = 0.0
+        if self.choice is not None:
+            choice = self.choice
+            self._text = sentence(choice.manoeuvre, choice.names, now, choice.expected)
+
+    def _judge(self, fit: Fit) -> dict[str, float | None]:
+        chain = self._chain
+        return shares(chain.values(fit), chain.airframe.arm, chain.rotor_input)
+
+    def _outlook(self, fit: Fit) -> Outlook:
+        chain = self._chain
+        known = supposed(chain.airframe, commands=chain.rotor_input == "command")
+        estimator = chain.estimator
+        assert estimator is not None
+        outlook = outlook_of(fit, known, supposed_noise(known.craft), estimator.free)
+        if fit.rotation is None:
+            return outlook
+        craft = outlook.craft
+        gyro = estimator.gyro_density(fit.rotation, craft.theta)
+        noise = Noise(gyro, speed_noise(craft, estimator.speed_std, estimator.dt))
+        return outlook_of(fit, known, noise, estimator.free)
+
+    def _progress(self) -> float:
+        """Share of the advised motion that was flown, on the axis that has least of its own."""
+        if self.choice is None:
+            return 0.0
+        wanted = _motion(self.choice)
+        counts = wanted > _MATTERS * wanted[:3].max() if wanted[:3].any() else wanted > 0.0
+        return float(min((self._gathered[counts] / wanted[counts]).min(), 1.0))
+
+    def _met(self, now: Mapping[str, float | None]) -> str:
+        widest = max((s, n) for n, s in now.items() if s is not None)
+        return (
+            f"every interval is within {100.0 * self.options.target:g} % "
+            f"(widest: {widest[1]}, {100.0 * widest[0]:.1f} %)"
+        )
+
+
+def _motion(choice: Choice) -> Array:
+    """(4,) integrals of squared body rates, and of climb rate, over the manoeuvre."""
+    manoeuvre = choice.manoeuvre
+    climb = 0.5 * (2.0 * np.pi * manoeuvre.pace * manoeuvre.climb) ** 2
+    squares = np.append((choice.motion.rates**2).mean(axis=0), climb)
+    wanted: Array = squares * manoeuvre.effective_seconds
+    return wanted
