@@ -8,14 +8,13 @@ are free he flies it to its end. The other pilot flies the article's modes, agai
 """
 
 import argparse
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
-from gcs_sysid.coach.targets import shares
+from gcs_sysid.coach.targets import is_enough, shares
 from gcs_sysid.estimation.parameters import CORE
 from gcs_sysid.model.airframe import Airframe, load_airframe
 from gcs_sysid.session.chain import ChainOptions
@@ -37,7 +36,6 @@ MOST = 400.0
 """s after which a flight is given up."""
 MOST_COACHED = 120.0
 LOOK = 1.0
-HALF = 1.959963984540054
 
 
 @dataclass
@@ -47,13 +45,15 @@ class Flown:
     Attributes:
         reached: s of flight after which every interval met the target; infinite if none did.
         errors: % of the truth, then.
-        outcomes: reached over expected, of every interval after every manoeuvre.
+        outcomes: manoeuvre by manoeuvre, reached over expected of every interval.
+        told: the same of the gains that the pilot was told.
         said: what was advised.
     """
 
     reached: float = np.inf
     errors: dict[str, float] = field(default_factory=dict)
-    outcomes: list[float] = field(default_factory=list)
+    outcomes: list[list[float]] = field(default_factory=list)
+    told: list[list[float]] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
 
 
@@ -90,15 +90,10 @@ class Flight:
             name: 100.0 * abs((values[name].value or np.nan) / truth[name] - 1.0) for name in CORE
         }
 
-    def widest(self) -> float:
-        """Half of the widest interval over the true value."""
-        chain, truth = self.pipeline.chain, self.vehicle.truth()
-        values = chain.values(chain.fit)
-        widths = [
-            HALF * std / abs(truth[name]) if (std := values[name].std) is not None else np.inf
-            for name in CORE
-        ]
-        return float(max(widths))
+    def shares(self) -> dict[str, float | None]:
+        """Half of each interval over its yardstick, as the coach and the screen see it."""
+        chain = self.pipeline.chain
+        return shares(chain.values(chain.fit), self.airframe.arm, chain.rotor_input)
 
 
 def modes(seed: int, airframe: str, mission: str = "paper") -> Flown:
@@ -106,7 +101,7 @@ def modes(seed: int, airframe: str, mission: str = "paper") -> Flown:
     flight, flown = Flight(airframe, MISSIONS[mission], seed), Flown()
     while flight.simulation.time < MOST:
         flight.fly(LOOK)
-        if flight.widest() <= TARGET:
+        if is_enough(flight.shares(), TARGET):
             return Flown(flight.simulation.time, flight.errors())
     return flown
 
@@ -119,37 +114,51 @@ def coached(seed: int, airframe: str) -> Flown:
     coach = Coach(chain, CoachOptions(TARGET))
     flown = Flown()
     promised: dict[str, float | None] | None = None
+    names: list[str] = []
     while flight.simulation.time < MOST_COACHED:
         flight.fly(LOOK)
         advice = coach.advise()
         now = flight.simulation.time
         if now < mission.duration - 0.5 * LOOK or advice is None:
-            if flight.widest() <= TARGET and not np.isfinite(flown.reached):
+            if is_enough(flight.shares(), TARGET) and not np.isfinite(flown.reached):
                 flown.reached, flown.errors = now, flight.errors()
             continue
         if promised is not None:
-            got = shares(chain.values(chain.fit), flight.airframe.arm, chain.rotor_input)
-            flown.outcomes += list(compared(promised, got))
+            got = flight.shares()
+            flown.outcomes.append(compared(promised, got))
+            flown.told.append(compared({n: promised[n] for n in names}, got))
             promised = None
-        if flight.widest() <= TARGET and not np.isfinite(flown.reached):
+        if is_enough(flight.shares(), TARGET) and not np.isfinite(flown.reached):
             flown.reached, flown.errors = now, flight.errors()
         if advice.enough:
             return flown
         if coach.choice is not None:
             flown.said.append(f"{now:.0f} s: {advice.text}")
             promised = dict(coach.choice.expected)
+            names = [gain.name for gain in advice.gains]
             mission.add(Swings.from_json(coach.choice.manoeuvre.as_json()), now)
     return flown
 
 
-def compared(
-    promised: dict[str, float | None], got: dict[str, float | None]
-) -> Iterator[float]:
+def compared(promised: dict[str, float | None], got: dict[str, float | None]) -> list[float]:
     """Reached over expected shares."""
+    ratios = []
     for name, share in promised.items():
         reached = got.get(name)
         if share:
-            yield np.inf if reached is None else reached / share
+            ratios.append(np.inf if reached is None else reached / share)
+    return ratios
+
+
+def agreement(title: str, ratios: list[float]) -> str:
+    """How expected intervals and those reached agree, in a line."""
+    all_ = np.array(ratios)
+    agree = np.mean((all_ <= AGREES) & (all_ >= 1.0 / AGREES))
+    low, middle, high = np.quantile(all_, (0.05, 0.5, 0.95), method="nearest")
+    return (
+        f"  {title:34s} {len(all_):5d}   {middle:.2f}   {low:.2f} to {high:.2f}   "
+        f"{100.0 * agree:.0f} % within a factor of {AGREES}"
+    )
 
 
 def main() -> None:
@@ -170,15 +179,17 @@ def main() -> None:
             f"{seed:4d}  {mine.reached:5.0f}  {other.reached:5.0f}  {len(mine.said):10d}  {error:.2f}"
         )
     mine_t, other_t = (float(np.median([f.reached for f in g])) for g in (led, others))
-    print(f"median: {mine_t:.0f} s against {other_t:.0f} s: {100 * mine_t / other_t:.0f} %, wanted "
-          f"at most {100 * WANTED:.0f} %")
-    ratios = np.array([r for f in led for r in f.outcomes])
-    agree = np.mean((ratios <= AGREES) & (ratios >= 1.0 / AGREES))
     print(
-        f"interval reached over expected: median {np.median(ratios):.2f}, 5 to 95 % of them "
-        f"{np.quantile(ratios, 0.05):.2f} to {np.quantile(ratios, 0.95):.2f}, "
-        f"{100 * agree:.0f} % within a factor of {AGREES}"
+        f"median: {mine_t:.0f} s against {other_t:.0f} s: {100 * mine_t / other_t:.0f} %, wanted "
+        f"at most {100 * WANTED:.0f} %"
     )
+    print("interval reached over expected:         count  median  5 to 95 %")
+    for title, pick in (("gains told", "told"), ("every interval", "outcomes")):
+        flights = [getattr(f, pick) for f in led]
+        first = [r for manoeuvres in flights for r in manoeuvres[0]]
+        later = [r for manoeuvres in flights for part in manoeuvres[1:] for r in part]
+        print(agreement(f"{title}, first manoeuvre", first))
+        print(agreement(f"{title}, later ones", later))
     print("the first flight:")
     for line in led[0].said:
         print(f"  {line}")

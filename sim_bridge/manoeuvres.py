@@ -66,9 +66,14 @@ class Swings:
             raise ValueError("hz and yaw_hz must be positive")
         if values["seconds"] < 2.0 * _RAMP:
             raise ValueError(f"seconds must be at least {2.0 * _RAMP:g}")
-        angles = (math.radians(values[f"{axis}_deg"]) for axis in ("roll", "pitch", "yaw"))
         return cls(
-            *angles, values["climb_m"], values["hz"], values["yaw_hz"], values["seconds"]
+            math.radians(values["roll_deg"]),
+            math.radians(values["pitch_deg"]),
+            math.radians(values["yaw_deg"]),
+            values["climb_m"],
+            values["hz"],
+            values["yaw_hz"],
+            values["seconds"],
         )
 
     def angles(self, t: float) -> tuple[float, float, float, float]:

@@ -1,5 +1,6 @@
 """Which manoeuvre to fly next."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
@@ -18,6 +19,8 @@ Judge = Callable[[Fit], Mapping[str, float | None]]
 USUAL = 10.0
 """s that a manoeuvre lasts."""
 _LENGTHS = (*range(5, 16), 18, 20)
+_NARROWER = 0.97
+"""Less of a gain is not worth a word."""
 _BOTH = 0.1
 """Of roll's and pitch's squared rates, what the lesser needs of the greater to start a fit."""
 _CLOSE = 0.9
@@ -46,13 +49,14 @@ class Choice:
 
     @property
     def names(self) -> list[str]:
-        """Parameters that it is for: those it narrows, the widest first."""
-        gained = []
-        for name, share in self.expected.items():
-            before = self.now.get(name)
-            if share is not None and (before is None or share < 0.8 * before):
-                gained.append((float("inf") if before is None else before, share, name))
-        return [name for _, _, name in sorted(gained, reverse=True)]
+        """Parameters that it narrows, the widest first; what is unknown in its usual order."""
+        gained = [
+            (-math.inf if before is None or before > 1.0 else -before, place, name)
+            for place, (name, share) in enumerate(self.expected.items())
+            for before in (self.now.get(name),)
+            if share is not None and (before is None or share < _NARROWER * before)
+        ]
+        return [name for _, _, name in sorted(gained)]
 
 
 def choose(

@@ -75,7 +75,9 @@ class Manoeuvre:
         # Pitch follows roll by a quarter: the stick goes round.
         waves = (
             np.sin(2.0 * np.pi * self.pace * t),
-            np.cos(2.0 * np.pi * self.pace * t) if self.roll else np.sin(2.0 * np.pi * self.pace * t),
+            np.cos(2.0 * np.pi * self.pace * t)
+            if self.roll
+            else np.sin(2.0 * np.pi * self.pace * t),
             np.sin(2.0 * np.pi * self.yaw_pace * t),
             np.sin(2.0 * np.pi * self.pace * t),
         )

@@ -42,7 +42,7 @@ class Craft:
     @property
     def mean_share(self) -> float:
         """Thrust of a rotor in hover, on average, in units of `thrust`."""
-        return self.thrust / self.geometry.shape[1]
+        return self.thrust / float(self.geometry.shape[1])
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,9 @@ class Outlook:
             share = share if seconds > MIN_MOMENTUM_SECONDS else 0.02
             return TranslationFit(self.kappa, share * self.kappa, np.nan, np.nan, "momentum")
         later = np.sqrt(began / max(seconds, began)) if before.source == "momentum" else 1.0
-        return replace(before, kappa_std=before.kappa_std * later, delta_std=before.delta_std * later)
+        return replace(
+            before, kappa_std=before.kappa_std * later, delta_std=before.delta_std * later
+        )
 
 
 def outlook_of(

@@ -70,7 +70,9 @@ def supposed(airframe: Airframe, *, commands: bool = False) -> Supposed:
     around = mass * (_GYRATION * arm) ** 2
     inertia = [around, around, _FLATNESS * around, 0.0, 0.0, 0.0]
     theta = np.array([*inertia, 0.0, 0.0, _TORQUE_RATIO * arm * thrust, 0.0, 0.0]) / thrust
-    std = np.array([1.0, 1.0, _FLATNESS, 0.3, 0.3, 0.3, 0.0, 0.0, 0.0, 1.0, 0.002]) * around / thrust
+    std = (
+        np.array([1.0, 1.0, _FLATNESS, 0.3, 0.3, 0.3, 0.0, 0.0, 0.0, 1.0, 0.002]) * around / thrust
+    )
     std[[rb.CG_X, rb.CG_Y]] = 0.3 * arm
     std[rb.MOMENT_RATIO] = _TORQUE_RATIO * arm
     for i, name in enumerate(rb.THETA):

@@ -4,7 +4,7 @@ It only reads: what the chain estimates is the same with a coach and without.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -45,7 +45,7 @@ class CoachOptions:
     """
 
     target: float = 0.02
-    limits: Limits = Limits()
+    limits: Limits = field(default_factory=Limits)
 
 
 class Coach:
@@ -126,9 +126,7 @@ class Coach:
         return Advice(manoeuvre.name, self._text, manoeuvre.seconds, progress, gains)
 
     def _choose(self, fit: Fit, now: Mapping[str, float | None]) -> None:
-        self.choice = choose(
-            self._outlook(fit), self._library, self._judge, self.options.target
-        )
+        self.choice = choose(self._outlook(fit), self._library, self._judge, self.options.target)
         self._chosen_at = self._chain.t
         self._gathered[:] = 0.0
         if self.choice is not None:
@@ -144,13 +142,14 @@ class Coach:
         known = supposed(chain.airframe, commands=chain.rotor_input == "command")
         estimator = chain.estimator
         assert estimator is not None
-        outlook = outlook_of(fit, known, supposed_noise(known.craft), estimator.free)
-        if fit.rotation is None:
-            return outlook
-        craft = outlook.craft
-        gyro = estimator.gyro_density(fit.rotation, craft.theta)
-        noise = Noise(gyro, speed_noise(craft, estimator.speed_std, estimator.dt))
-        return outlook_of(fit, known, noise, estimator.free)
+        usual = supposed_noise(known.craft)
+        outlook = outlook_of(fit, known, usual, estimator.free)
+        gyro, torque = usual.gyro, usual.torque
+        if chain.rotor_input == "speed":
+            torque = speed_noise(outlook.craft, estimator.speed_std, estimator.dt)
+        if fit.rotation is not None:
+            gyro = estimator.gyro_density(fit.rotation, outlook.craft.theta)
+        return replace(outlook, noise=Noise(gyro, torque))
 
     def _progress(self) -> float:
         """Share of the advised motion that was flown, on the axis that has least of its own."""
