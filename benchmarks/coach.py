@@ -176,7 +176,8 @@ def main() -> None:
     for seed, (mine, other) in enumerate(zip(led, others, strict=True)):
         error = max(mine.errors.values(), default=np.nan)
         print(
-            f"{seed:4d}  {mine.reached:5.0f}  {other.reached:5.0f}  {len(mine.said):10d}  {error:.2f}"
+            f"{seed:4d}  {mine.reached:5.0f}  {other.reached:5.0f}  {len(mine.said):10d}  "
+            f"{error:.2f}"
         )
     mine_t, other_t = (float(np.median([f.reached for f in g])) for g in (led, others))
     print(

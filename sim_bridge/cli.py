@@ -21,6 +21,7 @@ from sim_bridge.answering import AnsweringAutopilot
 from sim_bridge.ardupilot import ArduPilot
 from sim_bridge.autopilot import BOOT_US, EPOCH_US
 from sim_bridge.links import Link, TlogLink, open_link
+from sim_bridge.manoeuvres import read_plan
 from sim_bridge.missions import MISSIONS, Mission
 from sim_bridge.outing import Outing
 from sim_bridge.playback import play, wait_for_somebody
@@ -70,6 +71,13 @@ def _mass_step(text: str) -> Change:
     return mass_step(not_negative(time), positive(factor))
 
 
+def _mission(text: str) -> str:
+    if text not in MISSIONS and not text.endswith(".json"):
+        names = ", ".join(sorted(MISSIONS))
+        raise argparse.ArgumentTypeError(f"must be one of {names} or a plan's .json, got {text!r}")
+    return text
+
+
 def _parameter(text: str) -> tuple[str, float]:
     name, equals, value = text.partition("=")
     if not equals:
@@ -98,7 +106,13 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add("--arm", type=positive, metavar="M", help="scale the layout to this mean arm, in m")
     add("--autopilot", choices=("px4", "ardupilot"), default="px4", help="default: px4")
-    add("--mission", choices=sorted(MISSIONS), default="paper", help="default: paper")
+    add(
+        "--mission",
+        type=_mission,
+        default="paper",
+        metavar="NAME|PLAN.json",
+        help=f"{', '.join(sorted(MISSIONS))}, or a plan of gcs-sysid plan --json (default: paper)",
+    )
     add("--duration", type=positive, metavar="S", help="s (default: the mission's length)")
     add(
         "--mass-step",
@@ -205,7 +219,7 @@ def run(args: argparse.Namespace) -> None:
         return
     vehicle = load_vehicle(args.airframe, args.arm)
     traps = _traps(args)
-    mission: Mission = MISSIONS[args.mission]
+    mission: Mission = MISSIONS.get(args.mission) or read_plan(Path(args.mission))
     if traps.ground or traps.flights > 1:
         mission = Outing(mission, traps.ground, traps.flights)
     duration = args.duration or mission.duration

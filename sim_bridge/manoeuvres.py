@@ -184,12 +184,15 @@ def read_plan(path: Path) -> ManoeuvreMission:
     entries = content.get("manoeuvres") if isinstance(content, dict) else None
     if not isinstance(entries, list) or not entries:
         raise InputError(f"{path} is no plan: it lists no manoeuvres")
-    swings = []
+    mission = ManoeuvreMission()
     for number, entry in enumerate(entries, 1):
         try:
             if not isinstance(entry, dict):
                 raise ValueError("must be an object")
-            swings.append(Swings.from_json(entry))
+            start = entry.get("start", 0.0)
+            if isinstance(start, bool) or not isinstance(start, int | float) or not start >= 0.0:
+                raise ValueError("start must be a number of seconds")
+            mission.add(Swings.from_json(entry), float(start))
         except ValueError as error:
             raise InputError(f"{path}: manoeuvre {number}: {error}") from None
-    return ManoeuvreMission(swings)
+    return mission

@@ -4,6 +4,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
+from gcs_sysid.cli import coaching
 from gcs_sysid.errors import InputError
 from gcs_sysid.usage import not_negative, number, positive
 
@@ -125,6 +126,7 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mass-step", metavar="T:FACTOR", help="change the mass in flight")
     parser.add_argument("--json", metavar="FILE", help="snapshots, one a line; - is stdout")
     parser.add_argument("--record", metavar="FILE", help="record the flight to a .tlog")
+    coaching.add_options(parser)
 
 
 def _add_vehicle_choice(parser: argparse.ArgumentParser) -> None:
@@ -164,6 +166,7 @@ def add_live(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", metavar="FILE", help="snapshots, one a line; - is stdout")
     parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
     parser.add_argument("--truth", metavar="FILE", help="true parameters, to show beside")
+    coaching.add_options(parser)
 
 
 def add_analyze(parser: argparse.ArgumentParser) -> None:
@@ -226,6 +229,12 @@ def add_inspect(parser: argparse.ArgumentParser) -> None:
         help="listen for S seconds once the vehicle has spoken (default 10)",
     )
     _add_link(link)
+
+
+def add_plan(parser: argparse.ArgumentParser) -> None:
+    """Options of `plan`."""
+    _add_airframe(parser)
+    coaching.add_plan(parser)
 
 
 def add_export(parser: argparse.ArgumentParser) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TextIO
 
 from gcs_sysid.cli import arguments, output
+from gcs_sysid.cli.coaching import coach_options
 from gcs_sysid.cli.live import JsonLines, follow, refit_interval
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.model.airframe import load_airframe
@@ -52,7 +53,11 @@ def run(options: argparse.Namespace) -> int:
             session = LiveSession(
                 link,
                 airframe,
-                LiveOptions(rate=options.rate, refit_interval=refit_interval(options)),
+                LiveOptions(
+                    rate=options.rate,
+                    refit_interval=refit_interval(options),
+                    coach=coach_options(options),
+                ),
                 record_to=Path(options.record) if options.record else None,
                 sender_gone=lambda: emulator.poll() is not None,
                 on_result=writer.write,

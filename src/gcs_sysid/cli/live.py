@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TextIO
 
 from gcs_sysid.cli import arguments, output
+from gcs_sysid.cli.coaching import coach_options
 from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.cli.table import result_table
 from gcs_sysid.errors import GcsSysidError, InputError
@@ -42,6 +43,7 @@ def run(options: argparse.Namespace) -> int:
                 duration=options.duration,
                 refit_interval=refit_interval(options),
                 signing_key=Path(options.signing_key) if options.signing_key else None,
+                coach=coach_options(options),
             ),
             record_to=recording_path(options),
             on_result=(writer := JsonLines(options.json)).write,
@@ -143,6 +145,7 @@ def _say_until_end(session: LiveSession) -> None:
     said = -_SAY_EVERY
     last = ""
     told: Event | None = None
+    advised = ""
     ended = False
     while not ended:
         ended = session.join(0.1)
@@ -155,6 +158,9 @@ def _say_until_end(session: LiveSession) -> None:
             told = event
         if ended:
             return
+        if snapshot.advice is not None and snapshot.advice.text != advised:
+            advised = snapshot.advice.text
+            print(f"{snapshot.t:7.1f} s  coach: {advised}", file=sys.stderr, flush=True)
         if now - said < _SAY_EVERY:
             continue
         line = status_line(snapshot)

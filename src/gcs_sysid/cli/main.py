@@ -61,6 +61,13 @@ def build_parser() -> argparse.ArgumentParser:
         "back.",
     )
     arguments.add_inspect(inspect)
+    plan = commands.add_parser(
+        "plan",
+        help="see what to fly, before the flight",
+        description="Plans a flight on paper: manoeuvres, how long, and the accuracy to expect. "
+        "Nothing is sent to a vehicle.",
+    )
+    arguments.add_plan(plan)
     export = commands.add_parser(
         "export",
         help="write an identified vehicle for a simulator",

@@ -108,7 +108,8 @@ def motion_of(manoeuvre: Manoeuvre, craft: Craft) -> Motion:
     paces = [manoeuvre.pace] if not manoeuvre.yaw else [manoeuvre.pace, manoeuvre.yaw_pace]
     period = 1.0 / min(paces)
     t = np.arange(_POINTS) * (period / _POINTS)
-    roll, pitch, yaw, _ = angles = manoeuvre.angles(t).T
+    angles = manoeuvre.angles(t).T
+    roll, pitch = angles[:2]
     roll_rate, pitch_rate, yaw_rate, _ = (_derivative(a, period) for a in angles)
     up = _derivative(_derivative(angles[3], period), period)
     rates = np.stack(

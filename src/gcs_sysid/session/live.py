@@ -10,6 +10,7 @@ from pathlib import Path
 
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.coaching import Coach, CoachOptions
 from gcs_sysid.session.pipeline import Pipeline
 from gcs_sysid.session.result import Result
 from gcs_sysid.session.snapshot import LinkState, LinkStatus, Snapshot
@@ -41,6 +42,7 @@ class LiveOptions:
         duration: s of wall clock after which the session ends; None: never.
         refit_interval: s of vehicle time between estimates.
         signing_key: file with the key of MAVLink 2 signing; None: nothing is signed or checked.
+        coach: what the flight coach aims at; None: no advice.
     """
 
     rate: float = 250.0
@@ -49,6 +51,7 @@ class LiveOptions:
     duration: float | None = None
     refit_interval: float = 0.2
     signing_key: Path | None = None
+    coach: CoachOptions | None = None
 
 
 class LiveSession:
@@ -97,6 +100,7 @@ class LiveSession:
             options.wanted,
             ChainOptions(course_interval=options.refit_interval),
         )
+        self._coach = Coach(self._pipeline.chain, options.coach) if options.coach else None
         self._writer = TlogWriter(record_to) if record_to else None
         self._recording_stem = record_to or Path("logs") / "session.tlog"
         self._sender_gone = sender_gone
@@ -291,4 +295,5 @@ class LiveSession:
             rates=chain.sampler.rates,
             rotor_speeds=chain.sampler.rotor_speeds,
             events=chain.events,
+            advice=self._coach.advise() if self._coach else None,
         )

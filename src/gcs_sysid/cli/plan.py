@@ -1,0 +1,65 @@
+"""`gcs-sysid plan`: what to fly, on paper. Nothing is sent to a vehicle."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from gcs_sysid.cli import arguments
+from gcs_sysid.cli.coaching import limits_of
+from gcs_sysid.coach.picture import plan_svg, plan_text
+from gcs_sysid.coach.plan import make_plan
+from gcs_sysid.coach.supposed import supposed
+from gcs_sysid.coach.targets import shares
+from gcs_sysid.errors import InputError
+from gcs_sysid.estimation.anchors import Anchor
+from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.rotors import RotorInput
+from gcs_sysid.session.summary import priors_for, values_of
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; 1 where no plan within the limits is enough."""
+    airframe = arguments.airframe_of(options)
+    wanted = options.rotor_input or airframe.rotor_input
+    rotor_input: RotorInput = "command" if wanted == "command" else "speed"
+    own = airframe.anchor()
+    assert own is not None
+    anchor = Anchor(*own)
+    priors = priors_for(airframe.priors, rotor_input)
+
+    def judge(fit: Fit) -> dict[str, float | None]:
+        values = values_of(fit, anchor, airframe.arm, priors, rotor_input)
+        return shares(values, airframe.arm, rotor_input)
+
+    known = supposed(airframe, commands=rotor_input == "command")
+    plan = make_plan(airframe.name, known, judge, options.target, limits_of(options))
+    if options.svg:
+        _write(options.svg, plan_svg(plan), options)
+    if options.json:
+        _write(options.json, json.dumps(plan.as_json(), indent=1) + "\n", options)
+    if options.json != "-" and options.svg != "-":
+        print(plan_text(plan, unicode=_prints("█±°")))
+    return 0 if plan.enough else 1
+
+
+def _prints(signs: str) -> bool:
+    """Whether standard output can show them."""
+    try:
+        signs.encode(sys.stdout.encoding or "ascii")
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _write(path: str, text: str, options: argparse.Namespace) -> None:
+    if path == "-":
+        sys.stdout.write(text)
+        return
+    try:
+        with Path(path).open("w" if options.force else "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise InputError(f"{path} exists; --force writes over it") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot write: {error.strerror}") from error
