@@ -66,6 +66,15 @@ class Manoeuvre:
         """Seconds at full swing that tell as much: squares of the ramps count for 3/8 each."""
         return self.seconds - 2.0 * RAMP * (1.0 - 0.375)
 
+    @property
+    def can_be_seen(self) -> bool:
+        """Whether no swing that belongs to it is too small to be flown by eye."""
+        return all(
+            getattr(self, axis) >= LEAST - 1e-9
+            for axis in ("roll", "pitch", "yaw")
+            if axis in self.name
+        )
+
     def lasting(self, seconds: float) -> "Manoeuvre":
         """The same, longer or shorter."""
         return replace(self, seconds=seconds)
@@ -114,10 +123,10 @@ def library(limits: Limits) -> tuple[Manoeuvre, ...]:
             Manoeuvre("roll and slow yaw", roll=tilt, yaw=slow, pace=pace, yaw_pace=0.5 * pace),
             Manoeuvre("pitch and slow yaw", pitch=tilt, yaw=slow, pace=pace, yaw_pace=0.5 * pace),
         ]
-        out += [m for m in found if not 0.0 < max(m.roll, m.pitch, m.yaw) < LEAST]
+        out += [m for m in found if m.can_be_seen]
     if limits.height >= 0.2:
         out.append(Manoeuvre("climb", climb=min(limits.height, 1.0), pace=_CLIMB_PACE))
-    return tuple(m for m in out if m.roll or m.pitch or m.yaw or m.climb)
+    return tuple(out)
 
 
 def _rounded(angle: float) -> float:

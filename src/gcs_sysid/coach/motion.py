@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.coach.manoeuvres import LEAST, Manoeuvre
+from gcs_sysid.coach.manoeuvres import Manoeuvre
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
 
@@ -16,7 +16,8 @@ _LEAST_THRUST = 0.15
 """Of the mean hover thrust of a rotor: what each has to keep."""
 _MOST_THRUST = 2.0
 """The same, what each may give where the greatest thrust is not known."""
-_YAW_STEPS = 4
+_SHRUNK = (1.0, 0.7, 0.5, 0.35, 0.25)
+"""Swings that are tried where the rotors cannot give a whole one."""
 
 
 @dataclass(frozen=True)
@@ -67,27 +68,20 @@ def within_reach(manoeuvre: Manoeuvre, craft: Craft) -> tuple[Manoeuvre, Motion]
 
     Yaw is given up first, as rotors have least to turn it with. None: not even a small one.
     """
-    share = 1.0
-    for _ in range(3):
+    for smaller in _SHRUNK:
         tilted = replace(
             manoeuvre,
-            roll=_whole(share * manoeuvre.roll),
-            pitch=_whole(share * manoeuvre.pitch),
-            climb=share * manoeuvre.climb,
+            roll=_whole(smaller * manoeuvre.roll),
+            pitch=_whole(smaller * manoeuvre.pitch),
+            climb=smaller * manoeuvre.climb,
         )
-        for step in range(_YAW_STEPS):
-            yaw = _whole(manoeuvre.yaw * 0.7**step)
-            if manoeuvre.yaw and yaw < LEAST:
+        for weaker in _SHRUNK if manoeuvre.yaw else (1.0,):
+            tried = replace(tilted, yaw=_whole(weaker * manoeuvre.yaw))
+            if not tried.can_be_seen:
                 break
-            tried = replace(tilted, yaw=yaw)
             motion = motion_of(tried, craft)
             if _is_within(motion.shares, craft):
                 return tried, motion
-            if not manoeuvre.yaw:
-                break
-        share *= 0.7
-        if 0.0 < max(tilted.roll, tilted.pitch) <= LEAST:
-            return None
     return None
 
 

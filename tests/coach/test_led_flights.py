@@ -1,0 +1,66 @@
+"""Flights that do what the coach says, by the whole path: emulator, frames, chain."""
+
+import pytest
+
+from benchmarks.coach import TARGET, WANTED, Flight, coached
+from gcs_sysid.coach.targets import is_enough
+from gcs_sysid.session.coaching import Coach, CoachOptions
+from sim_bridge.manoeuvres import ManoeuvreMission, Swings
+from sim_bridge.missions import MISSIONS
+
+HALF = 0.5
+
+
+@pytest.mark.slow
+def test_the_coach_needs_less_time_than_the_articles_modes():
+    """Two of the seeds of `python -m benchmarks.coach`, each against the time it may take."""
+    for seed in (1, 3):
+        led = coached(seed, "paper")
+        assert max(led.errors.values()) < 100.0 * TARGET
+        other = Flight("paper", MISSIONS["paper"], seed)
+        while other.simulation.time < led.reached / WANTED:
+            other.fly(5.0)
+            assert not is_enough(other.shares(), TARGET)
+
+
+@pytest.mark.slow
+def test_progress_is_of_motion_and_not_of_time():
+    mission = ManoeuvreMission()
+    flight = Flight("px4-sih", mission, 2)
+    coach = Coach(flight.pipeline.chain, CoachOptions(TARGET))
+    assert coach.advise() is None
+    flight.fly(4.5)
+    first = coach.advise()
+    assert first is not None
+    assert first.gains
+    assert first.manoeuvre
+    flight.fly(4.0)
+    waiting = coach.advise()
+    assert waiting is not None
+    assert waiting.progress < 0.02
+    assert coach.choice is not None
+    swings = Swings.from_json(coach.choice.manoeuvre.as_json())
+    mission.add(swings, flight.simulation.time)
+    flight.fly(HALF * swings.seconds)
+    midway = coach.advise()
+    assert midway is not None
+    assert midway.manoeuvre == waiting.manoeuvre
+    assert 0.3 < midway.progress < 0.75
+    flight.fly(HALF * swings.seconds + 1.0)
+    after = coach.advise()
+    assert after is not None
+    assert after.enough or after.text != waiting.text
+
+
+@pytest.mark.slow
+def test_estimates_are_the_same_with_a_coach_and_without():
+    ends = []
+    for led in (False, True):
+        flight = Flight("paper", MISSIONS["all-axes"], 4, rate=100.0)
+        coach = Coach(flight.pipeline.chain) if led else None
+        for _ in range(8):
+            flight.fly(1.0)
+            if coach is not None:
+                coach.advise()
+        ends.append(flight.pipeline.finish().dumps())
+    assert ends[0] == ends[1]
