@@ -36,6 +36,8 @@ MOST = 400.0
 """s after which a flight is given up."""
 MOST_COACHED = 120.0
 LOOK = 1.0
+LEAST = 3.0
+"""s, of a manoeuvre."""
 
 
 @dataclass
@@ -136,7 +138,11 @@ def coached(seed: int, airframe: str) -> Flown:
             flown.said.append(f"{now:.0f} s: {advice.text}")
             promised = dict(coach.choice.expected)
             names = [gain.name for gain in advice.gains]
-            mission.add(Swings.from_json(coach.choice.manoeuvre.as_json()), now)
+            advised = coach.choice.manoeuvre
+            # What he has flown too gently is not yet done: he goes on with it.
+            rest = (1.0 - advice.progress) * advised.seconds + LEAST * (advice.progress > 0.0)
+            swings = advised.lasting(min(rest, advised.seconds))
+            mission.add(Swings.from_json(swings.as_json()), now)
     return flown
 
 

@@ -74,7 +74,9 @@ def _mass_step(text: str) -> Change:
 def _mission(text: str) -> str:
     if text not in MISSIONS and not text.endswith(".json"):
         names = ", ".join(sorted(MISSIONS))
-        raise argparse.ArgumentTypeError(f"must be one of {names} or a plan's .json, got {text!r}")
+        raise argparse.ArgumentTypeError(
+            f"invalid choice: {text!r} (choose from {names}, or a plan's file NAME.json)"
+        )
     return text
 
 

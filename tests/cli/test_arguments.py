@@ -88,6 +88,15 @@ CASES = {
     "vehicle": (["analyze", "a.tlog", *PAPER, "--vehicle", "256"], "'256'"),
     "rate": (["live", NOWHERE, *PAPER, "--rate", "1e9"], "2000"),
     "duration": (["live", NOWHERE, *PAPER, "--duration", "0"], "--duration"),
+    "plan without airframe": (["plan"], "--airframe"),
+    "plan without scale": (["plan", "--airframe", "px4-quad-x"], "--mass"),
+    "target is no number": (["plan", *PAPER, "--target", "fine"], "'fine'"),
+    "target is nothing": (["plan", *PAPER, "--target", "0%"], "0.1%"),
+    "tilt": (["plan", *PAPER, "--max-tilt", "80"], "45"),
+    "turning": (["live", NOWHERE, *PAPER, "--max-rate", "nan"], "--max-rate"),
+    "height": (["plan", *PAPER, "--max-height", "-1"], "--max-height"),
+    "plan over a file": (["plan", *PAPER, "--json", "truth.json"], "--force"),
+    "plan into a folder": (["plan", *PAPER, "--svg", "folder.tlog", "--force"], "folder.tlog"),
     "demo speed": (["demo", "--speed", "3"], "--speed"),
 }
 
@@ -151,7 +160,7 @@ def test_the_program_itself(case, files):
         "--version",
         *(
             f"{name} --help"
-            for name in ("analyze", "inspect", "export", "compare", "batch", "trend")
+            for name in ("analyze", "inspect", "plan", "export", "compare", "batch", "trend")
         ),
     ],
 )

@@ -23,6 +23,7 @@ def run(options: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str
     ("options", "words"),
     [
         ("--mission figure8", "invalid choice: 'figure8'"),
+        ("--mission nosuch.json", "cannot read nosuch.json"),
         ("--airframe nope", "no airframe 'nope'"),
         ("--airframe nope.toml", "cannot read the airframe file"),
         ("--noise pink", "invalid choice: 'pink'"),

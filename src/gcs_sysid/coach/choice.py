@@ -71,7 +71,7 @@ def choose(
         target: share to reach.
     """
     now = judge(outlook.after())
-    far = excess(now, target)
+    far = excess(now, _CLOSE * target)
     best: tuple[float, Manoeuvre, Motion, Array] | None = None
     for manoeuvre in library:
         found = within_reach(manoeuvre, outlook.craft)

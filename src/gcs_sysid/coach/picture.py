@@ -1,6 +1,7 @@
 """A plan as text with small pictures, and as SVG for print."""
 
 import math
+import textwrap
 from collections.abc import Iterator
 from html import escape
 from itertools import pairwise
@@ -18,6 +19,11 @@ _SHOWN = 4.0
 """s of a manoeuvre that its small picture shows."""
 _AXES = ("roll", "pitch", "yaw", "climb")
 _GAINS = 4
+_WIDTH = 79
+_FOOT = (
+    "An estimate for a vehicle of this size and mass with usual sensors (IMU and rotor speeds at "
+    "250 Hz). In flight the coach goes on from what has really been measured."
+)
 _COLOURS = ("#1f6fb4", "#c2571a", "#2b8a3e", "#7048a8")
 
 
@@ -30,45 +36,40 @@ def plan_text(plan: Plan, *, unicode: bool = True) -> str:
     """
     limits = plan.limits
     lines = [
-        f"Flight plan for {plan.airframe}: every 95 % interval within "
-        f"{100.0 * plan.target:g} % of the value",
+        *_wrapped(
+            f"Flight plan for {plan.airframe}: every 95 % interval within "
+            f"{100.0 * plan.target:g} % of the value"
+        ),
         f"limits: tilt {math.degrees(limits.tilt):.0f}°, rate {math.degrees(limits.rate):.0f}°/s, "
         f"height ±{limits.height:g} m",
         "",
-        f"  {'start':>6}",
-        f"  {0.0:4.0f} s  hover, {HOVER:.0f} s",
+        f"{0.0:4.0f} s  hover, {HOVER:.0f} s",
     ]
     for step in plan.steps:
-        lines.append(f"  {step.start:4.0f} s  {motion_words(step.manoeuvre)}")
+        lines += _wrapped(motion_words(step.manoeuvre), f"{step.start:4.0f} s  ", 8)
         for axis, wave in _waves(step.manoeuvre):
-            lines.append(f"          {axis:6} {_spark(wave, _BLOCKS if unicode else _PLAIN)}")
-        lines += [f"          {words}" for words in _gains(step)]
-    lines += [
-        f"  {plan.seconds:4.0f} s  end",
-        "",
-        f"expected: {_widths(plan)}",
-    ]
+            lines.append(f"        {axis:6} {_spark(wave, _BLOCKS if unicode else _PLAIN)}")
+        lines += _wrapped(_gains(step), " " * 8, 8)
+    lines += [f"{plan.seconds:4.0f} s  end", "", *_wrapped(_widths(plan), "expected: ", 10)]
     if not plan.enough:
         lines.append("that is not enough: allow more tilt, rate or a wider interval")
-    lines += [
-        "",
-        "An estimate for a vehicle of this size and mass with usual sensors (IMU and rotor speeds",
-        "at 250 Hz). In flight the coach goes on from what has really been measured.",
-    ]
+    lines += ["", *_wrapped(_FOOT)]
     if not unicode:
         return "\n".join(lines).replace("±", "+-").replace("°", " deg")
     return "\n".join(lines)
 
 
-def _gains(step: Step) -> Iterator[str]:
-    told = [
+def _wrapped(text: str, begin: str = "", indent: int = 0) -> list[str]:
+    return textwrap.wrap(text, _WIDTH, initial_indent=begin, subsequent_indent=" " * indent)
+
+
+def _gains(step: Step) -> str:
+    return ", ".join(
         gain_words(name, step.now.get(name), share)
         for name in step.names[:_GAINS]
         for share in (step.expected[name],)
         if share is not None
-    ]
-    if told:
-        yield ", ".join(told)
+    )
 
 
 def _widths(plan: Plan) -> str:

@@ -27,7 +27,8 @@ _STALE = 10.0
 """s after which advice that nobody follows is thought over."""
 _BEGUN = 0.1
 """Progress from which advice is being followed."""
-_FLOWN = 0.97
+_FLOWN = 0.9
+"""Progress at which it has been flown: nobody swings exactly as far as asked."""
 _LEAST_SECONDS = 3.0
 """s of flight from which its residuals tell the noise, and hover has told the CG."""
 _MATTERS = 0.1
@@ -126,7 +127,9 @@ class Coach:
         return Advice(manoeuvre.name, self._text, manoeuvre.seconds, progress, gains)
 
     def _choose(self, fit: Fit, now: Mapping[str, float | None]) -> None:
-        self.choice = choose(self._outlook(fit), self._library, self._judge, self.options.target)
+        found = choose(self._outlook(fit), self._library, self._judge, self.options.target)
+        # What is told is against the intervals that the pilot sees.
+        self.choice = found and replace(found, now=now)
         self._chosen_at = self._chain.t
         self._gathered[:] = 0.0
         if self.choice is not None:
