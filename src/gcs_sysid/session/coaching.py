@@ -31,6 +31,8 @@ _FLOWN = 0.9
 """Progress at which it has been flown: nobody swings exactly as far as asked."""
 _LEAST_SECONDS = 3.0
 """s of flight from which its residuals tell the noise, and hover has told the CG."""
+_GROPING = 0.5
+"""Share of an interval of Ixx or Iyy from which a fit is not gone on from."""
 _MATTERS = 0.1
 """Share of a manoeuvre's motion from which an axis belongs to it."""
 _MOST_GAINS = 4
@@ -127,7 +129,7 @@ class Coach:
         return Advice(manoeuvre.name, self._text, manoeuvre.seconds, progress, gains)
 
     def _choose(self, fit: Fit, now: Mapping[str, float | None]) -> None:
-        found = choose(self._outlook(fit), self._library, self._judge, self.options.target)
+        found = choose(self._outlook(fit, now), self._library, self._judge, self.options.target)
         # What is told is against the intervals that the pilot sees.
         self.choice = found and replace(found, now=now)
         self._chosen_at = self._chain.t
@@ -140,8 +142,11 @@ class Coach:
         chain = self._chain
         return shares(chain.values(fit), chain.airframe.arm, chain.rotor_input)
 
-    def _outlook(self, fit: Fit) -> Outlook:
+    def _outlook(self, fit: Fit, now: Mapping[str, float | None]) -> Outlook:
         chain = self._chain
+        if any((now[name] or 1.0) >= _GROPING for name in ("Ixx", "Iyy")):
+            # What a hover's noise looks like is no vehicle.
+            fit = replace(fit, rotation=None)
         known = supposed(chain.airframe, commands=chain.rotor_input == "command")
         estimator = chain.estimator
         assert estimator is not None
