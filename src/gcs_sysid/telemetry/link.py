@@ -278,6 +278,24 @@ class SerialLink(Link):
         self._serial.close()
 
 
+class SerialDevice(NamedTuple):
+    """A serial port of this machine."""
+
+    name: str
+    description: str
+
+
+def serial_devices() -> list[SerialDevice]:
+    """The serial ports that are plugged in, by name; none is opened."""
+    from serial.tools import list_ports
+
+    found = [
+        SerialDevice(port.device, "" if port.description in (None, "n/a") else port.description)
+        for port in list_ports.comports()
+    ]
+    return sorted(found)
+
+
 def open_link(url: LinkUrl, patience: float = CONNECT_TIMEOUT) -> Link:
     """Open a link; a TCP connection may take `patience` s.
 
