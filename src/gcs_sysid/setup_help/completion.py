@@ -45,7 +45,7 @@ class Command:
     commands: "Sequence[Command]"
 
     def walk(self) -> "Iterator[Command]":
-        """This command and all below."""
+        """The command itself and all below."""
         yield self
         for command in self.commands:
             yield from command.walk()
@@ -118,7 +118,8 @@ def _bash(program: str, root: Command) -> str:
         first = " ".join([*(below.words[-1] for below in command.commands), *command.values])
         cases.append(f'    "{path}") options="{flags}"; words="{first}" ;;')
         for option in command.options:
-            if option.takes:
+            # Of a value that can be anything, readline completes a file's name by itself.
+            if option.takes and (option.values or first):
                 pattern = "|".join(f'"{path} {flag}"' for flag in option.flags)
                 values.append(f'    {pattern}) words="{" ".join(option.values)}"; options="" ;;')
     return (
@@ -127,6 +128,9 @@ def _bash(program: str, root: Command) -> str:
 {name}() {{
   local cur="${{COMP_WORDS[COMP_CWORD]}}" prev="" path="" options="" words="" word i
   (( COMP_CWORD > 0 )) && prev="${{COMP_WORDS[COMP_CWORD-1]}}"
+  # --flag=value comes in three words.
+  if [[ "$cur" == "=" ]]; then cur=""
+  elif [[ "$prev" == "=" ]]; then prev="${{COMP_WORDS[COMP_CWORD-2]}}"; fi
   for (( i = 1; i < COMP_CWORD; i++ )); do
     word="${{path:+$path }}${{COMP_WORDS[i]}}"
     case "$word" in
@@ -156,7 +160,7 @@ def _zsh(program: str, root: Command) -> str:
             entries = " ".join(
                 _zsh_quote(f"{below.words[-1]}:{below.help}") for below in command.commands
             )
-            first = f"local -a commands; commands=({entries}); _describe command commands"
+            first = f"commands=({entries}); _describe command commands"
         else:
             first = f"compadd -- {' '.join(command.values)}" if command.values else "_files"
         cases.append(
@@ -170,20 +174,25 @@ def _zsh(program: str, root: Command) -> str:
         + _HEAD.format(program=program, shell="zsh")
         + f"""\
 {name}() {{
-  local path_so_far="" word first i
-  local -a specs
+  local so_far="" word first i context state state_descr line
+  local -a specs commands
   for (( i = 2; i < CURRENT; i++ )); do
-    word="${{path_so_far:+$path_so_far }}${{words[i]}}"
+    word="${{so_far:+$so_far }}${{words[i]}}"
     case "$word" in
-    {known}) path_so_far="$word" ;;
+    {known}) so_far="$word" ;;
     esac
   done
-  case "$path_so_far" in
+  case "$so_far" in
 {chr(10).join(cases)}
   esac
-  _arguments -S $specs "*:argument:{{ $first }}"
+  _arguments -S $specs '*:argument:->rest' && return
+  [[ $state == rest ]] && eval "$first"
 }}
-if [[ "$zsh_eval_context[-1]" == loadautofunc ]]; then {name} "$@"; else compdef {name} {program}; fi
+if [[ "$zsh_eval_context[-1]" == loadautofunc ]]; then
+  {name} "$@"
+else
+  compdef {name} {program}
+fi
 """
     )
 
@@ -194,7 +203,7 @@ def _zsh_option(option: Option) -> str:
     if option.takes:
         # A braced action is evaluated; known words beside files.
         words = f"compadd -- {' '.join(option.values)}; " if option.values else ""
-        rest = f":value:{{ {words}_files }}"
+        rest = f":value:{{{words}_files}}"
     return " ".join(_zsh_quote(f"*{flag}[{text}]{rest}") for flag in option.flags)
 
 
