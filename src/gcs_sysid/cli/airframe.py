@@ -10,8 +10,14 @@ from gcs_sysid.cli.output import terminal_width
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe, AnchorName, load_airframe
 from gcs_sysid.setup_help.airframe_check import check_airframe
-from gcs_sysid.setup_help.airframe_file import AirframeAnswers, airframe_text, checked, write_new
-from gcs_sysid.setup_help.answers import arm_lengths, imu_position, rotor
+from gcs_sysid.setup_help.airframe_file import (
+    AirframeAnswers,
+    airframe_text,
+    check_new,
+    checked,
+    write_new,
+)
+from gcs_sysid.setup_help.answers import arm_lengths, imu_position, plain_name, rotor
 from gcs_sysid.setup_help.drawing import (
     ASCII,
     UNICODE,
@@ -22,6 +28,7 @@ from gcs_sysid.setup_help.drawing import (
     rotor_table,
 )
 from gcs_sysid.setup_help.findings import Finding, Sign, as_text, can_show, worst
+from gcs_sysid.setup_help.machine import quoted
 from gcs_sysid.setup_help.wizard import Given, Wizard, given_answers
 
 
@@ -55,9 +62,10 @@ def _picture(airframe: Airframe, findings: Sequence[Finding]) -> str:
 
 def _new(options: argparse.Namespace) -> int:
     given = _given(options)
-    if given.complete:
-        if given.output is not None and given.output.exists():
-            raise InputError(f"{given.output} exists already and is not overwritten")
+    if given.output is not None and str(given.output) != "-":
+        check_new(given.output)
+    asking = not given.complete
+    if not asking:
         answers, path = given_answers(given), given.output
     elif sys.stdin.isatty() and sys.stderr.isatty():
         answers, path = _asked(given)
@@ -75,7 +83,9 @@ def _new(options: argparse.Namespace) -> int:
         print(text, end="")
     else:
         write_new(path, text)
-    _say_done(path, airframe)
+    if not asking:  # else it has been seen already
+        _warn(airframe)
+    _say_next(path, airframe)
     return 0
 
 
@@ -94,7 +104,7 @@ def _given(options: argparse.Namespace) -> Given:
         scale=scale,
         imu_position=None if options.imu is None else imu_position(options.imu),
         priors={name: (value, std) for name, value, std in options.prior},
-        name=options.name,
+        name=None if options.name is None else plain_name(options.name),
         output=None if options.output is None else Path(options.output),
     )
 
@@ -131,17 +141,22 @@ def _file_name(name: str) -> str:
     return f"{plain or 'airframe'}.toml"
 
 
-def _say_done(path: Path, airframe: Airframe) -> None:
+def _warn(airframe: Airframe) -> None:
+    """What looks wrong, on standard error."""
+    strange = [f for f in check_airframe(airframe) if f.sign is not Sign.OK]
+    if strange:
+        unicode = can_show("✗", sys.stderr.encoding)
+        print(as_text(strange, terminal_width() or 100, unicode=unicode), file=sys.stderr)
+
+
+def _say_next(path: Path, airframe: Airframe) -> None:
     """What was written and what comes next, on standard error."""
-    for finding in check_airframe(airframe):
-        if finding.sign is not Sign.OK:
-            print(as_text([finding], 100, unicode=False), file=sys.stderr)
     if str(path) == "-":
         return
-    scale = "" if airframe.anchor() else " --mass KG"
+    file, scale = quoted(str(path)), "" if airframe.anchor() else " --mass KG"
     print(
         f"written: {path}\n"
-        f"next: gcs-sysid live udpin:0.0.0.0:14550 --airframe {path}{scale}\n"
-        f"      (gcs-sysid airframe check {path} draws it)",
+        f"next: gcs-sysid live udpin:0.0.0.0:14550 --airframe {file}{scale}\n"
+        f"      (gcs-sysid airframe check {file} draws it)",
         file=sys.stderr,
     )

@@ -89,6 +89,18 @@ def checked(text: str, where: str) -> Airframe:
     return parse_airframe(table, where)
 
 
+def check_new(path: Path) -> None:
+    """See beforehand whether a file can be written.
+
+    Raises:
+        InputError: there is one of that name already, or no folder for it.
+    """
+    if path.exists():
+        raise InputError(f"{path} exists already and is not overwritten")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: there is no folder {path.parent}")
+
+
 def write_new(path: Path, text: str) -> None:
     """Write a file that is not there yet.
 

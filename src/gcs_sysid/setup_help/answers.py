@@ -24,6 +24,17 @@ def _number(text: str) -> float:
     return value
 
 
+def plain_name(text: str) -> str:
+    """A name of one line.
+
+    Raises:
+        InputError: it is empty, or has characters that cannot be printed.
+    """
+    if not text.strip() or not text.isprintable():
+        raise InputError(f"a name is one line of letters, digits and signs, not {text!r}")
+    return text.strip()
+
+
 def positive_number(text: str) -> float:
     """A finite number above zero.
 

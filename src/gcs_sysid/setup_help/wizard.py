@@ -9,10 +9,11 @@ from typing import TypeVar
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName, Rotor
 from gcs_sysid.setup_help.airframe_check import arm_doubt, scale_doubt
-from gcs_sysid.setup_help.airframe_file import AirframeAnswers, airframe_text, checked
+from gcs_sysid.setup_help.airframe_file import AirframeAnswers, airframe_text, check_new, checked
 from gcs_sysid.setup_help.answers import (
     arm_lengths,
     imu_position,
+    plain_name,
     positive_number,
     prior,
     rotor,
@@ -24,6 +25,8 @@ from gcs_sysid.setup_help.layouts import LAYOUTS, TWO_LENGTHS, layout_rotors, re
 T = TypeVar("T")
 
 _OWN = "own"
+_BACK = Rotor(math.nan, math.nan, 0)
+"""Stands for the wish to take the last motor back."""
 _SCALES: dict[str, AnchorName] = {"1": "mass", "2": "k_T", "3": "T_max"}
 
 
@@ -54,11 +57,12 @@ def given_answers(given: Given) -> AirframeAnswers:
     Raises:
         InputError: they do not go together, or are not complete.
     """
-    rotors, origin = _given_rotors(given)
+    usual, origin = _given_rotors(given)
+    rotors = with_spins(usual, given.spin or "usual")
     stem = given.output.stem if given.output and str(given.output) != "-" else ""
     name = given.name or stem or given.layout or "airframe"
     return AirframeAnswers(
-        name, with_spins(rotors, given.spin or "usual"), origin, given.scale,
+        name, rotors, _told(origin, rotors == usual), given.scale,
         imu_position=given.imu_position, priors=given.priors,
     )  # fmt: skip
 
@@ -77,6 +81,10 @@ def _of_layout(layout: str, arm: float | tuple[float, float]) -> tuple[Rotor, ..
     if isinstance(arm, tuple) and layout not in TWO_LENGTHS:
         raise InputError("two arm lengths, forward and sideways, are for a quad X alone")
     return layout_rotors(layout, arm)
+
+
+def _told(origin: str, as_usual: bool) -> str:
+    return origin if as_usual else f"{origin} Spins as told."
 
 
 def _origin(layout: str) -> str:
@@ -135,11 +143,10 @@ class Wizard:
             rotors, origin = _given_rotors(given)
         else:
             rotors, origin = self._rotors(given)
-        rotors = self._spins(rotors, given.spin)
+        usual, rotors = rotors, self._spins(rotors, given.spin)
+        origin = _told(origin, rotors == usual)
         scale = given.scale or self._scale()
-        imu = given.imu_position or self._optional(
-            "IMU from the centre in m, forward right down, such as 0.02 0 -0.03", imu_position
-        )
+        imu = given.imu_position or self._imu()
         priors = given.priors or self._priors()
         name = given.name or self._name(given)
         return AirframeAnswers(name, rotors, origin, scale, imu_position=imu, priors=priors)
@@ -162,9 +169,12 @@ class Wizard:
             path = Path(word)
             if path.suffix != ".toml":
                 path = path.with_name(path.name + ".toml")
-            if not path.exists():
+            try:
+                check_new(path)
+            except InputError as error:
+                self._say(f"  {error}; another name?")
+            else:
                 return path
-            self._say(f"  {path} exists already and is not overwritten; another name?")
 
     def _until(self, question: str, parse: Callable[[str], T]) -> T:
         """Ask until the answer can be understood."""
@@ -195,9 +205,12 @@ class Wizard:
         if layout == _OWN:
             return self._own_rotors(), "Own layout."
         two = layout in TWO_LENGTHS
-        more = "; of a quad X that is not square, forward and sideways: 0.15 0.20" if two else ""
+        if given.arm is None:
+            self._say("How far from the centre is each motor, in m? Such as 0.25.")
+            if two:
+                self._say("A quad X that is not square: forward and sideways, such as 0.15 0.20.")
         arm = given.arm or self._believed(
-            f"Distance from the centre to each motor in m, such as 0.25{more}",
+            "Arm in m",
             lambda text: arm_lengths(text, two=two),
             lambda value: arm_doubt(max(value) if isinstance(value, tuple) else value),
         )
@@ -221,13 +234,16 @@ class Wizard:
 
     def _own_rotors(self) -> tuple[Rotor, ...]:
         self._say(
-            "For each motor in the autopilot's order: metres forward, metres to the right, and\n"
-            "its spin from above, ccw or cw; such as: 0.2 -0.2 cw. An empty line ends the list."
+            "Each motor in the autopilot's order: metres forward, metres to the right, and its\n"
+            "spin from above; such as: 0.2 -0.2 cw. Enter ends the list; back: takes one back."
         )
         while True:
             rotors: list[Rotor] = []
             while (more := self._own_rotor(len(rotors) + 1)) is not None:
-                rotors.append(more)
+                if more is _BACK:
+                    del rotors[-1:]
+                else:
+                    rotors.append(more)
             try:
                 return _can_fly(tuple(rotors))
             except InputError as error:
@@ -236,13 +252,15 @@ class Wizard:
     def _own_rotor(self, number: int) -> Rotor | None:
         def one(text: str) -> Rotor | None:
             if text:
-                return rotor(text)
+                return _BACK if text.lower() == "back" else rotor(text)
             if number <= 4:
                 raise InputError("four motors at least")
             return None
 
         return self._believed(
-            f"Motor {number}", one, lambda r: arm_doubt(math.hypot(r.x, r.y)) if r else None
+            f"Motor {number}",
+            one,
+            lambda r: None if r is None or r is _BACK else arm_doubt(math.hypot(r.x, r.y)),
         )
 
     def _spins(self, rotors: tuple[Rotor, ...], given: str | None) -> tuple[Rotor, ...]:
@@ -256,11 +274,11 @@ class Wizard:
             word = "usual" if text.lower() in ("", "y", "yes") else text
             return _can_fly(with_spins(rotors, word))
 
-        question = (
-            "Do the propellers turn so? Enter: yes; reversed: all the other way; "
-            "or each, such as ccw ccw cw cw"
+        self._say(
+            "Do the propellers turn so? If not: reversed, where all turn the other way, or\n"
+            "the spin of each motor, such as ccw ccw cw cw."
         )
-        turned = self._until(question, told)
+        turned = self._until("Spins (Enter: as drawn)", told)
         if turned != rotors:
             self.show(turned)
         return turned
@@ -294,9 +312,14 @@ class Wizard:
         )
         return name, value
 
+    def _imu(self) -> tuple[float, float, float] | None:
+        self._say("Where is the IMU? Metres forward, right and down from the centre: 0.02 0 -0.03.")
+        return self._optional("IMU", imu_position)
+
     def _priors(self) -> dict[str, tuple[float, float]]:
         found: dict[str, tuple[float, float]] = {}
-        question = "Known beforehand, from a bench or CAD, such as k_M=6.1e-6+-1e-7"
+        self._say("Is a parameter known beforehand, from a bench or CAD? Such as k_M=6.1e-6+-1e-7.")
+        question = "NAME=VALUE+-STD"
         while (told := self._optional(question, _known_prior)) is not None:
             name, value, std = told
             found[name] = (value, std)
@@ -305,4 +328,5 @@ class Wizard:
 
     def _name(self, given: Given) -> str:
         fallback = given.output.stem if given.output and given.output.stem != "-" else "my-vehicle"
-        return self._until(f"Name of the vehicle (Enter: {fallback})", lambda t: t or fallback)
+        question = f"Name of the vehicle (Enter: {fallback})"
+        return self._until(question, lambda text: plain_name(text or fallback))
