@@ -53,6 +53,8 @@ def arm_lengths(text: str, *, two: bool = True) -> float | tuple[float, float]:
     Raises:
         InputError: it is neither.
     """
+    if re.fullmatch(r"\d+,\d+", text.strip()):
+        raise InputError(f"decimals with a point, please: {text.strip().replace(',', '.')}")
     words = _words(text)
     if len(words) not in ((1, 2) if two else (1,)):
         raise InputError("one length in m" + (", or two: forward and sideways" if two else ""))
