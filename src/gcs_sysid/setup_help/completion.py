@@ -91,7 +91,8 @@ def commands_of(
 
 def _line(text: str | None) -> str:
     """Help as one short line, without what the parser would fill in."""
-    return re.sub(r"\s+", " ", re.sub(r"%\(\w+\)\w", "", text or "")).strip()[:100]
+    plain = re.sub(r"%\(\w+\)\w", "", text or "").replace("%%", "%")
+    return re.sub(r"\s+", " ", plain).strip()[:100]
 
 
 def script(shell: str, program: str, root: Command) -> str:
