@@ -57,7 +57,7 @@ def test_a_linux_user_outside_dialout_gets_the_line_to_run(user):
 def test_who_has_joined_but_not_logged_in_again(user):
     user(in_session=False, in_file=True)
     (finding,) = check_serial([RADIO], "Linux")
-    assert "log out and in" in finding.advice[0]
+    assert "log out and in again" in finding.advice[0]
     assert "usermod" not in finding.advice[0]
 
 

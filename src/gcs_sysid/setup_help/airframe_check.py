@@ -68,7 +68,7 @@ def _symmetry(airframe: Airframe) -> Finding:
             "symmetry",
             Sign.WARNING,
             f"the rotors' middle is ({x.mean():.3g}, {y.mean():.3g}) m from the origin",
-            ["right if you mean it; the centre of gravity counts from the origin, too"],
+            ["right if meant so; the centre of gravity counts from the origin, too"],
         )
     turning = f"{int((spin > 0).sum())} ccw and {int((spin < 0).sum())} cw"
     if spin.sum() != 0:
@@ -105,7 +105,7 @@ def _order(airframe: Airframe) -> Finding:
             topic,
             Sign.WARNING,
             f"the rotors stand as in {' and '.join(places)}, but are numbered otherwise",
-            ["compare with the autopilot's motor test; a wrong order explains no flight at all"],
+            ["compare with the autopilot's motor test: a wrong order fits no flight"],
         )
     return Finding(
         topic, Sign.OK, "a layout of its own; compare it with the autopilot's motor test"
@@ -117,7 +117,7 @@ def _scale(airframe: Airframe) -> Finding:
     if anchor is None:
         return Finding(
             "scale", Sign.WARNING, "nothing sets it",
-            ["weigh the vehicle: mass = ... in the file, or --mass KG with each command"],
+            ["weigh the vehicle: mass = KG in the file, or --mass KG each time"],
         )  # fmt: skip
     name, value = anchor
     doubt = scale_doubt(name, value)

@@ -70,8 +70,8 @@ def _not_open(topic: str, url: LinkUrl, error: LinkError) -> Finding:
     holder = holder_of_udp_port(url.port)
     advice = [] if holder else [_who_has(url.port)]
     advice += [
-        "close that program; or let it pass on to port 14445 what it hears, and take that:",
-        "QGroundControl: Application Settings, MAVLink, forwarding to localhost:14445",
+        "close that program, or let it forward to port 14445 and listen there:",
+        "QGroundControl: Application Settings, MAVLink, localhost:14445",
         "MAVProxy: output add 127.0.0.1:14445",
     ]
     return Finding(topic, Sign.WARNING, f"in use by {holder or 'another program'}", advice)
@@ -134,8 +134,8 @@ def heard(ears: Sequence[Ear], seconds: float) -> list[Finding]:
     if others:
         text += f"; no vehicle, but: {', '.join(others)}"
     advice = [
-        "is it switched on, and sent to this machine? SITL: sim_vehicle.py --out 127.0.0.1:14550",
-        "a serial port is listened to when named: gcs-sysid doctor /dev/ttyUSB0 --baud 57600",
+        "is it on, and does it send to this machine? (SITL: --out 127.0.0.1:14550)",
+        "on a serial port: gcs-sysid doctor /dev/ttyUSB0 --baud 57600",
         "without a vehicle: gcs-sysid demo",
     ]
     return [Finding("vehicle", Sign.WARNING, text, advice)]

@@ -139,7 +139,7 @@ def check_terminal(
 
 def _unicode_advice() -> str:
     if os.name == "nt":
-        return "use Windows Terminal, or first: set PYTHONUTF8=1 (PowerShell: $env:PYTHONUTF8=1)"
+        return "use Windows Terminal, or first, in PowerShell: $env:PYTHONUTF8=1"
     return "lines and bars become question marks; first: export LC_ALL=C.UTF-8"
 
 
@@ -165,7 +165,7 @@ def check_recordings(folder: Path = Path("logs")) -> Finding:
     except OSError as error:
         why = error.strerror or "no folder"
         advice = [
-            "change to a folder of your own, or name another place: --record FILE.tlog",
+            "change to a folder of your own, or name a place: --record FILE.tlog",
             "or leave the recording out: --no-record",
         ]
         return Finding("recordings", Sign.PROBLEM, f"cannot write to {full}: {why}", advice)

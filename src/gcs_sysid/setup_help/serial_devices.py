@@ -29,8 +29,7 @@ def check_serial(devices: Sequence[SerialDevice], system: str = platform.system(
 
 
 def _judge(device: SerialDevice, system: str) -> Finding:
-    text = f"{device.name} ({device.description})" if device.description else device.name
-    topic = f"{_TOPIC} {device.name}"
+    topic, text = f"{_TOPIC} {device.name}", device.description or "no description"
     start = _start_command(device.name)
     if system != "Linux":
         # Nothing to be allowed there: a port that cannot be opened is taken.
@@ -51,20 +50,17 @@ def _start_command(name: str) -> str:
 
 def _how_named(system: str) -> str:
     if system == "Windows":
-        return (
-            "ports are COM3 and the like, see the Device Manager; 'access denied' means that "
-            "another program has the port: close it"
-        )
+        return "ports are COM3 and so on (Device Manager); access denied: another has it"
     if system == "Darwin":
-        return "use the name that begins with /dev/cu., not /dev/tty.; close other programs first"
-    return "/dev/ttyACM0 is an autopilot's USB port, /dev/ttyUSB0 a telemetry radio"
+        return "take the name with /dev/cu., not /dev/tty.; close other programs"
+    return "/dev/ttyACM0 would be an autopilot's USB port, /dev/ttyUSB0 a radio"
 
 
 def _permission_lines(group: str | None) -> list[str]:
     if group is None:
-        return ["ask whoever looks after this machine for access to serial ports"]
+        return ["ask the administrator of this machine for access to serial ports"]
     if _in_group_since_login(group):
-        return [f"you are in the group {group}, but this session began before: log out and in"]
+        return [f"you joined the group {group} since you logged in: log out and in again"]
     return [f"sudo usermod -aG {group} $USER", "then log out and in again"]
 
 
