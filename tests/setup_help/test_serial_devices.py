@@ -54,6 +54,14 @@ def test_a_linux_user_outside_dialout_gets_the_line_to_run(user):
 
 
 @posix
+def test_a_port_of_the_board_is_no_problem_of_somebody_who_flies_by_network(user):
+    user(in_session=False)
+    (finding,) = check_serial([SerialDevice("/dev/ttyS0", "", usb=False)], "Linux")
+    assert finding.sign is Sign.WARNING
+    assert finding.text == "a port of the board, no permission to open it"
+
+
+@posix
 def test_who_has_joined_but_not_logged_in_again(user):
     user(in_session=False, in_file=True)
     (finding,) = check_serial([RADIO], "Linux")

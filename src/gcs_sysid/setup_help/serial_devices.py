@@ -29,17 +29,17 @@ def check_serial(devices: Sequence[SerialDevice], system: str = platform.system(
 
 
 def _judge(device: SerialDevice, system: str) -> Finding:
-    topic, text = f"{_TOPIC} {device.name}", device.description or "no description"
+    kind = device.description or ("USB" if device.usb else "a port of the board")
+    topic = f"{_TOPIC} {device.name}"
     start = _start_command(device.name)
     if system != "Linux":
         # Nothing to be allowed there: a port that cannot be opened is taken.
-        return Finding(topic, Sign.OK, text, [start, _how_named(system)])
+        return Finding(topic, Sign.OK, kind, [start, _how_named(system)])
     if os.access(device.name, os.R_OK | os.W_OK):
-        return Finding(topic, Sign.OK, f"{text}, may be opened", [start])
-    group = _owning_group(device.name)
-    return Finding(
-        topic, Sign.PROBLEM, f"{text}, no permission to open it", _permission_lines(group)
-    )
+        return Finding(topic, Sign.OK, f"{kind}, may be opened", [start])
+    sign = Sign.PROBLEM if device.usb else Sign.WARNING
+    advice = _permission_lines(_owning_group(device.name))
+    return Finding(topic, sign, f"{kind}, no permission to open it", advice)
 
 
 def _start_command(name: str) -> str:

@@ -283,16 +283,18 @@ class SerialDevice(NamedTuple):
 
     name: str
     description: str
+    usb: bool = True
+    """Whether it was plugged in, and is not a port of the board that may lead nowhere."""
 
 
 def serial_devices() -> list[SerialDevice]:
     """The serial ports that are plugged in, by name; none is opened."""
     from serial.tools import list_ports
 
-    found = [
-        SerialDevice(port.device, "" if port.description in (None, "n/a") else port.description)
-        for port in list_ports.comports()
-    ]
+    found = []
+    for port in list_ports.comports():
+        description = "" if port.description in (None, "n/a") else port.description
+        found.append(SerialDevice(port.device, description, port.vid is not None))
     return sorted(found)
 
 
