@@ -11,7 +11,7 @@ from gcs_sysid.setup_help.serial_devices import check_serial
 from gcs_sysid.telemetry.link import SerialDevice
 from gcs_sysid.telemetry.link import serial_devices as plugged_in
 
-RADIO = SerialDevice("/dev/ttyUSB0", "FT232R USB UART")
+RADIO = SerialDevice("/dev/ttyUSB97", "FT232R USB UART")
 posix = pytest.mark.skipif(sys.platform == "win32", reason="groups of POSIX")
 
 
@@ -56,7 +56,7 @@ def test_a_linux_user_outside_dialout_gets_the_line_to_run(user):
 @posix
 def test_a_port_of_the_board_is_no_problem_of_somebody_who_flies_by_network(user):
     user(in_session=False)
-    (finding,) = check_serial([SerialDevice("/dev/ttyS0", "", usb=False)], "Linux")
+    (finding,) = check_serial([SerialDevice("/dev/ttyS97", "", usb=False)], "Linux")
     assert finding.sign is Sign.WARNING
     assert finding.text == "a port of the board, no permission to open it"
 
