@@ -20,12 +20,15 @@ class Dialogue:
         self.seen = ""
 
     def ask(self, question):
+        if not self._typed:
+            raise InputError("the answers ended")
         self.seen += question
         answer = self._typed.pop(0)
         self.seen += f"{answer}\n"
         return answer
 
     def say(self, text):
+        assert all(len(line) <= 80 or "/" in line for line in text.splitlines()), text
         self.seen += f"{text}\n"
 
     @property
@@ -80,7 +83,7 @@ def test_slips_are_answered_at_once_with_a_word():
         *("from 1 to 4", "'heavy' is no number", "not grams", "three lengths", "no prior on"),
         "Ixx must be positive",
     ):
-        assert word in seen, word
+        assert word in " ".join(seen.split()), word
 
 
 def test_an_arm_of_two_numbers_is_forward_and_sideways_of_a_quad_x():
@@ -98,7 +101,7 @@ def test_spins():
     assert seen.count("motor  place") == 2
     found, seen = asked("1", "0.25", "ccw ccw ccw ccw", "cw, cw, ccw, ccw", *REST)
     assert found.rotors == reversed_spins(usual)
-    assert "roll, pitch, yaw and thrust apart" in seen
+    assert "roll, pitch, yaw and thrust apart" in " ".join(seen.split())
 
 
 def test_own_positions():
@@ -113,7 +116,7 @@ def test_own_positions():
     assert found.scale is None
     assert found.origin == "Own layout."
     for word in ("such as: 0.2 -0.2 cw", "four motors at least", "12.7279 m is a long arm"):
-        assert word in seen, word
+        assert word in " ".join(seen.split()), word
 
 
 def test_own_positions_that_cannot_fly_are_asked_again():
@@ -137,8 +140,15 @@ def test_a_new_file_is_one_that_is_not_there(tmp_path):
     dialogue = Dialogue(str(tmp_path / "a"), str(tmp_path / "none" / "b"), str(tmp_path / "b"))
     path = Wizard(dialogue.ask, dialogue.say, ASCII).new_file("x.toml")
     assert path == tmp_path / "b.toml"
-    assert "not overwritten; another name?" in dialogue.seen
-    assert "there is no folder" in dialogue.seen
+    seen = " ".join(dialogue.seen.split())
+    assert "not overwritten; another name?" in seen
+    assert "there is no folder" in seen
+
+
+@pytest.mark.parametrize("typed", [(), ("1",), ("own", "0.2 0.2 cw"), ("1", "0.2", "", "1")])
+def test_answers_that_end_too_early_end_the_wizard(typed):
+    with pytest.raises(InputError, match="the answers ended"):
+        asked(*typed)
 
 
 @pytest.mark.parametrize(("typed", "yes"), [(["y"], True), (["No"], False), (["what", ""], True)])

@@ -1,6 +1,7 @@
 """Questions about a vehicle, one by one, each answer checked at once."""
 
 import math
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -127,7 +128,7 @@ class Wizard:
     """Asks for what is not given.
 
     Args:
-        ask: shows a question and gives the answer, one line. Raises EOFError at the end.
+        ask: shows a question and gives the answer, one line. What it raises ends all.
         say: shows lines.
         pen: to draw with.
     """
@@ -166,23 +167,30 @@ class Wizard:
         """The name of a file that is not there yet."""
         while True:
             word = self._ask(f"File to write [{suggested}]: ").strip() or suggested
-            path = Path(word)
-            if path.suffix != ".toml":
-                path = path.with_name(path.name + ".toml")
+            path = Path(word if word.endswith(".toml") else f"{word}.toml")
             try:
                 check_new(path)
             except InputError as error:
-                self._say(f"  {error}; another name?")
+                self._refuse(f"{error}; another name?")
             else:
                 return path
+
+    def _refuse(self, why: str) -> None:
+        """Say what is wrong with an answer."""
+        self._say(
+            textwrap.fill(
+                why, 78, initial_indent="  ", subsequent_indent="  ", break_long_words=False
+            )
+        )
 
     def _until(self, question: str, parse: Callable[[str], T]) -> T:
         """Ask until the answer can be understood."""
         while True:
+            answer = self._ask(f"{question}: ").strip()
             try:
-                return parse(self._ask(f"{question}: ").strip())
+                return parse(answer)
             except InputError as error:
-                self._say(f"  {error}")
+                self._refuse(str(error))
 
     def _optional(self, question: str, parse: Callable[[str], T]) -> T | None:
         def or_nothing(text: str) -> T | None:
@@ -197,7 +205,10 @@ class Wizard:
         while True:
             value = self._until(question, parse)
             why = doubt(value)
-            if why is None or self.yes(f"  {why}. Keep it?", default=False):
+            if why is None:
+                return value
+            self._refuse(why)
+            if self.yes("  Keep it?", default=False):
                 return value
 
     def _rotors(self, given: Given) -> tuple[tuple[Rotor, ...], str]:
@@ -234,8 +245,8 @@ class Wizard:
 
     def _own_rotors(self) -> tuple[Rotor, ...]:
         self._say(
-            "Each motor in the autopilot's order: metres forward, metres to the right, and its\n"
-            "spin from above; such as: 0.2 -0.2 cw. Enter ends the list; back: takes one back."
+            "Each motor in the autopilot's order: metres forward, metres to the right and spin\n"
+            "from above, such as 0.2 -0.2 cw. Enter: that was all; back: takes one back."
         )
         while True:
             rotors: list[Rotor] = []
@@ -247,7 +258,7 @@ class Wizard:
             try:
                 return _can_fly(tuple(rotors))
             except InputError as error:
-                self._say(f"  {error}\nOnce more, from the first motor on.")
+                self._refuse(f"{error}. Once more, from the first motor on.")
 
     def _own_rotor(self, number: int) -> Rotor | None:
         def one(text: str) -> Rotor | None:
@@ -290,8 +301,8 @@ class Wizard:
 
     def _scale(self) -> tuple[AnchorName, float] | None:
         self._say(
-            "What sets the scale? One value must be known, because motion alone does not tell\n"
-            "heavy and strong from light and weak.\n"
+            "What sets the scale? One value must be known: motion alone does not tell heavy\n"
+            "and strong from light and weak.\n"
             "   1  the mass, weighed ready to fly, in kg\n"
             "   2  k_T, thrust over the square of rotor speed, in N s^2 (with rpm telemetry)\n"
             "   3  T_max, thrust of one rotor at full command, in N (without)\n"
