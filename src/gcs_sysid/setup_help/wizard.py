@@ -245,8 +245,8 @@ class Wizard:
 
     def _own_rotors(self) -> tuple[Rotor, ...]:
         self._say(
-            "Each motor in the autopilot's order: metres forward, metres to the right and spin\n"
-            "from above, such as 0.2 -0.2 cw. Enter: that was all; back: takes one back."
+            "Each motor in the autopilot's order: metres forward, metres to the right, spin\n"
+            "from above; such as 0.2 -0.2 cw. Enter: that was all; back: takes one back."
         )
         while True:
             rotors: list[Rotor] = []
