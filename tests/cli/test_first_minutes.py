@@ -7,6 +7,7 @@ import re
 import socket
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -100,6 +101,18 @@ def test_an_airframe_with_all_options_to_standard_output(tmp_path, capsys, monke
     assert (airframe.name, airframe.anchor()) == ("odd", ("k_T", 2e-5))
     assert airframe.imu_position == (-0.02, 0.0, -0.03)
     assert airframe.priors == {"k_M": (6e-6, 1e-7)}
+
+
+def test_a_file_to_standard_output_is_utf8_everywhere():
+    argv = ["airframe", "new", "--layout", "px4-quad-x", "--arm", "0.2", "--name", "Möwe →"]
+    done = subprocess.run(
+        [sys.executable, "-m", "gcs_sysid", *argv, "--output", "-"],
+        capture_output=True,
+        env={**os.environ, "PYTHONIOENCODING": "cp1252"},
+        timeout=60,
+    )
+    assert done.returncode == 0
+    assert tomllib.loads(done.stdout.decode("utf-8"))["name"] == "Möwe →"
 
 
 def test_check_draws_and_says_what_looks_wrong(tmp_path, capsys):

@@ -1,6 +1,7 @@
 """`gcs-sysid airframe`: describe a vehicle in a file, and check one."""
 
 import argparse
+import io
 import json
 import sys
 from collections.abc import Sequence
@@ -80,13 +81,20 @@ def _new(options: argparse.Namespace) -> int:
     text = airframe_text(answers)
     airframe = checked(text, str(path))
     if str(path) == "-":
-        print(text, end="")
+        _print_utf8(text)
     else:
         write_new(path, text)
     if not asking:  # else it has been seen already
         _warn(airframe)
     _say_next(path, airframe)
     return 0
+
+
+def _print_utf8(text: str) -> None:
+    """Print a file's text as the file has it, whatever a pipe on Windows would make of it."""
+    if isinstance(sys.stdout, io.TextIOWrapper) and not sys.stdout.isatty():
+        sys.stdout.reconfigure(encoding="utf-8", newline="\n")
+    print(text, end="")
 
 
 def _given(options: argparse.Namespace) -> Given:
