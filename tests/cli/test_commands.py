@@ -275,6 +275,7 @@ def test_demo_ends_with_estimate_truth_and_error(tmp_path):
         timeout=300,
     )
     assert done.returncode == 0
+    assert " s  coach: " in done.stderr
     head = next(text for text in done.stdout.splitlines() if text.startswith("parameter"))
     assert "truth" in head
     assert "error %" in head
