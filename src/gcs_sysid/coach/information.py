@@ -21,6 +21,8 @@ from gcs_sysid.model import rigid_body as rb
 
 _SLOWEST = 0.5
 """Hz; what is slower than this tells no more than at this: biases and gusts wander."""
+_QUIETEST = 1e-12
+"""rad^2/s^3; no sensor is perfect, but an emulated one may be."""
 _EFFICIENCY = 0.75
 """Information that the online estimator's intervals show over what there is: it weighs all
 frequencies alike, and never claims less scatter than white residuals have (measured on flights of
@@ -41,8 +43,9 @@ class Noise:
 
     def at(self, omega: Array) -> Array:
         """(n, 3, 3) of the angular acceleration at (n,) rad/s."""
-        floor = 2.0 * np.pi * _SLOWEST
-        density: Array = (omega**2 + floor**2)[:, None, None] * self.gyro + self.torque
+        slowest = 2.0 * np.pi * _SLOWEST
+        density: Array = (omega**2 + slowest**2)[:, None, None] * self.gyro + self.torque
+        density = density + _QUIETEST * np.eye(3)
         return density
 
 

@@ -15,7 +15,7 @@ from gcs_sysid.coach.manoeuvres import Limits, library
 from gcs_sysid.coach.outlook import Outlook, outlook_of
 from gcs_sysid.coach.supposed import supposed, supposed_noise
 from gcs_sysid.coach.targets import is_enough, shares
-from gcs_sysid.coach.words import sentence
+from gcs_sysid.coach.words import motion_words, sentence
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.sampling import SampleBlock
@@ -25,6 +25,8 @@ _EVERY = 1.0
 """s of vehicle time between looks."""
 _STALE = 10.0
 """s after which advice that nobody follows is thought over."""
+_AGAIN = 5.0
+"""The same where no manoeuvre was found."""
 _BEGUN = 0.1
 """Progress from which advice is being followed."""
 _FLOWN = 0.9
@@ -33,6 +35,8 @@ _LEAST_SECONDS = 3.0
 """s of flight from which its residuals tell the noise, and hover has told the CG."""
 _GROPING = 0.5
 """Share of an interval of Ixx or Iyy from which a fit is not gone on from."""
+_FIRST = 6.0
+"""s, of the first manoeuvre of a vehicle of which nothing is known."""
 _MATTERS = 0.1
 """Share of a manoeuvre's motion from which an axis belongs to it."""
 _MOST_GAINS = 4
@@ -67,8 +71,9 @@ class Coach:
         self._library = library(self.options.limits)
         self._advice: Advice | None = None
         self._text = ""
+        self._gains: tuple[str, ...] = ()
         self._next_look = 0.0
-        self._chosen_at = 0.0
+        self._chosen_at = -np.inf
         self._seconds = 0.0
         self._gathered = np.zeros(4)
         chain.observer = self.take
@@ -89,7 +94,7 @@ class Coach:
         chain = self._chain
         if not chain.sampler.flying:
             self.choice = self._advice = None
-            self._next_look = 0.0
+            self._next_look, self._chosen_at = 0.0, -np.inf
             return None
         if chain.t >= self._next_look:
             self._next_look = chain.t + _EVERY
@@ -99,7 +104,7 @@ class Coach:
     def _look(self) -> Advice | None:
         fit = self._chain.fit
         if fit.seconds < _LEAST_SECONDS:
-            self.choice = None
+            self.choice, self._chosen_at = None, -np.inf
             return None
         now = self._judge(fit)
         if is_enough(now, self.options.target):
@@ -108,7 +113,7 @@ class Coach:
         progress = self._progress()
         since = self._chain.t - self._chosen_at
         if (
-            self.choice is None
+            (self.choice is None and since >= _AGAIN)
             or fit.seconds < self._seconds  # something has changed, or was reset
             or progress >= _FLOWN
             or (progress < _BEGUN and since >= _STALE)
@@ -121,7 +126,7 @@ class Coach:
             return None
         gains = tuple(
             Gain(name, now.get(name), share)
-            for name in choice.names[:_MOST_GAINS]
+            for name in self._gains
             for share in (choice.expected[name],)
             if share is not None
         )
@@ -129,24 +134,36 @@ class Coach:
         return Advice(manoeuvre.name, self._text, manoeuvre.seconds, progress, gains)
 
     def _choose(self, fit: Fit, now: Mapping[str, float | None]) -> None:
-        found = choose(self._outlook(fit, now), self._library, self._judge, self.options.target)
-        # What is told is against the intervals that the pilot sees.
-        self.choice = found and replace(found, now=now)
+        if any((now[name] or 1.0) >= _GROPING for name in ("Ixx", "Iyy")):
+            # What a hover's noise looks like is no vehicle.
+            fit = replace(fit, rotation=None)
+        try:
+            found = choose(self._outlook(fit), self._library, self._judge, self.options.target)
+        except np.linalg.LinAlgError:
+            # Estimates may be anything while a flight begins; no advice is worth a session.
+            found = None
         self._chosen_at = self._chain.t
         self._gathered[:] = 0.0
-        if self.choice is not None:
-            choice = self.choice
-            self._text = sentence(choice.manoeuvre, choice.names, now, choice.expected)
+        self._gains = ()
+        self.choice = found
+        if found is None:
+            return
+        if fit.rotation is None:
+            # A rule of thumb picks the manoeuvre, but promises nothing.
+            self.choice = replace(found, manoeuvre=found.manoeuvre.lasting(_FIRST))
+            self._text = f"{motion_words(self.choice.manoeuvre)}: first values of everything"
+            return
+        # What is told is against the intervals that the pilot sees.
+        self.choice = found = replace(found, now=now)
+        self._gains = tuple(found.names[:_MOST_GAINS])
+        self._text = sentence(found.manoeuvre, found.names, now, found.expected)
 
     def _judge(self, fit: Fit) -> dict[str, float | None]:
         chain = self._chain
         return shares(chain.values(fit), chain.airframe.arm, chain.rotor_input)
 
-    def _outlook(self, fit: Fit, now: Mapping[str, float | None]) -> Outlook:
+    def _outlook(self, fit: Fit) -> Outlook:
         chain = self._chain
-        if any((now[name] or 1.0) >= _GROPING for name in ("Ixx", "Iyy")):
-            # What a hover's noise looks like is no vehicle.
-            fit = replace(fit, rotation=None)
         known = supposed(chain.airframe, commands=chain.rotor_input == "command")
         estimator = chain.estimator
         assert estimator is not None
