@@ -90,6 +90,10 @@ CASES = {
     "duration": (["live", NOWHERE, *PAPER, "--duration", "0"], "--duration"),
     "plan without airframe": (["plan"], "--airframe"),
     "plan without scale": (["plan", "--airframe", "px4-quad-x"], "--mass"),
+    "plan by k_T for commands": (
+        ["plan", "--airframe", "px4-sih", "--k-t", "1e-5", "--rotor-input", "command"],
+        "k_T",
+    ),
     "target is no number": (["plan", *PAPER, "--target", "fine"], "'fine'"),
     "target is nothing": (["plan", *PAPER, "--target", "0%"], "0.1%"),
     "tilt": (["plan", *PAPER, "--max-tilt", "80"], "45"),

@@ -309,7 +309,12 @@ def add_trend(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="write over FILE if it exists")
 
 
-def _check_scale_fits(airframe: "Airframe") -> None:
+def check_scale_fits(airframe: "Airframe") -> None:
+    """Refuse a scale that means nothing with the airframe's rotor input.
+
+    Raises:
+        InputError: it does not fit.
+    """
     if airframe.T_max is not None and airframe.rotor_input == "speed":
         raise InputError(
             "T_max cannot set the scale with rotor speeds as the input; give --mass or --k-t"
@@ -367,5 +372,5 @@ def airframe_of(options: argparse.Namespace) -> "Airframe":
             "--t-max VALUE with commands), because IMU and rotors alone do not tell heavy and "
             "strong from light and weak"
         )
-    _check_scale_fits(airframe)
+    check_scale_fits(airframe)
     return airframe

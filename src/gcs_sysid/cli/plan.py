@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.cli import arguments
@@ -21,10 +22,13 @@ from gcs_sysid.session.summary import priors_for, values_of
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 where no plan within the limits is enough."""
     airframe = arguments.airframe_of(options)
-    wanted = options.rotor_input or airframe.rotor_input
-    rotor_input: RotorInput = "command" if wanted == "command" else "speed"
     own = airframe.anchor()
     assert own is not None
+    wanted = options.rotor_input or airframe.rotor_input
+    if wanted == "auto":
+        wanted = "command" if own[0] == "T_max" else "speed"
+    rotor_input: RotorInput = wanted
+    arguments.check_scale_fits(replace(airframe, rotor_input=rotor_input))
     anchor = Anchor(*own)
     priors = priors_for(airframe.priors, rotor_input)
 
