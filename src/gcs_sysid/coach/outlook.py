@@ -68,18 +68,8 @@ class Outlook:
             seconds: from its start to its end.
             full: as many at full swing tell as much.
         """
-        free, n = self.free, rb.N_THETA
-        gained = np.zeros((N_UNKNOWNS, N_UNKNOWNS)) if told is None else full * told
-        total = (self.information + gained)[np.ix_(free, free)]
-        scale = np.sqrt(np.diag(total))
-        inverse = np.linalg.inv(total / np.outer(scale, scale)) / np.outer(scale, scale)
-        covariance = np.zeros_like(self.information)
-        covariance[np.ix_(free, free)] = inverse
-        # Satterthwaite again: of what is old, and of the manoeuvre's batches of a second.
-        fresh = np.diag(covariance @ gained @ covariance)
-        old = np.maximum(np.diag(covariance) - fresh, 0.0)
-        spread = old**2 / self.freedom + fresh**2 / _even_freedom(full)
-        freedom = (old + fresh) ** 2 / np.maximum(spread, 1e-300)
+        n = rb.N_THETA
+        covariance, freedom = self._spread(told, full)
         widening = np.interp(freedom, _FREEDOMS, _FACTORS)
         covariance *= np.outer(widening, widening)
         rotation = RotationFit(
@@ -96,6 +86,29 @@ class Outlook:
         return Fit(
             rotation, self._translation(flown), flown, coupling=self.fit.coupling, running=True
         )
+
+    def then(self, told: Array, seconds: float, full: float) -> "Outlook":
+        """What is known once a manoeuvre has been flown as expected; arguments as of `after`."""
+        after = self.after(told, seconds, full)
+        fit = Fit(after.rotation, self.fit.translation, after.seconds, coupling=self.fit.coupling)
+        _, freedom = self._spread(told, full)
+        return replace(self, fit=fit, information=self.information + full * told, freedom=freedom)
+
+    def _spread(self, told: Array | None, full: float) -> tuple[Array, Array]:
+        """(N_UNKNOWNS, N_UNKNOWNS) covariance without Student's factor, and its freedom."""
+        free = self.free
+        gained = np.zeros((N_UNKNOWNS, N_UNKNOWNS)) if told is None else full * told
+        total = (self.information + gained)[np.ix_(free, free)]
+        scale = np.sqrt(np.diag(total))
+        inverse = np.linalg.inv(total / np.outer(scale, scale)) / np.outer(scale, scale)
+        covariance = np.zeros_like(self.information)
+        covariance[np.ix_(free, free)] = inverse
+        # Satterthwaite again: of what is old, and of the manoeuvre's batches of a second.
+        fresh = np.diag(covariance @ gained @ covariance)
+        old = np.maximum(np.diag(covariance) - fresh, 0.0)
+        spread = old**2 / self.freedom + fresh**2 / _even_freedom(full)
+        freedom = (old + fresh) ** 2 / np.maximum(spread, 1e-300)
+        return covariance, np.where(spread > 0.0, freedom, _FREEDOMS[-1])
 
     def _translation(self, seconds: float) -> TranslationFit:
         before, began = self.fit.translation, self.fit.seconds

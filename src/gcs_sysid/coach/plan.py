@@ -1,7 +1,7 @@
 """A flight plan on paper: manoeuvres that should do, for a vehicle that has not flown yet."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from gcs_sysid.coach.choice import Judge, choose
@@ -108,14 +108,7 @@ def make_plan(name: str, supposed: Supposed, judge: Judge, target: float, limits
             break
         flown = found.manoeuvre
         steps.append(Step(seconds, flown, now, found.expected, tuple(found.names)))
-        # Once one step has been flown there is a fit to go on from.
-        outlook = replace(
-            outlook,
-            fit=replace(
-                outlook.fit, rotation=found.after.rotation, seconds=seconds + flown.seconds
-            ),
-            information=outlook.information + found.told * flown.effective_seconds,
-        )
+        outlook = outlook.then(found.told, flown.seconds, flown.effective_seconds)
         now = judge(outlook.after())
         seconds += flown.seconds + PAUSE
     total = seconds - PAUSE if steps else seconds

@@ -31,7 +31,7 @@ SPEED_STD = 0.5
 """rad/s, of one sample of a rotor's speed."""
 RATE = 250.0
 """Hz, of IMU and rotors."""
-ACCELERATION_DENSITY = 3e-3
+ACCELERATION_DENSITY = 3e-4
 """rad^2/s^3: with commands, what motors do that their commands do not tell."""
 
 
