@@ -1,6 +1,6 @@
 """Flights that the coach leads, against the article's three modes.
 
-    python -m benchmarks.coach [--seeds 20] [--processes 2] [--airframe paper] [--max-tilt DEG] [--max-rate DEG_S]
+    python -m benchmarks.coach [--seeds 20] [--processes 2] [--airframe NAME]
 
 A flight that is led passes the whole path: emulator, MAVLink frames, the live session's chain. A
 pilot who does what the coach says is emulated too: each second he looks at the advice, and when his
