@@ -2,9 +2,9 @@
 
 A page has a folder of its own, in which lie a recording `flight.tlog`, its airframe `my-quad.toml`,
 results of it and of its parts, and the folder `logs` of a fleet. `console` blocks are commands with
-their output; of what is shown the shape is compared: words, not numbers, and a line `...` stands for
-any lines. `python` blocks share one name space, and a `text` block after one is what it prints. A
-block that cannot be run says why, in a comment above it. Tutorials begin with nothing.
+their output; of what is shown the shape is compared: words, not numbers, and a line `...` stands
+for any lines. `python` blocks share one name space, and a `text` block after one is what it
+prints. A block that cannot be run says why, in a comment above it. Tutorials begin with nothing.
 """
 
 import contextlib
