@@ -35,6 +35,7 @@ class Model:
         geometry: (3, rotors) of the airframe.
         rotor_input: what the samples hold of the rotors.
         gyro_cutoff: Hz, low-pass of the autopilot on its gyro; None: there is none.
+        loop_cutoff: Hz, the same on its way into the commands.
     """
 
     theta: Array
@@ -42,6 +43,7 @@ class Model:
     geometry: Array
     rotor_input: RotorInput
     gyro_cutoff: float | None = None
+    loop_cutoff: float | None = None
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,8 @@ def predict(
     path = _path(model, dt, half)
     found, noise = [], None
     if model is not None:
-        noise = SpeedNoise(model.geometry, dt, commands=model.rotor_input == "command")
+        commands = model.rotor_input == "command"
+        noise = SpeedNoise(model.geometry, dt, commands=commands, loop_cutoff=model.loop_cutoff)
     for piece in pieces:
         found.append(_rows(piece, path, smoother, model))
         if noise is not None:
