@@ -16,6 +16,9 @@ from mkdocs.structure.files import File, Files
 ROOT_PAGES = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 """Pages that lie at the project's root, and their names on the site."""
 
+EXPECTED_PAGES = ("first-minutes.md", "coach.md", "replay.md")
+"""Pages that the navigation names already, written or not."""
+
 _MATRIX = re.compile(r"<mo[^>]*>&#x0005B;</mo><mtable>(.*?)</mtable><mo[^>]*>&#x0005D;</mo>")
 """Brackets stretch with a mathematical font alone, which not every system has: those of matrices
 are drawn by the style sheet."""
@@ -30,10 +33,23 @@ def math_fence(
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Show `math` blocks as formulas."""
+    """Show `math` blocks as formulas; leave out of the navigation what is not written yet."""
+    config.nav = _written(config.nav or [], Path(config.docs_dir))
     fences = config.mdx_configs.setdefault("pymdownx.superfences", {})
     fences["custom_fences"] = [{"name": "math", "class": "math", "format": math_fence}]
     return config
+
+
+def _written(entries: list[Any], docs: Path) -> list[Any]:
+    """The navigation's entries without the expected pages that are not there."""
+    out: list[Any] = []
+    for entry in entries:
+        ((title, target),) = entry.items()
+        if isinstance(target, list):
+            out.append({title: _written(target, docs)})
+        elif target not in EXPECTED_PAGES or (docs / target).is_file():
+            out.append(entry)
+    return out
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

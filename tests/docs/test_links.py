@@ -13,6 +13,10 @@ _GENERATED = {
 }
 
 
+_EXPECTED = {"first-minutes.md", "coach.md", "replay.md"}
+"""Named in the navigation, written or not; `EXPECTED_PAGES` of `tools/docs_hooks.py`."""
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere(page):
     for target in links(page):
@@ -30,7 +34,7 @@ def test_every_page_is_in_the_navigation_and_every_entry_is_a_page():
     named = re.findall(r": (\S+\.md)$", navigation, re.MULTILINE)
     there = {page.name for page in PAGES if page.parent.name == "docs"}
     there |= {page.name for page in _GENERATED}
-    assert sorted(named) == sorted(there)
+    assert sorted(named) == sorted(there | _EXPECTED)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
