@@ -12,12 +12,18 @@ from latex2mathml.converter import convert
 from markdown import Markdown
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 ROOT_PAGES = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 """Pages that lie at the project's root, and their names on the site."""
 
 EXPECTED_PAGES = ("first-minutes.md", "coach.md", "replay.md")
 """Pages that the navigation names already, written or not."""
+
+FORMULA_PAGES = ("method.md", "errata.md")
+"""Pages whose text is full of symbols."""
+_CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
+_SYMBOL = re.compile(r"(?<![\w/])([A-Za-zΩω])_(cg|max|[a-zA-Z]{1,2}|\d)(?![A-Za-z0-9_])")
 
 _MATRIX = re.compile(r"<mo[^>]*>&#x0005B;</mo><mtable>(.*?)</mtable><mo[^>]*>&#x0005D;</mo>")
 """Brackets stretch with a mathematical font alone, which not every system has: those of matrices
@@ -30,6 +36,15 @@ def math_fence(
     """A block of LaTeX as MathML."""
     formula = _MATRIX.sub(r'<mtable class="matrix">\1</mtable>', convert(source, display="block"))
     return f'<div class="math">{formula}</div>'
+
+
+def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
+    """Set the indices of symbols as indices, on the pages about the method, outside of code."""
+    if page.file.src_uri not in FORMULA_PAGES:
+        return markdown
+    parts = _CODE.split(markdown)
+    parts[::2] = [_SYMBOL.sub(r"\1<sub>\2</sub>", part) for part in parts[::2]]
+    return "".join(parts)
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
