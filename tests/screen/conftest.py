@@ -8,7 +8,7 @@ import pytest
 from rich.segment import Segment
 from textual.pilot import Pilot
 
-from gcs_sysid.screen import SysidApp
+from gcs_sysid.screen import Actions, SysidApp
 from gcs_sysid.session.snapshot import Snapshot
 
 from . import fake
@@ -74,9 +74,11 @@ def run_screen() -> RunScreen:
         first: Snapshot | None,
         size: tuple[int, int] = (80, 24),
         truth: Mapping[str, float] | None = fake.TRUTH,
+        actions: Actions | None = None,
     ) -> AsyncIterator[Running]:
         source, clock = fake.FakeSource(first), Clock()
-        app = SysidApp(source, truth, time_source=clock)
+        actions = source.actions() if actions is None else actions
+        app = SysidApp(source, truth, actions, time_source=clock)
         async with app.run_test(size=size) as pilot:
             running = Running(app, pilot, source, clock)
             await running.settle()

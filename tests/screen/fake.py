@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.screen import Actions
 from gcs_sysid.session.result import Estimate, Result, Scale, Status
 from gcs_sysid.session.snapshot import Course, Event, LinkState, LinkStatus, Snapshot
 
@@ -183,6 +184,10 @@ class FakeSource:
         self.calls: list[str] = []
         self.recording = True
         self.broken = False
+
+    def actions(self) -> Actions:
+        """All that can be done with it."""
+        return Actions(self.mark, self.reset, self.toggle_recording)
 
     def latest(self) -> Snapshot | None:
         return self.snapshot

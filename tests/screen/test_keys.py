@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 from textual.command import CommandPalette
 
+from gcs_sysid.screen import Actions
 from gcs_sysid.screen.help import HelpScreen
 from gcs_sysid.screen.main import MainScreen
 from gcs_sysid.screen.widgets.convergence import Convergence
@@ -181,3 +182,11 @@ async def test_a_command_of_the_palette_chooses_a_parameter(run_screen):
         commands = {c.title: c.callback for c in s.app.get_system_commands(s.app.screen)}
         commands["Plot k_T"]()
         assert s.app.selected == "k_T"
+
+
+async def test_what_a_source_cannot_do_is_said_in_plain_words(run_screen):
+    async with run_screen(fake.snapshot(), actions=Actions(absent="in a replay")) as s:
+        for key, what in {"m": "Mark", "r": "Reset", "R": "Record"}.items():
+            await s.press(key)
+            assert s.answer() == f"{what}: not in a replay."
+        assert s.source.calls == []

@@ -111,9 +111,10 @@ def follow(
     # Without a terminal there is no screen to draw on.
     on_screen = not headless and sys.stdin.isatty() and sys.stdout.isatty()
     if on_screen:
-        from gcs_sysid.screen.app import SysidApp
+        from gcs_sysid.screen import Actions, SysidApp
 
-        app = SysidApp(session, truth)
+        actions = Actions(session.mark, session.reset, session.toggle_recording)
+        app = SysidApp(session, truth, actions)
         with on_signals(app.exit):
             session.start()
             try:

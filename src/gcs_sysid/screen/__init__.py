@@ -1,6 +1,6 @@
 """The live terminal screen: shows snapshots, knows neither MAVLink nor the estimator."""
 
 from gcs_sysid.screen.app import SysidApp
-from gcs_sysid.screen.source import SnapshotSource
+from gcs_sysid.screen.source import Actions, SnapshotSource
 
-__all__ = ["SnapshotSource", "SysidApp"]
+__all__ = ["Actions", "SnapshotSource", "SysidApp"]

@@ -13,7 +13,7 @@ from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.help import HelpScreen
 from gcs_sysid.screen.main import MainScreen
-from gcs_sysid.screen.source import SnapshotSource
+from gcs_sysid.screen.source import Actions, SnapshotSource
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.pages import PAGES, PageBar
 from gcs_sysid.screen.widgets.parameters import ParameterRow
@@ -59,6 +59,7 @@ class SysidApp(App[None]):
     Args:
         source: the session.
         truth: true values by parameter name, where the vehicle is an emulator that tells them.
+        actions: what can be done with the source.
         title: shown until the vehicle has a name.
         time_source: seconds that only grow; tests put their own here.
     """
@@ -74,11 +75,13 @@ class SysidApp(App[None]):
         self,
         source: SnapshotSource,
         truth: Mapping[str, float] | None = None,
+        actions: Actions | None = None,
         title: str = "gcs-sysid",
         time_source: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__()
         self.source = source
+        self.actions = actions or Actions()
         self.truth: Mapping[str, float] = dict(truth or {})
         self.title = title
         self.selected = ""
@@ -172,8 +175,11 @@ class SysidApp(App[None]):
         """Answer an action with a sentence above the footer."""
         self._main.answer.say(text, None if self._snapshot is None else self._snapshot.t)
 
-    def _ask(self, action: Callable[[], str]) -> None:
+    def _ask(self, what: str, action: Callable[[], str] | None) -> None:
         """Do something with the source, and say what came of it, even if it failed."""
+        if action is None:
+            self.say(f"{what}: not {self.actions.absent}.")
+            return
         try:
             self.say(action())
         except (GcsSysidError, OSError) as error:
@@ -202,26 +208,30 @@ class SysidApp(App[None]):
 
     def action_reset(self) -> None:
         """Start the estimate anew."""
+        act = self.actions.reset
 
         def reset() -> str:
-            self.source.reset()
+            assert act is not None
+            act()
             return "Reset: the estimate starts anew."
 
-        self._ask(reset)
+        self._ask("Reset", act and reset)
 
     def action_mark(self) -> None:
         """Mark the present instant with a number; a pilot has no hand free to type."""
+        act = self.actions.mark
 
         def mark() -> str:
-            self.source.mark(f"mark {self._marks + 1}")
+            assert act is not None
+            act(f"mark {self._marks + 1}")
             self._marks += 1
             return f"Marked: mark {self._marks}"
 
-        self._ask(mark)
+        self._ask("Mark", act and mark)
 
     def action_record(self) -> None:
         """Start or stop recording."""
-        self._ask(self.source.toggle_recording)
+        self._ask("Record", self.actions.toggle_recording)
 
     def action_pause(self) -> None:
         """Freeze the display, or let it go on."""
