@@ -47,12 +47,14 @@ VERDICT_STYLE: dict[Verdict, str] = {
 LINK_SIGN: dict[LinkState, str] = {
     LinkState.WAITING: "○",
     LinkState.CONNECTED: "●",
+    LinkState.REPLAY: "▶",
     LinkState.LOST: "✗",
     LinkState.ENDED: "■",
 }
 LINK_STYLE: dict[LinkState, str] = {
     LinkState.WAITING: "$text-warning",
     LinkState.CONNECTED: "$text-success",
+    LinkState.REPLAY: "$text-success",
     LinkState.LOST: "$text-error",
     LinkState.ENDED: "$text-primary",
 }

@@ -15,6 +15,8 @@ class LinkState(StrEnum):
     WAITING = "waiting"
     """Open, but no vehicle has spoken yet."""
     CONNECTED = "connected"
+    REPLAY = "replay"
+    """No link: a recorded flight is played."""
     LOST = "lost"
     """A vehicle spoke before and is silent now."""
     ENDED = "ended"
@@ -106,6 +108,24 @@ class Advice:
 
 
 @dataclass(frozen=True)
+class Playback:
+    """Where the replay of a recorded flight stands."""
+
+    position: float
+    """s of the vehicle's clock since the first record."""
+    duration: float
+    """s from the first record to the last; 0 until the log was read."""
+    speed: float
+    """Seconds of the flight in one second; infinite: as fast as it can."""
+    paused: bool = False
+    reading: float | None = None
+    """Share of the log read so far, 0 to 1, before it can be played; None: it is played."""
+    seeking: float | None = None
+    """s, where it is on its way to; None: nowhere."""
+    ended: bool = False
+
+
+@dataclass(frozen=True)
 class Snapshot:
     """One instant of a running session. Nothing in it changes afterwards."""
 
@@ -127,3 +147,5 @@ class Snapshot:
     """The latest last; at most a few hundred are kept."""
     advice: Advice | None = None
     """What to fly next; None while nobody can tell, or nobody asked."""
+    playback: Playback | None = None
+    """Of a replay."""

@@ -1,0 +1,388 @@
+"""The replay: a recorded flight once more, paced by the vehicle's clock, as snapshots.
+
+A log is analysed first: that tells how long it is, which of the autopilot's parameters hold, and
+its final numbers. Then the same windows of it are taken at the pace wanted. How they are cut
+moves the numbers by rounding alone; where the log ends, those of the analysis are shown.
+"""
+
+import math
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.session.reel import Reel
+from gcs_sysid.session.result import Result
+from gcs_sysid.session.sampling import SampleBlock
+from gcs_sysid.session.snapshot import LinkState, LinkStatus, Playback, Snapshot
+
+SPEEDS = (1.0, 10.0, math.inf)
+"""Seconds of the flight in one second."""
+_PUBLISH_EVERY = 0.2
+"""s between snapshots."""
+_PIECE = 0.1
+"""s between looks at the clock; so much of the flight, times the speed, is taken at once."""
+_LONGEST_SILENCE = 3.0
+"""s of the flight in which nothing was recorded, more is skipped."""
+_IDLE = 1.0
+"""s to wait where nothing is due; an action wakes."""
+_CHECKPOINTS = 6
+"""States kept to go back to, at most; each is the chain with all that it has learnt."""
+_APART = 10.0
+"""s of the flight between them, at least."""
+
+
+class _StoppedError(Exception):
+    """Ends the reading of a log that nobody waits for any more."""
+
+
+class _Survey:
+    """What the analysis of the log tells beside its result."""
+
+    def __init__(self, stop: threading.Event) -> None:
+        self.duration = 0.0
+        self.options = ChainOptions()
+        self._stop = stop
+
+    def begin(self) -> None:
+        """As `Observer` says."""
+
+    def take(self, block: SampleBlock) -> None:
+        """As `Observer` says."""
+        if self._stop.is_set():
+            raise _StoppedError
+
+    def end(self, chain: Chain) -> None:
+        """As `Observer` says."""
+        self.duration = chain.sampler.recorded or 0.0
+        self.options = chain.options
+
+
+@dataclass(frozen=True)
+class _Checkpoint:
+    position: float
+    """s"""
+    windows: int
+    """Of the log, taken before it."""
+    pipeline: Pipeline
+
+
+class ReplaySession:
+    """Plays a log, in a thread of its own.
+
+    Args:
+        path: a .tlog, .ulg or .bin file.
+        airframe: with a scale anchor.
+        wanted: system and perhaps component; None: the first autopilot in the log.
+        speed: one of `SPEEDS`.
+        course_interval: s of the flight between estimates of the course.
+        stay: whether to wait at the end of the log for a seek; else the session ends there.
+        clock: s that only grow; tests put their own here.
+        on_result: called in the session's thread about once a second of the flight.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        airframe: Airframe,
+        wanted: tuple[int, int | None] | None = None,
+        speed: float = 1.0,
+        course_interval: float = 0.2,
+        *,
+        stay: bool = True,
+        clock: Callable[[], float] = time.monotonic,
+        on_result: Callable[[Result], None] | None = None,
+    ) -> None:
+        self.final: Result | None = None
+        """The last result, once the session has ended; None when it never began to play."""
+        self.problem: Exception | None = None
+        """What ended the session against its will."""
+        self._path, self._airframe, self._wanted = path, airframe, wanted
+        self._course_interval = course_interval
+        self._stay = stay
+        self._clock = clock
+        self._on_result = on_result
+        self._told_result_at = 0.0
+        self._speed = speed
+        self._paused = False
+        self._goal: float | None = None
+        self._asked_goal: float | None = None
+        self._reading: float | None = 0.0
+        self._analysed: Result | None = None
+        self._duration = 0.0
+        self._options = ChainOptions()
+        self._anchor = (0.0, 0.0)
+        self._pipeline = Pipeline(airframe, str(path), wanted)
+        self._reel: Reel | None = None
+        self._checkpoints: list[_Checkpoint] = []
+        self._ended = False
+        self._actions: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._wake, self._stop = threading.Event(), threading.Event()
+        self._latest: Snapshot | None = None
+        self._published = -math.inf
+        self._changed = False
+        self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
+
+    # -- the session, as the screen and the command line see it
+
+    def start(self) -> None:
+        """Begin."""
+        self._publish()
+        self._thread.start()
+
+    def latest(self) -> Snapshot | None:
+        """The newest snapshot."""
+        return self._latest
+
+    def request_stop(self) -> None:
+        """End the session soon; returns at once."""
+        self._stop.set()
+        self._wake.set()
+
+    def stop(self) -> None:
+        """End the session and wait until it has."""
+        self.request_stop()
+        if self._thread.is_alive() and threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def join(self, timeout: float | None = None) -> bool:
+        """Wait for the end; whether it has come."""
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    # -- what a user may do; each returns what happens, in words
+
+    def toggle_pause(self) -> str:
+        """Pause, or go on; from the end, begin anew."""
+        if self._ended and self._goal is None:
+            self._do(lambda: self._seek(0.0, paused=False))
+            return "From the beginning."
+        paused = not self._paused
+        self._do(lambda: self._set_pace(self._speed, paused))
+        return "Replay paused." if paused else "Replay goes on."
+
+    def change_speed(self, step: int) -> str:
+        """Faster by so many of the `SPEEDS`, or slower."""
+        index = min(max(SPEEDS.index(self._speed) + step, 0), len(SPEEDS) - 1)
+        speed = SPEEDS[index]
+        self._do(lambda: self._set_pace(speed, self._paused))
+        return f"Speed: {speed_text(speed)}"
+
+    def seek(self, position: float) -> str:
+        """Go to `position` s of the flight."""
+        if self._reading is not None:
+            return "The log is being read: nowhere to go yet."
+        self._asked_goal = goal = min(max(position, 0.0), self._duration)
+        self._do(lambda: self._seek(goal, self._paused))
+        return f"To {goal:.0f} s of {self._duration:.0f} s."
+
+    def skip(self, seconds: float) -> str:
+        """Go `seconds` on from here, or from where it is on its way to."""
+        goal = self._asked_goal
+        return self.seek((self._position if goal is None else goal) + seconds)
+
+    def _do(self, action: Callable[[], None]) -> None:
+        self._actions.put(action)
+        self._wake.set()
+
+    # -- the work, in the session's thread
+
+    def _run(self) -> None:
+        try:
+            self.open()
+            while not self._stop.is_set() and (self._stay or not self._ended):
+                wait = self.step()
+                if wait > 0.0:
+                    self._wake.wait(wait)
+                    self._wake.clear()
+        except _StoppedError:
+            pass
+        except Exception as problem:  # noqa: BLE001 - handed to the main thread, which tells it
+            self.problem = problem
+        finally:
+            if self._analysed is not None and self.problem is None:
+                self.final = self._analysed if self._ended else self._pipeline.finish()
+            self._ended = True
+            self._publish()
+
+    def open(self) -> None:
+        """Analyse the log, and make ready to play it.
+
+        Raises:
+            InputError: the file cannot be read as a log.
+        """
+        survey = _Survey(self._stop)
+        self._analysed = analyze_log(
+            self._path, self._airframe, self._wanted, progress=self._show_reading, observer=survey
+        )
+        self._duration = survey.duration
+        self._options = replace(survey.options, course_interval=self._course_interval)
+        self._reading = None
+        self._begin()
+
+    def _show_reading(self, share: float) -> None:
+        self._reading = share
+        if self._is_publishing_due():
+            self._publish()
+
+    def step(self) -> float:
+        """Do what is due, at most one part of the log; s until something is due again."""
+        while not self._actions.empty():
+            self._actions.get()()
+            self._changed = True
+        wait = self._advance()
+        if self._changed and (wait >= _IDLE or self._is_publishing_due()):
+            self._publish()
+        return wait
+
+    def _advance(self) -> float:
+        reel, goal = self._reel, self._goal
+        if reel is None or self._ended or (self._paused and goal is None):
+            return _IDLE
+        until, piece = self._due(), _PIECE * self._speed
+        if goal is not None:
+            until, piece = goal, _PIECE
+        end = reel.next_end(until, piece)
+        if end is None:
+            self._end()
+            return 0.0
+        if end > until:
+            return self._wait(reel, end, until)
+        self._pipeline.take_window(reel.take())
+        self._changed = True
+        self._keep_checkpoint(reel)
+        self._tell_result()
+        return 0.0
+
+    def _wait(self, reel: Reel, end: float, until: float) -> float:
+        """s until the part that ends at `end` is due, when the flight has come to `until`."""
+        if self._goal is not None:
+            self._arrive()
+            return 0.0
+        silence = reel.next_start - reel.position
+        if silence > _LONGEST_SILENCE:
+            self._pipeline.chain.note(f"nothing was recorded for {silence:.0f} s: skipped")
+            self._anchor = (self._clock(), end)
+            return 0.0
+        return (end - until) / self._speed
+
+    def _due(self) -> float:
+        """s of the flight that the clock has reached."""
+        if math.isinf(self._speed):
+            return math.inf
+        began, position = self._anchor
+        return position + (self._clock() - began) * self._speed
+
+    def _set_pace(self, speed: float, paused: bool) -> None:
+        self._speed, self._paused = speed, paused
+        self._anchor = (self._clock(), self._position)
+
+    def _seek(self, goal: float, paused: bool) -> None:
+        to_end = goal >= self._duration
+        if goal < self._position or (self._ended and not to_end):
+            self._begin(goal)
+        self._paused = paused
+        self._goal = None if self._ended else math.inf if to_end else goal
+
+    def _arrive(self) -> None:
+        self._goal = None
+        if self._actions.empty():
+            self._asked_goal = None
+        self._anchor = (self._clock(), self._position)
+        self._changed = True
+
+    def _begin(self, goal: float = 0.0) -> None:
+        """Stand at the latest known state before `goal` s."""
+        self._ended = False
+        known = [point for point in self._checkpoints if point.position <= goal]
+        if known:
+            self._pipeline = known[-1].pipeline.copy()
+        else:
+            path = str(self._path)
+            self._pipeline = Pipeline(self._airframe, path, self._wanted, self._options)
+        self._reel = Reel(self._path, self._wanted, self._pipeline)
+        if known:
+            self._reel.skip(known[-1].windows)
+        self._told_result_at = self._position
+        self._anchor = (self._clock(), self._position)
+
+    def _keep_checkpoint(self, reel: Reel) -> None:
+        apart = max(_APART, self._duration / (_CHECKPOINTS + 1))
+        last = self._checkpoints[-1].position if self._checkpoints else 0.0
+        if reel.whole and reel.position - last >= apart:
+            state = self._pipeline.copy()
+            self._checkpoints.append(_Checkpoint(reel.position, reel.windows_taken, state))
+
+    def _end(self) -> None:
+        self._pipeline.finish()
+        self._ended = True
+        self._arrive()
+
+    @property
+    def _position(self) -> float:
+        return 0.0 if self._reel is None else self._reel.position
+
+    # -- what others see
+
+    def _tell_result(self) -> None:
+        if self._on_result is not None and self._position - self._told_result_at >= 1.0:
+            self._told_result_at = self._position
+            self._on_result(self._pipeline.result())
+
+    def _is_publishing_due(self) -> bool:
+        return self._clock() - self._published >= _PUBLISH_EVERY
+
+    def _publish(self) -> None:
+        chain = self._pipeline.chain
+        analysed = self._analysed if self._ended else None
+        result = self.final or analysed or self._pipeline.result()
+        self._latest = Snapshot(
+            t=chain.t,
+            used_seconds=chain.used_seconds,
+            flying=chain.sampler.flying,
+            result=result,
+            course=chain.course,
+            link=self._link(),
+            attitude=chain.sampler.attitude,
+            rates=chain.sampler.rates,
+            rotor_speeds=chain.sampler.rotor_speeds,
+            events=chain.events,
+            playback=Playback(
+                position=self._position,
+                duration=self._duration,
+                speed=self._speed,
+                paused=self._paused,
+                reading=self._reading,
+                seeking=self._goal if self._goal is None else min(self._goal, self._duration),
+                ended=self._ended,
+            ),
+        )
+        self._published = self._clock()
+        self._changed = False
+
+    def _link(self) -> LinkStatus:
+        """Of the log: rates where the replay stands, losses of the whole."""
+        whole = {} if self._analysed is None else self._analysed.telemetry
+        reel = self._reel
+        vehicle = None if reel is None else reel.telemetry.vehicle
+        return LinkStatus(
+            state=LinkState.ENDED if self._ended else LinkState.REPLAY,
+            url=str(self._path),
+            vehicle=str(vehicle or ""),
+            rates={} if reel is None else reel.rates(),
+            received=whole.get("received", 0),
+            rejected=whole.get("bad_crc", 0),
+            unknown=whole.get("unknown", 0),
+            lost_percent=whole.get("lost_percent", 0.0),
+        )
+
+
+def speed_text(speed: float) -> str:
+    """One of the `SPEEDS` in words: "10x", "max"."""
+    return "max" if math.isinf(speed) else f"{speed:g}x"
