@@ -14,7 +14,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.columns import RecordBlock
-from gcs_sysid.estimation.anchors import Anchor, relative_prior, resolve_scale
+from gcs_sysid.errors import InputError
+from gcs_sysid.estimation.anchors import Anchor, AnchorKind, relative_prior, resolve_scale
 from gcs_sysid.estimation.changes import ChangeTuning
 from gcs_sysid.estimation.offline import OfflineFit, fit_offline
 from gcs_sysid.estimation.online import Fit
@@ -27,7 +28,7 @@ from gcs_sysid.estimation.parameters import (
 )
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotors import RotorInput
-from gcs_sysid.estimation.tracking import Tracker
+from gcs_sysid.estimation.tracking import Segment, Tracker
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import COMMANDS, Tuning
 from gcs_sysid.model.airframe import Airframe
@@ -188,6 +189,31 @@ class Chain:
         self._course.clear()
         self.note("estimate reset")
 
+    def check_anchor(self, kind: AnchorKind) -> None:
+        """Make sure that such a fact sets the scale with the rotors' input in use.
+
+        Raises:
+            InputError: it does not.
+        """
+        used = self.airframe.rotor_input if self._rotors is None else self._rotors.kind
+        if (used, kind) in (("speed", "T_max"), ("command", "k_T")):
+            raise InputError(f"{kind} sets no scale with {used}s as the rotors' input")
+
+    def set_anchor(self, anchor: Anchor) -> None:
+        """Let another fact set the scale, from the start on; the estimate's course begins anew.
+
+        Raises:
+            InputError: see `check_anchor`.
+        """
+        self.check_anchor(anchor.kind)
+        self.chooser.anchor = anchor
+        self._anchors = [anchor]
+        for segment in () if self._tracker is None else self._tracker.segments:
+            self._go_on_after(segment)
+        self._course.clear()
+        scale = summary.scale_of(anchor)
+        self.note(f"scale: {scale.anchor} = {scale.value:.6g} {scale.unit}")
+
     def note(self, text: str) -> None:
         """Add a line to the event log."""
         self._events.append(Event(self.t, text))
@@ -231,6 +257,11 @@ class Chain:
     def anchor(self) -> Anchor:
         """The scale in force."""
         return self._anchors[-1]
+
+    @property
+    def gyro_cutoff(self) -> float | None:
+        """Hz, low-pass of the autopilot on its gyro that the estimate reckons with."""
+        return self._gyro_cutoff
 
     @property
     def used_seconds(self) -> float:
@@ -517,11 +548,14 @@ class Chain:
         for event in tracker.events[self._told :]:
             self.note(summary.note_of(event))
             if event.segment is not None:
-                segment = tracker.segments[event.segment]
-                before = self._values(segment.fit, self.anchor)
-                self._anchors.append(summary.next_anchor(self.anchor, before, segment.end))
+                self._go_on_after(tracker.segments[event.segment])
                 self._fit = tracker.fit(quick=True)
         self._told = len(tracker.events)
+
+    def _go_on_after(self, segment: Segment) -> None:
+        """Find the anchor of what follows a segment."""
+        before = self._values(segment.fit, self.anchor)
+        self._anchors.append(summary.next_anchor(self.anchor, before, segment.end))
 
     def _prior(self, translation: TranslationFit | None) -> Prior | None:
         known = summary.priors_for(self.airframe.priors, self.rotor_input)

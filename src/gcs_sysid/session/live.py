@@ -8,11 +8,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.errors import InputError
+from gcs_sysid.estimation.anchors import Anchor
+from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.session.prediction import LivePrediction
 from gcs_sysid.session.result import Result
-from gcs_sysid.session.snapshot import LinkState, LinkStatus, Snapshot
+from gcs_sysid.session.snapshot import HeardVehicle, LinkState, LinkStatus, Snapshot
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.link import Link
 from gcs_sysid.telemetry.marks import reset_mark
@@ -41,6 +44,7 @@ class LiveOptions:
         duration: s of wall clock after which the session ends; None: never.
         refit_interval: s of vehicle time between estimates.
         signing_key: file with the key of MAVLink 2 signing; None: nothing is signed or checked.
+        target: half the 95 % interval, as a share of its value, that every parameter is to reach.
     """
 
     rate: float = 250.0
@@ -49,6 +53,7 @@ class LiveOptions:
     duration: float | None = None
     refit_interval: float = 0.2
     signing_key: Path | None = None
+    target: float = 0.02
 
 
 class LiveSession:
@@ -91,12 +96,8 @@ class LiveSession:
             signing_key=options.signing_key,
             connects_once=sender_gone is not None,
         )
-        self._pipeline = Pipeline(
-            airframe,
-            str(link.url),
-            options.wanted,
-            ChainOptions(course_interval=options.refit_interval),
-        )
+        self._airframe = airframe
+        self._pipeline, self._prediction = self._begin(options.wanted)
         self._writer = TlogWriter(record_to) if record_to else None
         self._recording_stem = record_to or Path("logs") / "session.tlog"
         self._sender_gone = sender_gone
@@ -108,6 +109,14 @@ class LiveSession:
         self._recordings: list[str] = []
         self._told_problem = ""
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
+
+    def _begin(self, wanted: tuple[int, int | None] | None) -> tuple[Pipeline, LivePrediction]:
+        """What knows nothing yet."""
+        options = ChainOptions(course_interval=self._options.refit_interval)
+        pipeline = Pipeline(self._airframe, str(self._link.url), wanted, options)
+        prediction = LivePrediction(pipeline.chain)
+        pipeline.chain.observer = prediction.take
+        return pipeline, prediction
 
     def start(self) -> None:
         """Begin."""
@@ -151,6 +160,50 @@ class LiveSession:
         self._actions.put(lambda: self._start_recording(path))
         return f"recording to {path}"
 
+    def set_anchor(self, kind: str, value: float) -> str:
+        """Let another fact set the scale.
+
+        Args:
+            kind: "mass", "k_T" or "T_max".
+            value: SI.
+
+        Raises:
+            InputError: there is no such kind, or it cannot have this value.
+        """
+        if kind not in ANCHORS:
+            raise InputError(f"the scale is set by one of {', '.join(ANCHORS)}, not by {kind!r}")
+        name: AnchorName = kind  # type: ignore[assignment]
+        airframe = self._airframe.with_anchor(name, value)
+        self._pipeline.chain.check_anchor(name)
+        self._actions.put(lambda: self._set_anchor(airframe, Anchor(name, value)))
+        return f"scale from {kind} = {value:.6g} {ANCHORS[name]}"
+
+    def choose_vehicle(self, address: tuple[int, int]) -> str:
+        """Start anew on another vehicle, into another recording.
+
+        Raises:
+            InputError: none of that system and component was heard.
+        """
+        heard = {v.address: v for v in (self._latest.link.vehicles if self._latest else ())}
+        if address not in heard:
+            raise InputError("no vehicle {}:{} was heard".format(*address))
+        vehicle = heard[address]
+        self._actions.put(lambda: self._choose(vehicle))
+        return f"starting anew on {vehicle.name}"
+
+    @property
+    def airframe(self) -> Airframe:
+        """With the anchor in force."""
+        return self._airframe
+
+    def flushed_recording(self) -> Path | None:
+        """The recording, with all that was written so far on the disk; None without one."""
+        writer = self._writer
+        if writer is None or writer.problem:
+            return None
+        writer.flush()
+        return writer.path
+
     def recordings(self) -> list[str]:
         """A line for each recording of an ended session: where it is, or why it is not."""
         return list(self._recordings)
@@ -184,6 +237,8 @@ class LiveSession:
                 self._pipeline.intake.garbage_bytes = self._station.garbage_bytes
                 self._pipeline.take(frames)
             self._station.follow(now, self._pipeline.intake)
+            if frames and self._pipeline.intake.clock is not None:
+                self._pipeline.intake.drift.take(self._pipeline.intake.clock, now)
             while not self._actions.empty():
                 self._actions.get()()
             if now - asked >= _ASK_EVERY:
@@ -261,9 +316,38 @@ class LiveSession:
             self._writer.write(time.time_ns() // 1000, mark)
         self._pipeline.take(mark)
 
+    def _set_anchor(self, airframe: Airframe, anchor: Anchor) -> None:
+        try:
+            self._pipeline.chain.set_anchor(anchor)
+        except InputError as error:
+            self._pipeline.chain.note(f"the scale stays: {error}")
+        else:
+            self._airframe = airframe
+
+    def _choose(self, vehicle: HeardVehicle) -> None:
+        """Begin anew in every respect, so that the new recording's analysis ends the same."""
+        self._station.leave()
+        intake = self._pipeline.intake
+        self._pipeline, self._prediction = self._begin(vehicle.address)
+        for known in intake.selector.autopilots:  # the others stay to be chosen
+            self._pipeline.intake.selector.systems[known.address] = known
+        self._told_result_at = 0.0
+        self._pipeline.chain.note(f"chosen: {vehicle.name}; the session starts anew")
+        if self._writer is not None and self._writer.recording:
+            self._end_recording(self._writer)
+            self._start_recording(unused_path(self._recording_stem))
+
+    def _vehicles(self) -> tuple[HeardVehicle, ...]:
+        selector = self._pipeline.intake.selector
+        chosen = None if selector.chosen is None else selector.chosen.address
+        return tuple(
+            HeardVehicle(v.address, str(v), v.address == chosen) for v in selector.autopilots
+        )
+
     def _publish(self, state: LinkState) -> None:
         chain, intake = self._pipeline.chain, self._pipeline.intake
         health = intake.health()
+        monitor = intake.monitor
         writer = self._writer
         recording = writer is not None and (
             writer.recording or (state is LinkState.ENDED and not writer.problem)
@@ -284,11 +368,18 @@ class LiveSession:
                 rejected=health.rejected,
                 unknown=health.unknown,
                 lost_percent=health.lost_percent,
+                lost=monitor.lost,
+                gaps=monitor.gap_count,
+                last_gap=monitor.gaps[-1][1] if monitor.gaps else None,
+                clock_ppm=intake.drift.ppm,
+                vehicles=self._vehicles(),
                 recording=str(writer.path) if writer and recording else "",
                 bytes_per_second=health.bytes_per_second,
             ),
             attitude=chain.sampler.attitude,
             rates=chain.sampler.rates,
             rotor_speeds=chain.sampler.rotor_speeds,
+            acceleration=self._prediction.acceleration(),
+            target=self._options.target,
             events=chain.events,
         )
