@@ -98,8 +98,9 @@ class Pipeline:
         self.chain.take(window)
 
     def copy(self) -> "Pipeline":
-        """One in the same state, that goes its own way; the log is the same."""
-        return deepcopy(self, {id(self._telemetry): self._telemetry})
+        """One in the same state, that goes its own way; log and observer are the same."""
+        shared = (self._telemetry, self.chain.observer)
+        return deepcopy(self, {id(thing): thing for thing in shared})
 
     def _take_event(self, event: IntakeEvent) -> None:
         if event.kind == "reset":

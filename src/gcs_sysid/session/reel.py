@@ -112,7 +112,9 @@ class Reel:
             return self.position, self.position
         first = min(float(track.t.min()) for track in part.tracks)
         last = max(float(track.t.max()) for track in part.tracks)
-        newest = first if self._newest is None or first - self._newest < _STEP_BACK else self._newest
+        newest = (
+            first if self._newest is None or first - self._newest < _STEP_BACK else self._newest
+        )
         start, end = self.position + first - newest, self.position + last - newest
         return max(start, self.position), max(end, self.position)
 

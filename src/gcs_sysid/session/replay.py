@@ -17,6 +17,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.session.prediction import KEPT, LivePrediction
 from gcs_sysid.session.reel import Reel
 from gcs_sysid.session.result import Result
 from gcs_sysid.session.sampling import SampleBlock
@@ -30,6 +31,8 @@ _PIECE = 0.1
 """s between looks at the clock; so much of the flight, times the speed, is taken at once."""
 _LONGEST_SILENCE = 3.0
 """s of the flight in which nothing was recorded, more is skipped."""
+_SEEN = KEPT + 5.0
+"""s of the flight before where it stops that are seen there, filters' settling included."""
 _IDLE = 1.0
 """s to wait where nothing is due; an action wakes."""
 _CHECKPOINTS = 6
@@ -82,6 +85,7 @@ class ReplaySession:
         wanted: system and perhaps component; None: the first autopilot in the log.
         speed: one of `SPEEDS`.
         course_interval: s of the flight between estimates of the course.
+        target: half the 95 % interval, as a share of its value, that every parameter is to reach.
         stay: whether to wait at the end of the log for a seek; else the session ends there.
         clock: s that only grow; tests put their own here.
         on_result: called in the session's thread about once a second of the flight.
@@ -94,6 +98,7 @@ class ReplaySession:
         wanted: tuple[int, int | None] | None = None,
         speed: float = 1.0,
         course_interval: float = 0.2,
+        target: float = 0.02,
         *,
         stay: bool = True,
         clock: Callable[[], float] = time.monotonic,
@@ -104,7 +109,7 @@ class ReplaySession:
         self.problem: Exception | None = None
         """What ended the session against its will."""
         self._path, self._airframe, self._wanted = path, airframe, wanted
-        self._course_interval = course_interval
+        self._course_interval, self._target = course_interval, target
         self._stay = stay
         self._clock = clock
         self._on_result = on_result
@@ -119,6 +124,7 @@ class ReplaySession:
         self._options = ChainOptions()
         self._anchor = (0.0, 0.0)
         self._pipeline = Pipeline(airframe, str(path), wanted)
+        self._prediction = LivePrediction(self._pipeline.chain)
         self._reel: Reel | None = None
         self._checkpoints: list[_Checkpoint] = []
         self._ended = False
@@ -261,7 +267,7 @@ class ReplaySession:
         return 0.0
 
     def _wait(self, reel: Reel, end: float, until: float) -> float:
-        """s until the part that ends at `end` is due, when the flight has come to `until`."""
+        """Seconds until the part that ends at `end` is due, when the flight has come to `until`."""
         if self._goal is not None:
             self._arrive()
             return 0.0
@@ -273,7 +279,7 @@ class ReplaySession:
         return (end - until) / self._speed
 
     def _due(self) -> float:
-        """s of the flight that the clock has reached."""
+        """Seconds of the flight that the clock has reached."""
         if math.isinf(self._speed):
             return math.inf
         began, position = self._anchor
@@ -309,8 +315,16 @@ class ReplaySession:
         self._reel = Reel(self._path, self._wanted, self._pipeline)
         if known:
             self._reel.skip(known[-1].windows)
+        self._prediction = LivePrediction(self._pipeline.chain)
+        self._pipeline.chain.observer = self._look
         self._told_result_at = self._position
         self._anchor = (self._clock(), self._position)
+
+    def _look(self, block: SampleBlock) -> None:
+        """Predict what will be seen; on the way elsewhere nobody looks, and it costs as much."""
+        until = self._goal if self._goal is not None else self._due()
+        if min(until, self._duration) - block.t[-1] < _SEEN:
+            self._prediction.take(block)
 
     def _keep_checkpoint(self, reel: Reel) -> None:
         apart = max(_APART, self._duration / (_CHECKPOINTS + 1))
@@ -352,6 +366,8 @@ class ReplaySession:
             attitude=chain.sampler.attitude,
             rates=chain.sampler.rates,
             rotor_speeds=chain.sampler.rotor_speeds,
+            acceleration=self._prediction.acceleration(),
+            target=self._target,
             events=chain.events,
             playback=Playback(
                 position=self._position,
@@ -369,6 +385,7 @@ class ReplaySession:
     def _link(self) -> LinkStatus:
         """Of the log: rates where the replay stands, losses of the whole."""
         whole = {} if self._analysed is None else self._analysed.telemetry
+        gaps = whole.get("imu_gaps", {})
         reel = self._reel
         vehicle = None if reel is None else reel.telemetry.vehicle
         return LinkStatus(
@@ -380,6 +397,10 @@ class ReplaySession:
             rejected=whole.get("bad_crc", 0),
             unknown=whole.get("unknown", 0),
             lost_percent=whole.get("lost_percent", 0.0),
+            lost=whole.get("lost", 0),
+            gaps=gaps.get("count", 0),
+            last_gap=gaps["last"][-1]["length"] if gaps.get("last") else None,
+            clock_ppm=whole.get("clock_drift_ppm"),
         )
 
 
