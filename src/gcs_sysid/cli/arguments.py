@@ -109,6 +109,12 @@ def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -
     )
 
 
+def _add_baseline(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--baseline", metavar="RESULT.json", help="an earlier result, to compare with on the screen"
+    )
+
+
 def add_demo(parser: argparse.ArgumentParser) -> None:
     """Options of `demo`."""
     _add_airframe(parser, "paper")
@@ -125,6 +131,7 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mass-step", metavar="T:FACTOR", help="change the mass in flight")
     parser.add_argument("--json", metavar="FILE", help="snapshots, one a line; - is stdout")
     parser.add_argument("--record", metavar="FILE", help="record the flight to a .tlog")
+    _add_baseline(parser)
 
 
 def _add_vehicle_choice(parser: argparse.ArgumentParser) -> None:
@@ -164,6 +171,7 @@ def add_live(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", metavar="FILE", help="snapshots, one a line; - is stdout")
     parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
     parser.add_argument("--truth", metavar="FILE", help="true parameters, to show beside")
+    _add_baseline(parser)
 
 
 def add_analyze(parser: argparse.ArgumentParser) -> None:

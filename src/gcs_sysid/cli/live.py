@@ -14,6 +14,7 @@ from gcs_sysid.cli.table import result_table
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.session.live import LiveOptions, LiveSession
 from gcs_sysid.session.result import Result
+from gcs_sysid.session.result_file import read_result
 from gcs_sysid.session.snapshot import Event, LinkState, Snapshot
 from gcs_sysid.telemetry.link import open_link
 from gcs_sysid.telemetry.reconnect import PersistentLink
@@ -28,6 +29,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     airframe = arguments.airframe_of(options)
     truth = output.read_truth(options.truth) if options.truth else None
+    baseline = baseline_of(options)
     if options.record and options.no_record:
         raise InputError("--record and --no-record exclude each other")
     link = PersistentLink(open_link(parse_url(options.url, options.baud)))
@@ -49,7 +51,16 @@ def run(options: argparse.Namespace) -> int:
     except GcsSysidError:
         link.close()
         raise
-    return follow(session, writer, truth, headless=options.headless)
+    return follow(session, writer, truth, options, baseline)
+
+
+def baseline_of(options: argparse.Namespace) -> Result | None:
+    """The earlier result that the screen compares with.
+
+    Raises:
+        InputError: the file holds none.
+    """
+    return read_result(Path(options.baseline)) if options.baseline else None
 
 
 def refit_interval(options: argparse.Namespace) -> float:
@@ -92,8 +103,8 @@ def follow(
     session: LiveSession,
     writer: JsonLines,
     truth: Mapping[str, float] | None,
-    *,
-    headless: bool,
+    options: argparse.Namespace,
+    baseline: Result | None = None,
     late_truth: Callable[[], Mapping[str, float] | None] | None = None,
 ) -> int:
     """Show a session until it ends, then print its final numbers.
@@ -102,19 +113,21 @@ def follow(
         session: not yet started.
         writer: gets the final result as its last line.
         truth: shown beside the estimates.
-        headless: print instead of the screen.
+        options: of the command line; `headless`: print instead of the screen.
+        baseline: an earlier result that the screen compares with.
         late_truth: gives the truth in force at the end, when that may have changed.
 
     Returns:
         Exit status: 1 when the session ended without an answer.
     """
     # Without a terminal there is no screen to draw on.
-    on_screen = not headless and sys.stdin.isatty() and sys.stdout.isatty()
+    on_screen = not options.headless and sys.stdin.isatty() and sys.stdout.isatty()
     if on_screen:
-        from gcs_sysid.screen import Actions, SysidApp
+        from gcs_sysid.cli.screen_actions import live_actions
+        from gcs_sysid.screen import Baseline, SysidApp
 
-        actions = Actions(session.mark, session.reset, session.toggle_recording)
-        app = SysidApp(session, truth, actions)
+        known = None if baseline is None else Baseline(options.baseline, baseline)
+        app = SysidApp(session, truth, live_actions(session, truth, options), known)
         with on_signals(app.exit):
             session.start()
             try:

@@ -2,5 +2,6 @@
 
 from gcs_sysid.screen.app import SysidApp
 from gcs_sysid.screen.source import Actions, SnapshotSource
+from gcs_sysid.screen.view import Baseline
 
-__all__ = ["Actions", "SnapshotSource", "SysidApp"]
+__all__ = ["Actions", "Baseline", "SnapshotSource", "SysidApp"]

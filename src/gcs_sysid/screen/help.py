@@ -13,16 +13,19 @@ from gcs_sysid.screen import formatting as fmt
 
 KEYS = (
     ("↑ ↓  j k", "choose the parameter in the plot (or click on it)"),
-    ("tab  1-4", "next page, on a small terminal"),
+    ("tab  1-5", "another page, or another plot where all panels have room"),
     ("m", "write a mark into the events"),
     ("r", "reset: forget what was gathered, estimate anew"),
     ("R  ctrl+r", "start or stop recording"),
     ("p", "pause the display; the identification goes on"),
+    ("e", "export the values for a simulator, into a new file"),
+    ("h", "report of the flight so far (HTML), into a new file"),
+    ("s", "scale: give the mass, or the rotors' thrust"),
+    ("b", "compare with an earlier result"),
+    ("v", "choose the vehicle, where several speak"),
     ("d", "dark or light"),
     ("pgup pgdn", "scroll the events"),
-    ("ctrl+p", "command palette"),
-    ("?", "this help"),
-    ("q", "quit"),
+    ("ctrl+p  ? q", "command palette, this help, quit"),
 )
 
 STATUSES = (
@@ -42,7 +45,8 @@ def help_text() -> Content:
     for status, meaning in STATUSES:
         sign, style = fmt.STATUS_SIGN[status], fmt.STATUS_STYLE[status]  # type: ignore[index]
         parts += [(f"{sign} {status:<13}", f"bold {style}"), f" {meaning}\n"]
-    parts.append("± is half the 95 % interval, in the value's unit and in % of it.")
+    parts.append("± is half the 95 % interval; the bar is full at the target.\n")
+    parts.append("Change: ≠ changed, = no change seen, ? cannot tell.")
     return Content.assemble(*parts)
 
 

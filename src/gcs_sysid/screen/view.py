@@ -6,8 +6,18 @@ from typing import Protocol
 
 from gcs_sysid.model.parameters import Parameter
 from gcs_sysid.screen import formatting
-from gcs_sysid.session.result import Estimate
+from gcs_sysid.session.comparison import Comparison
+from gcs_sysid.session.result import Estimate, Result
 from gcs_sysid.session.snapshot import LinkState, Snapshot
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """An earlier result to compare with."""
+
+    name: str
+    """Of its file."""
+    result: Result
 
 
 @dataclass(frozen=True)
@@ -26,6 +36,10 @@ class View:
     """Seconds since the link last brought something."""
     paused: bool = False
     """The display is frozen; the session is not."""
+    baseline: str = ""
+    """Name of the earlier result that is compared with."""
+    comparison: Comparison | None = None
+    """With that; None where there is none."""
 
     def estimate(self, name: str) -> tuple[Parameter, Estimate] | None:
         """A parameter of the result by name."""

@@ -107,6 +107,7 @@ class LiveSession:
         self._latest: Snapshot | None = None
         self._told_result_at = 0.0
         self._recordings: list[str] = []
+        self._recorded: Path | None = None
         self._told_problem = ""
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
 
@@ -197,9 +198,11 @@ class LiveSession:
         return self._airframe
 
     def flushed_recording(self) -> Path | None:
-        """The recording, with all that was written so far on the disk; None without one."""
+        """The latest recording, all that was written so far on the disk; None without one."""
         writer = self._writer
-        if writer is None or writer.problem:
+        if writer is None:
+            return self._recorded
+        if writer.problem:
             return None
         writer.flush()
         return writer.path
@@ -303,10 +306,12 @@ class LiveSession:
     def _end_recording(self, writer: TlogWriter) -> None:
         """Close it, and leave no file behind in which there is nothing."""
         writer.close()
+        self._recorded = None if writer.problem else writer.path
         line = writer.problem or f"recorded to {writer.path}"
         with contextlib.suppress(OSError):  # it never came to be, or is gone
             if writer.path.stat().st_size == 0:
                 writer.path.unlink()
+                self._recorded = None
                 line = writer.problem or f"nothing was heard: {writer.path} is not kept"
         self._recordings.append(line)
 

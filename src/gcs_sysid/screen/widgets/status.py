@@ -1,4 +1,4 @@
-"""The top line (vehicle, link, flight, verdict), the banner below it, and the line of answers."""
+"""The top line (vehicle, link, flight), the banner below it, and the line of answers."""
 
 from textual.content import Content
 from textual.widgets import Static
@@ -34,14 +34,17 @@ class StatusLine(Static):
         if link.state is LinkState.WAITING:  # no flight and no verdict to speak of
             return [(self.title_text, "bold"), state]
         flight = "flying" if snapshot.flying else "on ground"
-        verdict = f"{fmt.VERDICT_SIGN[result.verdict]} {result.verdict}"
         parts = [
             (link.vehicle or self.title_text, "bold"),
             state,
             (f"{fmt.clock(snapshot.t)} {flight}", ""),
             (f"used {fmt.clock(snapshot.used_seconds)}", ""),
-            (verdict, f"bold {fmt.VERDICT_STYLE[result.verdict]}"),
         ]
+        if result.scale is not None:
+            scale = result.scale
+            parts.append((f"by {scale.anchor} {scale.value:.4g} {fmt.pretty_unit(scale.unit)}", ""))
+        if len(link.vehicles) > 1:
+            parts.append((f"v: {len(link.vehicles)} vehicles", "bold $text-warning"))
         if link.recording:
             parts.append(("◉ REC", "bold $text-error"))
         return parts

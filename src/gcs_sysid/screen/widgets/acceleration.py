@@ -1,0 +1,143 @@
+"""Measured against predicted angular acceleration: three strips, drawn in braille.
+
+Drawn by hand, not by the plotting library, which takes thirty times as long for one picture.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from textual.content import Content
+from textual.widgets import Static
+
+from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.view import View
+from gcs_sysid.session.snapshot import Acceleration
+
+Floats = NDArray[np.float64]
+Part = tuple[str, str]
+
+AXES = ("roll", "pitch", "yaw")
+PREDICTED = "•"
+MARGIN = 7
+"""Columns for an axis' name and scale."""
+_DOTS = np.array([[0x01, 0x02, 0x04, 0x40], [0x08, 0x10, 0x20, 0x80]])
+"""Bit of each braille dot: (column, row)."""
+
+
+def strip(
+    t: Floats, values: Floats, start: float, end: float, limit: float, size: tuple[int, int]
+) -> list[str]:
+    """A curve as lines of braille, the extremes of each dot column joined.
+
+    Args:
+        t: (n,) s.
+        values: (n,).
+        start: s at the left edge.
+        end: s at the right edge.
+        limit: of the values at the upper edge, and minus that at the lower.
+        size: columns and lines.
+    """
+    columns, lines = size
+    cells = np.zeros((lines, columns), dtype=np.int64)
+    wide, high = 2 * columns, 4 * lines
+    x = np.floor((t - start) / (end - start) * (wide - 1) + 0.5).astype(np.int64)
+    y = np.clip((0.5 - 0.5 * values / limit) * (high - 1), 0, high - 1)
+    inside = (x >= 0) & (x < wide) & np.isfinite(values)
+    x, y = x[inside], np.rint(y[inside]).astype(np.int64)
+    last: tuple[int, int] | None = None
+    for column in np.unique(x):
+        here = y[x == column]
+        low, top = int(here.min()), int(here.max())
+        if last is not None and column - last[0] <= 3:  # joined to the one before
+            low, top = min(low, last[1]), max(top, last[1])
+        last = int(column), int(here[-1])
+        rows = np.arange(low, top + 1)
+        np.bitwise_or.at(cells, (rows // 4, column // 2), _DOTS[column % 2, rows % 4])
+    return ["".join(chr(0x2800 + cell) if cell else " " for cell in row) for row in cells.tolist()]
+
+
+def overlay(
+    lines: list[str], t: Floats, values: Floats, start: float, end: float, limit: float
+) -> list[list[Part]]:
+    """The predicted curve as a dot in every second column, over the lines of the measured one."""
+    columns, high = len(lines[0]), len(lines)
+    marks: dict[int, int] = {}
+    for column in range(0, columns, 2):
+        near = np.abs(t - (start + (column + 0.5) / columns * (end - start)))
+        i = int(near.argmin())
+        if near[i] <= 1.5 * (end - start) / columns and np.isfinite(values[i]):
+            place = (0.5 - 0.5 * values[i] / limit) * (high - 1)
+            marks[column] = int(np.clip(round(place), 0, high - 1))
+    out: list[list[Part]] = []
+    for row, line in enumerate(lines):
+        parts: list[Part] = []
+        begun = 0
+        for column, at in marks.items():
+            if at == row:
+                parts += [(line[begun:column], "$foreground"), (PREDICTED, "bold $text-warning")]
+                begun = column + 1
+        out.append([*parts, (line[begun:], "$foreground")])
+    return out
+
+
+def nice_limit(largest: float) -> float:
+    """A round number at or above the largest value: 1, 2 or 5 times a power of ten."""
+    if not largest > 0.0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(largest))
+    return float(next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= largest * 0.999))
+
+
+class AccelerationPanel(Static):
+    """What the vehicle did, and what the estimate said that it would do."""
+
+    BORDER_TITLE = "Angular acceleration, rad/s²"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(id=name, classes="acceleration")
+        self._view: View | None = None
+        self._drawn: object = None
+
+    def show(self, view: View) -> None:
+        """Bring the panel up to date."""
+        self._view = view
+        found = None if view.snapshot is None else view.snapshot.acceleration
+        size = self.content_size
+        what = (found, size)
+        if self._drawn is not None and self._drawn == what:
+            return
+        self._drawn = what
+        if found is None or len(found.t) < 2 or size.width < 20 or size.height < 4:
+            self.update(Content.styled("nothing predicted yet", fmt.MUTED), layout=False)
+            return
+        lines = [Content.assemble(*line) for line in self._lines(found, size.width, size.height)]
+        self.update(Content("\n").join(lines), layout=False)
+
+    def on_resize(self) -> None:
+        """Draw for the new size."""
+        if self._view is not None:
+            self.show(self._view)
+
+    def _lines(self, found: Acceleration, width: int, height: int) -> list[list[Part]]:
+        each = max(1, (height - 1) // 3)
+        columns = width - MARGIN
+        start, end = float(found.t[0]), float(found.t[-1])
+        shares = found.r_squared
+        lines: list[list[Part]] = []
+        for axis, name in enumerate(AXES):
+            measured, predicted = found.measured[:, axis], found.predicted[:, axis]
+            limit = nice_limit(float(np.nanmax(np.abs(measured), initial=0.0)))
+            curve = strip(found.t, measured, start, end, limit, (columns, each))
+            drawn = overlay(curve, found.t, predicted, start, end, limit)
+            heads = [name, f"±{limit:g}"] if each > 1 else [name]
+            for row, parts in enumerate(drawn):
+                head = heads[row] if row < len(heads) else ""
+                lines.append([(f"{head:<{MARGIN}}", fmt.MUTED if row else "bold"), *parts])
+        told = "  ".join(
+            f"{name} {'?' if np.isnan(share) else f'{100.0 * max(share, 0.0):.1f} %'}"
+            for name, share in zip(AXES, shares, strict=True)
+        )
+        legend = f"⠒ measured  {PREDICTED} predicted before it was fitted"
+        room = width - len(legend) - 3
+        foretold = f"   foretold: {told}"
+        lines.append([(legend, fmt.MUTED), (foretold if len(foretold) <= room + 3 else "", "bold")])
+        return lines
