@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TextIO
+from typing import Protocol, TextIO
 
 from gcs_sysid.cli import arguments, output
 from gcs_sysid.cli.signals import on_signals
@@ -99,8 +99,42 @@ class JsonLines:
             self._file.close()
 
 
+class Session(Protocol):
+    """What is shown: a live session or a replay."""
+
+    final: Result | None
+    problem: Exception | None
+
+    def start(self) -> None:
+        """Begin."""
+
+    def latest(self) -> Snapshot | None:
+        """The newest snapshot."""
+
+    def request_stop(self) -> None:
+        """End soon; returns at once."""
+
+    def stop(self) -> None:
+        """End, and wait until it has."""
+
+    def join(self, timeout: float | None = None) -> bool:
+        """Wait for the end; whether it has come."""
+
+    def recordings(self) -> list[str]:
+        """A line for each recording made."""
+
+
+def is_watched(options: argparse.Namespace) -> bool:
+    """Whether there is a screen, on a terminal or in browsers; else lines are printed."""
+    if options.headless and options.web:
+        raise InputError("--headless and --web exclude each other")
+    # Without a terminal there is no screen to draw on.
+    terminal = not options.headless and sys.stdin.isatty() and sys.stdout.isatty()
+    return terminal or options.web is not None
+
+
 def follow(
-    session: LiveSession,
+    session: Session,
     writer: JsonLines,
     truth: Mapping[str, float] | None,
     options: argparse.Namespace,
@@ -113,34 +147,38 @@ def follow(
         session: not yet started.
         writer: gets the final result as its last line.
         truth: shown beside the estimates.
-        options: of the command line; `headless`: print instead of the screen.
+        options: of the command line; `headless`: print instead of the screen; `web`: the screen
+            in browsers.
         baseline: an earlier result that the screen compares with.
         late_truth: gives the truth in force at the end, when that may have changed.
 
     Returns:
         Exit status: 1 when the session ended without an answer.
     """
-    # Without a terminal there is no screen to draw on.
-    on_screen = not options.headless and sys.stdin.isatty() and sys.stdout.isatty()
-    if on_screen:
-        from gcs_sysid.cli.screen_actions import live_actions
-        from gcs_sysid.screen import Baseline, SysidApp
+    if is_watched(options):
+        from gcs_sysid.cli.screen_actions import scene_of
 
-        known = None if baseline is None else Baseline(options.baseline, baseline)
-        app = SysidApp(session, truth, live_actions(session, truth, options), known)
-        with on_signals(app.exit):
-            session.start()
-            try:
-                app.run()
-            finally:
-                session.stop()
+        scene = scene_of(session, truth, options, baseline)
+        if options.web:
+            from gcs_sysid.cli.browser import show
+
+            show(session, scene, options.web)
+        else:
+            app = scene.app(session)
+            with on_signals(app.exit):
+                session.start()
+                try:
+                    app.run()
+                finally:
+                    session.stop()
     else:
         with on_signals(session.request_stop):
             session.start()
-            _say_until_end(session)
+            say_until_end(session)
     if session.problem is not None:
         raise session.problem
-    assert session.final is not None
+    if session.final is None:  # a replay that was left before it began
+        return 1
     if late_truth is not None:
         truth = late_truth() or truth
     writer.write(session.final)
@@ -152,7 +190,7 @@ def follow(
     return 1 if session.final.verdict == "refused" else 0
 
 
-def _say_until_end(session: LiveSession) -> None:
+def say_until_end(session: Session) -> None:
     """One line a second on standard error, and one for each event."""
     said = -_SAY_EVERY
     last = ""

@@ -12,15 +12,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gcs_sysid.cli.export import save
+from gcs_sysid.cli.live import Session
 from gcs_sysid.cli.reporting import Reporter
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.targets import TARGETS
 from gcs_sysid.exports.vehicle import assemble
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.screen import Actions
+from gcs_sysid.screen import Actions, Baseline
+from gcs_sysid.screen.scene import Scene
+from gcs_sysid.screen.widgets.transport import Transport
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.live import LiveSession
+from gcs_sysid.session.replay import ReplaySession
 from gcs_sysid.session.result import Result
 from gcs_sysid.telemetry.tlog import unused_path
 
@@ -102,9 +106,11 @@ def write_report(job: ReportJob) -> None:
 
 
 def report_session(
-    session: LiveSession, truth: Mapping[str, float] | None, options: argparse.Namespace
+    session: LiveSession | ReplaySession,
+    truth: Mapping[str, float] | None,
+    options: argparse.Namespace,
 ) -> str:
-    """Write a report of a session's recording so far beside it; says where.
+    """Write a report of a session's recording so far, or of the log, beside it; says where.
 
     Raises:
         InputError: there is no recording, or it tells nothing yet.
@@ -141,6 +147,38 @@ def _command(
     for name, value, std in options.prior:
         words += ["--prior", f"{name}={value:g}+-{std:g}"]
     return (*words, "--report", str(target))
+
+
+def scene_of(
+    session: Session,
+    truth: Mapping[str, float] | None,
+    options: argparse.Namespace,
+    baseline: Result | None,
+) -> Scene:
+    """What the screen of a session shows and offers."""
+    known = None if baseline is None else Baseline(options.baseline, baseline)
+    if isinstance(session, ReplaySession):
+        actions, transport = replay_actions(session, truth, options), transport_of(session)
+        return Scene(truth or {}, actions, transport, known)
+    assert isinstance(session, LiveSession)
+    return Scene(truth or {}, live_actions(session, truth, options), None, known)
+
+
+def transport_of(session: ReplaySession) -> Transport:
+    """What moves a replay."""
+    return Transport(session.toggle_pause, session.change_speed, session.seek, session.skip)
+
+
+def replay_actions(
+    session: ReplaySession, truth: Mapping[str, float] | None, options: argparse.Namespace
+) -> Actions:
+    """What can be done with a recorded flight: nothing that would change its numbers."""
+    return Actions(
+        export=export_result,
+        export_targets=tuple(TARGETS),
+        report=lambda: report_session(session, truth, options),
+        absent="in a replay",
+    )
 
 
 def live_actions(

@@ -1,5 +1,6 @@
 """The help screen: what the keys do and what the statuses mean."""
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 from textual.app import ComposeResult
@@ -36,10 +37,10 @@ STATUSES = (
 )
 
 
-def help_text() -> Content:
+def help_text(keys: Sequence[tuple[str, str]] = KEYS) -> Content:
     """The whole help."""
     parts: list[str | tuple[str, str]] = [("Keys\n", "bold underline")]
-    for key, meaning in KEYS:
+    for key, meaning in keys:
         parts += [(f"{key:<11}", "bold $text-primary"), f" {meaning}\n"]
     parts.append(("Status\n", "bold underline"))
     for status, meaning in STATUSES:
@@ -51,18 +52,26 @@ def help_text() -> Content:
 
 
 class HelpScreen(ModalScreen[None]):
-    """Help over the main screen; any of its keys closes it."""
+    """Help over the main screen; any of its keys closes it.
+
+    Args:
+        keys: what to press, and what it does.
+    """
 
     BINDINGS: ClassVar[list[BindingType]] = [
         ("escape,question_mark,q,enter,space", "dismiss", "Close help"),
     ]
+
+    def __init__(self, keys: Sequence[tuple[str, str]] = KEYS) -> None:
+        super().__init__()
+        self._keys = keys
 
     def compose(self) -> ComposeResult:
         """One box in the middle."""
         with VerticalScroll(id="help-box") as box:
             box.border_title = "Help"
             box.border_subtitle = "esc closes"
-            yield Static(help_text())
+            yield Static(help_text(self._keys))
 
     def on_click(self) -> None:
         """A click anywhere closes it too."""

@@ -21,7 +21,7 @@ from gcs_sysid.session.prediction import KEPT, LivePrediction
 from gcs_sysid.session.reel import Reel
 from gcs_sysid.session.result import Result
 from gcs_sysid.session.sampling import SampleBlock
-from gcs_sysid.session.snapshot import LinkState, LinkStatus, Playback, Snapshot
+from gcs_sysid.session.snapshot import HeardVehicle, LinkState, LinkStatus, Playback, Snapshot
 
 SPEEDS = (1.0, 10.0, math.inf)
 """Seconds of the flight in one second."""
@@ -108,7 +108,8 @@ class ReplaySession:
         """The last result, once the session has ended; None when it never began to play."""
         self.problem: Exception | None = None
         """What ended the session against its will."""
-        self._path, self._airframe, self._wanted = path, airframe, wanted
+        self.airframe = airframe
+        self._path, self._wanted = path, wanted
         self._course_interval, self._target = course_interval, target
         self._stay = stay
         self._clock = clock
@@ -161,6 +162,14 @@ class ReplaySession:
         """Wait for the end; whether it has come."""
         self._thread.join(timeout)
         return not self._thread.is_alive()
+
+    def recordings(self) -> list[str]:
+        """None: what is played is recorded already."""
+        return []
+
+    def flushed_recording(self) -> Path:
+        """The log."""
+        return self._path
 
     # -- what a user may do; each returns what happens, in words
 
@@ -225,7 +234,7 @@ class ReplaySession:
         """
         survey = _Survey(self._stop)
         self._analysed = analyze_log(
-            self._path, self._airframe, self._wanted, progress=self._show_reading, observer=survey
+            self._path, self.airframe, self._wanted, progress=self._show_reading, observer=survey
         )
         self._duration = survey.duration
         self._options = replace(survey.options, course_interval=self._course_interval)
@@ -311,7 +320,7 @@ class ReplaySession:
             self._pipeline = known[-1].pipeline.copy()
         else:
             path = str(self._path)
-            self._pipeline = Pipeline(self._airframe, path, self._wanted, self._options)
+            self._pipeline = Pipeline(self.airframe, path, self._wanted, self._options)
         self._reel = Reel(self._path, self._wanted, self._pipeline)
         if known:
             self._reel.skip(known[-1].windows)
@@ -388,6 +397,7 @@ class ReplaySession:
         gaps = whole.get("imu_gaps", {})
         reel = self._reel
         vehicle = None if reel is None else reel.telemetry.vehicle
+        heard = () if vehicle is None else (HeardVehicle(vehicle.address, str(vehicle), True),)
         return LinkStatus(
             state=LinkState.ENDED if self._ended else LinkState.REPLAY,
             url=str(self._path),
@@ -401,6 +411,7 @@ class ReplaySession:
             gaps=gaps.get("count", 0),
             last_gap=gaps["last"][-1]["length"] if gaps.get("last") else None,
             clock_ppm=whole.get("clock_drift_ppm"),
+            vehicles=heard,
         )
 
 
