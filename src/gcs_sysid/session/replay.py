@@ -10,13 +10,11 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.session.player import Player, Recorded, survey
 from gcs_sysid.session.prediction import KEPT, LivePrediction
 from gcs_sysid.session.reel import Reel
 from gcs_sysid.session.result import Result
@@ -35,45 +33,10 @@ _SEEN = KEPT + 5.0
 """s of the flight before where it stops that are seen there, filters' settling included."""
 _IDLE = 1.0
 """s to wait where nothing is due; an action wakes."""
-_CHECKPOINTS = 6
-"""States kept to go back to, at most; each is the chain with all that it has learnt."""
-_APART = 10.0
-"""s of the flight between them, at least."""
 
 
 class _StoppedError(Exception):
     """Ends the reading of a log that nobody waits for any more."""
-
-
-class _Survey:
-    """What the analysis of the log tells beside its result."""
-
-    def __init__(self, stop: threading.Event) -> None:
-        self.duration = 0.0
-        self.options = ChainOptions()
-        self._stop = stop
-
-    def begin(self) -> None:
-        """As `Observer` says."""
-
-    def take(self, block: SampleBlock) -> None:
-        """As `Observer` says."""
-        if self._stop.is_set():
-            raise _StoppedError
-
-    def end(self, chain: Chain) -> None:
-        """As `Observer` says."""
-        self.duration = chain.sampler.recorded or 0.0
-        self.options = chain.options
-
-
-@dataclass(frozen=True)
-class _Checkpoint:
-    position: float
-    """s"""
-    windows: int
-    """Of the log, taken before it."""
-    pipeline: Pipeline
 
 
 class ReplaySession:
@@ -120,14 +83,11 @@ class ReplaySession:
         self._goal: float | None = None
         self._asked_goal: float | None = None
         self._reading: float | None = 0.0
-        self._analysed: Result | None = None
-        self._duration = 0.0
-        self._options = ChainOptions()
+        self._recorded: Recorded | None = None
+        self._player: Player | None = None
+        self._unread = Pipeline(airframe, str(path), wanted)
+        self._prediction = LivePrediction(self._unread.chain)
         self._anchor = (0.0, 0.0)
-        self._pipeline = Pipeline(airframe, str(path), wanted)
-        self._prediction = LivePrediction(self._pipeline.chain)
-        self._reel: Reel | None = None
-        self._checkpoints: list[_Checkpoint] = []
         self._ended = False
         self._actions: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._wake, self._stop = threading.Event(), threading.Event()
@@ -221,8 +181,8 @@ class ReplaySession:
         except Exception as problem:  # noqa: BLE001 - handed to the main thread, which tells it
             self.problem = problem
         finally:
-            if self._analysed is not None and self.problem is None:
-                self.final = self._analysed if self._ended else self._pipeline.finish()
+            if self._recorded is not None and self.problem is None:
+                self.final = self._recorded.result if self._ended else self._pipeline.finish()
             self._ended = True
             self._publish()
 
@@ -232,14 +192,16 @@ class ReplaySession:
         Raises:
             InputError: the file cannot be read as a log.
         """
-        survey = _Survey(self._stop)
-        self._analysed = analyze_log(
-            self._path, self.airframe, self._wanted, progress=self._show_reading, observer=survey
+        recorded = survey(
+            self._path, self.airframe, self._wanted, self._show_reading, self._check_wanted
         )
-        self._duration = survey.duration
-        self._options = replace(survey.options, course_interval=self._course_interval)
-        self._reading = None
+        self._player = Player(recorded, self._course_interval)
+        self._recorded, self._reading = recorded, None
         self._begin()
+
+    def _check_wanted(self) -> None:
+        if self._stop.is_set():
+            raise _StoppedError
 
     def _show_reading(self, share: float) -> None:
         self._reading = share
@@ -257,21 +219,20 @@ class ReplaySession:
         return wait
 
     def _advance(self) -> float:
-        reel, goal = self._reel, self._goal
-        if reel is None or self._ended or (self._paused and goal is None):
+        player, goal = self._player, self._goal
+        if player is None or self._ended or (self._paused and goal is None):
             return _IDLE
         until, piece = self._due(), _PIECE * self._speed
         if goal is not None:
             until, piece = goal, _PIECE
-        end = reel.next_end(until, piece)
+        end = player.reel.next_end(until, piece)
         if end is None:
             self._end()
             return 0.0
         if end > until:
-            return self._wait(reel, end, until)
-        self._pipeline.take_window(reel.take())
+            return self._wait(player.reel, end, until)
+        player.take()
         self._changed = True
-        self._keep_checkpoint(reel)
         self._tell_result()
         return 0.0
 
@@ -300,8 +261,9 @@ class ReplaySession:
 
     def _seek(self, goal: float, paused: bool) -> None:
         to_end = goal >= self._duration
-        if goal < self._position or (self._ended and not to_end):
-            self._begin(goal)
+        if self._player is not None and (goal < self._position or (self._ended and not to_end)):
+            self._player.go_back(goal)
+            self._begin()
         self._paused = paused
         self._goal = None if self._ended else math.inf if to_end else goal
 
@@ -312,18 +274,9 @@ class ReplaySession:
         self._anchor = (self._clock(), self._position)
         self._changed = True
 
-    def _begin(self, goal: float = 0.0) -> None:
-        """Stand at the latest known state before `goal` s."""
+    def _begin(self) -> None:
+        """Go on from where the player stands now."""
         self._ended = False
-        known = [point for point in self._checkpoints if point.position <= goal]
-        if known:
-            self._pipeline = known[-1].pipeline.copy()
-        else:
-            path = str(self._path)
-            self._pipeline = Pipeline(self.airframe, path, self._wanted, self._options)
-        self._reel = Reel(self._path, self._wanted, self._pipeline)
-        if known:
-            self._reel.skip(known[-1].windows)
         self._prediction = LivePrediction(self._pipeline.chain)
         self._pipeline.chain.observer = self._look
         self._told_result_at = self._position
@@ -335,13 +288,6 @@ class ReplaySession:
         if min(until, self._duration) - block.t[-1] < _SEEN:
             self._prediction.take(block)
 
-    def _keep_checkpoint(self, reel: Reel) -> None:
-        apart = max(_APART, self._duration / (_CHECKPOINTS + 1))
-        last = self._checkpoints[-1].position if self._checkpoints else 0.0
-        if reel.whole and reel.position - last >= apart:
-            state = self._pipeline.copy()
-            self._checkpoints.append(_Checkpoint(reel.position, reel.windows_taken, state))
-
     def _end(self) -> None:
         self._pipeline.finish()
         self._ended = True
@@ -349,7 +295,15 @@ class ReplaySession:
 
     @property
     def _position(self) -> float:
-        return 0.0 if self._reel is None else self._reel.position
+        return 0.0 if self._player is None else self._player.reel.position
+
+    @property
+    def _duration(self) -> float:
+        return 0.0 if self._recorded is None else self._recorded.duration
+
+    @property
+    def _pipeline(self) -> Pipeline:
+        return self._unread if self._player is None else self._player.pipeline
 
     # -- what others see
 
@@ -363,8 +317,9 @@ class ReplaySession:
 
     def _publish(self) -> None:
         chain = self._pipeline.chain
-        analysed = self._analysed if self._ended else None
-        result = self.final or analysed or self._pipeline.result()
+        result = self._pipeline.result()
+        if self._ended:
+            result = self.final or (self._recorded.result if self._recorded else result)
         self._latest = Snapshot(
             t=chain.t,
             used_seconds=chain.used_seconds,
@@ -393,9 +348,9 @@ class ReplaySession:
 
     def _link(self) -> LinkStatus:
         """Of the log: rates where the replay stands, losses of the whole."""
-        whole = {} if self._analysed is None else self._analysed.telemetry
+        whole = {} if self._recorded is None else self._recorded.result.telemetry
         gaps = whole.get("imu_gaps", {})
-        reel = self._reel
+        reel = None if self._player is None else self._player.reel
         vehicle = None if reel is None else reel.telemetry.vehicle
         heard = () if vehicle is None else (HeardVehicle(vehicle.address, str(vehicle), True),)
         return LinkStatus(
@@ -416,5 +371,5 @@ class ReplaySession:
 
 
 def speed_text(speed: float) -> str:
-    """One of the `SPEEDS` in words: "10x", "max"."""
+    """One of the `SPEEDS` in words: `10x`, `max`."""
     return "max" if math.isinf(speed) else f"{speed:g}x"
