@@ -31,6 +31,8 @@ _LONGEST_SILENCE = 3.0
 """s of the flight in which nothing was recorded, more is skipped."""
 _SEEN = KEPT + 5.0
 """s of the flight before where it stops that are seen there, filters' settling included."""
+_LEAST_WAIT = 1e-3
+"""s; rounding would ask for less than any clock tells."""
 _IDLE = 1.0
 """s to wait where nothing is due; an action wakes."""
 
@@ -246,7 +248,7 @@ class ReplaySession:
             self._pipeline.chain.note(f"nothing was recorded for {silence:.0f} s: skipped")
             self._anchor = (self._clock(), end)
             return 0.0
-        return (end - until) / self._speed
+        return max((end - until) / self._speed, _LEAST_WAIT)
 
     def _due(self) -> float:
         """Seconds of the flight that the clock has reached."""

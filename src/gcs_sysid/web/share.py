@@ -18,7 +18,7 @@ from multiprocessing.connection import (
     answer_challenge,
     deliver_challenge,
 )
-from typing import Any
+from typing import Any, TypeAlias
 
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.screen.scene import Scene
@@ -34,7 +34,7 @@ _LOOK_EVERY = 0.1
 _CALLED = "called over there"
 """Stands for a function of the scene."""
 
-Link = Connection[Any, Any]
+Link: TypeAlias = "Connection[Any, Any]"
 
 
 @dataclass(frozen=True)
