@@ -1,13 +1,12 @@
-"""Measured against predicted angular acceleration: three strips, drawn in braille.
-
-Drawn by hand, not by the plotting library, which takes thirty times as long for one picture.
-"""
+"""Measured against predicted angular acceleration: three strips, one an axis."""
 
 import numpy as np
 from numpy.typing import NDArray
 from textual.content import Content
+from textual.geometry import Size
 from textual.widgets import Static
 
+from gcs_sysid.screen import braille
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
 from gcs_sysid.session.snapshot import Acceleration
@@ -19,14 +18,14 @@ AXES = ("roll", "pitch", "yaw")
 PREDICTED = "•"
 MARGIN = 7
 """Columns for an axis' name and scale."""
-_DOTS = np.array([[0x01, 0x02, 0x04, 0x40], [0x08, 0x10, 0x20, 0x80]])
-"""Bit of each braille dot: (column, row)."""
+BRIDGE = 0.3
+"""s; a longer gap is not drawn over."""
 
 
 def strip(
     t: Floats, values: Floats, start: float, end: float, limit: float, size: tuple[int, int]
 ) -> list[str]:
-    """A curve as lines of braille, the extremes of each dot column joined.
+    """A curve as lines of braille.
 
     Args:
         t: (n,) s.
@@ -36,23 +35,10 @@ def strip(
         limit: of the values at the upper edge, and minus that at the lower.
         size: columns and lines.
     """
-    columns, lines = size
-    cells = np.zeros((lines, columns), dtype=np.int64)
-    wide, high = 2 * columns, 4 * lines
-    x = np.floor((t - start) / (end - start) * (wide - 1) + 0.5).astype(np.int64)
-    y = np.clip((0.5 - 0.5 * values / limit) * (high - 1), 0, high - 1)
-    inside = (x >= 0) & (x < wide) & np.isfinite(values)
-    x, y = x[inside], np.rint(y[inside]).astype(np.int64)
-    last: tuple[int, int] | None = None
-    for column in np.unique(x):
-        here = y[x == column]
-        low, top = int(here.min()), int(here.max())
-        if last is not None and column - last[0] <= 3:  # joined to the one before
-            low, top = min(low, last[1]), max(top, last[1])
-        last = int(column), int(here[-1])
-        rows = np.arange(low, top + 1)
-        np.bitwise_or.at(cells, (rows // 4, column // 2), _DOTS[column % 2, rows % 4])
-    return ["".join(chr(0x2800 + cell) if cell else " " for cell in row) for row in cells.tolist()]
+    per_second = (braille.DOTS_WIDE * size[0] - 1) / (end - start)
+    x = np.rint((t - start) * per_second).astype(np.int64)
+    bridge = max(2, round(BRIDGE * per_second))
+    return braille.curve(*braille.extremes(x, values), (-limit, limit), size, bridge)
 
 
 def overlay(
@@ -90,22 +76,22 @@ def nice_limit(largest: float) -> float:
 class AccelerationPanel(Static):
     """What the vehicle did, and what the estimate said that it would do."""
 
-    BORDER_TITLE = "Angular acceleration, rad/s²"
+    BORDER_TITLE = "Angular acceleration, rad/s², each moment predicted before it was fitted"
 
     def __init__(self, name: str) -> None:
         super().__init__(id=name, classes="acceleration")
         self._view: View | None = None
-        self._drawn: object = None
+        self._drawn: tuple[Acceleration | None, Size] | None = None
 
     def show(self, view: View) -> None:
         """Bring the panel up to date."""
         self._view = view
         found = None if view.snapshot is None else view.snapshot.acceleration
         size = self.content_size
-        what = (found, size)
-        if self._drawn is not None and self._drawn == what:
+        drawn = self._drawn
+        if drawn is not None and drawn[0] is found and drawn[1] == size:
             return
-        self._drawn = what
+        self._drawn = found, size
         if found is None or len(found.t) < 2 or size.width < 20 or size.height < 4:
             self.update(Content.styled("nothing predicted yet", fmt.MUTED), layout=False)
             return
@@ -136,8 +122,8 @@ class AccelerationPanel(Static):
             f"{name} {'?' if np.isnan(share) else f'{100.0 * max(share, 0.0):.1f} %'}"
             for name, share in zip(AXES, shares, strict=True)
         )
-        legend = f"⠒ measured  {PREDICTED} predicted before it was fitted"
-        room = width - len(legend) - 3
-        foretold = f"   foretold: {told}"
-        lines.append([(legend, fmt.MUTED), (foretold if len(foretold) <= room + 3 else "", "bold")])
+        legend = f"⠒ measured  {PREDICTED} predicted"
+        explained = f"   explained: {told}"
+        fits = len(legend) + len(explained) <= width
+        lines.append([(legend, fmt.MUTED), (explained if fits else "", "bold")])
         return lines
