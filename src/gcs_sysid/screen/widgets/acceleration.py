@@ -3,12 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 from textual.content import Content
-from textual.geometry import Size
-from textual.widgets import Static
 
 from gcs_sysid.screen import braille
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
+from gcs_sysid.screen.widgets.rationed import RationedPlot
 from gcs_sysid.session.snapshot import Acceleration
 
 Floats = NDArray[np.float64]
@@ -16,6 +15,7 @@ Part = tuple[str, str]
 
 AXES = ("roll", "pitch", "yaw")
 PREDICTED = "•"
+MIN_WIDTH, MIN_HEIGHT = 20, 4
 MARGIN = 7
 """Columns for an axis' name and scale."""
 BRIDGE = 0.3
@@ -73,35 +73,32 @@ def nice_limit(largest: float) -> float:
     return float(next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= largest * 0.999))
 
 
-class AccelerationPanel(Static):
+class AccelerationPanel(RationedPlot):
     """What the vehicle did, and what the estimate said that it would do."""
 
     BORDER_TITLE = "Angular acceleration, rad/s², each moment predicted before it was fitted"
 
     def __init__(self, name: str) -> None:
-        super().__init__(id=name, classes="acceleration")
-        self._view: View | None = None
-        self._drawn: tuple[Acceleration | None, Size] | None = None
+        super().__init__(name, classes="acceleration")
+        self._found: Acceleration | None = None
 
     def show(self, view: View) -> None:
         """Bring the panel up to date."""
-        self._view = view
         found = None if view.snapshot is None else view.snapshot.acceleration
-        size = self.content_size
-        drawn = self._drawn
-        if drawn is not None and drawn[0] is found and drawn[1] == size:
-            return
-        self._drawn = found, size
-        if found is None or len(found.t) < 2 or size.width < 20 or size.height < 4:
-            self.update(Content.styled("nothing predicted yet", fmt.MUTED), layout=False)
-            return
-        lines = [Content.assemble(*line) for line in self._lines(found, size.width, size.height)]
-        self.update(Content("\n").join(lines), layout=False)
+        if found is not self._found:
+            self._found = found
+            self.refresh_later()
 
-    def on_resize(self) -> None:
-        """Draw for the new size."""
-        if self._view is not None:
-            self.show(self._view)
+    def render(self) -> Content:
+        """Draw for the present size."""
+        self.note_drawing()
+        found, size = self._found, self.content_size
+        if found is None or len(found.t) < 2:
+            return Content.styled("nothing predicted yet", fmt.MUTED)
+        if size.width < MIN_WIDTH or size.height < MIN_HEIGHT:
+            return Content("")
+        lines = self._lines(found, size.width, size.height)
+        return Content("\n").join([Content.assemble(*line) for line in lines])
 
     def _lines(self, found: Acceleration, width: int, height: int) -> list[list[Part]]:
         each = max(1, (height - 1) // 3)

@@ -1,27 +1,23 @@
 """The convergence plot: one parameter over time with its 95 % band."""
 
 import math
-import time
 from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 from textual.content import Content
-from textual.widget import Widget
 
 from gcs_sysid.screen import braille
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
+from gcs_sysid.screen.widgets.rationed import RationedPlot
 from gcs_sysid.session.snapshot import Course
 
 Floats = NDArray[np.float64]
 
 MIN_WIDTH, MIN_HEIGHT = 24, 6
 """Below this a plot says nothing."""
-
-MIN_SECONDS = 0.5
-"""Time between two drawings of a growing course, which changes little."""
 
 
 def nice_ticks(low: float, high: float, wanted: int) -> tuple[list[float], list[str]]:
@@ -115,16 +111,14 @@ def shade(
     return covered
 
 
-class Convergence(Widget):
+class Convergence(RationedPlot):
     """Plot of the chosen parameter: value, band, and the truth where it is known."""
 
     BORDER_TITLE = "Convergence"
 
     def __init__(self) -> None:
-        super().__init__(id="convergence")
+        super().__init__("convergence")
         self.view: View | None = None
-        self._drawn_at = -math.inf
-        self._waiting = False
 
     def show(self, view: View) -> None:
         """Bring the plot up to date."""
@@ -132,22 +126,7 @@ class Convergence(Widget):
         if old is None or (old.selected, old.exponents) != (view.selected, view.exponents):
             self.refresh()
         elif (old.snapshot and old.snapshot.course) is not (view.snapshot and view.snapshot.course):
-            self._refresh_later()
-
-    def _refresh_later(self) -> None:
-        """Redraw when the last drawing is old enough; several requests make one drawing."""
-        if self._waiting:
-            return
-        rest = self._drawn_at + MIN_SECONDS - time.monotonic()
-        if rest <= 0.0:
-            self.refresh()
-            return
-        self._waiting = True
-        self.set_timer(rest, self._refresh_waiting)
-
-    def _refresh_waiting(self) -> None:
-        self._waiting = False
-        self.refresh()
+            self.refresh_later()
 
     def headline(self) -> str:
         """The parameter's name and present value, as the plot's title writes it."""
@@ -165,7 +144,7 @@ class Convergence(Widget):
         """Draw for the present size and theme."""
         width, height = self.content_size.width, self.content_size.height
         view = self.view
-        self._drawn_at = time.monotonic()
+        self.note_drawing()
         if view is None or view.snapshot is None or width < MIN_WIDTH or height < MIN_HEIGHT:
             return Content("")
         found = view.estimate(view.selected)
