@@ -365,3 +365,17 @@ async def test_what_is_typed_into_a_question_does_nothing_else(run_screen):
         await s.press("b", "m", "r", "q", "escape")
         assert s.source.calls == []
         assert s.app.is_running
+
+
+async def test_a_defect_beside_does_not_end_the_session(run_screen):
+    async with run_screen(fake.snapshot()) as s:
+        s.app.actions = replace(s.app.actions, report=lambda: str(1 // 0))
+        await s.press("h")
+        for _ in range(100):
+            await s.pilot.pause(0.02)
+            if "internal error" in s.answer():
+                break
+        assert s.answer().startswith("Report: internal error (ZeroDivisionError")
+        assert s.app.is_running
+        await s.press("j")
+        assert "Plot" in s.answer()
