@@ -18,7 +18,7 @@ api = pytest.importorskip("playwright.sync_api")
 pytestmark = pytest.mark.slow
 
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
-_PATIENCE = 15_000
+_PATIENCE = 60_000
 """ms; nothing waits so long where all is well."""
 _ESCAPES = re.compile(r"\x1b(\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(\x07|\x1b\\)|.)")
 
@@ -180,7 +180,7 @@ def test_a_replay_is_moved_by_whoever_looks(browser, flight, serve):
     first, second = (Page(browser, served.url, wrong) for _ in range(2))
     for page in (first, second):
         assert page.sees("▶ 1x")
-    first.press("End"); first.sees("zzz"); print(first.received[-1500:]); first.page.screenshot(path="/tmp/h-replay-w/p5.png")
+    first.press("End")
     for page in (first, second):
         assert page.sees("■ end")
     second.press("r")

@@ -156,7 +156,7 @@ def follow(
         Exit status: 1 when the session ended without an answer.
     """
     if is_watched(options):
-        from gcs_sysid.cli.screen_actions import scene_of
+        from gcs_sysid.cli.scenes import scene_of
 
         scene = scene_of(session, truth, options, baseline)
         if options.web:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from textual.app import App
+from textual.worker import Worker, WorkerState
 
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.model.airframe import ANCHORS
@@ -70,11 +71,19 @@ class ActingApp(App[None]):
                 answer = action()
             except (GcsSysidError, OSError) as error:
                 answer = f"Not done: {error}"
-            self._at_work.discard(what)
             if self.is_running:  # else the user has left meanwhile
                 self.call_from_thread(self.say, answer)
 
-        self.run_worker(work, name=what, thread=True)
+        # A defect in there is told as well, and must not end a session in flight.
+        self.run_worker(work, name=what, thread=True, exit_on_error=False)
+
+    def on_worker_state_changed(self, event: Worker.StateChanged) -> None:
+        """Something beside the flow of data has come to its end."""
+        if event.worker.is_finished:
+            self._at_work.discard(event.worker.name)
+        if event.state is WorkerState.ERROR:
+            error = event.worker.error
+            self.say(f"{event.worker.name}: internal error ({type(error).__name__}: {error})")
 
     # -- marks, the estimate, the recording
 

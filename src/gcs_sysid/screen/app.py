@@ -14,6 +14,7 @@ from gcs_sysid.screen.actions import ActingApp
 from gcs_sysid.screen.help import HelpScreen
 from gcs_sysid.screen.main import MainScreen
 from gcs_sysid.screen.source import Actions, SnapshotSource
+from gcs_sysid.screen.standing import shares
 from gcs_sysid.screen.themes import DARK, LIGHT
 from gcs_sysid.screen.view import Baseline, View
 from gcs_sysid.screen.widgets.pages import PAGES, PageBar
@@ -125,6 +126,7 @@ class SysidApp(ActingApp):
                 exponents=self._exponents,
                 silence=self._time() - self._heard[1],
                 paused=self.paused,
+                shares={} if self._snapshot is None else shares(self._snapshot.result),
                 baseline="" if self.baseline is None else self.baseline.name,
                 comparison=self._compare(),
             )

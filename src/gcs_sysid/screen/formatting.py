@@ -232,11 +232,11 @@ def bar(fraction: float, width: int) -> str:
     return ("█" * full + (_EIGHTHS[rest] if rest else "")).ljust(width)
 
 
-def converged(relative: float | None, target: float) -> float:
+def converged(share: float | None, target: float) -> float:
     """How far a parameter has come, on a logarithmic scale: 0 at ±100 %, 1 at the target."""
-    if relative is None or relative <= 0.0:
+    if share is None or share <= 0.0:
         return 0.0
-    return min(1.0, max(0.0, math.log(relative) / math.log(min(target, 0.99))))
+    return min(1.0, max(0.0, math.log(share) / math.log(min(target, 0.99))))
 
 
 def clock(seconds: float) -> str:

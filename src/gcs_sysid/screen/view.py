@@ -1,7 +1,7 @@
 """What every panel is given to draw: one snapshot and how the user wants to see it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from gcs_sysid.model.parameters import Parameter
@@ -36,6 +36,8 @@ class View:
     """Seconds since the link last brought something."""
     paused: bool = False
     """The display is frozen; the session is not."""
+    shares: Mapping[str, float | None] = field(default_factory=dict)
+    """Half of each 95 % interval over what it is measured against, see `standing.shares`."""
     baseline: str = ""
     """Name of the earlier result that is compared with."""
     comparison: Comparison | None = None

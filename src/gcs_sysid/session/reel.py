@@ -54,23 +54,19 @@ class Reel:
             until: position; a part that reaches beyond it is cut.
             piece: s, the length into which.
         """
-        part = self._next()
-        if part is None:
+        if self._next() is None:
             return None
-        _, end = self._span(part)
-        if end > until:
-            samples = _samples_in(part, piece)
+        # Samples come evenly but where there is a pause: then each is a part of its own.
+        for shortest in (False, True):
+            part = self._parts[0]
+            _, end = self._span(part)
+            if end <= until or (shortest and end - self.position <= 2.0 * piece):
+                break
+            samples = 1 if shortest else _samples_in(part, piece)
             if samples < part.imu_samples:
                 self._parts.popleft()
                 self._parts.extendleft(reversed(list(part.windows(samples))))
-                _, end = self._span(self._parts[0])
-        return end
-
-    @property
-    def next_start(self) -> float:
-        """The position of the next part's first sample; where it stands, at the end."""
-        part = self._next()
-        return self.position if part is None else self._span(part)[0]
+        return self._span(self._parts[0])[1]
 
     def take(self) -> RecordBlock:
         """The next part, which must be there."""

@@ -243,9 +243,9 @@ class ReplaySession:
         if self._goal is not None:
             self._arrive()
             return 0.0
-        silence = reel.next_start - reel.position
-        if silence > _LONGEST_SILENCE:
-            self._pipeline.chain.note(f"nothing was recorded for {silence:.0f} s: skipped")
+        silence = end - reel.position
+        if silence > _LONGEST_SILENCE + _PIECE * self._speed:
+            self._pipeline.chain.note(f"nothing to be seen for {silence:.0f} s: skipped")
             self._anchor = (self._clock(), end)
             return 0.0
         return max((end - until) / self._speed, _LEAST_WAIT)

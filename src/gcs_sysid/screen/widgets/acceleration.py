@@ -1,15 +1,13 @@
-"""Measured against predicted angular acceleration: three strips, drawn in braille.
-
-Drawn by hand, not by the plotting library, which takes thirty times as long for one picture.
-"""
+"""Measured against predicted angular acceleration: three strips, one an axis."""
 
 import numpy as np
 from numpy.typing import NDArray
 from textual.content import Content
-from textual.widgets import Static
 
+from gcs_sysid.screen import braille
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
+from gcs_sysid.screen.widgets.rationed import RationedPlot
 from gcs_sysid.session.snapshot import Acceleration
 
 Floats = NDArray[np.float64]
@@ -17,16 +15,17 @@ Part = tuple[str, str]
 
 AXES = ("roll", "pitch", "yaw")
 PREDICTED = "•"
+MIN_WIDTH, MIN_HEIGHT = 20, 4
 MARGIN = 7
 """Columns for an axis' name and scale."""
-_DOTS = np.array([[0x01, 0x02, 0x04, 0x40], [0x08, 0x10, 0x20, 0x80]])
-"""Bit of each braille dot: (column, row)."""
+BRIDGE = 0.3
+"""s; a longer gap is not drawn over."""
 
 
 def strip(
     t: Floats, values: Floats, start: float, end: float, limit: float, size: tuple[int, int]
 ) -> list[str]:
-    """A curve as lines of braille, the extremes of each dot column joined.
+    """A curve as lines of braille.
 
     Args:
         t: (n,) s.
@@ -36,23 +35,10 @@ def strip(
         limit: of the values at the upper edge, and minus that at the lower.
         size: columns and lines.
     """
-    columns, lines = size
-    cells = np.zeros((lines, columns), dtype=np.int64)
-    wide, high = 2 * columns, 4 * lines
-    x = np.floor((t - start) / (end - start) * (wide - 1) + 0.5).astype(np.int64)
-    y = np.clip((0.5 - 0.5 * values / limit) * (high - 1), 0, high - 1)
-    inside = (x >= 0) & (x < wide) & np.isfinite(values)
-    x, y = x[inside], np.rint(y[inside]).astype(np.int64)
-    last: tuple[int, int] | None = None
-    for column in np.unique(x):
-        here = y[x == column]
-        low, top = int(here.min()), int(here.max())
-        if last is not None and column - last[0] <= 3:  # joined to the one before
-            low, top = min(low, last[1]), max(top, last[1])
-        last = int(column), int(here[-1])
-        rows = np.arange(low, top + 1)
-        np.bitwise_or.at(cells, (rows // 4, column // 2), _DOTS[column % 2, rows % 4])
-    return ["".join(chr(0x2800 + cell) if cell else " " for cell in row) for row in cells.tolist()]
+    per_second = (braille.DOTS_WIDE * size[0] - 1) / (end - start)
+    x = np.rint((t - start) * per_second).astype(np.int64)
+    bridge = max(2, round(BRIDGE * per_second))
+    return braille.curve(*braille.extremes(x, values), (-limit, limit), size, bridge)
 
 
 def overlay(
@@ -87,35 +73,32 @@ def nice_limit(largest: float) -> float:
     return float(next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= largest * 0.999))
 
 
-class AccelerationPanel(Static):
+class AccelerationPanel(RationedPlot):
     """What the vehicle did, and what the estimate said that it would do."""
 
-    BORDER_TITLE = "Angular acceleration, rad/s²"
+    BORDER_TITLE = "Angular acceleration, rad/s², each moment predicted before it was fitted"
 
     def __init__(self, name: str) -> None:
-        super().__init__(id=name, classes="acceleration")
-        self._view: View | None = None
-        self._drawn: object = None
+        super().__init__(name, classes="acceleration")
+        self._found: Acceleration | None = None
 
     def show(self, view: View) -> None:
         """Bring the panel up to date."""
-        self._view = view
         found = None if view.snapshot is None else view.snapshot.acceleration
-        size = self.content_size
-        what = (found, size)
-        if self._drawn is not None and self._drawn == what:
-            return
-        self._drawn = what
-        if found is None or len(found.t) < 2 or size.width < 20 or size.height < 4:
-            self.update(Content.styled("nothing predicted yet", fmt.MUTED), layout=False)
-            return
-        lines = [Content.assemble(*line) for line in self._lines(found, size.width, size.height)]
-        self.update(Content("\n").join(lines), layout=False)
+        if found is not self._found:
+            self._found = found
+            self.refresh_later()
 
-    def on_resize(self) -> None:
-        """Draw for the new size."""
-        if self._view is not None:
-            self.show(self._view)
+    def render(self) -> Content:
+        """Draw for the present size."""
+        self.note_drawing()
+        found, size = self._found, self.content_size
+        if found is None or len(found.t) < 2:
+            return Content.styled("nothing predicted yet", fmt.MUTED)
+        if size.width < MIN_WIDTH or size.height < MIN_HEIGHT:
+            return Content("")
+        lines = self._lines(found, size.width, size.height)
+        return Content("\n").join([Content.assemble(*line) for line in lines])
 
     def _lines(self, found: Acceleration, width: int, height: int) -> list[list[Part]]:
         each = max(1, (height - 1) // 3)
@@ -136,8 +119,8 @@ class AccelerationPanel(Static):
             f"{name} {'?' if np.isnan(share) else f'{100.0 * max(share, 0.0):.1f} %'}"
             for name, share in zip(AXES, shares, strict=True)
         )
-        legend = f"⠒ measured  {PREDICTED} predicted before it was fitted"
-        room = width - len(legend) - 3
-        foretold = f"   foretold: {told}"
-        lines.append([(legend, fmt.MUTED), (foretold if len(foretold) <= room + 3 else "", "bold")])
+        legend = f"⠒ measured  {PREDICTED} predicted"
+        explained = f"   explained: {told}"
+        fits = len(legend) + len(explained) <= width
+        lines.append([(legend, fmt.MUTED), (explained if fits else "", "bold")])
         return lines

@@ -56,10 +56,12 @@ def _status(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
 
 
 def _converged(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
-    target = 0.02 if view.snapshot is None else view.snapshot.target
-    done = 1.0
-    if estimate.status != "given":
-        done = fmt.converged(fmt.relative_half(estimate), target)
+    if estimate.status == "given":
+        done = 1.0
+    elif parameter.name in view.shares and view.snapshot is not None:
+        done = fmt.converged(view.shares[parameter.name], view.snapshot.target)
+    else:
+        return " " * BAR, ""  # nobody asks for it
     return fmt.bar(done, BAR), f"{fmt.STATUS_STYLE[estimate.status]} on $panel"
 
 
