@@ -261,7 +261,9 @@ def test_it_goes_on_over_a_reboot(fly):
     stage = Stage(flight.tlog)
     stage.play(20.0)
     assert 19.0 < stage.playback.position <= 20.0
-    assert any("reboot" in event["text"] for event in stage.snapshot.result.events if "text" in event)
+    assert any(
+        "reboot" in event["text"] for event in stage.snapshot.result.events if "text" in event
+    )
     stage.run_to_end()
     near(own(stage), analyze_log(flight.tlog, load_airframe("paper")))
 

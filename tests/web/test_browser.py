@@ -30,7 +30,7 @@ class TcpVehicle:
         self.connections = 0
         self._data = b"".join(frame.raw for frame in frames)
         self._listener = socket.create_server(("127.0.0.1", 0))
-        self.url = "tcp:127.0.0.1:%d" % self._listener.getsockname()[1]
+        self.url = f"tcp:127.0.0.1:{self._listener.getsockname()[1]}"
         self._held = []
         threading.Thread(target=self._serve, daemon=True).start()
 

@@ -75,7 +75,7 @@ def test_own_requests_are_known(host, origin, own, expected):
 def test_a_port_in_use_is_one_clear_line():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         site = Site("127.0.0.1", taken.getsockname()[1], NOBODY)
-        with pytest.raises(InputError, match="cannot serve on 127.0.0.1:.* --web 8001"):
+        with pytest.raises(InputError, match=r"cannot serve on 127\.0\.0\.1:.* --web 8001"):
             site.start()
 
 

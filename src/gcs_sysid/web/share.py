@@ -30,7 +30,7 @@ from gcs_sysid.session.snapshot import Snapshot
 VARIABLE = "GCS_SYSID_SHARE"
 """Of the environment, in which a viewer finds where to connect."""
 _LOOK_EVERY = 0.1
-"""s between a viewer's looks for a new snapshot."""
+"""s between a viewer's looks for a new snapshot, and at most until it finds that it is over."""
 _CALLED = "called over there"
 """Stands for a function of the scene."""
 
@@ -103,7 +103,6 @@ class Share:
         self._newest: Snapshot | None = None
         self._serial = 0
         self._packed = b""
-        self._links: set[Link] = set()
         self._thread = threading.Thread(target=self._accept, name="share", daemon=True)
 
     def start(self) -> None:
@@ -111,16 +110,12 @@ class Share:
         self._thread.start()
 
     def close(self) -> None:
-        """Send all viewers away."""
+        """Send all viewers away; they find out within moments."""
         self._closing = True
         # A blocked accept wakes by nothing else, everywhere.
         socket.create_connection(("127.0.0.1", self.door.port)).close()
         self._thread.join()
         self._listener.close()
-        with self._lock:
-            links = list(self._links)
-        for link in links:
-            link.close()
 
     def _accept(self) -> None:
         while True:
@@ -135,18 +130,15 @@ class Share:
 
     def _attend(self, link: Link) -> None:
         """Answer one viewer until it leaves."""
-        with self._lock:
-            self._links.add(link)
         try:
             deliver_challenge(link, self.door.key)
             answer_challenge(link, self.door.key)
             while not self._closing:
-                link.send_bytes(self._answer(link.recv()))
+                if link.poll(_LOOK_EVERY):
+                    link.send_bytes(self._answer(link.recv()))
         except (EOFError, OSError, AuthenticationError):
             pass
         finally:
-            with self._lock:
-                self._links.discard(link)
             link.close()
 
     def _answer(self, request: tuple[Any, ...]) -> bytes:
