@@ -89,6 +89,13 @@ CASES = {
     "rate": (["live", NOWHERE, *PAPER, "--rate", "1e9"], "2000"),
     "duration": (["live", NOWHERE, *PAPER, "--duration", "0"], "--duration"),
     "demo speed": (["demo", "--speed", "3"], "--speed"),
+    "replay of nothing": (["replay", "missing.tlog", *PAPER], "missing.tlog"),
+    "replay of no log": (["replay", "text.tlog", *PAPER], "text.tlog"),
+    "replay without airframe": (["replay", "text.tlog"], "--airframe"),
+    "replay speed": (["replay", "a.tlog", *PAPER, "--speed", "3"], "--speed"),
+    "web without a host": (["live", NOWHERE, *PAPER, "--web", ":8000"], "HOST"),
+    "web takes no link": (["live", *PAPER, "--web", NOWHERE], "HOST"),
+    "web and headless": (["replay", "a.tlog", *PAPER, "--web", "--headless"], "--headless"),
 }
 
 
@@ -151,7 +158,7 @@ def test_the_program_itself(case, files):
         "--version",
         *(
             f"{name} --help"
-            for name in ("analyze", "inspect", "export", "compare", "batch", "trend")
+            for name in ("analyze", "replay", "inspect", "export", "compare", "batch", "trend")
         ),
     ],
 )

@@ -98,7 +98,6 @@ async def test_the_bar_says_where_it_stands(run_replay, size):
         ({"paused": True, "speed": 10.0}, "‖ paused (10x)"),
         ({"seeking": 95.0, "paused": True}, "» to 01:35"),
         ({"ended": True}, "■ end"),
-        ({"reading": 0.45, "duration": 0.0}, "… reading the log 45 %"),
     ],
 )
 def test_what_it_does_is_a_sign_and_a_word(changes, expected):
@@ -117,14 +116,6 @@ async def test_a_click_into_the_bar_goes_there(run_replay):
         await s.pilot.click(offset=(2, row))
         await s.settle()
         assert asked == []
-
-
-async def test_nothing_is_known_before_the_log_is_read(run_replay):
-    reading = Playback(position=0.0, duration=0.0, speed=1.0, reading=0.3)
-    async with run_replay(reading) as (s, asked):
-        assert "reading the log 30 %" in s.text()
-        await s.press("end")
-        assert asked == [("seek", 0.0)]
 
 
 async def test_help_and_palette_know_the_replay(run_replay):

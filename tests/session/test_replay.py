@@ -9,6 +9,7 @@ from benchmarks.recorded import airframe_of
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.player import Recorded, survey
 from gcs_sysid.session.replay import ReplaySession
 from gcs_sysid.session.snapshot import LinkState
 from gcs_sysid.telemetry.dialect import gcs_sysid_dialect as mavlink
@@ -31,8 +32,8 @@ class Stage:
     def __init__(self, path, airframe=None, speed=1.0, **options):
         self.now = 100.0
         airframe = airframe or load_airframe("paper")
-        self.session = ReplaySession(path, airframe, None, speed, clock=lambda: self.now, **options)
-        self.session.open()
+        recorded = path if isinstance(path, Recorded) else survey(path, airframe)
+        self.session = ReplaySession(recorded, speed, clock=lambda: self.now, **options)
         self.published = []
 
     @property
@@ -77,6 +78,11 @@ def flight(fly):
 
 
 @pytest.fixture(scope="module")
+def recorded(flight):
+    return survey(flight.tlog, load_airframe("paper"))
+
+
+@pytest.fixture(scope="module")
 def analysed(flight):
     return analyze_log(flight.tlog, load_airframe("paper"))
 
@@ -118,11 +124,9 @@ def test_at_full_speed_it_ends_with_exactly_the_numbers_of_the_analysis(shared_l
     assert stage.playback.position == pytest.approx(stage.playback.duration, abs=0.01)
 
 
-def test_the_thread_ends_with_the_numbers_of_the_analysis(flight, analysed):
+def test_the_thread_ends_with_the_numbers_of_the_analysis(recorded, analysed):
     told = []
-    session = ReplaySession(
-        flight.tlog, load_airframe("paper"), None, math.inf, stay=False, on_result=told.append
-    )
+    session = ReplaySession(recorded, math.inf, stay=False, on_result=told.append)
     session.start()
     assert session.join(60.0)
     assert session.problem is None
@@ -132,8 +136,8 @@ def test_the_thread_ends_with_the_numbers_of_the_analysis(flight, analysed):
     assert 1 < len(told) < 60
 
 
-def test_it_keeps_the_pace_of_the_vehicles_clock(flight):
-    stage = Stage(flight.tlog)
+def test_it_keeps_the_pace_of_the_vehicles_clock(recorded):
+    stage = Stage(recorded)
     stage.play(10.0)
     assert 9.7 < stage.playback.position <= 10.0
     assert stage.snapshot.t == pytest.approx(stage.playback.position, abs=0.4)
@@ -146,8 +150,8 @@ def test_it_keeps_the_pace_of_the_vehicles_clock(flight):
     assert 40 <= len(positions) <= 62
 
 
-def test_at_its_own_pace_it_ends_with_the_numbers_of_the_analysis_too(flight, analysed):
-    stage = Stage(flight.tlog)
+def test_at_its_own_pace_it_ends_with_the_numbers_of_the_analysis_too(recorded, analysed):
+    stage = Stage(recorded)
     stage.play(20.0)
     assert stage.snapshot.link.state is LinkState.REPLAY
     stage.session.change_speed(1)
@@ -157,8 +161,8 @@ def test_at_its_own_pace_it_ends_with_the_numbers_of_the_analysis_too(flight, an
     near(own(stage), analysed)
 
 
-def test_a_pause_stops_it_and_nothing_is_lost(flight):
-    stage, other = Stage(flight.tlog), Stage(flight.tlog)
+def test_a_pause_stops_it_and_nothing_is_lost(recorded):
+    stage, other = Stage(recorded), Stage(recorded)
     stage.play(5.0)
     assert stage.session.toggle_pause() == "Replay paused."
     stage.play(100.0)
@@ -179,8 +183,8 @@ def same_course(stage, other):
         assert a.value[name] == pytest.approx(b.value[name], rel=1e-6, nan_ok=True)
 
 
-def test_a_seek_goes_there_by_all_that_lies_between(flight):
-    stage, other = Stage(flight.tlog), Stage(flight.tlog)
+def test_a_seek_goes_there_by_all_that_lies_between(recorded):
+    stage, other = Stage(recorded), Stage(recorded)
     assert stage.session.seek(30.0) == f"To 30 s of {stage.session._duration:.0f} s."
     stage.settle()
     other.play(30.0)
@@ -192,8 +196,8 @@ def test_a_seek_goes_there_by_all_that_lies_between(flight):
     assert 31.5 < stage.playback.position <= 32.5
 
 
-def test_a_seek_back_forgets_what_came_later(flight, analysed):
-    stage, other = Stage(flight.tlog), Stage(flight.tlog)
+def test_a_seek_back_forgets_what_came_later(recorded, analysed):
+    stage, other = Stage(recorded), Stage(recorded)
     stage.run_to_end()
     stage.session.change_speed(-2)
     stage.session.toggle_pause()  # from the beginning
@@ -212,8 +216,8 @@ def test_a_seek_back_forgets_what_came_later(flight, analysed):
     near(own(stage), analysed)
 
 
-def test_it_goes_back_from_a_state_it_kept(flight):
-    stage = Stage(flight.tlog, speed=math.inf)
+def test_it_goes_back_from_a_state_it_kept(recorded):
+    stage = Stage(recorded, speed=math.inf)
     stage.run_to_end()
     player = stage.session._player
     kept = [state.position for state in player._checkpoints]
@@ -226,8 +230,8 @@ def test_it_goes_back_from_a_state_it_kept(flight):
     assert player.reel.position == player.pipeline.chain.t == 0.0
 
 
-def test_steps_follow_each_other_before_the_first_has_arrived(flight):
-    stage = Stage(flight.tlog)
+def test_steps_follow_each_other_before_the_first_has_arrived(recorded):
+    stage = Stage(recorded)
     stage.session.toggle_pause()
     for _ in range(3):
         stage.session.skip(10.0)
@@ -245,8 +249,8 @@ def test_steps_follow_each_other_before_the_first_has_arrived(flight):
     assert stage.playback.ended
 
 
-def test_rates_are_those_of_the_last_seconds(flight):
-    stage = Stage(flight.tlog)
+def test_rates_are_those_of_the_last_seconds(recorded):
+    stage = Stage(recorded)
     stage.play(20.0)
     assert stage.snapshot.link.rates["imu"] == pytest.approx(100.0, rel=0.05)
     assert stage.snapshot.link.vehicle.startswith("PX4")
@@ -258,7 +262,7 @@ def test_it_goes_on_over_a_reboot(fly):
         *("--mission", "all-axes", "--rate", "100", "--duration", "30", "--seed", "5"),
         *("--trap", "reboot=12"),
     )
-    stage = Stage(flight.tlog)
+    stage = Stage(recorded)
     stage.play(20.0)
     assert 19.0 < stage.playback.position <= 20.0
     assert any(
@@ -283,11 +287,18 @@ def test_a_long_silence_is_skipped(flight, tmp_path):
 def test_what_is_no_log_is_refused(tmp_path):
     path = tmp_path / "none.tlog"
     path.write_text("not a log")
-    session = ReplaySession(path, load_airframe("paper"))
+    with pytest.raises(InputError, match=r"not a \.tlog"):
+        survey(path, load_airframe("paper"))
+
+
+def test_one_that_is_left_has_the_numbers_up_to_there(recorded, analysed):
+    session = ReplaySession(recorded)
     session.start()
-    assert session.join(20.0)
-    assert isinstance(session.problem, InputError)
-    assert session.final is None
+    session.seek(20.0)
+    session.stop()
+    assert session.problem is None
+    assert session.final.dumps() != analysed.dumps()
+    session.stop()
 
 
 def test_parameters_that_came_late_hold_from_the_start(fly, tmp_path):

@@ -118,8 +118,9 @@ def _add_baseline(parser: argparse.ArgumentParser) -> None:
 def web_address(text: str) -> tuple[str, int]:
     """An argparse type: [HOST:]PORT; without a host, this machine alone."""
     host, colon, port = text.rpartition(":")
-    host = host.removeprefix("[").removesuffix("]") if colon else "127.0.0.1"
-    if not host or not port.isdecimal() or int(port) > 65535:
+    bracketed = host.startswith("[") and host.endswith("]")
+    host = host.strip("[]") if colon else "127.0.0.1"
+    if not host or (":" in host and not bracketed) or not port.isdecimal() or int(port) > 65535:
         raise argparse.ArgumentTypeError(
             f"must be [HOST:]PORT, such as 8000 or 0.0.0.0:8000, got {text!r}"
         )

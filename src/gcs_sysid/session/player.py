@@ -42,17 +42,15 @@ class Recorded:
 class _Survey:
     """An observer that takes down what a result does not tell."""
 
-    def __init__(self, check: Callable[[], None]) -> None:
+    def __init__(self) -> None:
         self.duration = 0.0
         self.options = ChainOptions()
-        self._check = check
 
     def begin(self) -> None:
         """As `Observer` says."""
 
     def take(self, block: SampleBlock) -> None:
         """As `Observer` says."""
-        self._check()
 
     def end(self, chain: Chain) -> None:
         """As `Observer` says."""
@@ -63,9 +61,8 @@ class _Survey:
 def survey(
     path: Path,
     airframe: Airframe,
-    wanted: tuple[int, int | None] | None,
-    progress: Callable[[float], None],
-    check: Callable[[], None],
+    wanted: tuple[int, int | None] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> Recorded:
     """Analyse a log that will be played.
 
@@ -74,12 +71,11 @@ def survey(
         airframe: with a scale anchor.
         wanted: as of `analyze_log`.
         progress: as of `analyze_log`.
-        check: called often; what it raises ends the analysis.
 
     Raises:
         InputError: the file cannot be read as a log.
     """
-    seen = _Survey(check)
+    seen = _Survey()
     result = analyze_log(path, airframe, wanted, progress=progress, observer=seen)
     return Recorded(path, airframe, wanted, result, seen.duration, seen.options)
 

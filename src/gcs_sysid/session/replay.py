@@ -12,9 +12,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.pipeline import Pipeline
-from gcs_sysid.session.player import Player, Recorded, survey
+from gcs_sysid.session.player import Player, Recorded
 from gcs_sysid.session.prediction import KEPT, LivePrediction
 from gcs_sysid.session.reel import Reel
 from gcs_sysid.session.result import Result
@@ -37,30 +36,25 @@ _IDLE = 1.0
 """s to wait where nothing is due; an action wakes."""
 
 
-class _StoppedError(Exception):
-    """Ends the reading of a log that nobody waits for any more."""
-
-
 class ReplaySession:
     """Plays a log, in a thread of its own.
 
     Args:
-        path: a .tlog, .ulg or .bin file.
-        airframe: with a scale anchor.
-        wanted: system and perhaps component; None: the first autopilot in the log.
+        recorded: the log, as `survey` knows it.
         speed: one of `SPEEDS`.
         course_interval: s of the flight between estimates of the course.
         target: half the 95 % interval, as a share of its value, that every parameter is to reach.
         stay: whether to wait at the end of the log for a seek; else the session ends there.
         clock: s that only grow; tests put their own here.
-        on_result: called in the session's thread about once a second of the flight.
+        on_result: called in the session's thread, at most once a second of the flight.
+
+    Raises:
+        InputError: the file can no longer be read.
     """
 
     def __init__(
         self,
-        path: Path,
-        airframe: Airframe,
-        wanted: tuple[int, int | None] | None = None,
+        recorded: Recorded,
         speed: float = 1.0,
         course_interval: float = 0.2,
         target: float = 0.02,
@@ -70,38 +64,34 @@ class ReplaySession:
         on_result: Callable[[Result], None] | None = None,
     ) -> None:
         self.final: Result | None = None
-        """The last result, once the session has ended; None when it never began to play."""
+        """The last result, once the session has ended."""
         self.problem: Exception | None = None
         """What ended the session against its will."""
-        self.airframe = airframe
-        self._path, self._wanted = path, wanted
-        self._course_interval, self._target = course_interval, target
+        self.airframe = recorded.airframe
+        self._recorded = recorded
+        self._target = target
         self._stay = stay
         self._clock = clock
         self._on_result = on_result
         self._told_result_at = 0.0
         self._speed = speed
-        self._paused = False
+        self._paused = self._ended = False
         self._goal: float | None = None
         self._asked_goal: float | None = None
-        self._reading: float | None = 0.0
-        self._recorded: Recorded | None = None
-        self._player: Player | None = None
-        self._unread = Pipeline(airframe, str(path), wanted)
-        self._prediction = LivePrediction(self._unread.chain)
-        self._anchor = (0.0, 0.0)
-        self._ended = False
+        self._player = Player(recorded, course_interval)
         self._actions: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._wake, self._stop = threading.Event(), threading.Event()
         self._latest: Snapshot | None = None
         self._published = -math.inf
         self._changed = False
         self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
+        self._begin()
 
     # -- the session, as the screen and the command line see it
 
     def start(self) -> None:
         """Begin."""
+        self._set_pace(self._speed, self._paused)
         self._publish()
         self._thread.start()
 
@@ -131,7 +121,7 @@ class ReplaySession:
 
     def flushed_recording(self) -> Path:
         """The log."""
-        return self._path
+        return self._recorded.path
 
     # -- what a user may do; each returns what happens, in words
 
@@ -153,8 +143,6 @@ class ReplaySession:
 
     def seek(self, position: float) -> str:
         """Go to `position` s of the flight."""
-        if self._reading is not None:
-            return "The log is being read: nowhere to go yet."
         self._asked_goal = goal = min(max(position, 0.0), self._duration)
         self._do(lambda: self._seek(goal, self._paused))
         return f"To {goal:.0f} s of {self._duration:.0f} s."
@@ -172,42 +160,17 @@ class ReplaySession:
 
     def _run(self) -> None:
         try:
-            self.open()
             while not self._stop.is_set() and (self._stay or not self._ended):
                 wait = self.step()
                 if wait > 0.0:
                     self._wake.wait(wait)
                     self._wake.clear()
-        except _StoppedError:
-            pass
         except Exception as problem:  # noqa: BLE001 - handed to the main thread, which tells it
             self.problem = problem
         finally:
-            if self._recorded is not None and self.problem is None:
+            if self.problem is None:
                 self.final = self._recorded.result if self._ended else self._pipeline.finish()
             self._ended = True
-            self._publish()
-
-    def open(self) -> None:
-        """Analyse the log, and make ready to play it.
-
-        Raises:
-            InputError: the file cannot be read as a log.
-        """
-        recorded = survey(
-            self._path, self.airframe, self._wanted, self._show_reading, self._check_wanted
-        )
-        self._player = Player(recorded, self._course_interval)
-        self._recorded, self._reading = recorded, None
-        self._begin()
-
-    def _check_wanted(self) -> None:
-        if self._stop.is_set():
-            raise _StoppedError
-
-    def _show_reading(self, share: float) -> None:
-        self._reading = share
-        if self._is_publishing_due():
             self._publish()
 
     def step(self) -> float:
@@ -222,7 +185,7 @@ class ReplaySession:
 
     def _advance(self) -> float:
         player, goal = self._player, self._goal
-        if player is None or self._ended or (self._paused and goal is None):
+        if self._ended or (self._paused and goal is None):
             return _IDLE
         until, piece = self._due(), _PIECE * self._speed
         if goal is not None:
@@ -263,7 +226,7 @@ class ReplaySession:
 
     def _seek(self, goal: float, paused: bool) -> None:
         to_end = goal >= self._duration
-        if self._player is not None and (goal < self._position or (self._ended and not to_end)):
+        if goal < self._position or (self._ended and not to_end):
             self._player.go_back(goal)
             self._begin()
         self._paused = paused
@@ -297,15 +260,15 @@ class ReplaySession:
 
     @property
     def _position(self) -> float:
-        return 0.0 if self._player is None else self._player.reel.position
+        return self._player.reel.position
 
     @property
     def _duration(self) -> float:
-        return 0.0 if self._recorded is None else self._recorded.duration
+        return self._recorded.duration
 
     @property
     def _pipeline(self) -> Pipeline:
-        return self._unread if self._player is None else self._player.pipeline
+        return self._player.pipeline
 
     # -- what others see
 
@@ -319,14 +282,12 @@ class ReplaySession:
 
     def _publish(self) -> None:
         chain = self._pipeline.chain
-        result = self._pipeline.result()
-        if self._ended:
-            result = self.final or (self._recorded.result if self._recorded else result)
+        result = self._recorded.result if self._ended else self._pipeline.result()
         self._latest = Snapshot(
             t=chain.t,
             used_seconds=chain.used_seconds,
             flying=chain.sampler.flying,
-            result=result,
+            result=self.final or result,
             course=chain.course,
             link=self._link(),
             attitude=chain.sampler.attitude,
@@ -340,7 +301,6 @@ class ReplaySession:
                 duration=self._duration,
                 speed=self._speed,
                 paused=self._paused,
-                reading=self._reading,
                 seeking=self._goal if self._goal is None else min(self._goal, self._duration),
                 ended=self._ended,
             ),
@@ -350,16 +310,16 @@ class ReplaySession:
 
     def _link(self) -> LinkStatus:
         """Of the log: rates where the replay stands, losses of the whole."""
-        whole = {} if self._recorded is None else self._recorded.result.telemetry
+        whole = self._recorded.result.telemetry
         gaps = whole.get("imu_gaps", {})
-        reel = None if self._player is None else self._player.reel
-        vehicle = None if reel is None else reel.telemetry.vehicle
+        reel = self._player.reel
+        vehicle = reel.telemetry.vehicle
         heard = () if vehicle is None else (HeardVehicle(vehicle.address, str(vehicle), True),)
         return LinkStatus(
             state=LinkState.ENDED if self._ended else LinkState.REPLAY,
-            url=str(self._path),
+            url=str(self._recorded.path),
             vehicle=str(vehicle or ""),
-            rates={} if reel is None else reel.rates(),
+            rates=reel.rates(),
             received=whole.get("received", 0),
             rejected=whole.get("bad_crc", 0),
             unknown=whole.get("unknown", 0),

@@ -158,12 +158,10 @@ class Playback:
     position: float
     """s of the vehicle's clock since the first record."""
     duration: float
-    """s from the first record to the last; 0 until the log was read."""
+    """s from the first record to the last."""
     speed: float
     """Seconds of the flight in one second; infinite: as fast as it can."""
     paused: bool = False
-    reading: float | None = None
-    """Share of the log read so far, 0 to 1, before it can be played; None: it is played."""
     seeking: float | None = None
     """s, where it is on its way to; None: nowhere."""
     ended: bool = False

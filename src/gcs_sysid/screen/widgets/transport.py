@@ -38,8 +38,6 @@ class Transport:
 
 def state_of(playback: Playback) -> str:
     """What a replay does now, in a sign and a word or two."""
-    if playback.reading is not None:
-        return f"… reading the log {100.0 * playback.reading:.0f} %"
     if playback.seeking is not None:
         return f"» to {fmt.clock(playback.seeking)}"
     if playback.ended:
