@@ -262,7 +262,7 @@ def test_it_goes_on_over_a_reboot(fly):
         *("--mission", "all-axes", "--rate", "100", "--duration", "30", "--seed", "5"),
         *("--trap", "reboot=12"),
     )
-    stage = Stage(recorded)
+    stage = Stage(flight.tlog)
     stage.play(20.0)
     assert 19.0 < stage.playback.position <= 20.0
     assert any(
