@@ -60,7 +60,7 @@ LINK_STYLE: dict[LinkState, str] = {
 
 CHANGE_SIGN: dict[Change, str] = {"changed": "≠", "no_change_seen": "=", "cannot_tell": "?"}
 CHANGE_STYLE: dict[Change, str] = {
-    "changed": "bold $text-warning",
+    "changed": "bold",
     "no_change_seen": "$text-success",
     "cannot_tell": MUTED,
 }
