@@ -65,14 +65,15 @@ def airframe_of(log: Path) -> Airframe:
 
 
 def thinned(log: Path, to: Path, seed: int, drop: float = 0.05) -> Path:
-    """A .tlog with a fifth of the fast messages, and some of all lost."""
+    """A .tlog with a fifth of the fast messages, at a phase by the seed, and some of all lost."""
     rng, seen = random.Random(seed), Counter[int]()
     every = {MESSAGE_IDS[name]: k for name, k in _FAST.items()}
     kept = {MESSAGE_IDS[name] for name in _KEPT}
     with open(to, "wb") as file:
         for time_us, frame in read_tlog(log):
             seen[frame.message_id] += 1
-            if seen[frame.message_id] % every.get(frame.message_id, 1):
+            step = every.get(frame.message_id, 1)
+            if seen[frame.message_id] % step != seed % step:
                 continue
             if frame.message_id in kept or rng.random() >= drop:
                 file.write(struct.pack(">Q", time_us) + frame.raw)

@@ -1,6 +1,7 @@
 """Links to a ground station: UDP, TCP and serial, addressed as MAVProxy users write them."""
 
 import contextlib
+import os
 import select
 import socket
 import time
@@ -117,7 +118,8 @@ class TcpLink:
         self._server: socket.socket | None = None
         if listen:
             self._server = socket.socket(family, socket.SOCK_STREAM)
-            self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            if os.name == "posix":  # elsewhere it would share a port that is in use
+                self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 self._server.bind(address)
             except OSError as error:

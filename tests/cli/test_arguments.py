@@ -96,6 +96,20 @@ CASES = {
     "web without a host": (["live", NOWHERE, *PAPER, "--web", ":8000"], "HOST"),
     "web takes no link": (["live", *PAPER, "--web", NOWHERE], "HOST"),
     "web and headless": (["replay", "a.tlog", *PAPER, "--web", "--headless"], "--headless"),
+    "airframe alone": (["airframe"], "ACTION"),
+    "no such layout": (["airframe", "new", "--layout", "x"], "'x'"),
+    "nowhere to ask": (["airframe", "new", "--arm", "0.2"], "no terminal"),
+    "arm of an airframe": (["airframe", "new", "--arm", "long"], "'long'"),
+    "airframe over a file": (
+        ["airframe", "new", "--layout", "px4-quad-x", "--arm", "1", "-o", "truth.json"],
+        "not overwritten",
+    ),
+    "own layout of one": (["airframe", "new", "--rotor", "cw:0,1", "-o", "x.toml"], "four"),
+    "check of nothing": (["airframe", "check", "no.toml"], "no.toml"),
+    "check of a broken one": (["airframe", "check", "broken.toml"], "broken.toml"),
+    "doctor of nonsense": (["doctor", "nonsense"], "'nonsense'"),
+    "doctor would have to speak": (["doctor", "udpout:1.2.3.4:1"], "silent until spoken to"),
+    "no such shell": (["completion", "tcsh"], "'tcsh'"),
 }
 
 
@@ -129,14 +143,6 @@ def test_recordings_are_never_overwritten(files, capsys):
     assert (files / "taken.tlog").read_bytes() == b"x"
 
 
-def test_no_command_shows_the_help(capsys):
-    assert run([]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("usage: gcs-sysid")
-    assert "analyze" in err
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["missing log", "wrong key", "bad link", "no scale"])
 def test_the_program_itself(case, files):
@@ -160,6 +166,9 @@ def test_the_program_itself(case, files):
             f"{name} --help"
             for name in ("analyze", "replay", "inspect", "export", "compare", "batch", "trend")
         ),
+        *(f"{name} --help" for name in ("airframe new", "airframe check", "doctor", "completion")),
+        "completion bash",
+        "",
     ],
 )
 def test_help_and_version_load_nothing_heavy(argument):
@@ -173,7 +182,7 @@ def test_help_and_version_load_nothing_heavy(argument):
     )
     assert done.returncode == 0
     assert done.stderr == "[]\n"
-    assert done.stdout.startswith(("usage: gcs-sysid", "gcs-sysid "))
+    assert done.stdout.startswith(("usage: gcs-sysid", "gcs-sysid ", "# Completion"))
 
 
 def test_help_fits_a_terminal_of_80_columns():

@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt
 
 from gcs_sysid.estimation.basis import RotorBasis
 from gcs_sysid.estimation.online import OnlineEstimator
+from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.estimation.tuning import COMMANDS
 
 DT = 0.005
@@ -87,3 +89,19 @@ def test_maps_make_any_filter_of_the_elements(where):
         move = np.eye(3)[i] * step
         ahead, behind = (basis.maps((np.array(where) + s * move)[None])[0, 0] for s in (1, -1))
         np.testing.assert_allclose((ahead - behind) / (2 * step[i]), maps[1 + i], atol=1e-3)
+
+
+@pytest.mark.parametrize("dt", [0.008, 0.012, 0.02, 0.05])
+def test_what_a_stream_of_commands_misses_follows_the_rate_loops_low_pass(dt):
+    """Noise held from sample to sample has more power than the noise it stands for."""
+    cutoff, fine, span = 40.0, 0.001, 0.6
+    white = np.random.default_rng(5).normal(0.0, 0.01, (600_000, 4))
+    noise = sosfilt(butter(2, cutoff, fs=1.0 / fine, output="sos"), white, axis=0)
+    each = round(dt / fine)
+    seen = SpeedNoise(np.ones((3, 4)), dt, commands=True, loop_cutoff=cutoff)
+    seen.update(0.5 + noise[::each])
+    true = noise.reshape(-1, round(span / fine), 4).mean(axis=1)
+    held = noise[::each].reshape(-1, round(span / dt), 4).mean(axis=1)
+    excess = (held * (held - true)).mean()
+    missed = (seen.std**2).mean() / round(span / dt)
+    assert missed == pytest.approx(excess, rel=0.25, abs=0.06 * (held * held).mean())

@@ -57,9 +57,10 @@ def run(options: argparse.Namespace) -> int:
                 unreadable += 1
                 continue
             results.append(result)
-            _print(log, result, truth, table=options.json != "-")
             if reporter is not None:
                 reporter.write(result)
+            # Last: whoever reads it may go away.
+            _print(log, result, truth, table=options.json != "-")
     if target and results:
         documents = [result.as_json() for result in results]
         document = documents[0] if len(options.logs) == 1 else documents

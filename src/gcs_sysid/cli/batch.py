@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import shutil
 import sys
 import threading
 import time
@@ -89,7 +90,8 @@ def _shower() -> Callable[[table.Row, Tally], None]:
     start, terminal = time.monotonic(), sys.stderr.isatty()
 
     def show(row: table.Row, tally: Tally) -> None:
-        clear = "\r\033[K" if terminal else ""
+        # Blanks, not an escape sequence: older consoles of Windows print those.
+        clear = f"\r{' ' * (shutil.get_terminal_size().columns - 1)}\r" if terminal else ""
         if row["verdict"] is None:
             where = "" if row["path"] in row["error"] else f"{row['path']}: "
             print(f"{clear}gcs-sysid: {where}{row['error']}", file=sys.stderr)

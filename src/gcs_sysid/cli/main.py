@@ -5,13 +5,15 @@ need neither NumPy nor Textual.
 """
 
 import argparse
+import errno
 import importlib
+import io
 import os
 import sys
 from collections.abc import Sequence
 
 from gcs_sysid import __version__
-from gcs_sysid.cli import arguments
+from gcs_sysid.cli import arguments, setup_options
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.usage import OneLineParser
 
@@ -97,11 +99,34 @@ def build_parser() -> argparse.ArgumentParser:
         "and where a vehicle changed from its earlier flights.",
     )
     arguments.add_trend(trend)
+    airframe = commands.add_parser(
+        "airframe",
+        help="describe your vehicle, with a picture",
+        description="Writes the file that tells where a vehicle's rotors are, or checks one.",
+    )
+    setup_options.add_airframe(airframe)
+    doctor = commands.add_parser(
+        "doctor",
+        help="check this machine, and hear who speaks",
+        description="Checks versions, ports, serial devices, terminal and the folder of "
+        "recordings, and listens for vehicles. It sends nothing. Ends with status 1 if there is "
+        "a problem.",
+    )
+    setup_options.add_doctor(doctor)
+    completion = commands.add_parser(
+        "completion",
+        help="complete commands with the tab key",
+        description='Prints a script for the shell. bash: eval "$(gcs-sysid completion bash)" '
+        "in ~/.bashrc; zsh: the same in ~/.zshrc, after compinit; fish: gcs-sysid completion "
+        "fish > ~/.config/fish/completions/gcs-sysid.fish",
+    )
+    setup_options.add_completion(completion)
     return parser
 
 
 def run(argv: Sequence[str]) -> int:
     """Parse and run; errors become one line on standard error and a status."""
+    _never_fail_to_print()
     parser = build_parser()
     try:
         options = parser.parse_args(argv)
@@ -109,8 +134,10 @@ def run(argv: Sequence[str]) -> int:
         return stop.code if isinstance(stop.code, int) else USAGE
     options.argv = (PROGRAM, *argv)
     if options.command is None:
-        parser.print_help(sys.stderr)
-        return USAGE
+        from gcs_sysid.cli.welcome import welcome
+
+        print(welcome(parser))
+        return DONE
     try:
         command = importlib.import_module(f"gcs_sysid.cli.{options.command}")
         status: int = command.run(options)
@@ -119,13 +146,13 @@ def run(argv: Sequence[str]) -> int:
     except GcsSysidError as error:
         print(f"{PROGRAM}: error: {error}", file=sys.stderr)
         return USAGE
-    except BrokenPipeError:
-        # Whoever read the output has gone; keep Python from complaining at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return DONE
     except KeyboardInterrupt:
         return 130
     except Exception as error:
+        if _reader_has_gone(error):
+            # Keep Python from complaining at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return DONE
         # A defect. The user gets one line; whoever mends it sets GCS_SYSID_DEBUG.
         if os.environ.get("GCS_SYSID_DEBUG"):
             raise
@@ -136,3 +163,17 @@ def run(argv: Sequence[str]) -> int:
             file=sys.stderr,
         )
         return USAGE
+
+
+def _reader_has_gone(error: Exception) -> bool:
+    """Whether standard output leads nowhere any more; Windows has another error for it."""
+    if isinstance(error, BrokenPipeError):
+        return True
+    return os.name == "nt" and type(error) is OSError and error.errno == errno.EINVAL
+
+
+def _never_fail_to_print() -> None:
+    """A sign that standard output's encoding lacks (cp1252, ASCII) becomes a question mark."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            stream.reconfigure(errors="replace")

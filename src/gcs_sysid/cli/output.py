@@ -61,7 +61,9 @@ def progress_bar(what: str) -> Callable[[float], None] | None:
         return None
 
     def show(share: float) -> None:
-        end = "\r\033[K" if share >= 1.0 else ""
-        print(f"\r{what}: {100.0 * min(share, 1.0):3.0f} %{end}", end="", file=sys.stderr)
+        line = f"{what}: {100.0 * min(share, 1.0):3.0f} %"
+        # Blanks, not an escape sequence: older consoles of Windows print those.
+        end = f"\r{' ' * len(line)}\r" if share >= 1.0 else ""
+        print(f"\r{line}{end}", end="", file=sys.stderr, flush=True)
 
     return show

@@ -13,7 +13,8 @@ def on_signals(stop: Callable[[], None]) -> Iterator[None]:
     def act(_number: int, _frame: FrameType | None) -> None:
         stop()
 
-    names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows has no SIGHUP
+    # Windows has no SIGHUP: a closed window and Ctrl-Break are SIGBREAK there.
+    names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
     numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
     before = {number: signal.signal(number, act) for number in numbers}
     try:

@@ -117,7 +117,7 @@ class ChangeDetector:
         self._base = -self._history  # index of the table's first row
         self._next = 0  # index of the next sample to form a residual of
         self._shift = 0.0
-        self._matrix = np.full((4, _N_X), np.nan)
+        self._set_matrix(np.full((4, _N_X), np.nan))
         self._forget()
 
     @property
@@ -143,7 +143,7 @@ class ChangeDetector:
 
     def disarm(self) -> None:
         """Forget the reference and what was learnt with it."""
-        self._matrix = np.full((4, _N_X), np.nan)
+        self._set_matrix(np.full((4, _N_X), np.nan))
         self._forget()
 
     def arm(self, fit: Fit) -> bool:
@@ -174,14 +174,13 @@ class ChangeDetector:
         moved = np.where(new[:, None], 0.0, self._matrix - np.where(keep[:, None], 0.0, matrix))
         moved[keep] = 0.0
         # What the new reference explains otherwise on average is no jump of the vehicle.
-        self._level.mean += moved @ self._mean_x
+        self._levels.mean[:4] += moved @ self._mean_x
         self._baseline.last += moved @ self._mean_x
         self._e += self._x @ moved.T
-        self._level.forget(new)
-        self._level_of_jumps.forget(new)
+        self._levels.forget(np.tile(new, 2))
         self._baseline.last[new] = np.nan
         self._level_of_means.forget(new)
-        self._matrix = matrix
+        self._set_matrix(matrix)
         return self.armed
 
     def update(self, samples: Samples) -> list[Change]:
@@ -211,18 +210,19 @@ class ChangeDetector:
 
     def _forget(self) -> None:
         gain = self.tuning.frame / self.tuning.memory
-        self._level = Level(4, gain)
+        self._levels = Level(8, gain)
+        """Of the residuals, then of their jumps."""
         self._level_of_means = Level(4, gain)
-        self._level_of_jumps = Level(4, gain)
         seconds, samples = self.tuning.baseline
         self._baseline = Baseline(4, max(seconds / self.dt, samples))
         self._mean_x = np.zeros(_N_X)
         self._filled = 0
-        self._e = np.full((self._frame, 4), np.nan)
-        self._jumps = np.full((self._frame, 4), np.nan)
+        self._both = np.full((self._frame, 8), np.nan)
+        self._e, self._jumps = self._both[:, :4], self._both[:, 4:]
         self._x = np.zeros((self._frame, _N_X))
         self._evidence: Evidence | None = None
-        self._floor = np.zeros(4)
+        self._floors = np.zeros(8)
+        self._floor = self._floors[:4]
         self._fast.clear()
         self._slow.clear()
 
@@ -286,16 +286,15 @@ class ChangeDetector:
         return np.asarray(level.frames >= self._frames_needed)
 
     def _test_samples(self, e: Array) -> Change | None:
-        limit = np.where(
-            self._level.frames > 0, self.tuning.fast[1] * self._level.std(self._floor), np.inf
-        )
-        mean = self._level.mean
+        stds, levels = self._levels.std(self._floors), self._levels
+        limit = np.where(levels.frames[:4] > 0, self.tuning.fast[1] * stds[:4], np.inf)
+        mean = levels.mean[:4]
         jumps = e - self._baseline.update(e, mean - limit, mean + limit)
         self._jumps[self._filled : self._filled + len(e)] = jumps
-        ready = self._tested(self._level_of_jumps)
+        ready = self._tested(levels)[4:]
         if not ready.any():
             return None
-        std = self._level_of_jumps.std(self._floor)
+        std = stds[4:]
         z = np.where(ready, jumps / np.where(ready, std, 1.0), np.nan)
         alarm = self._fast.update(z, self._next)
         if alarm is None:
@@ -318,13 +317,14 @@ class ChangeDetector:
         """Test the frame's mean, then let mean and levels move."""
         total = self._e.sum(axis=0)
         if np.isfinite(total.sum()):
-            mean = total / self._frame - self._level.mean
+            mean = total / self._frame - self._levels.mean[:4]
         else:
             there = np.isfinite(self._e)
             count = there.sum(axis=0)
             total = np.where(there, self._e, 0.0).sum(axis=0)
             enough = 2 * count > self._frame
-            mean = np.where(enough, total / np.maximum(count, 1), np.nan) - self._level.mean
+            mean = np.where(enough, total / np.maximum(count, 1), np.nan)
+            mean -= self._levels.mean[:4]
         self._move_floor()
         # A frame's mean of white noise is this much quieter; colour keeps it louder.
         floor = 0.5 * self._floor
@@ -345,37 +345,39 @@ class ChangeDetector:
         # While a deviation builds up in a sum, it is not learnt: it alarms, or decays.
         learn = ~self._slow.rising
         # The mean of the means is zero by the tracking: only their scatter is learnt.
-        usable = learn & (self._level.frames >= 2)
+        usable = learn & (self._levels.frames[:4] >= 2)
         self._level_of_means.update(np.where(usable, mean, np.nan)[None], floor)
         self._level_of_means.mean[:] = 0.0
-        self._level.update(np.where(learn, self._e, np.nan), self._floor)
-        self._level_of_jumps.update(self._jumps, self._floor)
-        self._level_of_jumps.mean[:] = 0.0
+        if not learn.all():
+            self._e[:, ~learn] = np.nan
+        self._levels.update(self._both, self._floors)
+        self._levels.mean[4:] = 0.0
         return None
 
     def _move_floor(self) -> None:
         """The mean inputs, and the levels that nothing real stays below."""
         present = self._x[:, _SUM] > 0.0
-        if 2 * present.sum() > self._frame:
+        count = np.count_nonzero(present)
+        if 2 * count > self._frame:
             gain = 1.0 if not self._mean_x.any() else self.tuning.frame / self.tuning.memory
-            self._mean_x += gain * (self._x[present].mean(axis=0) - self._mean_x)
-        total, share = self._mean_x[_SUM], self.tuning.least_share
-        matrix = np.abs(np.nan_to_num(self._matrix))
-        self._floor = share * total * np.array(
-            [
-                matrix[0, _SUM],
-                0.2 * self._arm * matrix[1, 0],
-                0.2 * self._arm * matrix[2, 1],
-                0.2 * matrix[3, 3],
-            ]
-        )  # fmt: skip
+            x = self._x if count == self._frame else self._x[present]
+            self._mean_x += gain * (x.sum(axis=0) / count - self._mean_x)
+        self._floors = self._mean_x[_SUM] * self._least
+        self._floor = self._floors[:4]
+
+    def _set_matrix(self, matrix: Array) -> None:
+        self._matrix = matrix
+        known = np.abs(np.nan_to_num(matrix))
+        least = [known[0, _SUM], 0.2 * self._arm * known[1, 0], 0.2 * self._arm * known[2, 1],
+                 0.2 * known[3, 3]]  # fmt: skip
+        self._least = self.tuning.least_share * np.array(2 * least)
 
     def _start_gathering(self) -> None:
         self.cause = None
         self._fast.clear()
         self._slow.clear()
-        std = self._level_of_jumps.std(self._floor)
-        std[~self._tested(self._level_of_jumps)] = np.inf
+        std = self._levels.std(self._floors)[4:]
+        std[~self._tested(self._levels)[4:]] = np.inf
         self._evidence = Evidence(
             self._geometry, self._matrix[1:, : rb.N_SIGNALS], -float(self._matrix[0, _SUM]), std
         )
@@ -384,7 +386,7 @@ class ChangeDetector:
         assert self._evidence is not None
         wanted = round(self.tuning.after / self.dt) - len(self._evidence)
         part = slice(0, wanted)
-        self._evidence.add(e[part] - self._level.mean, x[part, : rb.N_SIGNALS], squares[part])
+        self._evidence.add(e[part] - self._levels.mean[:4], x[part, : rb.N_SIGNALS], squares[part])
         if len(self._evidence) >= round(self.tuning.after / self.dt):
             self.cause = find_cause(self._evidence)
             self.disarm()

@@ -48,7 +48,9 @@ class FlightRecord:
             smoother = WindowSmoother(dt, half, tuning.delays)
         self._smoother = smoother
         commands = tuning.rotor_input == "command"
-        self._speed_noise = SpeedNoise(geometry, dt, commands=commands)
+        self._speed_noise = SpeedNoise(
+            geometry, dt, commands=commands, loop_cutoff=tuning.loop_cutoff
+        )
         self.memories = tuning.leaks
         # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
         piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)

@@ -23,6 +23,7 @@ class Tuning:
         lags: s, nodes of motor lag, for commands; the first is none.
         curves: least and greatest thrust curve, for commands; one value is taken as given.
         gyro_cutoff: Hz, low-pass of the autopilot on its gyro; None: there is none.
+        loop_cutoff: Hz, low-pass of the gyro on its way into the commands; None: there is none.
         settle_interval: s, least time between full fits of a running course, which choose
             leak and delay; later they come when the record has grown by half.
         batch_time: s, length of a batch of moments.
@@ -39,6 +40,7 @@ class Tuning:
     lags: tuple[float, ...] = (0.0,)
     curves: tuple[float, ...] = (1.0,)
     gyro_cutoff: float | None = None
+    loop_cutoff: float | None = None
     settle_interval: float = 2.0
     batch_time: float = 1.0
 

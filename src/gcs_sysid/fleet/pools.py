@@ -129,7 +129,7 @@ class ClusterPool:
             import distributed
         except ImportError as error:
             raise InputError(
-                "--scheduler needs Dask: pip install 'gcs-sysid[fleet,cluster]'"
+                '--scheduler needs Dask: pip install "gcs-sysid[fleet,cluster]"'
             ) from error
         try:
             self._client = distributed.Client(address, timeout=10, set_as_default=False)

@@ -87,13 +87,14 @@ def gather(
     if recorder.dt is not None:
         validation, model = recorder.validation, None
         if validation is not None:
-            cutoff = found["telemetry"]["rotor_input"].get("gyro_filter")
+            rotors = found["telemetry"]["rotor_input"]
             model = Model(
                 validation.theta,
                 validation.coordinates,
                 airframe.geometry,
                 result.rotor_input,
-                cutoff,
+                rotors.get("gyro_filter"),
+                rotors.get("loop_filter"),
             )
         since = max((segment["end"] for segment in result.segments), default=float("-inf"))
         failures = [event["t"] for event in result.events if event["kind"] == "rotor_failure"]

@@ -79,7 +79,8 @@ def predict(
     predictor = Predictor(dt, model, rotor_input)
     found, noise = [], None
     if model is not None:
-        noise = SpeedNoise(model.geometry, dt, commands=model.rotor_input == "command")
+        commands = model.rotor_input == "command"
+        noise = SpeedNoise(model.geometry, dt, commands=commands, loop_cutoff=model.loop_cutoff)
     for piece in pieces:
         found.append(predictor.rows(piece))
         if noise is not None:

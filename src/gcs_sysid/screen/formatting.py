@@ -62,7 +62,7 @@ LINK_STYLE: dict[LinkState, str] = {
 
 CHANGE_SIGN: dict[Change, str] = {"changed": "≠", "no_change_seen": "=", "cannot_tell": "?"}
 CHANGE_STYLE: dict[Change, str] = {
-    "changed": "bold $text-warning",
+    "changed": "bold",
     "no_change_seen": "$text-success",
     "cannot_tell": MUTED,
 }
@@ -273,3 +273,8 @@ def data_rate(bytes_per_second: float) -> str:
 def one_line(parts: Iterable[str]) -> str:
     """Several sentences on one line."""
     return " · ".join(p for p in parts if p)
+
+
+def wrapped(texts: Iterable[str], width: int) -> int:
+    """Lines that texts take, about: a layout of the screen is dear, and rarely needed."""
+    return sum(max(1, -(-len(text) // max(1, width))) for text in texts)

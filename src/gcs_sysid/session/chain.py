@@ -38,7 +38,7 @@ from gcs_sysid.session import summary
 from gcs_sysid.session.course import CourseRecorder
 from gcs_sysid.session.result import Estimate, Result
 from gcs_sysid.session.rotor_input import RotorChooser
-from gcs_sysid.session.rotor_units import RotorSource, gyro_cutoff
+from gcs_sysid.session.rotor_units import RotorSource, gyro_cutoff, loop_cutoff
 from gcs_sysid.session.sampling import SampleBlock, Sampler
 from gcs_sysid.session.snapshot import Course, Event
 
@@ -72,6 +72,10 @@ class ChainOptions:
     end: float = float("inf")
     offline: bool = False
     parameters: Mapping[str, float] = field(default_factory=dict)
+
+
+_Cutoffs = tuple[float | None, float | None]
+"""Hz, low-pass of the gyro as it is sent, and as the rate loop has it; None: there is none."""
 
 
 class Chain:
@@ -115,7 +119,7 @@ class Chain:
             airframe.imu_arm,
         )
         self._rotors: RotorSource | None = None
-        self._gyro_cutoff: float | None = None
+        self._cutoffs: _Cutoffs = (None, None)
         self._anchors = [anchor]
         self._tracker: Tracker | None = None
         self._told = 0
@@ -246,7 +250,7 @@ class Chain:
         """Whether parameters came too late: what they say is not what the estimate rests on."""
         if self._tracker is None:
             return False
-        return self.chooser.outdated or self._gyro_cutoff != self._cutoff_now()
+        return self.chooser.outdated or self._cutoffs != self._cutoffs_now()
 
     @property
     def fit(self) -> Fit:
@@ -261,7 +265,7 @@ class Chain:
     @property
     def gyro_cutoff(self) -> float | None:
         """Hz, low-pass of the autopilot on its gyro that the estimate reckons with."""
-        return self._gyro_cutoff
+        return self._cutoffs[0]
 
     @property
     def used_seconds(self) -> float:
@@ -393,7 +397,8 @@ class Chain:
             "why": source.why,
             "refused": dict(source.refused or {}),
             "repeats": self.chooser.repeats[source.name].as_dict(),
-            "gyro_filter": None if self._tracker is None else self._gyro_cutoff,
+            "gyro_filter": None if self._tracker is None else self._cutoffs[0],
+            "loop_filter": None if self._tracker is None else self._cutoffs[1],
         }
         if source.range is not None:
             out["range"] = [source.range.low, source.range.high]
@@ -511,27 +516,30 @@ class Chain:
         self._fit = Fit(None, None, 0.0)
         self._course.clear()
 
-    def _cutoff_now(self) -> float | None:
+    def _cutoffs_now(self) -> _Cutoffs:
         given, chooser = self.airframe.gyro_filter, self.chooser
-        return gyro_cutoff(given, chooser.autopilot, chooser.parameters)
+        known = chooser.autopilot, chooser.parameters
+        loop = loop_cutoff(*known) if self.rotor_input == "command" else None
+        return gyro_cutoff(given, *known), loop
 
     def _new_tracker(self, dt: float) -> Tracker:
         assert self._rotors is not None
         self._anchors = self._anchors[:1]
         self._told = 0
         own, changes = self.options.tuning, self.options.changes
-        self._gyro_cutoff = self._cutoff_now()
-        tuning = replace(own, gyro_cutoff=self._gyro_cutoff)
+        self._cutoffs = gyro, loop = self._cutoffs_now()
+        tuning = replace(own, gyro_cutoff=gyro)
         if self._rotors.kind == "command":
             curve = self.airframe.command.thrust_curve
             tuning = replace(
                 COMMANDS,
-                gyro_cutoff=self._gyro_cutoff,
+                gyro_cutoff=gyro,
+                loop_cutoff=loop,
                 smoother=own.smoother,
                 bandwidth=own.bandwidth,
                 curves=COMMANDS.curves if curve is None else (curve,),
             )
-        if self._rotors.kind == "command" or self._gyro_cutoff is not None:
+        if self._rotors.kind == "command" or gyro is not None:
             # Thrust at a command goes with the battery's voltage, and the detector compares
             # speeds with a gyro that is not filtered.
             changes = None

@@ -334,8 +334,9 @@ class LiveSession:
         self._station.leave()
         intake = self._pipeline.intake
         self._pipeline, self._prediction = self._begin(vehicle.address)
+        selector = self._pipeline.intake.selector
         for known in intake.selector.autopilots:  # the others stay to be chosen
-            self._pipeline.intake.selector.systems[known.address] = known
+            selector.systems[known.address], selector.frames[known.address] = known, 0
         self._told_result_at = 0.0
         self._pipeline.chain.note(f"chosen: {vehicle.name}; the session starts anew")
         if self._writer is not None and self._writer.recording:

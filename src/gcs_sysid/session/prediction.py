@@ -56,6 +56,7 @@ class Model:
         geometry: (3, rotors) of the airframe.
         rotor_input: what the samples hold of the rotors.
         gyro_cutoff: Hz, low-pass of the autopilot on its gyro; None: there is none.
+        loop_cutoff: Hz, the same on its way into the commands.
     """
 
     theta: Array
@@ -63,6 +64,7 @@ class Model:
     geometry: Array
     rotor_input: RotorInput
     gyro_cutoff: float | None = None
+    loop_cutoff: float | None = None
 
 
 @dataclass(frozen=True)

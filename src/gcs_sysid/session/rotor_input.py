@@ -52,42 +52,71 @@ def family(source: str) -> str:
 
 
 @dataclass
+class _Group:
+    """What came for some neighbouring rotors: whole pieces, and what came one by one since."""
+
+    count: int = 0
+    pieces: list[tuple[Array, Array]] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
+    values: list[tuple[float, ...]] = field(default_factory=list)
+
+    def __deepcopy__(self, memo: object) -> "_Group":
+        # Pieces are never written to.
+        return _Group(self.count, self.pieces[:], self.times[:], self.values[:])
+
+    def take(self, t: Array, values: Array) -> None:
+        self._gather()
+        self.pieces.append((t, values))
+        self.count += len(t)
+
+    def whole(self) -> tuple[Array, Array]:
+        """(n,) times and (n, rotors) values; rotors that all messages told."""
+        self._gather()
+        width = min(values.shape[1] for _, values in self.pieces)
+        t = np.concatenate([t for t, _ in self.pieces])
+        return t, np.concatenate([values[:, :width] for _, values in self.pieces])
+
+    def _gather(self) -> None:
+        if self.times:
+            width = min(map(len, self.values))
+            values = np.array([row[:width] for row in self.values])
+            self.pieces.append((np.array(self.times), values))
+            self.times, self.values = [], []
+
+
+@dataclass
 class Stretch:
     """What one source sent over a stretch of flight.
 
     Attributes:
-        stream: what it tells.
-        groups: first rotor -> times and values of the messages for that group.
+        stream: speeds or commands.
+        groups: first rotor -> the messages for that group.
     """
 
     stream: Stream
-    groups: dict[int, tuple[list[float], list[tuple[float, ...]]]] = field(default_factory=dict)
-
-    def __deepcopy__(self, memo: object) -> "Stretch":
-        return Stretch(self.stream, {k: (t[:], v[:]) for k, (t, v) in self.groups.items()})
+    groups: dict[int, _Group] = field(default_factory=dict)
 
     def add(self, record: Record) -> None:
         """Keep a record, while there is room."""
-        times, values = self.groups.setdefault(record.offset, ([], []))
-        if len(times) < _MOST:
-            times.append(record.t)
-            values.append(record.values)
+        group = self.groups.setdefault(record.offset, _Group())
+        if group.count < _MOST:
+            group.times.append(record.t)
+            group.values.append(record.values)
+            group.count += 1
 
     def extend(self, track: Track) -> None:
         """Keep the samples of a track, while there is room."""
-        times, values = self.groups.setdefault(track.offset, ([], []))
-        room = max(_MOST - len(times), 0)
-        times += track.t[:room].tolist()
-        values += map(tuple, track.values[:room].tolist())
+        group = self.groups.setdefault(track.offset, _Group())
+        room = max(_MOST - group.count, 0)
+        group.take(track.t[:room], track.values[:room])
 
     def rotors(self, count: int) -> list[tuple[Array, Array]]:
         """Times and values of each rotor that there is, up to `count`, in order."""
         out: list[tuple[Array, Array]] = []
-        for offset, (times, values) in sorted(self.groups.items()):
-            width = min(map(len, values))
-            columns = np.array([row[:width] for row in values]).T
+        for offset, group in sorted(self.groups.items()):
             if offset == len(out):
-                out += [(np.array(times), column) for column in columns]
+                t, values = group.whole()
+                out += [(t, column) for column in values.T]
         return out[:count]
 
 
@@ -339,9 +368,15 @@ def _until_landing(
     rotors: list[tuple[Array, Array]], seconds: float
 ) -> tuple[list[tuple[Array, Array]], float]:
     """A stretch without the end in which all rotors stand: a landing is told a little late."""
-    share = max(len(np.trim_zeros(v, "b")) / len(v) for _, v in rotors) or 1.0
+    share = max(_moving(v) / len(v) for _, v in rotors) or 1.0
     kept = [math.ceil(share * len(t)) for t, _ in rotors]
     return [(t[:n], v[:n]) for (t, v), n in zip(rotors, kept, strict=True)], share * seconds
+
+
+def _moving(values: Array) -> int:
+    """How many values there are without the zeros at the end."""
+    moving = np.flatnonzero(values)
+    return int(moving[-1]) + 1 if len(moving) else 0
 
 
 def _is_function(t: Array, speeds: Array, command_t: Array, commands: Array) -> bool:

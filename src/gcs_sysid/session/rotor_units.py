@@ -18,7 +18,7 @@ Parameters = Mapping[str, float]
 """The autopilot's parameters by name, as far as they are known."""
 
 PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_MAIN_M", "PWM_MAIN_FUNC", "PWM_AUX_M",
-                   "PWM_AUX_FUNC", "SIM_GZ_EC_", "INS_GYRO_FILTER")  # fmt: skip
+                   "PWM_AUX_FUNC", "SIM_GZ_EC_", "INS_GYRO_FILTER", "IMU_GYRO_CUTOFF")  # fmt: skip
 """How the names of the parameters that matter here begin."""
 
 _FIRST_MOTOR = 101
@@ -28,6 +28,8 @@ _USUAL = (800.0, 2200.0)
 """Pulses of servo outputs lie between, in us."""
 ARDUPILOT_GYRO_FILTER = 20.0
 """Hz, INS_GYRO_FILTER of a multirotor that nobody changed."""
+PX4_LOOP_FILTER = 40.0
+"""Hz, IMU_GYRO_CUTOFF that nobody changed."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,20 @@ def gyro_cutoff(given: float | None, autopilot: str, parameters: Parameters) -> 
             return None
         given = parameters.get("INS_GYRO_FILTER", ARDUPILOT_GYRO_FILTER)
     return given if given > 0.0 else None
+
+
+def loop_cutoff(autopilot: str, parameters: Parameters) -> float | None:
+    """Hz of the low-pass that the gyro passes on its way into the commands; None: there is none.
+
+    Args:
+        autopilot: "px4" or "ardupilot".
+        parameters: known so far.
+    """
+    if autopilot == "ardupilot":
+        cutoff = parameters.get("INS_GYRO_FILTER", ARDUPILOT_GYRO_FILTER)
+    else:
+        cutoff = parameters.get("IMU_GYRO_CUTOFF", PX4_LOOP_FILTER)
+    return cutoff if cutoff > 0.0 else None
 
 
 @dataclass(frozen=True)

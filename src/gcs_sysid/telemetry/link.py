@@ -278,6 +278,26 @@ class SerialLink(Link):
         self._serial.close()
 
 
+class SerialDevice(NamedTuple):
+    """A serial port of this machine."""
+
+    name: str
+    description: str
+    usb: bool = True
+    """Whether it was plugged in, and is not a port of the board that may lead nowhere."""
+
+
+def serial_devices() -> list[SerialDevice]:
+    """The serial ports that are plugged in, by name; none is opened."""
+    from serial.tools import list_ports
+
+    found = []
+    for port in list_ports.comports():
+        description = "" if port.description in (None, "n/a") else port.description
+        found.append(SerialDevice(port.device, description, port.vid is not None))
+    return sorted(found)
+
+
 def open_link(url: LinkUrl, patience: float = CONNECT_TIMEOUT) -> Link:
     """Open a link; a TCP connection may take `patience` s.
 

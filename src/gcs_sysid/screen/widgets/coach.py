@@ -52,7 +52,13 @@ class CoachPanel(Static):
         self.display = advice is not None
         if advice is None:
             return
-        lines = advice_lines(advice, max(40, self.screen.size.width - 2))
+        width = max(40, self.screen.size.width - 2)
+        lines = advice_lines(advice, width)
         if lines != self._shown:
+            texts = [
+                ["".join(text for text, _ in line) for line in x] for x in (self._shown, lines)
+            ]
+            grown = fmt.wrapped(texts[0], width) != fmt.wrapped(texts[1], width)
             self._shown = lines
-            self.update(Content("\n").join([Content.assemble(*line) for line in lines]))
+            content = Content("\n").join([Content.assemble(*line) for line in lines])
+            self.update(content, layout=grown)

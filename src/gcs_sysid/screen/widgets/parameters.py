@@ -227,9 +227,11 @@ class ParameterTable(Widget):
     def _show_reasons(self, view: View) -> None:
         reasons = "" if view.snapshot is None else fmt.one_line(view.snapshot.result.reasons)
         if reasons != self._reasons:
+            width = self.content_size.width - 7
+            grown = fmt.wrapped([self._reasons], width) != fmt.wrapped([reasons], width)
             self._reasons = reasons
             self._why.display = bool(reasons)
-            self._why.update(Content.assemble(("why  ", "bold"), reasons))
+            self._why.update(Content.assemble(("why  ", "bold"), reasons), layout=grown)
 
     def reveal(self, name: str) -> None:
         """Scroll a parameter into view."""

@@ -75,6 +75,7 @@ class Banner(Static):
     def __init__(self) -> None:
         super().__init__(id="banner")
         self._shown: tuple[str, str] | None = None
+        self._text = ""
         self.display = False
 
     def show(self, view: View) -> None:
@@ -88,7 +89,10 @@ class Banner(Static):
             text, level = notice
             for name in self.LEVELS:
                 self.set_class(name == level, f"-{name}")
-            self.update(Content(text))
+            before, self._text = self._text, text
+            width = self.size.width
+            grown = fmt.wrapped([before], width) != fmt.wrapped([text], width)
+            self.update(Content(text), layout=grown)
 
 
 class AnswerLine(Static):
@@ -102,4 +106,4 @@ class AnswerLine(Static):
         """Put a sentence on the line, with the session's time where there is one."""
         self.text = text
         stamp = "" if t is None else f"{fmt.clock_tenths(t)} "
-        self.update(Content.assemble((stamp, fmt.MUTED), text))
+        self.update(Content.assemble((stamp, fmt.MUTED), text), layout=False)

@@ -1,0 +1,1 @@
+"""The first minutes: is this machine ready, and what is the vehicle like?"""

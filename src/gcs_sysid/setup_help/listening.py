@@ -1,0 +1,182 @@
+"""UDP ports usually used, and who is heard there. Nothing here can send."""
+
+import errno
+import os
+import platform
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gcs_sysid.errors import LinkError
+from gcs_sysid.session.inspection.assumed import rotor_count
+from gcs_sysid.setup_help.findings import Finding, Sign
+from gcs_sysid.setup_help.machine import quoted
+from gcs_sysid.telemetry.frames import Validity
+from gcs_sysid.telemetry.link import Link, open_link
+from gcs_sysid.telemetry.receiver import Receiver
+from gcs_sysid.telemetry.urls import LinkUrl, parse_url
+from gcs_sysid.telemetry.vehicles import Vehicle, VehicleSelector
+
+USUAL_PORTS = {
+    14550: "ground stations",
+    14540: "PX4's port for companions",
+    14445: "what QGroundControl forwards",
+}
+"""UDP port -> what it is for."""
+
+_LAYOUT_BY_ROTORS = {4: "quad-x", 6: "hexa-x", 8: "octo-x"}
+_SLICE = 0.05
+"""s of waiting on one link before the next has its turn."""
+
+
+@dataclass
+class Ear:
+    """A link that is listened to, and who was heard on it."""
+
+    link: Link
+    selector: VehicleSelector
+
+    @property
+    def url(self) -> str:
+        """As the user names it."""
+        return str(self.link.url)
+
+
+def open_ears(urls: Sequence[LinkUrl]) -> tuple[list[Ear], list[Finding]]:
+    """Open links to listen on.
+
+    Returns:
+        Those that could be opened, and a finding on every one.
+    """
+    ears, findings = [], []
+    for url in urls:
+        topic = f"UDP {url.port}" if url.kind == "udpin" else str(url)
+        use = USUAL_PORTS.get(url.port, "")
+        try:
+            ears.append(Ear(open_link(url), VehicleSelector()))
+        except LinkError as error:
+            findings.append(_not_open(topic, url, error))
+        else:
+            findings.append(Finding(topic, Sign.OK, f"free ({use})" if use else "open"))
+    return ears, findings
+
+
+def _not_open(topic: str, url: LinkUrl, error: LinkError) -> Finding:
+    # Windows calls a port that is kept exclusively a matter of permission.
+    taken = getattr(error.__cause__, "errno", None) in (errno.EADDRINUSE, errno.EACCES)
+    if not (taken and url.kind == "udpin" and url.port >= 1024):
+        return Finding(topic, Sign.PROBLEM, str(error))
+    holder = holder_of_udp_port(url.port)
+    advice = [] if holder else [_who_has(url.port)]
+    advice += [
+        "close that program, or let it forward to port 14445 and listen there:",
+        "QGroundControl: Application Settings, MAVLink, localhost:14445",
+        "MAVProxy: output add 127.0.0.1:14445",
+    ]
+    return Finding(topic, Sign.WARNING, f"in use by {holder or 'another program'}", advice)
+
+
+def _who_has(port: int, system: str = platform.system()) -> str:
+    """The command that tells who has a UDP port."""
+    if system == "Windows":
+        return (
+            f"who? Get-Process -Id (Get-NetUDPEndpoint -LocalPort {port}).OwningProcess"
+            "  (in PowerShell)"
+        )
+    return f"who? lsof -nP -iUDP:{port}"
+
+
+def listen(
+    ears: Sequence[Ear], seconds: float, clock: Callable[[], float] = time.monotonic
+) -> None:
+    """Hear who speaks, on all links at once, and close them.
+
+    Args:
+        ears: open.
+        seconds: how long.
+        clock: any steady clock, s.
+    """
+    receivers = [(Receiver(ear.link), ear.selector) for ear in ears]
+    end = clock() + seconds
+    try:
+        while receivers and clock() < end:
+            for receiver, selector in receivers:
+                for frame in receiver.poll(_SLICE / len(receivers)):
+                    if frame.valid is Validity.OK:
+                        selector.take(frame)
+    finally:
+        for ear in ears:
+            ear.link.close()
+
+
+def heard(ears: Sequence[Ear], seconds: float) -> list[Finding]:
+    """A finding on every vehicle heard, with the command to start; or one that nobody was."""
+    findings = []
+    for ear in ears:
+        several = len(ear.selector.autopilots) > 1
+        for vehicle in ear.selector.autopilots:
+            count = ear.selector.frames[vehicle.address]
+            text = f"{vehicle} on {ear.url}, {count} messages in {seconds:g} s"
+            findings.append(
+                Finding("vehicle", Sign.OK, text, [start_command(vehicle, ear.url, several)])
+            )
+    others = [
+        f"{system} on {ear.url}"
+        for ear in ears
+        for system in ear.selector.systems.values()
+        if not system.is_autopilot
+    ]
+    if findings:
+        return findings
+    where = ", ".join(ear.url for ear in ears) or "no port"
+    text = f"none heard in {seconds:g} s on {where}"
+    if others:
+        text += f"; no vehicle, but: {', '.join(others)}"
+    advice = [
+        "is it on, and does it send to this machine? (SITL: --out 127.0.0.1:14550)",
+        "on a serial port: gcs-sysid doctor /dev/ttyUSB0 --baud 57600",
+        "without a vehicle: gcs-sysid demo",
+    ]
+    return [Finding("vehicle", Sign.WARNING, text, advice)]
+
+
+def start_command(vehicle: Vehicle, url: str, several: bool = False) -> str:
+    """What to type to identify a vehicle; the size and the mass are for the user to fill in."""
+    shape = _LAYOUT_BY_ROTORS.get(rotor_count(vehicle) or 0)
+    maker = "ardupilot" if vehicle.key == "ardupilot" else "px4"
+    frame = f"--airframe {maker}-{shape} --arm M" if shape else "--airframe FILE.toml"
+    which = f" --vehicle {vehicle.system}:{vehicle.component}" if several else ""
+    return f"gcs-sysid live {quoted(url)} {frame} --mass KG{which}"
+
+
+def usual_urls() -> list[LinkUrl]:
+    """The ports usually used."""
+    return [parse_url(f"udpin:0.0.0.0:{port}") for port in USUAL_PORTS]
+
+
+def holder_of_udp_port(port: int, proc: Path = Path("/proc")) -> str | None:
+    """Which program listens on a UDP port: "name (process N)"; None where that cannot be told.
+
+    Linux tells in /proc, of one's own programs.
+    """
+    inodes = set()
+    for table in ("udp", "udp6"):
+        try:
+            lines = (proc / "net" / table).read_text(encoding="ascii").splitlines()[1:]
+        except (OSError, ValueError):
+            continue
+        for line in lines:
+            words = line.split()
+            if len(words) > 9 and int(words[1].rpartition(":")[2], 16) == port:
+                inodes.add(f"socket:[{words[9]}]")
+    if not inodes:
+        return None
+    for process in proc.glob("[0-9]*"):
+        try:
+            if any(os.readlink(entry) in inodes for entry in (process / "fd").iterdir()):
+                name = (process / "comm").read_text(encoding="utf-8", errors="replace").strip()
+                return f"{name} (process {process.name})"
+        except OSError:  # another user's, or gone meanwhile
+            continue
+    return None

@@ -1,0 +1,343 @@
+"""Questions about a vehicle, one by one, each answer checked at once."""
+
+import math
+import textwrap
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName, Rotor
+from gcs_sysid.setup_help.airframe_check import arm_doubt, scale_doubt
+from gcs_sysid.setup_help.airframe_file import AirframeAnswers, airframe_text, check_new, checked
+from gcs_sysid.setup_help.answers import (
+    arm_lengths,
+    imu_position,
+    plain_name,
+    positive_number,
+    prior,
+    rotor,
+    spins,
+)
+from gcs_sysid.setup_help.drawing import Pen, draw, legend, rotor_table
+from gcs_sysid.setup_help.layouts import LAYOUTS, TWO_LENGTHS, layout_rotors, reversed_spins
+
+T = TypeVar("T")
+
+_OWN = "own"
+_BACK = Rotor(math.nan, math.nan, 0)
+"""Stands for the wish to take the last motor back."""
+_SCALES: dict[str, AnchorName] = {"1": "mass", "2": "k_T", "3": "T_max"}
+
+
+@dataclass
+class Given:
+    """What is told already, by options; None and empty: to be asked for."""
+
+    layout: str | None = None
+    arm: float | tuple[float, float] | None = None
+    rotors: tuple[Rotor, ...] = ()
+    spin: str | None = None
+    scale: tuple[AnchorName, float] | None = None
+    imu_position: tuple[float, float, float] | None = None
+    priors: dict[str, tuple[float, float]] = field(default_factory=dict)
+    name: str | None = None
+    output: Path | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing needs to be asked for."""
+        placed = bool(self.rotors) or (self.layout is not None and self.arm is not None)
+        return placed and self.output is not None
+
+
+def given_answers(given: Given) -> AirframeAnswers:
+    """The answers, of options alone.
+
+    Raises:
+        InputError: they do not go together, or are not complete.
+    """
+    usual, origin = _given_rotors(given)
+    rotors = with_spins(usual, given.spin or "usual")
+    stem = given.output.stem if given.output and str(given.output) != "-" else ""
+    name = given.name or stem or given.layout or "airframe"
+    return AirframeAnswers(
+        name, rotors, _told(origin, rotors == usual), given.scale,
+        imu_position=given.imu_position, priors=given.priors,
+    )  # fmt: skip
+
+
+def _given_rotors(given: Given) -> tuple[tuple[Rotor, ...], str]:
+    if given.rotors:
+        if given.layout is not None or given.arm is not None:
+            raise InputError("--rotor gives the positions; leave out --layout and --arm")
+        return given.rotors, "Own layout."
+    if given.layout is None or given.arm is None:
+        raise InputError("which layout? Give --layout and --arm, or --rotor for each motor")
+    return _of_layout(given.layout, given.arm), _origin(given.layout)
+
+
+def _of_layout(layout: str, arm: float | tuple[float, float]) -> tuple[Rotor, ...]:
+    if isinstance(arm, tuple) and layout not in TWO_LENGTHS:
+        raise InputError("two arm lengths, forward and sideways, are for a quad X alone")
+    return layout_rotors(layout, arm)
+
+
+def _told(origin: str, as_usual: bool) -> str:
+    return origin if as_usual else f"{origin} Spins as told."
+
+
+def _origin(layout: str) -> str:
+    return f"{layout}: {LAYOUTS[layout]}."
+
+
+def with_spins(rotors: tuple[Rotor, ...], text: str) -> tuple[Rotor, ...]:
+    """The rotors with spins as told: "usual", "reversed", or one for each motor.
+
+    Raises:
+        InputError: the text says none of these.
+    """
+    word = text.strip().lower()
+    if word == "usual":
+        return rotors
+    if word == "reversed":
+        return reversed_spins(rotors)
+    turns = spins(text, len(rotors))
+    return tuple(Rotor(r.x, r.y, turn) for r, turn in zip(rotors, turns, strict=True))
+
+
+def _can_fly(rotors: tuple[Rotor, ...]) -> tuple[Rotor, ...]:
+    """The same rotors, if a file with them can be read.
+
+    Raises:
+        InputError: they cannot control a vehicle.
+    """
+    checked(airframe_text(AirframeAnswers("", rotors)), "these motors")
+    return rotors
+
+
+def _known_prior(text: str) -> tuple[str, float, float]:
+    """A prior on a parameter that there is, with a value that it can have."""
+    name, value, std = prior(text)
+    Airframe("", ()).with_prior(name, value, std)
+    return name, value, std
+
+
+class Wizard:
+    """Asks for what is not given.
+
+    Args:
+        ask: shows a question and gives the answer, one line. What it raises ends all.
+        say: shows lines.
+        pen: to draw with.
+    """
+
+    def __init__(self, ask: Callable[[str], str], say: Callable[[str], None], pen: Pen) -> None:
+        self._ask = ask
+        self._say = say
+        self._pen = pen
+
+    def answers(self, given: Given) -> AirframeAnswers:
+        """Ask for what is missing, showing the rotors on the way."""
+        if given.rotors or (given.layout is not None and given.arm is not None):
+            rotors, origin = _given_rotors(given)
+        else:
+            rotors, origin = self._rotors(given)
+        usual, rotors = rotors, self._spins(rotors, given.spin)
+        origin = _told(origin, rotors == usual)
+        scale = given.scale or self._scale()
+        imu = given.imu_position or self._imu()
+        priors = given.priors or self._priors()
+        name = given.name or self._name(given)
+        return AirframeAnswers(name, rotors, origin, scale, imu_position=imu, priors=priors)
+
+    def yes(self, question: str, *, default: bool) -> bool:
+        """A question that has two answers."""
+        choices = "Y/n" if default else "y/N"
+        while True:
+            word = self._ask(f"{question} [{choices}] ").strip().lower()
+            if word == "":
+                return default
+            if word in ("y", "yes", "n", "no"):
+                return word[0] == "y"
+            self._say("  please answer y or n")
+
+    def new_file(self, suggested: str) -> Path:
+        """The name of a file that is not there yet."""
+        while True:
+            word = self._ask(f"File to write [{suggested}]: ").strip() or suggested
+            path = Path(word if word.endswith(".toml") else f"{word}.toml")
+            try:
+                check_new(path)
+            except InputError as error:
+                self._refuse(f"{error}; another name?")
+            else:
+                return path
+
+    def _refuse(self, why: str) -> None:
+        """Say what is wrong with an answer."""
+        self._say(
+            textwrap.fill(
+                why, 78, initial_indent="  ", subsequent_indent="  ", break_long_words=False
+            )
+        )
+
+    def _until(self, question: str, parse: Callable[[str], T]) -> T:
+        """Ask until the answer can be understood."""
+        while True:
+            answer = self._ask(f"{question}: ").strip()
+            try:
+                return parse(answer)
+            except InputError as error:
+                self._refuse(str(error))
+
+    def _optional(self, question: str, parse: Callable[[str], T]) -> T | None:
+        def or_nothing(text: str) -> T | None:
+            return parse(text) if text else None
+
+        return self._until(f"{question} (Enter: not known)", or_nothing)
+
+    def _believed(
+        self, question: str, parse: Callable[[str], T], doubt: Callable[[T], str | None]
+    ) -> T:
+        """Ask, and ask again whether a strange answer is meant."""
+        while True:
+            value = self._until(question, parse)
+            why = doubt(value)
+            if why is None:
+                return value
+            self._refuse(why)
+            if self.yes("  Keep it?", default=False):
+                return value
+
+    def _rotors(self, given: Given) -> tuple[tuple[Rotor, ...], str]:
+        layout = given.layout or self._layout()
+        if layout == _OWN:
+            return self._own_rotors(), "Own layout."
+        two = layout in TWO_LENGTHS
+        if given.arm is None:
+            self._say("How far from the centre is each motor, in m? Such as 0.25.")
+            if two:
+                self._say("A quad X that is not square: forward and sideways, such as 0.15 0.20.")
+        arm = given.arm or self._believed(
+            "Arm in m",
+            lambda text: arm_lengths(text, two=two),
+            lambda value: arm_doubt(max(value) if isinstance(value, tuple) else value),
+        )
+        return _of_layout(layout, arm), _origin(layout)
+
+    def _layout(self) -> str:
+        names = [*LAYOUTS, _OWN]
+        words = {**LAYOUTS, _OWN: "own positions, motor by motor"}
+        self._say("Which layout?")
+        for number, name in enumerate(names, 1):
+            self._say(f"  {number:2d}  {name:<20}  {words[name]}")
+
+        def choice(text: str) -> str:
+            if text in names:
+                return text
+            if text.isdecimal() and 1 <= int(text) <= len(names):
+                return names[int(text) - 1]
+            raise InputError(f"a number from 1 to {len(names)}, or a name from the list")
+
+        return self._until("Number or name", choice)
+
+    def _own_rotors(self) -> tuple[Rotor, ...]:
+        self._say(
+            "Each motor in the autopilot's order: metres forward, metres to the right, spin\n"
+            "from above; such as 0.2 -0.2 cw. Enter: that was all; back: takes one back."
+        )
+        while True:
+            rotors: list[Rotor] = []
+            while (more := self._own_rotor(len(rotors) + 1)) is not None:
+                if more is _BACK:
+                    del rotors[-1:]
+                else:
+                    rotors.append(more)
+            try:
+                return _can_fly(tuple(rotors))
+            except InputError as error:
+                self._refuse(f"{error}. Once more, from the first motor on.")
+
+    def _own_rotor(self, number: int) -> Rotor | None:
+        def one(text: str) -> Rotor | None:
+            if text:
+                return _BACK if text.lower() == "back" else rotor(text)
+            if number <= 4:
+                raise InputError("four motors at least")
+            return None
+
+        return self._believed(
+            f"Motor {number}",
+            one,
+            lambda r: None if r is None or r is _BACK else arm_doubt(math.hypot(r.x, r.y)),
+        )
+
+    def _spins(self, rotors: tuple[Rotor, ...], given: str | None) -> tuple[Rotor, ...]:
+        if given is not None:
+            rotors = with_spins(rotors, given)
+        self.show(rotors)
+        if given is not None:
+            return rotors
+
+        def told(text: str) -> tuple[Rotor, ...]:
+            word = "usual" if text.lower() in ("", "y", "yes") else text
+            return _can_fly(with_spins(rotors, word))
+
+        self._say(
+            "Do the propellers turn so? If not: reversed, where all turn the other way, or\n"
+            "the spin of each motor, such as ccw ccw cw cw."
+        )
+        turned = self._until("Spins (Enter: as drawn)", told)
+        if turned != rotors:
+            self.show(turned)
+        return turned
+
+    def show(self, rotors: tuple[Rotor, ...]) -> None:
+        """Draw the rotors."""
+        picture = draw(rotors, self._pen)
+        self._say(f"\n{picture}\n\n{legend(self._pen)}\n\n{rotor_table(rotors)}\n")
+
+    def _scale(self) -> tuple[AnchorName, float] | None:
+        self._say(
+            "What sets the scale? One value must be known: motion alone does not tell heavy\n"
+            "and strong from light and weak.\n"
+            "   1  the mass, weighed ready to fly, in kg\n"
+            "   2  k_T, thrust over the square of rotor speed, in N s^2 (with rpm telemetry)\n"
+            "   3  T_max, thrust of one rotor at full command, in N (without)\n"
+            "   4  later, on the command line"
+        )
+
+        def choice(text: str) -> str:
+            if text in ("", "1", "2", "3", "4"):
+                return text or "1"
+            raise InputError("a number from 1 to 4")
+
+        chosen = self._until("Number (Enter: 1)", choice)
+        if chosen not in _SCALES:
+            return None
+        name = _SCALES[chosen]
+        value = self._believed(
+            f"{name} in {ANCHORS[name]}", positive_number, lambda v: scale_doubt(name, v)
+        )
+        return name, value
+
+    def _imu(self) -> tuple[float, float, float] | None:
+        self._say("Where is the IMU? Metres forward, right and down from the centre: 0.02 0 -0.03.")
+        return self._optional("IMU", imu_position)
+
+    def _priors(self) -> dict[str, tuple[float, float]]:
+        found: dict[str, tuple[float, float]] = {}
+        self._say("Is a parameter known beforehand, from a bench or CAD? Such as k_M=6.1e-6+-1e-7.")
+        question = "NAME=VALUE+-STD"
+        while (told := self._optional(question, _known_prior)) is not None:
+            name, value, std = told
+            found[name] = (value, std)
+            question = "Another one"
+        return found
+
+    def _name(self, given: Given) -> str:
+        fallback = given.output.stem if given.output and given.output.stem != "-" else "my-vehicle"
+        question = f"Name of the vehicle (Enter: {fallback})"
+        return self._until(question, lambda text: plain_name(text or fallback))

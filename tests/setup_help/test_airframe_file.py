@@ -1,0 +1,115 @@
+"""Airframe files that are written: they load, and say what was told."""
+
+import dataclasses
+
+import pytest
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import Rotor, load_airframe
+from gcs_sysid.setup_help.airframe_check import arm_doubt, check_airframe, scale_doubt
+from gcs_sysid.setup_help.airframe_file import (
+    AirframeAnswers,
+    airframe_text,
+    check_new,
+    checked,
+    write_new,
+)
+from gcs_sysid.setup_help.findings import Sign, worst
+from gcs_sysid.setup_help.layouts import LAYOUTS, layout_rotors, reversed_spins
+
+QUAD = layout_rotors("px4-quad-x", 0.25)
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_every_layout_loads_as_it_was_told(name, tmp_path):
+    rotors = layout_rotors(name, 0.31)
+    path = tmp_path / "mine.toml"
+    write_new(path, airframe_text(AirframeAnswers(name, rotors, scale=("mass", 1.5))))
+    airframe = load_airframe(str(path))
+    assert airframe.name == name
+    assert airframe.anchor() == ("mass", 1.5)
+    assert airframe.arm == pytest.approx(0.31, abs=1e-6)
+    for got, told in zip(airframe.rotors, rotors, strict=True):
+        assert dataclasses.astuple(got) == pytest.approx(dataclasses.astuple(told), abs=1e-6)
+    assert worst(check_airframe(airframe)) is Sign.OK
+
+
+@pytest.mark.parametrize("anchor", ["mass", "k_T", "T_max"])
+def test_all_that_can_be_told_is_read_back(anchor):
+    answers = AirframeAnswers(
+        'the "big" \\ one ü',
+        QUAD,
+        scale=(anchor, 1.0 / 3.0),
+        imu_position=(0.02, -0.01, -0.03),
+        priors={"k_M": (6.1e-6, 1e-7), "cg_x": (-0.01, 0.002)},
+    )
+    airframe = checked(airframe_text(answers), "text")
+    assert airframe.name == answers.name
+    assert airframe.anchor() == (anchor, 1.0 / 3.0)
+    assert airframe.imu_position == answers.imu_position
+    assert airframe.priors == answers.priors
+    assert airframe.rotor_input == "auto"
+
+
+def test_rotors_that_cannot_control_a_vehicle_are_refused():
+    same = tuple(Rotor(r.x, r.y, 1) for r in QUAD)
+    with pytest.raises(InputError, match="roll, pitch, yaw and thrust apart"):
+        checked(airframe_text(AirframeAnswers("x", same)), "these")
+
+
+def test_an_existing_file_is_never_overwritten(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text("precious", encoding="utf-8")
+    for write in (check_new, lambda p: write_new(p, "new")):
+        with pytest.raises(InputError, match="not overwritten"):
+            write(path)
+    assert path.read_text(encoding="utf-8") == "precious"
+
+
+def test_a_folder_that_is_not_there(tmp_path):
+    for write in (check_new, lambda p: write_new(p, "new")):
+        with pytest.raises(InputError, match=r"no folder|cannot write"):
+            write(tmp_path / "none" / "mine.toml")
+
+
+def findings_of(rotors, scale=("mass", 1.5), rotor_input="auto"):
+    text = airframe_text(AirframeAnswers("x", rotors, scale=scale, rotor_input=rotor_input))
+    return {finding.topic: finding for finding in check_airframe(checked(text, "x"))}
+
+
+def test_slips_are_noticed():
+    good = findings_of(QUAD)
+    assert {finding.sign for finding in good.values()} == {Sign.OK}
+    assert "px4-quad-x and ardupilot-quad-x" in good["motor order"].text
+
+    order = findings_of((QUAD[2], *QUAD[:2], QUAD[3]))["motor order"]
+    assert order.sign is Sign.WARNING
+    assert "numbered otherwise" in order.text
+
+    turned = findings_of(reversed_spins(QUAD))["motor order"]
+    assert turned.sign is Sign.WARNING
+    assert "every spin the other way" in turned.text
+
+    hexa = list(layout_rotors("px4-hexa-x", 0.3))
+    hexa[4] = dataclasses.replace(hexa[4], spin=-hexa[4].spin)
+    one = findings_of(tuple(hexa))
+    assert "spin of motor 5 differs" in one["motor order"].text
+    assert "2 ccw and 4 cw" in one["symmetry"].text
+
+    moved = findings_of(tuple(Rotor(r.x + 0.1, r.y, r.spin) for r in QUAD))["symmetry"]
+    assert moved.sign is Sign.WARNING
+    assert "(0.1, 0) m" in moved.text
+
+    assert findings_of(layout_rotors("px4-quad-x", 25.0))["size"].sign is Sign.WARNING
+    assert findings_of(QUAD, None)["scale"].sign is Sign.WARNING
+    assert "not grams" in findings_of(QUAD, ("mass", 1500.0))["scale"].text
+    assert findings_of(QUAD, ("T_max", 5.0), "speed")["scale"].sign is Sign.PROBLEM
+
+
+def test_doubts():
+    assert arm_doubt(0.25) is None
+    assert "long" in arm_doubt(25.0)
+    assert "short" in arm_doubt(0.001)
+    assert scale_doubt("mass", 1.5) is None
+    assert "rpm" in scale_doubt("k_T", 0.1)
+    assert "newtons" in scale_doubt("T_max", 5000.0)
