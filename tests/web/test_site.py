@@ -8,6 +8,7 @@ import aiohttp
 import pytest
 
 from gcs_sysid.cli.arguments import web_address
+from gcs_sysid.cli.main import run
 from gcs_sysid.errors import InputError
 from gcs_sysid.web.share import Door
 from gcs_sysid.web.site import Site, is_loopback, is_own
@@ -77,6 +78,24 @@ def test_a_port_in_use_is_one_clear_line():
         site = Site("127.0.0.1", taken.getsockname()[1], NOBODY)
         with pytest.raises(InputError, match=r"cannot serve on 127\.0\.0\.1:.* --web 8001"):
             site.start()
+
+
+def test_where_there_is_no_serving_no_session_begins(tmp_path, capsys):
+    with (
+        socket.create_server(("127.0.0.1", 0)) as taken,
+        socket.socket(type=socket.SOCK_DGRAM) as free,
+    ):
+        free.bind(("127.0.0.1", 0))
+        url = f"udpin:127.0.0.1:{free.getsockname()[1]}"
+        free.close()
+        recording = tmp_path / "flight.tlog"
+        live = ["live", url, "--airframe", "paper", "--record", str(recording)]
+        assert run([*live, "--web", str(taken.getsockname()[1])]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("gcs-sysid: error: cannot serve on 127.0.0.1:")
+    assert err.count("\n") == 1
+    assert not recording.exists()
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import threading
 
 from gcs_sysid.cli.live import Session, say_until_end
 from gcs_sysid.cli.signals import on_signals
+from gcs_sysid.errors import InputError
 from gcs_sysid.screen.scene import Scene
 from gcs_sysid.web.share import Share
 from gcs_sysid.web.site import Site, is_loopback
@@ -33,7 +34,14 @@ def show(session: Session, scene: Scene, address: tuple[str, int]) -> None:
 
     share = Share(session, scene)
     site = Site(host, port, share.door)
-    url = site.start()
+    try:
+        url = site.start()
+    except InputError:
+        # Nothing of the session may stay: its link, an empty recording.
+        session.request_stop()
+        session.start()
+        session.join()
+        raise
     share.start()
     try:
         with on_signals(stop):
