@@ -43,8 +43,12 @@ def strip(
 
 def overlay(
     lines: list[str], t: Floats, values: Floats, start: float, end: float, limit: float
-) -> list[list[Part]]:
-    """The predicted curve as a dot in every second column, over the lines of the measured one."""
+) -> list[str]:
+    """The predicted curve as a dot in every second column, over the lines of the measured one.
+
+    In one colour: a hundred changes of colour a line took most of the screen's time, and the
+    signs tell the two apart.
+    """
     columns, high = len(lines[0]), len(lines)
     marks: dict[int, int] = {}
     for column in range(0, columns, 2):
@@ -53,16 +57,10 @@ def overlay(
         if near[i] <= 1.5 * (end - start) / columns and np.isfinite(values[i]):
             place = (0.5 - 0.5 * values[i] / limit) * (high - 1)
             marks[column] = int(np.clip(round(place), 0, high - 1))
-    out: list[list[Part]] = []
-    for row, line in enumerate(lines):
-        parts: list[Part] = []
-        begun = 0
-        for column, at in marks.items():
-            if at == row:
-                parts += [(line[begun:column], "$foreground"), (PREDICTED, "bold $text-warning")]
-                begun = column + 1
-        out.append([*parts, (line[begun:], "$foreground")])
-    return out
+    out = [list(line) for line in lines]
+    for column, row in marks.items():
+        out[row][column] = PREDICTED
+    return ["".join(line) for line in out]
 
 
 def nice_limit(largest: float) -> float:
@@ -112,9 +110,9 @@ class AccelerationPanel(RationedPlot):
             curve = strip(found.t, measured, start, end, limit, (columns, each))
             drawn = overlay(curve, found.t, predicted, start, end, limit)
             heads = [name, f"±{limit:g}"] if each > 1 else [name]
-            for row, parts in enumerate(drawn):
+            for row, text in enumerate(drawn):
                 head = heads[row] if row < len(heads) else ""
-                lines.append([(f"{head:<{MARGIN}}", fmt.MUTED if row else "bold"), *parts])
+                lines.append([(f"{head:<{MARGIN}}", fmt.MUTED if row else "bold"), (text, "")])
         told = "  ".join(
             f"{name} {'?' if np.isnan(share) else f'{100.0 * max(share, 0.0):.1f} %'}"
             for name, share in zip(AXES, shares, strict=True)

@@ -68,6 +68,8 @@ class LinkPanel(VerticalScroll, can_focus=False):
         """Bring the panel up to date."""
         self._view = view
         lines = self._lines(view)
+        # Messages come and go; a panel that shrinks each time would have the screen laid out anew.
+        lines += [[]] * (len(self._shown) - len(lines))
         if lines != self._shown:
             grown = len(lines) != len(self._shown)
             self._shown = lines
