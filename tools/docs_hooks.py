@@ -17,7 +17,7 @@ from mkdocs.structure.pages import Page
 ROOT_PAGES = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 """Pages that lie at the project's root, and their names on the site."""
 
-EXPECTED_PAGES = ("coach.md", "replay.md")
+EXPECTED_PAGES = ("coach.md",)
 """Pages that the navigation names already, written or not."""
 
 FORMULA_PAGES = ("method.md", "errata.md")

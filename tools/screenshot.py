@@ -42,16 +42,6 @@ class Still:
         """The snapshot."""
         return self.snapshot
 
-    def mark(self, text: str) -> None:
-        """Nothing to mark."""
-
-    def reset(self) -> None:
-        """Nothing to reset."""
-
-    def toggle_recording(self) -> str:
-        """Nothing to record."""
-        return "nothing to record"
-
     def stop(self) -> None:
         """Nothing to stop."""
 

@@ -102,6 +102,13 @@ CASES = {
     "plan over a file": (["plan", *PAPER, "--json", "truth.json"], "--force"),
     "plan into a folder": (["plan", *PAPER, "--svg", "folder.tlog", "--force"], "folder.tlog"),
     "demo speed": (["demo", "--speed", "3"], "--speed"),
+    "replay of nothing": (["replay", "missing.tlog", *PAPER], "missing.tlog"),
+    "replay of no log": (["replay", "text.tlog", *PAPER], "text.tlog"),
+    "replay without airframe": (["replay", "text.tlog"], "--airframe"),
+    "replay speed": (["replay", "a.tlog", *PAPER, "--speed", "3"], "--speed"),
+    "web without a host": (["live", NOWHERE, *PAPER, "--web", ":8000"], "HOST"),
+    "web takes no link": (["live", *PAPER, "--web", NOWHERE], "HOST"),
+    "web and headless": (["replay", "a.tlog", *PAPER, "--web", "--headless"], "--headless"),
     "airframe alone": (["airframe"], "ACTION"),
     "no such layout": (["airframe", "new", "--layout", "x"], "'x'"),
     "nowhere to ask": (["airframe", "new", "--arm", "0.2"], "no terminal"),
@@ -170,7 +177,16 @@ def test_the_program_itself(case, files):
         "--version",
         *(
             f"{name} --help"
-            for name in ("analyze", "inspect", "plan", "export", "compare", "batch", "trend")
+            for name in (
+                "analyze",
+                "replay",
+                "inspect",
+                "plan",
+                "export",
+                "compare",
+                "batch",
+                "trend",
+            )  # fmt: skip
         ),
         *(f"{name} --help" for name in ("airframe new", "airframe check", "doctor", "completion")),
         "completion bash",

@@ -25,7 +25,7 @@ from .pages import PAGES, ROOT, Block, blocks, prose
 
 pytestmark = pytest.mark.slow
 
-_NOT_RUN_YET = {"coach.md", "replay.md"}
+_NOT_RUN_YET = {"coach.md"}
 """Pages that may still have commands outside of fences."""
 _MODULES = {"gcs-sysid": "gcs_sysid", "sim-bridge": "sim_bridge"}
 _NUMBER = re.compile(r"(?<!\w)[-+>]?\d[\d_.,:]*(?:e[-+]?\d+)?")

@@ -13,7 +13,7 @@ _GENERATED = {
 }
 
 
-_EXPECTED = {"coach.md", "replay.md"}
+_EXPECTED = {"coach.md"}
 """Named in the navigation, written or not; `EXPECTED_PAGES` of `tools/docs_hooks.py`."""
 
 

@@ -10,10 +10,11 @@ import pytest
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.report.data import AXES, Provenance, gather
-from gcs_sysid.report.prediction import Model, agreement, predict, residual_spectrum
-from gcs_sysid.report.recorder import Motion, Recorder
+from gcs_sysid.report.prediction import agreement, predict, residual_spectrum
+from gcs_sysid.report.recorder import Recorder
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.prediction import Model, Motion
 
 MADE = Provenance(("gcs-sysid",), {}, 0, "")
 

@@ -8,7 +8,7 @@ import pytest
 from rich.segment import Segment
 from textual.pilot import Pilot
 
-from gcs_sysid.screen import SysidApp
+from gcs_sysid.screen import Actions, Baseline, SysidApp
 from gcs_sysid.session.snapshot import Snapshot
 
 from . import fake
@@ -55,6 +55,11 @@ class Running:
         await self.pilot.pause()
         await self.pilot.pause()
 
+    async def worked(self) -> None:
+        """Let what was started in a thread come to its end."""
+        await self.app.workers.wait_for_complete()
+        await self.settle()
+
     async def serve(self, snapshot: Snapshot | None) -> None:
         """Put another snapshot into the source and let the app see it."""
         self.source.snapshot = snapshot
@@ -74,9 +79,12 @@ def run_screen() -> RunScreen:
         first: Snapshot | None,
         size: tuple[int, int] = (80, 24),
         truth: Mapping[str, float] | None = fake.TRUTH,
+        actions: Actions | None = None,
+        baseline: Baseline | None = None,
     ) -> AsyncIterator[Running]:
         source, clock = fake.FakeSource(first), Clock()
-        app = SysidApp(source, truth, time_source=clock)
+        actions = source.actions() if actions is None else actions
+        app = SysidApp(source, truth, actions, baseline, time_source=clock)
         async with app.run_test(size=size) as pilot:
             running = Running(app, pilot, source, clock)
             await running.settle()

@@ -10,8 +10,19 @@ from dataclasses import replace
 import numpy as np
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.screen import Actions
 from gcs_sysid.session.result import Estimate, Result, Scale, Status
-from gcs_sysid.session.snapshot import Course, Event, LinkState, LinkStatus, Snapshot
+from gcs_sysid.session.snapshot import (
+    Acceleration,
+    Advice,
+    Course,
+    Event,
+    Gain,
+    HeardVehicle,
+    LinkState,
+    LinkStatus,
+    Snapshot,
+)
 
 TRUTH = {
     "mass": 1.5,
@@ -118,11 +129,50 @@ def link(state: LinkState = LinkState.CONNECTED, **changes: object) -> LinkStatu
             rejected=3,
             unknown=0,
             lost_percent=0.2,
+            lost=38,
+            gaps=2,
+            last_gap=0.31,
+            clock_ppm=12.4,
+            vehicles=(HeardVehicle((1, 1), "PX4 quadrotor 1:1", True),),
             recording="logs/2025-06-01_101502.tlog",
             bytes_per_second=38_420.0,
         ),
         **changes,  # type: ignore[arg-type]
     )
+
+
+def acceleration() -> Acceleration:
+    """Doublets about all axes, foretold well but about yaw."""
+    t = np.linspace(32.4, 42.3, 412)
+    motion = np.column_stack(
+        [18.0 * np.sin(6.0 * t), 9.0 * np.sin(5.0 * t + 1.0), 3.0 * np.sin(3.0 * t)]
+    )
+    motion[200:240] *= 0.1
+    return Acceleration(t, motion, motion * np.array([1.0, 0.98, 0.7]))
+
+
+def advice() -> Advice:
+    """Half way through what the coach would have flown."""
+    return Advice(
+        manoeuvre="roll-yaw",
+        text="roll and yaw together, ±20°, about 1 Hz, 10 s",
+        seconds=10.0,
+        progress=0.4,
+        gains=(Gain("k_M", None, 0.05), Gain("Iyz", 0.1, 0.04), Gain("Izz", 0.079, 0.03)),
+    )
+
+
+def two_vehicles() -> Snapshot:
+    """A second vehicle speaks on the same link."""
+    vehicles = (*link().vehicles, HeardVehicle((2, 1), "ArduPilot quadrotor 2:1"))
+    return replace(snapshot(), link=link(vehicles=vehicles))
+
+
+def earlier() -> Result:
+    """A result of the vehicle before something was hung on its left side."""
+    before = estimates()
+    before["Ixx"] = replace(before["Ixx"], value=0.0138)
+    return replace(result(), source="logs/2025-05-30_091200.tlog", parameters=before)
 
 
 def snapshot() -> Snapshot:
@@ -137,6 +187,7 @@ def snapshot() -> Snapshot:
         attitude=(math.radians(12.4), math.radians(-5.1), math.radians(87.0)),
         rates=(0.41, -0.22, 0.05),
         rotor_speeds=(101.3, 71.9, 94.4, 118.0),
+        acceleration=acceleration(),
         events=(
             Event(0.0, "first message from PX4 quadrotor 1:1"),
             Event(0.4, "asked for HIGHRES_IMU at 250 Hz"),
@@ -171,6 +222,7 @@ def bare() -> Snapshot:
         attitude=None,
         rates=None,
         rotor_speeds=(),
+        acceleration=None,
         events=(),
     )
 
@@ -183,6 +235,19 @@ class FakeSource:
         self.calls: list[str] = []
         self.recording = True
         self.broken = False
+
+    def actions(self) -> Actions:
+        """All that can be done with it."""
+        return Actions(
+            self.mark,
+            self.reset,
+            self.toggle_recording,
+            self.set_anchor,
+            self.choose_vehicle,
+            self.export,
+            ("px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy"),
+            self.report,
+        )
 
     def latest(self) -> Snapshot | None:
         return self.snapshot
@@ -200,6 +265,22 @@ class FakeSource:
         self._note("record")
         self.recording = not self.recording
         return "recording to logs/next.tlog" if self.recording else "recording stopped"
+
+    def set_anchor(self, kind: str, value: float) -> str:
+        self._note(f"anchor {kind} {value:g}")
+        return f"scale from {kind} = {value:g}"
+
+    def choose_vehicle(self, address: tuple[int, int]) -> str:
+        self._note("vehicle {}:{}".format(*address))
+        return "starting anew on ArduPilot quadrotor 2:1"
+
+    def export(self, target: str, result: Result) -> str:
+        self._note(f"export {target} {result.verdict}")
+        return f"written: paper.{target}"
+
+    def report(self) -> str:
+        self._note("report")
+        return "written: flight.html"
 
     def stop(self) -> None:
         self._note("stop")

@@ -112,7 +112,7 @@ def test_bar_fills_in_eighths_and_keeps_its_width():
     ("relative", "fraction"), [(None, 0.0), (2.0, 0.0), (1.0, 0.0), (0.1, 0.5), (0.001, 1.0)]
 )
 def test_converged_is_logarithmic(relative, fraction):
-    assert fmt.converged(relative) == pytest.approx(fraction)
+    assert fmt.converged(relative, 0.01) == pytest.approx(fraction)
 
 
 def test_times():
@@ -128,3 +128,11 @@ def test_every_status_has_its_own_sign():
 
 def test_labels_fit_their_column():
     assert all(len(fmt.label(name)) <= 8 for name in (*fmt.PARAMETERS, *fmt.TIMING))
+
+
+@pytest.mark.parametrize(
+    ("fraction", "text"),
+    [(0.02, "2 %"), (0.118, "12 %"), (0.0049, "0.49 %"), (3.17, "320 %"), (12.0, ">999 %")],
+)
+def test_rough_has_two_digits(fraction, text):
+    assert fmt.rough(fraction) == text

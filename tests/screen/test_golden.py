@@ -11,25 +11,52 @@ from pathlib import Path
 
 import pytest
 from rich.color import Color
+from rich.segment import Segment
 from rich.style import Style
 
-from gcs_sysid.session.snapshot import LinkState
+from gcs_sysid.screen import Baseline
+from gcs_sysid.session.snapshot import Advice, LinkState
 
 from . import fake
 
 GOLDEN = Path(__file__).parent / "golden"
 SIZES = [(80, 24), (120, 40), (200, 50)]
+THEMES = ["dark", "light"]
 
+
+def advised():
+    """All panels have something to say."""
+    return replace(fake.snapshot(), advice=fake.advice())
+
+
+def enough():
+    """The coach has nothing left to fly."""
+    told = "every interval is within 2 %: land when you like"
+    result = replace(fake.result(), verdict="identified", reasons=())
+    return replace(fake.snapshot(), result=result, advice=Advice("", told, enough=True))
+
+
+def ended():
+    return replace(fake.snapshot(), link=fake.link(LinkState.ENDED, recording=""))
+
+
+BASELINE = Baseline("before.json", fake.earlier())
 STATES = {
-    "flying": (fake.snapshot, fake.TRUTH),
-    "no-truth": (fake.snapshot, None),
-    "waiting": (fake.waiting, None),
-    "bare": (fake.bare, None),
-    "ended": (
-        lambda: replace(fake.snapshot(), link=fake.link(LinkState.ENDED, recording="")),
-        fake.TRUTH,
-    ),
+    "flying": (fake.snapshot, fake.TRUTH, None),
+    "all": (advised, None, BASELINE),
+    "enough": (enough, fake.TRUTH, None),
+    "no-truth": (fake.snapshot, None, None),
+    "waiting": (fake.waiting, None, None),
+    "bare": (fake.bare, None, None),
+    "ended": (ended, fake.TRUTH, None),
 }
+KEYS = {
+    (80, 24): {"plot": "2", "motion": "3", "vehicle": "4", "events": "5"},
+    (120, 40): {"motion": "3"},
+    (200, 50): {},
+}
+"""What leads to the pages of each size."""
+DIALOGS = {"help": "question_mark", "export": "e", "scale": "s", "baseline": "b", "vehicle": "v"}
 
 
 def check(name: str, text: str) -> None:
@@ -39,44 +66,47 @@ def check(name: str, text: str) -> None:
     assert text == path.read_text(encoding="utf-8"), f"{path.name}: see the module's first lines"
 
 
-@pytest.mark.parametrize("theme", ["dark", "light"])
-@pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
-async def test_flying(run_screen, size, theme):
-    async with run_screen(fake.snapshot(), size=size) as s:
-        if theme == "light":
-            s.app.theme = "gcs-light"
-            await s.settle()
-        # Both themes against one file: a theme changes colours and not one letter.
-        check(f"flying-{size[0]}x{size[1]}", s.text())
+def named(size):
+    return f"{size[0]}x{size[1]}"
 
 
-@pytest.mark.parametrize("page", ["plot", "vehicle", "events"])
-async def test_pages_at_80x24(run_screen, page):
-    async with run_screen(fake.snapshot()) as s:
-        await s.press({"plot": "2", "vehicle": "3", "events": "4"}[page])
-        check(f"page-{page}-80x24", s.text())
+async def in_theme(s, theme):
+    """Both themes against one file: a theme changes colours and not one letter."""
+    if theme == "light":
+        s.app.theme = "gcs-light"
+        await s.settle()
 
 
+@pytest.mark.parametrize("theme", THEMES)
+@pytest.mark.parametrize("size", SIZES, ids=named)
+@pytest.mark.parametrize("state", STATES)
+async def test_states(run_screen, state, size, theme):
+    make, truth, baseline = STATES[state]
+    async with run_screen(make(), size=size, truth=truth, baseline=baseline) as s:
+        await in_theme(s, theme)
+        check(f"{state}-{named(size)}", s.text())
+
+
+@pytest.mark.parametrize("theme", THEMES)
 @pytest.mark.parametrize(
-    ("state", "size"),
-    [
-        ("no-truth", (80, 24)),
-        ("no-truth", (120, 40)),
-        ("waiting", (80, 24)),
-        ("bare", (120, 40)),
-        ("ended", (80, 24)),
-    ],
+    ("size", "page"), [(size, page) for size, pages in KEYS.items() for page in pages]
 )
-async def test_states(run_screen, state, size):
-    make, truth = STATES[state]
-    async with run_screen(make(), size=size, truth=truth) as s:
-        check(f"{state}-{size[0]}x{size[1]}", s.text())
+async def test_pages(run_screen, size, page, theme):
+    async with run_screen(fake.snapshot(), size=size) as s:
+        await s.press(KEYS[size][page])
+        await in_theme(s, theme)
+        check(f"page-{page}-{named(size)}", s.text())
 
 
-async def test_help(run_screen):
-    async with run_screen(fake.snapshot()) as s:
-        await s.press("question_mark")
-        check("help-80x24", s.text())
+@pytest.mark.parametrize("theme", THEMES)
+@pytest.mark.parametrize("size", SIZES, ids=named)
+@pytest.mark.parametrize("dialog", DIALOGS)
+async def test_dialogs(run_screen, dialog, size, theme, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # the question for a file looks at what lies there
+    async with run_screen(fake.two_vehicles(), size=size) as s:
+        await s.press(DIALOGS[dialog])
+        await in_theme(s, theme)
+        check(f"{dialog}-{named(size)}", s.text())
 
 
 def luminance(color: Color) -> float:
@@ -92,18 +122,36 @@ def contrast(style: Style) -> float:
     return (max(one, other) + 0.05) / (min(one, other) + 0.05)
 
 
+def pale(s):
+    return {
+        segment.text
+        for line in s.segments()
+        for segment in line
+        if any(c.isalnum() for c in segment.text) and contrast(segment.style) < 4.5
+    }
+
+
 @pytest.mark.parametrize("theme", ["gcs-dark", "gcs-light"])
-@pytest.mark.parametrize("state", ["flying", "waiting"])
+@pytest.mark.parametrize("state", ["flying", "all", "enough", "waiting"])
 async def test_all_text_stands_out_from_its_ground(run_screen, theme, state):
     """Words have the contrast that WCAG asks of text (4.5 to 1)."""
-    make, truth = STATES[state]
-    async with run_screen(make(), size=(120, 40), truth=truth) as s:
+    make, truth, baseline = STATES[state]
+    async with run_screen(make(), size=(200, 50), truth=truth, baseline=baseline) as s:
         s.app.theme = theme
         await s.settle()
-        pale = {
-            segment.text
-            for line in s.segments()
-            for segment in line
-            if any(c.isalnum() for c in segment.text) and contrast(segment.style) < 4.5
-        }
-        assert not pale
+        assert not pale(s)
+
+
+@pytest.mark.parametrize("theme", ["gcs-dark", "gcs-light"])
+@pytest.mark.parametrize("dialog", DIALOGS)
+async def test_questions_stand_out_from_their_ground(run_screen, theme, dialog):
+    async with run_screen(fake.two_vehicles()) as s:
+        s.app.theme = theme
+        await s.press(DIALOGS[dialog])
+        inside = s.app.screen.query(".dialog, #help-box").first().region
+        clipped = [
+            list(Segment.divide(line, [inside.x, inside.right]))[1]
+            for line in (list(strip) for strip in s.segments()[inside.y : inside.bottom])
+        ]
+        s.segments = lambda: clipped
+        assert not pale(s)

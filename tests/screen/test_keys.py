@@ -1,10 +1,14 @@
 """Every key, through Textual's Pilot: what the source is told and what the screen answers."""
 
+import threading
 from dataclasses import replace
 
 import pytest
 from textual.command import CommandPalette
 
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.screen import Actions, Baseline
+from gcs_sysid.screen.dialogs import Choose
 from gcs_sysid.screen.help import HelpScreen
 from gcs_sysid.screen.main import MainScreen
 from gcs_sysid.screen.widgets.convergence import Convergence
@@ -52,7 +56,7 @@ async def test_marks_are_numbered(run_screen):
     async with run_screen(fake.snapshot()) as s:
         await s.press("m", "m")
         assert s.source.calls == ["mark 'mark 1'", "mark 'mark 2'"]
-        await s.press("4")
+        await s.press("5")
         assert sum("mark " in line for line in s.lines()[2:-2]) == 2
 
 
@@ -121,13 +125,19 @@ async def test_tab_goes_through_the_pages_and_back(run_screen):
         for _ in PAGES:
             await s.press("tab")
             seen.append(s.app.get_default_screen().page)
-        assert seen == ["plot", "vehicle", "events", "parameters"]
+        assert seen == ["plot", "motion", "vehicle", "events", "parameters"]
         await s.press("shift+tab")
         assert s.app.get_default_screen().page == "events"
 
 
 async def test_numbers_choose_a_page(run_screen):
-    shown = {"2": "95 % band", "3": "rotor 3", "4": "took off", "1": "unobservable  "}
+    shown = {
+        "2": "95 % band",
+        "3": "• predicted",
+        "4": "rotor 3",
+        "5": "took off",
+        "1": "unobservable  ",
+    }
     async with run_screen(fake.snapshot()) as s:
         for key, text in shown.items():
             await s.press(key)
@@ -135,16 +145,31 @@ async def test_numbers_choose_a_page(run_screen):
             assert text in s.text()
 
 
-async def test_pages_are_for_small_terminals(run_screen):
+async def test_where_the_panels_have_room_pages_choose_the_plot(run_screen):
     async with run_screen(fake.snapshot(), size=(120, 40)) as s:
+        assert "95 % band" in s.text()
         await s.press("tab")
-        assert "All panels are on the screen" in s.answer()
+        assert "• predicted" in s.text()
+        assert "95 % band" not in s.text()
+        await s.press("2")
+        assert "95 % band" in s.text()
+        await s.press("4")
+        assert s.answer() == "Vehicle: is on the screen."
+
+
+async def test_where_all_has_room_there_is_nothing_to_choose(run_screen):
+    async with run_screen(fake.snapshot(), size=(200, 50)) as s:
+        assert "95 % band" in s.text()
+        assert "• predicted" in s.text()
+        for key in ("tab", "shift+tab"):
+            await s.press(key)
+            assert s.answer() == "All panels are on the screen."
 
 
 async def test_page_keys_scroll_the_events(run_screen):
     many = tuple(Event(float(n), f"event number {n}") for n in range(200))
     async with run_screen(replace(fake.snapshot(), events=many)) as s:
-        await s.press("4")
+        await s.press("5")
         assert "event number 199" in s.text()
         await s.press("pageup")
         assert not any("event number 199" in line for line in s.lines()[:-2])
@@ -154,14 +179,14 @@ async def test_page_keys_scroll_the_events(run_screen):
 
 async def test_a_click_chooses_a_parameter(run_screen):
     async with run_screen(fake.snapshot()) as s:
-        await s.pilot.click(offset=(5, 7))
+        await s.pilot.click(offset=(5, 8))
         await s.settle()
         assert s.app.selected == "Ixy"
 
 
 async def test_a_click_chooses_a_page(run_screen):
     async with run_screen(fake.snapshot()) as s:
-        await s.pilot.click(offset=(18, 1))
+        await s.pilot.click(offset=(18, 2))
         await s.settle()
         assert s.app.get_default_screen().page == "plot"
         assert s.app.query_one(Convergence).display
@@ -170,7 +195,8 @@ async def test_a_click_chooses_a_page(run_screen):
 async def test_the_command_palette_knows_the_actions(run_screen):
     async with run_screen(fake.snapshot()) as s:
         titles = {command.title for command in s.app.get_system_commands(s.app.screen)}
-        assert {"Mark", "Reset", "Record", "Pause", "Dark/light", "Help", "Quit"} <= titles
+        assert {"Mark", "Reset", "Record", "Pause", "Export", "Report", "Scale"} <= titles
+        assert {"Baseline", "Vehicle", "Dark/light", "Help", "Quit", "Page Motion"} <= titles
         assert "Plot k_T" in titles
         await s.press("ctrl+p")
         assert isinstance(s.app.screen, CommandPalette)
@@ -181,3 +207,176 @@ async def test_a_command_of_the_palette_chooses_a_parameter(run_screen):
         commands = {c.title: c.callback for c in s.app.get_system_commands(s.app.screen)}
         commands["Plot k_T"]()
         assert s.app.selected == "k_T"
+
+
+async def test_what_a_source_cannot_do_is_said_in_plain_words(run_screen):
+    async with run_screen(fake.snapshot(), actions=Actions(absent="in a replay")) as s:
+        words = {"m": "Mark", "r": "Reset", "R": "Record", "e": "Export", "h": "Report"}
+        for key, what in {**words, "s": "Scale", "v": "Vehicle"}.items():
+            await s.press(key)
+            assert s.answer() == f"{what}: not in a replay."
+        assert s.source.calls == []
+
+
+async def test_export_asks_for_the_format_and_says_where(run_screen):
+    async with run_screen(fake.snapshot()) as s:
+        await s.press("e")
+        assert isinstance(s.app.screen, Choose)
+        assert "gazebo-sdf" in s.text()
+        await s.press("down", "enter")
+        await s.worked()
+        assert s.source.calls == ["export gazebo-sdf partial"]
+        assert s.answer() == "written: paper.gazebo-sdf"
+
+
+@pytest.mark.parametrize("key", ["e", "s", "b"])
+async def test_escape_leaves_everything_as_it_was(run_screen, key):
+    async with run_screen(fake.snapshot()) as s:
+        await s.press(key, "escape")
+        assert isinstance(s.app.screen, MainScreen)
+        assert s.source.calls == []
+        assert "as it was" in s.answer() or "nothing written" in s.answer()
+
+
+async def test_report_is_made_beside_and_said_at_its_end(run_screen):
+    async with run_screen(fake.snapshot()) as s:
+        going, done = threading.Event(), threading.Event()
+
+        def slow():
+            going.set()
+            assert done.wait(20.0)
+            return "written: flight.html"
+
+        s.app.actions = replace(s.app.actions, report=slow)
+        await s.press("h")
+        assert s.answer() == "Report: at work ..."
+        assert going.wait(20.0)
+        await s.press("j")  # keys are answered meanwhile
+        assert "Plot" in s.answer()
+        await s.press("h")
+        assert s.answer() == "Report: still at work on the last one."
+        done.set()
+        await s.worked()
+        assert s.answer() == "written: flight.html"
+
+
+async def test_what_fails_beside_is_said_too(run_screen):
+    async with run_screen(fake.snapshot()) as s:
+        s.source.broken = True
+        await s.press("h")
+        await s.worked()
+        assert s.answer() == "Not done: the disk is full"
+        s.source.broken = False
+        await s.press("h")
+        await s.worked()
+        assert s.source.calls == ["report"]
+
+
+async def test_scale_asks_which_fact_then_its_value(run_screen):
+    async with run_screen(fake.snapshot()) as s:
+        await s.press("s")
+        assert "Now: mass 1.5" in s.text()
+        assert "T_max" not in s.text()  # there are rotor speeds
+        await s.press("enter")
+        assert "1.5" in s.text()  # the present value stands there already
+        await s.press("end", "backspace", "6", "enter")
+        assert s.source.calls == ["anchor mass 1.6"]
+        assert s.answer() == "scale from mass = 1.6"
+        await s.press("s", "down", "enter", "enter")
+        assert s.source.calls[-1].startswith("anchor k_T 0.000205")
+
+
+async def test_scale_with_commands_offers_the_full_thrust(run_screen):
+    result = replace(fake.result(), rotor_input="command")
+    async with run_screen(replace(fake.snapshot(), result=result)) as s:
+        await s.press("s")
+        assert "T_max" in s.text()
+        assert "thrust over speed squared" not in s.text()
+
+
+async def test_a_scale_that_is_no_number_is_refused_in_a_line(run_screen):
+    async with run_screen(fake.snapshot()) as s:
+        await s.press("s", "enter", "end", "x", "enter")
+        assert s.answer() == "Not done: '1.5x' is not a number (kg wanted)"
+        await s.press("s", "enter", "escape")
+        assert s.answer() == "Scale: as it was."
+        assert s.source.calls == []
+
+
+async def test_the_vehicle_is_chosen_from_those_that_speak(run_screen):
+    async with run_screen(fake.two_vehicles()) as s:
+        assert "v: 2 vehicles" in s.text()
+        await s.press("v")
+        assert "● PX4 quadrotor 1:1" in s.text()
+        await s.press("enter")
+        assert s.answer() == "Vehicle: as it was."
+        await s.press("v", "down", "enter")
+        assert s.source.calls == ["vehicle 2:1"]
+        assert s.answer() == "starting anew on ArduPilot quadrotor 2:1"
+
+
+async def test_one_vehicle_is_no_choice(run_screen):
+    async with run_screen(fake.snapshot()) as s:
+        await s.press("v")
+        assert s.answer() == "Only one vehicle speaks."
+        await s.serve(fake.waiting())
+        await s.press("v")
+        assert s.answer() == "No vehicle has spoken yet."
+
+
+async def test_a_baseline_is_loaded_compared_and_dropped(run_screen, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.json").write_text(fake.earlier().dumps(), encoding="utf-8")
+    async with run_screen(fake.snapshot()) as s:
+        await s.press("b", *"a.json", "enter")
+        assert s.answer().startswith("Compared with a.json: partial, from logs/")
+        assert "≠ against a.json: changed: Ixx" in s.text()
+        ixx = next(line for line in s.lines() if line.startswith("▸Ixx"))
+        assert ixx.endswith("≠+19.9 %")
+        assert any(line.startswith(" Iyy") and line.endswith("=+0.00 %") for line in s.lines())
+        await s.press("b", *["backspace"] * 6, "enter")
+        assert s.answer() == "Compared with nothing any more."
+        assert "against" not in s.text()
+
+
+async def test_a_baseline_that_is_none_is_refused_in_a_line(run_screen, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "b.json").write_text("[]", encoding="utf-8")
+    async with run_screen(fake.snapshot()) as s:
+        await s.press("b", *"b.json", "enter")
+        assert s.answer().startswith("Not done: b.json")
+        await s.press("b", *"c.json", "enter")
+        assert s.answer().startswith("Not done: ")
+        assert "c.json" in s.answer()
+        assert "against" not in s.text()
+
+
+async def test_a_baseline_of_another_vehicle_is_dropped_with_a_word(run_screen):
+    four, six = (load_airframe(name).as_json() for name in ("px4-quad-x", "px4-hexa-x"))
+    baseline = Baseline("six.json", replace(fake.earlier(), airframe=six))
+    snapshot = replace(fake.snapshot(), result=replace(fake.result(), airframe=four))
+    async with run_screen(snapshot, baseline=baseline) as s:
+        assert s.answer().startswith("Compared with nothing any more: ")
+        assert s.answer().endswith("not the same vehicle")
+        assert s.app.baseline is None
+
+
+async def test_what_is_typed_into_a_question_does_nothing_else(run_screen):
+    async with run_screen(fake.snapshot()) as s:
+        await s.press("b", "m", "r", "q", "escape")
+        assert s.source.calls == []
+        assert s.app.is_running
+
+
+async def test_a_defect_beside_does_not_end_the_session(run_screen):
+    async with run_screen(fake.snapshot()) as s:
+        s.app.actions = replace(s.app.actions, report=lambda: str(1 // 0))
+        await s.press("h")
+        for _ in range(100):
+            await s.pilot.pause(0.02)
+            if "internal error" in s.answer():
+                break
+        assert s.answer().startswith("Report: internal error (ZeroDivisionError")
+        assert s.app.is_running
+        await s.press("j")
+        assert "Plot" in s.answer()

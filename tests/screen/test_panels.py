@@ -1,17 +1,21 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from gcs_sysid.screen import braille
+from gcs_sysid.screen.big_letters import HEIGHT, big
+from gcs_sysid.screen.standing import headline, named, shares, standing_of
+from gcs_sysid.screen.widgets.acceleration import nice_limit, overlay, strip
 from gcs_sysid.screen.widgets.attitude import HORIZON_WIDTH, WINGS, deflection, horizon
-from gcs_sysid.screen.widgets.convergence import (
-    band_points,
-    nice_ticks,
-    reduce_course,
-    value_range,
-)
+from gcs_sysid.screen.widgets.coach import advice_lines
+from gcs_sysid.screen.widgets.convergence import nice_ticks, reduce_course, shade, value_range
 from gcs_sysid.screen.widgets.link import message_line
-from gcs_sysid.session.snapshot import Course
+from gcs_sysid.session.result import Estimate
+from gcs_sysid.session.snapshot import Advice, Course, LinkState
+
+from . import fake
 
 
 def course(value, std=0.1):
@@ -53,7 +57,7 @@ def test_gaps_and_unknown_values_are_left_out():
     curve = reduce_course(course(value, std=math.inf), "m", 20)
     assert curve.t[0] >= 5.0
     assert np.isnan(curve.band_low).all()
-    assert band_points(curve, 0.0, 2.0, 10) == ([], [])
+    assert not shade(curve, (0.0, 10.0), (0.0, 2.0), (20, 10)).any()
 
 
 @pytest.mark.parametrize("value", [[], [np.nan, np.nan]])
@@ -84,9 +88,134 @@ def test_a_vast_band_does_not_hide_the_value():
 
 def test_the_band_covers_its_cells_and_no_others():
     curve = reduce_course(course(np.full(10, 5.0), std=1.0 / 1.96), "m", 3)
-    x, y = band_points(curve, 0.0, 10.0, 11)
-    assert sorted(set(x)) == pytest.approx([0.0, 5.0, 10.0])
-    assert sorted(set(y)) == pytest.approx([4.0, 5.0, 6.0])
+    covered = shade(curve, (0.0, 10.0), (0.0, 10.0), (8, 10))
+    # Three instants: the band from 4 to 6 is there from edge to edge, and nowhere else.
+    assert np.flatnonzero(covered.all(axis=1)).tolist() == [4, 5]
+    assert np.flatnonzero(covered.any(axis=1)).tolist() in ([4, 5], [3, 4, 5, 6])
+
+
+def test_the_band_has_no_stripes_where_instants_are_few():
+    curve = reduce_course(course(np.full(4, 5.0)), "m", 100)
+    assert shade(curve, (0.0, 10.0), (0.0, 10.0), (50, 5)).any(axis=0).all()
+
+
+def dots(lines):
+    """(rows, columns) of the dots of lines of braille."""
+    order = ((0, 3), (1, 4), (2, 5), (6, 7))
+    out = np.zeros((4 * len(lines), 2 * len(lines[0])), dtype=bool)
+    for i, line in enumerate(lines):
+        for j, char in enumerate(line):
+            cell = 0 if char == " " else ord(char) - 0x2800
+            for r, bits in enumerate(order):
+                for c, bit in enumerate(bits):
+                    out[4 * i + r, 2 * j + c] = cell >> bit & 1
+    return out
+
+
+def test_a_line_is_joined_from_edge_to_edge():
+    x = np.arange(40)
+    line = np.linspace(-1.0, 1.0, 40)
+    drawn = dots(braille.curve(x, line, line, (-1.0, 1.0), (20, 5), 2))
+    assert drawn[-1, 0]
+    assert drawn[0, -1]
+    assert drawn.any(axis=0).all()
+    steep = np.where(x < 20, -1.0, 1.0)
+    drawn = dots(braille.curve(x, steep, steep, (-1.0, 1.0), (20, 5), 2))
+    assert drawn[:, 19:21].any(axis=1).all()  # from bottom to top without a hole
+    assert drawn[:, :19].sum() == drawn[:, :19].any(axis=0).sum()
+
+
+def test_what_lies_outside_is_not_drawn():
+    x, far = np.arange(40), np.full(40, 1e9)
+    assert not dots(braille.curve(x, far, far, (-1.0, 1.0), (20, 5), 2)).any()
+    jump = np.where(x < 20, 1e9, 0.0)
+    drawn = dots(braille.curve(x, jump, jump, (-1.0, 1.0), (20, 5), 2))
+    assert not drawn[:, :19].any()
+    assert drawn[:, 21:].any(axis=0).all()
+
+
+def test_a_long_gap_is_not_drawn_over():
+    x = np.array([0, 1, 2, 30, 31])
+    drawn = dots(braille.curve(x, np.zeros(5), np.zeros(5), (-1.0, 1.0), (20, 2), 3))
+    assert np.flatnonzero(drawn.any(axis=0)).tolist() == x.tolist()
+
+
+def test_measured_and_predicted_lie_where_they_belong():
+    t = np.linspace(0.0, 10.0, 400)
+    curve = strip(t, np.sin(t), 0.0, 10.0, 1.0, (60, 4))
+    assert {len(line) for line in curve} == {60}
+    drawn = overlay(curve, t, np.full(400, -1.0), 0.0, 10.0, 1.0)
+    assert {len(line) for line in drawn} == {60}
+    assert [line.count("•") for line in drawn] == [0, 0, 0, 30]
+
+
+@pytest.mark.parametrize(("largest", "limit"), [(0.0, 1.0), (18.0, 20.0), (20.0, 20.0), (0.3, 0.5)])
+def test_limits_are_round(largest, limit):
+    assert nice_limit(largest) == pytest.approx(limit)
+
+
+def test_big_letters_have_their_lines():
+    lines = big("PARTIAL 7/11")
+    assert len(lines) == HEIGHT
+    assert len({len(line) for line in lines}) == 1
+    for word in ("IDENTIFIED", "NOT YET", "NO ANSWER", "ENOUGH", "WAITING", "0123456789"):
+        assert "".join(big(word)).strip()
+
+
+def test_standing_counts_what_a_complete_identification_consists_of():
+    standing = standing_of(fake.snapshot())
+    assert [name for name, _ in standing.weak] == ["Iyz", "Izz"]
+    assert [name for name, _ in standing.missing] == ["k_M"]
+    assert standing.total == 10  # neither the mass, which is given, nor damping and the like
+    assert standing.known[0][0] == "Ixz"
+    assert standing.reached == 5
+    wide = standing_of(replace(fake.snapshot(), target=0.5))
+    assert wide.reached == len(wide.known)
+
+
+def test_what_may_be_zero_is_measured_against_what_it_matters_to():
+    result = fake.result()
+    result.parameters["Ixy"] = Estimate(0.0, 1e-5, "kg m^2", "identified")
+    product = 0.05 * math.sqrt(result.parameters["Ixx"].value * result.parameters["Iyy"].value)
+    assert shares(result)["Ixy"] == pytest.approx(1.96e-5 / product, rel=1e-3)
+    result.parameters["Izz"] = Estimate(None, None, "kg m^2", "unobservable")
+    assert shares(result)["Izz"] is None
+
+
+def test_the_verdict_in_a_word():
+    snapshot = fake.snapshot()
+    assert headline(snapshot) == "PARTIAL"
+    assert headline(replace(snapshot, advice=replace(fake.advice(), enough=True))) == "ENOUGH"
+    refused = replace(snapshot, result=replace(fake.result(), verdict="refused"))
+    assert headline(refused) == "NOT YET"
+    assert headline(replace(refused, link=fake.link(LinkState.ENDED))) == "NO ANSWER"
+
+
+def test_names_that_do_not_fit_are_counted():
+    group = (("Iyz", 0.104), ("Izz", 0.0786), ("damping", None))
+    assert named(group, 80) == "Iyz ±10 %, Izz ±7.9 %, damping"
+    assert named(group, 20) == "Iyz ±10 %, +2"
+    assert named(group, 2) == "3"
+    assert named((), 20) == "nothing"
+
+
+def written(advice, width=78):
+    return ["".join(text for text, _ in line) for line in advice_lines(advice, width)]
+
+
+def test_the_coach_says_what_to_fly_how_far_it_is_and_what_it_brings():
+    first, second = written(fake.advice())
+    assert first == "▶ FLY  roll and yaw together, ±20°, about 1 Hz, 10 s"
+    assert second.startswith("████████  ")
+    assert "40 %  6 s left   k_M ? → 5 %   Iyz 10 % → 4 %" in second
+    assert len(second) <= 78
+    assert "Izz 7.9 % → 3 %" in written(fake.advice(), 118)[1]
+
+
+def test_the_coach_has_enough():
+    advice = Advice("", "land when you like", enough=True)
+    assert written(advice) == ["✓ ENOUGH  land when you like"]
+    assert written(replace(advice, enough=False)) == ["COACH  land when you like"]
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,10 @@ import sys
 import threading
 
 import pytest
+from fastcrc import crc16
 from pymavlink import mavutil
 
+from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.live import LiveOptions, LiveSession
@@ -479,3 +481,118 @@ def test_a_flight_signed_with_another_key_is_refused_with_the_reason(
     assert f"no frame has the signature of this key; refused: {count} wrong key" in final.reasons
     assert not path.exists()
     assert session.recordings() == [f"nothing was heard: {path} is not kept"]
+
+
+def settled(session, until, longest=LONGEST):
+    """Wait until a session says so."""
+    for _ in range(round(longest / 0.05)):
+        if until(session.latest()) or session.join(0.05):
+            break
+    assert until(session.latest())
+
+
+def test_another_anchor_changes_the_scale_and_nothing_else(udp, airframe, paper_flight):
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set)
+    session.start()
+    replay(paper_flight.tlog, udp.port)
+    settled(session, lambda s: s.result.parameters["Ixx"].status == "identified")
+    said = session.set_anchor("mass", 3.0)
+    assert said == "scale from mass = 3 kg"
+    settled(session, lambda s: s.result.scale.value == 3.0)
+    assert session.airframe.mass == 3.0
+    sent.set()
+    final = finish(session)
+    heavy = airframe.with_anchor("mass", 3.0)
+    assert_same_numbers(final, analyze_log(paper_flight.tlog, heavy))
+    assert "scale: mass = 3 kg" in [e.text for e in session.latest().events]
+
+
+def test_k_t_as_the_scale_leaves_the_mass_to_the_flight(udp, airframe, paper_flight):
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set)
+    session.start()
+    session.set_anchor("k_T", 2.05e-4)
+    replay(paper_flight.tlog, udp.port)
+    sent.set()
+    final = finish(session)
+    assert final.parameters["mass"].status == "identified"
+    assert final.parameters["mass"].value == pytest.approx(1.5, rel=0.02)
+    assert_same_numbers(final, analyze_log(paper_flight.tlog, airframe.with_anchor("k_T", 2.05e-4)))
+
+
+def test_an_anchor_that_makes_no_sense_is_refused_at_once(udp, airframe, paper_flight):
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set)
+    session.start()
+    replay(paper_flight.tlog, udp.port)
+    settled(session, lambda s: s.flying and s.used_seconds > 1.0)
+    for kind, value, why in (
+        ("weight", 1.0, "one of mass, k_T, T_max"),
+        ("mass", -1.0, "positive"),
+        ("mass", float("nan"), "positive"),
+        ("T_max", 7.0, "sets no scale with speeds"),
+    ):
+        with pytest.raises(InputError, match=why):
+            session.set_anchor(kind, value)
+    sent.set()
+    assert finish(session).scale.value == 1.5
+
+
+def as_system(raw, system):
+    """A frame of MAVLink 2 as if another system had sent it."""
+    frame = bytearray(raw)
+    frame[5] = system
+    extra = mavlink.mavlink_map[int.from_bytes(frame[7:10], "little")].crc_extra
+    frame[-2:] = crc16.mcrf4xx(bytes(frame[1:-2]) + bytes([extra])).to_bytes(2, "little")
+    return bytes(frame)
+
+
+def test_another_vehicle_begins_anew_in_a_recording_of_its_own(
+    udp, airframe, paper_flight, tmp_path
+):
+    """Two vehicles on one link: the second recording's analysis ends with the session's numbers."""
+    path = tmp_path / "two.tlog"
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, path, sender_gone=sent.is_set)
+    session.start()
+    with pytest.raises(InputError, match="no vehicle 2:1"):
+        session.choose_vehicle((2, 1))
+    frames = [frame.raw for _, frame in read_tlog(paper_flight.tlog)]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for raw in frames[: len(frames) // 4]:
+            sender.sendto(raw, ("127.0.0.1", udp.port))
+            sender.sendto(as_system(raw, 2), ("127.0.0.1", udp.port))
+        settled(session, lambda s: len(s.link.vehicles) == 2)
+        assert [v.chosen for v in session.latest().link.vehicles] == [True, False]
+        assert session.choose_vehicle((2, 1)).startswith("starting anew on")
+        settled(session, lambda s: s.link.recording.endswith("two-2.tlog"))
+        for raw in frames:
+            sender.sendto(as_system(raw, 2), ("127.0.0.1", udp.port))
+    sent.set()
+    final = finish(session)
+    assert final.vehicle["sysid"] == 2
+    assert final.verdict == "identified"
+    chosen = [v.address for v in session.latest().link.vehicles if v.chosen]
+    assert chosen == [(2, 1)]
+    assert_same_numbers(final, analyze_log(tmp_path / "two-2.tlog", airframe, (2, 1)))
+    assert session.recordings() == [f"recorded to {path}", f"recorded to {tmp_path / 'two-2.tlog'}"]
+    assert session.flushed_recording() == tmp_path / "two-2.tlog"
+
+
+def test_a_recording_is_whole_up_to_the_moment_of_asking(udp, airframe, paper_flight, tmp_path):
+    path = tmp_path / "live.tlog"
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, path, sender_gone=sent.is_set)
+    assert LiveSession(udp, airframe, LISTEN).flushed_recording() is None
+    session.start()
+    replay(paper_flight.tlog, udp.port)
+    count = sum(1 for _ in read_tlog(paper_flight.tlog))
+    settled(session, lambda s: s.link.received == count)
+    assert session.flushed_recording() == path
+    assert sum(1 for _ in read_tlog(path)) == count
+    session.toggle_recording()
+    settled(session, lambda s: not s.link.recording)
+    assert session.flushed_recording() == path  # the latest there was
+    sent.set()
+    finish(session)

@@ -110,10 +110,42 @@ def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -
     )
 
 
+def _add_baseline(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--baseline", metavar="RESULT.json", help="an earlier result, to compare with on the screen"
+    )
+
+
+def web_address(text: str) -> tuple[str, int]:
+    """An argparse type: [HOST:]PORT; without a host, this machine alone."""
+    host, colon, port = text.rpartition(":")
+    bracketed = host.startswith("[") and host.endswith("]")
+    host = host.strip("[]") if colon else "127.0.0.1"
+    if not host or (":" in host and not bracketed) or not port.isdecimal() or int(port) > 65535:
+        raise argparse.ArgumentTypeError(
+            f"must be [HOST:]PORT, such as 8000 or 0.0.0.0:8000, got {text!r}"
+        )
+    return host, int(port)
+
+
+def _add_display(parser: argparse.ArgumentParser) -> None:
+    """Where a session is shown."""
+    parser.add_argument("--headless", action="store_true", help="print instead of the screen")
+    parser.add_argument(
+        "--web",
+        nargs="?",
+        type=web_address,
+        const=("127.0.0.1", 8000),
+        metavar="[HOST:]PORT",
+        help="the screen in browsers, as many as look (default 8000, on this machine alone)",
+    )
+    parser.add_argument("--json", metavar="FILE", help="snapshots, one a line; - is stdout")
+    _add_baseline(parser)
+
+
 def add_demo(parser: argparse.ArgumentParser) -> None:
     """Options of `demo`."""
     _add_airframe(parser, "paper")
-    parser.add_argument("--headless", action="store_true", help="print instead of the screen")
     parser.add_argument(
         "--speed", choices=("1", "max"), default="1", help="1: real time; max: as fast as it can"
     )
@@ -124,8 +156,8 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--duration", type=positive, metavar="S", help="length of the flight")
     parser.add_argument("--mass-step", metavar="T:FACTOR", help="change the mass in flight")
-    parser.add_argument("--json", metavar="FILE", help="snapshots, one a line; - is stdout")
     parser.add_argument("--record", metavar="FILE", help="record the flight to a .tlog")
+    _add_display(parser)
     coaching.add_options(parser)
 
 
@@ -162,11 +194,22 @@ def add_live(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-record", action="store_true", help="keep no recording")
     _add_link(parser)
     _add_vehicle_choice(parser)
-    parser.add_argument("--headless", action="store_true", help="print instead of the screen")
-    parser.add_argument("--json", metavar="FILE", help="snapshots, one a line; - is stdout")
     parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
     parser.add_argument("--truth", metavar="FILE", help="true parameters, to show beside")
+    _add_display(parser)
     coaching.add_options(parser)
+
+
+def add_replay(parser: argparse.ArgumentParser) -> None:
+    """Options of `replay`."""
+    parser.add_argument("log", metavar="LOG", help="a .tlog, .ulg or .bin file")
+    _add_airframe(parser)
+    parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
+    parser.add_argument(
+        "--speed", choices=("1", "10", "max"), default="1", help="to begin with (default 1)"
+    )
+    parser.add_argument("--truth", metavar="FILE", help="true parameters, to show beside")
+    _add_display(parser)
 
 
 def add_analyze(parser: argparse.ArgumentParser) -> None:

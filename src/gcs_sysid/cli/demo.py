@@ -10,7 +10,7 @@ from typing import TextIO
 
 from gcs_sysid.cli import arguments, output
 from gcs_sysid.cli.coaching import coach_options
-from gcs_sysid.cli.live import JsonLines, follow, refit_interval
+from gcs_sysid.cli.live import JsonLines, baseline_of, follow, refit_interval
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.live import LiveOptions, LiveSession
@@ -25,6 +25,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     _default_mass(options)
     airframe = arguments.airframe_of(options)
+    baseline = baseline_of(options)
     # At full speed TCP holds the emulator back where UDP would lose what comes too fast.
     link: UdpLink | TcpLink
     if options.speed == "max":
@@ -66,7 +67,8 @@ def run(options: argparse.Namespace) -> int:
                 session,
                 writer,
                 truth,
-                headless=options.headless,
+                options,
+                baseline,
                 late_truth=lambda: output.read_truth(str(truth_file)),
             )
         finally:

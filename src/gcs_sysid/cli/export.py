@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
     if path is None:
         print(text, end="")
     else:
-        _save(path, text, options.force)
+        save(path, text, force=options.force)
     for note in target.notes(vehicle):
         print(f"gcs-sysid: note: {note}", file=sys.stderr)
     return 0
@@ -42,7 +42,12 @@ def _airframe(options: argparse.Namespace) -> Airframe | None:
     return airframe if options.arm is None else airframe.with_arm(options.arm)
 
 
-def _save(path: Path, text: str, force: bool) -> None:
+def save(path: Path, text: str, *, force: bool) -> None:
+    """Write a file; over another one only if forced.
+
+    Raises:
+        InputError: it cannot be written, or is there already.
+    """
     try:
         with open(path, "w" if force else "x", encoding="utf-8", newline="\n") as file:
             file.write(text)

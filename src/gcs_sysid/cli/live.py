@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TextIO
+from typing import Protocol, TextIO
 
 from gcs_sysid.cli import arguments, output
 from gcs_sysid.cli.coaching import coach_options
@@ -15,6 +15,7 @@ from gcs_sysid.cli.table import result_table
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.session.live import LiveOptions, LiveSession
 from gcs_sysid.session.result import Result
+from gcs_sysid.session.result_file import read_result
 from gcs_sysid.session.snapshot import Event, LinkState, Snapshot
 from gcs_sysid.telemetry.link import open_link
 from gcs_sysid.telemetry.reconnect import PersistentLink
@@ -29,6 +30,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     airframe = arguments.airframe_of(options)
     truth = output.read_truth(options.truth) if options.truth else None
+    baseline = baseline_of(options)
     if options.record and options.no_record:
         raise InputError("--record and --no-record exclude each other")
     link = PersistentLink(open_link(parse_url(options.url, options.baud)))
@@ -51,7 +53,16 @@ def run(options: argparse.Namespace) -> int:
     except GcsSysidError:
         link.close()
         raise
-    return follow(session, writer, truth, headless=options.headless)
+    return follow(session, writer, truth, options, baseline)
+
+
+def baseline_of(options: argparse.Namespace) -> Result | None:
+    """The earlier result that the screen compares with.
+
+    Raises:
+        InputError: the file holds none.
+    """
+    return read_result(Path(options.baseline)) if options.baseline else None
 
 
 def refit_interval(options: argparse.Namespace) -> float:
@@ -90,12 +101,46 @@ class JsonLines:
             self._file.close()
 
 
+class Session(Protocol):
+    """What is shown: a live session or a replay."""
+
+    final: Result | None
+    problem: Exception | None
+
+    def start(self) -> None:
+        """Begin."""
+
+    def latest(self) -> Snapshot | None:
+        """The newest snapshot."""
+
+    def request_stop(self) -> None:
+        """End soon; returns at once."""
+
+    def stop(self) -> None:
+        """End, and wait until it has."""
+
+    def join(self, timeout: float | None = None) -> bool:
+        """Wait for the end; whether it has come."""
+
+    def recordings(self) -> list[str]:
+        """A line for each recording made."""
+
+
+def is_watched(options: argparse.Namespace) -> bool:
+    """Whether there is a screen, on a terminal or in browsers; else lines are printed."""
+    if options.headless and options.web:
+        raise InputError("--headless and --web exclude each other")
+    # Without a terminal there is no screen to draw on.
+    terminal = not options.headless and sys.stdin.isatty() and sys.stdout.isatty()
+    return terminal or options.web is not None
+
+
 def follow(
-    session: LiveSession,
+    session: Session,
     writer: JsonLines,
     truth: Mapping[str, float] | None,
-    *,
-    headless: bool,
+    options: argparse.Namespace,
+    baseline: Result | None = None,
     late_truth: Callable[[], Mapping[str, float] | None] | None = None,
 ) -> int:
     """Show a session until it ends, then print its final numbers.
@@ -104,28 +149,34 @@ def follow(
         session: not yet started.
         writer: gets the final result as its last line.
         truth: shown beside the estimates.
-        headless: print instead of the screen.
+        options: of the command line; `headless`: print instead of the screen; `web`: the screen
+            in browsers.
+        baseline: an earlier result that the screen compares with.
         late_truth: gives the truth in force at the end, when that may have changed.
 
     Returns:
         Exit status: 1 when the session ended without an answer.
     """
-    # Without a terminal there is no screen to draw on.
-    on_screen = not headless and sys.stdin.isatty() and sys.stdout.isatty()
-    if on_screen:
-        from gcs_sysid.screen.app import SysidApp
+    if is_watched(options):
+        from gcs_sysid.cli.scenes import scene_of
 
-        app = SysidApp(session, truth)
-        with on_signals(app.exit):
-            session.start()
-            try:
-                app.run()
-            finally:
-                session.stop()
+        scene = scene_of(session, truth, options, baseline)
+        if options.web:
+            from gcs_sysid.cli.browser import show
+
+            show(session, scene, options.web)
+        else:
+            app = scene.app(session)
+            with on_signals(app.exit):
+                session.start()
+                try:
+                    app.run()
+                finally:
+                    session.stop()
     else:
         with on_signals(session.request_stop):
             session.start()
-            _say_until_end(session)
+            say_until_end(session)
     if session.problem is not None:
         raise session.problem
     assert session.final is not None
@@ -140,7 +191,7 @@ def follow(
     return 1 if session.final.verdict == "refused" else 0
 
 
-def _say_until_end(session: LiveSession) -> None:
+def say_until_end(session: Session) -> None:
     """One line a second on standard error, and one for each event."""
     said = -_SAY_EVERY
     last = ""

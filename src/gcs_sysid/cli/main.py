@@ -54,6 +54,14 @@ def build_parser() -> argparse.ArgumentParser:
         "ArduPilot.",
     )
     arguments.add_analyze(analyze)
+    replay = commands.add_parser(
+        "replay",
+        help="watch a recorded flight",
+        description="Plays a recording (.tlog, .ulg, .bin) on the live screen: at its own pace, "
+        "ten times as fast or as fast as it can, with pause and seek. It ends with the numbers of "
+        "analyze.",
+    )
+    arguments.add_replay(replay)
     inspect = commands.add_parser(
         "inspect",
         help="see what is in a log or on a link",

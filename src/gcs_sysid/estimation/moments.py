@@ -9,6 +9,8 @@ has not seen.
 """
 
 from collections.abc import Sequence
+from copy import copy
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +38,14 @@ class Moments:
         """(..., m, m) sum over all rows; not to be written to."""
         self.rows = 0
         """Rows added so far."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        # Most of what is allocated is zero yet, and takes no memory as long as nobody writes it.
+        other, begun = copy(self), self._begun
+        other._batches = np.zeros(self._batches.shape)
+        other._batches[:begun] = self._batches[:begun]
+        other._counts, other.total = self._counts.copy(), self.total.copy()
+        return other
 
     @property
     def batches(self) -> Array:

@@ -6,8 +6,9 @@ from typing import Any
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.report.prediction import Model, Prediction, Spectrum, predict, residual_spectrum
+from gcs_sysid.report.prediction import Prediction, Spectrum, predict, residual_spectrum
 from gcs_sysid.report.recorder import Recorder
+from gcs_sysid.session.prediction import Model
 from gcs_sysid.session.result import Result
 from gcs_sysid.session.snapshot import Course, Event
 

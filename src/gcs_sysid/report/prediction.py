@@ -1,8 +1,4 @@
-"""Measured against predicted angular acceleration, and the spectrum of what is left.
-
-Both sides pass the estimator's own window, which averages the one and differentiates the other,
-so that they are compared in the form that the fit saw.
-"""
+"""Measured against predicted angular acceleration of a flight, and the spectrum of what is left."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,40 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
-from gcs_sysid.estimation.basis import CURVE, DELAY, LAG, RotorBasis
-from gcs_sysid.estimation.rotors import RotorInput, RotorPath
+from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.estimation.speed_noise import SpeedNoise
-from gcs_sysid.estimation.tuning import COMMANDS, Tuning
-from gcs_sysid.filters.smoothers import WindowSmoother
 from gcs_sysid.filters.windows import cosine_window
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.report.recorder import Motion
+from gcs_sysid.session.prediction import Model, Motion, Predictor, half_window
 
-_ROTOR_SIGNALS = 5
 _MOST_POINTS = 512
 """Rows in one piece of a spectrum, at most."""
 _LEAST_POINTS = 32
-
-
-@dataclass(frozen=True)
-class Model:
-    """What predicts angular acceleration.
-
-    Attributes:
-        theta: (N_THETA,) of `rigid_body.THETA`.
-        coordinates: (3,) rotor delay (s), motor lag (s), thrust curve.
-        geometry: (3, rotors) of the airframe.
-        rotor_input: what the samples hold of the rotors.
-        gyro_cutoff: Hz, low-pass of the autopilot on its gyro; None: there is none.
-        loop_cutoff: Hz, the same on its way into the commands.
-    """
-
-    theta: Array
-    coordinates: Array
-    geometry: Array
-    rotor_input: RotorInput
-    gyro_cutoff: float | None = None
-    loop_cutoff: float | None = None
 
 
 @dataclass(frozen=True)
@@ -105,22 +76,18 @@ def predict(
         fitted_share: of the rows that can be predicted, the first, that the model was fitted to.
         rotor_input: what the samples hold, if there is no model.
     """
-    tuning = COMMANDS if (model.rotor_input if model else rotor_input) == "command" else Tuning()
-    half = _half(dt, tuning)
-    delay = 0.0 if model is None else float(model.coordinates[DELAY])
-    smoother = WindowSmoother(dt, half, (delay,))
-    path = _path(model, dt, half)
+    predictor = Predictor(dt, model, rotor_input)
     found, noise = [], None
     if model is not None:
         commands = model.rotor_input == "command"
         noise = SpeedNoise(model.geometry, dt, commands=commands, loop_cutoff=model.loop_cutoff)
     for piece in pieces:
-        found.append(_rows(piece, path, smoother, model))
+        found.append(predictor.rows(piece))
         if noise is not None:
             noise.update(piece.rotors)
     t, rates, measured, predicted = (
-        np.concatenate(parts) if parts else np.empty((0, 3))
-        for parts in ([rows[k] for rows in found] for k in range(4))
+        np.concatenate([getattr(rows, name) for rows in found]) if found else np.empty((0, 3))
+        for name in ("t", "rates", "measured", "predicted")
     )
     t = t.reshape(-1)
     usable = complete_rows(np.column_stack([measured, predicted])) & (t >= since) & (t <= until)
@@ -130,52 +97,10 @@ def predict(
     variance = np.zeros(3)
     if model is not None and noise is not None:
         Q = rb.forward_matrix(model.theta)[:, :4]
-        variance = np.diag(Q @ noise.moments(smoother, 0.0)[:4, :4] @ Q.T)
-    return Prediction(t, rates, measured, predicted, smoother.step * dt, held_out, variance)
-
-
-def _half(dt: float, tuning: Tuning) -> int:
-    return max(tuning.min_half_samples, round(tuning.half_width / dt))
-
-
-def _path(model: Model | None, dt: float, half: int) -> RotorPath | None:
-    if model is None:
-        return None
-    lag = float(model.coordinates[LAG])
-    commands = model.rotor_input == "command"
-    basis = RotorBasis((0.0,), (lag,), commands=commands, half_width=half * dt)
-    return RotorPath(model.geometry, dt, basis, model.gyro_cutoff)
-
-
-def _rows(
-    piece: Motion, path: RotorPath | None, smoother: WindowSmoother, model: Model | None
-) -> tuple[Array, Array, Array, Array]:
-    """Times, rates, measured and predicted accelerations of the rows that a piece completes."""
-    n = len(piece.t)
-    late = np.full((n, _ROTOR_SIGNALS), np.nan)
-    if path is not None and model is not None:
-        signals, _ = path.signals(piece.rotors)
-        curve = float(model.coordinates[CURVE])
-        late = signals[0] if len(signals) == 1 else (1.0 - curve) * signals[0] + curve * signals[1]
-        H = signals[0][:, 4:]
-    else:
-        H = late[:, 4:]
-    body = np.column_stack(
-        [rb.rate_products(piece.rates), piece.rates, piece.rates[:, 1::-1] * H, piece.gyro]
+        variance = np.diag(Q @ noise.moments(predictor.smoother, 0.0)[:4, :4] @ Q.T)
+    return Prediction(
+        t, rates, measured, predicted, predictor.smoother.step * dt, held_out, variance
     )
-    t = piece.t[:, None]
-    rows = smoother.update(np.column_stack([late, body, t]), _ROTOR_SIGNALS)
-    average = rows.average[:, _ROTOR_SIGNALS:]
-    gyro = slice(_ROTOR_SIGNALS + 11, _ROTOR_SIGNALS + 14)
-    measured = rows.derivative[:, gyro]
-    if model is None:
-        predicted = np.full_like(measured, np.nan)
-    else:
-        x = np.column_stack(
-            [rows.late_average[0, :, :4], average[:, :11], rows.late_derivative[0, :, 4]]
-        )
-        predicted = x @ rb.forward_matrix(model.theta).T
-    return rows.average[:, -1:], average[:, 6:9], measured, predicted
 
 
 def agreement(prediction: Prediction) -> tuple[Array, Array]:
@@ -188,7 +113,9 @@ def agreement(prediction: Prediction) -> tuple[Array, Array]:
     return 1.0 - error / power, np.sqrt(error) / (np.sqrt(power) + np.sqrt(own))
 
 
-def residual_spectrum(prediction: Prediction, dt: float, rotor_input: str) -> Spectrum | None:
+def residual_spectrum(
+    prediction: Prediction, dt: float, rotor_input: RotorInput
+) -> Spectrum | None:
     """The residual's power density on the rows not fitted, by Welch; None if too few joined."""
     residual = np.where(
         prediction.held_out[:, None], prediction.measured - prediction.predicted, np.nan
@@ -207,7 +134,7 @@ def residual_spectrum(prediction: Prediction, dt: float, rotor_input: str) -> Sp
         return None
     density = scale * np.mean(found, axis=0)[1:-1]
     frequency = np.fft.rfftfreq(size, prediction.step)[1:-1]
-    half = _half(dt, COMMANDS if rotor_input == "command" else Tuning())
+    half = half_window(dt, rotor_input)
     window = cosine_window(half, dt)
     angles = 2.0 * np.pi * np.outer(frequency, dt * np.arange(-half, half + 1))
     averaged, shape = (

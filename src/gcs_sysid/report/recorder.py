@@ -2,13 +2,12 @@
 
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.validation import Validation
 from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.prediction import Motion
 from gcs_sysid.session.sampling import SampleBlock
 from gcs_sysid.session.snapshot import Course, Event
 
@@ -17,23 +16,6 @@ _IN_MEMORY = 64 << 20
 _AT_ONCE = 8192
 """Samples read back at once."""
 NO_COURSE = Course(np.empty(0), {}, {})
-
-
-@dataclass(frozen=True)
-class Motion:
-    """Samples of rotation on the uniform grid; NaN where there are none or it does not fly.
-
-    Attributes:
-        t: (n,) s since the first record.
-        gyro: (n, 3) as measured, rad/s.
-        rates: (n, 3) without bias, rad/s.
-        rotors: (n, rotors) speeds in rad/s, or commands of 0 to 1.
-    """
-
-    t: Array
-    gyro: Array
-    rates: Array
-    rotors: Array
 
 
 class Recorder:

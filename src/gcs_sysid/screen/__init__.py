@@ -1,6 +1,7 @@
 """The live terminal screen: shows snapshots, knows neither MAVLink nor the estimator."""
 
 from gcs_sysid.screen.app import SysidApp
-from gcs_sysid.screen.source import SnapshotSource
+from gcs_sysid.screen.source import Actions, SnapshotSource
+from gcs_sysid.screen.view import Baseline
 
-__all__ = ["SnapshotSource", "SysidApp"]
+__all__ = ["Actions", "Baseline", "SnapshotSource", "SysidApp"]

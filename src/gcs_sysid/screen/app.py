@@ -4,61 +4,36 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import ClassVar
 
-from textual.app import App, SystemCommand
+from textual.app import SystemCommand
 from textual.binding import Binding, BindingType
 from textual.screen import Screen
-from textual.theme import Theme
 
-from gcs_sysid.errors import GcsSysidError
+from gcs_sysid.errors import InputError
 from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.actions import ActingApp
 from gcs_sysid.screen.help import HelpScreen
 from gcs_sysid.screen.main import MainScreen
-from gcs_sysid.screen.source import SnapshotSource
-from gcs_sysid.screen.view import View
+from gcs_sysid.screen.source import Actions, SnapshotSource
+from gcs_sysid.screen.standing import shares
+from gcs_sysid.screen.themes import DARK, LIGHT
+from gcs_sysid.screen.view import Baseline, View
 from gcs_sysid.screen.widgets.pages import PAGES, PageBar
 from gcs_sysid.screen.widgets.parameters import ParameterRow
+from gcs_sysid.session.comparison import Comparison, compare
 from gcs_sysid.session.snapshot import Event, LinkState, Snapshot
 
 POLL_SECONDS = 0.2
 """At most five redraws a second."""
 
-DARK = Theme(
-    name="gcs-dark",
-    dark=True,
-    primary="#3d8bd9",
-    secondary="#5a7fa3",
-    accent="#f0b429",
-    success="#57c285",
-    warning="#f0b429",
-    error="#e0607e",
-    foreground="#e4e8ec",
-    background="#101418",
-    surface="#151a20",
-    panel="#232c36",
-)
-LIGHT = Theme(
-    name="gcs-light",
-    dark=False,
-    primary="#1769c2",
-    secondary="#44617d",
-    accent="#0b5cad",
-    success="#17803d",
-    warning="#c07a00",
-    error="#d61f55",
-    foreground="#14191e",
-    background="#f1f4f7",
-    surface="#ffffff",
-    panel="#e3e9ef",
-)
-"""Bright ground for sunlight on a field."""
 
-
-class SysidApp(App[None]):
+class SysidApp(ActingApp):
     """The live screen on a snapshot source.
 
     Args:
         source: the session.
         truth: true values by parameter name, where the vehicle is an emulator that tells them.
+        actions: what can be done with the source.
+        baseline: an earlier result to compare with.
         title: shown until the vehicle has a name.
         time_source: seconds that only grow; tests put their own here.
     """
@@ -74,10 +49,12 @@ class SysidApp(App[None]):
         self,
         source: SnapshotSource,
         truth: Mapping[str, float] | None = None,
+        actions: Actions | None = None,
+        baseline: Baseline | None = None,
         title: str = "gcs-sysid",
         time_source: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__()
+        super().__init__(actions or Actions(), baseline)
         self.source = source
         self.truth: Mapping[str, float] = dict(truth or {})
         self.title = title
@@ -88,11 +65,16 @@ class SysidApp(App[None]):
         self._exponents: dict[str, int] = {}
         self._heard = (-1, time_source())
         self._last_event: Event | None = None
-        self._marks = 0
+        self._compared: Comparison | None = None
         self._main = MainScreen(title)
         self.register_theme(DARK)
         self.register_theme(LIGHT)
         self.theme = DARK.name
+
+    @property
+    def snapshot(self) -> Snapshot | None:
+        """What is shown."""
+        return self._snapshot
 
     # -- the flow of snapshots
 
@@ -144,8 +126,26 @@ class SysidApp(App[None]):
                 exponents=self._exponents,
                 silence=self._time() - self._heard[1],
                 paused=self.paused,
+                shares={} if self._snapshot is None else shares(self._snapshot.result),
+                baseline="" if self.baseline is None else self.baseline.name,
+                comparison=self._compare(),
             )
         )
+
+    def _compare(self) -> Comparison | None:
+        """The present result with the baseline; anew only where either is."""
+        if self._snapshot is None or self.baseline is None:
+            return None
+        before, after = self.baseline.result, self._snapshot.result
+        known = self._compared
+        if known is None or known.before is not before or known.after is not after:
+            try:
+                self._compared = known = compare(before, after)
+            except InputError as error:  # another vehicle was chosen
+                self.baseline = None
+                self.say(f"Compared with nothing any more: {error}")
+                return None
+        return known
 
     def _names(self) -> list[str]:
         if self._snapshot is None:
@@ -172,13 +172,6 @@ class SysidApp(App[None]):
         """Answer an action with a sentence above the footer."""
         self._main.answer.say(text, None if self._snapshot is None else self._snapshot.t)
 
-    def _ask(self, action: Callable[[], str]) -> None:
-        """Do something with the source, and say what came of it, even if it failed."""
-        try:
-            self.say(action())
-        except (GcsSysidError, OSError) as error:
-            self.say(f"Not done: {error}")
-
     # -- actions
 
     async def action_quit(self) -> None:
@@ -200,29 +193,6 @@ class SysidApp(App[None]):
         self._main.table.reveal(name)
         self.say(f"Plot: {fmt.label(name)}")
 
-    def action_reset(self) -> None:
-        """Start the estimate anew."""
-
-        def reset() -> str:
-            self.source.reset()
-            return "Reset: the estimate starts anew."
-
-        self._ask(reset)
-
-    def action_mark(self) -> None:
-        """Mark the present instant with a number; a pilot has no hand free to type."""
-
-        def mark() -> str:
-            self.source.mark(f"mark {self._marks + 1}")
-            self._marks += 1
-            return f"Marked: mark {self._marks}"
-
-        self._ask(mark)
-
-    def action_record(self) -> None:
-        """Start or stop recording."""
-        self._ask(self.source.toggle_recording)
-
     def action_pause(self) -> None:
         """Freeze the display, or let it go on."""
         self.paused = not self.paused
@@ -236,14 +206,19 @@ class SysidApp(App[None]):
         self.say("Light theme." if wanted is LIGHT else "Dark theme.")
 
     def action_page(self, step: int) -> None:
-        """The next page, on a small terminal."""
-        pages = list(PAGES)
-        self.action_go(pages[(pages.index(self._main.page) + step) % len(pages)])
+        """The next page, or the next plot where the panels have room."""
+        pages = self._main.pages
+        if not pages:
+            self.say("All panels are on the screen.")
+            return
+        now = self._main.page
+        place = pages.index(now) if now in pages else 0
+        self.action_go(pages[(place + step) % len(pages)])
 
     def action_go(self, page: str) -> None:
-        """A page by name, on a small terminal."""
-        if not self._main.paged:
-            self.say("All panels are on the screen; pages are for small terminals.")
+        """A page by name."""
+        if page not in self._main.pages:
+            self.say(f"{PAGES[page]}: is on the screen.")
             return
         self._main.select_page(page)
         self.say(f"Page: {PAGES[page]}")
@@ -267,12 +242,24 @@ class SysidApp(App[None]):
 
     def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:
         """The actions, in the command palette."""
-        yield SystemCommand("Mark", "Mark this instant in the events", self.action_mark)
-        yield SystemCommand("Reset", "Forget what was gathered, estimate anew", self.action_reset)
-        yield SystemCommand("Record", "Start or stop recording", self.action_record)
-        yield SystemCommand("Pause", "Freeze the display or let it go on", self.action_pause)
-        yield SystemCommand("Dark/light", "Switch the brightness", self.action_toggle_dark)
-        yield SystemCommand("Help", "Keys and statuses", self.action_help)
+        for title, meaning, action in (
+            ("Mark", "Mark this instant in the events", self.action_mark),
+            ("Reset", "Forget what was gathered, estimate anew", self.action_reset),
+            ("Record", "Start or stop recording", self.action_record),
+            ("Pause", "Freeze the display or let it go on", self.action_pause),
+            ("Export", "Write the values for a simulator", self.action_export),
+            ("Report", "Write a report of the flight so far", self.action_report),
+            ("Scale", "Give the mass or the rotors' thrust", self.action_scale),
+            ("Baseline", "Compare with an earlier result", self.action_baseline),
+            ("Vehicle", "Choose among the vehicles that speak", self.action_vehicle),
+            ("Dark/light", "Switch the brightness", self.action_toggle_dark),
+            ("Help", "Keys and statuses", self.action_help),
+        ):
+            yield SystemCommand(title, meaning, action)
+        for page in self._main.pages:
+            yield SystemCommand(
+                f"Page {PAGES[page]}", "Show it", lambda page=page: self.action_go(page)
+            )
         for name in self._names():
             yield SystemCommand(
                 f"Plot {fmt.label(name)}",

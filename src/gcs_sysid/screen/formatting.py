@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterable, Mapping
 
 from gcs_sysid.model.parameters import PARAMETERS, TIMING, Parameter
+from gcs_sysid.session.comparison import Change
 from gcs_sysid.session.result import Estimate, Result, Status, Verdict
 from gcs_sysid.session.snapshot import LinkState
 
@@ -47,14 +48,23 @@ VERDICT_STYLE: dict[Verdict, str] = {
 LINK_SIGN: dict[LinkState, str] = {
     LinkState.WAITING: "○",
     LinkState.CONNECTED: "●",
+    LinkState.REPLAY: "▶",
     LinkState.LOST: "✗",
     LinkState.ENDED: "■",
 }
 LINK_STYLE: dict[LinkState, str] = {
     LinkState.WAITING: "$text-warning",
     LinkState.CONNECTED: "$text-success",
+    LinkState.REPLAY: "$text-success",
     LinkState.LOST: "$text-error",
     LinkState.ENDED: "$text-primary",
+}
+
+CHANGE_SIGN: dict[Change, str] = {"changed": "≠", "no_change_seen": "=", "cannot_tell": "?"}
+CHANGE_STYLE: dict[Change, str] = {
+    "changed": "bold",
+    "no_change_seen": "$text-success",
+    "cannot_tell": MUTED,
 }
 
 _LABELS = {
@@ -210,6 +220,11 @@ def percent(fraction: float | None, signed: bool = False) -> str:
     return f"{number:+.{digits}f} %" if signed else f"{number:.{digits}f} %"
 
 
+def rough(fraction: float) -> str:
+    """A fraction in per cent with two digits at most, as one says it: `12 %`, `3 %`, `0.5 %`."""
+    return f"{float(f'{100.0 * fraction:.2g}'):g} %" if fraction < 9.995 else ">999 %"
+
+
 def bar(fraction: float, width: int) -> str:
     """A horizontal bar in eighths of a cell."""
     eighths = round(min(1.0, max(0.0, fraction)) * width * 8)
@@ -217,11 +232,11 @@ def bar(fraction: float, width: int) -> str:
     return ("█" * full + (_EIGHTHS[rest] if rest else "")).ljust(width)
 
 
-def converged(relative: float | None) -> float:
-    """How far a parameter has come, on a logarithmic scale: 0 at ±100 %, 1 at ±1 %."""
-    if relative is None or relative <= 0.0:
+def converged(share: float | None, target: float) -> float:
+    """How far a parameter has come, on a logarithmic scale: 0 at ±100 %, 1 at the target."""
+    if share is None or share <= 0.0:
         return 0.0
-    return min(1.0, max(0.0, -math.log10(relative) / 2.0))
+    return min(1.0, max(0.0, math.log(share) / math.log(min(target, 0.99))))
 
 
 def clock(seconds: float) -> str:
@@ -258,3 +273,8 @@ def data_rate(bytes_per_second: float) -> str:
 def one_line(parts: Iterable[str]) -> str:
     """Several sentences on one line."""
     return " · ".join(p for p in parts if p)
+
+
+def wrapped(texts: Iterable[str], width: int) -> int:
+    """Lines that texts take, about: a layout of the screen is dear, and rarely needed."""
+    return sum(max(1, -(-len(text) // max(1, width))) for text in texts)

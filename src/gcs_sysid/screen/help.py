@@ -1,5 +1,6 @@
 """The help screen: what the keys do and what the statuses mean."""
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 from textual.app import ComposeResult
@@ -13,16 +14,19 @@ from gcs_sysid.screen import formatting as fmt
 
 KEYS = (
     ("↑ ↓  j k", "choose the parameter in the plot (or click on it)"),
-    ("tab  1-4", "next page, on a small terminal"),
+    ("tab  1-5", "another page, or another plot where all panels have room"),
     ("m", "write a mark into the events"),
     ("r", "reset: forget what was gathered, estimate anew"),
     ("R  ctrl+r", "start or stop recording"),
     ("p", "pause the display; the identification goes on"),
+    ("e", "export the values for a simulator, into a new file"),
+    ("h", "report of the flight so far (HTML), into a new file"),
+    ("s", "scale: give the mass, or the rotors' thrust"),
+    ("b", "compare with an earlier result"),
+    ("v", "choose the vehicle, where several speak"),
     ("d", "dark or light"),
     ("pgup pgdn", "scroll the events"),
-    ("ctrl+p", "command palette"),
-    ("?", "this help"),
-    ("q", "quit"),
+    ("ctrl+p  ? q", "command palette, this help, quit"),
 )
 
 STATUSES = (
@@ -33,32 +37,41 @@ STATUSES = (
 )
 
 
-def help_text() -> Content:
+def help_text(keys: Sequence[tuple[str, str]] = KEYS) -> Content:
     """The whole help."""
     parts: list[str | tuple[str, str]] = [("Keys\n", "bold underline")]
-    for key, meaning in KEYS:
+    for key, meaning in keys:
         parts += [(f"{key:<11}", "bold $text-primary"), f" {meaning}\n"]
     parts.append(("Status\n", "bold underline"))
     for status, meaning in STATUSES:
         sign, style = fmt.STATUS_SIGN[status], fmt.STATUS_STYLE[status]  # type: ignore[index]
         parts += [(f"{sign} {status:<13}", f"bold {style}"), f" {meaning}\n"]
-    parts.append("± is half the 95 % interval, in the value's unit and in % of it.")
+    parts.append("± is half the 95 % interval; the bar is full at the target.\n")
+    parts.append("Change: ≠ changed, = no change seen, ? cannot tell.")
     return Content.assemble(*parts)
 
 
 class HelpScreen(ModalScreen[None]):
-    """Help over the main screen; any of its keys closes it."""
+    """Help over the main screen; any of its keys closes it.
+
+    Args:
+        keys: what to press, and what it does.
+    """
 
     BINDINGS: ClassVar[list[BindingType]] = [
         ("escape,question_mark,q,enter,space", "dismiss", "Close help"),
     ]
+
+    def __init__(self, keys: Sequence[tuple[str, str]] = KEYS) -> None:
+        super().__init__()
+        self._keys = keys
 
     def compose(self) -> ComposeResult:
         """One box in the middle."""
         with VerticalScroll(id="help-box") as box:
             box.border_title = "Help"
             box.border_subtitle = "esc closes"
-            yield Static(help_text())
+            yield Static(help_text(self._keys))
 
     def on_click(self) -> None:
         """A click anywhere closes it too."""

@@ -12,13 +12,16 @@ from textual.widget import Widget
 from textual.widgets import Footer
 
 from gcs_sysid.screen.view import Panel, View
+from gcs_sysid.screen.widgets.acceleration import AccelerationPanel
 from gcs_sysid.screen.widgets.attitude import AttitudePanel
+from gcs_sysid.screen.widgets.coach import CoachPanel
 from gcs_sysid.screen.widgets.convergence import Convergence
 from gcs_sysid.screen.widgets.event_log import EventLog
 from gcs_sysid.screen.widgets.link import LinkPanel
 from gcs_sysid.screen.widgets.pages import PAGES, PageBar
 from gcs_sysid.screen.widgets.parameters import ParameterTable
 from gcs_sysid.screen.widgets.status import AnswerLine, Banner, StatusLine
+from gcs_sysid.screen.widgets.verdict import VerdictPanel
 
 COLUMNS_WIDTH, COLUMNS_HEIGHT = 118, 34
 """From this size on, all panels stand side by side; below it, pages."""
@@ -28,6 +31,10 @@ TALL_HEIGHT = 40
 """From this height on, the first page holds the plot too."""
 
 
+Hiding = Banner | VerdictPanel | CoachPanel
+"""Panels that hide themselves while they have nothing to say."""
+
+
 def layout_classes(width: int, height: int) -> set[str]:
     """The CSS classes of a terminal size."""
     classes = set()
@@ -35,28 +42,33 @@ def layout_classes(width: int, height: int) -> set[str]:
         classes.add("-paged")
         if height >= TALL_HEIGHT:
             classes.add("-tall")
-    elif width >= WIDE_WIDTH:
-        classes.add("-wide")
+    else:
+        classes.add("-wide" if width >= WIDE_WIDTH else "-columns")
     return classes
 
 
 class MainScreen(Screen[None]):
-    """Parameters, plot, link, attitude, events."""
+    """Verdict, coach, parameters, plots, link, attitude, events."""
 
     # Nothing here takes the focus, so that every key means the same everywhere.
     AUTO_FOCUS = None
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("q", "app.quit", "Quit"),
-        Binding("down,j", "app.select(1)", "Select", key_display="↑↓"),
-        Binding("up,k", "app.select(-1)", "Select", show=False),
-        Binding("tab", "app.page(1)", "Page", key_display="tab"),
-        Binding("shift+tab", "app.page(-1)", "Page", show=False),
         Binding("m", "app.mark", "Mark"),
         Binding("r", "app.reset", "Reset"),
         Binding("R,ctrl+r", "app.record", "Record", key_display="R"),
         Binding("p", "app.pause", "Pause"),
-        Binding("d", "app.toggle_dark", "Dark/light"),
+        Binding("e", "app.export", "Export"),
+        Binding("h", "app.report", "Report"),
+        Binding("s", "app.scale", "Scale"),
+        Binding("b", "app.baseline", "Base"),
         Binding("question_mark", "app.help", "Help", key_display="?"),
+        Binding("v", "app.vehicle", "Vehicle", show=False),
+        Binding("d", "app.toggle_dark", "Dark/light", show=False),
+        Binding("down,j", "app.select(1)", "Select", show=False),
+        Binding("up,k", "app.select(-1)", "Select", show=False),
+        Binding("tab", "app.page(1)", "Page", show=False),
+        Binding("shift+tab", "app.page(-1)", "Page", show=False),
         Binding("pageup", "app.scroll_events(-1)", "Scroll events", show=False),
         Binding("pagedown", "app.scroll_events(1)", "Scroll events", show=False),
         *(
@@ -78,12 +90,20 @@ class MainScreen(Screen[None]):
         self._pages = PageBar()
         self._status, self._banner = StatusLine(title), Banner()
         self.table, self._plot = ParameterTable(), Convergence()
+        self._verdict, self._coach = VerdictPanel(), CoachPanel()
+        # Two places for one panel, of which the size of the terminal shows one at most.
+        self._motion = AccelerationPanel("motion")
+        self._motion_aside = AccelerationPanel("motion-aside")
         self._link, self._attitude, self.events = LinkPanel(), AttitudePanel(), EventLog()
         self._panels: list[Panel] = [
             self._status,
             self._banner,
+            self._verdict,
+            self._coach,
             self.table,
             self._plot,
+            self._motion,
+            self._motion_aside,
             self._link,
             self._attitude,
             self.events,
@@ -93,15 +113,19 @@ class MainScreen(Screen[None]):
         """The panels; where they stand is up to the style sheet."""
         yield self._status
         yield self._banner
+        yield self._verdict
+        yield self._coach
         yield self._pages
         with Container(id="body"):
             with Container(id="left"):
                 yield self.table
                 yield self._plot
+                yield self._motion
             with Container(id="right"):
                 with Container(id="vehicle"):
                     yield self._link
                     yield self._attitude
+                yield self._motion_aside
                 yield self.events
         yield self.answer
         yield Footer(compact=True, show_command_palette=False)
@@ -122,14 +146,17 @@ class MainScreen(Screen[None]):
 
     def _lay_out(self, width: int, height: int) -> None:
         wanted = layout_classes(width, height)
-        for name in ("-paged", "-tall", "-wide"):
+        for name in ("-paged", "-tall", "-columns", "-wide"):
             self.set_class(name in wanted, name)
+        self._verdict.large = "-paged" not in wanted
         self.call_after_refresh(self._show_again)
 
     @property
-    def paged(self) -> bool:
-        """Whether the terminal is too small for all panels at once."""
-        return self.has_class("-paged")
+    def pages(self) -> list[str]:
+        """Those that there is a choice of, at this size of the terminal."""
+        if self.has_class("-paged"):
+            return list(PAGES)
+        return ["plot", "motion"] if self.has_class("-columns") else []
 
     def select_page(self, page: str) -> None:
         """Show another page (seen only on small terminals, kept for when it shrinks)."""
@@ -143,7 +170,7 @@ class MainScreen(Screen[None]):
         """Bring everything that is visible up to date; hidden panels cost nothing."""
         self._view = view
         for panel in self._panels:
-            if isinstance(panel, Banner) or _displayed(panel):
+            if isinstance(panel, Hiding) or _displayed(panel):
                 panel.show(view)
 
     def _show_again(self) -> None:

@@ -1,39 +1,60 @@
-"""What the screen needs from a session, and all that it knows of one."""
+"""What the screen needs of a session, what may be done with one, and all that it knows of it."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
+from gcs_sysid.session.result import Result
 from gcs_sysid.session.snapshot import Snapshot
 
 
 class SnapshotSource(Protocol):
-    """A running session, seen from the screen.
+    """Whatever makes snapshots: a running session, the replay of a log, a still.
 
-    Every method is called from the screen's thread while the session runs in its own, so each
-    one is thread-safe and returns at once. What an action changed is the session's to report:
-    it adds an `Event` to its next snapshots, so that the event log, the recording and the
-    headless output tell the same story. An action that fails raises a `GcsSysidError` or an
-    `OSError`; the screen shows its one line and goes on.
+    Both methods are called from the screen's thread while the source runs in its own, so they
+    are thread-safe.
     """
 
     def latest(self) -> Snapshot | None:
         """The newest snapshot, the same object again while there is nothing new.
 
-        None until the link is open.
+        Returns at once. None until there is a first one.
         """
-        ...
-
-    def mark(self, text: str) -> None:
-        """Write a mark into the event log (and the recording) at the present instant."""
-        ...
-
-    def reset(self) -> None:
-        """Forget all information gathered so far and start the estimate anew."""
-        ...
-
-    def toggle_recording(self) -> str:
-        """Start or stop recording; returns what happened, such as "recording to flight.tlog"."""
         ...
 
     def stop(self) -> None:
         """End the session. Called when the user quits; calling it again does nothing."""
         ...
+
+
+@dataclass(frozen=True)
+class Actions:
+    """What can be done beside looking. None: not with this source, and the screen says `absent`.
+
+    Each is called from the screen's thread and returns at once, but `export` and `report`, which
+    are called in a thread of their own. What an action changed is the session's to report: it
+    adds an `Event` to its next snapshots, so that the event log, the recording and the headless
+    output tell the same story. An action that fails raises a `GcsSysidError` or an `OSError`; the
+    screen shows its one line and goes on. A text returned says what happened, in one line.
+
+    Attributes:
+        mark: write a mark into the event log at the present instant.
+        reset: forget all information gathered so far and start the estimate anew.
+        toggle_recording: start or stop recording; such as "recording to flight.tlog".
+        set_anchor: let another fact set the scale: "mass", "k_T" or "T_max", and its value in SI.
+        choose_vehicle: start anew on another vehicle: its system and component.
+        export: write a result for a simulator: one of `export_targets`; never over another file.
+        export_targets: names of the formats.
+        report: write a report of the flight so far; never over another file.
+        absent: why some are None, in words that follow "not": "in a replay".
+    """
+
+    mark: Callable[[str], None] | None = None
+    reset: Callable[[], None] | None = None
+    toggle_recording: Callable[[], str] | None = None
+    set_anchor: Callable[[str, float], str] | None = None
+    choose_vehicle: Callable[[tuple[int, int]], str] | None = None
+    export: Callable[[str, Result], str] | None = None
+    export_targets: tuple[str, ...] = ()
+    report: Callable[[], str] | None = None
+    absent: str = "here"

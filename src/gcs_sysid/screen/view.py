@@ -1,13 +1,23 @@
 """What every panel is given to draw: one snapshot and how the user wants to see it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from gcs_sysid.model.parameters import Parameter
 from gcs_sysid.screen import formatting
-from gcs_sysid.session.result import Estimate
+from gcs_sysid.session.comparison import Comparison
+from gcs_sysid.session.result import Estimate, Result
 from gcs_sysid.session.snapshot import LinkState, Snapshot
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """An earlier result to compare with."""
+
+    name: str
+    """Of its file."""
+    result: Result
 
 
 @dataclass(frozen=True)
@@ -26,6 +36,12 @@ class View:
     """Seconds since the link last brought something."""
     paused: bool = False
     """The display is frozen; the session is not."""
+    shares: Mapping[str, float | None] = field(default_factory=dict)
+    """Half of each 95 % interval over what it is measured against, see `standing.shares`."""
+    baseline: str = ""
+    """Name of the earlier result that is compared with."""
+    comparison: Comparison | None = None
+    """With that; None where there is none."""
 
     def estimate(self, name: str) -> tuple[Parameter, Estimate] | None:
         """A parameter of the result by name."""

@@ -74,7 +74,7 @@ def analyze_log(
 def _watch(pipeline: Pipeline, observer: Observer | None) -> None:
     if observer is not None:
         observer.begin()
-        pipeline.chain.observer = observer.take
+        pipeline.chain.observers.append(observer.take)
 
 
 def analyze_pair(

@@ -14,7 +14,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.columns import RecordBlock
-from gcs_sysid.estimation.anchors import Anchor, relative_prior, resolve_scale
+from gcs_sysid.errors import InputError
+from gcs_sysid.estimation.anchors import Anchor, AnchorKind, relative_prior, resolve_scale
 from gcs_sysid.estimation.changes import ChangeTuning
 from gcs_sysid.estimation.offline import OfflineFit, fit_offline
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
@@ -27,7 +28,7 @@ from gcs_sysid.estimation.parameters import (
 )
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotors import RotorInput
-from gcs_sysid.estimation.tracking import Tracker
+from gcs_sysid.estimation.tracking import Segment, Tracker
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import COMMANDS, Tuning
 from gcs_sysid.model.airframe import Airframe
@@ -103,8 +104,8 @@ class Chain:
         if anchor is None:
             raise ValueError("the airframe has no scale anchor (mass, k_T or T_max)")
         self.airframe = airframe
-        self.observer: Callable[[SampleBlock], None] | None = None
-        """Is shown every block of samples before the estimator takes it."""
+        self.observers: list[Callable[[SampleBlock], None]] = []
+        """Are shown every block of samples before the estimator takes it."""
         self.options = options = options or ChainOptions()
         if options.tuning.method != "forward":
             # The article knows rotor speeds alone.
@@ -194,6 +195,31 @@ class Chain:
         self._course.clear()
         self.note("estimate reset")
 
+    def check_anchor(self, kind: AnchorKind) -> None:
+        """Make sure that such a fact sets the scale with the rotors' input in use.
+
+        Raises:
+            InputError: it does not.
+        """
+        used = self.airframe.rotor_input if self._rotors is None else self._rotors.kind
+        if (used, kind) in (("speed", "T_max"), ("command", "k_T")):
+            raise InputError(f"{kind} sets no scale with {used}s as the rotors' input")
+
+    def set_anchor(self, anchor: Anchor) -> None:
+        """Let another fact set the scale, from the start on; the estimate's course begins anew.
+
+        Raises:
+            InputError: see `check_anchor`.
+        """
+        self.check_anchor(anchor.kind)
+        self.chooser.anchor = anchor
+        self._anchors = [anchor]
+        for segment in () if self._tracker is None else self._tracker.segments:
+            self._go_on_after(segment)
+        self._course.clear()
+        scale = summary.scale_of(anchor)
+        self.note(f"scale: {scale.anchor} = {scale.value:.6g} {scale.unit}")
+
     def note(self, text: str) -> None:
         """Add a line to the event log."""
         self._events.append(Event(self.t, text))
@@ -246,6 +272,11 @@ class Chain:
     def anchor(self) -> Anchor:
         """The scale in force."""
         return self._anchors[-1]
+
+    @property
+    def gyro_cutoff(self) -> float | None:
+        """Hz, low-pass of the autopilot on its gyro that the estimate reckons with."""
+        return self._cutoffs[0]
 
     @property
     def used_seconds(self) -> float:
@@ -439,8 +470,8 @@ class Chain:
     def _take(self, block: SampleBlock) -> bool:
         if block.rotors is not None and block.rotors is not self._rotors:
             self._use(block.rotors)
-        if self.observer is not None:
-            self.observer(block)
+        for observer in self.observers:
+            observer(block)
         if self._rotors is None:
             return False
         tracker = self._tracker
@@ -541,11 +572,14 @@ class Chain:
         for event in tracker.events[self._told :]:
             self.note(summary.note_of(event))
             if event.segment is not None:
-                segment = tracker.segments[event.segment]
-                before = self._values(segment.fit, self.anchor)
-                self._anchors.append(summary.next_anchor(self.anchor, before, segment.end))
+                self._go_on_after(tracker.segments[event.segment])
                 self._fit = tracker.fit(quick=True)
         self._told = len(tracker.events)
+
+    def _go_on_after(self, segment: Segment) -> None:
+        """Find the anchor of what follows a segment."""
+        before = self._values(segment.fit, self.anchor)
+        self._anchors.append(summary.next_anchor(self.anchor, before, segment.end))
 
     def _prior(self, translation: TranslationFit | None) -> Prior | None:
         known = summary.priors_for(self.airframe.priors, self.rotor_input)

@@ -76,7 +76,7 @@ class Coach:
         self._chosen_at = -np.inf
         self._seconds = 0.0
         self._gathered = np.zeros(4)
-        chain.observer = self.take
+        chain.observers.append(self.take)
 
     def take(self, block: SampleBlock) -> None:
         """Gather what motion there is in a block."""

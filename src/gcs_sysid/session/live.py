@@ -8,12 +8,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.errors import InputError
+from gcs_sysid.estimation.anchors import Anchor
+from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.coaching import Coach, CoachOptions
 from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.session.prediction import LivePrediction
 from gcs_sysid.session.result import Result
-from gcs_sysid.session.snapshot import LinkState, LinkStatus, Snapshot
+from gcs_sysid.session.snapshot import HeardVehicle, LinkState, LinkStatus, Snapshot
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.link import Link
 from gcs_sysid.telemetry.marks import reset_mark
@@ -94,13 +97,8 @@ class LiveSession:
             signing_key=options.signing_key,
             connects_once=sender_gone is not None,
         )
-        self._pipeline = Pipeline(
-            airframe,
-            str(link.url),
-            options.wanted,
-            ChainOptions(course_interval=options.refit_interval),
-        )
-        self._coach = Coach(self._pipeline.chain, options.coach) if options.coach else None
+        self._airframe = airframe
+        self._begin(options.wanted)
         self._writer = TlogWriter(record_to) if record_to else None
         self._recording_stem = record_to or Path("logs") / "session.tlog"
         self._sender_gone = sender_gone
@@ -110,8 +108,18 @@ class LiveSession:
         self._latest: Snapshot | None = None
         self._told_result_at = 0.0
         self._recordings: list[str] = []
+        self._recorded: Path | None = None
         self._told_problem = ""
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
+
+    def _begin(self, wanted: tuple[int, int | None] | None) -> None:
+        """Begin with a pipeline that knows nothing yet."""
+        options = ChainOptions(course_interval=self._options.refit_interval)
+        self._pipeline = Pipeline(self._airframe, str(self._link.url), wanted, options)
+        chain, coach = self._pipeline.chain, self._options.coach
+        self._prediction = LivePrediction(chain)
+        chain.observers.append(self._prediction.take)
+        self._coach = None if coach is None else Coach(chain, coach)
 
     def start(self) -> None:
         """Begin."""
@@ -155,6 +163,52 @@ class LiveSession:
         self._actions.put(lambda: self._start_recording(path))
         return f"recording to {path}"
 
+    def set_anchor(self, kind: str, value: float) -> str:
+        """Let another fact set the scale.
+
+        Args:
+            kind: "mass", "k_T" or "T_max".
+            value: SI.
+
+        Raises:
+            InputError: there is no such kind, or it cannot have this value.
+        """
+        if kind not in ANCHORS:
+            raise InputError(f"the scale is set by one of {', '.join(ANCHORS)}, not by {kind!r}")
+        name: AnchorName = kind  # type: ignore[assignment]
+        airframe = self._airframe.with_anchor(name, value)
+        self._pipeline.chain.check_anchor(name)
+        self._actions.put(lambda: self._set_anchor(airframe, Anchor(name, value)))
+        return f"scale from {kind} = {value:.6g} {ANCHORS[name]}"
+
+    def choose_vehicle(self, address: tuple[int, int]) -> str:
+        """Start anew on another vehicle, into another recording.
+
+        Raises:
+            InputError: none of that system and component was heard.
+        """
+        heard = {v.address: v for v in (self._latest.link.vehicles if self._latest else ())}
+        if address not in heard:
+            raise InputError("no vehicle {}:{} was heard".format(*address))
+        vehicle = heard[address]
+        self._actions.put(lambda: self._choose(vehicle))
+        return f"starting anew on {vehicle.name}"
+
+    @property
+    def airframe(self) -> Airframe:
+        """With the anchor in force."""
+        return self._airframe
+
+    def flushed_recording(self) -> Path | None:
+        """The latest recording, all that was written so far on the disk; None without one."""
+        writer = self._writer
+        if writer is None:
+            return self._recorded
+        if writer.problem:
+            return None
+        writer.flush()
+        return writer.path
+
     def recordings(self) -> list[str]:
         """A line for each recording of an ended session: where it is, or why it is not."""
         return list(self._recordings)
@@ -188,6 +242,8 @@ class LiveSession:
                 self._pipeline.intake.garbage_bytes = self._station.garbage_bytes
                 self._pipeline.take(frames)
             self._station.follow(now, self._pipeline.intake)
+            if frames and self._pipeline.intake.clock is not None:
+                self._pipeline.intake.drift.take(self._pipeline.intake.clock, now)
             while not self._actions.empty():
                 self._actions.get()()
             if now - asked >= _ASK_EVERY:
@@ -252,10 +308,12 @@ class LiveSession:
     def _end_recording(self, writer: TlogWriter) -> None:
         """Close it, and leave no file behind in which there is nothing."""
         writer.close()
+        self._recorded = None if writer.problem else writer.path
         line = writer.problem or f"recorded to {writer.path}"
         with contextlib.suppress(OSError):  # it never came to be, or is gone
             if writer.path.stat().st_size == 0:
                 writer.path.unlink()
+                self._recorded = None
                 line = writer.problem or f"nothing was heard: {writer.path} is not kept"
         self._recordings.append(line)
 
@@ -265,9 +323,39 @@ class LiveSession:
             self._writer.write(time.time_ns() // 1000, mark)
         self._pipeline.take(mark)
 
+    def _set_anchor(self, airframe: Airframe, anchor: Anchor) -> None:
+        try:
+            self._pipeline.chain.set_anchor(anchor)
+        except InputError as error:
+            self._pipeline.chain.note(f"the scale stays: {error}")
+        else:
+            self._airframe = airframe
+
+    def _choose(self, vehicle: HeardVehicle) -> None:
+        """Begin anew in every respect, so that the new recording's analysis ends the same."""
+        self._station.leave()
+        intake = self._pipeline.intake
+        self._begin(vehicle.address)
+        selector = self._pipeline.intake.selector
+        for known in intake.selector.autopilots:  # the others stay to be chosen
+            selector.systems[known.address], selector.frames[known.address] = known, 0
+        self._told_result_at = 0.0
+        self._pipeline.chain.note(f"chosen: {vehicle.name}; the session starts anew")
+        if self._writer is not None and self._writer.recording:
+            self._end_recording(self._writer)
+            self._start_recording(unused_path(self._recording_stem))
+
+    def _vehicles(self) -> tuple[HeardVehicle, ...]:
+        selector = self._pipeline.intake.selector
+        chosen = None if selector.chosen is None else selector.chosen.address
+        return tuple(
+            HeardVehicle(v.address, str(v), v.address == chosen) for v in selector.autopilots
+        )
+
     def _publish(self, state: LinkState) -> None:
         chain, intake = self._pipeline.chain, self._pipeline.intake
         health = intake.health()
+        monitor = intake.monitor
         writer = self._writer
         recording = writer is not None and (
             writer.recording or (state is LinkState.ENDED and not writer.problem)
@@ -288,12 +376,19 @@ class LiveSession:
                 rejected=health.rejected,
                 unknown=health.unknown,
                 lost_percent=health.lost_percent,
+                lost=monitor.lost,
+                gaps=monitor.gap_count,
+                last_gap=monitor.gaps[-1][1] if monitor.gaps else None,
+                clock_ppm=intake.drift.ppm,
+                vehicles=self._vehicles(),
                 recording=str(writer.path) if writer and recording else "",
                 bytes_per_second=health.bytes_per_second,
             ),
             attitude=chain.sampler.attitude,
             rates=chain.sampler.rates,
             rotor_speeds=chain.sampler.rotor_speeds,
+            acceleration=self._prediction.acceleration(),
+            target=(self._options.coach or CoachOptions()).target,
             events=chain.events,
             advice=self._coach.advise() if self._coach else None,
         )

@@ -5,12 +5,13 @@ the same numbers.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from copy import deepcopy
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
-from gcs_sysid.columns import IntakeEvent
+from gcs_sysid.columns import IntakeEvent, RecordBlock
 from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
@@ -69,18 +70,37 @@ class Pipeline:
             log: not yet read, opened for the vehicle wanted.
             progress: called with the share of the log done, 0 to 1, now and then.
         """
-        self._telemetry = log
-        for block in log.blocks():
-            for window in block.windows(WINDOW):
-                for _, event in window.events:
-                    self._take_event(event)
-                self.chain.take(window)
-            if progress:
-                progress(log.share_read)
-        if log.recorded is not None and _SENSIBLE[0] <= log.recorded < _SENSIBLE[1]:
-            self._recorded = datetime.fromtimestamp(log.recorded, UTC)
+        done = 0.0
+        for window in self.windows(log):
+            if progress and log.share_read > done:
+                done = log.share_read
+                progress(done)
+            self.take_window(window)
         if progress:
             progress(1.0)
+
+    def windows(self, log: Log) -> Iterator[RecordBlock]:
+        """What `take_log` takes, window by window, for those who do it at their own pace.
+
+        Args:
+            log: as of `take_log`; what it tells is told in results from now on.
+        """
+        self._telemetry = log
+        for block in log.blocks():
+            yield from block.windows(WINDOW)
+        if log.recorded is not None and _SENSIBLE[0] <= log.recorded < _SENSIBLE[1]:
+            self._recorded = datetime.fromtimestamp(log.recorded, UTC)
+
+    def take_window(self, window: RecordBlock) -> None:
+        """Take one of `windows`, or a part of it."""
+        for _, event in window.events:
+            self._take_event(event)
+        self.chain.take(window)
+
+    def copy(self) -> "Pipeline":
+        """One in the same state, that goes its own way; log and observers are the same."""
+        shared = (self._telemetry, *self.chain.observers)
+        return deepcopy(self, {id(thing): thing for thing in shared})
 
     def _take_event(self, event: IntakeEvent) -> None:
         if event.kind == "reset":

@@ -160,8 +160,9 @@ class RotorChooser:
 
     Args:
         airframe: that flies.
-        anchor: of the scale: with k_T or T_max only one kind of input makes sense; None while it
-            is not known, and then nobody can tell whether the speeds could carry the vehicle.
+        anchor: of the scale; may be replaced. With k_T or T_max only one kind of input makes sense;
+            None while it is not known, and then nobody can tell whether the speeds could carry the
+            vehicle.
     """
 
     def __init__(self, airframe: Airframe, anchor: Anchor | None) -> None:
@@ -177,13 +178,13 @@ class RotorChooser:
         self.repeats: dict[str, Repeats] = {}
         """Source -> repeats in flight."""
         self._airframe = airframe
-        self._anchor = anchor
+        self.anchor = anchor
         self._restart()
 
     @property
     def settings(self) -> tuple[object, ...]:
         """What never changes, and the source in use."""
-        return self._airframe, self._anchor, self.choice
+        return self._airframe, self.anchor, self.choice
 
     def push(self, record: Record, *, flying: bool) -> None:
         """Take a record; those of rotors count in flight only."""
@@ -282,7 +283,7 @@ class RotorChooser:
     ) -> RotorSource | None:
         wanted = self._airframe.rotor_input
         if wanted == "auto":
-            kind = "" if self._anchor is None else self._anchor.kind
+            kind = "" if self.anchor is None else self.anchor.kind
             wanted = {"k_T": "speed", "T_max": "command"}.get(kind, "auto")  # type: ignore[assignment]
         count = len(self._airframe.rotors)
         commands = self._ranked(stretches, Stream.ROTOR_COMMAND)
@@ -344,14 +345,14 @@ class RotorChooser:
 
     def _too_slow(self, stretch: Stretch) -> bool:
         """Whether rotors so slow could not carry the vehicle however large they were."""
-        if self._anchor is None or self._anchor.kind != "mass":
+        if self.anchor is None or self.anchor.kind != "mass":
             return False
         x, y, _ = self._airframe.geometry
         apart = np.hypot(x[:, None] - x, y[:, None] - y)
         diameter = apart[apart > 1e-3].min()
         power = sum(float(np.mean(v * v)) for _, v in stretch.rotors(len(x)))
         k_T = _MOST_THRUST_COEFFICIENT * _AIR * diameter**4 / (2.0 * math.pi) ** 2
-        return self._anchor.value * GRAVITY > _BEYOND * float(k_T) * power
+        return self.anchor.value * GRAVITY > _BEYOND * float(k_T) * power
 
 
 def _readings(values: Array) -> float:

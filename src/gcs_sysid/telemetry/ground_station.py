@@ -175,6 +175,10 @@ class GroundStation:
         refused = {reason.value: check.refused[reason] for reason in Refusal}
         return {"signing": {"accepted": check.accepted, "refused": refused}}
 
+    def leave(self) -> None:
+        """Give the vehicle its own rates back: another one will be followed."""
+        self._streams.close()
+
     def close(self) -> None:
         """Give the vehicle its own rates back, and the link's port."""
         self._streams.close()

@@ -80,7 +80,8 @@ class AttitudePanel(Static):
         if view.snapshot is None or view.snapshot.attitude is None:
             return [[("no attitude yet", fmt.MUTED)]]
         roll, pitch, _ = view.snapshot.attitude
-        drawing = horizon(roll, pitch, 5 if self.screen.size.height < 48 else 7)
+        rows = self.screen.size.height
+        drawing = horizon(roll, pitch, 7 if rows >= 48 else 3 if 32 <= rows < 44 else 5)
         colours = f"{_GROUND} on {_SKY}"
         lines = []
         for line in drawing:

@@ -1,28 +1,23 @@
 """The convergence plot: one parameter over time with its 95 % band."""
 
 import math
-import time
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.text import Text
-from textual.app import RenderResult
-from textual.color import Color
-from textual_plotext import PlotextPlot
+from textual.content import Content
 
+from gcs_sysid.screen import braille
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
+from gcs_sysid.screen.widgets.rationed import RationedPlot
 from gcs_sysid.session.snapshot import Course
 
 Floats = NDArray[np.float64]
 
 MIN_WIDTH, MIN_HEIGHT = 24, 6
 """Below this a plot says nothing."""
-
-MIN_SECONDS = 0.5
-"""Time between two drawings of a growing course: by far the dearest part of the screen, and the
-one that changes least."""
 
 
 def nice_ticks(low: float, high: float, wanted: int) -> tuple[list[float], list[str]]:
@@ -94,29 +89,36 @@ def value_range(curve: Curve, truth: float | None) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def band_points(
-    curve: Curve, low: float, high: float, rows: int
-) -> tuple[list[float], list[float]]:
-    """One point for every character cell that the band covers."""
-    cell = (high - low) / max(1, rows - 1)
-    centres = low + cell * np.arange(rows)
-    inside = (centres[None, :] >= curve.band_low[:, None] - 0.5 * cell) & (
-        centres[None, :] <= curve.band_high[:, None] + 0.5 * cell
+def shade(
+    curve: Curve, span: tuple[float, float], bounds: tuple[float, float], size: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """(lines, columns) which character cells the band covers.
+
+    Args:
+        curve: with the band.
+        span: s at the first and the last column.
+        bounds: value at the lower and the upper edge.
+        size: columns and lines.
+    """
+    columns, lines = size
+    x = np.rint((curve.t - span[0]) / (span[1] - span[0]) * (columns - 1)).astype(np.int64)
+    low, high = (
+        braille.filled(x, edge, columns, columns) for edge in (curve.band_low, curve.band_high)
     )
-    column, row = np.nonzero(inside)
-    return curve.t[column].tolist(), centres[row].tolist()
+    cell = (bounds[1] - bounds[0]) / lines
+    centres = bounds[1] - cell * (np.arange(lines)[:, None] + 0.5)
+    covered: NDArray[np.bool_] = (centres >= low - 0.5 * cell) & (centres <= high + 0.5 * cell)
+    return covered
 
 
-class Convergence(PlotextPlot):
+class Convergence(RationedPlot):
     """Plot of the chosen parameter: value, band, and the truth where it is known."""
 
     BORDER_TITLE = "Convergence"
 
     def __init__(self) -> None:
-        super().__init__(id="convergence")
+        super().__init__("convergence")
         self.view: View | None = None
-        self._drawn_at = -math.inf
-        self._waiting = False
 
     def show(self, view: View) -> None:
         """Bring the plot up to date."""
@@ -124,22 +126,7 @@ class Convergence(PlotextPlot):
         if old is None or (old.selected, old.exponents) != (view.selected, view.exponents):
             self.refresh()
         elif (old.snapshot and old.snapshot.course) is not (view.snapshot and view.snapshot.course):
-            self._refresh_later()
-
-    def _refresh_later(self) -> None:
-        """Redraw when the last drawing is old enough; several requests make one drawing."""
-        if self._waiting:
-            return
-        rest = self._drawn_at + MIN_SECONDS - time.monotonic()
-        if rest <= 0.0:
-            self.refresh()
-            return
-        self._waiting = True
-        self.set_timer(rest, self._refresh_waiting)
-
-    def _refresh_waiting(self) -> None:
-        self._waiting = False
-        self.refresh()
+            self.refresh_later()
 
     def headline(self) -> str:
         """The parameter's name and present value, as the plot's title writes it."""
@@ -153,67 +140,86 @@ class Convergence(PlotextPlot):
         unit = fmt.scaled_unit(parameter.unit, exponent)
         return f"{fmt.label(parameter.name)} = {value} {sign}{half} {unit}".rstrip()
 
-    def render(self) -> RenderResult:
+    def render(self) -> Content:
         """Draw for the present size and theme."""
-        width, height = self.size.width, self.size.height
+        width, height = self.content_size.width, self.content_size.height
         view = self.view
-        self._drawn_at = time.monotonic()
+        self.note_drawing()
         if view is None or view.snapshot is None or width < MIN_WIDTH or height < MIN_HEIGHT:
-            return Text("")
+            return Content("")
         found = view.estimate(view.selected)
         course, truth = view.snapshot.course, view.truth.get(view.selected)
         scale = 1.0 if found is None else 10.0 ** -view.exponents.get(fmt.exponent_key(found[0]), 0)
-        whole = reduce_course(course, view.selected, width, scale)
+        whole = reduce_course(course, view.selected, braille.DOTS_WIDE * width, scale)
         if whole is None:
-            return Text(f"{fmt.label(view.selected)}: no course to plot yet")
+            return Content(f"{fmt.label(view.selected)}: no course to plot yet")
         truth = None if truth is None else scale * truth
-        low, high = value_range(whole, truth)
-        # Title, frame, tick labels and legend take five rows; the frame takes two columns and the
-        # labels of the value axis some more. With the exact number of columns that is left, band
-        # and value fall into every column once.
-        rows = height - 5
-        ticks = nice_ticks(low, high, rows // 3)
-        columns = width - 2 - max(map(len, ticks[1]), default=0)
-        curve = reduce_course(course, view.selected, columns, scale) or whole
-        self.plt.clear_data()
-        self.plt.clear_figure()
-        self.plt.title(self.headline())
-        self.plt.ylim(low, high)
-        self.plt.yticks(*ticks)
-        self._draw(curve, truth, band_points(curve, low, high, rows), columns)
-        return super().render()
-
-    def _draw(
-        self,
-        curve: Curve,
-        truth: float | None,
-        band: tuple[list[float], list[float]],
-        columns: int,
-    ) -> None:
-        """Band, truth and value, each over the one before."""
-        plt, colours = self.plt, self._colours()
-        start, end = float(curve.t[0]), max(float(curve.t[-1]), float(curve.t[0]) + 1e-3)
-        plt.xlim(start, end)
-        plt.xticks(*nice_ticks(start, end, columns // 12))
-        if band[0]:
-            plt.scatter(*band, marker="░", color=colours["band"])
-        if truth is not None:
-            plt.plot([start, end], [truth, truth], marker="─", color=colours["truth"])
-        plt.plot(
-            np.repeat(curve.t, 2).tolist(),
-            np.column_stack([curve.low, curve.high]).ravel().tolist(),
-            marker="braille",
-            color=colours["value"],
-        )
+        bounds = value_range(whole, truth)
+        # Headline, time axis with its numbers, and legend take four lines.
+        lines = height - 4
+        ticks = nice_ticks(*bounds, lines // 3)
+        margin = max(map(len, ticks[1]), default=0) + 1
+        columns = width - margin
+        curve = reduce_course(course, view.selected, braille.DOTS_WIDE * columns, scale) or whole
+        rows = self._rows(curve, bounds, truth, (columns, lines))
+        cell = (bounds[1] - bounds[0]) / lines
+        at = {int((bounds[1] - tick) / cell): text for tick, text in zip(*ticks, strict=True)}
+        drawn = [Content.styled(self.headline().center(width), "bold")]
+        for number, row in enumerate(rows):
+            axis = f"{at.get(number, ''):>{margin - 1}}{'┤' if number in at else '│'}"
+            drawn.append(Content.assemble(axis, *row))
+        drawn += self._time_axis(curve, margin, columns)
         legend = "░ 95 % band   ⠒ value" + ("" if truth is None else "   ─ truth")
-        plt.xlabel(f"s     {legend}")
+        drawn.append(Content.styled(f"seconds     {legend}".center(width).rstrip(), fmt.MUTED))
+        return Content("\n").join(drawn)
 
-    def _colours(self) -> dict[str, tuple[int, int, int]]:
-        variables = self.app.theme_variables
-        surface = Color.parse(variables["surface"])
-        primary = Color.parse(variables["primary"])
-        return {
-            "value": Color.parse(variables["foreground"]).rgb,
-            "band": surface.blend(primary, 0.55).rgb,
-            "truth": Color.parse(variables["text-warning"]).rgb,
-        }
+    def _rows(
+        self, curve: Curve, bounds: tuple[float, float], truth: float | None, size: tuple[int, int]
+    ) -> list[list[tuple[str, str]]]:
+        """The lines of the picture: band, truth and value, each over the one before."""
+        columns, lines = size
+        span = _span(curve)
+        wide = braille.DOTS_WIDE * columns - 1
+        x = np.rint((curve.t - span[0]) / (span[1] - span[0]) * wide).astype(np.int64)
+        x, first = np.unique(x, return_index=True)
+        dots = braille.curve(x, curve.low[first], curve.high[first], bounds, size, wide)
+        band = shade(curve, span, bounds, size)
+        level = None
+        if truth is not None:
+            level = int((bounds[1] - truth) / (bounds[1] - bounds[0]) * lines)
+        out = []
+        for number, line in enumerate(dots):
+            cells = [
+                (dot, "bold") if dot != " "
+                else ("─", "$text-warning") if number == level
+                else ("░", "$primary 70%") if covered
+                else (" ", "")
+                for dot, covered in zip(line, band[number].tolist(), strict=True)
+            ]  # fmt: skip
+            out.append(
+                [
+                    ("".join(text for text, _ in run), style)
+                    for style, run in groupby(cells, key=lambda cell: cell[1])
+                ]
+            )
+        return out
+
+    def _time_axis(self, curve: Curve, margin: int, columns: int) -> list[Content]:
+        """The axis below the picture, and its numbers."""
+        start, end = _span(curve)
+        line, numbers = ["─"] * columns, [" "] * (columns + margin)
+        for tick, text in zip(*nice_ticks(start, end, columns // 12), strict=True):
+            place = round((tick - start) / (end - start) * (columns - 1))
+            left = min(max(0, margin + place - len(text) // 2), columns + margin - len(text))
+            if 0 <= place < columns:
+                line[place] = "┬"
+                numbers[left : left + len(text)] = text
+        return [
+            Content(" " * (margin - 1) + "└" + "".join(line)),
+            Content("".join(numbers).rstrip()),
+        ]
+
+
+def _span(curve: Curve) -> tuple[float, float]:
+    """S at the left and the right edge of the picture."""
+    return float(curve.t[0]), max(float(curve.t[-1]), float(curve.t[0]) + 1e-3)

@@ -1,4 +1,4 @@
-"""The link panel: state, rates got and asked per message, losses, recording."""
+"""The link panel: rates got and asked per message, losses, gaps, clock, recording."""
 
 from textual.app import ComposeResult
 from textual.containers import VerticalScroll
@@ -19,16 +19,16 @@ ENOUGH = 0.9
 
 def facts(link: LinkStatus) -> list[tuple[str, str, str]]:
     """Name, text and style of each line above the messages."""
+    rejected = f"rejected {fmt.grouped(link.rejected)}"
+    lost = f"{fmt.grouped(link.lost)} ({link.lost_percent:.1f} %), {rejected}"
+    gaps = "none" if not link.gaps else f"{link.gaps}, the last {link.last_gap or 0.0:.2f} s"
+    clock = "not known yet" if link.clock_ppm is None else f"{link.clock_ppm:+.0f} ppm"
     return [
-        ("state", f"{fmt.LINK_SIGN[link.state]} {link.state}", fmt.LINK_STYLE[link.state]),
-        ("link", link.url, ""),
-        ("vehicle", link.vehicle or "none yet", ""),
+        ("link", f"{fmt.LINK_SIGN[link.state]} {link.url}", ""),
         ("received", f"{fmt.grouped(link.received)}, {fmt.data_rate(link.bytes_per_second)}", ""),
-        (
-            "lost",
-            f"{link.lost_percent:.1f} %, rejected {fmt.grouped(link.rejected)}",
-            "$text-warning" if link.lost_percent >= 1.0 or link.rejected else "",
-        ),
+        ("lost", lost, "$text-warning" if link.lost_percent >= 1.0 or link.rejected else ""),
+        ("IMU gaps", gaps, "$text-warning" if link.gaps else ""),
+        ("clock", clock, ""),
         *([("unknown", f"{fmt.grouped(link.unknown)} frames", "")] if link.unknown else []),
         ("record", link.recording or "off", "bold $text-error" if link.recording else ""),
     ]
@@ -68,6 +68,8 @@ class LinkPanel(VerticalScroll, can_focus=False):
         """Bring the panel up to date."""
         self._view = view
         lines = self._lines(view)
+        # Messages come and go; a panel that shrinks each time would have the screen laid out anew.
+        lines += [[]] * (len(self._shown) - len(lines))
         if lines != self._shown:
             grown = len(lines) != len(self._shown)
             self._shown = lines

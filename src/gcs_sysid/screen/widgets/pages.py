@@ -7,7 +7,13 @@ from textual.widget import Widget
 
 from gcs_sysid.screen import formatting as fmt
 
-PAGES = {"parameters": "Parameters", "plot": "Plot", "vehicle": "Vehicle", "events": "Events"}
+PAGES = {
+    "parameters": "Parameters",
+    "plot": "Plot",
+    "motion": "Motion",
+    "vehicle": "Vehicle",
+    "events": "Events",
+}
 """Name of each page (and of its CSS class), and its title."""
 
 

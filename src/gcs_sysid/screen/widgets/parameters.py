@@ -1,4 +1,4 @@
-"""The parameter table: value, interval, unit, status, and the error where the truth is known."""
+"""The parameter table: value, interval, unit, status, the way to the target, change, error."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,9 +26,9 @@ class Column:
 
     head: str
     cell: Callable[[View, Parameter, Estimate], Cell]
-    needs_truth: bool = False
-    extra: bool = False
-    """Pleasant but not needed: shown only where there is room for all columns."""
+    rank: int = 0
+    """Where there is no room for all columns, those of the highest rank go first."""
+    wanted: Callable[[View], bool] = lambda view: True
 
 
 def _exponent(view: View, parameter: Parameter) -> int:
@@ -56,8 +56,13 @@ def _status(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
 
 
 def _converged(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
-    done = 1.0 if estimate.status == "given" else fmt.converged(fmt.relative_half(estimate))
-    return fmt.bar(done, 10), f"{fmt.STATUS_STYLE[estimate.status]} on $panel"
+    if estimate.status == "given":
+        done = 1.0
+    elif parameter.name in view.shares and view.snapshot is not None:
+        done = fmt.converged(view.shares[parameter.name], view.snapshot.target)
+    else:
+        return " " * BAR, ""  # nobody asks for it
+    return fmt.bar(done, BAR), f"{fmt.STATUS_STYLE[estimate.status]} on $panel"
 
 
 def _truth(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
@@ -73,25 +78,47 @@ def _error(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
     return fmt.percent(estimate.value / truth - 1.0, signed=True).rjust(7), ""
 
 
+def _change(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    found = None if view.comparison is None else view.comparison.differences.get(parameter.name)
+    if found is None or estimate.status == "given":
+        return " " * 8, ""
+    share = None
+    if found.value is not None and found.before is not None and found.before.value:
+        share = found.value / abs(found.before.value)
+    text = f"{fmt.CHANGE_SIGN[found.verdict]}{fmt.percent(share, signed=True):>7}"
+    return text, fmt.CHANGE_STYLE[found.verdict]
+
+
+def _has_truth(view: View) -> bool:
+    return bool(view.truth)
+
+
+def _has_baseline(view: View) -> bool:
+    return view.comparison is not None
+
+
+BAR = 7
 COLUMNS = (
     Column("   value ± 95 %    ", _value),
     Column("unit       ", _unit),
     Column("  ± % ", _percent),
     Column("status        ", _status),
-    Column("converged ", _converged, extra=True),
-    Column("   truth", _truth, needs_truth=True),
-    Column("  error", _error, needs_truth=True),
+    Column("target ", _converged, 1),
+    Column(" change ", _change, 2, _has_baseline),
+    Column("   truth", _truth, 4, _has_truth),
+    Column("  error", _error, 3, _has_truth),
 )
-"""In this order from left to right; later ones (change against a baseline) go here."""
-
-
+"""In this order from left to right."""
 NAME_HEAD = " name    "
 
 
-def _columns(truth: bool, width: int) -> list[Column]:
-    wanted = [c for c in COLUMNS if truth or not c.needs_truth]
-    if len(NAME_HEAD) + sum(len(c.head) + 1 for c in wanted) > width:
-        wanted = [c for c in wanted if not c.extra]
+def _columns(view: View, width: int) -> list[Column]:
+    wanted = [column for column in COLUMNS if column.wanted(view)]
+    while len(NAME_HEAD) + sum(len(c.head) + 1 for c in wanted) > width:
+        least = max(wanted, key=lambda column: column.rank)
+        if not least.rank:
+            break
+        wanted.remove(least)
     return wanted
 
 
@@ -170,7 +197,7 @@ class ParameterTable(Widget):
     def show(self, view: View) -> None:
         """Bring the table up to date."""
         self._view = view
-        columns = _columns(bool(view.truth), self.content_size.width)
+        columns = _columns(view, self.content_size.width)
         if columns != self._columns:
             self._columns = columns
             head = _line((NAME_HEAD, ""), [(c.head, "") for c in columns])
@@ -200,9 +227,11 @@ class ParameterTable(Widget):
     def _show_reasons(self, view: View) -> None:
         reasons = "" if view.snapshot is None else fmt.one_line(view.snapshot.result.reasons)
         if reasons != self._reasons:
+            width = self.content_size.width - 7
+            grown = fmt.wrapped([self._reasons], width) != fmt.wrapped([reasons], width)
             self._reasons = reasons
             self._why.display = bool(reasons)
-            self._why.update(Content.assemble(("why  ", "bold"), reasons))
+            self._why.update(Content.assemble(("why  ", "bold"), reasons), layout=grown)
 
     def reveal(self, name: str) -> None:
         """Scroll a parameter into view."""

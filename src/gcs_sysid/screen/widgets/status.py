@@ -1,4 +1,4 @@
-"""The top line (vehicle, link, flight, verdict), the banner below it, and the line of answers."""
+"""The top line (vehicle, link, flight), the banner below it, and the line of answers."""
 
 from textual.content import Content
 from textual.widgets import Static
@@ -34,14 +34,17 @@ class StatusLine(Static):
         if link.state is LinkState.WAITING:  # no flight and no verdict to speak of
             return [(self.title_text, "bold"), state]
         flight = "flying" if snapshot.flying else "on ground"
-        verdict = f"{fmt.VERDICT_SIGN[result.verdict]} {result.verdict}"
         parts = [
             (link.vehicle or self.title_text, "bold"),
             state,
             (f"{fmt.clock(snapshot.t)} {flight}", ""),
             (f"used {fmt.clock(snapshot.used_seconds)}", ""),
-            (verdict, f"bold {fmt.VERDICT_STYLE[result.verdict]}"),
         ]
+        if result.scale is not None:
+            scale = result.scale
+            parts.append((f"by {scale.anchor} {scale.value:.4g} {fmt.pretty_unit(scale.unit)}", ""))
+        if len(link.vehicles) > 1:
+            parts.append((f"v: {len(link.vehicles)} vehicles", "bold $text-warning"))
         if link.recording:
             parts.append(("◉ REC", "bold $text-error"))
         return parts
@@ -72,6 +75,7 @@ class Banner(Static):
     def __init__(self) -> None:
         super().__init__(id="banner")
         self._shown: tuple[str, str] | None = None
+        self._text = ""
         self.display = False
 
     def show(self, view: View) -> None:
@@ -85,7 +89,10 @@ class Banner(Static):
             text, level = notice
             for name in self.LEVELS:
                 self.set_class(name == level, f"-{name}")
-            self.update(Content(text))
+            before, self._text = self._text, text
+            width = self.size.width
+            grown = fmt.wrapped([before], width) != fmt.wrapped([text], width)
+            self.update(Content(text), layout=grown)
 
 
 class AnswerLine(Static):
@@ -99,4 +106,4 @@ class AnswerLine(Static):
         """Put a sentence on the line, with the session's time where there is one."""
         self.text = text
         stamp = "" if t is None else f"{fmt.clock_tenths(t)} "
-        self.update(Content.assemble((stamp, fmt.MUTED), text))
+        self.update(Content.assemble((stamp, fmt.MUTED), text), layout=False)

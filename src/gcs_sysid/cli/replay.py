@@ -1,0 +1,28 @@
+"""`gcs-sysid replay`: a recorded flight through the live screen."""
+
+import argparse
+import math
+from pathlib import Path
+
+from gcs_sysid.cli import arguments, output
+from gcs_sysid.cli.live import JsonLines, baseline_of, follow, is_watched, refit_interval
+from gcs_sysid.session.player import survey
+from gcs_sysid.session.replay import ReplaySession
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    airframe = arguments.airframe_of(options)
+    truth = output.read_truth(options.truth) if options.truth else None
+    baseline = baseline_of(options)
+    stay = is_watched(options)
+    writer = JsonLines(options.json)
+    bar = output.progress_bar(options.log)
+    session = ReplaySession(
+        survey(Path(options.log), airframe, options.vehicle, bar),
+        math.inf if options.speed == "max" else float(options.speed),
+        refit_interval(options),
+        stay=stay,
+        on_result=writer.write,
+    )
+    return follow(session, writer, truth, options, baseline)

@@ -1,0 +1,128 @@
+"""What is known, how well, and what is missing. Pure functions, no Textual."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from gcs_sysid.estimation.parameters import CORE_OF
+from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.session.comparison import Comparison
+from gcs_sysid.session.result import Result
+from gcs_sysid.session.snapshot import LinkState, Snapshot
+
+Known = tuple[str, float | None]
+"""Label of a parameter, and its share of `shares`."""
+
+
+_SMALL = 0.05
+_PRODUCTS = {"Ixy": ("Ixx", "Iyy"), "Iyz": ("Iyy", "Izz"), "Ixz": ("Ixx", "Izz")}
+
+
+def shares(result: Result) -> dict[str, float | None]:
+    """Half of each 95 % interval over what it is measured against; None: nothing is known.
+
+    That is the value itself. A product of inertia or an offset of the CG may be zero: these are
+    measured at least against a twentieth of the moments that they couple, or of the arm. What is
+    given does not count, nor what only some vehicles have (damping, rotor inertia, drag).
+    """
+    out: dict[str, float | None] = {}
+    for name in CORE_OF[result.rotor_input]:
+        estimate = result.parameters.get(name)
+        if estimate is None or estimate.status == "given":
+            continue
+        half = fmt.half_interval(estimate)
+        yardstick = max(abs(estimate.value or 0.0), _SMALL * _coupled(name, result))
+        out[name] = half / yardstick if half is not None and yardstick > 0.0 else None
+    return out
+
+
+def _coupled(name: str, result: Result) -> float:
+    """What a parameter that may be zero matters to; zero for the others."""
+    if name in _PRODUCTS:
+        found = [result.parameters.get(moment) for moment in _PRODUCTS[name]]
+        moments = [abs(e.value) if e is not None and e.value is not None else 0.0 for e in found]
+        return math.sqrt(moments[0] * moments[1])
+    if name in ("cg_x", "cg_y"):
+        places = [(r["x"], r["y"]) for r in result.airframe.get("rotors", ())]
+        return sum(math.hypot(x, y) for x, y in places) / len(places) if places else 0.0
+    return 0.0
+
+
+@dataclass(frozen=True)
+class Standing:
+    """The parameters of a complete identification, the widest first.
+
+    Attributes:
+        known: those identified.
+        weak: those seen, with a wide interval.
+        missing: those of which this flight says nothing.
+        reached: how many are within the target.
+    """
+
+    known: tuple[Known, ...]
+    weak: tuple[Known, ...]
+    missing: tuple[Known, ...]
+    reached: int
+
+    @property
+    def total(self) -> int:
+        """All that are to be identified."""
+        return len(self.known) + len(self.weak) + len(self.missing)
+
+
+def standing_of(snapshot: Snapshot) -> Standing:
+    """Sort a snapshot's parameters."""
+    groups: dict[str, list[Known]] = {"identified": [], "weak": [], "unobservable": []}
+    reached = 0
+    for name, share in shares(snapshot.result).items():
+        status = snapshot.result.parameters[name].status
+        groups[status].append((fmt.label(name), share))
+        reached += status == "identified" and share is not None and share <= snapshot.target
+    widest_first = {
+        status: tuple(sorted(group, key=lambda known: -(known[1] or 0.0)))
+        for status, group in groups.items()
+    }
+    return Standing(
+        widest_first["identified"], widest_first["weak"], widest_first["unobservable"], reached
+    )
+
+
+def headline(snapshot: Snapshot) -> str:
+    """The verdict in a word or two."""
+    if snapshot.link.state is LinkState.WAITING:
+        return "WAITING"
+    if snapshot.advice is not None and snapshot.advice.enough:
+        return "ENOUGH"
+    if snapshot.result.verdict == "refused":
+        return "NO ANSWER" if snapshot.link.state is LinkState.ENDED else "NOT YET"
+    return snapshot.result.verdict.upper()
+
+
+def named(group: Sequence[Known], room: int, *, shares: bool = True) -> str:
+    """As many names as there is room for, and how many there are besides: `Izz ±8 %, +2`."""
+    words = [
+        f"{name} ±{fmt.rough(share)}" if shares and share is not None else name
+        for name, share in group
+    ]
+    for count in range(len(words), 0, -1):
+        rest = len(words) - count
+        text = ", ".join([*words[:count], *([f"+{rest}"] if rest else [])])
+        if len(text) <= room:
+            return text
+    return f"{len(words)}" if words else "nothing"
+
+
+def compared(comparison: Comparison, room: int) -> tuple[str, str]:
+    """A comparison with the baseline in a sentence, and its sign."""
+    groups = {
+        verdict: [(fmt.label(name), None) for name in comparison.named(verdict)]
+        for verdict in ("changed", "no_change_seen", "cannot_tell")
+    }
+    same, unknown = len(groups["no_change_seen"]), len(groups["cannot_tell"])
+    tail = f"no change seen in {same}" + (f", cannot tell of {unknown}" if unknown else "")
+    if comparison.verdict == "cannot_tell":
+        return "?", "cannot tell yet whether the vehicle has changed"
+    if comparison.verdict == "changed":
+        names = named(groups["changed"], max(8, room - len(tail) - 11), shares=False)
+        return "≠", f"changed: {names}; {tail}"
+    return "=", tail

@@ -1,0 +1,107 @@
+"""The transport bar of a replay: where it stands, how fast it goes, and a click to go elsewhere."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from textual import events
+from textual.content import Content
+from textual.message import Message
+from textual.widget import Widget
+
+from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.session.snapshot import Playback
+
+KEYS = "space · ← → 10 s · [ ] speed"
+_LEAST_BAR = 10
+"""Columns; below it the bar gives way to the numbers."""
+
+Part = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Transport:
+    """What moves a replay. Each returns at once, with what happens in a few words.
+
+    Attributes:
+        toggle_pause: pause, or go on.
+        change_speed: so many steps faster, or slower.
+        seek: go to so many seconds of the flight.
+        skip: go on by so many seconds, or back.
+    """
+
+    toggle_pause: Callable[[], str]
+    change_speed: Callable[[int], str]
+    seek: Callable[[float], str]
+    skip: Callable[[float], str]
+
+
+def state_of(playback: Playback) -> str:
+    """What a replay does now, in a sign and a word or two."""
+    if playback.seeking is not None:
+        return f"» to {fmt.clock(playback.seeking)}"
+    if playback.ended:
+        return "■ end"
+    speed = "max" if math.isinf(playback.speed) else f"{playback.speed:g}x"
+    return f"‖ paused ({speed})" if playback.paused else f"▶ {speed}"
+
+
+class TransportBar(Widget):
+    """One line above the answers."""
+
+    DEFAULT_CSS = "TransportBar { height: 1; background: $panel; padding: 0 1; }"
+
+    class Chosen(Message):
+        """The user clicked into the bar."""
+
+        def __init__(self, position: float) -> None:
+            super().__init__()
+            self.position = position
+            """s of the flight."""
+
+    def __init__(self) -> None:
+        super().__init__(id="transport")
+        self._playback: Playback | None = None
+
+    def show(self, playback: Playback | None) -> None:
+        """Bring the line up to date."""
+        if playback != self._playback:
+            self._playback = playback
+            if self.is_mounted:
+                self.refresh()
+
+    def _layout(self) -> tuple[list[Part], int, int, list[Part]]:
+        """What stands before the bar, its first column and width, and what stands after it."""
+        playback = self._playback
+        if playback is None:
+            return [], 0, 0, []
+        before: list[Part] = [
+            (f"{state_of(playback):<14} ", "bold $text-primary"),
+            (f"{fmt.clock(playback.position)} ", ""),
+        ]
+        after: list[Part] = [(f" {fmt.clock(playback.duration)}", "")]
+        if self.size.width >= 76:
+            after.append((f"  {KEYS}", fmt.MUTED))
+        start = sum(len(text) for text, _ in before)
+        room = self.size.width - start - sum(len(text) for text, _ in after)
+        return before, start, room if room >= _LEAST_BAR else 0, after
+
+    def render(self) -> Content:
+        """State, position, bar, duration, keys."""
+        playback = self._playback
+        before, _, width, after = self._layout()
+        if playback is None:
+            return Content("")
+        share = playback.position / playback.duration if playback.duration > 0.0 else 0.0
+        done = min(round(share * width), width)
+        bar: list[Part] = [("━" * done, "$text-primary"), ("─" * (width - done), fmt.MUTED)]
+        return Content.assemble(*before, *bar, *after)
+
+    def on_click(self, event: events.Click) -> None:
+        """Go where the mouse points."""
+        _, start, width, _ = self._layout()
+        # The padding's column comes before the line.
+        column = event.x - 1 - start
+        if self._playback is not None and width and 0 <= column < width:
+            share = column / max(width - 1, 1)
+            self.post_message(self.Chosen(share * self._playback.duration))

@@ -1,0 +1,91 @@
+"""The verdict: what is known, how well, what is missing. To be read from two metres."""
+
+from textual.content import Content
+from textual.widgets import Static
+
+from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.big_letters import HEIGHT, big
+from gcs_sysid.screen.standing import Standing, compared, headline, named, standing_of
+from gcs_sysid.screen.view import View
+from gcs_sysid.session.snapshot import LinkState, Snapshot
+
+Part = tuple[str, str]
+
+
+class VerdictPanel(Static):
+    """One line on a small terminal, large letters with three lines beside them on others."""
+
+    LEVELS = ("identified", "partial", "refused")
+
+    def __init__(self) -> None:
+        super().__init__(id="verdict")
+        self.large = False
+        self._view: View | None = None
+        self._shown: list[list[Part]] = []
+        self.display = False
+
+    def show(self, view: View) -> None:
+        """Bring the panel up to date."""
+        self._view = view
+        snapshot = view.snapshot
+        self.display = snapshot is not None and snapshot.link.state is not LinkState.WAITING
+        if snapshot is None or not self.display:
+            return
+        for level in self.LEVELS:
+            self.set_class(level == snapshot.result.verdict, f"-{level}")
+        width = max(40, self.screen.size.width - 2)
+        standing = standing_of(snapshot)
+        make = self._large if self.large else self._small
+        lines = make(snapshot, standing, width)
+        if view.comparison is not None:
+            name = f"against {view.baseline}"
+            sign, text = compared(view.comparison, width - len(name) - 4)
+            lines.append([(f"{sign} ", "bold"), (f"{name}: ", ""), (text, "bold")])
+        if lines != self._shown:
+            grown = len(lines) != len(self._shown)
+            self._shown = lines
+            text_lines = [Content.assemble(*line) for line in lines]
+            self.update(Content("\n").join(text_lines), layout=grown)
+
+    def on_resize(self) -> None:
+        """Lay the lines out anew."""
+        if self._view is not None:
+            self.show(self._view)
+
+    def _small(self, snapshot: Snapshot, standing: Standing, width: int) -> list[list[Part]]:
+        sign = fmt.VERDICT_SIGN[snapshot.result.verdict]
+        head = f"{sign} {headline(snapshot)} {len(standing.known)}/{standing.total}"
+        parts: list[Part] = [(head, "bold")]
+        room = width - len(head)
+        groups = [("~ weak", standing.weak), ("✗ missing", standing.missing)]
+        groups = [(title, group) for title, group in groups if group]
+        if not groups:
+            groups = [("widest", standing.known[:1])]
+        for number, (title, group) in enumerate(groups):
+            share = room // (len(groups) - number)
+            text = named(group, share - len(title) - 4, shares=title != "✗ missing")
+            parts += [(f"   {title} ", "bold"), (text, "")]
+            room -= len(title) + len(text) + 4
+        return [parts]
+
+    def _large(self, snapshot: Snapshot, standing: Standing, width: int) -> list[list[Part]]:
+        letters = big(f"{headline(snapshot)} {len(standing.known)}/{standing.total}")
+        room = width - len(letters[0]) - 3
+        within = f"{standing.reached} within ±{fmt.rough(snapshot.target)}"
+        known = f"{within}, widest {named(standing.known[:1], room)}" if standing.known else within
+        beside = (
+            ("✓ known", len(standing.known), known),
+            ("~ weak", len(standing.weak), named(standing.weak, room - 14)),
+            ("✗ missing", len(standing.missing), named(standing.missing, room - 14, shares=False)),
+        )
+        assert len(beside) == HEIGHT
+        return [
+            [
+                (line, ""),
+                ("   ", ""),
+                (f"{title:<10}", "bold"),
+                (f"{count:>2}  ", "bold"),
+                (text, ""),
+            ]
+            for line, (title, count, text) in zip(letters, beside, strict=True)
+        ]

@@ -1,0 +1,42 @@
+"""`replay` without a screen: the lines of `live`, the numbers of `analyze`."""
+
+import json
+
+import pytest
+
+from gcs_sysid.cli.main import run
+
+PAPER = ("--airframe", "paper")
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def log(fly):
+    flight = fly("--mission", "all-axes", "--rate", "100", "--duration", "25", "--seed", "5")
+    return str(flight.tlog)
+
+
+def test_at_full_speed_it_prints_what_analyze_prints(log, tmp_path, capsys):
+    replayed, analysed = tmp_path / "replay.json", tmp_path / "analyze.json"
+    assert run(["analyze", log, *PAPER, "--json", str(analysed)]) == 0
+    table = capsys.readouterr().out
+    replay = ["replay", log, *PAPER, "--speed", "max", "--headless", "--json", str(replayed)]
+    assert run(replay) == 0
+    out, err = capsys.readouterr()
+    assert out == table
+    assert "rotors from ESC_STATUS" in err
+    lines = [json.loads(line) for line in replayed.read_text().splitlines()]
+    assert len(lines) > 1
+    assert lines[-1] == json.loads(analysed.read_text())
+
+
+def test_its_results_may_go_to_standard_output(log, capsys):
+    assert run(["replay", log, *PAPER, "--speed", "max", "--headless", "--json", "-"]) == 0
+    out = capsys.readouterr().out
+    assert [json.loads(line)["schema"] for line in out.splitlines()][-1] == "gcs-sysid/1"
+
+
+def test_without_a_terminal_it_ends_with_the_log(log, capsys):
+    assert run(["replay", log, *PAPER, "--speed", "max"]) == 0
+    assert "identified" in capsys.readouterr().out
