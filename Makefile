@@ -7,7 +7,7 @@ BENCH_INSTALLED := $(VENV)/.installed-bench
 SPEED_INSTALLED := $(VENV)/.installed-speed
 SIMULATORS_INSTALLED := $(VENV)/.installed-simulators
 
-.PHONY: help demo test quick check bench bench-accuracy bench-speed screenshot report-picture sample clean
+.PHONY: help demo test quick check bench bench-accuracy bench-speed docs pictures sample clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -65,10 +65,11 @@ $(SPEED_INSTALLED): $(INSTALLED)
 bench-speed: $(SPEED_INSTALLED) ## reading logs, against other readers (10 min)
 	$(BIN)/python -m benchmarks.speed
 
-screenshot: $(INSTALLED) ## the README's picture of the screen
-	$(BIN)/python tools/screenshot.py --demo -o docs/screen.svg
+docs: $(INSTALLED) ## the documentation as a site, into build/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
-report-picture: $(INSTALLED) ## the picture in docs/report.md (needs a Chromium)
+pictures: $(INSTALLED) ## the documentation's pictures of screen and report (needs a Chromium)
+	$(BIN)/python tools/screenshot.py --demo -o docs/screen.svg
 	$(BIN)/python tools/report_picture.py -o docs/report.png
 
 sample: $(INSTALLED) ## the sample flight under logs/

@@ -242,3 +242,17 @@ def test_rotor_records_in_two_parts_are_one_set(paper_records, whole):
         else:
             split.append(r)
     assert values(run(split)[1]) == rounded(whole)
+
+
+def test_a_wrong_airframe_is_told_apart_from_a_short_flight(paper_records):
+    airframe = load_airframe("paper")
+    one, two, three, four = airframe.rotors
+    swapped = replace(airframe, rotors=(three, two, one, four))
+    result = run(paper_records, airframe=swapped)[1]
+    assert result.verdict == "refused"
+    assert "check the motor order" in result.reasons[0]
+    turned = tuple(replace(rotor, spin=-rotor.spin) for rotor in airframe.rotors)
+    result = run(paper_records, airframe=replace(airframe, rotors=turned))[1]
+    assert result.verdict == "partial"
+    assert result.parameters["k_M"].value < 0.0
+    assert "check spin in the airframe file" in result.reasons[0]

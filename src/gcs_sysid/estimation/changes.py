@@ -170,7 +170,7 @@ class ChangeDetector:
         # A channel that was watched already stays so, with the reference it had.
         keep = np.isnan(matrix).any(axis=1)
         matrix[keep] = self._matrix[keep]
-        new = np.isnan(self._matrix).any(axis=1)
+        new = np.asarray(np.isnan(self._matrix).any(axis=1))
         moved = np.where(new[:, None], 0.0, self._matrix - np.where(keep[:, None], 0.0, matrix))
         moved[keep] = 0.0
         # What the new reference explains otherwise on average is no jump of the vehicle.

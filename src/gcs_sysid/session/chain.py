@@ -74,6 +74,8 @@ class ChainOptions:
     parameters: Mapping[str, float] = field(default_factory=dict)
 
 
+_ENOUGH_TO_ANSWER = 10.0
+"""s of flight in which roll and pitch are seen to answer the rotors, if they do at all."""
 _Cutoffs = tuple[float | None, float | None]
 """Hz, low-pass of the gyro as it is sent, and as the rate loop has it; None: there is none."""
 
@@ -430,6 +432,11 @@ class Chain:
         if Stream.ATTITUDE not in seen:
             return ("no attitude (ATTITUDE or ATTITUDE_QUATERNION)",)
         if self._fit.rotation is None:
+            if self._fit.seconds > _ENOUGH_TO_ANSWER:
+                return (
+                    "the vehicle does not turn as these rotors would turn it: check the motor "
+                    "order and rotor positions in the airframe file, and fly roll and pitch",
+                )
             return ("too little flight in which all the needed data came together",)
         if self._fit.rotation.r_squared.min() < WEAK_BELOW_R2:
             share = max(100.0 * self._fit.rotation.r_squared.min(), 0.0)

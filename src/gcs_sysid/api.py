@@ -1,0 +1,257 @@
+"""The chain for notebooks and scripts: `gcs_sysid.analyze`, and `gcs_sysid.identify` for arrays.
+
+Both end with the `Result` that the command line prints and `--json` writes. What cannot be used,
+a file, a name or an array, is an `InputError` with one line that says what and why.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TypedDict, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.columns import RecordBlock, Track
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import ANCHORS, Airframe
+from gcs_sysid.model.airframe import load_airframe as read_airframe
+from gcs_sysid.records import Stream
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
+from gcs_sysid.session.result import Estimate, Result
+from gcs_sysid.session.result_file import read_result
+
+__all__ = [
+    "Airframe",
+    "Estimate",
+    "InputError",
+    "Result",
+    "Signals",
+    "analyze",
+    "identify",
+    "load_airframe",
+    "read_result",
+]
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What a vehicle measured, as arrays. Body axes forward, right, down; world north, east, down.
+
+    Everything is sampled at `t`, but for what `times` gives times of its own; they need not be
+    uniform, only rise, and count on one clock. NaN marks what is missing.
+
+    Attributes:
+        t: (n,) s.
+        gyro: (n, 3) body rates as measured, rad/s.
+        force: (n, 3) specific force, as an accelerometer reads it, m/s^2.
+        attitude: (n, 4) unit quaternions w, x, y, z, body to world.
+        speeds: (n, rotors) measured speeds in rad/s, in the airframe's order of rotors.
+        commands: (n, rotors) outputs to the motors in the same order, 0 to 1, or in the unit of
+            the airframe's command range. At least one of the two.
+        velocity: (n, 3) m/s; without it thrust over mass rests on the accelerometer alone.
+        position: (n, 3) m, of the same times as the velocity; tells when it flies.
+        flying: (n,) whether it flies; else turning rotors and height tell.
+        times: name of a signal -> (k,) s, where it has times of its own. Gyro and force share
+            `t`, velocity and position share the times of the velocity.
+    """
+
+    t: ArrayLike
+    gyro: ArrayLike
+    force: ArrayLike
+    attitude: ArrayLike
+    speeds: ArrayLike | None = None
+    commands: ArrayLike | None = None
+    velocity: ArrayLike | None = None
+    position: ArrayLike | None = None
+    flying: ArrayLike | None = None
+    times: Mapping[str, ArrayLike] | None = None
+
+    def tracks(self, rotors: int) -> tuple[Track, ...]:
+        """The signals as the chain takes them.
+
+        Args:
+            rotors: how many the airframe has.
+
+        Raises:
+            InputError: shapes do not fit each other, or times do not rise.
+        """
+        own = {"attitude", "speeds", "commands", "velocity", "flying"}
+        unknown = set(self.times or {}) - own
+        if unknown:
+            raise InputError(
+                f"no times of its own can have {', '.join(sorted(unknown))}; "
+                f"only {', '.join(sorted(own))}"
+            )
+        if self.speeds is None and self.commands is None:
+            raise InputError("neither speeds nor commands: what the rotors do must be known")
+        if self.position is not None and self.velocity is None:
+            raise InputError("a position needs the velocity beside it")
+        imu = np.hstack([self._values("gyro", 3), self._values("force", 3)])
+        attitude = self._values("attitude", 4)
+        with np.errstate(invalid="ignore"):
+            stretched = np.abs(np.linalg.norm(attitude, axis=1) - 1.0) > 0.1
+        if stretched.any():
+            raise InputError(f"attitude: row {int(stretched.argmax())} is no unit quaternion")
+        # Of one instant the IMU comes last: the chain then has what goes with it.
+        tracks = [Track(Stream.ATTITUDE, self._times("attitude"), attitude)]
+        for name, stream in (("speeds", Stream.ROTOR_SPEED), ("commands", Stream.ROTOR_COMMAND)):
+            if getattr(self, name) is not None:
+                values = self._values(name, rotors)
+                tracks.append(Track(stream, self._times(name), values, source=name))
+        if self.velocity is not None:
+            motion = np.full((len(self._times("velocity")), 6), np.nan)
+            motion[:, :3] = self._values("velocity", 3)
+            if self.position is not None:
+                motion[:, 3:] = self._values("position", 3, "velocity")
+            tracks.append(Track(Stream.VELOCITY, self._times("velocity"), motion))
+        if self.flying is not None:
+            tracks.append(Track(Stream.IN_AIR, self._times("flying"), self._values("flying", 1)))
+        tracks.append(Track(Stream.IMU, self._times("t"), imu))
+        return tuple(map(_without_gaps, tracks))
+
+    def _times(self, name: str) -> Array:
+        t = np.asarray((self.times or {}).get(name, self.t), np.float64)
+        if t.ndim != 1 or len(t) < 2 or not np.isfinite(t).all() or (np.diff(t) <= 0.0).any():
+            raise InputError(f"times of {name}: must be a row of numbers that rise, in s")
+        return t
+
+    def _values(self, name: str, width: int, times: str | None = None) -> Array:
+        try:
+            values = np.asarray(getattr(self, name), np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{name}: not an array of numbers ({error})") from error
+        if width == 1 and values.ndim == 1:
+            values = values[:, None]
+        rows = len(self._times(times or name))
+        if values.shape != (rows, width):
+            raise InputError(f"{name}: must have the shape {(rows, width)}, not {values.shape}")
+        return values
+
+
+class Known(TypedDict, total=False):
+    """What may be said of an airframe beyond its file.
+
+    Attributes:
+        arm: m, mean distance of the rotors that the layout is scaled to.
+        mass: kg, weighed, as the scale.
+        k_T: N s^2, as the scale; with measured speeds.
+        T_max: N, a rotor's thrust at full command, as the scale; with commands.
+        priors: name -> value and standard deviation, SI.
+    """
+
+    arm: float
+    mass: float
+    k_T: float
+    T_max: float
+    priors: Mapping[str, tuple[float, float]]
+
+
+def load_airframe(
+    airframe: str | PathLike[str] | Airframe,
+    **known: Unpack[Known],
+) -> Airframe:
+    """An airframe with a scale.
+
+    Args:
+        airframe: a built-in name, a .toml file, or an airframe to alter.
+        known: see `Known`.
+
+    Raises:
+        InputError: there is no such airframe, several scales are given, or none.
+    """
+    unknown = known.keys() - Known.__annotations__.keys()
+    if unknown:
+        raise TypeError(f"unexpected keyword argument {min(unknown)!r}")
+    out = airframe if isinstance(airframe, Airframe) else read_airframe(fspath(airframe))
+    if "arm" in known:
+        out = out.with_arm(known["arm"])
+    scales = [name for name in ANCHORS if name in known]
+    if len(scales) > 1:
+        raise InputError(f"give one scale only, not {' and '.join(scales)} together")
+    for name in scales:
+        out = out.with_anchor(name, known[name])
+    for prior, (value, std) in known.get("priors", {}).items():
+        out = out.with_prior(prior, value, std)
+    if out.anchor() is None:
+        raise InputError(
+            f"nothing sets the scale: give one of {', '.join(ANCHORS)}, because IMU and rotors "
+            "alone do not tell heavy and strong from light and weak"
+        )
+    return out
+
+
+def analyze(
+    log: str | PathLike[str],
+    airframe: str | PathLike[str] | Airframe,
+    *,
+    vehicle: tuple[int, int | None] | None = None,
+    start: float = 0.0,
+    end: float = float("inf"),
+    offline: bool = False,
+    **known: Unpack[Known],
+) -> Result:
+    """Identify from a recorded flight, to the numbers of `gcs-sysid analyze`.
+
+    Args:
+        log: a .tlog, .ulg or .bin file.
+        airframe: as for `load_airframe`.
+        vehicle: system and perhaps component; None: the first autopilot in the log.
+        start: s after the first record; earlier records are not used.
+        end: s after the first record; later ones are not used.
+        offline: whether to maximise the likelihood of the whole record.
+        known: scale, arm and priors, see `Known`.
+
+    Raises:
+        InputError: the log or the airframe cannot be used.
+    """
+    options = ChainOptions(course_interval=None, start=start, end=end, offline=offline)
+    return analyze_log(Path(log), load_airframe(airframe, **known), vehicle, options)
+
+
+def identify(
+    signals: Signals,
+    airframe: str | PathLike[str] | Airframe,
+    *,
+    offline: bool = False,
+    **known: Unpack[Known],
+) -> Result:
+    """Identify from arrays, by the chain that logs and links go through.
+
+    Args:
+        signals: of one vehicle.
+        airframe: as for `load_airframe`.
+        offline: whether to maximise the likelihood of the whole record.
+        known: scale, arm and priors, see `Known`.
+
+    Raises:
+        InputError: arrays do not fit, or the airframe cannot be used.
+    """
+    whole = load_airframe(airframe, **known)
+    chain = Chain(whole, ChainOptions(course_interval=None, offline=offline))
+    block = RecordBlock(_in_order(signals.tracks(len(whole.rotors))))
+    for window in block.windows(WINDOW):
+        chain.take(window)
+    return replace(chain.finish(), source="arrays")
+
+
+def _without_gaps(track: Track) -> Track:
+    """The track without samples in which nothing is known; the chain sees a gap there."""
+    known = np.isfinite(track.values).any(axis=1)
+    return replace(track, t=track.t[known], values=track.values[known])
+
+
+def _in_order(tracks: tuple[Track, ...]) -> tuple[Track, ...]:
+    """The tracks with the order in which their samples come: by time, then as listed."""
+    tracks = tuple(track for track in tracks if len(track.t))
+    times = np.concatenate([track.t for track in tracks])
+    order = np.empty(len(times), np.int64)
+    order[np.argsort(times, kind="stable")] = np.arange(len(times))
+    ends = np.cumsum([len(track.t) for track in tracks])[:-1]
+    return tuple(
+        replace(track, order=part)
+        for track, part in zip(tracks, np.split(order, ends), strict=True)
+    )

@@ -1,0 +1,143 @@
+"""The examples of the documentation are run, page by page, in the order of the page.
+
+A page has a folder of its own, in which lie a recording `flight.tlog`, its airframe `my-quad.toml`,
+results of it and of its parts, and the folder `logs` of a fleet. `console` blocks are commands with
+their output; of what is shown the shape is compared: words, not numbers, and a line `...` stands
+for any lines. `python` blocks share one name space, and a `text` block after one is what it
+prints. A block that cannot be run says why, in a comment above it. Tutorials begin with nothing.
+"""
+
+import contextlib
+import io
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gcs_sysid.cli.main import run as gcs_sysid
+
+from .pages import PAGES, ROOT, Block, blocks, prose
+
+pytestmark = pytest.mark.slow
+
+_NOT_RUN_YET = {"coach.md", "replay.md"}
+"""Pages that may still have commands outside of fences."""
+_MODULES = {"gcs-sysid": "gcs_sysid", "sim-bridge": "sim_bridge"}
+_NUMBER = re.compile(r"(?<!\w)[-+>]?\d[\d_.,:]*(?:e[-+]?\d+)?")
+
+
+@pytest.fixture(scope="module")
+def workshop(tmp_path_factory):
+    """What the pages take as given."""
+    folder = tmp_path_factory.mktemp("workshop")
+    shutil.copyfile(ROOT / "logs" / "sample.tlog", folder / "flight.tlog")
+    paper = ROOT / "src" / "gcs_sysid" / "model" / "airframes" / "paper.toml"
+    named = paper.read_text(encoding="utf-8").replace('"paper"', '"my-quad"')
+    (folder / "my-quad.toml").write_text(named, encoding="utf-8")
+    log, airframe = str(folder / "flight.tlog"), str(folder / "my-quad.toml")
+    for name, part in (("result", []), ("before", ["--end", "40"]), ("after", ["--start", "20"])):
+        file = str(folder / f"{name}.json")
+        with contextlib.redirect_stdout(io.StringIO()):
+            assert gcs_sysid(["analyze", log, "--airframe", airframe, "--json", file, *part]) == 0
+    vehicle = folder / "logs" / "quad-7"
+    vehicle.mkdir(parents=True)
+    shutil.copyfile(log, vehicle / "flight.tlog")
+    shutil.copyfile(log, folder / "logs" / "sample.tlog")
+    shutil.copyfile(airframe, folder / "logs" / "airframe.toml")
+    shutil.copyfile(airframe, vehicle / "airframe.toml")
+    return folder
+
+
+def shape(text: str) -> list[str]:
+    """Lines without their numbers, spaces and colours."""
+    lines = (re.sub(r"\s+", " ", _NUMBER.sub("0", line)).strip() for line in text.splitlines())
+    return [line for line in lines if line]
+
+
+def is_like(got: list[str], wanted: list[str]) -> bool:
+    """Whether lines are as wanted, where `...` stands for any."""
+    if not wanted:
+        return not got
+    if wanted[0] == "...":
+        return any(is_like(got[i:], wanted[1:]) for i in range(len(got) + 1))
+    return bool(got) and got[0] == wanted[0] and is_like(got[1:], wanted[1:])
+
+
+def run_console(block: Block, folder: Path) -> None:
+    """Run the commands of a block, and compare what they print."""
+    assert block.text.startswith("$ "), "a console block begins with a command"
+    for command in re.split(r"^\$ ", block.text, flags=re.MULTILINE)[1:]:
+        line, _, wanted = command.partition("\n")
+        program, *arguments = shlex.split(line, comments=True)
+        program = program.removeprefix(".venv/bin/")
+        assert program in _MODULES, f"cannot run {program}"
+        path = os.pathsep.join([str(ROOT / "src"), str(ROOT), os.environ.get("PYTHONPATH", "")])
+        done = subprocess.run(
+            [sys.executable, "-m", _MODULES[program], *arguments],
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            encoding="utf-8",
+            timeout=300,
+        )
+        assert done.returncode == 0, f"{line}\n{done.stdout}"
+        if wanted:
+            assert is_like(shape(done.stdout), shape(wanted)), f"{line}\n{done.stdout}"
+
+
+def _sources() -> list[Path]:
+    return [p for p in PAGES if any(b.language in ("console", "python") for b in blocks(p))]
+
+
+@pytest.mark.parametrize("page", _sources(), ids=lambda page: page.stem)
+def test_examples_of(page, workshop, tmp_path, monkeypatch):
+    if "gcs-sysid batch" in page.read_text(encoding="utf-8"):
+        pytest.importorskip("pyarrow")
+    folder = tmp_path / "page"
+    if page.stem.startswith("tutorial-"):
+        folder.mkdir()
+    else:
+        shutil.copytree(workshop, folder)
+    monkeypatch.chdir(folder)
+    names: dict[str, object] = {"__name__": "__page__"}
+    printed: str | None = None
+    for block in blocks(page):
+        where = f"{page.name}:{block.line}"
+        if block.directive == "no-run":
+            assert block.reason, f"{where}: why is it not run?"
+        elif block.language == "console":
+            run_console(block, folder)
+        elif block.language == "python":
+            out = io.StringIO()
+            with contextlib.redirect_stdout(out):
+                exec(compile(block.text, where, "exec"), names)
+            printed = out.getvalue()
+            continue
+        elif block.language == "text" and printed is not None:
+            assert is_like(shape(printed), shape(block.text)), f"{where}\n{printed}"
+        printed = None
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_blocks_say_what_they_are(page):
+    for block in blocks(page):
+        assert block.language, f"{page.name}:{block.line}: a fence without a language"
+        assert block.directive in (None, "no-run"), f"{page.name}:{block.line}"
+    if page.name in _NOT_RUN_YET:
+        return
+    # A command outside a fence is one that nobody runs.
+    command = re.compile(r"^ {4}(?:\$ )?(?:gcs-sysid|sim-bridge|from |import )", re.MULTILINE)
+    assert not command.search(prose(page))
+
+
+def test_shapes_are_compared():
+    assert is_like(shape("a 1.5 b\n\nc -2e-05"), shape("a 3 b\nc 7"))
+    assert is_like(shape("a\nx\ny\nb"), shape("a\n...\nb"))
+    assert not is_like(shape("a\nx\nb"), shape("a\nb"))
+    assert not is_like(shape("a weak 1"), shape("a identified 1"))
