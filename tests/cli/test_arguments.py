@@ -66,6 +66,8 @@ CASES = {
     "address elsewhere": (["live", "udpin:192.0.2.1:14550", *PAPER], "192.0.2.1"),
     "live without airframe": (["live", NOWHERE], "--airframe"),
     "live without scale": (["live", NOWHERE, "--airframe", "px4-quad-x"], "--mass"),
+    "missing baseline": (["live", NOWHERE, *PAPER, "--baseline", "no.json"], "no.json"),
+    "broken baseline": (["demo", "--baseline", "broken.json"], "broken.json"),
     "record twice told": (
         ["live", NOWHERE, *PAPER, "--record", "a.tlog", "--no-record"],
         "--no-record",
