@@ -188,7 +188,7 @@ def test_the_program_itself(case, files):
                 "compare",
                 "batch",
                 "trend",
-            )  # fmt: skip
+            )
         ),
         *(f"{name} --help" for name in ("airframe new", "airframe check", "doctor", "completion")),
         "completion bash",

@@ -4,7 +4,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gcs_sysid.estimation.parameters import CORE_OF
+from gcs_sysid.coach import targets
+from gcs_sysid.estimation.parameters import CORE_OF, NOTHING, Value
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.session.comparison import Comparison
 from gcs_sysid.session.result import Result
@@ -14,38 +15,15 @@ Known = tuple[str, float | None]
 """Label of a parameter, and its share of `shares`."""
 
 
-_SMALL = 0.05
-_PRODUCTS = {"Ixy": ("Ixx", "Iyy"), "Iyz": ("Iyy", "Izz"), "Ixz": ("Ixx", "Izz")}
-
-
 def shares(result: Result) -> dict[str, float | None]:
-    """Half of each 95 % interval over what it is measured against; None: nothing is known.
-
-    That is the value itself. A product of inertia or an offset of the CG may be zero: these are
-    measured at least against a twentieth of the moments that they couple, or of the arm. What is
-    given does not count, nor what only some vehicles have (damping, rotor inertia, drag).
-    """
-    out: dict[str, float | None] = {}
-    for name in CORE_OF[result.rotor_input]:
-        estimate = result.parameters.get(name)
-        if estimate is None or estimate.status == "given":
-            continue
-        half = fmt.half_interval(estimate)
-        yardstick = max(abs(estimate.value or 0.0), _SMALL * _coupled(name, result))
-        out[name] = half / yardstick if half is not None and yardstick > 0.0 else None
-    return out
-
-
-def _coupled(name: str, result: Result) -> float:
-    """What a parameter that may be zero matters to; zero for the others."""
-    if name in _PRODUCTS:
-        found = [result.parameters.get(moment) for moment in _PRODUCTS[name]]
-        moments = [abs(e.value) if e is not None and e.value is not None else 0.0 for e in found]
-        return math.sqrt(moments[0] * moments[1])
-    if name in ("cg_x", "cg_y"):
-        places = [(r["x"], r["y"]) for r in result.airframe.get("rotors", ())]
-        return sum(math.hypot(x, y) for x, y in places) / len(places) if places else 0.0
-    return 0.0
+    """Half of each 95 % interval over what it is measured against, see `coach.targets`."""
+    told = result.parameters
+    values = {name: Value(e.value, e.std, e.status) for name, e in told.items()}
+    complete = dict.fromkeys(CORE_OF[result.rotor_input], NOTHING) | values
+    places = [(rotor["x"], rotor["y"]) for rotor in result.airframe.get("rotors", ())]
+    arm = sum(math.hypot(x, y) for x, y in places) / max(len(places), 1)
+    found = targets.shares(complete, arm, result.rotor_input)
+    return {name: share for name, share in found.items() if name in told}
 
 
 @dataclass(frozen=True)
