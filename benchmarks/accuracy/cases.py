@@ -249,7 +249,7 @@ CASES = (
     Case("white", 100, white, _slow),
     Case("mems", 100, mems, _fast),
     Case("mems-offline", 3, mems_offline, _fast),
-    Case("course", 100, course, lambda: fly("all-axes", 20)),
+    Case("course", 200, course, lambda: fly("all-axes", 20)),
     Case("delay", 24, delays, _fly_late),
     Case("peers", 8, comparison, lambda: peers.tune("paper")),
     Case("peers-mems", 2, comparison_mems, lambda: peers.tune("mems")),
