@@ -209,6 +209,7 @@ def add_replay(parser: argparse.ArgumentParser) -> None:
         "--speed", choices=("1", "10", "max"), default="1", help="to begin with (default 1)"
     )
     parser.add_argument("--truth", metavar="FILE", help="true parameters, to show beside")
+    coaching.add_target(parser)
     _add_display(parser)
 
 

@@ -36,16 +36,21 @@ def _turning(text: str) -> float:
     return value
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """What the coach aims at, and what the pilot allows."""
-    group = parser.add_argument_group("flight coach")
-    group.add_argument(
+def add_target(parser: "argparse.ArgumentParser | argparse._ArgumentGroup") -> None:
+    """How well everything is to be known."""
+    parser.add_argument(
         "--target",
         type=target,
         default=0.02,
         metavar="P%",
         help="every 95 %% interval within so much of the value (default 2%%)",
     )
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What the coach aims at, and what the pilot allows."""
+    group = parser.add_argument_group("flight coach")
+    add_target(group)
     group.add_argument(
         "--max-tilt", type=_tilt, default=20.0, metavar="DEG", help="of roll and pitch (default 20)"
     )

@@ -22,6 +22,7 @@ def run(options: argparse.Namespace) -> int:
         survey(Path(options.log), airframe, options.vehicle, bar),
         math.inf if options.speed == "max" else float(options.speed),
         refit_interval(options),
+        options.target,
         stay=stay,
         on_result=writer.write,
     )
