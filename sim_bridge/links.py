@@ -176,6 +176,10 @@ class TcpLink:
                 s.close()
 
 
+_BUSY = 2.0
+"""s that a serial port may take nothing, before what is sent is lost."""
+
+
 class SerialLink:
     """A serial port."""
 
@@ -183,15 +187,17 @@ class SerialLink:
 
     def __init__(self, device: str, baud: int) -> None:
         try:
-            self._port = serial.Serial(device, baud, timeout=0)
+            self._port = serial.Serial(device, baud, timeout=0, write_timeout=_BUSY)
         except (serial.SerialException, ValueError) as error:
             raise LinkError(f"cannot open serial port {device} at {baud} baud: {error}") from error
 
     def send(self, frames: list[bytes], time_us: int) -> None:
-        """Send frames; waits while the port is busy."""
+        """Send frames; waits while the port is busy, but not for ever: nobody may read."""
         del time_us
         try:
             self._port.write(b"".join(frames))
+        except serial.SerialTimeoutException:
+            pass  # lost, as on a line that is too slow
         except (serial.SerialException, OSError) as error:
             raise LinkError(f"serial port {self._port.port} is gone: {error}") from error
 

@@ -20,6 +20,8 @@ LEAD = 2.0
 """s of hover before the first manoeuvre."""
 PAUSE = 1.0
 """s of hover after each."""
+LATEST = 3600
+"""s at which a manoeuvre may start."""
 _RAMP = 1.0
 _STEP = 2e-3
 """s, of the differences that make derivatives of the body rates."""
@@ -190,8 +192,10 @@ def read_plan(path: Path) -> ManoeuvreMission:
             if not isinstance(entry, dict):
                 raise ValueError("must be an object")
             start = entry.get("start", 0.0)
-            if isinstance(start, bool) or not isinstance(start, int | float) or not start >= 0.0:
+            if isinstance(start, bool) or not isinstance(start, int | float):
                 raise ValueError("start must be a number of seconds")
+            if not 0 <= start <= LATEST:
+                raise ValueError(f"start must lie between 0 and {LATEST} s")
             mission.add(Swings.from_json(entry), float(start))
         except ValueError as error:
             raise InputError(f"{path}: manoeuvre {number}: {error}") from None

@@ -114,7 +114,10 @@ class Signals:
         return tuple(map(_without_gaps, tracks))
 
     def _times(self, name: str) -> Array:
-        t = np.asarray((self.times or {}).get(name, self.t), np.float64)
+        try:
+            t = np.asarray((self.times or {}).get(name, self.t), np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"times of {name}: not an array of numbers ({error})") from error
         if t.ndim != 1 or len(t) < 2 or not np.isfinite(t).all() or (np.diff(t) <= 0.0).any():
             raise InputError(f"times of {name}: must be a row of numbers that rise, in s")
         return t
@@ -181,6 +184,7 @@ def load_airframe(
             f"nothing sets the scale: give one of {', '.join(ANCHORS)}, because IMU and rotors "
             "alone do not tell heavy and strong from light and weak"
         )
+    out.check_scale_fits()
     return out
 
 
@@ -247,6 +251,8 @@ def _without_gaps(track: Track) -> Track:
 def _in_order(tracks: tuple[Track, ...]) -> tuple[Track, ...]:
     """The tracks with the order in which their samples come: by time, then as listed."""
     tracks = tuple(track for track in tracks if len(track.t))
+    if not tracks:
+        raise InputError("no sample is known: all values are NaN")
     times = np.concatenate([track.t for track in tracks])
     order = np.empty(len(times), np.int64)
     order[np.argsort(times, kind="stable")] = np.arange(len(times))

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.cli import airframe as cli_airframe
 from gcs_sysid.cli import setup_options
 from gcs_sysid.cli.main import build_parser, run
 from gcs_sysid.cli.welcome import commands_of
@@ -166,25 +165,6 @@ def test_the_wizard_asks_on_a_terminal_and_confirms(answer, tmp_path):
     assert seen.endswith("nothing is written\r\n") is (answer == "n")
     if answer == "":
         assert load_airframe(str(path)).anchor() == ("mass", 1.5)
-
-
-DOCUMENT = Path(__file__).parents[2] / "docs" / "first-minutes.md"
-
-
-def test_the_examples_of_the_document_do_what_it_says(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli_airframe, "can_show", lambda *_: True)
-    text = DOCUMENT.read_text(encoding="utf-8")
-    commands = re.findall(r"^    gcs-sysid (airframe .*--output (\S+))$", text, re.MULTILINE)
-    assert len(commands) == 3
-    for command, file in commands:
-        assert run(command.split()) == 0
-        assert load_airframe(file).rotors
-    shown = re.search(r"\$ gcs-sysid (airframe check .*)\n((?:    .*\n)+)", text)
-    capsys.readouterr()
-    assert run(shown[1].split()) == 0
-    drawn = "".join(line[4:] for line in shown[2].splitlines(keepends=True))
-    assert drawn in capsys.readouterr().out
 
 
 # --- doctor

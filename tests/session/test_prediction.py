@@ -46,7 +46,7 @@ def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, pape
         chain._fit = fit
         prediction.take(block)
 
-    chain.observers.append(take)
+    chain.observers[:] = [take]
     for record in paper_records[half:]:
         chain.feed(record)
     found = prediction.acceleration()

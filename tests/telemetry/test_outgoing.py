@@ -149,8 +149,9 @@ def test_no_other_module_writes_to_a_link_or_socket():
                 and node.func.attr in calls
             ):
                 writers.add(name)
-    # reconnect.py is a link that hands on to another one.
-    assert writers <= {"telemetry/link.py", "telemetry/outgoing.py", "telemetry/reconnect.py"}
+    # reconnect.py is a link that hands on to another one; web/ speaks to browsers.
+    links = {"telemetry/link.py", "telemetry/outgoing.py", "telemetry/reconnect.py"}
+    assert writers <= links | {"web/share.py"}
 
 
 def test_no_other_module_opens_a_socket_or_a_port():
@@ -166,5 +167,15 @@ def test_no_other_module_opens_a_socket_or_a_port():
                 i == "pymavlink.mavutil" for i in imported
             ):
                 users.add(name)
-    # Screens may use asyncio for their timers.
-    assert {user for user in users if not user.startswith("screen/")} <= {"telemetry/link.py"}
+    # Screens may use asyncio for their timers; web/ speaks to browsers.
+    users = {user for user in users if not user.startswith("screen/")}
+    assert users <= {"telemetry/link.py", "web/share.py", "web/site.py"}
+
+
+def test_what_speaks_to_browsers_never_has_a_link():
+    """web/ has sockets of its own, but nothing that leads to a vehicle."""
+    for name, tree in modules():
+        for node in ast.walk(tree) if name.startswith("web/") else ():
+            named = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            named += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not [n for n in named if n.startswith(("gcs_sysid.telemetry", "pymavlink"))]

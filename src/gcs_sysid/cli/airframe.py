@@ -1,13 +1,12 @@
 """`gcs-sysid airframe`: describe a vehicle in a file, and check one."""
 
 import argparse
-import io
 import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from gcs_sysid.cli.output import terminal_width
+from gcs_sysid.cli.output import print_file, terminal_width
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe, AnchorName, load_airframe
 from gcs_sysid.setup_help.airframe_check import check_airframe
@@ -81,20 +80,13 @@ def _new(options: argparse.Namespace) -> int:
     text = airframe_text(answers)
     airframe = checked(text, str(path))
     if str(path) == "-":
-        _print_utf8(text)
+        print_file(text)
     else:
         write_new(path, text)
     if not asking:  # else it has been seen already
         _warn(airframe)
     _say_next(path, airframe)
     return 0
-
-
-def _print_utf8(text: str) -> None:
-    """Print a file's text as the file has it, whatever a pipe on Windows would make of it."""
-    if isinstance(sys.stdout, io.TextIOWrapper) and not sys.stdout.isatty():
-        sys.stdout.reconfigure(encoding="utf-8", newline="\n")
-    print(text, end="")
 
 
 def _given(options: argparse.Namespace) -> Given:

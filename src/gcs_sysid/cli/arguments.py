@@ -353,22 +353,6 @@ def add_trend(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="write over FILE if it exists")
 
 
-def check_scale_fits(airframe: "Airframe") -> None:
-    """Refuse a scale that means nothing with the airframe's rotor input.
-
-    Raises:
-        InputError: it does not fit.
-    """
-    if airframe.T_max is not None and airframe.rotor_input == "speed":
-        raise InputError(
-            "T_max cannot set the scale with rotor speeds as the input; give --mass or --k-t"
-        )
-    if airframe.k_T is not None and airframe.rotor_input == "command":
-        raise InputError(
-            "k_T cannot set the scale with commands as the input; give --mass or --t-max"
-        )
-
-
 def layout_of(options: argparse.Namespace) -> "Airframe":
     """The airframe that is named, with the scale that is given, if any.
 
@@ -416,5 +400,5 @@ def airframe_of(options: argparse.Namespace) -> "Airframe":
             "--t-max VALUE with commands), because IMU and rotors alone do not tell heavy and "
             "strong from light and weak"
         )
-    check_scale_fits(airframe)
+    airframe.check_scale_fits()
     return airframe

@@ -36,6 +36,13 @@ def _turning(text: str) -> float:
     return value
 
 
+def _height(text: str) -> float:
+    value = 0.0 if text.strip() in ("0", "0.0") else positive(text)
+    if value and not 0.2 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"must be 0 or lie between 0.2 and 1 m, got {text!r}")
+    return value
+
+
 def add_target(parser: "argparse.ArgumentParser | argparse._ArgumentGroup") -> None:
     """How well everything is to be known."""
     parser.add_argument(
@@ -62,7 +69,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="about each axis (default 150)",
     )
     group.add_argument(
-        "--max-height", type=positive, default=1.0, metavar="M", help="up and down (default 1)"
+        "--max-height",
+        type=_height,
+        default=1.0,
+        metavar="M",
+        help="up and down, 0.2 to 1; 0: no climbs (default 1)",
     )
 
 

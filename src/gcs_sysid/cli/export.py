@@ -4,6 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from gcs_sysid.cli.output import print_file, save
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.targets import TARGETS
 from gcs_sysid.exports.vehicle import MissingError, assemble
@@ -25,7 +26,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"gcs-sysid: {options.result}: {error}", file=sys.stderr)
         return 1
     if path is None:
-        print(text, end="")
+        print_file(text)
     else:
         save(path, text, force=options.force)
     for note in target.notes(vehicle):
@@ -40,18 +41,3 @@ def _airframe(options: argparse.Namespace) -> Airframe | None:
         return None
     airframe = load_airframe(options.airframe)
     return airframe if options.arm is None else airframe.with_arm(options.arm)
-
-
-def save(path: Path, text: str, *, force: bool) -> None:
-    """Write a file; over another one only if forced.
-
-    Raises:
-        InputError: it cannot be written, or is there already.
-    """
-    try:
-        with open(path, "w" if force else "x", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-    except FileExistsError as error:
-        raise InputError(f"{path} exists already; --force writes over it") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot write: {error.strerror}") from error

@@ -1,5 +1,6 @@
 """What commands read and write beside their results: truth files, JSON, progress."""
 
+import io
 import json
 import shutil
 import sys
@@ -48,6 +49,29 @@ def open_output(path: str) -> TextIO:
         return open(path, "w", encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot write: {error.strerror}") from error
+
+
+def save(path: Path, text: str, *, force: bool) -> None:
+    """Write a file; over another one only if forced.
+
+    Raises:
+        InputError: it cannot be written, or is there already.
+    """
+    try:
+        with open(path, "w" if force else "x", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise InputError(f"{path} exists already; --force writes over it") from error
+    except (OSError, ValueError) as error:  # ValueError: a name with a null character
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot write: {reason}") from error
+
+
+def print_file(text: str) -> None:
+    """Print a file's text as the file has it, whatever a pipe on Windows would make of it."""
+    if isinstance(sys.stdout, io.TextIOWrapper) and not sys.stdout.isatty():
+        sys.stdout.reconfigure(encoding="utf-8", newline="\n")
+    print(text, end="")
 
 
 def terminal_width() -> int | None:

@@ -2,12 +2,12 @@
 
 import argparse
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.cli import arguments
 from gcs_sysid.cli.coaching import limits_of
+from gcs_sysid.cli.output import print_file, save
 from gcs_sysid.coach.picture import plan_svg, plan_text
 from gcs_sysid.coach.plan import make_plan
 from gcs_sysid.coach.supposed import supposed
@@ -17,10 +17,13 @@ from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.session.summary import priors_for, values_of
+from gcs_sysid.setup_help.findings import can_show
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 where no plan within the limits is enough."""
+    if options.json == options.svg == "-":
+        raise InputError("--json and --svg cannot both go to standard output: give one a file")
     airframe = arguments.airframe_of(options)
     own = airframe.anchor()
     assert own is not None
@@ -28,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     if wanted == "auto":
         wanted = "command" if own[0] == "T_max" else "speed"
     rotor_input: RotorInput = wanted
-    arguments.check_scale_fits(replace(airframe, rotor_input=rotor_input))
+    replace(airframe, rotor_input=rotor_input).check_scale_fits()
     anchor = Anchor(*own)
     priors = priors_for(airframe.priors, rotor_input)
 
@@ -43,27 +46,12 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         _write(options.json, json.dumps(plan.as_json(), indent=1) + "\n", options)
     if options.json != "-" and options.svg != "-":
-        print(plan_text(plan, unicode=_prints("█±°")))
+        print(plan_text(plan, unicode=can_show("▁▂▃▄▅▆▇█±°")))
     return 0 if plan.enough else 1
-
-
-def _prints(signs: str) -> bool:
-    """Whether standard output can show them."""
-    try:
-        signs.encode(sys.stdout.encoding or "ascii")
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 def _write(path: str, text: str, options: argparse.Namespace) -> None:
     if path == "-":
-        sys.stdout.write(text)
-        return
-    try:
-        with Path(path).open("w" if options.force else "x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        raise InputError(f"{path} exists; --force writes over it") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot write: {error.strerror}") from error
+        print_file(text)
+    else:
+        save(Path(path), text, force=options.force)

@@ -4,8 +4,8 @@ import argparse
 from collections.abc import Mapping
 from pathlib import Path
 
-from gcs_sysid.cli.export import save
 from gcs_sysid.cli.live_report import ReportJob, have_written
+from gcs_sysid.cli.output import save
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.targets import TARGETS
 from gcs_sysid.exports.vehicle import assemble
@@ -61,24 +61,30 @@ def report_session(
     snapshot = session.latest()
     heard = () if snapshot is None else snapshot.link.vehicles
     vehicle = next((v.address for v in heard if v.chosen), None)
-    command = _command(recording, target, session.airframe, options)
+    command = _command(recording, target, session.airframe, vehicle, options)
     job = ReportJob(recording, target, session.airframe, vehicle, truth, command)
     have_written(job)
     return f"Report written to {target}"
 
 
 def _command(
-    recording: Path, target: Path, airframe: Airframe, options: argparse.Namespace
+    recording: Path,
+    target: Path,
+    airframe: Airframe,
+    vehicle: tuple[int, int | None] | None,
+    options: argparse.Namespace,
 ) -> tuple[str, ...]:
     """The command line that makes the same report of the finished recording."""
     words = ["gcs-sysid", "analyze", str(recording), "--airframe", str(options.airframe)]
     if options.arm is not None:
-        words += ["--arm", f"{options.arm:g}"]
+        words += ["--arm", f"{options.arm:.9g}"]
     anchor = airframe.anchor()
     if anchor is not None:
         words += [_SCALE_OPTIONS[anchor[0]], f"{anchor[1]:.9g}"]
     for name, value, std in options.prior:
-        words += ["--prior", f"{name}={value:g}+-{std:g}"]
+        words += ["--prior", f"{name}={value:.9g}+-{std:.9g}"]
+    if vehicle is not None:
+        words += ["--vehicle", ":".join(str(part) for part in vehicle if part is not None)]
     return (*words, "--report", str(target))
 
 

@@ -25,7 +25,6 @@ Begin with
 
 Commands
 {commands}
-
 More of each: gcs-sysid COMMAND --help. Nothing heard? gcs-sysid doctor"""
 
 

@@ -15,6 +15,8 @@ RAMP = 1.0
 """s, over which a swing grows at the start of a manoeuvre and fades at its end."""
 _PACES = (0.7, 1.0, 1.4)
 """Hz, of roll and pitch: slow, usual and brisk by hand."""
+_CLIMB_LEAST, _CLIMB_MOST, _CLIMB_STEP = 0.2, 1.0, 0.05
+"""m up and down that can be seen, that are flown at most, and steps that are told."""
 _CLIMB_PACE = 0.5
 """Hz, of height."""
 _YAW_MOST = math.radians(45.0)
@@ -124,8 +126,9 @@ def library(limits: Limits) -> tuple[Manoeuvre, ...]:
             Manoeuvre("pitch and slow yaw", pitch=tilt, yaw=slow, pace=pace, yaw_pace=0.5 * pace),
         ]
         out += [m for m in found if m.can_be_seen]
-    if limits.height >= 0.2:
-        out.append(Manoeuvre("climb", climb=min(limits.height, 1.0), pace=_CLIMB_PACE))
+    if limits.height >= _CLIMB_LEAST:
+        climb = math.floor(min(limits.height, _CLIMB_MOST) / _CLIMB_STEP + 1e-9) * _CLIMB_STEP
+        out.append(Manoeuvre("climb", climb=climb, pace=_CLIMB_PACE))
     return tuple(out)
 
 

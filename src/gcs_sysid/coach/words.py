@@ -17,7 +17,7 @@ def motion_words(manoeuvre: Manoeuvre) -> str:
 def _what(m: Manoeuvre) -> str:
     pace = f"about {m.pace:g} Hz"
     if m.climb:
-        return f"up and down, ±{m.climb:.1g} m, {pace}"
+        return f"up and down, ±{m.climb:.2g} m, {pace}"
     if m.roll and m.pitch:
         return f"stir the stick: roll and pitch in a circle, {_angle(m.roll)}, {pace}"
     first, angle = ("roll", m.roll) if m.roll else ("pitch", m.pitch)

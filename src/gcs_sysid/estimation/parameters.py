@@ -283,7 +283,7 @@ def verdict(
             f"Izz and {torque} share one scale: only rotation about several axes at once, "
             "such as roll and yaw together, tells them apart"
         )
-    ratio = parameters["moment_ratio"]
+    ratio = parameters.get("moment_ratio", NOTHING)
     if ratio.value is not None and ratio.status == "identified" and ratio.value < 0.0:
         reasons.append(
             f"{torque} is negative: every rotor turns the vehicle the wrong way; "

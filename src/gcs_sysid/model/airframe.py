@@ -134,6 +134,23 @@ class Airframe:
         cleared[name] = value
         return replace(self, **cleared)  # type: ignore[arg-type]
 
+    def check_scale_fits(self) -> None:
+        """Refuse a scale that means nothing with the rotor input.
+
+        Raises:
+            InputError: it does not fit.
+        """
+        if self.T_max is not None and self.rotor_input == "speed":
+            raise InputError(
+                "T_max cannot set the scale with rotor speeds as the input; give mass or k_T "
+                "(--mass, --k-t)"
+            )
+        if self.k_T is not None and self.rotor_input == "command":
+            raise InputError(
+                "k_T cannot set the scale with commands as the input; give mass or T_max "
+                "(--mass, --t-max)"
+            )
+
     def with_prior(self, name: str, value: float, std: float) -> "Airframe":
         """The same airframe with one more (or another) prior.
 

@@ -1,5 +1,6 @@
 """What keys and commands do to the session, each with a word of what happened."""
 
+import os
 from abc import abstractmethod
 from collections.abc import Callable
 from pathlib import Path
@@ -234,7 +235,7 @@ class ActingApp(App[None]):
             return
 
         def load() -> str:
-            found = read_result(Path(name).expanduser())
+            found = read_result(Path(os.path.expanduser(name)))
             if self.snapshot is not None:
                 compare(found, self.snapshot.result)  # another vehicle is refused
             self.baseline = Baseline(name, found)

@@ -40,11 +40,6 @@ STATUS_STYLE: dict[Status, str] = {
     "unobservable": "$text-error",
 }
 VERDICT_SIGN: dict[Verdict, str] = {"identified": "✓", "partial": "~", "refused": "✗"}
-VERDICT_STYLE: dict[Verdict, str] = {
-    "identified": "$text-success",
-    "partial": "$text-warning",
-    "refused": "$text-error",
-}
 LINK_SIGN: dict[LinkState, str] = {
     LinkState.WAITING: "○",
     LinkState.CONNECTED: "●",

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName
 from gcs_sysid.session.chain import ChainOptions
@@ -16,7 +16,7 @@ from gcs_sysid.session.coaching import Coach, CoachOptions
 from gcs_sysid.session.pipeline import Pipeline
 from gcs_sysid.session.prediction import LivePrediction
 from gcs_sysid.session.result import Result
-from gcs_sysid.session.snapshot import HeardVehicle, LinkState, LinkStatus, Snapshot
+from gcs_sysid.session.snapshot import Advice, HeardVehicle, LinkState, LinkStatus, Snapshot
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.link import Link
 from gcs_sysid.telemetry.marks import reset_mark
@@ -245,7 +245,7 @@ class LiveSession:
             if frames and self._pipeline.intake.clock is not None:
                 self._pipeline.intake.drift.take(self._pipeline.intake.clock, now)
             while not self._actions.empty():
-                self._actions.get()()
+                self._do(self._actions.get())
             if now - asked >= _ASK_EVERY:
                 asked = now
                 self._station.tick(now, self._pipeline.intake)
@@ -296,8 +296,17 @@ class LiveSession:
             self._pipeline.chain.note(self._told_problem)
 
     def _start_recording(self, path: Path) -> None:
+        if self._writer is not None and self._writer.recording:
+            return  # asked for twice before the first was done
         self._writer = TlogWriter(path)
         self._pipeline.chain.note(self._writer.problem or f"recording to {path}")
+
+    def _do(self, action: Callable[[], None]) -> None:
+        """What a user asks for may fail; it is told, and the flight goes on."""
+        try:
+            action()
+        except (GcsSysidError, OSError) as error:
+            self._pipeline.chain.note(f"not done: {error}")
 
     def _stop_recording(self) -> None:
         if self._writer:
@@ -352,6 +361,18 @@ class LiveSession:
             HeardVehicle(v.address, str(v), v.address == chosen) for v in selector.autopilots
         )
 
+    def _advice(self) -> Advice | None:
+        """The coach's; a defect of the coach is told once and costs no flight."""
+        if self._coach is None:
+            return None
+        try:
+            return self._coach.advise()
+        except Exception as defect:  # noqa: BLE001 - words alone are lost
+            self._coach = None
+            kind = type(defect).__name__
+            self._pipeline.chain.note(f"the coach fell silent ({kind}: {defect}): please report it")
+            return None
+
     def _publish(self, state: LinkState) -> None:
         chain, intake = self._pipeline.chain, self._pipeline.intake
         health = intake.health()
@@ -390,5 +411,5 @@ class LiveSession:
             acceleration=self._prediction.acceleration(),
             target=(self._options.coach or CoachOptions()).target,
             events=chain.events,
-            advice=self._coach.advise() if self._coach else None,
+            advice=self._advice(),
         )

@@ -76,6 +76,7 @@ class ReplaySession:
         self._told_result_at = 0.0
         self._speed = speed
         self._paused = self._ended = False
+        self._asked_speed, self._asked_paused = speed, False
         self._goal: float | None = None
         self._asked_goal: float | None = None
         self._player = Player(recorded, course_interval)
@@ -128,16 +129,17 @@ class ReplaySession:
     def toggle_pause(self) -> str:
         """Pause, or go on; from the end, begin anew."""
         if self._ended and self._goal is None:
+            self._asked_paused = False
             self._do(lambda: self._seek(0.0, paused=False))
             return "From the beginning."
-        paused = not self._paused
+        self._asked_paused = paused = not self._asked_paused
         self._do(lambda: self._set_pace(self._speed, paused))
         return "Replay paused." if paused else "Replay goes on."
 
     def change_speed(self, step: int) -> str:
         """Faster by so many of the `SPEEDS`, or slower."""
-        index = min(max(SPEEDS.index(self._speed) + step, 0), len(SPEEDS) - 1)
-        speed = SPEEDS[index]
+        index = min(max(SPEEDS.index(self._asked_speed) + step, 0), len(SPEEDS) - 1)
+        self._asked_speed = speed = SPEEDS[index]
         self._do(lambda: self._set_pace(speed, self._paused))
         return f"Speed: {speed_text(speed)}"
 
@@ -168,8 +170,10 @@ class ReplaySession:
         except Exception as problem:  # noqa: BLE001 - handed to the main thread, which tells it
             self.problem = problem
         finally:
-            if self.problem is None:
+            try:
                 self.final = self._recorded.result if self._ended else self._pipeline.finish()
+            except Exception as problem:  # noqa: BLE001 - as above
+                self.problem = self.problem or problem
             self._ended = True
             self._publish()
 

@@ -108,7 +108,8 @@ class Stretch:
         """Keep the samples of a track, while there is room."""
         group = self.groups.setdefault(track.offset, _Group())
         room = max(_MOST - group.count, 0)
-        group.take(track.t[:room], track.values[:room])
+        if room:
+            group.take(track.t[:room], track.values[:room])
 
     def rotors(self, count: int) -> list[tuple[Array, Array]]:
         """Times and values of each rotor that there is, up to `count`, in order."""

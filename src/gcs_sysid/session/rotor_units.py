@@ -122,7 +122,8 @@ def loop_cutoff(autopilot: str, parameters: Parameters) -> float | None:
     if autopilot == "ardupilot":
         cutoff = parameters.get("INS_GYRO_FILTER", ARDUPILOT_GYRO_FILTER)
     else:
-        cutoff = parameters.get("IMU_GYRO_CUTOFF", PX4_LOOP_FILTER)
+        usual = PX4_LOOP_FILTER if autopilot == "px4" else 0.0
+        cutoff = parameters.get("IMU_GYRO_CUTOFF", usual)
     return cutoff if cutoff > 0.0 else None
 
 

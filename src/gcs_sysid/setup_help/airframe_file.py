@@ -95,9 +95,15 @@ def check_new(path: Path) -> None:
     Raises:
         InputError: there is one of that name already, or no folder for it.
     """
-    if path.exists():
+    try:
+        there, folder = path.exists(), path.parent.is_dir()
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{path}: cannot write: {getattr(error, 'strerror', None) or error}"
+        ) from error
+    if there:
         raise InputError(f"{path} exists already and is not overwritten")
-    if not path.parent.is_dir():
+    if not folder:
         raise InputError(f"{path}: there is no folder {path.parent}")
 
 

@@ -58,10 +58,11 @@ class Site:
         self._thread.start()
         try:
             port = self._bound.result()
-        except OSError as error:
+        except (OSError, UnicodeError) as error:  # UnicodeError: no name of a host
+            why = getattr(error, "strerror", None) or error
             raise InputError(
-                f"cannot serve on {_authority(self._host, self._port)}: "
-                f"{error.strerror or error}; give another port, such as --web 8001"
+                f"cannot serve on {_authority(self._host, self._port)}: {why}; "
+                "give another port, such as --web 8001"
             ) from error
         os.environ[VARIABLE] = str(self._door)
         return f"http://{_authority(self._host, port)}"
