@@ -14,8 +14,7 @@ def welcome(parser: argparse.ArgumentParser) -> str:
     """
     commands = "\n".join(f"  {name:<12}{what}" for name, what in commands_of(parser))
     return f"""\
-gcs-sysid {__version__} identifies a multirotor while it flies: mass, inertia, centre of
-gravity and rotors, each with its 95 % interval, from MAVLink or a recorded log.
+gcs-sysid {__version__} identifies a multirotor from MAVLink, in flight or recorded.
 
 Begin with
   gcs-sysid demo
@@ -25,6 +24,7 @@ Begin with
 
 Commands
 {commands}
+
 More of each: gcs-sysid COMMAND --help. Nothing heard? gcs-sysid doctor"""
 
 
