@@ -137,7 +137,7 @@ class Baseline:
         keep = self._keep
         weights = [1.0 - keep], [1.0, -keep]
         if np.isfinite(values.sum()) and np.isfinite(self.last.sum()):
-            clipped = np.clip(values, low, high)
+            clipped = np.minimum(np.maximum(values, low), high)
             after, _ = lfilter(*weights, clipped, axis=0, zi=keep * self.last[None])
             whole: Array = np.concatenate([self.last[None], after[:-1]])
             self.last = after[-1].copy()

@@ -43,7 +43,7 @@ from gcs_sysid.session.sampling import SampleBlock, Sampler
 from gcs_sysid.session.snapshot import Course, Event
 
 _MAX_EVENTS = 300
-WINDOW = 2048
+WINDOW = 8192
 """IMU samples that are best taken at once."""
 _LEAST_WINDOW = 64
 """Fewer are fed one by one as fast."""
