@@ -75,7 +75,7 @@ def test_a_report_is_of_the_recording_so_far_with_the_scale_in_force(paper_fligh
         said = report_session(Recorded(recording), {"mass": 1.5}, OPTIONS)
         assert said == f"Report written to {folder / name}"
         page = (folder / name).read_text(encoding="utf-8")
-        assert "--mass 1.6 --prior k_M=6.1e-06+-1e-07 --report" in page
+        assert "--mass 1.6 --prior k_M=6.1e-06+-1e-07 --vehicle 1:1 --report" in page
         assert "flight.tlog" in page
     assert {path.name for path in folder.iterdir()} == {
         "flight.tlog",
