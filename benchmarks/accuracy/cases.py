@@ -244,7 +244,7 @@ def _fast() -> object:
 CASES = (
     Case("bounds", 1, bounds, _slow, once=True),
     Case("baseline", 100, baseline, _slow),
-    Case("sweep", 16, sweep, _slow),
+    Case("sweep", 40, sweep, _slow),
     Case("noisiest", 100, noisiest, _slow),
     Case("white", 100, white, _slow),
     Case("mems", 100, mems, _fast),
