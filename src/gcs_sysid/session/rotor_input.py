@@ -267,11 +267,11 @@ class RotorChooser:
         values = [v for _, v in rotors]
         if not any(v.any() for v in values):
             return "reads 0 while the vehicle flies"
-        if stretch.stream is Stream.ROTOR_SPEED:
-            # Mostly the first one tells; to count them all costs time.
-            if all(_readings(v) < MIN_RATE * seconds for v in values):
-                fresh = max(map(_readings, values)) / seconds
-                return f"repeats old readings, {fresh:.0f} new ones a second"
+        # Mostly the first rotor tells; to count them all costs time.
+        stale = (_readings(v) < MIN_RATE * seconds for v in values)
+        if stretch.stream is Stream.ROTOR_SPEED and all(stale):
+            fresh = max(map(_readings, values)) / seconds
+            return f"repeats old readings, {fresh:.0f} new ones a second"
         moves = np.array([np.ptp(v) / max(np.abs(v).mean(), 1e-9) for v in values])
         still = [i for i, v in enumerate(values) if np.ptp(v) == 0.0]
         if still and np.median(np.delete(moves, still) if len(still) < count else 0.0) > _MOVES:
