@@ -176,11 +176,14 @@ def test_a_pause_stops_it_and_nothing_is_lost(recorded):
 
 
 def same_course(stage, other):
+    """Up to where the shorter one ends: they may stand a part of the log from each other."""
     a, b = stage.snapshot.course, other.snapshot.course
-    assert len(a.t) == len(b.t) > 30
-    assert a.t == pytest.approx(b.t, abs=1e-9)
+    n = min(len(a.t), len(b.t))
+    assert n > 30
+    assert abs(len(a.t) - len(b.t)) <= 1
+    assert a.t[:n] == pytest.approx(b.t[:n], abs=1e-9)
     for name in ("Ixx", "k_T"):
-        assert a.value[name] == pytest.approx(b.value[name], rel=1e-6, nan_ok=True)
+        assert a.value[name][:n] == pytest.approx(b.value[name][:n], rel=1e-6, nan_ok=True)
 
 
 def test_a_seek_goes_there_by_all_that_lies_between(recorded):

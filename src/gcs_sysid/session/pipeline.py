@@ -79,15 +79,16 @@ class Pipeline:
         if progress:
             progress(1.0)
 
-    def windows(self, log: Log) -> Iterator[RecordBlock]:
+    def windows(self, log: Log, samples: int = WINDOW) -> Iterator[RecordBlock]:
         """What `take_log` takes, window by window, for those who do it at their own pace.
 
         Args:
             log: as of `take_log`; what it tells is told in results from now on.
+            samples: of the IMU in a window.
         """
         self._telemetry = log
         for block in log.blocks():
-            yield from block.windows(WINDOW)
+            yield from block.windows(samples)
         if log.recorded is not None and _SENSIBLE[0] <= log.recorded < _SENSIBLE[1]:
             self._recorded = datetime.fromtimestamp(log.recorded, UTC)
 

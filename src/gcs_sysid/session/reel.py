@@ -12,6 +12,8 @@ _STEP_BACK = -1.0
 """s; times further back than this are of a clock that was set back (a reboot)."""
 _RATES_OVER = 5.0
 """s that rates are taken over."""
+_WINDOW = 2048
+"""IMU samples. Only between windows can a state be kept, and at full speed the screen looks."""
 
 
 class Reel:
@@ -37,7 +39,7 @@ class Reel:
         self.telemetry: Telemetry = log
         self.position = 0.0
         self.windows_taken = 0
-        self._windows: Iterator[RecordBlock] = pipeline.windows(log)
+        self._windows: Iterator[RecordBlock] = pipeline.windows(log, _WINDOW)
         self._parts: deque[RecordBlock] = deque()
         self._newest: float | None = None
         self._recent: deque[tuple[float, float, Counter[str]]] = deque()
