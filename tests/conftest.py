@@ -1,12 +1,14 @@
 """What several test folders share: emulated flights, each flown once, and onboard logs."""
 
 import json
+import shutil
 import struct
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -41,6 +43,21 @@ def shared_logs() -> Path:
     if not folder.is_dir():
         pytest.skip("no ../shared/logs beside the project")
     return folder
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A Chromium: the machine's own, or playwright's."""
+    api = pytest.importorskip("playwright.sync_api")
+    names = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
+    found = next(filter(None, map(shutil.which, names)), None)
+    with api.sync_playwright() as playwright:
+        try:
+            browser = playwright.chromium.launch(executable_path=found)
+        except api.Error as error:
+            pytest.skip(f"no browser here: {str(error).splitlines()[0]}")
+        yield browser
+        browser.close()
 
 
 FlyFunction = Callable[..., Flight]

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+from collections.abc import Callable
 from typing import NoReturn
 
 
@@ -38,3 +39,26 @@ def not_negative(text: str) -> float:
     if value < 0.0:
         raise argparse.ArgumentTypeError(f"must not be negative, got {text!r}")
     return value
+
+
+def between(least: float, most: float, unit: str) -> Callable[[str], float]:
+    """An argparse type: a number from `least` to `most` of a unit."""
+
+    def checked(text: str) -> float:
+        value = number(text)
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(
+                f"must lie between {least:g} and {most:g} {unit}, got {text!r}"
+            )
+        return value
+
+    return checked
+
+
+def split_prior(text: str) -> tuple[str, str, str] | None:
+    """Name, value and standard deviation of NAME=VALUE±STD; +- and +/- do as well."""
+    name, equals, rest = text.partition("=")
+    for sign in ("+/-", "+-"):
+        rest = rest.replace(sign, "±")
+    value, plus_minus, std = rest.partition("±")
+    return (name.strip(), value.strip(), std.strip()) if equals and plus_minus else None

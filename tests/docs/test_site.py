@@ -1,7 +1,6 @@
 """The site as `make docs` builds it: strict, and without anything from elsewhere."""
 
 import re
-import shutil
 import subprocess
 import sys
 
@@ -12,8 +11,6 @@ from .pages import ROOT
 pytest.importorskip("material", reason="needs mkdocs-material")
 pytest.importorskip("latex2mathml", reason="needs latex2mathml")
 pytestmark = pytest.mark.slow
-
-_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
 
 
 @pytest.fixture(scope="module")
@@ -41,19 +38,6 @@ def test_formulas_are_mathml(site):
     assert "\\begin{" not in method
     for page in site.rglob("*.html"):
         assert "<merror" not in page.read_text(encoding="utf-8")
-
-
-@pytest.fixture(scope="module")
-def browser():
-    api = pytest.importorskip("playwright.sync_api")
-    found = next(filter(None, map(shutil.which, _BROWSERS)), None)
-    with api.sync_playwright() as playwright:
-        try:
-            browser = playwright.chromium.launch(executable_path=found)
-        except api.Error as error:
-            pytest.skip(f"no browser here: {str(error).splitlines()[0]}")
-        yield browser
-        browser.close()
 
 
 def test_the_search_finds_a_word_from_the_disk(site, browser):

@@ -1,25 +1,8 @@
 """The page in a real browser: it draws, zooms by mouse and by keys, and fits wide and narrow."""
 
 import re
-import shutil
 
 import pytest
-
-api = pytest.importorskip("playwright.sync_api")
-
-_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
-
-
-@pytest.fixture(scope="module")
-def browser():
-    found = next(filter(None, map(shutil.which, _BROWSERS)), None)
-    with api.sync_playwright() as playwright:
-        try:
-            browser = playwright.chromium.launch(executable_path=found)
-        except api.Error as error:
-            pytest.skip(f"no browser here: {str(error).splitlines()[0]}")
-        yield browser
-        browser.close()
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import contextlib
 import re
-import shutil
 import signal
 import socket
 import subprocess
@@ -13,11 +12,8 @@ import pytest
 
 from gcs_sysid.telemetry.tlog import read_tlog
 
-api = pytest.importorskip("playwright.sync_api")
-
 pytestmark = pytest.mark.slow
 
-_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
 _PATIENCE = 60_000
 """ms; nothing waits so long where all is well."""
 _ESCAPES = re.compile(r"\x1b(\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(\x07|\x1b\\)|.)")
@@ -110,18 +106,6 @@ class Page:
                 return True
             self.page.wait_for_timeout(100)
         return False
-
-
-@pytest.fixture(scope="module")
-def browser():
-    found = next(filter(None, map(shutil.which, _BROWSERS)), None)
-    with api.sync_playwright() as playwright:
-        try:
-            browser = playwright.chromium.launch(executable_path=found)
-        except api.Error as error:
-            pytest.skip(f"no browser here: {str(error).splitlines()[0]}")
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from gcs_sysid.cli import coaching
 from gcs_sysid.errors import InputError
-from gcs_sysid.usage import not_negative, number, positive
+from gcs_sysid.usage import between, not_negative, number, positive, split_prior
 
 ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-difference")
 """Names of `estimation.article.METHODS` (a test compares); not imported, to start fast."""
@@ -34,20 +34,10 @@ def vehicle_address(text: str) -> tuple[int, int | None]:
     return address
 
 
-def mass(text: str) -> float:
-    """An argparse type: kg of something that flies."""
-    value = positive(text)
-    if not 1e-3 <= value <= 1e5:
-        raise argparse.ArgumentTypeError(f"must lie between 0.001 and 100000 kg, got {text!r}")
-    return value
-
-
-def rate(text: str) -> float:
-    """An argparse type: a message rate in Hz."""
-    value = positive(text)
-    if not 1.0 <= value <= 2000.0:
-        raise argparse.ArgumentTypeError(f"must lie between 1 and 2000 Hz, got {text!r}")
-    return value
+mass = between(0.001, 1e5, "kg")
+"""Of something that flies."""
+rate = between(1.0, 2000.0, "Hz")
+"""Of messages."""
 
 
 def rotors(text: str) -> int:
@@ -59,13 +49,10 @@ def rotors(text: str) -> int:
 
 def prior(text: str) -> tuple[str, float, float]:
     """An argparse type: NAME=VALUE±STD; +- and +/- do as well."""
-    name, equals, rest = text.partition("=")
-    for sign in ("+/-", "+-"):
-        rest = rest.replace(sign, "±")
-    value, plus_minus, std = rest.partition("±")
+    words = split_prior(text)
     try:
-        if equals and plus_minus:
-            return name.strip(), float(value), float(std)
+        if words:
+            return words[0], float(words[1]), float(words[2])
     except ValueError:
         pass
     raise argparse.ArgumentTypeError(f"must be NAME=VALUE±STD (or +-), got {text!r}")

@@ -4,7 +4,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
-from gcs_sysid.usage import positive
+from gcs_sysid.usage import between, number
 
 if TYPE_CHECKING:
     from gcs_sysid.coach.manoeuvres import Limits
@@ -22,22 +22,12 @@ def target(text: str) -> float:
     return 0.01 * value
 
 
-def _tilt(text: str) -> float:
-    value = positive(text)
-    if not 5.0 <= value <= 45.0:
-        raise argparse.ArgumentTypeError(f"must lie between 5 and 45 degrees, got {text!r}")
-    return value
-
-
-def _turning(text: str) -> float:
-    value = positive(text)
-    if not 30.0 <= value <= 600.0:
-        raise argparse.ArgumentTypeError(f"must lie between 30 and 600 deg/s, got {text!r}")
-    return value
+_tilt = between(5.0, 45.0, "degrees")
+_turning = between(30.0, 600.0, "deg/s")
 
 
 def _height(text: str) -> float:
-    value = 0.0 if text.strip() in ("0", "0.0") else positive(text)
+    value = 0.0 if text.strip() in ("0", "0.0") else number(text)
     if value and not 0.2 <= value <= 1.0:
         raise argparse.ArgumentTypeError(f"must be 0 or lie between 0.2 and 1 m, got {text!r}")
     return value

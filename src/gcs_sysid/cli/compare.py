@@ -7,6 +7,7 @@ import textwrap
 from pathlib import Path
 
 from gcs_sysid.cli import output
+from gcs_sysid.intervals import Z95
 from gcs_sysid.session.comparison import Comparison, Difference, compare
 from gcs_sysid.session.result import Estimate
 from gcs_sysid.session.result_file import read_result
@@ -69,7 +70,7 @@ def _row(found: Difference) -> str:
     if found.value is None or found.std is None or found.before is None:
         line += f"{'-':>10}{'-':>9}{'-':>8}"
     else:
-        line += f"{found.value:>10.3g}{1.959963984540054 * found.std:>9.2g}"
+        line += f"{found.value:>10.3g}{Z95 * found.std:>9.2g}"
         line += f"{_percent(found.value, found.before):>8}"
     why = f": {found.why}" if found.why else ""
     return f"{line}  {found.unit:<9}{_WORDS[found.verdict]}{why}"

@@ -5,11 +5,9 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.session.result import Estimate, Result
-
-_HALF_95 = 1.959963984540054
-"""Standard deviations of half an interval of 95 %."""
 
 
 class _Style(NamedTuple):
@@ -68,7 +66,7 @@ def _rows(result: Result, truth: Mapping[str, float] | None, style: _Style) -> l
         "status": [e.status for e in estimates],
     }
     if any(e.bound is not None for e in estimates):
-        bounds = [_HALF_95 * e.bound if e.bound else None for e in estimates]
+        bounds = [Z95 * e.bound if e.bound else None for e in estimates]
         columns["bound 95 %"] = [_number(bound, 2) for bound in bounds]
     if truth:
         true = [truth.get(name) for name in names]
@@ -94,7 +92,7 @@ def _number(value: float | None, digits: int) -> str:
 def _half(estimate: Estimate) -> str:
     if estimate.value is None or estimate.std is None:
         return "-"
-    return "" if estimate.status == "given" else f"{_HALF_95 * estimate.std:.2g}"
+    return "" if estimate.status == "given" else f"{Z95 * estimate.std:.2g}"
 
 
 def _share(estimate: Estimate) -> str:
@@ -102,7 +100,7 @@ def _share(estimate: Estimate) -> str:
         return "-"
     if estimate.status == "given":
         return ""
-    half = _HALF_95 * estimate.std
+    half = Z95 * estimate.std
     share = 100.0 * half / abs(estimate.value) if estimate.value else math.inf
     return f"{share:.2f}" if share < 1000.0 else ">999"
 

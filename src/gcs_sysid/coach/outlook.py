@@ -21,6 +21,7 @@ from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import COORDINATE_MEAN
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.uncertainty import bartlett
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
 
@@ -29,9 +30,8 @@ _OF_AXIS = ((0, 3, 5, rb.CG_Y), (1, 3, 4, rb.CG_X), (2, 4, 5, rb.MOMENT_RATIO, r
 _THRUST_SHARE = 1.2e-3
 """Relative standard deviation of k_T / m after MIN_MOMENTUM_SECONDS of flight: measured on flights
 of the emulator; it falls with the square root of time."""
-_NORMAL = 1.959963984540054
 _FREEDOMS = np.concatenate([np.arange(1.0, 20.0, 0.25), np.geomspace(20.0, 1e4, 40)])
-_FACTORS = stdtrit(_FREEDOMS, 0.975) / _NORMAL
+_FACTORS = stdtrit(_FREEDOMS, 0.975) / Z95
 """Falling: Student's factor at each number of degrees of freedom."""
 
 

@@ -10,10 +10,10 @@ from collections.abc import Mapping
 
 from gcs_sysid.estimation.parameters import CORE_OF, Value
 from gcs_sysid.estimation.rotors import RotorInput
+from gcs_sysid.intervals import Z95
 
 _SMALL = 0.05
 _PRODUCTS = {"Ixy": ("Ixx", "Iyy"), "Iyz": ("Iyy", "Izz"), "Ixz": ("Ixx", "Izz")}
-_HALF = 1.959963984540054
 
 
 def shares(
@@ -38,7 +38,7 @@ def shares(
             yardstick = max(yardstick, _SMALL * math.sqrt(abs(coupled[0] * coupled[1])))
         elif name in ("cg_x", "cg_y"):
             yardstick = max(yardstick, _SMALL * arm)
-        out[name] = _HALF * told.std / yardstick if yardstick > 0.0 else None
+        out[name] = Z95 * told.std / yardstick if yardstick > 0.0 else None
     return out
 
 

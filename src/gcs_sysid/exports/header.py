@@ -4,8 +4,7 @@ from collections.abc import Iterable
 
 from gcs_sysid import __version__
 from gcs_sysid.exports.vehicle import UNITS, Quantity, Vehicle
-
-_Z95 = 1.959963984540054
+from gcs_sysid.intervals import Z95
 
 
 def provenance(vehicle: Vehicle, target: str, notes: Iterable[str]) -> list[str]:
@@ -64,12 +63,12 @@ def unplaced_note(vehicle: Vehicle, names: Iterable[str], where: str) -> list[st
 def _is_there(vehicle: Vehicle, name: str) -> bool:
     """Whether a parameter is known, and known not to be zero."""
     value = vehicle.get(name)
-    return bool(value) and abs(value or 0.0) > _Z95 * (vehicle.known[name].std or 0.0)
+    return bool(value) and abs(value or 0.0) > Z95 * (vehicle.known[name].std or 0.0)
 
 
 def _row(name: str, known: Quantity) -> str:
     unit = "" if UNITS[name] == "1" else f" {UNITS[name]}"
-    half = f" +- {_Z95 * known.std:.2g}" if known.std else ""
+    half = f" +- {Z95 * known.std:.2g}" if known.std else ""
     return f"  {name} = {known.value:.6g}{half}{unit} ({_plain(known.origin)})"
 
 

@@ -9,12 +9,12 @@ from gcs_sysid import __version__
 from gcs_sysid.fleet.table import Row
 from gcs_sysid.fleet.trend import FEWEST, Change, Flight, Vehicle
 from gcs_sysid.fleet.trend_figure import shown_names, trend_figure
+from gcs_sysid.intervals import Z95
 from gcs_sysid.report.markup import Child, Markup, element
 from gcs_sysid.report.parts import Column, grid, legend, note, section, table
 from gcs_sysid.report.wording import (
     NOTHING,
     VERDICT_WORDS,
-    Z95,
     fixed,
     names_text,
     number,

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from gcs_sysid.intervals import Z95
 from gcs_sysid.report import wording
 from gcs_sysid.report.data import AXES, ReportData
 from gcs_sysid.report.figures import (
@@ -119,7 +120,7 @@ def residual(data: ReportData, figures: Figures) -> Markup | None:
 
 
 def _half(std: float | None) -> str:
-    return wording.NOTHING if std is None else wording.fixed(wording.Z95 * std, 2)
+    return wording.NOTHING if std is None else wording.fixed(Z95 * std, 2)
 
 
 def _probability(p: float | None) -> str:

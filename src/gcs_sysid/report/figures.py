@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows, runs
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.report.data import AXES, ReportData
 from gcs_sysid.report.series import packed, thinned
-from gcs_sysid.report.wording import Z95, event_text, unit_text
+from gcs_sysid.report.wording import event_text, unit_text
 
 MOST_ROWS, MOST_INSTANTS = 6000, 1200
 """Points of a series of rows, and of the estimates' course."""

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from gcs_sysid.estimation.parameters import CORE_OF
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import TIMING
 from gcs_sysid.report import wording
 from gcs_sysid.report.data import ReportData
@@ -183,7 +184,7 @@ def _bound(estimate: Mapping[str, Any]) -> str:
     bound = estimate.get("bound")
     if not bound:
         return wording.NOTHING
-    return f"± {wording.number(wording.Z95 * bound, 2)}"
+    return f"± {wording.number(Z95 * bound, 2)}"
 
 
 def _truth(estimate: Mapping[str, Any], true: float | None) -> Child:

@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gcs_sysid.estimation.parameters import CORE_OF
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import PARAMETERS
 
-Z95 = 1.959963984540054
 TIE = "\N{NO-BREAK SPACE}"
 """A space at which lines do not break."""
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -8,6 +8,7 @@ them and is held while it reads well, so that numbers do not jump as they conver
 import math
 from collections.abc import Iterable, Mapping
 
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import PARAMETERS, TIMING, Parameter
 from gcs_sysid.session.comparison import Change
 from gcs_sysid.session.result import Estimate, Result, Status, Verdict
@@ -20,8 +21,6 @@ WHOLE_WIDTH, FRACTION_WIDTH = 4, 4
 """Room left of the decimal point, and for the point with what follows it."""
 NUMBER_WIDTH = WHOLE_WIDTH + FRACTION_WIDTH
 
-Z95 = 1.959963984540054
-"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
 
 MUTED = "$foreground 65%"
 """Style of what is not the message: labels, times. (`$text-muted` has no effect inside a text.)"""

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import parse_airframe
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
 from gcs_sysid.session.result import Estimate, Result, Scale
@@ -21,7 +22,6 @@ Change = Literal["changed", "no_change_seen", "cannot_tell"]
 
 LEVEL = 0.05
 """Probability that a vehicle which is the same is called changed."""
-_Z95 = 1.959963984540054
 _LENGTHS = frozenset({"cg_x", "cg_y", "moment_ratio", "thrust_curve", "motor_lag"})
 """Parameters that do not depend on the scale."""
 _KNOWN = PARAMETERS | {"motor_lag": TIMING["motor_lag"]}
@@ -65,7 +65,7 @@ class Difference:
         """The 95 % interval of the difference, of this parameter alone."""
         if self.value is None or self.std is None:
             return None
-        return self.value - _Z95 * self.std, self.value + _Z95 * self.std
+        return self.value - Z95 * self.std, self.value + Z95 * self.std
 
     def as_json(self) -> dict[str, Any]:
         """The difference as `--json` writes it."""

@@ -18,7 +18,14 @@ from gcs_sysid.session.prediction import KEPT, LivePrediction
 from gcs_sysid.session.reel import Reel
 from gcs_sysid.session.result import Result
 from gcs_sysid.session.sampling import SampleBlock
-from gcs_sysid.session.snapshot import HeardVehicle, LinkState, LinkStatus, Playback, Snapshot
+from gcs_sysid.session.snapshot import (
+    HeardVehicle,
+    LinkState,
+    LinkStatus,
+    Playback,
+    Snapshot,
+    speed_text,
+)
 
 SPEEDS = (1.0, 10.0, math.inf)
 """Seconds of the flight in one second."""
@@ -334,8 +341,3 @@ class ReplaySession:
             clock_ppm=whole.get("clock_drift_ppm"),
             vehicles=heard,
         )
-
-
-def speed_text(speed: float) -> str:
-    """One of the `SPEEDS` in words: `10x`, `max`."""
-    return "max" if math.isinf(speed) else f"{speed:g}x"

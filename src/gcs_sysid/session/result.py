@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from gcs_sysid.intervals import Z95
+
 SCHEMA = "gcs-sysid/1"
 
 Status = Literal["identified", "given", "weak", "unobservable"]
@@ -33,7 +35,7 @@ class Estimate:
         """The 95 % interval (normal), or None where there is no value."""
         if self.value is None or self.std is None:
             return None
-        half = 1.959963984540054 * self.std
+        half = Z95 * self.std
         return (self.value - half, self.value + half)
 
     def as_json(self) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Immutable pictures of a running session, for screens and headless output."""
 
+import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -149,6 +150,11 @@ class Advice:
     progress: float = 0.0
     gains: tuple[Gain, ...] = ()
     enough: bool = False
+
+
+def speed_text(speed: float) -> str:
+    """A replay's speed in words: `10x`, `max`."""
+    return "max" if math.isinf(speed) else f"{speed:g}x"
 
 
 @dataclass(frozen=True)

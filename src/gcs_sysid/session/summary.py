@@ -15,6 +15,7 @@ from gcs_sysid.estimation.parameters import Value, physical_parameters, rests_on
 from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.estimation.tracking import Event
 from gcs_sysid.estimation.uncertainty import watched_factor
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.session.result import Estimate, Scale
 
@@ -181,7 +182,7 @@ def event_of(
     if out["kind"] == "passing":
         out["kind"] = "disturbance"
     if event.cause is not None and event.cause.kind == "rotor_failure":
-        half = 1.959963984540054 * event.cause.loss_std
+        half = Z95 * event.cause.loss_std
         out["rotor"] = event.cause.rotor
         out["loss"] = {
             "value": event.cause.loss,

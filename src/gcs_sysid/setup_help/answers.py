@@ -5,6 +5,7 @@ import re
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import MOST_ARM, Rotor
+from gcs_sysid.usage import split_prior
 
 _SPINS = {"ccw": 1, "cw": -1}
 
@@ -113,10 +114,8 @@ def prior(text: str) -> tuple[str, float, float]:
     Raises:
         InputError: it is something else.
     """
-    name, equals, rest = text.partition("=")
-    for sign in ("+/-", "+-"):
-        rest = rest.replace(sign, "±")
-    value, plus_minus, std = rest.partition("±")
-    if not (equals and plus_minus):
+    words = split_prior(text)
+    if words is None:
         raise InputError(f"NAME=VALUE+-STD is asked for, not {text!r}")
-    return name.strip(), _number(value.strip()), positive_number(std.strip())
+    name, value, std = words
+    return name, _number(value), positive_number(std)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from textual.content import Content
 
+from gcs_sysid.intervals import Z95
 from gcs_sysid.screen import braille
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
@@ -50,7 +51,7 @@ def reduce_course(course: Course, name: str, columns: int, scale: float = 1.0) -
     if name not in course.value or columns < 1:
         return None
     value = scale * course.value[name]
-    half = scale * fmt.Z95 * course.std.get(name, np.full_like(value, np.nan))
+    half = scale * Z95 * course.std.get(name, np.full_like(value, np.nan))
     known = np.isfinite(value)
     t, value, half = course.t[known], value[known], half[known]
     if t.size == 0:

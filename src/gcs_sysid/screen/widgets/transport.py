@@ -1,6 +1,5 @@
 """The transport bar of a replay: where it stands, how fast it goes, and a click to go elsewhere."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,7 +9,7 @@ from textual.message import Message
 from textual.widget import Widget
 
 from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.session.snapshot import Playback
+from gcs_sysid.session.snapshot import Playback, speed_text
 
 KEYS = "space · ← → 10 s · [ ] speed"
 _LEAST_BAR = 10
@@ -42,7 +41,7 @@ def state_of(playback: Playback) -> str:
         return f"» to {fmt.clock(playback.seeking)}"
     if playback.ended:
         return "■ end"
-    speed = "max" if math.isinf(playback.speed) else f"{playback.speed:g}x"
+    speed = speed_text(playback.speed)
     return f"‖ paused ({speed})" if playback.paused else f"▶ {speed}"
 
 
