@@ -4,6 +4,7 @@ SciPy's `lfilter` does the same; but what it takes to load `scipy.signal`, a thi
 more, every command of ours would pay at its start.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -28,14 +29,14 @@ def lfilter(
         (n, ...) y, and the state after the last sample.
     """
     order, n = len(a) - 1, len(x)
-    flat = np.asarray(x, dtype=float).reshape(n, -1)
+    flat = np.asarray(x, dtype=float).reshape(n, math.prod(x.shape[1:]))
     driven = np.zeros((n, flat.shape[1]), order="F")
     for delay, gain in enumerate(b[:n]):
         if gain:
             driven[delay:] += gain * flat[: n - delay]
     state = np.zeros((order, flat.shape[1]))
     if zi is not None:
-        before = np.asarray(zi, dtype=float).reshape(order, -1)
+        before = np.asarray(zi, dtype=float).reshape(order, flat.shape[1])
         driven[:order] += before[:n]
         if n < order:
             state[: order - n] = before[n:]
