@@ -26,15 +26,19 @@ def read_truth(path: str) -> dict[str, float]:
         table = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot read the truth file: {error.strerror}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not valid JSON: {error}") from error
     if not isinstance(table, dict):
         raise InputError(f"{path}: must be a JSON object of parameter names and numbers")
-    return {
-        name: float(value)
+    numbers = {
+        name: value
         for name, value in table.items()
         if isinstance(value, int | float) and not isinstance(value, bool)
     }
+    for name, value in numbers.items():
+        if not abs(value) <= sys.float_info.max:  # whole numbers of JSON have no limit
+            raise InputError(f"{path}: {name} must be a finite number")
+    return {name: float(value) for name, value in numbers.items()}
 
 
 def open_output(path: str) -> TextIO:
