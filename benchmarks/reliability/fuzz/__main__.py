@@ -1,6 +1,6 @@
 """Fuzz every reader, and print what came of it.
 
-    python -m benchmarks.reliability.fuzz --inputs 1000000
+python -m benchmarks.reliability.fuzz --inputs 1000000
 """
 
 import argparse
@@ -24,8 +24,11 @@ def shares(harnesses: Sequence[Harness], inputs: int, least: int) -> dict[str, i
 
 
 def _run(harness: Harness, inputs: int, options: argparse.Namespace) -> dict[str, Any]:
-    """One harness in a process of its own; its figures."""
+    """One harness in a process of its own; its figures, with those of before where wanted."""
     figures = options.findings / f"{harness.name}.json"
+    before = _figures(figures) if options.add else None
+    if inputs == 0:
+        return before or _figures(None)
     figures.unlink(missing_ok=True)
     command = [sys.executable, "-m", "benchmarks.reliability.fuzz.drive", harness.name]
     command += [str(options.findings), "--inputs", str(inputs), "--seed", str(options.seed)]
@@ -33,10 +36,22 @@ def _run(harness: Harness, inputs: int, options: argparse.Namespace) -> dict[str
     log = options.findings / f"{harness.name}.log"
     with log.open("w") as said:
         status = subprocess.run(command, stdout=said, stderr=said, check=False).returncode
-    empty = {"inputs": 0, "longest": 0.0, "findings": {}, "engine": options.engine}
-    found: dict[str, Any] = json.loads(figures.read_text()) if figures.exists() else empty
+    found = _figures(figures)
     if status != 0 and not found["findings"]:
         found["findings"] = {f"ended with status {status}, see {log}": 1}
+    if before is not None:
+        found["inputs"] += before["inputs"]
+        found["longest"] = max(found["longest"], before["longest"])
+        found["findings"] |= before["findings"]
+        figures.write_text(json.dumps(found))
+    return found
+
+
+def _figures(path: Path | None) -> dict[str, Any]:
+    """What a run has told of a harness; zeros where there was none."""
+    if path is None or not path.exists():
+        return {"inputs": 0, "longest": 0.0, "findings": {}, "engine": ""}
+    found: dict[str, Any] = json.loads(path.read_text())
     return found
 
 
@@ -53,6 +68,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         choices=("atheris", "random"),
         default="atheris" if has_atheris() else "random",
         help="what makes the inputs (default: atheris where it is installed)",
+    )
+    parser.add_argument(
+        "--add", action="store_true", help="to the figures of earlier runs in the folder"
     )
     parser.add_argument(
         "--findings", type=Path, default=Path("build/fuzz"), help="folder for inputs that failed"
@@ -78,7 +96,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         table.append((*row, f"{told['longest']:.2f} s", kinds or "none"))
     widths = [max(len(row[i]) for row in table) for i in range(len(table[0]))]
     for row in table:
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        print("  ".join(cells).rstrip())
     print(f"\n{inputs:,} inputs, {findings} findings".replace(",", " "))
     return 1 if findings else 0
 

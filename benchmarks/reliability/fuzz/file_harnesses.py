@@ -150,10 +150,8 @@ def toml_seeds() -> list[bytes]:
     full = b"""name = "x"\nmass = 1.5\nrotor_input = "command"
 [command]\nmin = 0.0\nmax = 1\nthrust_curve = 0.3\n[imu]\ngyro_filter = 80\nposition = [0, 0.1, 0]
 [prior]\nk_M = [6e-6, 1e-7]\nIxx = [0.01, 1e-3]\n[simulation]\nx = [[[1]]]\n"""
-    rotors = b"".join(
-        b'[[rotor]]\nx = %g\ny = %g\nspin = "%s"\n' % rotor
-        for rotor in ((0.2, 0.2, b"ccw"), (-0.2, -0.2, b"ccw"), (0.2, -0.2, b"cw"), (-0.2, 0.2, b"cw"))
-    )
+    places = ((0.2, 0.2, b"ccw"), (-0.2, -0.2, b"ccw"), (0.2, -0.2, b"cw"), (-0.2, 0.2, b"cw"))
+    rotors = b"".join(b'[[rotor]]\nx = %g\ny = %g\nspin = "%s"\n' % place for place in places)
     shipped = [(folder / f"{name}.toml").read_bytes() for name in builtin_names()]
     return [*shipped, full + rotors, b"a = " + b"[" * 400]
 

@@ -111,7 +111,7 @@ class _Reader:
             return []
         names = (name.decode("ascii", "replace") for name in columns["Name"].tolist())
         table = zip(self._times("PARM").tolist(), names, values.tolist(), strict=True)
-        return [entry for entry in table if np.isfinite(entry[2])]
+        return [entry for entry in table if np.isfinite(entry[2]) and entry[1].isprintable()]
 
     def _named(self, name: str, wanted: Sequence[str]) -> Array | None:
         """(n, columns) of the columns named; None when the log has not all of them."""

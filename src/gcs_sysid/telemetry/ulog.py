@@ -168,7 +168,7 @@ def _parameters(log: ULog) -> list[tuple[float, str, float]]:
     return [
         (t, name, float(value))
         for t, name, value in (*initial, *changed)
-        if isinstance(value, int | float) and np.isfinite(value)
+        if isinstance(value, int | float) and np.isfinite(value) and name.isprintable()
     ]
 
 
