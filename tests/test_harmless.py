@@ -25,18 +25,19 @@ from gcs_sysid.telemetry.signing import read_key
 from gcs_sysid.telemetry.urls import parse_url
 from sim_bridge.manoeuvres import read_plan
 
-ROOTS = [Path(package.__file__).parent for package in (gcs_sysid, sim_bridge)]
+TOOL = Path(gcs_sysid.__file__).parent
+ROOTS = [TOOL, Path(sim_bridge.__file__).parent]
 # Between processes of the program itself: the pipe to a child, and a socket of this machine that
 # listens to nobody without the key.
 MAY_PICKLE = {"cli/live_report.py", "web/share.py"}
 
 
 @functools.cache
-def modules():
-    """(name, nodes) of every module but the generated dialect."""
+def modules(*roots):
+    """(name, nodes) of every module but the generated dialect; of the tool alone with TOOL."""
     return [
         (path.relative_to(root).as_posix(), list(ast.walk(ast.parse(path.read_text("utf-8")))))
-        for root in ROOTS
+        for root in roots or ROOTS
         for path in sorted(root.rglob("*.py"))
         if path.name not in ("gcs_sysid_dialect.py", "known_messages.py")
     ]
@@ -82,7 +83,7 @@ def test_nothing_is_unpickled_that_comes_from_outside():
 def test_only_what_is_live_opens_a_link():
     openers = {
         name
-        for name, tree in modules()
+        for name, tree in modules(TOOL)
         if any(function.split(".")[-1] == "open_link" for function, _ in called(tree))
     }
     assert openers == {
@@ -102,9 +103,8 @@ def test_messages_are_packed_by_the_gate_alone():
     """And by the marks of a recording, which go to a file."""
     packers = {
         name
-        for name, nodes in modules()
-        if (ROOTS[0] / name).exists()
-        and any(function.startswith("mavlink.MAVLink") for function, _ in called(nodes))
+        for name, nodes in modules(TOOL)
+        if any(function.startswith("mavlink.MAVLink") for function, _ in called(nodes))
     }
     assert packers == {"telemetry/outgoing.py", "telemetry/marks.py"}
 

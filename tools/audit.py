@@ -59,9 +59,9 @@ def affects(affected: Mapping[str, Any], version: str) -> bool:
                 continue
             if kind == "introduced" and reached:
                 hit = True
-            elif kind == "fixed" and reached:
-                hit = False
-            elif kind == "last_affected" and reached and here != Version(at):
+            elif (kind == "fixed" and reached) or (
+                kind == "last_affected" and reached and here != Version(at)
+            ):
                 hit = False
         if hit:
             return True
