@@ -215,7 +215,7 @@ def test_results_of_others_cannot_write_to_the_terminal(tmp_path):
         ["replay", "x.tlog", "--airframe", "paper", "--headless", "--json", "taken.json"],
         ["live", "udpin:127.0.0.1:45990", "--airframe", "paper", "--headless", "--no-record",
          "--duration", "0.2", "--json", "taken.json"],
-        ["plan", "--airframe", "px4-sih", "--json", "taken.json"],
+        ["plan", "--airframe", "px4-sih", "--mass", "1", "--json", "taken.json"],
         ["airframe", "new", "--layout", "px4-quad-x", "--arm", "0.2", "-o", "taken.toml"],
     ],
     ids=lambda argv: argv[0],

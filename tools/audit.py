@@ -3,8 +3,8 @@
     python tools/audit.py
 
 Looks for a folder of OSV files (one JSON document a file, as an export of OSV's PyPI advisories
-holds them), named by GCS_SYSID_OSV, else `osv/` in the user's cache folder. Without one it says that
-it was skipped. Ends with status 1 when a pinned version is affected and not allowed below.
+holds them), named by GCS_SYSID_OSV, else `osv/` in the user's cache folder. Without one it says
+that it was skipped. Ends with status 1 when a pinned version is affected and not allowed below.
 """
 
 import json
@@ -59,9 +59,8 @@ def affects(affected: Mapping[str, Any], version: str) -> bool:
                 continue
             if kind == "introduced" and reached:
                 hit = True
-            elif (kind == "fixed" and reached) or (
-                kind == "last_affected" and reached and here != Version(at)
-            ):
+            past = here > Version(at) if kind == "last_affected" and at != "0" else reached
+            if kind in ("fixed", "last_affected") and past:
                 hit = False
         if hit:
             return True
