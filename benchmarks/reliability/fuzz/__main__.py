@@ -98,7 +98,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     for row in table:
         cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         print("  ".join(cells).rstrip())
-    print(f"\n{inputs:,} inputs, {findings} findings".replace(",", " "))
+    total = f"{inputs:,}".replace(",", " ")
+    print(f"\n{total} inputs, {findings} findings")
     return 1 if findings else 0
 
 
