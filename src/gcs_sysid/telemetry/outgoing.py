@@ -67,7 +67,7 @@ def _is_harmless_command(message: Any) -> bool:
 
 def _is_of_one_vehicle(message: Any) -> bool:
     """Not to all that hear it, and to numbers that there are."""
-    return 0 < message.target_system <= 255 and 0 <= message.target_component <= 255
+    return bool(0 < message.target_system <= 255 and 0 <= message.target_component <= 255)
 
 
 def _is_harmless_group(message: Any) -> bool:

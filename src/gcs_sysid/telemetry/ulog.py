@@ -13,6 +13,7 @@ import contextlib
 import errno
 import io
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
@@ -112,7 +113,7 @@ class _Handle:
         self._file = file
         self._asked = self._missing = 0
         self.tell, self.close = file.tell, file.close
-        self.read = self._read_definition
+        self.read: Callable[[int], bytes] = self._read_definition
 
     def _read_definition(self, size: int) -> bytes:
         data = self._file.read(size)
