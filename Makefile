@@ -7,7 +7,8 @@ BENCH_INSTALLED := $(VENV)/.installed-bench
 SPEED_INSTALLED := $(VENV)/.installed-speed
 SIMULATORS_INSTALLED := $(VENV)/.installed-simulators
 
-.PHONY: help demo test test-all quick check bench bench-accuracy bench-speed docs pictures sample clean
+.PHONY: help demo test test-all quick check bench bench-accuracy bench-speed fuzz docs pictures \
+  sample clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -42,11 +43,18 @@ test-all: $(SIMULATORS_INSTALLED) ## those too that repeat on more flights what 
 quick: $(SIMULATORS_INSTALLED) ## the tests without whole flights
 	$(BIN)/python -m pytest -m "not slow and not thorough"
 
-check: $(INSTALLED) ## lint, format, types, import contracts
+check: $(INSTALLED) ## lint, format, types, import contracts, known vulnerabilities
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python tools/audit.py
+
+FUZZ_INPUTS ?= 1000000
+fuzz: $(INSTALLED) ## fuzz every reader with FUZZ_INPUTS inputs, found ones into build/fuzz
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint constraints.txt --editable '.[fuzz]' || echo "no atheris: inputs are drawn at random"
+	$(BIN)/python -m benchmarks.reliability.fuzz --inputs $(FUZZ_INPUTS)
 
 bench: $(INSTALLED) ## cost of emulator and chain, as ratios
 	$(BIN)/python -m benchmarks.cost

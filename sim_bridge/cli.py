@@ -14,6 +14,7 @@ import numpy as np
 
 from gcs_sysid import __version__
 from gcs_sysid.errors import GcsSysidError, InputError
+from gcs_sysid.reading import read_bytes
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.usage import OneLineParser, not_negative, number, positive
 from sim_bridge import ardupilot
@@ -302,10 +303,7 @@ def read_key(path: Path) -> bytes:
     Raises:
         InputError: the file cannot be read or holds neither.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from error
+    data = read_bytes(path, 4096, "the signing key")
     if len(data) == 32:
         return data
     try:

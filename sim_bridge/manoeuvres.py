@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.reading import read_text
 from sim_bridge.controller import multiply
 from sim_bridge.missions import HEIGHT, Reference, Triple, ramp
 
@@ -22,6 +23,8 @@ PAUSE = 1.0
 """s of hover after each."""
 LATEST = 3600
 """s at which a manoeuvre may start."""
+_MOST_BYTES = 1_000_000
+"""Of a plan: some thousand manoeuvres."""
 _RAMP = 1.0
 _STEP = 2e-3
 """s, of the differences that make derivatives of the body rates."""
@@ -178,10 +181,8 @@ def read_plan(path: Path) -> ManoeuvreMission:
         InputError: it cannot be read, or is no plan.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from error
-    except ValueError:
+        content = json.loads(read_text(path, _MOST_BYTES, "the plan"))
+    except (ValueError, RecursionError):
         raise InputError(f"{path} is no JSON") from None
     entries = content.get("manoeuvres") if isinstance(content, dict) else None
     if not isinstance(entries, list) or not entries:

@@ -1,11 +1,17 @@
 """Errors that a user can act on: one clear line, no traceback."""
 
+from gcs_sysid.plain import one_line
+
 
 class GcsSysidError(Exception):
     """Base of every error the program raises on purpose.
 
-    The message is the one line a user sees: what is wrong, where, and what to do.
+    The message is the one line a user sees: what is wrong, where, and what to do. It may hold
+    what stood in a file or came over a link: as text it is always one printable line.
     """
+
+    def __str__(self) -> str:
+        return one_line(super().__str__())
 
 
 class InputError(GcsSysidError):

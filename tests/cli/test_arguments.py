@@ -81,7 +81,7 @@ CASES = {
     "no log named": (["analyze"], "LOG"),
     "no link named": (["live"], "URL"),
     "mass is no number": (["analyze", "a.tlog", *PAPER, "--mass", "heavy"], "'heavy'"),
-    "mass is zero": (["analyze", "a.tlog", *PAPER, "--mass", "0"], "positive"),
+    "mass is zero": (["analyze", "a.tlog", *PAPER, "--mass", "0"], "0.001"),
     "mass is nan": (["analyze", "a.tlog", *PAPER, "--mass", "nan"], "'nan'"),
     "two scales": (["analyze", "a.tlog", *PAPER, "--mass", "1", "--k-t", "1"], "not allowed"),
     "arm": (["analyze", "a.tlog", *PAPER, "--arm", "-1"], "--arm"),

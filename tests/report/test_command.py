@@ -102,7 +102,7 @@ def test_names_of_logs_may_be_anything(paper_flight, tmp_path, capsys):
 
 def test_the_report_needs_neither_screen_nor_mavlink():
     code = (
-        "import sys, gcs_sysid.report.page, gcs_sysid.report.data, gcs_sysid.report.files\n"
+        "import sys, gcs_sysid.report.page, gcs_sysid.report.data, gcs_sysid.files\n"
         "print(sorted(m for m in ('textual', 'pymavlink', 'serial') if m in sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -37,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     )
     if options.offline and options.method != "forward":
         raise InputError("--offline starts from --method forward alone")
-    target = output.open_output(options.json) if options.json else None
+    output.check_json(options.json, force=options.force)
     results: list[Result] = []
     unreadable = 0
     if options.added_mass is not None:
@@ -61,12 +60,10 @@ def run(options: argparse.Namespace) -> int:
                 reporter.write(result)
             # Last: whoever reads it may go away.
             _print(log, result, truth, table=options.json != "-")
-    if target and results:
+    if results:
         documents = [result.as_json() for result in results]
         document = documents[0] if len(options.logs) == 1 else documents
-        print(json.dumps(document, indent=2, allow_nan=False), file=target)
-    if target and target is not sys.stdout:
-        target.close()
+        output.write_json(options.json, document, force=options.force)
     if unreadable:
         return 2
     return 1 if any(result.verdict == "refused" for result in results) else 0

@@ -97,6 +97,10 @@ def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -
     )
 
 
+def _add_force(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--force", action="store_true", help="write over a FILE that exists")
+
+
 def _add_baseline(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--baseline", metavar="RESULT.json", help="an earlier result, to compare with on the screen"
@@ -127,6 +131,7 @@ def _add_display(parser: argparse.ArgumentParser) -> None:
         help="the screen in browsers, as many as look (default 8000, on this machine alone)",
     )
     parser.add_argument("--json", metavar="FILE", help="snapshots, one a line; - is stdout")
+    _add_force(parser)
     _add_baseline(parser)
 
 
@@ -208,7 +213,7 @@ def add_analyze(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--report", metavar="FILE.html", help="write a report with figures, to open in a browser"
     )
-    parser.add_argument("--force", action="store_true", help="replace the report if there is one")
+    _add_force(parser)
     parser.add_argument("--start", type=not_negative, default=0.0, metavar="S")
     parser.add_argument("--end", type=positive, default=math.inf, metavar="S")
     parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
@@ -244,6 +249,7 @@ def add_inspect(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="as JSON: instead of the text, or to FILE beside it",
     )
+    _add_force(parser)
     _add_vehicle_choice(parser)
     _add_layout(parser).add_argument(
         "--rotors",
@@ -299,6 +305,7 @@ def add_compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("before", metavar="A.json", help="a result, as --json writes it")
     parser.add_argument("after", metavar="B.json", help="another of the same vehicle")
     parser.add_argument("--json", metavar="FILE", help="write the comparison; - is stdout")
+    _add_force(parser)
 
 
 def _workers(text: str) -> int:

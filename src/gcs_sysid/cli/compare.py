@@ -1,7 +1,6 @@
 """`gcs-sysid compare`: has the vehicle changed?"""
 
 import argparse
-import json
 import sys
 import textwrap
 from pathlib import Path
@@ -19,13 +18,9 @@ _WIDTH = 100
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when the results do not allow an answer."""
     comparison = compare(read_result(Path(options.before)), read_result(Path(options.after)))
-    target = output.open_output(options.json) if options.json else None
-    if target is not None:
-        print(json.dumps(comparison.as_json(), indent=2, allow_nan=False), file=target)
-    if target is not sys.stdout:
+    output.write_json(options.json, comparison.as_json(), force=options.force)
+    if options.json != "-":
         print(report(comparison))
-        if target is not None:
-            target.close()
     if comparison.verdict != "cannot_tell":
         return 0
     print("gcs-sysid: cannot compare: no parameter is identified in both", file=sys.stderr)

@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
         )
         try:
             truth = _wait_for_truth(emulator, truth_file, said)
-            writer = JsonLines(options.json)
+            writer = JsonLines(options.json, force=options.force)
             session = LiveSession(
                 link,
                 airframe,

@@ -1,9 +1,7 @@
 """`gcs-sysid inspect`: what is in a log or on a link, and whether it can be identified from."""
 
 import argparse
-import json
 import shutil
-import sys
 import threading
 from pathlib import Path
 
@@ -30,15 +28,12 @@ def run(options: argparse.Namespace) -> int:
     if options.target is None:
         raise InputError("inspect what? Give a LOG (.tlog, .ulg, .bin) or a link's URL")
     is_log = _is_log(options.target)
-    target = output.open_output(options.json) if options.json else None
+    output.check_json(options.json, force=options.force)
     found = _log(options) if is_log else _link(options)
-    if target is not None:
-        print(json.dumps(found.as_json(), indent=2, allow_nan=False), file=target)
-    if target is not sys.stdout:
+    output.write_json(options.json, found.as_json(), force=options.force)
+    if options.json != "-":
         width = min(shutil.get_terminal_size((80, 24)).columns, WIDEST)
         print(report(found, width))
-        if target is not None:
-            target.close()
     return 0 if found.heard else 1
 
 

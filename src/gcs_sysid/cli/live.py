@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
                 coach=coach_options(options),
             ),
             record_to=recording_path(options),
-            on_result=(writer := JsonLines(options.json)).write,
+            on_result=(writer := JsonLines(options.json, force=options.force)).write,
         )
     except GcsSysidError:
         link.close()
@@ -84,11 +84,15 @@ class JsonLines:
 
     Args:
         path: file, `-` for standard output, or None.
+        force: whether a file that is there may be written over.
+
+    Raises:
+        InputError: the file cannot be written, or is there already.
     """
 
-    def __init__(self, path: str | None) -> None:
+    def __init__(self, path: str | None, *, force: bool) -> None:
         self.to_stdout = path == "-"
-        self._file: TextIO | None = output.open_output(path) if path else None
+        self._file: TextIO | None = output.open_output(path, force=force) if path else None
 
     def write(self, result: Result) -> None:
         """Write one line."""

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TextIO
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.files import check_target, write_whole
+from gcs_sysid.reading import read_text
 
 _MAX_TRUTH_BYTES = 1_000_000
 
@@ -20,35 +22,71 @@ def read_truth(path: str) -> dict[str, float]:
         InputError: the file cannot be read or is no such JSON.
     """
     try:
-        file = Path(path)
-        if file.stat().st_size > _MAX_TRUTH_BYTES:
-            raise InputError(f"{path}: too large for a truth file")
-        table = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the truth file: {error.strerror}") from error
-    except ValueError as error:
+        table = json.loads(read_text(Path(path), _MAX_TRUTH_BYTES, "the truth file"))
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not valid JSON: {error}") from error
     if not isinstance(table, dict):
         raise InputError(f"{path}: must be a JSON object of parameter names and numbers")
-    return {
-        name: float(value)
+    numbers = {
+        name: value
         for name, value in table.items()
         if isinstance(value, int | float) and not isinstance(value, bool)
     }
+    for name, value in numbers.items():
+        if not abs(value) <= sys.float_info.max:  # whole numbers of JSON have no limit
+            raise InputError(f"{path}: {name} must be a finite number")
+    return {name: float(value) for name, value in numbers.items()}
 
 
-def open_output(path: str) -> TextIO:
-    """A text file for writing, or standard output for `-`.
+def open_output(path: str, *, force: bool) -> TextIO:
+    """A text file to be written line by line, or standard output for `-`.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: the file cannot be written, or is there already and is not to be written over.
     """
     if path == "-":
         return sys.stdout
     try:
-        return open(path, "w", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot write: {error.strerror}") from error
+        return open(path, "w" if force or _is_device(path) else "x", encoding="utf-8")
+    except FileExistsError as error:
+        raise InputError(f"{path} exists already; --force writes over it") from error
+    except (OSError, ValueError) as error:  # ValueError: a name with a null character
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot write: {reason}") from error
+
+
+def check_json(path: str | None, *, force: bool) -> None:
+    """See beforehand whether `write_json` can write.
+
+    Raises:
+        InputError: as of `write_json`.
+    """
+    if path is not None and path != "-" and not _is_device(path):
+        check_target(Path(path), replace=force)
+
+
+def write_json(path: str | None, document: object, *, force: bool) -> None:
+    """Write a document whole or not at all: to a file, to standard output for `-`; not for None.
+
+    Raises:
+        InputError: the file cannot be written, or is there already and is not to be written over.
+    """
+    if path is None:
+        return
+    text = json.dumps(document, indent=2, allow_nan=False) + "\n"
+    if path == "-":
+        print(text, end="")
+    elif _is_device(path):
+        with open_output(path, force=force) as file:
+            file.write(text)
+    else:
+        write_whole(Path(path), text, replace=force)
+
+
+def _is_device(path: str) -> bool:
+    """Whether it is there and no file, as a pipe or /dev/null: nothing takes the place of those."""
+    place = Path(path)
+    return place.exists() and not place.is_file() and not place.is_dir()
 
 
 def save(path: Path, text: str, *, force: bool) -> None:
@@ -57,14 +95,7 @@ def save(path: Path, text: str, *, force: bool) -> None:
     Raises:
         InputError: it cannot be written, or is there already.
     """
-    try:
-        with open(path, "w" if force else "x", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-    except FileExistsError as error:
-        raise InputError(f"{path} exists already; --force writes over it") from error
-    except (OSError, ValueError) as error:  # ValueError: a name with a null character
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: cannot write: {reason}") from error
+    write_whole(path, text, replace=force)
 
 
 def print_file(text: str) -> None:

@@ -16,7 +16,7 @@ def run(options: argparse.Namespace) -> int:
     truth = output.read_truth(options.truth) if options.truth else None
     baseline = baseline_of(options)
     stay = is_watched(options)
-    writer = JsonLines(options.json)
+    writer = JsonLines(options.json, force=options.force)
     bar = output.progress_bar(options.log)
     session = ReplaySession(
         survey(Path(options.log), airframe, options.vehicle, bar),

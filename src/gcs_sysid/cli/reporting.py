@@ -13,9 +13,9 @@ import scipy
 from gcs_sysid import __version__
 from gcs_sysid.cli import output
 from gcs_sysid.errors import InputError
+from gcs_sysid.files import check_target, write_whole
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.report.data import Provenance, gather
-from gcs_sysid.report.files import check_target, write_whole
 from gcs_sysid.report.page import render
 from gcs_sysid.report.recorder import Recorder
 from gcs_sysid.session.inspection.inspector import inspect_log

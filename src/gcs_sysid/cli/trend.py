@@ -5,11 +5,11 @@ import sys
 from pathlib import Path
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.files import check_target, write_whole
 from gcs_sysid.fleet import table
 from gcs_sysid.fleet.store import TABLE
 from gcs_sysid.fleet.trend import vehicles_of
 from gcs_sysid.fleet.trend_page import render
-from gcs_sysid.report.files import check_target, write_whole
 
 
 def run(options: argparse.Namespace) -> int:

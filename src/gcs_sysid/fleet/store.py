@@ -5,9 +5,11 @@ import re
 from pathlib import Path
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.files import write_whole
 from gcs_sysid.fleet.jobs import FAILURE, Document, Task
-from gcs_sysid.report.files import write_whole
+from gcs_sysid.reading import read_text
 from gcs_sysid.session.result import SCHEMA
+from gcs_sysid.session.result_file import MOST_BYTES
 
 RESULTS = "results"
 TABLE = "fleet.parquet"
@@ -62,9 +64,9 @@ class Store:
         if task.key not in self._done:
             return None
         try:
-            text = (self.folder / self.name(task)).read_text(encoding="utf-8")
+            text = read_text(self.folder / self.name(task), MOST_BYTES, "the result")
             document = json.loads(text)
-        except (OSError, ValueError):
+        except (InputError, ValueError, RecursionError):
             return None
         whole = isinstance(document, dict) and document.get("schema") in (SCHEMA, FAILURE)
         return document if whole else None

@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.files import write_whole
 from gcs_sysid.fleet.jobs import Document, Job, Task
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
-from gcs_sysid.report.files import write_whole
 
 SCHEMA = "gcs-sysid/fleet/1"
+MOST_BYTES = 2**30
+"""Of a table: some hundred thousand logs."""
 ESTIMATES = {**PARAMETERS, **TIMING}
 _SCALE = ("anchor", "value", "unit", "std")
 
@@ -163,8 +165,10 @@ def read_table(path: Path) -> list[Row]:
     from pyarrow import parquet
 
     try:
+        if path.stat().st_size > MOST_BYTES:
+            raise InputError(f"{path}: too large for a table: more than {MOST_BYTES:,} bytes")
         table = parquet.read_table(path, partitioning=None)
-    except (OSError, pa.ArrowInvalid) as error:
+    except (OSError, pa.ArrowException) as error:
         reason = getattr(error, "strerror", None) or "not Parquet"
         raise InputError(f"{path}: cannot read the table: {reason}") from error
     known = (table.schema.metadata or {}).get(b"schema")

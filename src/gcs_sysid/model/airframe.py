@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.reading import read_text
 
 RotorInput = Literal["auto", "speed", "command"]
 AnchorName = Literal["mass", "k_T", "T_max"]
@@ -26,6 +27,9 @@ PRIORS = (
     "rotor_delay",
 )  # fmt: skip
 """Parameters that may be known beforehand."""
+
+_MOST_BYTES = 1_000_000
+"""A file beyond this describes no airframe."""
 
 MOST_ARM = 100.0
 """m; a rotor further out than this is a slip of the pen."""
@@ -208,11 +212,7 @@ def read_airframe_table(name_or_path: str) -> tuple[dict[str, Any], str]:
                 f"no airframe {name_or_path!r}: name a .toml file or one of "
                 + ", ".join(builtin_names())
             )
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or "not UTF-8 text"
-            raise InputError(f"{where}: cannot read the airframe file: {reason}") from error
+        text = read_text(path, _MOST_BYTES, "the airframe file")
     try:
         return tomllib.loads(text), where
     except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError

@@ -32,6 +32,7 @@ from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import COMMANDS, Tuning
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import TIMING
+from gcs_sysid.plain import one_line
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.session import summary
 from gcs_sysid.session.course import CourseRecorder
@@ -227,7 +228,7 @@ class Chain:
 
     def note(self, text: str) -> None:
         """Add a line to the event log."""
-        self._events.append(Event(self.t, text))
+        self._events.append(Event(self.t, one_line(text)))
 
     def refit(self) -> Result:
         """Fit now and give the result."""

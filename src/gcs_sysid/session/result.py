@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from gcs_sysid.files import write_whole
 from gcs_sysid.intervals import Z95
 
 SCHEMA = "gcs-sysid/1"
@@ -122,9 +123,13 @@ class Result:
         """The result as JSON text (strict: no NaN or infinity)."""
         return json.dumps(self.as_json(), indent=indent, allow_nan=False)
 
-    def write(self, path: Path) -> None:
-        """Write the result to a file."""
-        path.write_text(self.dumps() + "\n", encoding="utf-8")
+    def write(self, path: Path, *, force: bool = False) -> None:
+        """Write the result to a file; over another one only if forced.
+
+        Raises:
+            InputError: it cannot be written, or is there already.
+        """
+        write_whole(path, self.dumps() + "\n", replace=force)
 
 
 def _finite(value: float | None) -> float | None:

@@ -9,9 +9,11 @@ from typing import Any, NoReturn, cast, get_args
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import ANCHORS
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.plain import one_line
+from gcs_sysid.reading import read_text
 from gcs_sysid.session.result import SCHEMA, Estimate, Result, Scale, Status, Verdict
 
-_MOST_BYTES = 256 * 1024 * 1024
+MOST_BYTES = 256 * 1024 * 1024
 """A file beyond this is no result."""
 
 
@@ -25,14 +27,7 @@ def read_result(path: Path) -> Result:
         InputError: the file cannot be read, holds several results, or is none.
     """
     where = str(path)
-    try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise InputError(f"{where}: too large for a result")
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{where}: cannot read the result: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{where}: not UTF-8 text, so no result") from error
+    text = read_text(path, MOST_BYTES, "the result")
     return parse_result(_last_document(text, where), where)
 
 
@@ -61,7 +56,7 @@ def parse_result(document: object, where: str) -> Result:
         table.fail("rotor_input")
     return Result(
         verdict=cast(Verdict, table.one_of("verdict", get_args(Verdict))),
-        reasons=tuple(str(reason) for reason in table.list("reasons")),
+        reasons=tuple(one_line(str(reason)) for reason in table.list("reasons")),
         source=table.text("source"),
         vehicle=table.table("vehicle").entries,
         scale=_scale(table),
@@ -89,7 +84,7 @@ class _Table:
 
     def text(self, key: str) -> str:
         value = self.entries.get(key, "")
-        return value if isinstance(value, str) else self.fail(key)
+        return one_line(value) if isinstance(value, str) else self.fail(key)
 
     def one_of(self, key: str, words: tuple[str, ...]) -> str:
         value = self.text(key)

@@ -8,7 +8,8 @@
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -110,7 +111,7 @@ class _Reader:
             return []
         names = (name.decode("ascii", "replace") for name in columns["Name"].tolist())
         table = zip(self._times("PARM").tolist(), names, values.tolist(), strict=True)
-        return [entry for entry in table if np.isfinite(entry[2])]
+        return [entry for entry in table if np.isfinite(entry[2]) and entry[1].isprintable()]
 
     def _named(self, name: str, wanted: Sequence[str]) -> Array | None:
         """(n, columns) of the columns named; None when the log has not all of them."""
@@ -255,8 +256,9 @@ class _Reader:
             if changes:
                 changes.setdefault(start, not changes[min(changes)])
         if flies:
+            in_air, lands = _state(flies), _state(landing)
             both = sorted({*flies, *landing})
-            flies = {t: _at(flies, t) and not _at(landing, t) for t in both if t >= start}
+            flies = {t: in_air(t) and not lands(t) for t in both if t >= start}
         end = float(self._known_t[-1])
         recording.add_state(Stream.ARMED, armed, end)
         recording.add_state(Stream.IN_AIR, flies, end)
@@ -267,10 +269,15 @@ class _Reader:
             yield from zip(self._times(name).tolist(), columns[column].tolist(), strict=True)
 
 
-def _at(changes: dict[float, bool], t: float) -> bool:
+def _state(changes: Mapping[float, bool]) -> Callable[[float], bool]:
     """The state at a time, from the changes to it; False before the first."""
-    before = [key for key in changes if key <= t]
-    return changes[max(before)] if before else False
+    times = sorted(changes)
+
+    def at(t: float) -> bool:
+        before = bisect_right(times, t)
+        return changes[times[before - 1]] if before else False
+
+    return at
 
 
 def _rpm(columns: dict[str, Array]) -> Array:

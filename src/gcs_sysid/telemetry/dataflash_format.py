@@ -156,6 +156,8 @@ class DataflashLog:
         ]
         name, letters, labels = texts
         columns = tuple(labels.split(",")) if labels else ()
+        if not (name + labels).isprintable():
+            return
         if number == _FMT or len(letters) != len(columns) or set(letters) - set(_TYPES):
             return
         width = sum(np.dtype(_TYPES[letter][0]).itemsize for letter in letters)

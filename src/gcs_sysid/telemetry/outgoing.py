@@ -1,12 +1,13 @@
 """The one place that decides what may be sent to a vehicle.
 
 A tool that only listens can do no harm, and this one must not do more than ask: its heartbeat,
-requests for the rates of messages and groups of them, requests for what describes the vehicle, time
-synchronisation, and reading of parameters. Nothing that moves, arms, configures or restarts a
-vehicle can pass.
+requests for the rates of messages and groups of them, time synchronisation, and reading of
+parameters. Nothing that moves, arms, configures or restarts a vehicle can pass, and each field of
+what passes is held to what there is a use for: a caller's slip is refused as well.
 """
 
 import math
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -19,10 +20,6 @@ OWN_SYSTEM = 245
 quitting this tool could trip it."""
 OWN_COMPONENT: int = mavlink.MAV_COMP_ID_MISSIONPLANNER
 
-# What describes the vehicle and has no effect on it.
-_MAY_BE_REQUESTED = frozenset(
-    {mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, mavlink.MAVLINK_MSG_ID_PROTOCOL_VERSION}
-)
 # Groups with what identification needs; never "all", which would reset those of others.
 _GROUPS = frozenset(
     {
@@ -35,8 +32,11 @@ _GROUPS = frozenset(
 )
 MOST_OF_GROUP = 50
 """Hz. ArduPilot before 4.0 sends no group faster, and nobody else is asked for groups."""
+SHORTEST_INTERVAL = 500
+"""us. No autopilot sends faster, and one that tried would have no time left to fly."""
 LONGEST_INTERVAL = 60_000_000
 """us. Nobody needs a stream slower than one a minute."""
+_PARAMETER_NAME = re.compile(r"[A-Z0-9_]{1,16}")
 
 
 class NotAllowedError(GcsSysidError):
@@ -54,24 +54,25 @@ def _is_harmless_heartbeat(message: Any) -> bool:
 
 def _is_harmless_command(message: Any) -> bool:
     parameters = [getattr(message, f"param{i}") for i in range(1, 8)]
-    if not all(math.isfinite(value) for value in parameters) or message.target_system == 0:
+    if not all(math.isfinite(value) for value in parameters) or not _is_of_one_vehicle(message):
         return False
     wanted, value, *rest = parameters
-    if wanted != int(wanted) or any(rest):
+    if wanted not in mavlink.mavlink_map or any(rest) or message.confirmation != 0:
         return False
     if message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
         # 0 asks for the vehicle's own rate, -1 would switch the message off.
-        return int(wanted) in mavlink.mavlink_map and 0 <= value <= LONGEST_INTERVAL
-    if message.command == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
-        return int(wanted) in mavlink.mavlink_map and value == 0
-    if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
-        return int(wanted) in _MAY_BE_REQUESTED and value == 0
-    return False
+        return bool(value == 0 or SHORTEST_INTERVAL <= value <= LONGEST_INTERVAL)
+    return bool(message.command == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL and value == 0)
+
+
+def _is_of_one_vehicle(message: Any) -> bool:
+    """Not to all that hear it, and to numbers that there are."""
+    return bool(0 < message.target_system <= 255 and 0 <= message.target_component <= 255)
 
 
 def _is_harmless_group(message: Any) -> bool:
     """Of one vehicle, and stopped only where nothing came before."""
-    if message.target_system == 0 or message.req_stream_id not in _GROUPS:
+    if not _is_of_one_vehicle(message) or message.req_stream_id not in _GROUPS:
         return False
     rate = message.req_message_rate
     if message.start_stop == 0:
@@ -79,17 +80,26 @@ def _is_harmless_group(message: Any) -> bool:
     return bool(message.start_stop == 1 and 0 < rate <= MOST_OF_GROUP)
 
 
-def _always(_message: Any) -> bool:
-    return True
+def _is_harmless_timesync(message: Any) -> bool:
+    """A question: an answer could set the clock of somebody who asked."""
+    return bool(message.tc1 == 0 and 0 <= message.ts1 < 2**63)
+
+
+def _is_harmless_reading(message: Any) -> bool:
+    """By a name that a parameter can have, not by a number: those differ between versions."""
+    name = message.param_id
+    text = name.decode("ascii", "replace") if isinstance(name, bytes) else str(name)
+    by_name = message.param_index == -1 and _PARAMETER_NAME.fullmatch(text.rstrip("\0"))
+    return bool(by_name and _is_of_one_vehicle(message))
 
 
 _ALLOWED: dict[int, Callable[[Any], bool]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: _is_harmless_heartbeat,
     mavlink.MAVLINK_MSG_ID_COMMAND_LONG: _is_harmless_command,
     mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: _is_harmless_group,
-    mavlink.MAVLINK_MSG_ID_TIMESYNC: _always,
-    mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ: _always,
-    mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: _always,
+    mavlink.MAVLINK_MSG_ID_TIMESYNC: _is_harmless_timesync,
+    mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ: _is_harmless_reading,
+    mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: _is_of_one_vehicle,
 }
 
 
@@ -188,10 +198,6 @@ class Gate:
         return self.send(
             mavlink.MAVLink_request_data_stream_message(*target, group, hertz, int(hertz > 0))
         )
-
-    def request_message(self, target: tuple[int, int], message_id: int) -> bool:
-        """Ask once for a message that describes the vehicle."""
-        return self._command(target, mavlink.MAV_CMD_REQUEST_MESSAGE, message_id)
 
     def timesync(self, ts1_ns: int) -> bool:
         """Ask for the vehicle's time; `ts1_ns` is our own, in ns."""

@@ -20,6 +20,7 @@ from pathlib import Path
 from fastcrc import crc16
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.reading import read_bytes, read_text
 from gcs_sysid.telemetry.frames import CHECKSUM, FLAG_SIGNED, SIGNATURE, Frame, Validity
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 
@@ -34,6 +35,8 @@ the time go back."""
 OLDEST_START = 60 * UNITS
 """A sender not heard before may be this far behind our own time, as the protocol says."""
 LINK_ID = 0
+_MOST_BYTES = 4096
+"""Of a key file."""
 LARGEST_TIME = 2**48 - 1
 
 _RADIO_STATUS = MESSAGE_IDS["RADIO_STATUS"]
@@ -49,10 +52,7 @@ def read_key(path: Path | str) -> bytes:
     Raises:
         InputError: the file cannot be read, or there is no key in it.
     """
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot read the signing key {path}: {error.strerror}") from error
+    data = read_bytes(Path(path), _MOST_BYTES, "the signing key")
     line = data.strip()
     if len(data) == KEY_SIZE and not (data.endswith(b"\n") and _is_text(line)):
         return data
@@ -147,10 +147,10 @@ class SigningClock:
 def _read_state(state: Path | None) -> int:
     """The time kept; 0 where there is none or the file is damaged."""
     try:
-        text = state.read_text(encoding="ascii").strip() if state else ""
-    except (OSError, UnicodeDecodeError):
+        text = read_text(state, _MOST_BYTES, "the time").strip() if state else ""
+    except InputError:
         return 0
-    return min(int(text), LARGEST_TIME) if text.isdecimal() else 0
+    return min(int(text), LARGEST_TIME) if text.isdecimal() and len(text) < 20 else 0
 
 
 class Signer:

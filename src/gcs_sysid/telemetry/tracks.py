@@ -18,6 +18,8 @@ from gcs_sysid.telemetry.clock import JUMP_AHEAD
 
 STATE_EVERY = 1.0
 """s between two reports of a state that is only logged when it changes."""
+STATE_FOR = 86400.0
+"""s for which it is told: what ends later has a damaged time."""
 
 
 class TrackCollector:
@@ -164,7 +166,8 @@ class Recording:
         if not changes:
             return
         at = np.array(sorted(changes))
-        t = np.union1d(at, np.arange(at[0], max(end, at[0]), STATE_EVERY))
+        end = min(max(end, at[0]), at[0] + STATE_FOR)
+        t = np.union1d(at, np.arange(at[0], end, STATE_EVERY))
         states = np.array([changes[key] for key in at.tolist()])
         self.add(stream, t, states[np.searchsorted(at, t, side="right") - 1])
 

@@ -13,7 +13,9 @@ import contextlib
 import errno
 import io
 import struct
+from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from pyulog import ULog
@@ -27,6 +29,8 @@ from gcs_sysid.telemetry.rotors import RPM
 from gcs_sysid.telemetry.tracks import Recording
 
 MAGIC = b"ULog\x01\x12\x35"
+_ENTRY_HEAD = 3
+"""Bytes before the content of an entry."""
 
 _TOPICS = [
     "sensor_combined", "estimator_sensor_bias", "vehicle_attitude", "vehicle_local_position",
@@ -85,14 +89,45 @@ def read_ulog(path: Path) -> Recording:
 def _load(path: Path) -> ULog:
     said = io.StringIO()  # pyulog prints what it finds wrong
     try:
-        with contextlib.redirect_stdout(said):
-            return ULog(str(path), _TOPICS)
+        with open(path, "rb") as file, contextlib.redirect_stdout(said):
+            return ULog(_Handle(file), _TOPICS)
     except OSError as error:
         if error.errno == errno.EINVAL:  # pyulog went back by a damaged length, out of the file
             raise InputError(f"{path} cannot be read as a PX4 log: it is damaged") from error
         raise InputError(f"cannot read {path}: {error.strerror}") from error
-    except (ULogException, struct.error, ValueError, KeyError, IndexError, TypeError) as error:
+    except (
+        ULogException, struct.error, ValueError, KeyError, IndexError, TypeError, AttributeError,
+        OverflowError, RecursionError, MemoryError,
+    ) as error:  # fmt: skip
         raise InputError(f"{path} cannot be read as a PX4 log: {error}") from error
+
+
+class _Handle:
+    """A file for pyulog, which goes back by the length of what it wanted, not of what it got.
+
+    Where a damaged length leads out of the file, it would begin again somewhere in the middle,
+    and often without end.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._asked = self._missing = 0
+        self.tell, self.close = file.tell, file.close
+        self.read: Callable[[int], bytes] = self._read_definition
+
+    def _read_definition(self, size: int) -> bytes:
+        data = self._file.read(size)
+        self._asked, self._missing = size, size - len(data)
+        return data
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """As files do, from where all that was asked for would have ended."""
+        if whence == 1:
+            if offset == -(_ENTRY_HEAD + self._asked):
+                self.read = self._file.read  # the definitions end: what follows must be fast
+            offset += self._missing
+        self._missing = 0
+        return self._file.seek(offset, whence)
 
 
 def _add_topic(
@@ -134,7 +169,7 @@ def _parameters(log: ULog) -> list[tuple[float, str, float]]:
     return [
         (t, name, float(value))
         for t, name, value in (*initial, *changed)
-        if isinstance(value, int | float) and np.isfinite(value)
+        if isinstance(value, int | float) and np.isfinite(value) and name.isprintable()
     ]
 
 

@@ -70,6 +70,8 @@ def parse_url(text: str, baud: int | None = None) -> LinkUrl:
     text = text.strip()
     if not text:
         raise InputError(f"no link given: use {FORMS}")
+    if not text.isprintable():
+        raise InputError(f"cannot understand the link {text!r}: a name is one line of text")
     kind, colon, rest = text.partition(":")
     kind = kind.lower()
     if colon and kind in _NETWORK_KINDS:
@@ -107,6 +109,8 @@ def _host_and_port(text: str, whole: str) -> tuple[str, int]:
         raise InputError(f"{whole}: the port must be a number from 1 to 65535, not {port_text!r}")
     if host.startswith("[") and host.endswith("]"):
         host = host[1:-1]
+        if not host:
+            raise InputError(f"{whole}: no address between the brackets")
     elif ":" in host:
         raise InputError(f"{whole}: write an IPv6 address in brackets, as udpin:[::1]:14550")
     return host, int(port_text)

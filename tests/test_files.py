@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.report.files import check_target, write_whole
+from gcs_sysid.files import check_target, write_whole
 
 
 def test_writes_a_new_file_and_leaves_nothing_else(tmp_path):

@@ -25,7 +25,7 @@ def check_target(path: Path, *, replace: bool, sources: tuple[Path, ...] = ()) -
     if path.resolve() in (source.resolve() for source in sources):
         raise InputError(f"{path} is what is to be read or written besides; name another file")
     if path.exists() and not replace:
-        raise InputError(f"{path} exists; --force replaces it")
+        raise InputError(f"{path} exists already; --force writes over it")
 
 
 def write_whole(path: Path, content: str | bytes, *, replace: bool) -> None:
@@ -41,8 +41,9 @@ def write_whole(path: Path, content: str | bytes, *, replace: bool) -> None:
     """
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
-    except OSError as error:
-        raise InputError(f"{path}: cannot write: {error.strerror}") from error
+    except (OSError, ValueError) as error:  # ValueError: a name with a null character
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot write: {reason}") from error
     part = Path(name)
     try:
         with open(handle, "wb") as file:
@@ -54,7 +55,7 @@ def write_whole(path: Path, content: str | bytes, *, replace: bool) -> None:
         else:
             _put_new(part, path)
     except FileExistsError as error:
-        raise InputError(f"{path} exists; --force replaces it") from error
+        raise InputError(f"{path} exists already; --force writes over it") from error
     except OSError as error:
         raise InputError(f"{path}: cannot write: {error.strerror}") from error
     finally:

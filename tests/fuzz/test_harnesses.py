@@ -1,0 +1,109 @@
+"""Every harness on its seeds, on the inputs kept, and on what hypothesis draws near them."""
+
+import random
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from benchmarks.reliability.fuzz import link_harnesses
+from benchmarks.reliability.fuzz.__main__ import main, shares
+from benchmarks.reliability.fuzz.drive import Driver
+from benchmarks.reliability.fuzz.harness import Harness, one_line_errors
+from benchmarks.reliability.fuzz.harnesses import HARNESSES
+from benchmarks.reliability.fuzz.mutate import Mutator
+from benchmarks.reliability.fuzz.references import checksum
+from gcs_sysid.errors import InputError
+from gcs_sysid.telemetry.frames import FrameScanner
+
+BY_NAME = [pytest.param(harness, id=harness.name) for harness in HARNESSES]
+
+
+@pytest.mark.parametrize("harness", BY_NAME)
+def test_seeds_and_inputs_kept_hold(harness):
+    for data in (b"", *harness.seeds(), *harness.kept()):
+        harness.check(data)
+
+
+@pytest.mark.parametrize("harness", BY_NAME)
+def test_what_is_drawn_holds(harness):
+    @settings(
+        max_examples=40, derandomize=True, deadline=None, database=None,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+    )  # fmt: skip
+    @given(st.data())
+    def holds(data):
+        seed = data.draw(st.sampled_from(harness.seeds()))
+        at = data.draw(st.integers(0, len(seed)))
+        stop = data.draw(st.integers(at, min(at + 20, len(seed))))
+        piece = data.draw(st.binary(max_size=12) | st.sampled_from([*harness.tokens, b""]))
+        harness.check(seed[:at] + piece + seed[stop:])
+        harness.check(piece)
+
+    holds()
+
+
+@pytest.mark.parametrize("harness", BY_NAME)
+def test_what_the_mutator_draws_holds(harness):
+    mutator = Mutator(harness.seeds(), harness.tokens, harness.longest, random.Random(7))
+    for _ in range(40):
+        data = mutator.draw()
+        assert len(data) <= harness.longest
+        harness.check(data)
+
+
+def test_the_mutator_repeats_itself_and_changes_its_seeds():
+    draws = [Mutator([b"abc"], [b"x"], 50, random.Random(3)) for _ in range(2)]
+    first, second = ([mutator.draw() for _ in range(200)] for mutator in draws)
+    assert first == second
+    assert len(set(first)) > 100
+
+
+def test_the_reference_has_the_right_checksum():
+    assert checksum(b"123456789") == 0x6F91  # CRC-16/MCRF4XX
+
+
+def test_a_scanner_that_loses_a_frame_or_makes_one_up_is_found_out(monkeypatch):
+    (stream, *_) = link_harnesses.stream_seeds()
+    feed = FrameScanner.feed
+    monkeypatch.setattr(FrameScanner, "feed", lambda self, chunk: feed(self, chunk)[:-1])
+    with pytest.raises(AssertionError, match="reference"):
+        link_harnesses.check_frames(stream)
+
+
+def test_a_line_that_writes_to_the_terminal_is_none():
+    with one_line_errors():
+        raise InputError("a\x1b[2J\nb")  # made printable by the error itself
+    with pytest.raises(AssertionError), one_line_errors():
+        raise InputError("")
+
+
+def test_what_a_harness_finds_is_kept_once(tmp_path):
+    def check(data):
+        assert data != b"bad"
+
+    driver = Driver(Harness("mine", "", check, list, 1.0), 100, 1e9, tmp_path)
+    for data in (b"good", b"bad", b"bad"):
+        driver.take(data)
+    driver.tell()
+    (kept,) = (path for path in tmp_path.glob("mine-*") if path.suffix == "")
+    assert kept.read_bytes() == b"bad"
+    text = (tmp_path / "mine.json").read_text()
+    assert '"inputs": 3' in text
+    assert "AssertionError" in text
+
+
+@pytest.mark.slow
+def test_a_run_prints_a_table(tmp_path, capsys):
+    argv = ["url", "--inputs", "300", "--least", "1", "--findings", str(tmp_path / "f")]
+    assert main([*argv, "--engine", "random"]) == 0
+    out = capsys.readouterr().out
+    assert "names of links" in out
+    assert "300 inputs, 0 findings" in out
+
+
+def test_each_harness_gets_its_share():
+    told = shares(HARNESSES, 1_000_000, 500)
+    assert set(told) == {harness.name for harness in HARNESSES}
+    assert min(told.values()) >= 500
+    assert told["url"] == max(told.values())
