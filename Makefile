@@ -7,8 +7,8 @@ BENCH_INSTALLED := $(VENV)/.installed-bench
 SPEED_INSTALLED := $(VENV)/.installed-speed
 SIMULATORS_INSTALLED := $(VENV)/.installed-simulators
 
-.PHONY: help demo test test-all quick check bench bench-accuracy bench-speed fuzz docs pictures \
-  sample clean
+.PHONY: help demo test test-all quick check bench bench-accuracy bench-speed fuzz soak soak-short \
+  docs pictures sample clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -78,6 +78,13 @@ $(SPEED_INSTALLED): $(INSTALLED)
 
 bench-speed: $(SPEED_INSTALLED) ## reading logs, against other readers (10 min)
 	$(BIN)/python -m benchmarks.speed
+
+MINUTES ?= 60
+soak: $(INSTALLED) ## flights with faults drawn at random, an hour long; MINUTES=...
+	$(BIN)/python -m benchmarks.reliability.soak --minutes $(MINUTES)
+
+soak-short: $(INSTALLED) ## the same for five minutes
+	$(BIN)/python -m benchmarks.reliability.soak --minutes 5
 
 docs: $(INSTALLED) ## the documentation as a site, into build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict

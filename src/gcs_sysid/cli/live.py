@@ -46,6 +46,7 @@ def run(options: argparse.Namespace) -> int:
                 refit_interval=refit_interval(options),
                 signing_key=Path(options.signing_key) if options.signing_key else None,
                 coach=coach_options(options),
+                predict=is_watched(options),
             ),
             record_to=recording_path(options),
             on_result=(writer := JsonLines(options.json, force=options.force)).write,

@@ -32,6 +32,8 @@ class Moments:
     def __init__(self, shape: Sequence[int], rows_per_batch: int, max_batches: int = 512) -> None:
         self._rows_per_batch = rows_per_batch
         self._batches = np.zeros((max_batches, *shape))
+        # Written once, so that the memory is had before the flight, not found wanting in it.
+        self._batches.fill(0.0)
         self._counts = np.zeros(max_batches, dtype=np.int64)
         self._full = 0
         self.total = np.zeros(shape)

@@ -26,10 +26,10 @@ _POLL = 0.05
 """s; the longest that an action of the user waits."""
 _ASK_EVERY = 0.2
 """s between looks at the rates that arrive."""
-_FEW, _GATHER = 16, 0.004
+_FEW, _GATHER = 16, 0.002
 """Frames in one go that are not worth waking for, and s to wait for more."""
-_PUBLISH_EVERY = 0.2
-"""s between snapshots."""
+_PUBLISH_EVERY, _PUBLISH_LATE = 0.2, 0.4
+"""s between snapshots; the longer one while more frames wait than are taken in one go."""
 _DRAINED_AFTER = 0.7
 """s of silence after the sender's end, before the session ends too."""
 
@@ -46,6 +46,7 @@ class LiveOptions:
         refit_interval: s of vehicle time between estimates.
         signing_key: file with the key of MAVLink 2 signing; None: nothing is signed or checked.
         coach: what the flight coach aims at; None: no advice.
+        predict: whether snapshots show the acceleration that was predicted.
     """
 
     rate: float = 250.0
@@ -55,6 +56,7 @@ class LiveOptions:
     refit_interval: float = 0.2
     signing_key: Path | None = None
     coach: CoachOptions | None = None
+    predict: bool = True
 
 
 class LiveSession:
@@ -118,7 +120,8 @@ class LiveSession:
         self._pipeline = Pipeline(self._airframe, str(self._link.url), wanted, options)
         chain, coach = self._pipeline.chain, self._options.coach
         self._prediction = LivePrediction(chain)
-        chain.observers.append(self._prediction.take)
+        if self._options.predict:
+            chain.observers.append(self._prediction.take)
         self._coach = None if coach is None else Coach(chain, coach)
 
     def start(self) -> None:
@@ -252,10 +255,11 @@ class LiveSession:
             for text in self._station.take_events():
                 self._pipeline.chain.note(text)
             self._tell_recording_problem()
-            if now - published >= _PUBLISH_EVERY:
+            # What is shown waits while frames do, but not for ever.
+            if now - published >= (_PUBLISH_EVERY if len(frames) < _FEW else _PUBLISH_LATE):
                 self._publish(self._state())
+                self._tell_result()
                 published = now
-            self._tell_result()
             if self._ended(now, began):
                 return
             if 0 < len(frames) < _FEW:

@@ -79,6 +79,7 @@ class GroundStation:
         self._reboots = 0
         self._heard = 0
         self._breaks = 0
+        self._floods = 0
 
     @property
     def asked(self) -> dict[str, float]:
@@ -119,6 +120,12 @@ class GroundStation:
                     "waiting for it to come back"
                 )
                 self.lost = True
+        if self._link.floods != self._floods:
+            self._floods = self._link.floods
+            self._events.append(
+                f"{self._link.url} is flooded by others: what the vehicle sends is read first, "
+                "and little of the rest"
+            )
         heard = intake.monitor.heard
         if heard != self._heard:
             self._heard = heard

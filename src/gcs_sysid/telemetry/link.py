@@ -15,7 +15,10 @@ import contextlib
 import errno
 import select
 import socket
+import sys
+import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -28,6 +31,14 @@ RECEIVE_BUFFER = 4 * 2**20
 """Bytes asked of the system: 4 s of a flood of 1 MB/s while something else has the processor."""
 LARGEST_DATAGRAM = 65536
 DATAGRAMS_AT_ONCE = 512
+FLOOD = 5000
+"""Datagrams of others in a second; a vehicle at 1 kHz sends 2000."""
+STRANGERS_AT_ONCE = 64
+"""Datagrams of others that are read at a time while the vehicle's come apart."""
+BACKLOG = 20_000
+"""Datagrams at most that wait in the system's buffer."""
+SILENT_FOR = 2.0
+"""s without a datagram of the vehicle, after which its own socket is given up."""
 STREAM_PIECE = 65536
 CONNECT_TIMEOUT = 5.0
 """s."""
@@ -58,6 +69,7 @@ class Link(ABC):
         datagrams: whether chunks are datagrams, each beginning on a frame boundary.
         ended: the other side closed it, or the device is gone.
         breaks: how often a stream of bytes ended, to be followed by another one or not.
+        floods: how often others were found to flood it.
         unsent: messages that could not be sent.
     """
 
@@ -67,6 +79,7 @@ class Link(ABC):
         self.url = url
         self.ended = False
         self.breaks = 0
+        self.floods = 0
         self.unsent = 0
 
     @abstractmethod
@@ -92,19 +105,34 @@ class Link(ABC):
 
 
 class UdpLink(Link):
-    """Datagrams, listening (`udpin`) or speaking first (`udpout`)."""
+    """Datagrams, listening (`udpin`) or speaking first (`udpout`).
+
+    Whoever floods the port fills the system's buffer, and what finds no room there is lost before
+    anybody has read it. So, once others send more than the vehicle ever would, its datagrams get
+    a socket and a buffer of their own: one bound to the same port and connected to the vehicle's
+    address, which Linux prefers for what comes from there. The others are read a few at a time.
+
+    Args:
+        url: what to open.
+        clock: steady, s.
+    """
 
     datagrams = True
 
-    def __init__(self, url: LinkUrl) -> None:
+    def __init__(self, url: LinkUrl, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(url)
-        family, address = _resolve(url, socket.SOCK_DGRAM)
-        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        self._clock = clock
+        self._family, address = _resolve(url, socket.SOCK_DGRAM)
+        self._socket = socket.socket(self._family, socket.SOCK_DGRAM)
         self._to: Address | None = None
+        self._apart: socket.socket | None = None
+        self._apart_spoke = False
+        self._apart_heard = 0.0
+        self._unreachable: Address | None = None
+        self._strangers = 0
+        self._strangers_since = 0.0
         try:
-            self._socket.setblocking(False)
-            with contextlib.suppress(OSError):  # some systems refuse more than their limit
-                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+            _prepare(self._socket)
             if url.kind == "udpin":
                 self._socket.bind(address)
             else:
@@ -122,18 +150,79 @@ class UdpLink(Link):
         return int(self._socket.getsockname()[1])
 
     def receive(self, timeout: float) -> list[Chunk]:
-        """Datagrams that have arrived, in order."""
-        readable, _, _ = select.select([self._socket], [], [], max(0.0, timeout))
+        """Datagrams that have arrived, in order; of a flood of others, some."""
+        first = self._apart or self._socket
+        readable, _, _ = select.select([first], [], [], max(0.0, timeout))
+        chunks = self._drain(first, DATAGRAMS_AT_ONCE) if readable else []
+        if self._apart is None:
+            if self._is_flooded(chunks):
+                chunks += self._set_apart()
+            return chunks
+        if chunks:
+            self._apart_spoke, self._apart_heard = True, self._clock()
+        elif self._clock() - self._apart_heard > SILENT_FOR:
+            # It is gone, or speaks from another address now: whoever comes is as good.
+            self._unreachable = None if self._apart_spoke else self._to
+            self._mix_again()
+        return chunks + self._drain(self._socket, STRANGERS_AT_ONCE)
+
+    def _drain(self, from_socket: socket.socket, most: int) -> list[Chunk]:
         chunks: list[Chunk] = []
-        while readable and len(chunks) < DATAGRAMS_AT_ONCE:
+        while len(chunks) < most:
             try:
-                data, source = self._socket.recvfrom(LARGEST_DATAGRAM)
+                data, source = self._read(from_socket)
             except BlockingIOError:
                 break
             except ConnectionError:
                 continue  # the answer "nobody listens there" to something that we sent
-            chunks.append(Chunk(data, source[:2]))
+            chunks.append(Chunk(data, source))
         return chunks
+
+    def _read(self, from_socket: socket.socket) -> tuple[bytes, Address]:
+        data, source = from_socket.recvfrom(LARGEST_DATAGRAM)
+        return data, source[:2]
+
+    def _is_flooded(self, chunks: list[Chunk]) -> bool:
+        """Whether others than the vehicle have sent too much in this second."""
+        if self._to is None or self._to == self._unreachable or sys.platform != "linux":
+            return False
+        now = self._clock()
+        if now - self._strangers_since > 1.0:
+            self._strangers, self._strangers_since = 0, now
+        self._strangers += sum(source != self._to for _, source in chunks)
+        return self._strangers > FLOOD
+
+    def _set_apart(self) -> list[Chunk]:
+        """Give the vehicle a socket of its own; what had come to the other one before."""
+        assert self._to is not None  # nobody is a stranger without it
+        apart = socket.socket(self._family, socket.SOCK_DGRAM)
+        both = (self._socket, apart)
+        try:
+            _prepare(apart)
+            # Two sockets on a port, for this one moment: nobody else can slip in afterwards.
+            for each in both:
+                each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            apart.bind(self._socket.getsockname())
+            apart.connect(self._to)
+        except OSError:
+            apart.close()
+            self._unreachable = self._to
+            return []
+        finally:
+            for each in both:
+                with contextlib.suppress(OSError):  # closed above
+                    each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
+        self._apart, self._apart_spoke, self._apart_heard = apart, False, self._clock()
+        self.floods += 1
+        # What came before is older than all that comes apart: the vehicle's share of it is kept.
+        before = self._drain(self._socket, BACKLOG)
+        return [chunk for chunk in before if chunk.source == self._to]
+
+    def _mix_again(self) -> None:
+        if self._apart is not None:
+            self._apart.close()
+        self._apart = None
+        self._strangers = 0
 
     def send(self, data: bytes) -> None:
         """Send to the vehicle's address; nowhere while it is not known."""
@@ -147,11 +236,13 @@ class UdpLink(Link):
 
     def answer_to(self, source: Address | None) -> None:
         """Send to this address from now on (`udpin`); `udpout` keeps to what the user named."""
-        if self.url.kind == "udpin" and source is not None:
+        if self.url.kind == "udpin" and source is not None and source != self._to:
             self._to = source
+            self._mix_again()
 
     def close(self) -> None:
         """Give the port back."""
+        self._mix_again()
         self._socket.close()
 
 
@@ -307,6 +398,12 @@ def open_link(url: LinkUrl, patience: float = CONNECT_TIMEOUT) -> Link:
     if url.kind == "serial":
         return SerialLink(url)
     return UdpLink(url) if url.kind in ("udpin", "udpout") else TcpLink(url, patience)
+
+
+def _prepare(datagrams: socket.socket) -> None:
+    datagrams.setblocking(False)
+    with contextlib.suppress(OSError):  # some systems refuse more than their limit
+        datagrams.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
 
 
 def _with_port(url: LinkUrl, port: int) -> LinkUrl:

@@ -21,6 +21,9 @@ class Receiver:
     """
 
     MOST_SENDERS = 64
+    MOVED_AFTER = 3
+    """Datagrams in a row with frames in the vehicle's name from one other address, none from its
+    own, after which it has moved there. Who forges a few among the vehicle's gets no answers."""
 
     def __init__(self, link: Link, check: SignatureCheck | None = None) -> None:
         self.received_bytes = 0
@@ -30,6 +33,8 @@ class Receiver:
         self._vehicle: tuple[int, int] | None = None
         self._scanners: dict[Address | None, FrameScanner] = {}
         self._garbage_of_dropped = 0
+        self._answered: Address | None = None
+        self._elsewhere = 0
 
     def follow(self, vehicle: tuple[int, int]) -> None:
         """Answer from now on to the address that the vehicle (sysid, compid) speaks from."""
@@ -54,7 +59,7 @@ class Receiver:
         """The frames that are believed; answers go where the vehicle's come from."""
         if self.check is None:
             if any(self._is_the_vehicles(frame) for frame in found):
-                self._link.answer_to(source)
+                self._hear_vehicle(source)
             return found
         believed = []
         for frame in found:
@@ -65,8 +70,19 @@ class Receiver:
             # from our heartbeats, so that they must reach it before it is believed.
             ours = refusal is None or (refusal is Refusal.TOO_OLD and self._vehicle is None)
             if ours and frame.signed and self._is_the_vehicles(frame):
-                self._link.answer_to(source)
+                self._answer(source)
         return believed
+
+    def _hear_vehicle(self, source: Address | None) -> None:
+        """Answer the vehicle where it speaks from; nothing proves that it is the vehicle."""
+        self._elsewhere = 0 if source == self._answered else self._elsewhere + 1
+        unsettled = self._vehicle is None or self._answered is None
+        if unsettled or self._elsewhere >= self.MOVED_AFTER:
+            self._answer(source)
+
+    def _answer(self, source: Address | None) -> None:
+        self._answered, self._elsewhere = source, 0
+        self._link.answer_to(source)
 
     def _is_the_vehicles(self, frame: Frame) -> bool:
         if self._vehicle is None:

@@ -56,6 +56,7 @@ class PersistentLink(Link):
             return []
         chunks = self._link.receive(timeout)
         self.breaks = self._breaks_before + self._link.breaks
+        self.floods = self._link.floods
         self._count_unsent()
         if self._link.ended:
             self._link.close()

@@ -1,0 +1,135 @@
+"""The pieces of the studies of fast links, floods, long days and soaks."""
+
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.reliability import day, flood, rate, soak
+from benchmarks.reliability.flights import emulate
+from benchmarks.reliability.watched import Times
+from gcs_sysid.session.result import Estimate
+from gcs_sysid.telemetry.frames import FrameScanner, Validity
+from gcs_sysid.telemetry.intake import Intake
+from gcs_sysid.telemetry.messages import MESSAGE_IDS
+from gcs_sysid.telemetry.tlog import read_tlog
+
+
+def test_garbage_holds_no_frame_and_repeats_with_its_seed():
+    scanner = FrameScanner()
+    found = [frame for data in flood.garbage(3) for frame in scanner.scan(data)]
+    assert all(frame.valid is not Validity.OK for frame in found)
+    assert any(frame.valid is Validity.BAD_CRC for frame in found)
+    assert flood.garbage(3, 50) == flood.garbage(3, 50) != flood.garbage(4, 50)
+
+
+def test_times_count_each_datagram_once():
+    times = Times()
+    times.waiting += [10, 20]
+    times.take(renewed=True)
+    times.take(renewed=True)  # nothing new
+    told = times.as_dict()
+    assert (told["datagrams"], told["renewals"]) == (2, 1)
+    assert times.renewed[0] == times.taken[0] == times.taken[1] + 10
+
+
+def test_growth_is_told_from_when_memory_had_settled():
+    memory = [(5.0, 50_000_000), (125.0, 100_000_000), (130.0, 103_000_000), (600.0, 101_000_000)]
+    assert rate.growth(memory) == (101.0, 3.0)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    path = tmp_path_factory.mktemp("flight") / "flight.tlog"
+    assert emulate(path, rate=20.0, ground=0.5, seconds=3.0) == 3.0
+    return path
+
+
+@pytest.fixture
+def messages(recording):
+    kinds = [MESSAGE_IDS[name] for name in ("HIGHRES_IMU", "ATTITUDE", "SERVO_OUTPUT_RAW")]
+    some = [m for m in day.messages_of(recording) if m.message_id in kinds and m.t < 2.0]
+    # An autopilot must introduce itself.
+    beat = next(f for _, f in read_tlog(recording) if f.message_id == 0)
+    return [day.Message(0.0, 0, 50, beat.payload.ljust(9, b"\0")), *some]
+
+
+def sent(replayer, messages, times):
+    return [
+        frame for _ in range(times) for part in replayer.send(messages, 0.0, 2.0) for frame in part
+    ]
+
+
+def test_what_is_sent_again_goes_on_over_the_wraps(messages):
+    replayer = day.Replayer(1, (1 << 32) * 1e-3 - 3.013)
+    intake = Intake()
+    records = intake.frames(sent(replayer, messages, 4))
+    t = [record.t for record in records if record.stream == "imu"]
+    assert np.allclose(np.diff(t), 0.05, atol=2e-6)
+    assert replayer.wraps["ms"] == 1
+    assert intake.monitor.lost == 0
+    assert intake.decoder.clock.reboots == 0
+    assert intake.decoder.dropped_messages == 0
+
+
+def test_noise_is_fresh_each_time(messages):
+    records = Intake().frames(sent(day.Replayer(1, 10.0), messages, 2))
+    imu = np.array([record.values for record in records if record.stream == "imu"])
+    half = len(imu) // 2
+    apart = imu[half:] - imu[:half]
+    assert np.allclose(
+        apart.std(axis=0) / np.sqrt(2.0),
+        [day.NOISE["gyro"]] * 3 + [day.NOISE["force"]] * 3,
+        rtol=0.5,
+    )
+
+
+def test_a_reboot_is_one(messages):
+    replayer, intake = day.Replayer(1, 1000.0), Intake()
+    intake.frames(sent(replayer, messages, 1))
+    replayer.reboot()
+    intake.frames(sent(replayer, messages, 1))
+    assert intake.decoder.clock.reboots == 1
+
+
+def test_faults_are_drawn_by_the_seed_from_the_emulators_tables():
+    drawn = [soak.draw(random.Random(seed)) for seed in range(30)]
+    assert drawn == [soak.draw(random.Random(seed)) for seed in range(30)]
+    assert len({text for trapped, _ in drawn for text in trapped}) > 5
+    assert soak.known(["skips", "no-such-trap=3"], "sim_bridge.traps") == ["skips"]
+    assert soak.known(["skips"], "sim_bridge.no_such_module") == []
+
+
+def test_a_wrong_number_counts_unless_it_is_said(result):
+    truth = {"Ixx": 0.01}
+    sure = replace(result, parameters={"Ixx": Estimate(0.011, 1e-4, "kg m^2", "ok")})
+    assert soak.wrong_numbers(sure, truth) == (
+        pytest.approx(10.0),
+        ["Ixx is wrong by 10.0 % and says 2.0 %"],
+    )
+    unsure = replace(result, parameters={"Ixx": Estimate(0.011, 1e-3, "kg m^2", "ok")})
+    assert soak.wrong_numbers(unsure, truth)[1] == []
+    assert soak.wrong_numbers(replace(sure, verdict="refused"), truth)[1] == []
+
+
+@pytest.fixture
+def result():
+    from gcs_sysid.model.airframe import load_airframe
+    from gcs_sysid.session.chain import Chain
+
+    return replace(Chain(load_airframe("paper")).result(), verdict="identified")
+
+
+def test_growth_of_memory_and_handles_is_told():
+    first = soak.Round((), 60.0, 5.0, "identified", 1.0, 150.0, 7, ())
+    assert soak.against(first, first) == []
+    assert len(soak.against(first, replace(first, memory=200.0, handles=9))) == 2
+
+
+def test_a_played_recording_gives_all_its_bytes_and_ends(recording):
+    link = soak.Played(recording)
+    data = b""
+    while not link.ended:
+        data += b"".join(chunk.data for chunk in link.receive(0.0))
+    assert data == b"".join(frame.raw for _, frame in read_tlog(recording))
