@@ -13,7 +13,8 @@ from gcs_sysid.cli.coaching import coach_options
 from gcs_sysid.cli.live import JsonLines, baseline_of, follow, refit_interval
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.session.live import LiveOptions, LiveSession
+from gcs_sysid.session.live import LiveSession
+from gcs_sysid.session.live_options import LiveOptions
 from gcs_sysid.telemetry.link import TcpLink, UdpLink
 from gcs_sysid.telemetry.urls import LinkUrl
 

@@ -13,13 +13,14 @@ from gcs_sysid.cli.coaching import coach_options
 from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.cli.table import result_table
 from gcs_sysid.errors import GcsSysidError, InputError
-from gcs_sysid.session.live import LiveOptions, LiveSession
+from gcs_sysid.session.live import LiveSession
+from gcs_sysid.session.live_options import LiveOptions
 from gcs_sysid.session.result import Result
 from gcs_sysid.session.result_file import read_result
 from gcs_sysid.session.snapshot import Event, LinkState, Snapshot
 from gcs_sysid.telemetry.link import open_link
 from gcs_sysid.telemetry.reconnect import PersistentLink
-from gcs_sysid.telemetry.tlog import unused_path
+from gcs_sysid.telemetry.tlog_writer import unused_path
 from gcs_sysid.telemetry.urls import parse_url
 
 _SAY_EVERY = 1.0
