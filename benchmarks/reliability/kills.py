@@ -10,6 +10,7 @@ is read: whole records, in order, and nothing missing that was sent more than a 
 
 import argparse
 import math
+import multiprocessing
 import random
 import select
 import socket
@@ -24,6 +25,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from gcs_sysid.__main__ import main as cli_main
 from gcs_sysid.errors import InputError
 from gcs_sysid.telemetry.frames import FrameScanner, Validity
 from gcs_sysid.telemetry.tlog import read_tlog
@@ -34,6 +36,9 @@ _KEPT = 60.0
 """s of what was sent that are remembered."""
 _PATIENCE = 120.0
 """s that a session may take to say that it listens."""
+# Processes of their own, but where the system can, with the program loaded once for all.
+_METHODS = multiprocessing.get_all_start_methods()
+_CONTEXT = multiprocessing.get_context("forkserver" if "forkserver" in _METHODS else "spawn")
 
 
 @dataclass(frozen=True)
@@ -154,39 +159,33 @@ def free_port() -> int:
     return port
 
 
+def session(words: list[str], said: str) -> None:
+    """What each process does: `gcs-sysid` with these words, what it says going to a file."""
+    sys.stdout = sys.stderr = open(said, "w", encoding="utf-8")  # noqa: SIM115 - until it is killed
+    sys.exit(cli_main(words))
+
+
 def kill_one(number: int, after: float, relay: Relay, folder: Path) -> Kill:
     """Start a session, kill it so many s after it listens, and read its recording."""
-    port, path = free_port(), folder / f"{number}.tlog"
+    port, path, said = free_port(), folder / f"{number}.tlog", folder / f"{number}.txt"
     words = ["live", f"udpin:127.0.0.1:{port}", "--airframe", "paper", "--headless"]
-    process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "gcs_sysid", *words, "--record", str(path)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=folder,
-    )
-    assert process.stderr is not None
-    watchdog = threading.Timer(_PATIENCE, process.kill)
-    watchdog.start()
+    process = _CONTEXT.Process(target=session, args=([*words, "--record", str(path)], str(said)))
+    process.start()
     relay.add(port)
     try:
-        said = process.stderr.readline()
+        deadline = time.monotonic() + _PATIENCE
+        while not (said.exists() and said.stat().st_size):
+            if time.monotonic() > deadline or not process.is_alive():
+                raise RuntimeError(f"session {number} did not say that it listens")
+            time.sleep(0.01)
         listens = time.monotonic()
-        if not said:
-            raise RuntimeError("the session ended before it listened")
-        drain = threading.Thread(target=process.stderr.read, daemon=True)
-        drain.start()  # a full pipe would hold up the session's own words
         time.sleep(after)
         process.kill()
         killed = time.monotonic()
     finally:
-        watchdog.cancel()
         process.kill()
-        process.wait()
+        process.join()
         relay.remove(port)
-    drain.join()
-    process.stderr.close()
     sent = relay.sent(listens, killed)
     try:
         reader = read_tlog(path)
@@ -219,6 +218,7 @@ def run(kills: int, seed: int, at_once: int, longest: float) -> list[Kill]:
     rng = random.Random(seed)
     moments = [rng.uniform(0.0, longest) for _ in range(kills)]
     done: list[Kill] = []
+    _CONTEXT.set_forkserver_preload(["gcs_sysid.cli.live", "gcs_sysid.estimation.offline"])
     relay = Relay()
     with tempfile.TemporaryDirectory(prefix="gcs-sysid-") as folder:
         emulator = subprocess.Popen(
@@ -241,6 +241,8 @@ def run(kills: int, seed: int, at_once: int, longest: float) -> list[Kill]:
                     done.append(future.result())
                     if sys.stderr.isatty():
                         print(f"\r{len(done)} of {kills}", end="", file=sys.stderr, flush=True)
+                    elif len(done) % 20 == 0:
+                        print(f"{len(done)} of {kills}", file=sys.stderr, flush=True)
         finally:
             emulator.kill()
             emulator.communicate()
