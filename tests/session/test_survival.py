@@ -189,7 +189,7 @@ def test_memory_stays_flat_whatever_comes(session, make):
         tracemalloc.stop()
     # What is kept is kept by then: the second half adds nothing, and all of it is little.
     assert second < first + 0.3 * MEGABYTE
-    assert second < 16 * MEGABYTE
+    assert second < 48 * MEGABYTE  # a grid of 10 kHz takes most, and what loads only then
     assert session.problem is None
     assert session._identifying
 

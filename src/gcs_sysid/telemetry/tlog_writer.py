@@ -20,7 +20,7 @@ from typing import BinaryIO
 from gcs_sysid.errors import InputError
 from gcs_sysid.telemetry.frames import Frame
 
-WRITE_EVERY = 0.25
+WRITE_EVERY = 0.1
 """s. What a kill -9 can cost: the rest lies with the operating system by then."""
 SYNC_EVERY = 0.7
 """s between syncs. What a power loss can cost, with `WRITE_EVERY`."""
