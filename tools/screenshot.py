@@ -25,7 +25,8 @@ from typing import Any
 from gcs_sysid.cli.output import read_truth
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.screen import SnapshotSource, SysidApp
-from gcs_sysid.session.live import LiveOptions, LiveSession
+from gcs_sysid.session.live import LiveSession
+from gcs_sysid.session.live_options import LiveOptions
 from gcs_sysid.session.result import Result
 from gcs_sysid.session.snapshot import Snapshot
 from gcs_sysid.telemetry.link import TcpLink

@@ -13,7 +13,8 @@ from gcs_sysid.cli.main import run
 from gcs_sysid.cli.table import result_table
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
 from gcs_sysid.session.result import Estimate, Result
-from gcs_sysid.telemetry.tlog import TlogWriter, read_tlog
+from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog_writer import TlogWriter
 
 PAPER = ("--airframe", "paper")
 ESTIMATE_KEYS = {"value", "std", "ci95", "unit", "status"}

@@ -8,7 +8,8 @@ import sys
 import pytest
 
 from gcs_sysid.cli.main import run
-from gcs_sysid.telemetry.tlog import TlogWriter, read_tlog
+from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog_writer import TlogWriter
 
 PAPER = ("--airframe", "paper")
 HIGHRES_IMU = 105

@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+import io
 import os
 import socket
 import subprocess
@@ -15,8 +16,10 @@ from pymavlink import mavutil
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.live import LiveOptions, LiveSession
+from gcs_sysid.session.live import LiveSession
+from gcs_sysid.session.live_options import LiveOptions
 from gcs_sysid.session.snapshot import LinkState
+from gcs_sysid.telemetry import tlog_writer
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import FrameScanner
 from gcs_sysid.telemetry.link import SerialLink, TcpLink, UdpLink
@@ -240,7 +243,7 @@ def test_a_reset_is_in_the_recording_and_its_analysis(udp, airframe, paper_fligh
 
 def test_actions_are_done_while_it_runs(udp, airframe, tmp_path):
     session = LiveSession(udp, airframe, LiveOptions(listen_only=True, duration=1.0))
-    session._recording_stem = tmp_path / "toggled.tlog"
+    session._recording._stem = tmp_path / "toggled.tlog"
     session.start()
     session.mark("gust")
     said = session.toggle_recording()
@@ -267,28 +270,43 @@ def test_a_recording_that_cannot_be_made_is_a_note(udp, airframe, paper_flight, 
 
 
 def test_a_disk_that_fails_in_flight_is_a_note(udp, airframe, paper_flight, tmp_path, monkeypatch):
-    def full(_file, _data):
-        raise OSError(28, "No space left on device")
+    class Full(io.BytesIO):
+        def write(self, data):
+            raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("gcs_sysid.telemetry.tlog._write_all", full)
+    monkeypatch.setattr(tlog_writer, "open_file", lambda *_: Full())
+    monkeypatch.setattr(tlog_writer, "SYNC_EVERY", 3600.0)
     sent = threading.Event()
     session = LiveSession(udp, airframe, LISTEN, tmp_path / "a.tlog", sender_gone=sent.is_set)
     session.start()
     replay(paper_flight.tlog, udp.port)
     sent.set()
-    assert finish(session).verdict == "identified"
+    final = finish(session)
+    assert final.verdict == "identified"
+    count = sum(1 for _ in read_tlog(paper_flight.tlog))
+    assert final.telemetry["recording"] == {"missing": count}
     assert any("No space left" in e.text for e in session.latest().events)
+    assert "No space left" in session.recordings()[0]
 
 
-def test_what_goes_wrong_in_the_thread_is_handed_over(udp, airframe, paper_flight):
-    def broken(_result):
-        raise BrokenPipeError
+def test_what_goes_wrong_with_a_listener_is_handed_over(udp, airframe, paper_flight):
+    told = []
 
-    session = LiveSession(udp, airframe, LISTEN, on_result=broken)
+    def broken(result):
+        told.append(result)
+        raise ZeroDivisionError("a defect")
+
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set, on_result=broken)
     session.start()
     replay(paper_flight.tlog, udp.port)
+    sent.set()
     assert session.join(LONGEST)
-    assert isinstance(session.problem, BrokenPipeError)
+    assert len(told) == 1
+    assert isinstance(session.problem, ZeroDivisionError)
+    assert session.final.verdict == "identified"
+    told = [event.text for event in session.latest().events]
+    assert "internal error (ZeroDivisionError: a defect): results are passed on no more" in told
     assert session.latest().link.state is LinkState.ENDED
 
 
@@ -344,10 +362,10 @@ def intervals(frames):
 def test_the_vehicles_rates_are_given_back_even_after_trouble(udp, airframe, paper_flight):
     """Nothing of what was asked for stays, when the session dies of an exception."""
 
-    def broken(_result):
-        raise BrokenPipeError
+    def broken(*_now):
+        raise ZeroDivisionError
 
-    session = LiveSession(udp, airframe, LiveOptions(), on_result=broken)
+    session = LiveSession(udp, airframe, LiveOptions())
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
         vehicle.bind(("127.0.0.1", 0))
         port = udp.port
@@ -358,9 +376,10 @@ def test_the_vehicles_rates_are_given_back_even_after_trouble(udp, airframe, pap
             vehicle.sendto(frame.raw, ("127.0.0.1", port))
             while not asked and frame.message_id == 0:  # first it shall ask
                 asked = intervals(FrameScanner().scan(vehicle.recv(1000)))
+        session._ended = broken
         assert session.join(LONGEST)
         asked = intervals(drain(vehicle))
-    assert isinstance(session.problem, BrokenPipeError)
+    assert isinstance(session.problem, ZeroDivisionError)
     assert asked.keys() >= {"HIGHRES_IMU", "ESC_STATUS", "ATTITUDE"}
     assert set(asked.values()) == {0.0}
 

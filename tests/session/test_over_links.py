@@ -15,7 +15,8 @@ import pytest
 import sim_bridge.links
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.live import LiveOptions, LiveSession
+from gcs_sysid.session.live import LiveSession
+from gcs_sysid.session.live_options import LiveOptions
 from gcs_sysid.telemetry.link import SerialLink, TcpLink, UdpLink
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import LinkUrl

@@ -14,7 +14,8 @@ from gcs_sysid.session.replay import ReplaySession
 from gcs_sysid.session.snapshot import LinkState
 from gcs_sysid.telemetry.dialect import gcs_sysid_dialect as mavlink
 from gcs_sysid.telemetry.frames import read_frame
-from gcs_sysid.telemetry.tlog import TlogWriter, read_tlog
+from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog_writer import TlogWriter
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,8 @@ from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.marks import reset_mark
-from gcs_sysid.telemetry.tlog import TlogWriter, read_tlog
+from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog_writer import TlogWriter
 
 pytestmark = pytest.mark.slow
 

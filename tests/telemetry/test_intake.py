@@ -9,7 +9,8 @@ from gcs_sysid.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import FrameScanner
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.tlog import TlogWriter, read_tlog
+from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog_writer import TlogWriter
 from gcs_sysid.telemetry.vehicles import VehicleSelector
 
 

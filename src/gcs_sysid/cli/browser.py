@@ -1,8 +1,8 @@
 """A session shown in browsers instead of on the terminal."""
 
-import sys
 import threading
 
+from gcs_sysid.cli import output
 from gcs_sysid.cli.live import Session, say_until_end
 from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.errors import InputError
@@ -46,11 +46,11 @@ def show(session: Session, scene: Scene, address: tuple[str, int]) -> None:
     try:
         with on_signals(stop):
             far = "" if is_loopback(host) else "; whoever reaches it can press every key"
-            print(f"open {url} in a browser (Ctrl-C ends){far}", file=sys.stderr, flush=True)
+            output.say(f"open {url} in a browser (Ctrl-C ends){far}")
             session.start()
             say_until_end(session)
             if not stopped.is_set():
-                print("ended; the page stays until Ctrl-C", file=sys.stderr, flush=True)
+                output.say("ended; the page stays until Ctrl-C")
             while not stopped.wait(_LOOK_EVERY):
                 pass
     finally:

@@ -2,24 +2,27 @@
 
 import argparse
 import sys
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Protocol, TextIO
+from typing import Protocol
 
 from gcs_sysid.cli import arguments, output
 from gcs_sysid.cli.coaching import coach_options
+from gcs_sysid.cli.json_lines import JsonLines
 from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.cli.table import result_table
 from gcs_sysid.errors import GcsSysidError, InputError
-from gcs_sysid.session.live import LiveOptions, LiveSession
+from gcs_sysid.session.live import LiveSession
+from gcs_sysid.session.live_options import LiveOptions
 from gcs_sysid.session.result import Result
 from gcs_sysid.session.result_file import read_result
 from gcs_sysid.session.snapshot import Event, LinkState, Snapshot
 from gcs_sysid.telemetry.link import open_link
 from gcs_sysid.telemetry.reconnect import PersistentLink
-from gcs_sysid.telemetry.tlog import unused_path
+from gcs_sysid.telemetry.tlog_writer import unused_path
 from gcs_sysid.telemetry.urls import parse_url
 
 _SAY_EVERY = 1.0
@@ -80,32 +83,6 @@ def recording_path(options: argparse.Namespace) -> Path | None:
     return unused_path(Path("logs") / f"{datetime.now():%Y-%m-%d_%H-%M-%S}.tlog")
 
 
-class JsonLines:
-    """Writes results as JSON, one a line; nothing without a path.
-
-    Args:
-        path: file, `-` for standard output, or None.
-        force: whether a file that is there may be written over.
-
-    Raises:
-        InputError: the file cannot be written, or is there already.
-    """
-
-    def __init__(self, path: str | None, *, force: bool) -> None:
-        self.to_stdout = path == "-"
-        self._file: TextIO | None = output.open_output(path, force=force) if path else None
-
-    def write(self, result: Result) -> None:
-        """Write one line."""
-        if self._file:
-            print(result.dumps(indent=None), file=self._file, flush=True)
-
-    def close(self) -> None:
-        """Close the file (not standard output)."""
-        if self._file and not self.to_stdout:
-            self._file.close()
-
-
 class Session(Protocol):
     """What is shown: a live session or a replay."""
 
@@ -161,39 +138,81 @@ def follow(
 
     Returns:
         Exit status: 1 when the session ended without an answer.
+
+    Raises:
+        Exception: what went wrong in the session or its screen, once all else is done.
     """
+    writer.when_gone = session.request_stop
     if is_watched(options):
-        from gcs_sysid.cli.scenes import scene_of
-
-        scene = scene_of(session, truth, options, baseline)
-        if options.web:
-            from gcs_sysid.cli.browser import show
-
-            show(session, scene, options.web)
-        else:
-            app = scene.app(session)
-            with on_signals(app.exit):
-                session.start()
-                try:
-                    app.run()
-                finally:
-                    session.stop()
+        _show(session, truth, options, baseline)
     else:
         with on_signals(session.request_stop):
             session.start()
-            say_until_end(session)
-    if session.problem is not None:
+            try:
+                say_until_end(session)
+            finally:
+                session.stop()
+    if session.final is None:
+        assert session.problem is not None
         raise session.problem
-    assert session.final is not None
     if late_truth is not None:
         truth = late_truth() or truth
-    writer.write(session.final)
-    writer.close()
-    if not writer.to_stdout:
-        print(result_table(session.final, truth, output.terminal_width()))
-    for line in session.recordings():
-        print(line, file=sys.stderr)
+    try:
+        writer.write(session.final)
+        writer.close()
+        if not writer.to_stdout:
+            print(result_table(session.final, truth, output.terminal_width()), flush=True)
+    finally:
+        for line in session.recordings():
+            output.say(line)
+    if session.problem is not None:
+        raise session.problem
     return 1 if session.final.verdict == "refused" else 0
+
+
+def _show(
+    session: Session,
+    truth: Mapping[str, float] | None,
+    options: argparse.Namespace,
+    baseline: Result | None,
+) -> None:
+    """Show a session on a screen until it ends; one that fails costs no flight.
+
+    A defect of the screen becomes the session's problem, where it has none of its own.
+    """
+    from gcs_sysid.cli.scenes import scene_of
+
+    scene = scene_of(session, truth, options, baseline)
+    if options.web:
+        from gcs_sysid.cli.browser import show
+
+        show(session, scene, options.web)
+        return
+    app = scene.app(session)
+    stopped = threading.Event()
+
+    def stop() -> None:
+        stopped.set()
+        app.exit()
+        if app.defect is not None:
+            session.request_stop()
+
+    with on_signals(stop):
+        session.start()
+        try:
+            if not stopped.is_set():
+                app.run()
+            if app.defect is not None:
+                kind = type(app.defect).__name__
+                output.say(
+                    f"the screen has failed ({kind}: {app.defect}); the session goes on without "
+                    "it, until Ctrl-C"
+                )
+                say_until_end(session)
+        finally:
+            session.stop()
+    if app.defect is not None and session.problem is None:
+        session.problem = app.defect
 
 
 def say_until_end(session: Session) -> None:
@@ -210,18 +229,18 @@ def say_until_end(session: Session) -> None:
         if snapshot is None:
             continue
         for event in events_after(told, snapshot.events):
-            print(f"{event.t:7.1f} s  {event.text}", file=sys.stderr, flush=True)
+            output.say(f"{event.t:7.1f} s  {event.text}")
             told = event
         if ended:
             return
         if snapshot.advice is not None and snapshot.advice.text != advised:
             advised = snapshot.advice.text
-            print(f"{snapshot.t:7.1f} s  coach: {advised}", file=sys.stderr, flush=True)
+            output.say(f"{snapshot.t:7.1f} s  coach: {advised}")
         if now - said < _SAY_EVERY:
             continue
         line = status_line(snapshot)
         if line != last:
-            print(line, file=sys.stderr, flush=True)
+            output.say(line)
         said, last = now, line
 
 

@@ -19,7 +19,8 @@ from gcs_sysid.usage import OneLineParser
 
 PROGRAM = "gcs-sysid"
 DONE, NO_ANSWER, USAGE = 0, 1, 2
-"""Exit statuses: done; the data do not allow an answer; wrong usage or unreadable input."""
+"""Exit statuses: done; the data do not allow an answer; wrong usage, unreadable input or a defect.
+A command that Ctrl-C ended at once has 130; see also `signals.BY_SIGNAL`."""
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -176,6 +177,8 @@ def _reader_has_gone(error: Exception) -> bool:
     """Whether standard output leads nowhere any more; Windows has another error for it."""
     if isinstance(error, BrokenPipeError):
         return True
+    if type(error) is OSError and error.errno == errno.EIO and error.filename is None:
+        return True  # a terminal that was closed
     return os.name == "nt" and type(error) is OSError and error.errno == errno.EINVAL
 
 

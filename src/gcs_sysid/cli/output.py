@@ -1,5 +1,6 @@
 """What commands read and write beside their results: truth files, JSON, progress."""
 
+import contextlib
 import io
 import json
 import shutil
@@ -108,6 +109,12 @@ def print_file(text: str) -> None:
 def terminal_width() -> int | None:
     """Columns of the terminal that standard output is; None where it is none."""
     return shutil.get_terminal_size((80, 24)).columns if sys.stdout.isatty() else None
+
+
+def say(text: str) -> None:
+    """A line on standard error; a terminal that is gone costs no flight."""
+    with contextlib.suppress(OSError, ValueError):
+        print(text, file=sys.stderr, flush=True)
 
 
 def progress_bar(what: str) -> Callable[[float], None] | None:

@@ -5,7 +5,8 @@ import math
 from pathlib import Path
 
 from gcs_sysid.cli import arguments, output
-from gcs_sysid.cli.live import JsonLines, baseline_of, follow, is_watched, refit_interval
+from gcs_sysid.cli.json_lines import JsonLines
+from gcs_sysid.cli.live import baseline_of, follow, is_watched, refit_interval
 from gcs_sysid.session.player import survey
 from gcs_sysid.session.replay import ReplaySession
 

@@ -14,7 +14,7 @@ from gcs_sysid.screen import Actions
 from gcs_sysid.session.live import LiveSession
 from gcs_sysid.session.replay import ReplaySession
 from gcs_sysid.session.result import Result
-from gcs_sysid.telemetry.tlog import unused_path
+from gcs_sysid.telemetry.tlog_writer import unused_path
 
 SUFFIXES = {
     "px4-sih": ".params",

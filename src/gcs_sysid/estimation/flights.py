@@ -57,7 +57,8 @@ class Trial:
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
-        self.parts.append(None)
+        if self.parts and self.parts[-1] is not None:
+            self.parts.append(None)
         self._estimator.restart()
 
     def drop_last(self, seconds: float) -> None:

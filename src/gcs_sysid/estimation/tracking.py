@@ -44,6 +44,10 @@ _STAY = 3.0
 Less is a hop, or a state told wrongly."""
 _AWAY = 10.0
 """s of silence in which the vehicle may have landed and been changed."""
+MOST_SEGMENTS = 100
+"""Segments kept. Who changes more often is no vehicle; changes are looked for no more then."""
+MOST_PASSING = 200
+"""Events kept that ended no segment, the latest: a day of gusts may bring many."""
 _TOUCHDOWN = 1.0
 """s before the autopilot tells of a landing that are left out: it tells late."""
 
@@ -117,6 +121,8 @@ class Tracker:
         self.segments: list[Segment] = []
         """Those that have ended."""
         self.events: list[Event] = []
+        self.forgotten = 0
+        """Events that are kept no more."""
         self.stopped = False
         """Whether a failing rotor ended what one set of parameters can describe."""
         self.kept: list[Samples] = []
@@ -264,8 +270,8 @@ class Tracker:
         assert self.start is not None
         before = self.fit()
         arm = float(np.mean(np.hypot(self.geometry[0], self.geometry[1])))
-        if is_another(before, trial.fit(), arm):
-            self.events.append(Event(trial.landed, trial.end, None, None, len(self.segments)))
+        if len(self.segments) < MOST_SEGMENTS and is_another(before, trial.fit(), arm):
+            self._add(Event(trial.landed, trial.end, None, None, len(self.segments)))
             self.segments.append(Segment(self.start, trial.landed, before))
             # Of what was known only the scale is left, and the accelerometer.
             fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
@@ -406,7 +412,16 @@ class Tracker:
                 self._estimator, self.kept = fresh, fresh_kept
                 self.start = self._next_start
                 self._arm_at = 0.0
+        self._add(event)
+        if len(self.segments) >= MOST_SEGMENTS:
+            self._changes = self._detector = None
+
+    def _add(self, event: Event) -> None:
         self.events.append(event)
+        passing = [i for i, known in enumerate(self.events) if known.segment is None]
+        if len(passing) > MOST_PASSING:
+            del self.events[passing[0]]
+            self.forgotten += 1
 
 
 def _after_change(before: Fit, geometry: Array) -> Prior | None:

@@ -1,5 +1,6 @@
 """The live screen's application: polls a snapshot source, answers keys."""
 
+import os
 import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import ClassVar
@@ -66,6 +67,8 @@ class SysidApp(ActingApp):
         self._heard = (-1, time_source())
         self._last_event: Event | None = None
         self._compared: Comparison | None = None
+        self.defect: Exception | None = None
+        """What the screen has failed of."""
         self._main = MainScreen(title)
         self.register_theme(DARK)
         self.register_theme(LIGHT)
@@ -75,6 +78,13 @@ class SysidApp(ActingApp):
     def snapshot(self) -> Snapshot | None:
         """What is shown."""
         return self._snapshot
+
+    def _handle_exception(self, error: Exception) -> None:
+        """Leave; what there is to say of it is said by who has started this, in a line."""
+        super()._handle_exception(error)
+        self.defect = self.defect or error
+        if not os.environ.get("GCS_SYSID_DEBUG"):
+            self._exit_renderables.clear()
 
     # -- the flow of snapshots
 

@@ -27,7 +27,7 @@ from gcs_sysid.estimation.parameters import (
 )
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotors import RotorInput
-from gcs_sysid.estimation.tracking import Segment, Tracker
+from gcs_sysid.estimation.tracking import MOST_SEGMENTS, Segment, Tracker
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import COMMANDS, Tuning
 from gcs_sysid.model.airframe import Airframe
@@ -575,12 +575,14 @@ class Chain:
         )
 
     def _tell_events(self, tracker: Tracker) -> None:
-        for event in tracker.events[self._told :]:
+        told, self._told = self._told, tracker.forgotten + len(tracker.events)
+        for event in tracker.events[max(told - tracker.forgotten, 0) :]:
             self.note(summary.note_of(event))
             if event.segment is not None:
                 self._go_on_after(tracker.segments[event.segment])
                 self._fit = tracker.fit(quick=True)
-        self._told = len(tracker.events)
+                if len(tracker.segments) == MOST_SEGMENTS:
+                    self.note(f"{MOST_SEGMENTS} changes: more are not looked for")
 
     def _go_on_after(self, segment: Segment) -> None:
         """Find the anchor of what follows a segment."""

@@ -1,11 +1,10 @@
 """The live session: a thread from the link to immutable snapshots."""
 
-import contextlib
 import queue
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.errors import GcsSysidError, InputError
@@ -13,14 +12,17 @@ from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.coaching import Coach, CoachOptions
+from gcs_sysid.session.live_options import LiveOptions
+from gcs_sysid.session.live_view import link_status, picture
 from gcs_sysid.session.pipeline import Pipeline
 from gcs_sysid.session.prediction import LivePrediction
+from gcs_sysid.session.recording import Recording
 from gcs_sysid.session.result import Result
-from gcs_sysid.session.snapshot import Advice, HeardVehicle, LinkState, LinkStatus, Snapshot
+from gcs_sysid.session.snapshot import Advice, HeardVehicle, LinkState, Snapshot
+from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.link import Link
 from gcs_sysid.telemetry.marks import reset_mark
-from gcs_sysid.telemetry.tlog import TlogWriter, unused_path
 
 _POLL = 0.05
 """s; the longest that an action of the user waits."""
@@ -32,35 +34,17 @@ _PUBLISH_EVERY, _PUBLISH_LATE = 0.2, 0.4
 """s between snapshots; the longer one while more frames wait than are taken in one go."""
 _DRAINED_AFTER = 0.7
 """s of silence after the sender's end, before the session ends too."""
-
-
-@dataclass(frozen=True)
-class LiveOptions:
-    """What a user may set for a live session.
-
-    Attributes:
-        rate: Hz to ask for, for IMU and rotors.
-        listen_only: send nothing at all.
-        wanted: system and perhaps component; None: the first autopilot heard.
-        duration: s of wall clock after which the session ends; None: never.
-        refit_interval: s of vehicle time between estimates.
-        signing_key: file with the key of MAVLink 2 signing; None: nothing is signed or checked.
-        coach: what the flight coach aims at; None: no advice.
-        predict: whether snapshots show the acceleration that was predicted.
-    """
-
-    rate: float = 250.0
-    listen_only: bool = False
-    wanted: tuple[int, int | None] | None = None
-    duration: float | None = None
-    refit_interval: float = 0.2
-    signing_key: Path | None = None
-    coach: CoachOptions | None = None
-    predict: bool = True
+_MOST_ACTIONS = 64
+"""Wishes of the user that wait; who asks faster is refused."""
+_LONGEST_MARK = 200
+"""Characters; the rest is cut."""
 
 
 class LiveSession:
     """Receives, records, identifies and publishes, in a thread of its own.
+
+    A defect in what identifies costs the estimate, which stays what it was; a defect in what
+    watches the link, that as well. The link goes on being recorded.
 
     Wall-clock time decides only when to publish and when to call the link silent; the numbers
     come from the vehicle's clock and the order of the frames alone.
@@ -88,7 +72,7 @@ class LiveSession:
         self.final: Result | None = None
         """The last result, once the session has ended."""
         self.problem: Exception | None = None
-        """What ended the session against its will."""
+        """The first defect, or what ended the session against its will."""
         self._link = link
         self._options = options
         self._station = GroundStation(
@@ -101,17 +85,19 @@ class LiveSession:
         )
         self._airframe = airframe
         self._begin(options.wanted)
-        self._writer = TlogWriter(record_to) if record_to else None
-        self._recording_stem = record_to or Path("logs") / "session.tlog"
+        self._recording = Recording(record_to)
         self._sender_gone = sender_gone
         self._on_result = on_result
-        self._actions: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._actions: queue.Queue[Callable[[], None]] = queue.Queue(_MOST_ACTIONS)
         self._stop = threading.Event()
         self._latest: Snapshot | None = None
         self._told_result_at = 0.0
-        self._recordings: list[str] = []
-        self._recorded: Path | None = None
-        self._told_problem = ""
+        self._asked = self._published = -float("inf")
+        self._rounds: list[Callable[[Sequence[Frame], float], None]] = [
+            self._identify,
+            self._watch_link,
+        ]
+        """What is done with frames beside recording them; a defect takes the first away."""
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
 
     def _begin(self, wanted: tuple[int, int | None] | None) -> None:
@@ -150,21 +136,32 @@ class LiveSession:
 
     def mark(self, text: str) -> None:
         """Write a mark into the event log."""
-        self._actions.put(lambda: self._pipeline.chain.note(text))
+        self._ask(lambda: self._pipeline.chain.note(text[:_LONGEST_MARK]))
 
     def reset(self) -> None:
         """Forget the estimate and start anew, as the analysis of the recording then does too."""
-        self._actions.put(self._reset)
+        self._ask(self._reset)
 
     def toggle_recording(self) -> str:
         """Start or stop recording; says which."""
-        writer = self._writer
-        if writer is not None and writer.recording:
-            self._actions.put(self._stop_recording)
-            return f"recording {writer.path} stopped"
-        path = unused_path(self._recording_stem)
-        self._actions.put(lambda: self._start_recording(path))
+        recording = self._recording
+        if recording.active:
+            self._ask(lambda: self._note(recording.stop()))
+            return f"recording {recording.path} stopped"
+        path = recording.next_path()
+        self._ask(lambda: self._note(recording.start(path)))
         return f"recording to {path}"
+
+    def _ask(self, action: Callable[[], None]) -> None:
+        """Have something done in the session's thread.
+
+        Raises:
+            InputError: too much waits to be done.
+        """
+        try:
+            self._actions.put_nowait(action)
+        except queue.Full:
+            raise InputError("the session is busy: try again") from None
 
     def set_anchor(self, kind: str, value: float) -> str:
         """Let another fact set the scale.
@@ -181,7 +178,7 @@ class LiveSession:
         name: AnchorName = kind  # type: ignore[assignment]
         airframe = self._airframe.with_anchor(name, value)
         self._pipeline.chain.check_anchor(name)
-        self._actions.put(lambda: self._set_anchor(airframe, Anchor(name, value)))
+        self._ask(lambda: self._set_anchor(airframe, Anchor(name, value)))
         return f"scale from {kind} = {value:.6g} {ANCHORS[name]}"
 
     def choose_vehicle(self, address: tuple[int, int]) -> str:
@@ -193,8 +190,8 @@ class LiveSession:
         heard = {v.address: v for v in (self._latest.link.vehicles if self._latest else ())}
         if address not in heard:
             raise InputError("no vehicle {}:{} was heard".format(*address))
-        vehicle = heard[address]
-        self._actions.put(lambda: self._choose(vehicle))
+        vehicle, path = heard[address], self._recording.next_path()
+        self._ask(lambda: self._choose(vehicle, path))
         return f"starting anew on {vehicle.name}"
 
     @property
@@ -203,68 +200,102 @@ class LiveSession:
         return self._airframe
 
     def flushed_recording(self) -> Path | None:
-        """The latest recording, all that was written so far on the disk; None without one."""
-        writer = self._writer
-        if writer is None:
-            return self._recorded
-        if writer.problem:
-            return None
-        writer.flush()
-        return writer.path
+        """The latest recording, all that was written so far in the file; None without one."""
+        return self._recording.flushed()
 
     def recordings(self) -> list[str]:
         """A line for each recording of an ended session: where it is, or why it is not."""
-        return list(self._recordings)
+        return self._recording.lines()
 
     def _run(self) -> None:
         try:
             self._loop()
         except Exception as problem:  # noqa: BLE001 - handed to the main thread, which tells it
-            self.problem = problem
-        finally:
+            self.problem = self.problem or problem
+        try:
             self._station.close()
-            if self._writer:
-                self._end_recording(self._writer)
-            try:
-                self.final = self._complete(self._pipeline.finish())
-            except Exception as problem:  # noqa: BLE001 - as above
-                self.problem = self.problem or problem
-                self.final = self._complete(self._pipeline.result())
-            self._publish(LinkState.ENDED)
+        except Exception as problem:  # noqa: BLE001 - as above
+            self.problem = self.problem or problem
+        self._recording.finish()
+        self._tell_recording()
+        self.final = self._final()
+        self._publish(LinkState.ENDED)
 
     def _loop(self) -> None:
         began = time.monotonic()
-        published = began
-        asked = began - _ASK_EVERY
-        while not self._stop.is_set():
+        while True:
             frames = self._station.poll(_POLL)
             now = time.monotonic()
             if frames:
-                if self._writer:
-                    self._writer.write(time.time_ns() // 1000, frames)
-                self._pipeline.intake.garbage_bytes = self._station.garbage_bytes
-                self._pipeline.take(frames)
-            self._station.follow(now, self._pipeline.intake)
-            if frames and self._pipeline.intake.clock is not None:
-                self._pipeline.intake.drift.take(self._pipeline.intake.clock, now)
+                self._recording.write(frames)
+            if self._rounds:
+                try:
+                    self._rounds[0](frames, now)
+                except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
+                    self._retreat(defect)
             while not self._actions.empty():
                 self._do(self._actions.get())
-            if now - asked >= _ASK_EVERY:
-                asked = now
-                self._station.tick(now, self._pipeline.intake)
-            for text in self._station.take_events():
-                self._pipeline.chain.note(text)
-            self._tell_recording_problem()
+            self._tell_recording()
             # What is shown waits while frames do, but not for ever.
-            if now - published >= (_PUBLISH_EVERY if len(frames) < _FEW else _PUBLISH_LATE):
+            due = _PUBLISH_EVERY if len(frames) < _FEW else _PUBLISH_LATE
+            if now - self._published >= due:
+                self._published = now
                 self._publish(self._state())
-                self._tell_result()
-                published = now
-            if self._ended(now, began):
+            if self._stop.is_set() or self._ended(now, began):
                 return
             if 0 < len(frames) < _FEW:
                 # Let datagrams gather in the system's buffer: waking for each costs most.
                 self._stop.wait(_GATHER)
+
+    def _identify(self, frames: Sequence[Frame], now: float) -> None:
+        """All that is done with frames beside recording them."""
+        pipeline = self._pipeline
+        if frames:
+            pipeline.intake.garbage_bytes = self._station.garbage_bytes
+            pipeline.take(frames)
+        self._attend(frames, now)
+        self._tell_result()
+
+    def _watch_link(self, frames: Sequence[Frame], now: float) -> None:
+        """The same without an estimate: the streams go on being asked for."""
+        self._pipeline.intake.frames(frames)
+        self._attend(frames, now)
+
+    def _attend(self, frames: Sequence[Frame], now: float) -> None:
+        """Answer the vehicle."""
+        intake = self._pipeline.intake
+        self._station.follow(now, intake)
+        if frames and intake.clock is not None:
+            intake.drift.take(intake.clock, now)
+        if now - self._asked >= _ASK_EVERY:
+            self._asked = now
+            self._station.tick(now, self._pipeline.intake)
+        for text in self._station.take_events():
+            self._note(text)
+
+    @property
+    def _identifying(self) -> bool:
+        return self._rounds[:1] == [self._identify]
+
+    def _retreat(self, defect: Exception) -> None:
+        """Do less from now on: what has failed once would fail again."""
+        self.problem = self.problem or defect
+        del self._rounds[:1]
+        lost = "the estimate ends here" if self._rounds else "the link is no longer watched"
+        self._note(f"{_in_words(defect)}: {lost}; what arrives is still recorded")
+
+    def _final(self) -> Result:
+        """The final result; after a defect, the last good one."""
+        if self._identifying:
+            try:
+                return self._complete(self._pipeline.finish())
+            except Exception as defect:  # noqa: BLE001 - handed to the main thread, which tells it
+                self._retreat(defect)
+        assert self._latest is not None
+        result, chain = self._latest.result, self._pipeline.chain
+        why = "" if self.problem is None else f"{_in_words(self.problem)}: "
+        early = f"{why}the estimate is that of {chain.t:.1f} s, its last good one"
+        return replace(result, reasons=(*result.reasons, early))
 
     def _ended(self, now: float, began: float) -> bool:
         if self._link.ended:
@@ -286,57 +317,52 @@ class LiveSession:
         if result.verdict != "identified":
             reasons = (*reasons, *self._station.problems)
         telemetry = {**result.telemetry, **self._station.as_dict()}
+        if self._recording.dropped:
+            telemetry["recording"] = {"missing": self._recording.dropped}
         return replace(result, reasons=reasons, telemetry=telemetry)
 
     def _tell_result(self) -> None:
         t = self._pipeline.chain.t
         if self._on_result is not None and t - self._told_result_at >= 1.0:
             self._told_result_at = t
-            self._on_result(self._complete(self._pipeline.result()))
+            result = self._complete(self._pipeline.result())
+            try:
+                self._on_result(result)
+            except Exception as problem:  # noqa: BLE001 - the session goes on without a listener
+                self.problem = self.problem or problem
+                self._on_result = None
+                self._note(f"{_in_words(problem)}: results are passed on no more")
 
-    def _tell_recording_problem(self) -> None:
-        if self._writer and self._writer.problem != self._told_problem:
-            self._told_problem = self._writer.problem
-            self._pipeline.chain.note(self._told_problem)
+    def _tell_recording(self) -> None:
+        for text in self._recording.take_events():
+            self._note(text)
 
-    def _start_recording(self, path: Path) -> None:
-        if self._writer is not None and self._writer.recording:
-            return  # asked for twice before the first was done
-        self._writer = TlogWriter(path)
-        self._pipeline.chain.note(self._writer.problem or f"recording to {path}")
+    def _note(self, text: str) -> None:
+        if text:
+            self._pipeline.chain.note(text)
 
     def _do(self, action: Callable[[], None]) -> None:
         """What a user asks for may fail; it is told, and the flight goes on."""
         try:
             action()
         except (GcsSysidError, OSError) as error:
-            self._pipeline.chain.note(f"not done: {error}")
-
-    def _stop_recording(self) -> None:
-        if self._writer:
-            self._end_recording(self._writer)
-            self._pipeline.chain.note(f"recording {self._writer.path} stopped")
-            self._writer = None
-
-    def _end_recording(self, writer: TlogWriter) -> None:
-        """Close it, and leave no file behind in which there is nothing."""
-        writer.close()
-        self._recorded = None if writer.problem else writer.path
-        line = writer.problem or f"recorded to {writer.path}"
-        with contextlib.suppress(OSError):  # it never came to be, or is gone
-            if writer.path.stat().st_size == 0:
-                writer.path.unlink()
-                self._recorded = None
-                line = writer.problem or f"nothing was heard: {writer.path} is not kept"
-        self._recordings.append(line)
+            self._note(f"not done: {error}")
+        except Exception as defect:  # noqa: BLE001 - the flight goes on all the same
+            self.problem = self.problem or defect
+            self._note(f"not done: {_in_words(defect)}")
 
     def _reset(self) -> None:
+        self._need_estimate()
         mark = [reset_mark()]
-        if self._writer:
-            self._writer.write(time.time_ns() // 1000, mark)
+        self._recording.write(mark)
         self._pipeline.take(mark)
 
+    def _need_estimate(self) -> None:
+        if not self._identifying:
+            raise InputError("the estimate has ended by an internal error")
+
     def _set_anchor(self, airframe: Airframe, anchor: Anchor) -> None:
+        self._need_estimate()
         try:
             self._pipeline.chain.set_anchor(anchor)
         except InputError as error:
@@ -344,8 +370,9 @@ class LiveSession:
         else:
             self._airframe = airframe
 
-    def _choose(self, vehicle: HeardVehicle) -> None:
+    def _choose(self, vehicle: HeardVehicle, path: Path) -> None:
         """Begin anew in every respect, so that the new recording's analysis ends the same."""
+        self._need_estimate()
         self._station.leave()
         intake = self._pipeline.intake
         self._begin(vehicle.address)
@@ -354,16 +381,9 @@ class LiveSession:
             selector.systems[known.address], selector.frames[known.address] = known, 0
         self._told_result_at = 0.0
         self._pipeline.chain.note(f"chosen: {vehicle.name}; the session starts anew")
-        if self._writer is not None and self._writer.recording:
-            self._end_recording(self._writer)
-            self._start_recording(unused_path(self._recording_stem))
-
-    def _vehicles(self) -> tuple[HeardVehicle, ...]:
-        selector = self._pipeline.intake.selector
-        chosen = None if selector.chosen is None else selector.chosen.address
-        return tuple(
-            HeardVehicle(v.address, str(v), v.address == chosen) for v in selector.autopilots
-        )
+        if self._recording.active:
+            self._recording.stop()
+            self._note(self._recording.start(path))
 
     def _advice(self) -> Advice | None:
         """The coach's; a defect of the coach is told once and costs no flight."""
@@ -373,47 +393,35 @@ class LiveSession:
             return self._coach.advise()
         except Exception as defect:  # noqa: BLE001 - words alone are lost
             self._coach = None
-            kind = type(defect).__name__
-            self._pipeline.chain.note(f"the coach fell silent ({kind}: {defect}): please report it")
+            self._note(f"{_in_words(defect)}: the coach falls silent")
             return None
 
     def _publish(self, state: LinkState) -> None:
-        chain, intake = self._pipeline.chain, self._pipeline.intake
-        health = intake.health()
-        monitor = intake.monitor
-        writer = self._writer
-        recording = writer is not None and (
-            writer.recording or (state is LinkState.ENDED and not writer.problem)
-        )
-        self._latest = Snapshot(
-            t=chain.t,
-            used_seconds=chain.used_seconds,
-            flying=chain.sampler.flying,
-            result=self.final or self._complete(self._pipeline.result()),
-            course=chain.course,
-            link=LinkStatus(
-                state=state,
-                url=str(self._link.url),
-                vehicle=str(intake.vehicle or ""),
-                rates=health.rates,
-                asked=dict(self._station.asked),
-                received=health.received,
-                rejected=health.rejected,
-                unknown=health.unknown,
-                lost_percent=health.lost_percent,
-                lost=monitor.lost,
-                gaps=monitor.gap_count,
-                last_gap=monitor.gaps[-1][1] if monitor.gaps else None,
-                clock_ppm=intake.drift.ppm,
-                vehicles=self._vehicles(),
-                recording=str(writer.path) if writer and recording else "",
-                bytes_per_second=health.bytes_per_second,
-            ),
-            attitude=chain.sampler.attitude,
-            rates=chain.sampler.rates,
-            rotor_speeds=chain.sampler.rotor_speeds,
-            acceleration=self._prediction.acceleration(),
-            target=(self._options.coach or CoachOptions()).target,
-            events=chain.events,
-            advice=self._advice(),
-        )
+        while True:
+            try:
+                self._latest = self._picture(state)
+                return
+            except Exception as defect:
+                if self._latest is None or not self._rounds:
+                    raise
+                self._retreat(defect)
+
+    def _picture(self, state: LinkState) -> Snapshot:
+        """How things stand; after a defect, as far as that is known."""
+        before, recording = self._latest, self._recording.path
+        if before is not None and not self._rounds:
+            link = replace(before.link, state=state, recording=recording)
+        else:
+            url, intake = str(self._link.url), self._pipeline.intake
+            link = link_status(state, url, self._station, intake, recording)
+        if before is not None and not self._identifying:
+            result, events = self.final or before.result, self._pipeline.chain.events
+            return replace(before, result=result, link=link, events=events, advice=None)
+        result = self.final or self._complete(self._pipeline.result())
+        acceleration, advice = self._prediction.acceleration(), self._advice()
+        target = (self._options.coach or CoachOptions()).target
+        return picture(self._pipeline.chain, result, link, acceleration, target, advice)
+
+
+def _in_words(defect: Exception) -> str:
+    return f"internal error ({type(defect).__name__}: {defect})"

@@ -21,6 +21,9 @@ Key = tuple[Stream, str, int]
 """Stream, source, first rotor."""
 _IMU: Key = (Stream.IMU, "", 0)
 
+_LEAST_STEP = 1e-4
+"""s, of the grid. No IMU is sent faster; stamps that claim it would make a second of flight a
+million samples."""
 _LEAST_LAG = 0.04
 """s, of the grid behind the newest sample."""
 _ROUNDING = 1e-6
@@ -217,7 +220,7 @@ class TimeBase:
             return
         if not self.dt or self._is_outgrown(imu):
             # Whole microseconds, as the stamps are.
-            self.dt = max(round(imu.interval * 1e6), 1) * 1e-6
+            self.dt = max(round(imu.interval * 1e6) * 1e-6, _LEAST_STEP)
             self.flown = 0.0
         imu.step = self.dt
         self._origin = imu.oldest if self._fresh and not self.restarts else self._newest
@@ -232,9 +235,10 @@ class TimeBase:
         grid's times, and so is a slower one as long as it can be interpolated.
         """
         low, high = _SAME_RATE
-        if not imu.is_settled or low < imu.interval / self.dt < high:
+        interval = max(imu.interval, _LEAST_STEP)
+        if not imu.is_settled or low < interval / self.dt < high:
             return False
-        if self.flown / self.dt < _WORTH_KEEPING / imu.interval:
+        if self.flown / self.dt < _WORTH_KEEPING / interval:
             return True
         return not self.is_usable and self.flown < _WORTH_KEEPING
 

@@ -106,6 +106,9 @@ class BlockDecoder(RecordDecoder):
         if "RAW_IMU" in messages:
             raw = messages["RAW_IMU"]
             messages["RAW_IMU"] = _kept(raw, (raw["id"] == 0) & (self._autopilot == _ARDUPILOT))
+        if "ESC_STATUS" in messages:
+            speeds = messages["ESC_STATUS"]
+            messages["ESC_STATUS"] = _kept(speeds, speeds["index"] < rotors.MOST_ROTORS)
         if "SERVO_OUTPUT_RAW" in messages:
             servos = messages["SERVO_OUTPUT_RAW"]
             messages["SERVO_OUTPUT_RAW"] = _kept(servos, servos["port"] == 0)

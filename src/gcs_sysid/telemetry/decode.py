@@ -252,6 +252,8 @@ class RecordDecoder:
 
     def _read_esc_status(self, payload: bytes) -> Record | None:
         time_usec, first, speeds = rotors.esc_status(payload)
+        if first >= rotors.MOST_ROTORS:
+            return None
         t = self.clock.stamp_us64(time_usec)
         return self._record(Stream.ROTOR_SPEED, t, speeds, first, "ESC_STATUS")
 

@@ -4,6 +4,7 @@ Everything here depends on when things happen. Nothing of it reaches the estimat
 that are believed, which is why the analysis of a recording ends with the live session's numbers.
 """
 
+from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from gcs_sysid.telemetry.signing import Refusal, SignatureCheck, Signer, Signing
 
 LOST_AFTER = 3.0
 """s of silence after which the link counts as lost."""
+_MOST_EVENTS = 100
+"""Kept while nobody asks."""
 STATE_SUFFIX = ".time"
 """Added to the key file's name for the time of signatures."""
 
@@ -73,7 +76,7 @@ class GroundStation:
         self._gate = Gate(link.send, listen_only=listen_only, signer=signer)
         self._streams = StreamRequests(self._gate, rate, rotors, link.url.line_rate)
         self._parameters = ParameterRequests(self._gate, rotors)
-        self._events: list[str] = []
+        self._events: deque[str] = deque(maxlen=_MOST_EVENTS)
         self._told: set[str] = set()
         self._followed: tuple[int, int] | None = None
         self._reboots = 0
@@ -161,7 +164,8 @@ class GroundStation:
 
     def take_events(self) -> list[str]:
         """What there is to tell since this was last asked, one line each."""
-        events, self._events = self._events, []
+        events = list(self._events)
+        self._events.clear()
         return events
 
     @property

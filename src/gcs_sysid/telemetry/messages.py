@@ -5,6 +5,8 @@ from collections.abc import Callable
 from operator import itemgetter
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.dialect.known_messages import KNOWN_MESSAGES
 
@@ -48,8 +50,16 @@ _NAMES: dict[int, str] = {i: known[0] for i, known in KNOWN_MESSAGES.items()} | 
 }
 
 
+NAMED_IDS = np.array(sorted(_NAMES))
+"""Ids of all message types that have a name, rising."""
+OTHER_TYPES = 2**24
+"""Stands for types without a name that are not told apart; no message has such an id."""
+
+
 def message_name(message_id: int) -> str:
     """Name of a message type; `UNKNOWN_<id>` when nobody here knows it."""
+    if message_id == OTHER_TYPES:
+        return "UNKNOWN"
     return _NAMES.get(message_id) or f"UNKNOWN_{message_id}"
 
 

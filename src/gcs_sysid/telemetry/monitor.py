@@ -16,7 +16,7 @@ from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, UNKNOWN, counts_of
 from gcs_sysid.telemetry.frames import Frame, Validity
-from gcs_sysid.telemetry.messages import message_name
+from gcs_sysid.telemetry.messages import NAMED_IDS, OTHER_TYPES, message_name
 
 WINDOW = 5.0
 """s of vehicle time that rates are taken over."""
@@ -27,6 +27,9 @@ REORDERED = 64
 GAP = 0.1
 """s. A pause of the IMU longer than this, and than five of its usual steps, is a gap."""
 GAPS_KEPT = 100
+MOST_UNNAMED = 64
+"""Message types without a name that are counted one by one, the first heard; a hostile sender can
+make up 16 million."""
 _NEW_SHARE = 0.02
 """Of each step of the IMU in what its usual step is believed to be."""
 _REMEMBERED = 2048
@@ -139,6 +142,8 @@ class Monitor:
         self.gaps: deque[tuple[float, float]] = deque(maxlen=GAPS_KEPT)
         self.gap_count = 0
         self._counts: Counter[int] = Counter()
+        self._known = set(NAMED_IDS.tolist())
+        self._most_known = len(self._known) + MOST_UNNAMED
         # Of the chosen vehicle alone: what it forwards from other systems was numbered for
         # another link and shows gaps where nothing was lost.
         self._sequence = SequenceCount()
@@ -171,7 +176,7 @@ class Monitor:
         if frame.valid is not Validity.BAD_CRC:
             self.heard += 1
             self._sequence.take(frame.sequence)
-            self._counts[frame.message_id] += 1
+            self._counts[self._type(frame.message_id)] += 1
         elif self._sequence.follows(frame.sequence):
             self._sequence.take(frame.sequence)  # it came, although nobody can read it
         if now is not None and frame.valid is not Validity.BAD_CRC:
@@ -199,6 +204,7 @@ class Monitor:
         if not len(now):
             return
         self.heard += len(now)
+        message_id = self._types(message_id)
         self._counts.update(counts_of(message_id))
         self._go_on(float(now[0]))
         self._now = float(now[-1])
@@ -212,7 +218,26 @@ class Monitor:
     def _count_step(self, frame: Frame, now: float) -> None:
         self._go_on(now)
         self._now = now
-        self._add_step(int(now / STEP), {frame.message_id: 1}, len(frame.raw))
+        self._add_step(int(now / STEP), {self._type(frame.message_id): 1}, len(frame.raw))
+
+    def _type(self, message_id: int) -> int:
+        """What a message is counted as."""
+        if message_id not in self._known:
+            if len(self._known) >= self._most_known:
+                return OTHER_TYPES
+            self._known.add(message_id)
+        return message_id
+
+    def _types(self, message_id: Array) -> Array:
+        """The same of (n,) messages, in order."""
+        unnamed = np.flatnonzero(~np.isin(message_id, NAMED_IDS))
+        if not len(unnamed):
+            return message_id
+        ids, first = np.unique(message_id[unnamed], return_index=True)
+        for new in ids[np.argsort(first)][: MOST_UNNAMED + 1].tolist():
+            self._type(new)
+        told = np.isin(message_id, np.array(sorted(self._known)))
+        return np.where(told, message_id, OTHER_TYPES)
 
     def _go_on(self, now: float) -> None:
         """See whether the clock went back."""

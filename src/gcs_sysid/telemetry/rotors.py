@@ -10,6 +10,8 @@ from gcs_sysid.telemetry.messages import picker
 
 RPM = 2.0 * math.pi / 60.0
 """rad/s per revolution a minute."""
+MOST_ROTORS = 64
+"""As many as the definition of ESC_STATUS allows; its index could tell of more."""
 ESC_TELEMETRY = {
     f"ESC_TELEMETRY_{first}_TO_{first + 3}": first - 1 for first in (1, 5, 9, 13, 17, 21, 25, 29)
 }

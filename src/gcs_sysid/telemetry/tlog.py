@@ -1,15 +1,10 @@
-"""Recordings: .tlog files, written so that they survive, read whatever they went through.
+"""Recordings: .tlog files, read whatever they went through.
 
 A .tlog is a row of records: 8 bytes big-endian microseconds since 1970 and one raw frame.
 """
 
-import os
-import struct
-import threading
-import time
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
@@ -20,139 +15,10 @@ from gcs_sysid.telemetry.frames import Frame, find_frame
 from gcs_sysid.telemetry.message_arrays import message_arrays
 from gcs_sysid.telemetry.tlog_scan import STAMP, ScanCounts, Scanner, record_follows
 
-_stamp = struct.Struct(">Q")
-
-WRITE_EVERY = 0.25
-"""s. What a kill -9 can cost: the rest lies with the operating system by then."""
-SYNC_EVERY = 1.0
-"""s. What a power loss can cost. An fsync takes milliseconds on an SSD and up to a second on
-an SD card, so it happens in the recorder's own thread, where it keeps nobody waiting."""
-MOST_PENDING = 16 * 2**20
-"""Bytes held for a disk that does not take them; what comes beyond is dropped and counted."""
-
 WINDOW = 2**21
 """Bytes read at once. Working on them takes about ten times as much memory."""
 HEAD = 2**20
 """Bytes that must show a record for the file to be a .tlog."""
-
-
-class TlogWriter:
-    """Records frames to a file from a thread of its own; the caller never waits for the disk.
-
-    Trouble with the disk does not raise: recording stops, and `problem` says why.
-
-    Attributes:
-        path: where it records.
-        problem: one line when recording stopped or could not start, else "".
-        dropped: frames not recorded because the disk did not keep up or failed.
-    """
-
-    def __init__(self, path: Path | str, *, overwrite: bool = False) -> None:
-        self.path = Path(path)
-        self.problem = ""
-        self.dropped = 0
-        self._pending = bytearray()
-        self._wake = threading.Condition()
-        self._closing = False
-        self._asked = 0  # flushes asked for and done
-        self._done = 0
-        self._stopped = False
-        self._file: BinaryIO | None = None
-        if not overwrite and self.path.exists():
-            raise InputError(
-                f"{self.path} exists already and is not overwritten: give another file name"
-            )
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            # "x": even a file that appears at this moment is not overwritten.
-            self._file = open(self.path, "wb" if overwrite else "xb", buffering=0)  # noqa: SIM115
-        except OSError as error:
-            self.problem = f"not recording: cannot write {self.path} ({error.strerror})"
-        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
-        if self._file is None:
-            self._stopped = True
-        else:
-            self._thread.start()
-
-    @property
-    def recording(self) -> bool:
-        """Whether frames still reach the file."""
-        return self._file is not None and not self.problem and not self._closing
-
-    def write(self, time_us: int, frames: Iterable[Frame]) -> None:
-        """Record frames that arrived at `time_us` (microseconds since 1970)."""
-        stamp = _stamp.pack(time_us)
-        with self._wake:
-            for frame in frames:
-                if self.recording and len(self._pending) < MOST_PENDING:
-                    self._pending += stamp
-                    self._pending += frame.raw
-                else:
-                    self.dropped += 1
-
-    def flush(self) -> None:
-        """Wait until all that was written lies with the operating system and is synced."""
-        with self._wake:
-            self._asked += 1
-            asked = self._asked
-            self._wake.notify_all()
-            self._wake.wait_for(lambda: self._done >= asked or self._stopped, 10.0)
-
-    def close(self) -> None:
-        """Write what is left and close the file."""
-        with self._wake:
-            self._closing = True
-            self._wake.notify_all()
-        if self._thread.is_alive():
-            self._thread.join()
-
-    def __enter__(self) -> "TlogWriter":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def _run(self) -> None:
-        assert self._file is not None
-        synced = time.monotonic()
-        with self._file as file:
-            closing = False
-            while not closing:
-                with self._wake:
-                    if not self._closing and self._asked == self._done:
-                        self._wake.wait(WRITE_EVERY)
-                    closing = self._closing
-                    asked = self._asked
-                    data, self._pending = self._pending, bytearray()
-                try:
-                    _write_all(file, data)
-                    now = time.monotonic()
-                    if closing or asked != self._done or now - synced >= SYNC_EVERY:
-                        os.fsync(file.fileno())
-                        synced = now
-                except OSError as error:
-                    self.problem = f"recording stopped: {self.path} ({error.strerror})"
-                    closing = True
-                with self._wake:
-                    self._done = asked
-                    self._stopped = closing
-                    self._wake.notify_all()
-
-
-def _write_all(file: BinaryIO, data: bytes | bytearray) -> None:
-    view = memoryview(data)
-    while view:
-        view = view[file.write(view) :]
-
-
-def unused_path(path: Path) -> Path:
-    """The path itself, or with -2, -3, ... before the suffix where that exists already."""
-    candidate = path
-    number = 2
-    while candidate.exists():
-        candidate = path.with_name(f"{path.stem}-{number}{path.suffix}")
-        number += 1
-    return candidate
 
 
 class TlogReader:
