@@ -87,14 +87,15 @@ class BadLine:
 
     def _passes(self, frame: bytes, now: float) -> bool:
         faults = self._faults
-        if _is_on(faults.silence, now):
+        # Drawn for every frame, whatever else befalls it.
+        lost = self._meets_burst(), self._draws("loss", faults.loss)
+        if any(lost) or _is_on(faults.silence, now):
             return False
         if faults.stall:
             number = _message_number(frame)
             if any(number == stalled and span.holds(now) for stalled, span in faults.stall):
                 return False
-        burst = self._meets_burst()
-        return not (burst or self._draws("loss", faults.loss))
+        return True
 
     def _meets_burst(self) -> bool:
         """Gilbert's channel: good and bad by turns, and in the bad state all is lost."""

@@ -154,7 +154,7 @@ class Instruments:
         pitch = math.asin(max(-1.0, min(1.0, 2.0 * (a * c - d * b))))
         yaw = math.atan2(2.0 * (a * d + b * c), 1.0 - 2.0 * (c * c + d * d))
         angles = [roll + noise[0], pitch + noise[1], wrap(yaw + noise[2])]
-        return self.faults.angles(angles)
+        return self.faults.angles(angles) if fresh else angles
 
     def rates(self) -> Sample:
         """Body rates as the attitude filter has them: the gyro with its last error, rad/s."""

@@ -102,12 +102,12 @@ class Row:
         return [n for n in self.outcomes[0].std if all(n in o.std for o in self.outcomes)]
 
     def rms(self, name: str) -> float:
-        """Root of the mean squared error."""
-        return float(np.sqrt(np.mean([o.error[name] ** 2 for o in self.outcomes])))
+        """Root of the mean squared error; infinite where a seed tells nothing."""
+        return float(np.sqrt(np.mean([o.error.get(name, np.inf) ** 2 for o in self.outcomes])))
 
     def held(self, name: str) -> float:
         """Share of 95 % intervals that hold the truth."""
-        return float(np.mean([abs(o.off[name]) <= Z95 for o in self.outcomes]))
+        return float(np.mean([abs(o.off.get(name, 0.0)) <= Z95 for o in self.outcomes]))
 
     def held_of_all(self) -> float:
         """The same over all parameters."""
