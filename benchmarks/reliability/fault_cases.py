@@ -33,9 +33,6 @@ def case(written: str, name: str = "") -> Case:
 HEADLINE = case(
     "loss=0.2 reorder=0.05 scatter=20", "20 % loss, 5 % reordering, 20 ms jitter that overtakes"
 )
-IN_ORDER = case(
-    "loss=0.2 reorder=0.05 jitter=20", "20 % loss, 5 % reordering, 20 ms jitter in order"
-)
 
 DROPOUTS = (
     case("silence=12:2:9", "2 s of silence every 9 s"),

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable
+from functools import cache
 from itertools import groupby, pairwise
 from typing import Any
 
@@ -19,7 +20,8 @@ from sim_bridge.links import UdpLink
 from sim_bridge.wire import FrameWriter
 
 STEP_US = 4000
-COUNT = 5000
+COUNT = 3000
+SECONDS = 1e-6 * STEP_US * COUNT
 
 
 class Ether:
@@ -46,6 +48,7 @@ class Ether:
         self.closed = True
 
 
+@cache
 def frames_of(count: int) -> list[bytes]:
     """ATTITUDE and HEARTBEAT by turns, all different."""
     writer = FrameWriter()
@@ -173,7 +176,7 @@ def test_silence_comes_back_and_nothing_passes_in_it() -> None:
     times = 4e-3 * np.array(numbers(ether, frames))
     silent = ((times - 2.0) % 6.0 < 1.5) & (times >= 2.0)
     assert not silent.any()
-    assert len(times) == COUNT - 3 * 375
+    assert len(times) == COUNT - 2 * 375
 
 
 def test_one_message_stalls_and_the_others_pass() -> None:
@@ -183,7 +186,7 @@ def test_one_message_stalls_and_the_others_pass() -> None:
         by_name[int.from_bytes(frame[7:10], "little")].append(1e-6 * (t - BOOT_US))
     for number, start, length in ((30, 4.0, 3.0), (0, 10.0, 1.0)):
         times = np.array(by_name[number])
-        assert len(times) == (20.0 - length) * 125
+        assert len(times) == (SECONDS - length) * 125
         assert not ((times >= start) & (times < start + length)).any()
 
 
@@ -204,11 +207,11 @@ def test_a_stranger_lies_and_floods() -> None:
     strange = [read_frame(data) for data in ether.strangers]
     sound = [f for f in strange if f is not None and f.valid is Validity.OK]
     beats = [f for f in sound if f.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT]
-    assert len(ether.strangers) == pytest.approx(20 * 130, abs=130)
-    assert len(beats) == pytest.approx(20 * 10, abs=10)
-    assert len(ether.strangers) - len(sound) == pytest.approx(20 * 20, abs=20)
+    assert len(ether.strangers) == pytest.approx(SECONDS * 130, abs=100)
+    assert len(beats) == pytest.approx(SECONDS * 10, abs=10)
+    assert len(ether.strangers) - len(sound) == pytest.approx(SECONDS * 20, abs=20)
     ours = [f for f in beats if (f.system, f.component) == (1, 1)]
-    assert 60 < len(ours) < 140
+    assert 35 < len(ours) < 85
     flood = [f for f in sound if f.message_id == mavlink.MAVLINK_MSG_ID_HIGHRES_IMU]
     assert 1 not in {f.system for f in flood}
 

@@ -17,6 +17,8 @@ BREAK = 1.0
 """s; a longer silence is no interval."""
 _KEEP = 8
 """Samples of a stream kept behind the grid for interpolation."""
+_ALIKE, _STILL = 0.7, 0.3
+"""Share of steps that make up a stream's rate, and that show that it is still the same."""
 _SAME = 5e-7
 """Times closer than this (s) are the same: stamps are whole microseconds."""
 _SHORTEST, _SHORT = 0.04, 0.065
@@ -123,6 +125,11 @@ class StreamBuffer:
         last = list(self._steps)[-_RENEW:]
         return self.knows_interval and abs(sum(last) / len(last) / self.interval - 1.0) < 0.2
 
+    def keeps_step(self, step: float) -> bool:
+        """Whether the stream still comes at this step, s, though many of its samples are lost."""
+        near = sum(0.75 * step < s < 1.25 * step for s in self._steps)
+        return near >= _STILL * len(self._steps)
+
     @property
     def oldest(self) -> float:
         """Time of the oldest sample kept."""
@@ -216,7 +223,7 @@ def usual_interval(steps: Sequence[float]) -> float:
     """
     middle = sorted(steps)[len(steps) // 2]
     near = [step for step in steps if 0.75 * middle < step < 1.25 * middle]
-    alike = near if len(near) >= 0.75 * len(steps) else steps
+    alike = near if len(near) >= _ALIKE * len(steps) else steps
     return sum(alike) / len(alike)
 
 

@@ -234,6 +234,8 @@ class TimeBase:
         low, high = _SAME_RATE
         if not imu.is_settled or low < imu.interval / self.dt < high:
             return False
+        if imu.keeps_step(self.dt):  # a link that loses samples makes no other rate
+            return False
         if self.flown / self.dt < _WORTH_KEEPING / imu.interval:
             return True
         return not self.is_usable and self.flown < _WORTH_KEEPING
