@@ -74,6 +74,7 @@ CASES = (
     case("rpm-stuck=10:4"),
     case("rpm-spikes=0.005"),
     case("rpm-repeats=0.1"),
+    case("never-sent=ESC_STATUS"),
     case("rpm-dead=2"),
     case("esc-silent=2:20"),
     case("esc-silent=2:20 never-sent=ACTUATOR_OUTPUT_STATUS never-sent=SERVO_OUTPUT_RAW"),
