@@ -9,7 +9,7 @@ _REACH = 2
 """Samples on each side that one is compared with."""
 AHEAD = 2 * _REACH
 """Samples after a grid point that its value depends on: the cubic's, and what judges them."""
-_WILD, _BESIDE = 0.2, 4.0
+_WILD, _BESIDE = 0.2, 2.0
 """A wild value is off the middle of its neighbours by this share of it, and by so many times what
 these differ by. No rotor speeds up and slows down by a fifth while its neighbours in time stand."""
 
@@ -61,11 +61,9 @@ def wild_rows(t: Array, v: Array, gap: float) -> Mask:
         return wild
     middle = v[_REACH:-_REACH]
     near = np.sort(np.stack([v[:-4], v[1:-3], v[3:-1], v[4:]]), axis=0)
-    # Between the second and the third of them: one that is wild itself does not matter.
-    low, high = near[1], near[2]
-    centre = 0.5 * (low + high)
+    centre = 0.5 * (near[1] + near[2])
     off = np.abs(middle - centre)
-    jumps = (off > _WILD * np.abs(centre)) & (off > _BESIDE * (high - low))
+    jumps = (off > _WILD * np.abs(centre)) & (off > _BESIDE * (near[3] - near[0]))
     if jumps.any():
         apart = np.diff(t) > gap
         beside = apart[:-3] | apart[1:-2] | apart[2:-1] | apart[3:]
