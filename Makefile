@@ -7,7 +7,7 @@ BENCH_INSTALLED := $(VENV)/.installed-bench
 SPEED_INSTALLED := $(VENV)/.installed-speed
 SIMULATORS_INSTALLED := $(VENV)/.installed-simulators
 
-.PHONY: help demo test quick check bench bench-accuracy bench-speed docs pictures sample clean
+.PHONY: help demo test test-all quick check bench bench-accuracy bench-speed docs pictures sample clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -30,11 +30,17 @@ $(SIMULATORS_INSTALLED): $(INSTALLED)
 	  --constraint constraints.txt --no-deps mujoco mujoco-core rotorpy drake
 	@touch $@
 
-test: $(SIMULATORS_INSTALLED) ## all tests
+# One thread a process: more would only wait for each other.
+test test-all quick: export OMP_NUM_THREADS = 1
+
+test: $(SIMULATORS_INSTALLED) ## the tests
 	$(BIN)/python -m pytest -n auto --dist loadfile
 
+test-all: $(SIMULATORS_INSTALLED) ## those too that repeat on more flights what others show on one
+	$(BIN)/python -m pytest -n auto --dist loadfile -m ''
+
 quick: $(SIMULATORS_INSTALLED) ## the tests without whole flights
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow and not thorough"
 
 check: $(INSTALLED) ## lint, format, types, import contracts
 	$(BIN)/ruff check .

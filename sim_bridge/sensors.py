@@ -12,9 +12,9 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.recursions import lfilter
 
 Array = NDArray[np.float64]
 
@@ -77,7 +77,7 @@ class LowPass:
         """The next samples: x_k+1 = a x_k + sigma sqrt(1 - a^2) n_k."""
         a = math.exp(-self.corner * dt)
         fresh = self.sigma * math.sqrt(1.0 - a * a) * random.standard_normal((count, width))
-        out, _ = lfilter([1.0], [1.0, -a], fresh, axis=0, zi=(a * self._last)[None, :])
+        out, _ = lfilter([1.0], [1.0, -a], fresh, (a * self._last)[None, :])
         self._last = out[-1]
         return np.asarray(out)
 
@@ -106,7 +106,7 @@ class HighPass:
         if self._slow is None:
             self._slow = sigma * math.sqrt((1.0 - a) / (1.0 + a)) * self._draw
         white = sigma * random.standard_normal((count, width))
-        slow, after = lfilter([0.0, 1.0 - a], [1.0, -a], white, axis=0, zi=self._slow[None, :])
+        slow, after = lfilter([0.0, 1.0 - a], [1.0, -a], white, self._slow[None, :])
         self._slow = after[0]
         return np.asarray(white - slow)
 

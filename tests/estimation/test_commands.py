@@ -32,7 +32,14 @@ def commands_of(flight, truth, lag, curve):
     return (w - a * before) / (1.0 - a), full
 
 
-@pytest.mark.parametrize(("lag", "curve"), [(0.03, 0.0), (0.05, 0.4), (0.09, 1.0)])
+@pytest.mark.parametrize(
+    ("lag", "curve"),
+    [
+        pytest.param(0.03, 0.0, marks=pytest.mark.thorough),
+        (0.05, 0.4),
+        pytest.param(0.09, 1.0, marks=pytest.mark.thorough),
+    ],
+)
 def test_lag_and_curve_are_found_with_the_rest(truth, flight, lag, curve):
     commands, full = commands_of(flight, truth, lag, curve)
     gyro = flight.gyro + 0.01 * np.random.default_rng(1).standard_normal(flight.gyro.shape)

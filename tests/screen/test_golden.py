@@ -21,7 +21,6 @@ from . import fake
 
 GOLDEN = Path(__file__).parent / "golden"
 SIZES = [(80, 24), (120, 40), (200, 50)]
-THEMES = ["dark", "light"]
 
 
 def advised():
@@ -70,43 +69,39 @@ def named(size):
     return f"{size[0]}x{size[1]}"
 
 
-async def in_theme(s, theme):
-    """Both themes against one file: a theme changes colours and not one letter."""
-    if theme == "light":
-        s.app.theme = "gcs-light"
-        await s.settle()
+async def check_both_themes(s, name):
+    """Against one file: a theme changes colours and not one letter."""
+    assert s.app.theme == "gcs-dark"
+    check(name, s.text())
+    s.app.theme = "gcs-light"
+    await s.settle()
+    check(name, s.text())
 
 
-@pytest.mark.parametrize("theme", THEMES)
 @pytest.mark.parametrize("size", SIZES, ids=named)
 @pytest.mark.parametrize("state", STATES)
-async def test_states(run_screen, state, size, theme):
+async def test_states(run_screen, state, size):
     make, truth, baseline = STATES[state]
     async with run_screen(make(), size=size, truth=truth, baseline=baseline) as s:
-        await in_theme(s, theme)
-        check(f"{state}-{named(size)}", s.text())
+        await check_both_themes(s, f"{state}-{named(size)}")
 
 
-@pytest.mark.parametrize("theme", THEMES)
 @pytest.mark.parametrize(
     ("size", "page"), [(size, page) for size, pages in KEYS.items() for page in pages]
 )
-async def test_pages(run_screen, size, page, theme):
+async def test_pages(run_screen, size, page):
     async with run_screen(fake.snapshot(), size=size) as s:
         await s.press(KEYS[size][page])
-        await in_theme(s, theme)
-        check(f"page-{page}-{named(size)}", s.text())
+        await check_both_themes(s, f"page-{page}-{named(size)}")
 
 
-@pytest.mark.parametrize("theme", THEMES)
 @pytest.mark.parametrize("size", SIZES, ids=named)
 @pytest.mark.parametrize("dialog", DIALOGS)
-async def test_dialogs(run_screen, dialog, size, theme, tmp_path, monkeypatch):
+async def test_dialogs(run_screen, dialog, size, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # the question for a file looks at what lies there
     async with run_screen(fake.two_vehicles(), size=size) as s:
         await s.press(DIALOGS[dialog])
-        await in_theme(s, theme)
-        check(f"{dialog}-{named(size)}", s.text())
+        await check_both_themes(s, f"{dialog}-{named(size)}")
 
 
 def luminance(color: Color) -> float:

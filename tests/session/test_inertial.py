@@ -117,7 +117,9 @@ def faulty_stream(rate, seconds=6.0):
             yield Record(Stream.IMU, round(t, 6), values)
 
 
-@pytest.mark.parametrize("rate", [20.0, 100.0, 250.0, 1000.0])
+@pytest.mark.parametrize(
+    "rate", [20.0, 250.0, *(pytest.param(f, marks=pytest.mark.thorough) for f in (100.0, 1000.0))]
+)
 def test_grouping_of_samples_does_not_matter(rate):
     outcomes = []
     for tick in (1e-3, 0.1, 0.73):

@@ -143,10 +143,20 @@ DECISIONS = {
     "commands alone": ("--rotor-input", "command"),
     "ArduPilot": ("--autopilot", "ardupilot"),
 }
+SHOWN_BY_ANALYSES = {"all zero", "rad/s", "few readings", "one dead"}
+"""As far as the analysis is concerned, other tests show these too."""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", DECISIONS.values(), ids=DECISIONS.keys())
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param(
+            options, id=name, marks=[pytest.mark.thorough] if name in SHOWN_BY_ANALYSES else []
+        )
+        for name, options in DECISIONS.items()
+    ],
+)
 def test_inspect_and_analyze_use_the_same_rotor_input(recording, options):
     path = recording(*options)
     airframe = load_airframe("paper")

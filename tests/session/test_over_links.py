@@ -209,11 +209,13 @@ RECORDED = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("wire", [udp], indirect=True, ids=["udp"])
-@pytest.mark.parametrize(("name", "vehicle"), RECORDED.items(), ids=RECORDED.keys())
-def test_recorded_flights_of_real_autopilots_give_live_what_analyze_gives(
-    wire, name, vehicle, shared_logs
-):
-    airframe = load_airframe(vehicle[0]).with_anchor("mass", vehicle[1])
+@pytest.mark.parametrize(
+    "name",
+    ["px4-sih-default.tlog", pytest.param("ardupilot-sitl.tlog", marks=pytest.mark.thorough)],
+)
+def test_recorded_flights_of_real_autopilots_give_live_what_analyze_gives(wire, name, shared_logs):
+    vehicle, mass = RECORDED[name]
+    airframe = load_airframe(vehicle).with_anchor("mass", mass)
     final = played(wire, shared_logs / name, airframe)
     assert final.telemetry["used_seconds"] > 100.0
     assert_same(final, analyze_log(shared_logs / name, airframe))
@@ -249,7 +251,18 @@ def emulated(autopilot):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+@pytest.mark.parametrize(
+    ("wire", "autopilot"),
+    [
+        (udp, "px4"),
+        (udp, "ardupilot"),
+        (tcp, "px4"),
+        (serial, "ardupilot"),
+        pytest.param(tcp, "ardupilot", marks=pytest.mark.thorough),
+        pytest.param(serial, "px4", marks=pytest.mark.thorough),
+    ],
+    indirect=["wire"],
+)
 def test_every_message_of_the_emulator_is_used_or_accounted_for(wire, autopilot):
     """At 250 Hz, asked for by the session itself."""
     airframe = load_airframe("paper")

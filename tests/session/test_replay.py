@@ -103,10 +103,13 @@ def own(stage):
     return stage.session._player.pipeline.result()
 
 
+MORE_LOGS = [
+    *("px4-sih-default.ulg", "px4-esc-cg.tlog", "ardupilot-sitl.tlog"),
+    *("public/real-quad-mavlink1.tlog", "public/real-quad-copter33.bin"),
+]
 LOGS = [
-    *("px4-sih-default.tlog", "px4-sih-default.ulg", "px4-esc-cg.tlog"),
-    *("ardupilot-sitl.tlog", "ardupilot-sitl.bin"),
-    *("public/real-quad-mavlink1.tlog", "public/real-quad-copter33.bin", "public/px4-sitl.ulg"),
+    *("px4-sih-default.tlog", "ardupilot-sitl.bin", "public/px4-sitl.ulg"),
+    *(pytest.param(name, marks=pytest.mark.thorough) for name in MORE_LOGS),
 ]
 
 

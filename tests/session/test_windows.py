@@ -71,7 +71,14 @@ def test_windows_give_what_records_give(fly, name):
         assert share < 0.5
 
 
-@pytest.mark.parametrize("name", ["px4-esc-cg.tlog", "px4-sih-default.ulg", "ardupilot-sitl.tlog"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "px4-esc-cg.tlog",
+        pytest.param("px4-sih-default.ulg", marks=pytest.mark.thorough),
+        pytest.param("ardupilot-sitl.tlog", marks=pytest.mark.thorough),
+    ],
+)
 def test_windows_of_recorded_flights(shared_logs, name):
     airframe, mass = ("px4-quad-x", 1.5) if "ardupilot" in name else ("px4-sih", 1.0)
     path = shared_logs / name
@@ -80,7 +87,9 @@ def test_windows_of_recorded_flights(shared_logs, name):
     assert share < 0.2
 
 
-@pytest.mark.parametrize("after", [10001, 10017, 10050])
+@pytest.mark.parametrize(
+    "after", [10017, *(pytest.param(n, marks=pytest.mark.thorough) for n in (10001, 10050))]
+)
 def test_a_reset_falls_between_the_same_samples(fly, tmp_path, after):
     flight = fly(*MEMS, *FLIGHTS["sound"], "--seed", "3")
     frames = list(read_tlog(flight.tlog))

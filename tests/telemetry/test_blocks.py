@@ -240,7 +240,12 @@ def test_a_stamp_that_is_off_is_doubted_again_after_others_that_are_not(tmp_path
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["px4-esc-cg.tlog", "ardupilot-sitl.tlog", "public/real-quad-mavlink1.tlog"]
+    "name",
+    [
+        "public/real-quad-mavlink1.tlog",
+        "px4-esc-cg.tlog",
+        pytest.param("ardupilot-sitl.tlog", marks=pytest.mark.thorough),
+    ],
 )
 def test_blocks_of_recorded_flights_make_what_single_frames_make(shared_logs, name):
     compare(shared_logs / name, 1 << 21)

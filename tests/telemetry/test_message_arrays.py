@@ -146,9 +146,9 @@ def test_damaged_logs_give_no_less_than_pymavlink_and_nothing_wrong(
 @pytest.mark.parametrize(
     "name",
     [
-        "px4-sih-default.tlog",
         "px4-esc-cg.tlog",
-        "ardupilot-sitl.tlog",
+        pytest.param("px4-sih-default.tlog", marks=pytest.mark.thorough),
+        pytest.param("ardupilot-sitl.tlog", marks=pytest.mark.thorough),
         "public/real-quad-mavlink1.tlog",
     ],
 )

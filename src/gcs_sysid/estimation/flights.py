@@ -5,7 +5,7 @@ first seconds of each further flight are estimated apart, and held against what 
 """
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
@@ -103,7 +103,7 @@ def is_another(before: Fit, now: Fit, arm: float) -> bool:
             covariance += np.diag((_MODEL_ERROR * size[known]) ** 2)
             square += float(difference @ np.linalg.solve(covariance, difference))
             freedom += len(known)
-    return freedom > 0 and bool(chi2.sf(square, freedom) < SURE)
+    return freedom > 0 and bool(chdtrc(freedom, square) < SURE)
 
 
 def _thrust(before: Fit, now: Fit) -> tuple[float, int]:

@@ -23,7 +23,7 @@ tr(dL' S^-1 dL) are taken out where the level is given (Fuller, Measurement Erro
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.estimation.innovations import (
@@ -499,7 +499,7 @@ def _ljung_box(autocorrelation: Array, n: int) -> Array:
     """(3,) p-values of (lags, 3) autocorrelations of n values."""
     lags = np.arange(1, len(autocorrelation) + 1)[:, None]
     statistic = n * (n + 2.0) * np.sum(autocorrelation**2 / (n - lags), axis=0)
-    p: Array = chi2.sf(statistic, len(autocorrelation))
+    p: Array = chdtrc(len(autocorrelation), statistic)
     return p
 
 

@@ -9,14 +9,15 @@ An autopilot that low-passes its gyro sees the rotors' effect late and rounded; 
 the rotors' side puts both in step again.
 """
 
+import math
 from typing import Literal
 
 import numpy as np
-from scipy.signal import butter, lfilter, sosfilt
 
 from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.estimation.basis import RotorBasis
 from gcs_sysid.model import rigid_body
+from gcs_sysid.recursions import lfilter
 
 RotorInput = Literal["speed", "command"]
 
@@ -47,10 +48,10 @@ class RotorPath:
         lags = basis.lags
         self._filters = [_motor(dt, lag) for lag in lags]
         self._lag_settling = int(np.ceil(_SETTLED * lags[-1] / dt))
-        self._sections: Array | None = None
+        self._low_pass: tuple[Array, Array] | None = None
         self._filter_settling = 0
         if gyro_cutoff is not None and gyro_cutoff < 0.45 / dt:
-            self._sections = butter(2, gyro_cutoff, fs=1.0 / dt, output="sos")
+            self._low_pass = _butterworth(gyro_cutoff * dt)
             self._filter_settling = int(np.ceil(_SETTLED / (4.4 * gyro_cutoff * dt)))
         self.restart()
 
@@ -74,7 +75,7 @@ class RotorPath:
             mixed, H = rigid_body.rotor_signals(self._geometry, rotors[None])
         signals = np.concatenate([mixed, H[..., None]], axis=-1)
         thrust = mixed[..., 2]
-        if self._sections is not None:
+        if self._low_pass is not None:
             signals = self._filtered(signals)
         return signals, thrust
 
@@ -107,13 +108,15 @@ class RotorPath:
             self._last_command = part[-1:]
             for i, (a, b0, b1) in enumerate(self._filters):
                 driven = b0 * with_last[1:] + b1 * with_last[:-1]
-                lagged, _ = lfilter([1.0], [1.0, -a], driven, axis=0, zi=a * self._last[i : i + 1])
+                lagged, _ = lfilter([1.0], [1.0, -a], driven, a * self._last[i : i + 1])
                 self._last[i] = lagged[-1]
                 out[i, run.start + skip : run.stop] = lagged[skip:]
         return out
 
     def _filtered(self, signals: Array) -> Array:
         """(lags * sets, n, SIGNALS) through the gyro's low-pass; it needs some time to settle."""
+        assert self._low_pass is not None
+        b, a = self._low_pass
         out = np.full_like(signals, np.nan)
         whole = complete_rows(np.swapaxes(signals, 0, 1).reshape(signals.shape[1], -1))
         for run, there in runs(whole):
@@ -122,12 +125,12 @@ class RotorPath:
                 continue
             part = signals[:, run]
             if self._state is None:
-                self._state = _steady(self._sections, part[:, 0])
+                self._state = _steady(b, a, part[:, 0])
                 self._settle = self._filter_settling
-            filtered, self._state = sosfilt(self._sections, part, axis=1, zi=self._state)
+            filtered, self._state = lfilter(b, a, np.swapaxes(part, 0, 1), self._state)
             skip = min(self._settle, part.shape[1])
             self._settle -= skip
-            out[:, run.start + skip : run.stop] = filtered[:, skip:]
+            out[:, run.start + skip : run.stop] = np.swapaxes(filtered[skip:], 0, 1)
         return out
 
 
@@ -144,10 +147,18 @@ def _motor(dt: float, lag: float) -> tuple[float, float, float]:
     return a, 1.0 - share, share - a
 
 
-def _steady(sections: Array | None, first: Array) -> Array:
-    """(1, lags * sets, 2, signals) state of the filter as if the first value had always been."""
-    assert sections is not None
-    b0, b1, b2, _, a1, a2 = sections[0]
-    gain = (b0 + b1 + b2) / (1.0 + a1 + a2)
-    state: Array = np.stack([(gain - b0) * first, (b2 - a2 * gain) * first], axis=1)
-    return state[None]
+def _butterworth(cutoff: float) -> tuple[Array, Array]:
+    """(b, a) of the second-order low-pass, its cutoff in cycles a sample, by bilinear transform."""
+    w = math.tan(math.pi * cutoff)
+    scale = 1.0 / (1.0 + math.sqrt(2.0) * w + w * w)
+    b = scale * w * w * np.array([1.0, 2.0, 1.0])
+    return b, np.array(
+        [1.0, 2.0 * scale * (w * w - 1.0), scale * (1.0 - math.sqrt(2.0) * w + w * w)]
+    )
+
+
+def _steady(b: Array, a: Array, first: Array) -> Array:
+    """(2, lags * sets, SIGNALS) state of the filter as if the first value had always been."""
+    gain = b.sum() / a.sum()
+    state: Array = np.stack([(gain - b[0]) * first, (b[2] - a[2] * gain) * first])
+    return state

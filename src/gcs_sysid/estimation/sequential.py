@@ -1,9 +1,9 @@
 """Sequential tests on normalised residuals, and the levels that normalise them."""
 
 import numpy as np
-from scipy.signal import lfilter
 
 from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.recursions import lfilter
 
 
 class Cusum:
@@ -138,7 +138,7 @@ class Baseline:
         weights = [1.0 - keep], [1.0, -keep]
         if np.isfinite(values.sum()) and np.isfinite(self.last.sum()):
             clipped = np.minimum(np.maximum(values, low), high)
-            after, _ = lfilter(*weights, clipped, axis=0, zi=keep * self.last[None])
+            after, _ = lfilter(*weights, clipped, keep * self.last[None])
             whole: Array = np.concatenate([self.last[None], after[:-1]])
             self.last = after[-1].copy()
             return whole
@@ -150,7 +150,7 @@ class Baseline:
                 continue
             if np.isnan(self.last[c]):
                 self.last[c] = v[0]
-            filtered, _ = lfilter(*weights, v, zi=[keep * self.last[c]])
+            filtered, _ = lfilter(*weights, v, keep * self.last[c : c + 1])
             before[there, c] = np.append(self.last[c], filtered[:-1])
             self.last[c] = filtered[-1]
         return before

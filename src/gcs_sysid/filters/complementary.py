@@ -11,10 +11,10 @@ no Euler angle in it. What remains of e on average is the gyro's bias, which an 
 """
 
 import numpy as np
-from scipy.signal import lfilter
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.model import attitude
+from gcs_sysid.recursions import lfilter
 
 DEFAULT_K_P = 0.7
 """1/s. Slow noise of the reference wants it lower, noise and drift of the gyro higher; what either
@@ -40,7 +40,7 @@ def complementary(y_u: Array, y_x: Array, dt: float, k_p: float) -> Array:
     error[0] = 0.0
     # Trapezoid for the rate: the two samples around each step.
     error[1:] = 0.5 * (y_u[1:] + y_u[:-1]) * dt - np.diff(y_x, axis=0)
-    filtered: Array = lfilter([1.0], [1.0, -a], error, axis=0)
+    filtered, _ = lfilter([1.0], [1.0, -a], error)
     return y_x + filtered
 
 

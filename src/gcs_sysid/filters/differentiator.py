@@ -14,9 +14,9 @@ from typing import Literal
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.signal import lfilter, ss2tf
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.recursions import lfilter
 
 ARTICLE_A = 1.75
 ARTICLE_B = 5.045
@@ -58,7 +58,13 @@ class LinearDifferentiator:
         M[2, 3] = 1.0
         E = expm(M)
         Ad, now, slope = E[:2, :2], E[:2, 2:3], E[:2, 3:4]
-        self._numerators, self._denominator = ss2tf(Ad, now + Ad @ slope - slope, np.eye(2), slope)
+        drive = now + Ad @ slope - slope
+        self._denominator = np.poly(Ad)
+        # Of both states: C (z - Ad)^-1 B + D over the common denominator, C of one row of eye(2).
+        self._numerators = [
+            np.poly(Ad - drive @ row[None]) + (slope[i, 0] - 1.0) * self._denominator
+            for i, row in enumerate(np.eye(2))
+        ]
         # Settled to 1e-4 of a step: (1 + x) exp(-x) at x = 12, x by the slowest mode.
         slowest = 0.5 * R * (b - max(b * b - 4.0, 0.0) ** 0.5)
         self.settling = int(np.ceil(12.0 / (slowest * dt)))
@@ -86,8 +92,8 @@ class LinearDifferentiator:
                 for numerator in self._numerators
             )
         assert self._state is not None
-        z1, s1 = lfilter(self._numerators[0], self._denominator, v, axis=0, zi=self._state[0])
-        z2, s2 = lfilter(self._numerators[1], self._denominator, v, axis=0, zi=self._state[1])
+        z1, s1 = lfilter(self._numerators[0], self._denominator, v, self._state[0])
+        z2, s2 = lfilter(self._numerators[1], self._denominator, v, self._state[1])
         self._state = (s1, s2)
         return z1, z2
 

@@ -8,7 +8,7 @@ numbers that the live session ended with.
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from gcs_sysid.columns import RecordBlock
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.anchors import Anchor, AnchorKind, relative_prior, resolve_scale
 from gcs_sysid.estimation.changes import ChangeTuning
-from gcs_sysid.estimation.offline import OfflineFit, fit_offline
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.parameters import (
     WEAK_BELOW_R2,
@@ -41,6 +40,9 @@ from gcs_sysid.session.rotor_input import RotorChooser
 from gcs_sysid.session.rotor_units import RotorSource, gyro_cutoff, loop_cutoff
 from gcs_sysid.session.sampling import SampleBlock, Sampler
 from gcs_sysid.session.snapshot import Course, Event
+
+if TYPE_CHECKING:
+    from gcs_sysid.estimation.offline import OfflineFit
 
 _MAX_EVENTS = 300
 WINDOW = 8192
@@ -177,6 +179,9 @@ class Chain:
         result = self.refit()
         speeds = self.rotor_input == "speed"
         if self.options.offline and self._tracker is not None and speeds:
+            # Splines and likelihoods take a while to load, and few ask for them.
+            from gcs_sysid.estimation.offline import fit_offline
+
             self._offline = fit_offline(self._tracker, self._fit)
             if self._offline is not None:
                 self._fit = self._offline.fit

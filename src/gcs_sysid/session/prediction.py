@@ -143,6 +143,9 @@ class Predictor:
 class LivePrediction:
     """An observer of a chain: the last seconds, each row predicted before it was fitted.
 
+    Blocks are gathered while the fit stays as it is, or nobody looks: a prediction costs as much
+    for one block as for ten.
+
     Args:
         chain: to look at.
     """
@@ -150,41 +153,24 @@ class LivePrediction:
     def __init__(self, chain: Chain) -> None:
         self._chain = chain
         self._samples: deque[SampleBlock] = deque()
+        self._waiting: list[SampleBlock] = []
+        self._model: Model | None = None
         self._rows: deque[Rows] = deque()
 
     def take(self, block: SampleBlock) -> None:
         """Predict what this block adds by the fit there is; the chain takes it afterwards."""
-        samples = self._samples
-        if samples and (block.fresh or block.dt != samples[-1].dt):
-            samples.clear()
-        if self._rows and block.t[0] < self._rows[-1].t[-1]:
-            self._rows.clear()
-        samples.append(block)
-        model = self._model()
-        if model is None:
-            self._drop(block, 1.0)
-            return
-        predictor = Predictor(block.dt, model)
-        settling = _SETTLING * float(model.coordinates[LAG])
-        if model.gyro_cutoff is not None:
-            settling += _LEAST_CUTOFF_CYCLES / model.gyro_cutoff
-        room = predictor.half * block.dt + abs(float(model.coordinates[DELAY]))
-        # As many samples before the block as its first new row and the filters need.
-        self._drop(block, settling + 2.0 * room + (predictor.smoother.step + 3) * block.dt)
-        rows = predictor.rows(_joined(samples))
-        last = self._rows[-1].t[-1] if self._rows else -np.inf
-        new = (rows.t > last + 0.5 * predictor.smoother.step * block.dt) & np.isfinite(
-            rows.predicted[:, 0] + rows.measured[:, 0]
-        )
-        if new.any():
-            self._rows.append(
-                Rows(rows.t[new], rows.rates[new], rows.measured[new], rows.predicted[new])
-            )
-        while self._rows and self._rows[0].t[-1] < block.t[-1] - KEPT:
-            self._rows.popleft()
+        waiting = self._waiting
+        if waiting and (block.fresh or block.dt != waiting[-1].dt or not self._is_in_force()):
+            self._predict()
+        if not waiting:
+            self._model = self._model_in_force()
+        waiting.append(block)
+        if block.t[-1] - waiting[0].t[0] > KEPT:
+            self._predict()
 
     def acceleration(self) -> Acceleration | None:
         """The last seconds; None while nothing was predicted in them."""
+        self._predict()
         if not self._rows:
             return None
         t, measured, predicted = (
@@ -193,7 +179,46 @@ class LivePrediction:
         )
         return Acceleration(t, measured, predicted)
 
-    def _model(self) -> Model | None:
+    def _predict(self) -> None:
+        """Rows of the blocks that wait."""
+        if not self._waiting:
+            return
+        samples, first, last = self._samples, self._waiting[0], self._waiting[-1]
+        if samples and (first.fresh or first.dt != samples[-1].dt):
+            samples.clear()
+        if self._rows and first.t[0] < self._rows[-1].t[-1]:
+            self._rows.clear()
+        samples.extend(self._waiting)
+        self._waiting.clear()
+        model = self._model
+        if model is None:
+            self._drop(first, 1.0)
+            return
+        predictor = Predictor(first.dt, model)
+        settling = _SETTLING * float(model.coordinates[LAG])
+        if model.gyro_cutoff is not None:
+            settling += _LEAST_CUTOFF_CYCLES / model.gyro_cutoff
+        room = predictor.half * first.dt + abs(float(model.coordinates[DELAY]))
+        # As many samples before the first block as its first new row and the filters need.
+        self._drop(first, settling + 2.0 * room + (predictor.smoother.step + 3) * first.dt)
+        rows = predictor.rows(_joined(samples))
+        seen = self._rows[-1].t[-1] if self._rows else -np.inf
+        new = (rows.t > seen + 0.5 * predictor.smoother.step * first.dt) & np.isfinite(
+            rows.predicted[:, 0] + rows.measured[:, 0]
+        )
+        if new.any():
+            self._rows.append(
+                Rows(rows.t[new], rows.rates[new], rows.measured[new], rows.predicted[new])
+            )
+        while self._rows and self._rows[0].t[-1] < last.t[-1] - KEPT:
+            self._rows.popleft()
+
+    def _is_in_force(self) -> bool:
+        """Whether what waits was taken with the fit there is."""
+        fit, model = self._chain.fit.rotation, self._model
+        return fit is None if model is None else fit is not None and fit.theta is model.theta
+
+    def _model_in_force(self) -> Model | None:
         chain = self._chain
         fit = chain.fit.rotation
         if fit is None:
