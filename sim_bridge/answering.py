@@ -59,6 +59,7 @@ class AnsweringAutopilot(ABC):
         self._company = Company(instruments, company)
         self._never_sent = set(self._traps.never_sent)
         self._reboot_tick = self._tick_of(self._traps.reboot)
+        self._jump_tick = self._tick_of(self._traps.clock_jump[0])
         self._reset_tick = self._tick_of(self._traps.rate_reset)
         self._silent_until = 0
         self._parser = mavlink.MAVLink(None)
@@ -98,6 +99,8 @@ class AnsweringAutopilot(ABC):
         self.instruments.advance()
         if tick == self._reboot_tick:
             self._restart(tick)
+        if tick == self._jump_tick:
+            self.clock.jump(tick, round(1e6 * self._traps.clock_jump[1]))
         if tick == self._reset_tick:
             self._reset_rates(tick)
         frames: list[bytes] = []

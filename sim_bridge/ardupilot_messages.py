@@ -3,6 +3,8 @@
 Fields are passed in wire order: see `ordered_fieldnames` of the dialect's classes.
 """
 
+import math
+
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.ardupilot_parameters import PWM_MAX, PWM_MIN, spin_range
@@ -72,7 +74,8 @@ class ArduPilotMessages(FlightMessages):
         values = [1e3 / GRAVITY * a for a in accelerometer]
         values += [1e3 * w for w in gyro]
         values += [1e3 * m for m in field]
-        return [max(-32768, min(32767, round(v))) for v in values]
+        # Whole numbers have no NaN: a driver that has nothing sends zeros.
+        return [max(-32768, min(32767, round(v))) if math.isfinite(v) else 0 for v in values]
 
     def scaled_pressure(self) -> list[bytes]:
         """SCALED_PRESSURE."""

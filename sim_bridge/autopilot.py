@@ -42,6 +42,10 @@ class VehicleClock:
         self._start_tick = tick
         self._start_us = start_us
 
+    def jump(self, tick: int, by_us: int) -> None:
+        """Set it ahead, or back where that is negative, but not below zero at this step."""
+        self._start_us += max(by_us, -self.at(tick))
+
 
 def vehicle_clock(traps: Traps, step_us: int, start_us: int = BOOT_US) -> VehicleClock:
     """The clock of a vehicle switched on so long before, unless the traps say otherwise."""

@@ -21,6 +21,9 @@ from sim_bridge import ardupilot
 from sim_bridge.answering import AnsweringAutopilot
 from sim_bridge.ardupilot import ArduPilot
 from sim_bridge.autopilot import BOOT_US, EPOCH_US
+from sim_bridge.bad_line import BadLine
+from sim_bridge.choices import message_number
+from sim_bridge.line_faults import fault_help, make_faults, parse_fault
 from sim_bridge.links import Link, TlogLink, open_link
 from sim_bridge.manoeuvres import read_plan
 from sim_bridge.missions import MISSIONS, Mission
@@ -30,7 +33,7 @@ from sim_bridge.px4 import Px4
 from sim_bridge.sensors import NOISE_MODELS
 from sim_bridge.server import Pace, TruthFile, fly
 from sim_bridge.simulation import Change, Simulation, mass_step
-from sim_bridge.traps import Traps, make_traps, message_number, parse_trap, trap_help
+from sim_bridge.traps import Traps, make_traps, parse_trap, trap_help
 from sim_bridge.vehicle_files import load_vehicle
 from sim_bridge.wire import FrameWriter, Signer
 
@@ -42,6 +45,9 @@ _NOT_SENT = {
     "both": (),
 }
 """Messages left out for each --rotor-input."""
+
+_LINE = 0x11FE
+"""Sets the line's randomness apart from that of the flight, which stays what it is without."""
 
 
 def _rate(text: str) -> float:
@@ -93,7 +99,10 @@ def make_parser() -> argparse.ArgumentParser:
     parser = OneLineParser(
         prog="sim-bridge",
         description="Emulate a multirotor that speaks MAVLink as PX4 or ArduPilot does.",
-        epilog=f"traps (usual value in brackets):\n{trap_help()}".replace("%", "%%"),
+        epilog=(
+            f"traps (usual value in brackets):\n{trap_help()}\n\n"
+            f"faults (usual value in brackets):\n{fault_help()}"
+        ).replace("%", "%%"),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
@@ -167,6 +176,14 @@ def make_parser() -> argparse.ArgumentParser:
     )
     link = parser.add_argument_group("where to")
     add = link.add_argument
+    add(
+        "--fault",
+        type=parse_fault,
+        action="append",
+        default=[],
+        metavar="NAME[=VALUE]",
+        help="send over a bad line, into --tlog too, see below; may be given again",
+    )
     add("url", nargs="?", metavar="URL", help="the same as --connect URL")
     add(
         "--connect",
@@ -222,6 +239,7 @@ def run(args: argparse.Namespace) -> None:
         return
     vehicle = load_vehicle(args.airframe, args.arm)
     traps = _traps(args)
+    faults = make_faults(args.fault)
     mission: Mission = MISSIONS.get(args.mission) or read_plan(Path(args.mission))
     if traps.ground or traps.flights > 1:
         mission = Outing(mission, traps.ground, traps.flights)
@@ -242,9 +260,13 @@ def run(args: argparse.Namespace) -> None:
     links: list[Link] = []
     try:
         if args.tlog is not None:
-            links.append(TlogLink(args.tlog, args.force))
+            links.append(TlogLink(args.tlog, args.force, recorded=faults.any))
         if args.connect is not None or args.tlog is None:
             links.append(open_link(args.connect or DEFAULT_CONNECT, args.baud))
+        if faults.any:
+            links[:] = [
+                BadLine(link, faults, np.random.SeedSequence([args.seed, _LINE])) for link in links
+            ]
         speed = args.speed or (1.0 if args.connect or args.tlog is None else math.inf)
         fly(simulation, autopilot, links, duration, Pace(speed), truth)
     finally:
@@ -256,6 +278,8 @@ def _play(args: argparse.Namespace) -> None:
     for name in ("tlog", "truth", "signing_key"):
         if getattr(args, name) is not None:
             raise InputError(f"--play and --{name.replace('_', '-')} exclude each other")
+    if args.fault:
+        raise InputError("--play and --fault exclude each other")
     recording = read_tlog(args.play)
     link = open_link(args.connect or DEFAULT_CONNECT, args.baud)
     try:

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from sim_bridge.choices import Span
 from sim_bridge.traps import NO_TRAPS, Traps
 from sim_bridge.vehicle import Vehicle
 
@@ -13,6 +14,9 @@ RPM = 30.0 / math.pi
 SPIKE = 8.0
 """rad/s, least size of a gyro outlier; the largest is twice that."""
 
+RPM_SPIKE = 20_000
+"""Largest wild value of a rotor speed, rpm."""
+
 Sample = list[float]
 
 
@@ -21,6 +25,7 @@ class SensorFaults:
 
     Attributes:
         traps: which are in force.
+        now: s since the start of the flight, as the owner tells.
     """
 
     def __init__(
@@ -30,6 +35,7 @@ class SensorFaults:
         seed: np.random.SeedSequence | None = None,
     ) -> None:
         self.traps = traps
+        self.now = 0.0
         # A generator each: one trap does not move what another does.
         rotor, attitude, gyro, imu = (seed or np.random.SeedSequence(0)).spawn(4)
         self._rotor_random = np.random.default_rng(rotor)
@@ -39,11 +45,14 @@ class SensorFaults:
         self._spins = [rotor.spin for rotor in vehicle.rotors]
         self._last_rpm: list[int] = []
         self._last_inertial: tuple[Sample, Sample] | None = None
+        self._last_angles: Sample = []
 
     def rpm(self, speeds: Sample) -> list[int]:
         """What the rpm field says of these rotor speeds in rad/s, motor by motor."""
         traps = self.traps
         if traps.rpm_repeats and self._last_rpm and self._rotor_random.random() < traps.rpm_repeats:
+            return self._last_rpm
+        if self._last_rpm and self._is_on(traps.rpm_stuck):
             return self._last_rpm
         rpm = [round(s if traps.rpm_rad else s * RPM) for s in speeds]
         if traps.rpm_signed:
@@ -52,8 +61,27 @@ class SensorFaults:
             rpm = [0] * len(rpm)
         elif 0 < traps.rpm_dead <= len(rpm):
             rpm[traps.rpm_dead - 1] = 0
+        motor, silent_from = traps.esc_silent
+        if 0 < motor <= len(rpm) and self.now >= silent_from:
+            rpm[motor - 1] = 0
         self._last_rpm = rpm
+        if traps.rpm_spikes and self._rotor_random.random() < traps.rpm_spikes:
+            rpm = list(rpm)
+            rpm[int(self._rotor_random.integers(len(rpm)))] = int(
+                self._rotor_random.integers(RPM_SPIKE)
+            )
         return rpm
+
+    def _is_on(self, span: Span | None) -> bool:
+        return span is not None and span.holds(self.now)
+
+    def angles(self, angles: Sample) -> Sample:
+        """Roll, pitch and yaw in rad, NaN or as they were."""
+        if self._is_on(self.traps.attitude_nan):
+            return [math.nan] * 3
+        if not (self._last_angles and self._is_on(self.traps.attitude_stuck)):
+            self._last_angles = angles
+        return self._last_angles
 
     def quaternion(self, q: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
         """The quaternion or its negative, which is the same attitude."""
@@ -69,6 +97,10 @@ class SensorFaults:
             last = self._last_inertial
             if last is not None and self._imu_random.random() < traps.imu_frozen:
                 return last
+        if self._is_on(traps.imu_nan):
+            return [math.nan] * 3, [math.nan] * 3
+        if self._last_inertial is not None and self._is_on(traps.imu_stuck):
+            return self._last_inertial
         if traps.gyro_outliers and self._gyro_random.random() < traps.gyro_outliers:
             axis = int(self._gyro_random.integers(3))
             size = SPIKE * (1.0 + self._gyro_random.random())

@@ -67,6 +67,7 @@ class Instruments:
 
     def advance(self) -> None:
         """Take note of this physics step; call it at every one."""
+        self.faults.now = self.simulation.time
         if self._imu_age or self._averaged:
             self._inertial.append(self.simulation.imu())
         if self._rotor_age:
@@ -152,7 +153,8 @@ class Instruments:
         roll = math.atan2(2.0 * (a * b + c * d), 1.0 - 2.0 * (b * b + c * c))
         pitch = math.asin(max(-1.0, min(1.0, 2.0 * (a * c - d * b))))
         yaw = math.atan2(2.0 * (a * d + b * c), 1.0 - 2.0 * (c * c + d * d))
-        return [roll + noise[0], pitch + noise[1], wrap(yaw + noise[2])]
+        angles = [roll + noise[0], pitch + noise[1], wrap(yaw + noise[2])]
+        return self.faults.angles(angles) if fresh else angles
 
     def rates(self) -> Sample:
         """Body rates as the attitude filter has them: the gyro with its last error, rad/s."""

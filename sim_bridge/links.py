@@ -11,6 +11,7 @@ from typing import IO, Any, Protocol
 import serial
 
 from gcs_sysid.errors import InputError, LinkError
+from gcs_sysid.telemetry.frames import FrameScanner
 from sim_bridge.autopilot import EPOCH_US
 
 DATAGRAM = 1400
@@ -32,6 +33,10 @@ class Link(Protocol):
         """Send frames made at this time of the vehicle's clock."""
         ...
 
+    def intrude(self, datagrams: list[bytes], time_us: int) -> None:
+        """Send what another sender sends to the same port."""
+        ...
+
     def receive(self) -> bytes:
         """What has arrived; empty when nothing has."""
         ...
@@ -39,6 +44,19 @@ class Link(Protocol):
     def close(self) -> None:
         """Let go of the link."""
         ...
+
+
+class _OneSender:
+    """A link on which whoever else sends cannot be told apart by an address."""
+
+    def send(self, frames: list[bytes], time_us: int) -> None:
+        """Send frames made at this time of the vehicle's clock."""
+        raise NotImplementedError
+
+    def intrude(self, datagrams: list[bytes], time_us: int) -> None:
+        """Send what another sender sends to the same port: here along with ours."""
+        if datagrams:
+            self.send(datagrams, time_us)
 
 
 class UdpLink:
@@ -50,6 +68,7 @@ class UdpLink:
 
     def __init__(self, host: str, port: int, listen: bool) -> None:
         self._listen = listen
+        self._stranger: socket.socket | None = None
         family, address = _resolve(host, port, socket.SOCK_DGRAM)
         self.peer: Any = None if listen else address
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
@@ -91,6 +110,18 @@ class UdpLink:
             # Nobody listens there yet, or the network is away: a radio would not notice either.
             return
 
+    def intrude(self, datagrams: list[bytes], time_us: int) -> None:
+        """Send datagrams as they are, from an address of their own."""
+        del time_us
+        if self.peer is None or not datagrams:
+            return
+        if self._stranger is None:
+            self._stranger = socket.socket(self._socket.family, socket.SOCK_DGRAM)
+            self._stranger.setblocking(False)
+        for data in datagrams:
+            with contextlib.suppress(OSError):  # who floods does not wait
+                self._stranger.sendto(data, self.peer)
+
     def receive(self) -> bytes:
         """What has arrived; on a listening link the last sender becomes the peer."""
         data = b""
@@ -106,9 +137,11 @@ class UdpLink:
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
+        if self._stranger is not None:
+            self._stranger.close()
 
 
-class TcpLink:
+class TcpLink(_OneSender):
     """TCP: connecting, or listening for one ground station after the other."""
 
     connected = True  # made so
@@ -180,7 +213,7 @@ _BUSY = 2.0
 """s that a serial port may take nothing, before what is sent is lost."""
 
 
-class SerialLink:
+class SerialLink(_OneSender):
     """A serial port."""
 
     connected = True
@@ -218,8 +251,13 @@ class TlogLink:
 
     connected = True
 
-    def __init__(self, path: Path, replace: bool = False) -> None:
-        """Open a new file, or empty one that there is if `replace` allows it."""
+    def __init__(self, path: Path, replace: bool = False, *, recorded: bool = False) -> None:
+        """Open a new file, or empty one that there is if `replace` allows it.
+
+        With `recorded`, what is written is what a receiver makes out in the datagrams sent.
+        """
+        # One a sender, as receivers have: what is broken of one cannot cut the other's frames.
+        self._scanners = (FrameScanner(), FrameScanner()) if recorded else None
         try:
             self._file: IO[bytes] = path.open("wb" if replace else "xb", buffering=1 << 20)
         except FileExistsError as error:
@@ -229,7 +267,17 @@ class TlogLink:
 
     def send(self, frames: list[bytes], time_us: int) -> None:
         """Write frames with the vehicle's clock on a fixed epoch, so that bytes repeat."""
+        self._write(frames, time_us, 0)
+
+    def intrude(self, datagrams: list[bytes], time_us: int) -> None:
+        """Write what a receiver makes out in somebody else's datagrams."""
+        self._write(datagrams, time_us, 1)
+
+    def _write(self, frames: list[bytes], time_us: int, sender: int) -> None:
         stamp = (EPOCH_US + time_us).to_bytes(8, "big")
+        if self._scanners is not None:
+            scan = self._scanners[sender].scan
+            frames = [made_out.raw for data in frames for made_out in scan(data)]
         self._file.write(b"".join([stamp + frame for frame in frames]))
 
     def receive(self) -> bytes:

@@ -6,7 +6,10 @@ from pathlib import Path
 import pytest
 
 from gcs_sysid import __version__
+from sim_bridge.choices import Kind
 from sim_bridge.cli import main, make_parser
+from sim_bridge.line_faults import KINDS as FAULTS
+from sim_bridge.line_faults import LineFaults
 from sim_bridge.traps import KINDS, Traps
 
 
@@ -55,6 +58,16 @@ def run(options: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str
         ("--trap reboot", "write reboot=S"),
         ("--trap reboot=-1", "reboot: must be positive"),
         ("--trap never-sent=NO_SUCH", "no message 'NO_SUCH'"),
+        ("--trap imu-nan=5", "imu-nan: write FROM:S or FROM:S:EVERY"),
+        ("--trap esc-silent=2", "esc-silent: write MOTOR:FROM"),
+        ("--trap clock-jump", "write clock-jump=FROM:S"),
+        ("--fault lossy", "no fault 'lossy'; there are loss,"),
+        ("--fault loss=2", "loss: must be a share from 0 to 1"),
+        ("--fault bursts=0.95", "bursts: a share to 0.9"),
+        ("--fault stall=NO_SUCH:1:2", "stall: no message 'NO_SUCH'"),
+        ("--fault silence=1:0", "silence: must be positive"),
+        ("--fault flood=1e9", "flood: must be 0 to 200000 a second"),
+        ("--fault loss --play X", "--play and --fault exclude each other"),
         ("--rotor-input rpm", "invalid choice: 'rpm'"),
         ("--param INS_GYRO_FILTER", "write NAME=VALUE"),
         ("--param NO_SUCH=1", "px4 here has no 'NO_SUCH'"),
@@ -112,8 +125,13 @@ def test_an_existing_file_is_replaced_by_force_alone(
     assert path.stat().st_size < 100_000
 
 
-def test_help_tells_of_every_trap(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("word", "kinds", "chosen"), [("traps", KINDS, Traps), ("faults", FAULTS, LineFaults)]
+)
+def test_help_tells_of_every_trap_and_fault(
+    word: str, kinds: dict[str, Kind], chosen: type, capsys: pytest.CaptureFixture[str]
+) -> None:
     _, out, _ = run("--help", capsys)
-    lines = out[out.index("traps (") :].splitlines()[1:]
-    assert [line.split()[0].split("[")[0].split("=")[0] for line in lines] == list(KINDS)
-    assert {field.name for field in fields(Traps)} == {name.replace("-", "_") for name in KINDS}
+    lines = out[out.index(f"{word} (") :].split("\n\n")[0].splitlines()[1:]
+    assert [line.split()[0].split("[")[0].split("=")[0] for line in lines] == list(kinds)
+    assert {field.name for field in fields(chosen)} == {name.replace("-", "_") for name in kinds}

@@ -145,6 +145,72 @@ def test_an_accelerometer_bias(px4: OpenDesk) -> None:
     np.testing.assert_allclose(off, 0.3, atol=1e-5)
 
 
+def still(values: np.ndarray) -> np.ndarray:
+    """(n,) whether a row repeats the one before."""
+    return np.concatenate([[False], (np.diff(values, axis=0) == 0.0).all(axis=1)])
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "copter"])
+def test_sensors_that_stand_still_or_say_nothing(
+    autopilot: str, request: pytest.FixtureRequest
+) -> None:
+    make: OpenDesk = request.getfixturevalue(autopilot)
+    traps = ("imu-stuck=0.5:0.2", "imu-nan=1:0.1:0.5", "rpm-stuck=0.4:0.3", "attitude-nan=1.2:0.3")
+    noise = {"noise": "mems"} if autopilot == "px4" else {}
+    desk = make(*traps, "attitude-stuck=0.6:0.4", **noise)
+    heard = desk.hear(2.0)
+    imu = of_type(heard, "HIGHRES_IMU")
+    t = np.array([1e-6 * m.time_usec for m in imu])
+    t -= t[0] - 0.004
+    gyro = gyro_of(imu)
+    stuck = still(np.hstack([gyro, force_of(imu)]))
+    assert stuck[(t > 0.51) & (t < 0.69)].all()
+    assert not stuck[(t < 0.49) | (t > 0.71)].any()
+    missing = np.isnan(gyro).all(axis=1)
+    assert missing[((t > 1.01) & (t < 1.09)) | ((t > 1.51) & (t < 1.59))].all()
+    assert not missing[(t < 0.99) | ((t > 1.11) & (t < 1.49)) | ((t > 1.61) & (t < 1.95))].any()
+    angles = np.array([[m.roll, m.pitch, m.yaw] for m in of_type(heard, "ATTITUDE")])
+    t = np.arange(1, len(angles) + 1) * 2.0 / len(angles)
+    assert still(angles)[(t > 0.63) & (t < 0.97)].all()
+    assert np.isnan(angles)[(t > 1.23) & (t < 1.47)].all()
+    assert np.isfinite(angles)[(t < 1.17) | (t > 1.53)].all()
+    if autopilot == "px4":  # ArduPilot's repeat by themselves in calm flight
+        rpm = rpm_of(heard)
+        t = 0.004 * np.arange(1, len(rpm) + 1)
+        assert still(rpm)[(t > 0.41) & (t < 0.69)].all()
+        assert still(rpm)[t > 0.71].mean() < 0.9
+
+
+def test_wild_rotor_speeds(px4: OpenDesk) -> None:
+    off = rpm_of(px4("rpm-spikes=0.05").hear(3.0)) - rpm_of(px4().hear(3.0))
+    struck = (off != 0).any(axis=1)
+    assert struck.mean() == pytest.approx(0.05, abs=0.025)
+    assert ((off != 0).sum(axis=1) <= 1).all()
+    assert np.abs(off).max() > 3000
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "copter"])
+def test_an_esc_falls_silent_in_flight(autopilot: str, request: pytest.FixtureRequest) -> None:
+    rpm = rpm_of(request.getfixturevalue(autopilot)("esc-silent=3:1").hear(2.0))
+    half = len(rpm) // 2
+    assert rpm[: half - 2].all()
+    assert not rpm[half + 2 :, 2].any()
+    assert rpm[half + 2 :, [0, 1, 3]].all()
+
+
+@pytest.mark.parametrize(("by", "least"), [(30.0, 51.0), (-0.5, 20.5), (-60.0, 0.0)])
+def test_the_clock_is_set_in_flight(px4: OpenDesk, by: float, least: float) -> None:
+    heard = px4(f"clock-jump=1:{by}").hear(2.0)
+    stamps = 1e-6 * np.array([m.time_usec for m in of_type(heard, "HIGHRES_IMU")])
+    steps = np.diff(stamps)
+    at = int(np.argmax(np.abs(steps - 0.004)))
+    assert at == pytest.approx(249, abs=2)
+    assert stamps[at + 1] == pytest.approx(least, abs=0.01)
+    np.testing.assert_allclose(np.delete(steps, at), 0.004, atol=2e-6)
+    numbers = [m.get_seq() for m in heard]
+    assert set(np.diff(numbers)) == {1, -255}  # no reboot
+
+
 def test_the_gyro_is_the_mean_of_the_interval_that_ends_at_its_stamp(px4: OpenDesk) -> None:
     desk = px4("gyro-average")
     rates = [desk.simulation.state.rates]

@@ -401,6 +401,7 @@ class Chain:
             "repeated": base.repeated,
             "restarts": base.restarts,
             "imu_outliers": asdict(base.faults),
+            "rotor_outliers": base.wild_speeds,
             "rotor_input": self._input_telemetry(),
         }
 

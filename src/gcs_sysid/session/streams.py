@@ -17,8 +17,12 @@ BREAK = 1.0
 """s; a longer silence is no interval."""
 _KEEP = 8
 """Samples of a stream kept behind the grid for interpolation."""
+_ALIKE, _STILL = 0.7, 0.3
+"""Share of steps that make up a stream's rate, and that show that it is still the same."""
 _SAME = 5e-7
 """Times closer than this (s) are the same: stamps are whole microseconds."""
+_SHORTEST, _SHORT = 0.04, 0.065
+"""s; gaps that are bridged in fast streams: three lost samples at 100 Hz, two at 50 Hz."""
 _REORDER = 0.02
 """s; a sample that comes after one so much newer still finds its place. The grid, which is 0.04 s
 behind at least, has not been there."""
@@ -121,6 +125,11 @@ class StreamBuffer:
         last = list(self._steps)[-_RENEW:]
         return self.knows_interval and abs(sum(last) / len(last) / self.interval - 1.0) < 0.2
 
+    def keeps_step(self, step: float) -> bool:
+        """Whether the stream still comes at this step, s, though many of its samples are lost."""
+        near = sum(0.75 * step < s < 1.25 * step for s in self._steps)
+        return near >= _STILL * len(self._steps)
+
     @property
     def oldest(self) -> float:
         """Time of the oldest sample kept."""
@@ -143,7 +152,11 @@ class StreamBuffer:
             return np.where(index[:, None] >= 0, v[np.maximum(index, 0)], np.nan)
         if gap is None:
             gap = usual_gap(self.interval)
-        return interpolate(t, v, grid, gap)
+        return interpolate(*self._sound(t, v, grid, gap), grid, gap)
+
+    def _sound(self, t: Array, v: Array, grid: Array, gap: float) -> tuple[Array, Array]:
+        """The samples to interpolate between: here all of them."""
+        return t, v
 
     def forget_before(self, t: float) -> None:
         """Drop what no later grid point needs."""
@@ -192,8 +205,14 @@ class StreamBuffer:
 
 
 def usual_gap(interval: float) -> float:
-    """Time in s beyond which two samples of a stream have nothing between them."""
-    return max(2.6 * interval, 0.03)
+    """Time in s beyond which two samples of a stream have nothing between them.
+
+    One lost sample is always bridged. So are more, two in a row at least, as long as the gap stays
+    short against the windows of the estimator (0.2 s), which hardly let anything faster through:
+    over a link that loses every fifth message half of all windows would else be lost, most of all
+    those of the momentum balance, which lives on long unbroken stretches.
+    """
+    return max(2.6 * interval, min(3.2 * interval, _SHORT), _SHORTEST) + _SAME
 
 
 def usual_interval(steps: Sequence[float]) -> float:
@@ -208,7 +227,7 @@ def usual_interval(steps: Sequence[float]) -> float:
     """
     middle = sorted(steps)[len(steps) // 2]
     near = [step for step in steps if 0.75 * middle < step < 1.25 * middle]
-    alike = near if len(near) >= 0.75 * len(steps) else steps
+    alike = near if len(near) >= _ALIKE * len(steps) else steps
     return sum(alike) / len(alike)
 
 

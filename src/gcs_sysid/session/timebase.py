@@ -15,6 +15,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.columns import Track
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.session.inertial import InertialBuffer, SensorFaults
+from gcs_sysid.session.rotor_stream import RotorBuffer
 from gcs_sysid.session.streams import BREAK, StreamBuffer, usual_gap
 
 Key = tuple[Stream, str, int]
@@ -79,6 +80,7 @@ class TimeBase:
         self.faults = SensorFaults()
         """Outliers of the IMU, found so far."""
         self._buffers: dict[Key, StreamBuffer] = {}
+        self._wild_before = 0
         self._newest = -np.inf
         self._started = False
         self._fresh = True
@@ -164,7 +166,8 @@ class TimeBase:
         """Give out what there is, tick or no tick: all but the samples of the last `lag`."""
         if not self._started:
             return None
-        return self._emit(min(self._newest - self.lag, self._imu_buffer().settled()))
+        settled = [b.settled(self._newest) for b in self._rotor_buffers()]
+        return self._emit(min(self._newest - self.lag, self._imu_buffer().settled(), *settled))
 
     def _tick_on(self, t: float) -> None:
         past = t + _ROUNDING - self._next_tick
@@ -203,8 +206,21 @@ class TimeBase:
         buffer = self._buffers.get(key)
         if buffer is None:
             hold = record.stream in (Stream.IN_AIR, Stream.ARMED)
-            buffer = self._buffers[key] = StreamBuffer(len(record.values), hold=hold)
+            width = len(record.values)
+            if record.stream is Stream.ROTOR_SPEED:
+                buffer = RotorBuffer(width)
+            else:
+                buffer = StreamBuffer(width, hold=hold)
+            self._buffers[key] = buffer
         return buffer
+
+    def _rotor_buffers(self) -> list[RotorBuffer]:
+        return [b for b in self._buffers.values() if isinstance(b, RotorBuffer)]
+
+    @property
+    def wild_speeds(self) -> int:
+        """Messages of rotor speeds with a wild value, taken for lost."""
+        return self._wild_before + sum(b.wild for b in self._rotor_buffers())
 
     def _imu_buffer(self) -> InertialBuffer:
         buffer = self._buffers.get(_IMU)
@@ -238,6 +254,8 @@ class TimeBase:
         interval = max(imu.interval, _LEAST_STEP)
         if not imu.is_settled or low < interval / self.dt < high:
             return False
+        if imu.keeps_step(self.dt):  # a link that loses samples makes no other rate
+            return False
         if self.flown / self.dt < _WORTH_KEEPING / interval:
             return True
         return not self.is_usable and self.flown < _WORTH_KEEPING
@@ -247,6 +265,7 @@ class TimeBase:
         self._fresh = True
         self.restarts += 1
         if clear:
+            self._wild_before = self.wild_speeds
             self._buffers.clear()
             self._newest = -np.inf
 

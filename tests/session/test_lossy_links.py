@@ -1,0 +1,116 @@
+"""What a bad link and wild sensors do to the estimate: wider intervals that hold."""
+
+import numpy as np
+import pytest
+
+from gcs_sysid.intervals import Z95
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.records import Record, Stream
+from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.session.rotor_stream import RotorBuffer, wild_rows
+from gcs_sysid.session.timebase import TimeBase
+
+GAP = 0.04
+SECONDS = 15
+
+
+def run(records):
+    chain = Chain(load_airframe("paper"), ChainOptions(course_interval=None))
+    for record in records:
+        chain.feed(record)
+    return chain, chain.finish()
+
+
+@pytest.fixture(scope="module")
+def lossy(fly):
+    """A flight at 100 Hz of which a fifth is lost, the rest late by up to 20 ms."""
+    faults = ("--fault", "loss=0.2", "--fault", "reorder=0.05", "--fault", "scatter=20")
+    flight = fly("--mission", "all-axes", "--rate", "100", "--duration", str(SECONDS), *faults)
+    return flight, flight.records()
+
+
+def assert_right(result, truth):
+    assert result.verdict == "identified"
+    for name in ("Ixx", "Iyy", "Izz", "cg_x", "cg_y", "k_T", "k_M"):
+        estimate = result.parameters[name]
+        assert abs(estimate.value - truth[name]) < 2.0 * Z95 * estimate.std, name
+
+
+def test_a_lossy_link_costs_little_more_than_what_it_loses(lossy):
+    flight, records = lossy
+    chain, result = run(records)
+    assert_right(result, flight.truth)
+    assert chain.used_seconds > 0.7 * SECONDS
+    assert result.telemetry["grid_rate"] == pytest.approx(100.0)
+    assert result.telemetry["restarts"] == 0
+    assert result.telemetry["rotor_outliers"] == 0
+
+
+def test_wild_rotor_speeds_are_taken_for_lost(lossy):
+    flight, records = lossy
+    rng = np.random.default_rng(1)
+    spoilt = []
+    for record in records:
+        if record.source == "ESC_STATUS" and rng.random() < 0.005:
+            speeds = list(record.values)
+            speeds[rng.integers(4)] = 2500.0
+            record = record._replace(values=tuple(speeds))
+        spoilt.append(record)
+    _, result = run(spoilt)
+    assert_right(result, flight.truth)
+    assert result.telemetry["rotor_outliers"] >= 3
+
+
+def imu_times(share, seconds=30.0, rate=250.0):
+    random = np.random.default_rng(3)
+    times = np.arange(round(seconds * rate)) / rate
+    return times[random.random(len(times)) >= share]
+
+
+@pytest.mark.parametrize("share", [0.2, 0.4])
+def test_losses_do_not_look_like_another_rate(share):
+    base = TimeBase()
+    for t in imu_times(share):
+        base.push(Record(Stream.IMU, float(t), (0.1, 0.2, 0.3, 0.0, 0.0, float(t))))
+    assert base.restarts == 0
+
+
+def speeds_of(times):
+    """Four rotors that are worked hard, and a step at 1 s."""
+    phases = np.arange(4.0)
+    smooth = 500.0 + 150.0 * np.sin(2.0 * np.pi * 2.7 * times[:, None] + phases)
+    return np.where(times[:, None] < 1.0, smooth, smooth + 200.0)
+
+
+@pytest.mark.parametrize("rate", [20.0, 50.0, 250.0])
+def test_motion_is_not_wild_and_single_values_are(rate):
+    t = np.arange(round(2.0 * rate)) / rate
+    v = speeds_of(t)
+    gap = max(GAP, 2.6 / rate)
+    assert not wild_rows(t, v, gap).any()
+    dead = np.where(t[:, None] > 1.5, v * [1.0, 1.0, 0.0, 1.0], v)
+    assert not wild_rows(t, dead, gap).any()
+    at = len(t) // 4
+    v[at, 2] = 2500.0  # at 20 Hz, a 0 in such motion could be motion
+    assert np.flatnonzero(wild_rows(t, v, gap)).tolist() == [at]
+    # Beside a gap nothing is judged.
+    kept = np.abs(t - t[at + 1]) > 0.5 * gap + 0.5 / rate
+    kept[at] = True
+    assert not wild_rows(t[kept], v[kept], 1.2 / rate).any()
+
+
+def test_a_verdict_does_not_depend_on_when_it_is_asked_for():
+    t = np.arange(500) / 250.0
+    v = speeds_of(t)
+    v[100, 0], v[300, 1] = 0.0, 3000.0
+    one, late = RotorBuffer(4), RotorBuffer(4)
+    grid, given = t[5:480] + 0.001, []
+    for time, speeds in zip(t, v, strict=True):
+        one.push(float(time), tuple(speeds))
+        late.push(float(time), tuple(speeds))
+        ready = grid[(grid <= one.settled(float(time))) & (grid > (given[-1][0] if given else 0.0))]
+        given += [(float(g), one.at(ready[i : i + 1])[0]) for i, g in enumerate(ready)]
+    times, values = zip(*given, strict=True)
+    np.testing.assert_array_equal(np.array(values), late.at(np.array(times)))
+    assert late.wild == 2
+    assert np.nanmax(np.abs(np.diff(values, axis=0))) < 250.0
