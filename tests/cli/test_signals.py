@@ -95,8 +95,8 @@ class Pipe(io.StringIO):
 
 
 def lines_to(pipe, monkeypatch):
-    monkeypatch.setattr(json_lines, "open_output", lambda _: pipe)
-    return JsonLines("results.json")
+    monkeypatch.setattr(json_lines, "open_output", lambda _, *, force: pipe)
+    return JsonLines("results.json", force=False)
 
 
 def test_results_wait_for_a_slow_reader_and_the_session_does_not(monkeypatch):

@@ -26,7 +26,7 @@ def run(options: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str
     ("options", "words"),
     [
         ("--mission figure8", "invalid choice: 'figure8'"),
-        ("--mission nosuch.json", "cannot read nosuch.json"),
+        ("--mission nosuch.json", "nosuch.json: cannot read the plan"),
         ("--airframe nope", "no airframe 'nope'"),
         ("--airframe nope.toml", "cannot read the airframe file"),
         ("--noise pink", "invalid choice: 'pink'"),
@@ -72,7 +72,7 @@ def run(options: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str
         ("--param INS_GYRO_FILTER", "write NAME=VALUE"),
         ("--param NO_SUCH=1", "px4 here has no 'NO_SUCH'"),
         ("--mavlink 3", "invalid choice: 3"),
-        ("--signing-key /nosuch/key", "cannot read /nosuch/key"),
+        ("--signing-key /nosuch/key", "/nosuch/key: cannot read"),
         ("--signing-key K", "is no signing key"),
         ("--signing-key K --mavlink 1", "version 1 has no signatures"),
         ("--frobnicate", "unrecognized arguments"),

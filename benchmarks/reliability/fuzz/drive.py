@@ -51,6 +51,9 @@ class Driver:
         self._now = b""
         self._told = 0.0
         folder.mkdir(parents=True, exist_ok=True)
+
+    def guard(self) -> None:
+        """From now on an input that takes for ever ends the process, which must be our own."""
         threading.Thread(target=self._watch, daemon=True).start()
 
     def take(self, data: bytes) -> None:
@@ -137,6 +140,7 @@ def _with_atheris(name: str, make: "argparse.Namespace") -> None:
         harness = _harness(name)
     driver = Driver(harness, make.inputs, make.seconds, make.folder)
     driver.engine = "atheris"
+    driver.guard()
     with tempfile.TemporaryDirectory(prefix="corpus-") as corpus:
         for number, seed in enumerate([*harness.seeds(), *harness.kept()]):
             (Path(corpus) / str(number)).write_bytes(seed)
@@ -159,6 +163,7 @@ def _with_random(name: str, make: "argparse.Namespace") -> None:
     harness = _harness(name)
     driver = Driver(harness, make.inputs, make.seconds, make.folder)
     driver.engine = "random"
+    driver.guard()
     _bound_memory()
     seeds = [*harness.seeds(), *harness.kept()]
     for seed in seeds:
