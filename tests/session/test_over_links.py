@@ -210,10 +210,8 @@ RECORDED = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("wire", [udp], indirect=True, ids=["udp"])
-@pytest.mark.parametrize(
-    "name",
-    ["px4-sih-default.tlog", pytest.param("ardupilot-sitl.tlog", marks=pytest.mark.thorough)],
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", RECORDED)
 def test_recorded_flights_of_real_autopilots_give_live_what_analyze_gives(wire, name, shared_logs):
     vehicle, mass = RECORDED[name]
     airframe = load_airframe(vehicle).with_anchor("mass", mass)

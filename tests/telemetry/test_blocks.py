@@ -243,7 +243,7 @@ def test_a_stamp_that_is_off_is_doubted_again_after_others_that_are_not(tmp_path
     "name",
     [
         "public/real-quad-mavlink1.tlog",
-        "px4-esc-cg.tlog",
+        pytest.param("px4-esc-cg.tlog", marks=pytest.mark.thorough),
         pytest.param("ardupilot-sitl.tlog", marks=pytest.mark.thorough),
     ],
 )

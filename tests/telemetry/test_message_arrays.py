@@ -146,7 +146,7 @@ def test_damaged_logs_give_no_less_than_pymavlink_and_nothing_wrong(
 @pytest.mark.parametrize(
     "name",
     [
-        "px4-esc-cg.tlog",
+        pytest.param("px4-esc-cg.tlog", marks=pytest.mark.thorough),
         pytest.param("px4-sih-default.tlog", marks=pytest.mark.thorough),
         pytest.param("ardupilot-sitl.tlog", marks=pytest.mark.thorough),
         "public/real-quad-mavlink1.tlog",
