@@ -31,6 +31,7 @@ import numpy as np
 
 from benchmarks.reliability.flights import emulate
 from benchmarks.reliability.watched import resident
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
@@ -235,7 +236,7 @@ def errors(result: Result, truth: dict[str, float]) -> dict[str, tuple[float, fl
             out[name] = np.inf, np.inf
         else:
             share = 100.0 / abs(truth[name])
-            out[name] = share * (estimate.value - truth[name]), 1.96 * share * estimate.std
+            out[name] = share * (estimate.value - truth[name]), Z95 * share * estimate.std
     return out
 
 

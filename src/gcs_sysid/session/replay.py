@@ -10,8 +10,10 @@ import queue
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+from gcs_sysid.session.live_view import picture
 from gcs_sysid.session.pipeline import Pipeline
 from gcs_sysid.session.player import Player, Recorded
 from gcs_sysid.session.prediction import KEPT, LivePrediction
@@ -294,19 +296,9 @@ class ReplaySession:
     def _publish(self) -> None:
         chain = self._pipeline.chain
         result = self._recorded.result if self._ended else self._pipeline.result()
-        self._latest = Snapshot(
-            t=chain.t,
-            used_seconds=chain.used_seconds,
-            flying=chain.sampler.flying,
-            result=self.final or result,
-            course=chain.course,
-            link=self._link(),
-            attitude=chain.sampler.attitude,
-            rates=chain.sampler.rates,
-            rotor_speeds=chain.sampler.rotor_speeds,
-            acceleration=self._prediction.acceleration(),
-            target=self._target,
-            events=chain.events,
+        seen = self._prediction.acceleration()
+        self._latest = replace(
+            picture(chain, self.final or result, self._link(), seen, self._target, None),
             playback=Playback(
                 position=self._position,
                 duration=self._duration,
