@@ -5,6 +5,7 @@ import os
 import select
 import socket
 import time
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import IO, Any, Protocol
 
@@ -46,12 +47,12 @@ class Link(Protocol):
         ...
 
 
-class _OneSender:
+class _OneSender(ABC):
     """A link on which whoever else sends cannot be told apart by an address."""
 
+    @abstractmethod
     def send(self, frames: list[bytes], time_us: int) -> None:
         """Send frames made at this time of the vehicle's clock."""
-        raise NotImplementedError
 
     def intrude(self, datagrams: list[bytes], time_us: int) -> None:
         """Send what another sender sends to the same port: here along with ours."""
