@@ -30,6 +30,8 @@ _ASK_EVERY = 0.2
 """s between looks at the rates that arrive."""
 _FEW, _GATHER = 16, 0.002
 """Frames in one go that are not worth waking for, and s to wait for more."""
+_THINK = 0.003
+"""s that the coach may think between looks at the link."""
 _PUBLISH_EVERY, _PUBLISH_LATE = 0.2, 0.4
 """s between snapshots; the longer one while more frames wait than are taken in one go."""
 _DRAINED_AFTER = 0.7
@@ -109,6 +111,7 @@ class LiveSession:
         if self._options.predict:
             chain.observers.append(self._prediction.take)
         self._coach = None if coach is None else Coach(chain, coach)
+        self._advised: Advice | None = None
 
     def start(self) -> None:
         """Begin."""
@@ -237,13 +240,15 @@ class LiveSession:
                 self._do(self._actions.get())
             self._tell_recording()
             # What is shown waits while frames do, but not for ever.
-            due = _PUBLISH_EVERY if len(frames) < _FEW else _PUBLISH_LATE
-            if now - self._published >= due:
+            few = len(frames) < _FEW
+            if now - self._published >= (_PUBLISH_EVERY if few else _PUBLISH_LATE):
                 self._published = now
                 self._publish(self._state())
+            elif few:
+                self._think()
             if self._stop.is_set() or self._ended(now, began):
                 return
-            if 0 < len(frames) < _FEW:
+            if frames and few:
                 # Let datagrams gather in the system's buffer: waking for each costs most.
                 self._stop.wait(_GATHER)
 
@@ -386,15 +391,21 @@ class LiveSession:
             self._note(self._recording.start(path))
 
     def _advice(self) -> Advice | None:
-        """The coach's; a defect of the coach is told once and costs no flight."""
+        self._think()  # busy or not
+        return self._advised
+
+    def _think(self) -> None:
+        """Let the coach think a little; a defect of it is told once and costs no flight."""
         if self._coach is None:
-            return None
+            return
         try:
-            return self._coach.advise()
+            enough = time.monotonic() + _THINK
+            while self._coach.think() and time.monotonic() < enough:
+                pass
+            self._advised = self._coach.look()
         except Exception as defect:  # noqa: BLE001 - words alone are lost
-            self._coach = None
+            self._coach = self._advised = None
             self._note(f"{_in_words(defect)}: the coach falls silent")
-            return None
 
     def _publish(self, state: LinkState) -> None:
         while True:
