@@ -81,7 +81,7 @@ class _Instant:
     Attributes:
         rotation: (width, width) with the leak that is followed.
         rows: in them.
-        noise: (WIDTH, WIDTH) see `rotation.fit_rotation`.
+        noise: of one row, see `rotation.fit_rotation`.
         momentum: (3, thrusts + 3, thrusts + 3).
         momentum_rows: in them.
         seconds: flight time.
@@ -146,7 +146,8 @@ class OnlineEstimator:
         record, n = self._record, rigid_body.N_SIGNALS
         Q = rigid_body.forward_matrix(theta)
         own = np.diag(fit.residual_covariance)
-        rotors = np.diag(Q @ record.noise(fit.leak)[:n, :n] @ Q.T)
+        noise = self._basis.noise_at(record.noise(fit.leak), fit.coordinates)
+        rotors = np.diag(Q @ noise[:n, :n] @ Q.T)
         left = np.maximum(own - rotors, _LEAST_OWN * own)
         density: Array = np.diag(left) * (self.dt / record.noise_gains()[fit.leak])
         return density

@@ -8,6 +8,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation import article
 from gcs_sysid.estimation.basis import RotorBasis
+from gcs_sysid.estimation.command_noise import CommandNoise
 from gcs_sysid.estimation.moments import Moments
 from gcs_sysid.estimation.regression import LeakySums, RowMaker, Rows, Samples
 from gcs_sysid.estimation.rotors import RotorPath
@@ -48,8 +49,8 @@ class FlightRecord:
             smoother = WindowSmoother(dt, half, tuning.delays)
         self._smoother = smoother
         commands = tuning.rotor_input == "command"
-        self._speed_noise = SpeedNoise(
-            geometry, dt, commands=commands, loop_cutoff=tuning.loop_cutoff
+        self._input_noise = (
+            CommandNoise(geometry, dt, tuning.loop_cutoff) if commands else SpeedNoise(geometry, dt)
         )
         self.memories = tuning.leaks
         # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
@@ -88,7 +89,7 @@ class FlightRecord:
         """A gap: what comes next does not join on to what came before."""
         self.flush()
         self._rows.restart()
-        self._speed_noise.restart()
+        self._input_noise.restart()
         self._leaks.restart()
         if self.article:
             self.article.restart()
@@ -126,7 +127,7 @@ class FlightRecord:
         for number, (part, rows) in enumerate(zip(pairwise(edges), pairwise(counts), strict=True)):
             piece = slice(*part)
             if part[0] < part[1]:
-                self._speed_noise.update(samples.speeds[piece])
+                self._input_noise.update(samples.speeds[piece])
                 if self.article:
                     self.article.update(samples.part(piece))
             if rows[0] < rows[1]:
@@ -154,11 +155,17 @@ class FlightRecord:
     @property
     def speed_std(self) -> Array:
         """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
-        return self._speed_noise.std
+        return self._input_noise.std
 
     def noise(self, leak: int) -> Array:
-        """(WIDTH, WIDTH) what known noise of the inputs adds to the moments of one row."""
-        return self._speed_noise.moments(self._smoother, self.memories[leak])
+        """What known noise of the inputs adds to the moments of one row.
+
+        (WIDTH, WIDTH) of speeds, (width, width) of commands, see `RotorBasis.noise_at`.
+        """
+        noise, memory = self._input_noise, self.memories[leak]
+        if isinstance(noise, CommandNoise):
+            return noise.element_moments(self.basis, self._smoother, memory)
+        return noise.moments(self._smoother, memory)
 
     def noise_gains(self) -> Array:
         """(leaks,) variance of a row's derivative over that of white noise of the gyro."""

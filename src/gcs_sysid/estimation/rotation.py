@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation import basis as coordinate
 from gcs_sysid.estimation.basis import RotorBasis
+from gcs_sysid.estimation.command_noise import LEVEL_UNCERTAINTY
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.search import (
     N_X,
@@ -35,6 +36,7 @@ from gcs_sysid.estimation.search import (
     scales,
     scan,
     search,
+    without_noise,
 )
 from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor, symmetric_roots
 from gcs_sysid.model import rigid_body as rb
@@ -146,7 +148,8 @@ def fit_rotation(
         batches: (k, leaks, width, width) moments of rows of elements.
         counts: (k,) rows in each.
         basis: of the elements.
-        noise: (leaks, WIDTH, WIDTH) what known noise of the inputs adds to the moments of a row.
+        noise: what known noise of the inputs adds to the moments of a row, with each leak, in the
+            form of `RotorBasis.noise_at`.
         start: an earlier fit: a few steps from there, at every leak, at little cost. None: from
             the data alone, to the minimum.
         prior: what else is known.
@@ -173,6 +176,10 @@ def fit_rotation(
         closer = problem.evaluate(earlier).cost < problem.evaluate(unknowns).cost
         unknowns = np.where(closer[:, None], earlier, unknowns)
         point, converged = minimise(problem, unknowns, _WARM_ITERATIONS)
+    level = None
+    if basis.commands and noise.any():
+        problem, point, level = without_noise(problem, point, noise)
+        batches = batches - counts[:, None, None, None] * noise
     outcome = _Outcome(problem, point, noise)
     inverse_roots = outcome.roots[1]
     scatter = [
@@ -183,6 +190,8 @@ def fit_rotation(
         for i in range(len(bank))
     ]
     spread, widening = (np.stack(parts) for parts in zip(*scatter, strict=True))
+    if level is not None:
+        spread = spread + outcome.spread_of(LEVEL_UNCERTAINTY * level)
     return most_certain(outcome.fits(spread, widening, converged, range(len(bank))))
 
 
@@ -202,7 +211,7 @@ def follow_rotation(
         totals: (K, width, width) moments of all rows at K instants, with the leak of `start`.
         rows: (K,) in them.
         basis: of the elements.
-        noise: (K, WIDTH, WIDTH) as of `fit_rotation`.
+        noise: (K, ...) as of `fit_rotation`.
         start: a fit of the same record when it was shorter.
         prior: what else is known.
 
@@ -210,7 +219,8 @@ def follow_rotation(
         K fits, each of which depends on `start` and its own instant alone.
     """
     assert start.footing is not None
-    problem = Problem(totals, rows, basis, prior)
+    noisy = basis.commands and bool(noise.any())
+    problem = Problem(totals, rows, basis, prior, noise if noisy else None)
     unknowns = start.footing.unknowns[None]
     scatter = start.footing.inflation, start.footing.widening
     outcome = _Outcome(problem, problem.evaluate(unknowns), noise)
@@ -221,6 +231,8 @@ def follow_rotation(
         alone = Problem(totals[far], rows[far], basis, prior)
         starts = np.repeat(unknowns, len(alone.rows), axis=0)
         point, converged = minimise(alone, starts, _FOLLOW_ITERATIONS)
+        if noisy:
+            alone, point, _ = without_noise(alone, point, noise[far])
         leaks = [start.leak] * len(converged)
         better = _Outcome(alone, point, noise[far]).fits(*scatter, converged, leaks)
         for i, fit in zip(np.flatnonzero(far), better, strict=True):
@@ -249,7 +261,7 @@ class _Outcome:
     Args:
         problem: that was solved.
         point: its solution.
-        noise: (K, WIDTH, WIDTH) that known noise of the inputs adds to the moments of a row.
+        noise: (K, ...) as of `fit_rotation`; that of commands is taken out of the problem already.
     """
 
     def __init__(self, problem: Problem, point: Point, noise: Array) -> None:
@@ -263,6 +275,12 @@ class _Outcome:
         # A direction that the data do not see at all keeps a huge, finite variance.
         self.roots = symmetric_roots(point.hessian / self._scales)
         """(K, p, p) roots of the scaled information, and of its inverse."""
+
+    def spread_of(self, pull: Array) -> Array:
+        """(K, p, p) what a (K, p) gradient that is uncertain by itself adds to the inflation."""
+        moved = _times(self.roots[1], pull / self._scale)
+        spread: Array = moved[:, :, None] * moved[:, None, :]
+        return spread
 
     def scores(self, i: int, batches: Array, counts: NDArray[np.int64]) -> Array:
         """(k, p) scaled downhill gradient of half the cost, batch by batch.
@@ -352,9 +370,10 @@ class _Outcome:
         # is known, and one Newton step takes it back (first-order correction for errors in
         # variables).
         pull = np.zeros((K, p))
-        noise = problem.rows[:, None, None] * self._noise
-        excess = point.Q @ noise[:, :N_X, :N_X] - noise[:, N_X:, :N_X]
-        pull[:, :n] = _times(point.WG, excess.reshape(K, -1))
+        if not problem.basis.commands:
+            noise = problem.rows[:, None, None] * self._noise
+            excess = point.Q @ noise[:, :N_X, :N_X] - noise[:, N_X:, :N_X]
+            pull[:, :n] = _times(point.WG, excess.reshape(K, -1))
         wider = widening[:, :, None] * inverse_root
         data_covariance = wider @ spread @ np.swapaxes(wider, 1, 2)
         covariance = data_covariance

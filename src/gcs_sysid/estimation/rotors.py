@@ -46,7 +46,7 @@ class RotorPath:
         self._geometry = geometry
         self._commands = basis.commands
         lags = basis.lags
-        self._filters = [_motor(dt, lag) for lag in lags]
+        self._filters = [motor_filter(dt, lag) for lag in lags]
         self._lag_settling = int(np.ceil(_SETTLED * lags[-1] / dt))
         self._low_pass: tuple[Array, Array] | None = None
         self._filter_settling = 0
@@ -134,7 +134,7 @@ class RotorPath:
         return out
 
 
-def _motor(dt: float, lag: float) -> tuple[float, float, float]:
+def motor_filter(dt: float, lag: float) -> tuple[float, float, float]:
     """(a, b0, b1) of w_k = a w_{k-1} + b0 u_k + b1 u_{k-1} for a motor of first order.
 
     Exact for commands that run straight from stamp to stamp, which has no phase of its own;

@@ -27,6 +27,8 @@ _CONVERGED = 1e-6
 _UNSEEN = 1e-2
 """Smaller ones are taken without looking at the cost: what they gain is lost in its rounding."""
 _DAMPING = 1e-4
+_NOISE_STEPS = 10
+"""Each leaves of the way that share by which noise adds to the moments, a third at most."""
 _ALIKE = 3e-13
 """Share of all residual power that every axis has at least: weights stay finite."""
 _EPSILON = 4e-15
@@ -79,16 +81,24 @@ class Problem:
         rows: in each; (K,) where they are not equally many.
         basis: of the elements; what it leaves free is fitted.
         prior: what else is known.
+        noise: (K, width, width) in the moments of one row that is no part of what acted; gradient
+            and curvature are those without it, cost and W those of the rows as they are.
     """
 
     def __init__(
-        self, bank: Array, rows: Array | int, basis: RotorBasis, prior: Prior | None
+        self,
+        bank: Array,
+        rows: Array | int,
+        basis: RotorBasis,
+        prior: Prior | None,
+        noise: Array | None = None,
     ) -> None:
         self.bank = bank
         self.rows: Array = np.full(len(bank), rows, dtype=float)
         """(K,) in each."""
         self.basis = basis
         self.prior = prior
+        self._noise = None if noise is None else self.rows[:, None, None] * noise
         coordinates = rb.N_THETA + np.array(basis.free, dtype=int)
         self.free = np.concatenate([np.arange(rb.N_THETA), coordinates])
         """(p,) indices of the unknowns that are fitted."""
@@ -165,6 +175,10 @@ class Problem:
         )
         cost = np.linalg.slogdet(S)[1]
         W = np.linalg.inv(S)
+        if self._noise is not None:
+            moments = moments - P[:, 0] @ self._noise @ P0
+            TPM = TPM - TP @ self._noise[:, None]
+            cross = TPM @ P0[:, None]
         WG = (W[:, None] @ G).reshape(K, n, 3 * N_X)
         GR = (G.reshape(len(G), n * 3, N_X) @ moments[:, :N_X, :N_X]).reshape(K, n, 3 * N_X)
         hessian = np.empty((K, self.p, self.p))
@@ -266,6 +280,39 @@ def minimise(problem: Problem, unknowns: Array, limit: int) -> tuple[Point, Mask
         if converged.all():
             break
     return point, converged
+
+
+def without_noise(problem: Problem, point: Point, noise: Array) -> tuple[Problem, Point, Array]:
+    """The problem without noise of the commands, and where its gradient vanishes.
+
+    Such noise is a good part of what slow commands show: unlike that of measured speeds, one step
+    does not take it out, and it pulls delay, lag and curve as well.
+
+    Args:
+        problem: of rows as they are.
+        point: its minimum, which noise has moved.
+        noise: (K, width, width) in the moments of one row.
+
+    Returns:
+        The problem, its solution, and (K, p) what the noise adds to the gradient there.
+    """
+    told = Problem(problem.bank, problem.rows, problem.basis, problem.prior, noise)
+    unknowns, d = point.unknowns, scales(point.hessian)
+    # The curvature with noise is the larger: steps with it are short, and sure to come nearer.
+    hessian = point.hessian
+    if problem.prior is not None:
+        hessian = hessian + problem.prior_information()
+    H = hessian / (d[:, :, None] * d[:, None, :]) + _DAMPING * np.eye(problem.p)
+    for _ in range(_NOISE_STEPS):
+        gradient = told.evaluate(unknowns).gradient
+        if problem.prior is not None:
+            gradient = gradient + problem.prior_pull(unknowns)
+        step = np.linalg.solve(H, (gradient / d)[..., None])[..., 0]
+        moved = problem.moved(unknowns, step / d)
+        physical = rb.are_physical(moved)
+        unknowns = np.where(physical[:, None], moved, unknowns)
+    found = told.evaluate(unknowns)
+    return told, found, problem.evaluate(unknowns).gradient - found.gradient
 
 
 def residual_maker(Q: Array) -> Array:

@@ -2,12 +2,6 @@
 
 Noise on an input makes least squares underrate what that input does (errors in variables).
 Where the noise is known, its part of the moments is known too and is taken out again.
-
-Commands are known as they are, but where they come more slowly than the autopilot's loop runs,
-what was commanded in between is not: that acts like noise on them. Their third differences tell
-its size. What of it is missed depends on how fast it changes: gyro noise comes back in the commands
-through the low-pass of the autopilot's rate loop, and what that lets through, a stream at twice its
-cutoff still shows.
 """
 
 import numpy as np
@@ -22,10 +16,6 @@ ROUNDING_STD = 2.0 * np.pi / 60.0 / np.sqrt(12.0)
 _FAST_ENOUGH = 0.012
 """s. Below this sample time a rotor hardly moves within four samples, so that what is left of
 them after a parabola is taken out is noise; above, motion and noise cannot be told apart."""
-_AS_LOOPS = 0.008
-"""s. Commands that come more often miss nothing that matters."""
-_NOISE_BANDWIDTH = 1.11
-"""Of white noise behind a second-order Butterworth low-pass, over its cutoff."""
 _THIRD_DIFFERENCE = 20.0
 """1 + 9 + 9 + 1: variance of a third difference over that of white noise."""
 
@@ -38,27 +28,10 @@ class SpeedNoise:
     Args:
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
-        commands: whether these are commands, 0 to 1, and not speeds.
-        loop_cutoff: Hz, of the second-order low-pass that the gyro passes on its way into the
-            commands; None: there is none.
     """
 
-    def __init__(
-        self,
-        geometry: Array,
-        dt: float,
-        *,
-        commands: bool = False,
-        loop_cutoff: float | None = None,
-    ) -> None:
+    def __init__(self, geometry: Array, dt: float) -> None:
         self._dt = dt
-        self._commands = commands
-        self._missed = 1.0
-        """Share of the commands' noise that a stream of this step does not show: samples taken as
-        holding for a step hold for the noise's integral time alone."""
-        if loop_cutoff is not None:
-            holds = 0.5 / (_NOISE_BANDWIDTH * loop_cutoff)
-            self._missed = max(1.0 - holds / dt, 0.0)
         rotors = geometry.shape[1]
         self._samples = 0
         self._sums = np.zeros((2, rotors))  # of Omega and Omega^2
@@ -96,13 +69,7 @@ class SpeedNoise:
 
     @property
     def std(self) -> Array:
-        """(rotors,) rad/s, or 1 for commands."""
-        if self._commands:
-            if self._dt < _AS_LOOPS or self._differences < 100:
-                return np.zeros(self._sums.shape[1])
-            variance = self._difference_squares / self._differences / _THIRD_DIFFERENCE
-            missed: Array = np.sqrt(self._missed * variance)
-            return missed
+        """(rotors,) rad/s."""
         floor = np.full(self._sums.shape[1], ROUNDING_STD)
         if self._dt > _FAST_ENOUGH or self._differences < 100:
             return floor
@@ -121,10 +88,6 @@ class SpeedNoise:
         if self._samples == 0:
             return out
         average, derivative = smoother.noise_gains(memory)
-        if self._commands:
-            # Near half throttle thrust follows the command one to one, whatever the curve.
-            out[:4, :4] = average * (self._mix * self.std**2) @ self._mix.T
-            return out
         mean_square = self._sums[1] / self._samples
         mix, variance = self._mix, self.std**2
         out[:4, :4] = average * (mix * (4.0 * mean_square * variance)) @ mix.T

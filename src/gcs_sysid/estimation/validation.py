@@ -73,7 +73,7 @@ def validate(
             on the first leak.
         counts: (k,) rows in each.
         basis: of the elements.
-        noise: (leaks, WIDTH, WIDTH).
+        noise: of the inputs, as of `fit_rotation`.
         gains: (leaks,) 1/s^2, variance of a row's derivative over that of white gyro noise.
         prior: what else is known.
 
@@ -122,7 +122,7 @@ def _whiteness(
     pair = np.swapaxes(batches[:, :2], 0, 1)
     here = basis.moments_at(pair, at)
     plain, summed = np.einsum("ai,lkij,aj->lka", T, here, T)  # (k, 3) each: residual power
-    of_speeds = np.einsum("ai,lij,aj->la", T, noise[:2], T)
+    of_speeds = np.einsum("ai,lij,aj->la", T, basis.noise_at(noise[:2], at), T)
     ratio = gains[1] / gains[0]
     # Of the plain power, what the speeds' noise does not explain is the gyro's.
     expected = ratio * plain + counts[:, None] * (of_speeds[1] - ratio * of_speeds[0])

@@ -44,6 +44,11 @@ class Smoother(Protocol):
     delays: Array
     """(delays,) s, by which the first signals may be stamped late."""
 
+    @property
+    def late_taps(self) -> Array:
+        """(delays, length) response of the late signals' averages to a single sample."""
+        ...
+
     def noise_gains(self, memory: float) -> tuple[float, float]:
         """Variance of an average and of a derivative (1/s^2) over that of white noise on the
         samples, when rows are then summed with a leak of `memory` s (0: not at all).
@@ -86,6 +91,11 @@ class WindowSmoother:
         self._gains: dict[float, tuple[float, float]] = {}
         self._pending: Array | None = None
         self._dt = dt
+
+    @property
+    def late_taps(self) -> Array:
+        """(delays, length) response of the late signals' averages to a single sample."""
+        return self._late_taps.T[: len(self.delays), ::-1]
 
     def noise_gains(self, memory: float) -> tuple[float, float]:
         """Variance of an average and of a derivative over that of white sample noise."""
@@ -163,6 +173,11 @@ class DifferentiatorSmoother:
         self._unsettled: Array = np.zeros(0)
         self._gains: dict[float, tuple[float, float]] = {}
 
+    @property
+    def late_taps(self) -> Array:
+        """(1, length) response of an average to a single sample."""
+        return self._taps[:1]
+
     def noise_gains(self, memory: float) -> tuple[float, float]:
         """Variance of an average and of a derivative over that of white sample noise."""
         if memory not in self._gains:
@@ -227,13 +242,18 @@ def _banded(taps: Array, rows: int, step: int) -> Array:
     return banded.reshape(k * rows, -1)
 
 
+def leaky(responses: Array, step: int, dt: float, memory: float) -> Array:
+    """(k, longer) of (k, length) responses, after a leaky sum over every `step`-th row."""
+    if memory == 0.0:
+        return responses
+    decay = np.exp(-step * dt / memory)
+    rows = int(np.ceil(12.0 / -np.log(decay)))
+    leak = np.zeros(rows * step)
+    leak[::step] = decay ** np.arange(rows)
+    return np.stack([np.convolve(response, leak) for response in responses])
+
+
 def _leaky_power(taps: Array, step: int, dt: float, memory: float) -> tuple[float, float]:
     """Sum of squared weights of (2, n) taps, after a leaky sum over every `step`-th row."""
-    if memory > 0.0:
-        decay = np.exp(-step * dt / memory)
-        rows = int(np.ceil(12.0 / -np.log(decay)))
-        leak = np.zeros(rows * step)
-        leak[::step] = decay ** np.arange(rows)
-        taps = np.stack([np.convolve(t, leak) for t in taps])
-    average, derivative = (float(t @ t) for t in taps)
+    average, derivative = (float(t @ t) for t in leaky(taps, step, dt, memory))
     return average, derivative

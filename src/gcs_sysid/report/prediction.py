@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
+from gcs_sysid.estimation.command_noise import CommandNoise
 from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.filters.windows import cosine_window
@@ -77,10 +78,12 @@ def predict(
         rotor_input: what the samples hold, if there is no model.
     """
     predictor = Predictor(dt, model, rotor_input)
-    found, noise = [], None
-    if model is not None:
-        commands = model.rotor_input == "command"
-        noise = SpeedNoise(model.geometry, dt, commands=commands, loop_cutoff=model.loop_cutoff)
+    found = []
+    noise: SpeedNoise | CommandNoise | None = None
+    if model is not None and model.rotor_input == "command":
+        noise = CommandNoise(model.geometry, dt, model.loop_cutoff)
+    elif model is not None:
+        noise = SpeedNoise(model.geometry, dt)
     for piece in pieces:
         found.append(predictor.rows(piece))
         if noise is not None:

@@ -1,0 +1,178 @@
+"""What slow streams of commands miss, and what that adds to the moments.
+
+Commands are known as they are, but where they come more slowly than the autopilot's loop runs, what
+was commanded in between is not. The gyro's noise comes back in the commands, faster than the stream
+can show; sampled, it folds down to the frequencies of the motion, and is there like white noise on
+the inputs (errors in variables). The commands of a hovering vehicle may hold more of it than of
+anything else.
+
+How the commands scatter around a quarter of their rate, where the motion has ended, tells its size,
+and the low-pass that gyro noise passes on its way into them tells how much of what is seen there,
+once folded, never acted. Roll and pitch, which have derivative terms, are several times noisier
+than yaw: what matters is the covariance of all rotors.
+"""
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, complete_rows, runs
+from gcs_sysid.estimation.basis import BODY, SIGNALS, WIDTH, RotorBasis
+from gcs_sysid.estimation.rotors import motor_filter
+from gcs_sysid.filters.smoothers import Smoother, leaky
+from gcs_sysid.model import rigid_body
+from gcs_sysid.recursions import lfilter
+
+LEVEL_UNCERTAINTY = 0.2
+"""Relative, of what is missed, one standard deviation: loops are not all alike, and interpolation
+to the IMU's times takes some noise away."""
+_AS_LOOPS = 0.008
+"""s. Commands that come more often miss nothing that matters."""
+_SPACING = 2
+"""Samples between those of a difference: it sees most at a quarter of the sample rate."""
+_THIRD_DIFFERENCE = 20.0
+"""1 + 9 + 9 + 1: variance of a third difference over that of white noise."""
+_ENOUGH = 100
+_FOLDS = 40
+"""Multiples of the sample rate from which noise folds down, at most."""
+_SETTLED = 12.0
+"""Time constants after which a motor's response has ended."""
+
+
+def missed_share(dt: float, loop_cutoff: float | None) -> float:
+    """Share of the commands' scatter, seen as by `CommandNoise`, that never acted.
+
+    Noise S(f) behind a second-order Butterworth low-pass, sampled, is sum_k S(f + k / dt). At low
+    frequencies S(0) of it is there in truth, the rest is folded down.
+
+    Args:
+        dt: s between samples.
+        loop_cutoff: Hz; None: there is no low-pass, and all of white noise is missed.
+    """
+    if dt < _AS_LOOPS:
+        return 0.0
+    if loop_cutoff is None:
+        return 1.0
+    f = np.linspace(0.0, 0.5, 101) / dt
+    shifted = f[:, None] + np.arange(-_FOLDS, _FOLDS + 1) / dt
+    sampled = (1.0 / (1.0 + (shifted / loop_cutoff) ** 4)).sum(axis=1)
+    seen = np.sin(np.pi * _SPACING * f * dt) ** 6
+    return float((sampled[0] - 1.0) / (seen @ sampled / seen.sum()))
+
+
+class CommandNoise:
+    """Follows level and noise of the commands.
+
+    Args:
+        geometry: (3, rotors) of the airframe.
+        dt: s between samples.
+        loop_cutoff: Hz, of the second-order low-pass that the gyro passes on its way into the
+            commands; None: there is none.
+    """
+
+    def __init__(self, geometry: Array, dt: float, loop_cutoff: float | None = None) -> None:
+        rotors = geometry.shape[1]
+        self._dt = dt
+        self._share = missed_share(dt, loop_cutoff)
+        self._mixer = rigid_body.mixer(geometry)
+        self._count = 0
+        self._sum = np.zeros(rotors)
+        self._differences = 0
+        self._products = np.zeros((rotors, rotors))
+        self._last = np.zeros((0, rotors))
+        self._overlaps: dict[float, Array] = {}
+
+    def update(self, commands: Array) -> None:
+        """Take (n, rotors) commands, 0 to 1; NaN where missing."""
+        complete = complete_rows(commands)
+        if complete.all():
+            self._add(commands)
+            return
+        for run, there in runs(complete):
+            if there:
+                self._add(commands[run])
+            else:
+                self.restart()
+
+    def restart(self) -> None:
+        """What comes next does not join on to what came before."""
+        self._last = self._last[:0]
+
+    def _add(self, commands: Array) -> None:
+        self._count += len(commands)
+        self._sum += commands.sum(axis=0)
+        if self._share == 0.0:
+            return
+        joined = np.concatenate([self._last, commands])
+        reach = 3 * _SPACING
+        self._last = joined[-reach:]
+        if len(joined) > reach:
+            third = joined
+            for _ in range(3):
+                third = third[_SPACING:] - third[:-_SPACING]
+            self._differences += len(third)
+            self._products += third.T @ third
+
+    @property
+    def covariance(self) -> Array:
+        """(rotors, rotors) of white noise on the commands that stands for what is missed."""
+        if self._differences < _ENOUGH:
+            return np.zeros_like(self._products)
+        scale = self._share / (self._differences * _THIRD_DIFFERENCE)
+        covariance: Array = scale * self._products
+        return covariance
+
+    @property
+    def std(self) -> Array:
+        """(rotors,) of the same, 1."""
+        std: Array = np.sqrt(np.diag(self.covariance))
+        return std
+
+    def moments(self, smoother: Smoother, memory: float) -> Array:
+        """(WIDTH, WIDTH) what it adds to the moments of a row, as if motors had no lag.
+
+        Args:
+            smoother: that made the rows.
+            memory: s, of the leaky sum over the rows.
+        """
+        out = np.zeros((WIDTH, WIDTH))
+        average, _ = smoother.noise_gains(memory)
+        # Near half throttle thrust follows the command one to one, whatever the curve.
+        out[:4, :4] = average * (self._mixer.T @ self.covariance @ self._mixer)
+        return out
+
+    def element_moments(self, basis: RotorBasis, smoother: Smoother, memory: float) -> Array:
+        """(width, width) what it adds to the moments of a row of elements.
+
+        Args:
+            basis: of the elements; always the same.
+            smoother: that made the rows; always the same.
+            memory: s, of the leaky sum over the rows.
+        """
+        out = np.zeros((basis.width, basis.width))
+        signals = np.zeros((SIGNALS, SIGNALS))
+        signals[:4, :4] = self._mixer.T @ self.covariance @ self._mixer
+        if not signals.any():
+            return out
+        if memory not in self._overlaps:
+            self._overlaps[memory] = _overlaps(basis, smoother, self._dt, memory)
+        # Of w^2 the noise is 2 w times that of w.
+        gains = np.array([1.0, 2.0 * self._sum.mean() / self._count])
+        rotors = basis.width - BODY
+        out[:rotors, :rotors] = np.kron(
+            self._overlaps[memory], np.kron(np.outer(gains, gains), signals)
+        )
+        return out
+
+
+def _overlaps(basis: RotorBasis, smoother: Smoother, dt: float, memory: float) -> Array:
+    """(elements, elements) covariances of what a basis' filters make of white noise."""
+    taps = smoother.late_taps
+    room = int(np.ceil(_SETTLED * basis.lags[-1] / dt))
+    responses = np.zeros((len(basis.elements), taps.shape[1] + room))
+    for response, element in zip(responses, basis.elements, strict=True):
+        a, b0, b1 = motor_filter(dt, basis.lags[element.lag])
+        driven = np.zeros(responses.shape[1])
+        driven[: taps.shape[1]] = taps[element.delay]
+        response[:] = lfilter([b0, b1], [1.0, -a], driven)[0]
+    summed = leaky(responses, smoother.step, dt, memory)
+    overlaps: Array = summed @ summed.T
+    return overlaps
