@@ -4,12 +4,14 @@
 
 thins every .tlog with a .truth.json to a fifth, each time at another phase and with another 5 % of
 all messages lost, and prints mean and root-mean-square error of each parameter, the mean half width
-of its interval, and how many of them hold the truth.
+of its interval, and how many of them hold the truth. Products of inertia are in 1e-4 kg m^2, all
+else is in %.
 
 Where commands are the input, a bound stands beside it. What was commanded between two samples is
 not known; what it does to the angular acceleration is found from the whole log, and taken for
 noise of that spectrum, as is the gyro's noise, sampled at 50 Hz. Cramér-Rao's bound in noise of
-known spectra (Whittle's form) is what no unbiased estimator beats, even with no message lost.
+known spectra (Whittle's form) is what no unbiased estimator beats that has one stream of commands,
+even with no message lost. PX4 sends two, and both are used.
 """
 
 import argparse
@@ -27,7 +29,10 @@ from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.sampling import SampleBlock
 
-SHOWN = ("Ixx", "Iyy", "Izz", "moment_ratio", "rotational_damping", "T_max", "motor_lag")
+PRODUCTS = ("Ixy", "Iyz", "Ixz")
+SHOWN = (
+    "Ixx", "Iyy", "Izz", *PRODUCTS, "moment_ratio", "rotational_damping", "T_max", "motor_lag",
+)  # fmt: skip
 FIFTH = 5
 _BAND = (0.05, 20.0)
 """Hz, in which the flight tells anything."""
@@ -158,16 +163,16 @@ def main() -> None:
             for seed in range(1, options.thinnings + 1):
                 result = analyze_log(thinned(log, Path(folder) / log.name, seed), airframe)
                 for name, found in {**result.parameters, **result.timing}.items():
-                    if name in SHOWN and truth.get(name) and found.value and found.std:
-                        share = 100.0 / truth[name]
+                    if name in SHOWN and name in truth and found.value and found.std:
+                        share = 1e4 if name in PRODUCTS else 100.0 / truth[name]
                         told = share * (found.value - truth[name]), 1.96 * share * found.std
                         errors.setdefault(name, []).append(told)
-        print(f"{log.name}: rotors by {whole.rotor_input}, {options.thinnings} thinnings; in %")
+        print(f"{log.name}: rotors by {whole.rotor_input}, {options.thinnings} thinnings")
         print(f"  {'':<20}{'mean':>8}{'rms':>8}{'+-95 %':>8}{'hold':>8}   Cramer-Rao std")
         for name, pairs in errors.items():
             error, half = np.array(pairs).T
             rms, hold = np.sqrt(np.mean(error**2)), np.mean(np.abs(error) <= half)
-            known = f"{least[name]:8.2f}" if name in least else ""
+            known = f"{least[name]:8.2f}" if name in least and name not in PRODUCTS else ""
             row = f"{error.mean():8.2f}{rms:8.2f}{half.mean():8.2f}{100 * hold:7.0f} %   {known}"
             print(f"  {name:<20}{row}", flush=True)
 

@@ -9,6 +9,7 @@ import pytest
 from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import CommandRange, load_airframe
 from gcs_sysid.records import Record, Stream
+from gcs_sysid.session.command_twins import mean_of
 from gcs_sysid.session.rotor_input import STRETCH, RotorChooser
 from gcs_sysid.session.rotor_units import (
     Range,
@@ -182,6 +183,35 @@ def test_without_what_the_scale_needs_nothing_is_chosen():
     chooser = judged(commands(u, t), anchor=Anchor("k_T", 2e-4))
     assert chooser.choice is None
     assert chooser.refused == {"ACTUATOR_OUTPUT_STATUS": "speed is wanted"}
+
+
+@pytest.mark.parametrize(
+    ("late", "above", "every", "source", "together"),
+    [
+        (0.0, 0.0, 1, "SERVO_OUTPUT_RAW", True),
+        (0.5, 0.0, 1, "SERVO_OUTPUT_RAW", False),
+        (0.0, 0.1, 1, "SERVO_OUTPUT_RAW", False),
+        (0.0, 0.0, 2, "SERVO_OUTPUT_RAW", False),
+        (0.0, 0.0, 1, "RCOU", False),
+    ],
+)
+def test_streams_that_tell_the_same_commands_are_used_together(
+    late, above, every, source, together
+):
+    """And not what comes late, is about something else, or comes more seldom."""
+    t, u, _ = signals(rate=2.0 * RATE)
+    first, second = slice(None, None, 2), slice(1, None, 2 * every)
+    one = commands(u[first], t[first])
+    other = commands(u[second] + above, t[second] + late, source)
+    chooser = judged(one, other)
+    assert chooser.choice.name == "ACTUATOR_OUTPUT_STATUS"
+    assert chooser.twin == (source if together else None)
+
+
+def test_two_streams_make_one_of_what_each_has():
+    one = np.array([[1.0, 1.0], [np.nan, 1.0], [2.0, np.nan]])
+    other = np.array([[2.0, 3.0], [4.0, np.nan], [6.0, np.nan]])
+    np.testing.assert_array_equal(mean_of(one, other), [[1.5, 2.0], [4.0, 1.0], [4.0, np.nan]])
 
 
 def test_a_source_that_dies_in_flight_is_replaced():

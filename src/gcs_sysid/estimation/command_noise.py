@@ -21,11 +21,11 @@ from gcs_sysid.filters.smoothers import Smoother, leaky
 from gcs_sysid.model import rigid_body
 from gcs_sysid.recursions import lfilter
 
-LEVEL_UNCERTAINTY = 0.2
-"""Relative, of what is missed, one standard deviation: loops are not all alike, and interpolation
-to the IMU's times takes some noise away."""
-_AS_LOOPS = 0.008
-"""s. Commands that come more often miss nothing that matters."""
+LEVEL_UNCERTAINTY = 0.3
+"""Relative, of what is missed, one standard deviation: loops are not all alike, interpolation to
+the IMU's times takes some noise away, and messages are lost."""
+SLOW_COMMANDS = 0.008
+"""s between commands. Those that come more often miss nothing that matters."""
 _SPACING = 2
 """Samples between those of a difference: it sees most at a quarter of the sample rate."""
 _THIRD_DIFFERENCE = 20.0
@@ -37,23 +37,28 @@ _SETTLED = 12.0
 """Time constants after which a motor's response has ended."""
 
 
-def missed_share(dt: float, loop_cutoff: float | None) -> float:
+def missed_share(dt: float, loop_cutoff: float | None, streams: int = 1) -> float:
     """Share of the commands' scatter, seen as by `CommandNoise`, that never acted.
 
     Noise S(f) behind a second-order Butterworth low-pass, sampled, is sum_k S(f + k / dt). At low
-    frequencies S(0) of it is there in truth, the rest is folded down.
+    frequencies S(0) of it is there in truth, the rest is folded down. The mean of two streams, the
+    second sampled anywhere between the samples of the first, passes (1 + sinc(f dt)) / 2 of S.
 
     Args:
         dt: s between samples.
         loop_cutoff: Hz; None: there is no low-pass, and all of white noise is missed.
+        streams: whose mean the commands are, 1 or 2.
     """
-    if dt < _AS_LOOPS:
+    if dt < SLOW_COMMANDS:
         return 0.0
     if loop_cutoff is None:
         return 1.0
     f = np.linspace(0.0, 0.5, 101) / dt
     shifted = f[:, None] + np.arange(-_FOLDS, _FOLDS + 1) / dt
-    sampled = (1.0 / (1.0 + (shifted / loop_cutoff) ** 4)).sum(axis=1)
+    power = 1.0 / (1.0 + (shifted / loop_cutoff) ** 4)
+    if streams == 2:
+        power *= 0.5 * (1.0 + np.sinc(shifted * dt))
+    sampled = power.sum(axis=1)
     seen = np.sin(np.pi * _SPACING * f * dt) ** 6
     return float((sampled[0] - 1.0) / (seen @ sampled / seen.sum()))
 
@@ -66,12 +71,15 @@ class CommandNoise:
         dt: s between samples.
         loop_cutoff: Hz, of the second-order low-pass that the gyro passes on its way into the
             commands; None: there is none.
+        streams: whose mean the commands are.
     """
 
-    def __init__(self, geometry: Array, dt: float, loop_cutoff: float | None = None) -> None:
+    def __init__(
+        self, geometry: Array, dt: float, loop_cutoff: float | None = None, streams: int = 1
+    ) -> None:
         rotors = geometry.shape[1]
         self._dt = dt
-        self._share = missed_share(dt, loop_cutoff)
+        self._share = missed_share(dt, loop_cutoff, streams)
         self._mixer = rigid_body.mixer(geometry)
         self._count = 0
         self._sum = np.zeros(rotors)

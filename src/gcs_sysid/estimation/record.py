@@ -50,7 +50,9 @@ class FlightRecord:
         self._smoother = smoother
         commands = tuning.rotor_input == "command"
         self._input_noise = (
-            CommandNoise(geometry, dt, tuning.loop_cutoff) if commands else SpeedNoise(geometry, dt)
+            CommandNoise(geometry, dt, tuning.loop_cutoff, tuning.command_streams)
+            if commands
+            else SpeedNoise(geometry, dt)
         )
         self.memories = tuning.leaks
         # Samples are taken in pieces of one size, however they come: whole rows, at little cost.

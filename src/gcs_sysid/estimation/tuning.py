@@ -24,6 +24,7 @@ class Tuning:
         curves: least and greatest thrust curve, for commands; one value is taken as given.
         gyro_cutoff: Hz, low-pass of the autopilot on its gyro; None: there is none.
         loop_cutoff: Hz, low-pass of the gyro on its way into the commands; None: there is none.
+        command_streams: of commands, whose mean the samples hold.
         settle_interval: s, least time between full fits of a running course, which choose
             leak and delay; later they come when the record has grown by half.
         batch_time: s, length of a batch of moments.
@@ -41,6 +42,7 @@ class Tuning:
     curves: tuple[float, ...] = (1.0,)
     gyro_cutoff: float | None = None
     loop_cutoff: float | None = None
+    command_streams: int = 1
     settle_interval: float = 2.0
     batch_time: float = 1.0
 

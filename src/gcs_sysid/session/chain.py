@@ -17,6 +17,7 @@ from gcs_sysid.columns import RecordBlock
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.anchors import Anchor, AnchorKind, relative_prior, resolve_scale
 from gcs_sysid.estimation.changes import ChangeTuning
+from gcs_sysid.estimation.command_noise import SLOW_COMMANDS
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.parameters import (
     WEAK_BELOW_R2,
@@ -405,6 +406,11 @@ class Chain:
             "rotor_input": self._input_telemetry(),
         }
 
+    @property
+    def _twin(self) -> str | None:
+        """The other stream of commands that is used."""
+        return self.chooser.twin if self.sampler.time_base.dt >= SLOW_COMMANDS else None
+
     def _input_telemetry(self) -> dict[str, Any]:
         """Which rotor stream is used, how it is read, and why not the others."""
         source = self._rotors
@@ -414,6 +420,7 @@ class Chain:
             "source": source.name,
             "why": source.why,
             "refused": dict(source.refused or {}),
+            "with": self._twin,
             "repeats": self.chooser.repeats[source.name].as_dict(),
             "gyro_filter": None if self._tracker is None else self._cutoffs[0],
             "loop_filter": None if self._tracker is None else self._cutoffs[1],
@@ -558,6 +565,7 @@ class Chain:
                 COMMANDS,
                 gyro_cutoff=gyro,
                 loop_cutoff=loop,
+                command_streams=1 if self._twin is None else 2,
                 smoother=own.smoother,
                 bandwidth=own.bandwidth,
                 curves=COMMANDS.curves if curve is None else (curve,),

@@ -20,6 +20,7 @@ from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.records import Record, Stream
+from gcs_sysid.session.command_twins import say_the_same, twin_of
 from gcs_sysid.session.rotor_units import PARAMETER_NAMES, Range, RotorSource, command_range
 
 STRETCH = 2.5
@@ -169,6 +170,8 @@ class RotorChooser:
     def __init__(self, airframe: Airframe, anchor: Anchor | None) -> None:
         self.choice: RotorSource | None = None
         """None until there was a stretch of flight, and while no source is sound."""
+        self.twin: str | None = None
+        """Another source of commands that says what the chosen one says."""
         self.refused: dict[str, str] = {}
         """Source -> why it was not chosen, from the latest judgement."""
         self.autopilot = ""
@@ -241,6 +244,7 @@ class RotorChooser:
             else:
                 judgements[name] = stretch
         if self.choice is not None and self.choice.name in judgements:
+            self.twin = self._twin(self.choice, judgements)
             self._restart()
             return
         chosen = self._choose(judgements, refused)
@@ -248,6 +252,7 @@ class RotorChooser:
         if chosen is not None:
             chosen = replace(chosen, why=gone + chosen.why, refused=refused)
         self.choice, self.refused = chosen, refused
+        self.twin = None if chosen is None else self._twin(chosen, judgements)
         self._restart()
 
     def _restart(self) -> None:
@@ -316,6 +321,14 @@ class RotorChooser:
         for name in stretches:
             refused.setdefault(name, f"{wanted} is wanted")
         return None
+
+    def _twin(self, choice: RotorSource, stretches: Mapping[str, Stretch]) -> str | None:
+        name = twin_of(choice.name)
+        if name is None or name not in stretches or choice.name not in stretches:
+            return None
+        count = len(self._airframe.rotors)
+        same = say_the_same(stretches[choice.name].rotors(count), stretches[name].rotors(count))
+        return name if same else None
 
     def _ranked(self, stretches: Mapping[str, Stretch], stream: Stream) -> list[str]:
         """The sources of a stream, the best first: those near the highest rate, in order."""

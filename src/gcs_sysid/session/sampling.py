@@ -9,10 +9,12 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.columns import Track
+from gcs_sysid.estimation.command_noise import SLOW_COMMANDS
 from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.filters.complementary import ComplementaryFilter
 from gcs_sysid.model import attitude
 from gcs_sysid.records import Record, Stream
+from gcs_sysid.session.command_twins import mean_of
 from gcs_sysid.session.flight import FlightDetector
 from gcs_sysid.session.rotor_input import STRETCH, RotorChooser, family
 from gcs_sysid.session.rotor_units import RotorSource
@@ -151,7 +153,7 @@ class Sampler:
         block = self.time_base.take(tracks)
         if block is None or block.fresh:
             return None
-        flew, choice = self.flying, self.chooser.choice
+        flew, choice, twin = self.flying, self.chooser.choice, self.chooser.twin
         held = self._samples(block)
         if (held.block.flying != flew).any():
             return None
@@ -159,7 +161,7 @@ class Sampler:
         self.seen |= {track.stream for track in tracks}
         if flew:
             self._judge(tracks)
-            if self.chooser.choice is not choice:
+            if self.chooser.choice is not choice or self.chooser.twin != twin:
                 return None
         self._held.append(held)
         return self._release()
@@ -213,6 +215,9 @@ class Sampler:
         choice, ready = self.chooser.choice, []
         for held in self._held:
             rotors = held.rotors.get(choice.name) if choice is not None else None
+            twin = held.rotors.get(self.chooser.twin or "")
+            if rotors is not None and twin is not None and held.block.dt >= SLOW_COMMANDS:
+                rotors = mean_of(rotors, twin)
             samples = held.block.samples
             if choice is not None and rotors is not None:
                 samples = replace(samples, speeds=choice.read(rotors))
