@@ -95,9 +95,9 @@ class LiveSession:
         self._latest: Snapshot | None = None
         self._told_result_at = 0.0
         self._asked = self._published = -float("inf")
-        self._rounds: list[Callable[[Sequence[Frame], float], None]] = [
-            self._identify,
-            self._watch_link,
+        self._rounds: list[Callable[[LiveSession, Sequence[Frame], float], None]] = [
+            LiveSession._identify,
+            LiveSession._watch_link,
         ]
         """What is done with frames beside recording them; a defect takes the first away."""
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
@@ -223,6 +223,7 @@ class LiveSession:
         self._tell_recording()
         self.final = self._final()
         self._publish(LinkState.ENDED)
+        self._pipeline.chain.observers.clear()  # they hold the chain: it would outlive its session
 
     def _loop(self) -> None:
         began = time.monotonic()
@@ -233,7 +234,7 @@ class LiveSession:
                 self._recording.write(frames)
             if self._rounds:
                 try:
-                    self._rounds[0](frames, now)
+                    self._rounds[0](self, frames, now)
                 except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
                     self._retreat(defect)
             while not self._actions.empty():
@@ -280,7 +281,7 @@ class LiveSession:
 
     @property
     def _identifying(self) -> bool:
-        return self._rounds[:1] == [self._identify]
+        return self._rounds[:1] == [LiveSession._identify]
 
     def _retreat(self, defect: Exception) -> None:
         """Do less from now on: what has failed once would fail again."""
@@ -380,6 +381,7 @@ class LiveSession:
         self._need_estimate()
         self._station.leave()
         intake = self._pipeline.intake
+        self._pipeline.chain.observers.clear()
         self._begin(vehicle.address)
         selector = self._pipeline.intake.selector
         for known in intake.selector.autopilots:  # the others stay to be chosen
