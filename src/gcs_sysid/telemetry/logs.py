@@ -135,7 +135,9 @@ class TlogLog:
     def as_dict(self) -> dict[str, Any]:
         """As `Telemetry` says."""
         self.intake.garbage_bytes = self._reader.garbage_bytes
-        return {**self.intake.as_dict(), "clock_drift_ppm": self.drift_ppm}
+        torn = self._reader.counts.cut_short
+        told = {"clock_drift_ppm": self.drift_ppm} | ({"cut_short": torn} if torn else {})
+        return {**self.intake.as_dict(), **told}
 
 
 class OnboardLog:

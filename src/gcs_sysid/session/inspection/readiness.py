@@ -198,6 +198,10 @@ def _losses(found: Inspection) -> Iterator[Finding]:
     bad = int(found.telemetry.get("bad_crc", 0))
     if bad:
         yield Finding("note", f"{bad} messages of another definition, or damaged, are skipped")
+    torn = int(found.telemetry.get("cut_short", 0))
+    if torn:
+        text = f"the last record is cut short: {torn} bytes (the recording was not ended)"
+        yield Finding("note", text)
     garbage = int(found.telemetry.get("garbage_bytes", 0))
     if garbage >= GARBAGE_TOLD or found.telemetry.get("damaged"):
         text = f"damaged: {garbage} bytes belong to no message" if garbage else "damaged in part"
