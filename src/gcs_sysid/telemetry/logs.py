@@ -44,6 +44,10 @@ class Telemetry(Protocol):
     def parameters(self) -> dict[str, float]:
         """The vehicle's parameters, as far as they were heard."""
 
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Why what comes may not be the vehicle's, one line each."""
+
     def take_events(self) -> list[IntakeEvent]:
         """What happened since this was last asked."""
 
@@ -126,6 +130,11 @@ class TlogLog:
         """As `Telemetry` says."""
         return self.intake.parameters
 
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """As `Telemetry` says."""
+        return self.intake.problems
+
     def take_events(self) -> list[IntakeEvent]:
         """As `Telemetry` says."""
         events = self._events[:]
@@ -145,6 +154,8 @@ class OnboardLog:
 
     drift_ppm: float | None = None
     recorded: float | None = None
+    problems: tuple[str, ...] = ()
+    """An autopilot's own log holds nobody else's messages."""
 
     def __init__(
         self, kind: str, recording: Recording, wanted: tuple[int, int | None] | None = None
