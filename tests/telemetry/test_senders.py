@@ -185,5 +185,5 @@ def test_others_are_told_of_up_to_a_number(make_sender):
     for n in range(1, 200):
         intake.frame(make_sender(n, 1).heartbeat())
     told = [event.text for event in intake.take_events() if event.kind == "vehicles"]
-    assert len(told) == 9
-    assert told[-1] == "more than 8 other vehicles speak: no more of them are told of"
+    assert len(told) == 5
+    assert told[-1] == "more than 4 other vehicles speak: no more of them are told of"

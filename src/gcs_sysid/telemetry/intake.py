@@ -27,7 +27,7 @@ _HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
 _STATUSTEXT = MESSAGE_IDS["STATUSTEXT"]
 _heartbeat = picker("HEARTBEAT", "type", "autopilot", "base_mode")
 _RARE = [MESSAGE_IDS[name] for name in ("HEARTBEAT", "EXTENDED_SYS_STATE", "PARAM_VALUE")]
-_MOST_OTHERS_TOLD = 8
+_MOST_OTHERS_TOLD = 4
 """Vehicles that are told of one by one; a hostile sender can make up hundreds."""
 _LEAST_SINGLE = 64
 """Frames taken one by one where a block cannot be read at once; doubled while that goes on."""
