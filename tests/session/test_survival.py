@@ -205,6 +205,17 @@ def test_wishes_wait_in_a_bounded_queue(session):
         session.toggle_recording()
 
 
+def test_a_recording_that_is_being_started_is_not_stopped_by_haste(session, monkeypatch, tmp_path):
+    """Both presses would be told that it starts."""
+    monkeypatch.chdir(tmp_path)
+    assert session.toggle_recording().startswith("recording to")
+    with pytest.raises(InputError, match="try again"):
+        session.toggle_recording()
+    session._do(session._actions.get())
+    assert session.toggle_recording().endswith("stopped")
+    session._recording.finish()
+
+
 def test_changes_are_kept_up_to_a_number():
     tracker = tracking.Tracker(load_airframe("paper").geometry, 0.004, tracking.Tuning())
     for n in range(3 * tracking.MOST_PASSING):

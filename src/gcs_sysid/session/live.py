@@ -91,6 +91,7 @@ class LiveSession:
         self._sender_gone = sender_gone
         self._on_result = on_result
         self._actions: queue.Queue[Callable[[], None]] = queue.Queue(_MOST_ACTIONS)
+        self._toggling = False
         self._stop = threading.Event()
         self._latest: Snapshot | None = None
         self._told_result_at = 0.0
@@ -146,14 +147,34 @@ class LiveSession:
         self._ask(self._reset)
 
     def toggle_recording(self) -> str:
-        """Start or stop recording; says which."""
+        """Start or stop recording; says which.
+
+        Raises:
+            InputError: it is being started or stopped, or see `_ask`.
+        """
+        if self._toggling:
+            raise InputError("recording is being started or stopped: try again")
         recording = self._recording
         if recording.active:
-            self._ask(lambda: self._note(recording.stop()))
+            self._ask_toggle(recording.stop)
             return f"recording {recording.path} stopped"
         path = recording.next_path()
-        self._ask(lambda: self._note(recording.start(path)))
+        self._ask_toggle(lambda: recording.start(path))
         return f"recording to {path}"
+
+    def _ask_toggle(self, change: Callable[[], str]) -> None:
+        self._toggling = True
+        try:
+            self._ask(lambda: self._toggle(change))
+        except InputError:
+            self._toggling = False
+            raise
+
+    def _toggle(self, change: Callable[[], str]) -> None:
+        try:
+            self._note(change())
+        finally:
+            self._toggling = False
 
     def _ask(self, action: Callable[[], None]) -> None:
         """Have something done in the session's thread.
