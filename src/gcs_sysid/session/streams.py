@@ -187,6 +187,15 @@ class StreamBuffer:
         older = int(np.searchsorted(times, t))
         self._start += max(min(older, len(times)) - self._keep, 0)
 
+    def _drop_after(self, t: float) -> int:
+        """Forget the samples after a time, as if they had not come; how many there were."""
+        times, _ = self._arrays()
+        dropped = len(times) - int(np.searchsorted(times, t, side="right"))
+        self._end -= dropped
+        if dropped:
+            self._newest = t
+        return dropped
+
     def _arrays(self) -> tuple[Array, Array]:
         """Times and values of all samples, as views."""
         n = len(self._new_t)

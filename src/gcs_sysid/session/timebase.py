@@ -87,7 +87,7 @@ class TimeBase:
         self.faults = SensorFaults()
         """Outliers of the IMU, found so far."""
         self._buffers: dict[Key, StreamBuffer] = {}
-        self._wild_before = 0
+        self._wild_before = self._still_before = 0
         self._newest = -np.inf
         self._started = False
         self._fresh = True
@@ -237,6 +237,11 @@ class TimeBase:
         """Messages of rotor speeds with a wild value, taken for lost."""
         return self._wild_before + sum(b.wild for b in self._rotor_buffers())
 
+    @property
+    def still_speeds(self) -> int:
+        """Messages of rotor speeds that stood still, taken for lost."""
+        return self._still_before + sum(b.still for b in self._rotor_buffers())
+
     def _imu_buffer(self) -> InertialBuffer:
         buffer = self._buffers.get(_IMU)
         if not isinstance(buffer, InertialBuffer):
@@ -280,7 +285,7 @@ class TimeBase:
         self._fresh = True
         self.restarts += 1
         if clear:
-            self._wild_before = self.wild_speeds
+            self._wild_before, self._still_before = self.wild_speeds, self.still_speeds
             self._buffers.clear()
             self._newest = -np.inf
 
