@@ -16,12 +16,10 @@ AHEAD = 2 * _REACH
 _WILD, _BESIDE = 0.2, 2.0
 """A wild value is off the middle of its neighbours by this share of it, and by so many times what
 these differ by. No rotor speeds up and slows down by a fifth while its neighbours in time stand."""
-
-
-_STANDS, _FEWEST = 0.1, 5
+_STANDS, _FEWEST = 0.15, 5
 """s, and repeats; speeds of all rotors that stay exactly the same for so long are old ones under
 new stamps, as an autopilot sends them that hears nothing of its ESCs."""
-_RARELY = 0.3
+_RARELY = 0.15
 """Share of messages that repeat the one before, from which that is how this stream is: readings
 slower than messages, coarse ones, or a simulation without noise."""
 _FRESH = 1.0 - 1.0 / 256.0
