@@ -37,7 +37,9 @@ class _Stillness:
         self.since = -np.inf
         self._last: tuple[float, ...] = ()
         self._repeats = 0
-        self._share = 1.0  # until the stream has shown that repeats are rare in it
+        self._stands = False
+        self._share = 1.0
+        """Of repeats, up to `since`; all, until the stream has shown that they are rare in it."""
 
     @property
     def suspected(self) -> bool:
@@ -47,31 +49,38 @@ class _Stillness:
     def take(self, t: float, values: tuple[float, ...]) -> bool:
         """Take a message; whether its values are old."""
         if values != self._last:
-            self.since, self._last, self._repeats = t, values, 0
+            if not self._stands:
+                faded = _FRESH**self._repeats
+                self._share = faded * self._share + 1.0 - faded
             self._share *= _FRESH
+            self.since, self._last, self._repeats, self._stands = t, values, 0, False
             return False
         self._repeats += 1
         long = self._repeats >= _FEWEST and t - self.since >= _STANDS
-        if long and self.suspected and any(values):  # motors do stand on the ground
-            return True
-        self._share = _FRESH * self._share + 1.0 - _FRESH
-        return False
+        self._stands = long and self.suspected and any(values)  # motors do stand on the ground
+        return self._stands
 
     def after(self, t: Array, values: Array) -> "_Stillness | None":
         """The state after (n,) times and (n, rotors) values; None if some of them are old."""
+        if self._stands:
+            return None
         new = np.ones(len(t), dtype=bool)
         new[0] = tuple(values[0].tolist()) != self._last
         new[1:] = (values[1:] != values[:-1]).any(axis=1)
         index = np.arange(len(t))
         latest = np.maximum.accumulate(np.where(new, index, -1))
-        repeats = np.where(latest < 0, self._repeats + 1 + index, index - latest)
-        since = np.where(latest < 0, self.since, t[latest])
-        same = np.where(new, 0.0, 1.0 - _FRESH)
-        share, _ = lfilter([1.0], [1.0, -_FRESH], same, np.array([_FRESH * self._share]))
+        faded = _FRESH**self._repeats
+        now = faded * self._share + 1.0 - faded
+        added = np.where(new, 0.0, 1.0 - _FRESH)
+        shares, _ = lfilter([1.0], [1.0, -_FRESH], added, np.array([_FRESH * now]))
+        known = latest >= 0
+        repeats = np.where(known, index - latest, self._repeats + 1 + index)
+        since = np.where(known, t[latest], self.since)
+        share = np.where(known, shares[latest], self._share)
         old = (repeats >= _FEWEST) & (t - since >= _STANDS) & (share < _RARELY)
         if (old & values.any(axis=1)).any():
             return None
-        state = copy(self)
+        state = _Stillness()
         state.since, state._repeats = float(since[-1]), int(repeats[-1])
         state._last, state._share = tuple(values[-1].tolist()), float(share[-1])
         return state
