@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gcs_sysid.estimation.parameters import Value
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
@@ -229,6 +230,22 @@ def test_course_and_events_are_bounded(paper_records, monkeypatch):
         chain.note(f"mark {k}")
     assert len(chain.events) <= 500
     assert chain.events[-1].text == "mark 1999"
+
+
+def test_a_course_given_out_does_not_change(monkeypatch):
+    monkeypatch.setattr(course_module, "MAX_POINTS", 8)
+    recorder = course_module.CourseRecorder()
+    shown = []
+    for k in range(20):
+        recorder.append(float(k), {"mass": Value(1.0 + k, 0.1, "identified")})
+        shown.append((recorder.course(), recorder.course().t.copy()))
+    recorder.clear()
+    recorder.append(99.0, {})
+    for course, times in shown:
+        assert np.array_equal(course.t, times)
+        assert np.array_equal(course.value["mass"], 1.0 + times)
+        with pytest.raises(ValueError, match="read-only"):
+            course.value["mass"][0] = 0.0
 
 
 def test_rotor_records_in_two_parts_are_one_set(paper_records, whole):

@@ -22,7 +22,7 @@ class Harness:
         reads: what is read, for the table.
         check: takes an input; raises anything at all when a property does not hold.
         seeds: makes inputs to begin with.
-        weight: share of the inputs of a run, relative to the others.
+        weight: share of the inputs of a run, relative to the others: less where one takes longer.
         tokens: pieces that the mutator puts in.
         longest: bytes of an input.
     """

@@ -14,37 +14,37 @@ _FMT = (b"\xa3\x95", b"\xa3\x95\x80", b",", b"Q", b"a", b"Z", b"TimeUS", b"\x80\
 
 HARNESSES = (
     Harness(
-        "frames", "frames of a stream", link.check_frames, link.stream_seeds, 4.0, _MAGICS, 600
+        "frames", "frames of a stream", link.check_frames, link.stream_seeds, 6.0, _MAGICS, 600
     ),
     Harness(
-        "datagrams", "frames of datagrams", link.check_datagrams, link.datagram_seeds, 3.0,
+        "datagrams", "frames of datagrams", link.check_datagrams, link.datagram_seeds, 6.0,
         _MAGICS, 600,
     ),
     Harness(
-        "tlog-scan", "frames of a .tlog", link.check_tlog_scan, link.log_seeds, 1.0, _MAGICS, 400
+        "tlog-scan", "frames of a .tlog", link.check_tlog_scan, link.log_seeds, 1.5, _MAGICS, 400
     ),
-    Harness("tlog", "a .tlog to records", link.check_tlog, link.tlog_seeds, 1.0, _MAGICS),
+    Harness("tlog", "a .tlog to records", link.check_tlog, link.tlog_seeds, 1.5, _MAGICS),
     Harness(
         "records", "MAVLink to records", link.check_records, link.program_seeds, 1.0, (), 200
     ),
     Harness(
-        "answers", "frames to our answers", link.check_answers, link.program_seeds, 1.0, (), 200
+        "answers", "frames to our answers", link.check_answers, link.program_seeds, 1.5, (), 200
     ),
     Harness(
-        "signatures", "signed frames", link.check_signatures, link.program_seeds, 1.0, (), 200
+        "signatures", "signed frames", link.check_signatures, link.program_seeds, 4.0, (), 200
     ),
-    Harness("ulg", "logs of PX4", files.check_ulg, files.ulg_seeds, 1.0, _ULOG, 4096),
-    Harness("bin", "logs of ArduPilot", files.check_bin, files.bin_seeds, 1.0, _FMT, 4096),
-    Harness("airframe", "airframe files", files.check_airframe, files.toml_seeds, 1.5, _TOML),
+    Harness("ulg", "logs of PX4", files.check_ulg, files.ulg_seeds, 4.0, _ULOG, 4096),
+    Harness("bin", "logs of ArduPilot", files.check_bin, files.bin_seeds, 3.0, _FMT, 4096),
+    Harness("airframe", "airframe files", files.check_airframe, files.toml_seeds, 6.0, _TOML),
     Harness(
-        "result", "results, baselines", files.check_result, files.result_seeds, 1.5, _JSON, 4096
+        "result", "results, baselines", files.check_result, files.result_seeds, 8.0, _JSON, 4096
     ),
-    Harness("plan", "flight plans", files.check_plan, files.plan_seeds, 1.5, _JSON),
-    Harness("truth", "truth files", files.check_truth, files.truth_seeds, 1.5, _JSON),
-    Harness("key", "keys for signing", files.check_key, files.key_seeds, 1.5, (), 200),
-    Harness("url", "names of links", files.check_url, files.url_seeds, 60.0, _WORDS, 100),
+    Harness("plan", "flight plans", files.check_plan, files.plan_seeds, 10.0, _JSON),
+    Harness("truth", "truth files", files.check_truth, files.truth_seeds, 10.0, _JSON),
+    Harness("key", "keys for signing", files.check_key, files.key_seeds, 8.0, (), 200),
+    Harness("url", "names of links", files.check_url, files.url_seeds, 15.0, _WORDS, 100),
     Harness(
-        "options", "options of the line", files.check_options, files.option_seeds, 30.0, _WORDS, 100
+        "options", "options of the line", files.check_options, files.option_seeds, 14.0, _WORDS, 100
     ),
-    Harness("wizard", "the wizard's answers", files.check_wizard, files.wizard_seeds, 1.0, _TALK),
+    Harness("wizard", "the wizard's answers", files.check_wizard, files.wizard_seeds, 1.5, _TALK),
 )  # fmt: skip

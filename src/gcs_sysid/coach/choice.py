@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from gcs_sysid.arrays import Array
 from gcs_sysid.coach.information import information
 from gcs_sysid.coach.manoeuvres import Manoeuvre
-from gcs_sysid.coach.motion import Motion, within_reach
+from gcs_sysid.coach.motion import Motion, reaching
 from gcs_sysid.coach.outlook import Outlook
+from gcs_sysid.coach.steps import Steps, finished
 from gcs_sysid.coach.targets import excess, is_enough
 from gcs_sysid.estimation.basis import LAG
 from gcs_sysid.estimation.online import Fit
@@ -70,17 +71,26 @@ def choose(
         judge: tells the shares of a fit.
         target: share to reach.
     """
+    return finished(choosing(outlook, library, judge, target))
+
+
+def choosing(
+    outlook: Outlook, library: Iterable[Manoeuvre], judge: Judge, target: float
+) -> Steps[Choice | None]:
+    """`choose` in steps."""
     now = judge(outlook.after())
     far = excess(now, _CLOSE * target)
     best: tuple[float, Manoeuvre, Motion, Array] | None = None
     for manoeuvre in library:
-        found = within_reach(manoeuvre, outlook.craft)
+        found = yield from reaching(manoeuvre, outlook.craft)
         if found is None:
             continue
         reached, motion = found
         if outlook.fit.rotation is None and not _starts(motion):
             continue
+        yield
         told = information(motion, outlook.craft, outlook.noise, float(outlook.coordinates[LAG]))
+        yield
         reached = reached.lasting(USUAL)
         left = excess(judge(_after(outlook, told, reached)), _CLOSE * target)
         if best is None or left < best[0]:
@@ -89,10 +99,12 @@ def choose(
         return None
     _, chosen, motion, told = best
     for seconds in _LENGTHS:
+        yield
         tried = chosen.lasting(float(seconds))
         if is_enough(judge(_after(outlook, told, tried)), _CLOSE * target):
             chosen = tried
             break
+    yield
     after = _after(outlook, told, chosen)
     return Choice(chosen, motion, now, judge(after), after, told)
 

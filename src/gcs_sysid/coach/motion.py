@@ -7,6 +7,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.coach.manoeuvres import Manoeuvre
+from gcs_sysid.coach.steps import Steps, finished
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
 
@@ -68,6 +69,11 @@ def within_reach(manoeuvre: Manoeuvre, craft: Craft) -> tuple[Manoeuvre, Motion]
 
     Yaw is given up first, as rotors have least to turn it with. None: not even a small one.
     """
+    return finished(reaching(manoeuvre, craft))
+
+
+def reaching(manoeuvre: Manoeuvre, craft: Craft) -> Steps[tuple[Manoeuvre, Motion] | None]:
+    """`within_reach` in steps."""
     for smaller in _SHRUNK:
         tilted = replace(
             manoeuvre,
@@ -79,6 +85,7 @@ def within_reach(manoeuvre: Manoeuvre, craft: Craft) -> tuple[Manoeuvre, Motion]
             tried = replace(tilted, yaw=_whole(weaker * manoeuvre.yaw))
             if not tried.can_be_seen:
                 break
+            yield
             motion = motion_of(tried, craft)
             if _is_within(motion.shares, craft):
                 return tried, motion

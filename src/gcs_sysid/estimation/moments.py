@@ -32,8 +32,6 @@ class Moments:
     def __init__(self, shape: Sequence[int], rows_per_batch: int, max_batches: int = 512) -> None:
         self._rows_per_batch = rows_per_batch
         self._batches = np.zeros((max_batches, *shape))
-        # Written once, so that the memory is had before the flight, not found wanting in it.
-        self._batches.fill(0.0)
         self._counts = np.zeros(max_batches, dtype=np.int64)
         self._full = 0
         self.total = np.zeros(shape)
@@ -48,6 +46,10 @@ class Moments:
         other._batches[:begun] = self._batches[:begun]
         other._counts, other.total = self._counts.copy(), self.total.copy()
         return other
+
+    def reserve(self) -> None:
+        """Have all memory now, before a long flight, and not find it wanting in it."""
+        self._batches[self._begun :] = 0.0  # untouched zeros take none
 
     @property
     def batches(self) -> Array:

@@ -151,6 +151,10 @@ class OnlineEstimator:
         density: Array = np.diag(left) * (self.dt / record.noise_gains()[fit.leak])
         return density
 
+    def reserve(self) -> None:
+        """Have all memory now that a long flight will need; many estimators live but shortly."""
+        self._record.reserve()
+
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
         self._record.restart()

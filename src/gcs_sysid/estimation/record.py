@@ -79,6 +79,11 @@ class FlightRecord:
         self.momentum = Moments((3, width, width), per_batch, kept)
         self.accelerometer = Moments((width, width), per_batch, kept)
 
+    def reserve(self) -> None:
+        """Have all memory now that a long flight will need."""
+        for moments in (self.rotation, self.momentum, self.accelerometer):
+            moments.reserve()
+
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
         self.flush()

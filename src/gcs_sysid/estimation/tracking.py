@@ -133,6 +133,7 @@ class Tracker:
         self._tuning = tuning
         self._keep = keep
         self._estimator = OnlineEstimator(geometry, dt, tuning)
+        self._estimator.reserve()
         self._estimator.prior_source = prior
         self._next: OnlineEstimator | None = None
         self._next_start = 0.0
@@ -276,7 +277,7 @@ class Tracker:
             # Of what was known only the scale is left, and the accelerometer.
             fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
             fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
-            self._estimator, self.kept = fresh, []
+            self._go_on_with(fresh, [])
             self.start = trial.start
             if self._changes is not None:
                 self._detector = ChangeDetector(self.geometry, self.dt, self._changes)
@@ -409,12 +410,17 @@ class Tracker:
                 fresh.accelerometer_gain = accelerometer_gain(
                     before.translation, before.accelerometer
                 )
-                self._estimator, self.kept = fresh, fresh_kept
+                self._go_on_with(fresh, fresh_kept)
                 self.start = self._next_start
                 self._arm_at = 0.0
         self._add(event)
         if len(self.segments) >= MOST_SEGMENTS:
             self._changes = self._detector = None
+
+    def _go_on_with(self, estimator: OnlineEstimator, kept: list[Samples]) -> None:
+        """Another vehicle from now on: what is known of the last one is in its segment."""
+        self._estimator, self.kept = estimator, kept
+        estimator.reserve()
 
     def _add(self, event: Event) -> None:
         self.events.append(event)

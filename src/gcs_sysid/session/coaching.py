@@ -9,10 +9,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.coach.choice import Choice, choose
+from gcs_sysid.coach.choice import Choice, choosing
 from gcs_sysid.coach.information import Noise, speed_noise
 from gcs_sysid.coach.manoeuvres import Limits, library
 from gcs_sysid.coach.outlook import Outlook, outlook_of
+from gcs_sysid.coach.steps import Steps
 from gcs_sysid.coach.supposed import supposed, supposed_noise
 from gcs_sysid.coach.targets import is_enough, shares
 from gcs_sysid.coach.words import motion_words, sentence
@@ -58,6 +59,9 @@ class CoachOptions:
 class Coach:
     """Watches a chain and says what to fly next.
 
+    To weigh all manoeuvres takes longer than a link can wait, so it is done in steps: `look` now
+    and then, `think` whenever there is nothing else to do. `advise` does all of it at once.
+
     Args:
         chain: fed by somebody else; the coach observes its samples.
         options: settings.
@@ -70,6 +74,8 @@ class Coach:
         self._chain = chain
         self._library = library(self.options.limits)
         self._advice: Advice | None = None
+        self._thought: Steps[Choice | None] | None = None
+        self._weighed: tuple[Fit, dict[str, float | None]] | None = None
         self._text = ""
         self._gains: tuple[str, ...] = ()
         self._next_look = 0.0
@@ -91,25 +97,56 @@ class Coach:
 
     def advise(self) -> Advice | None:
         """What to fly next; about once a second it is thought over."""
+        self.look()
+        while self.think():
+            pass
+        return self.look()
+
+    def look(self) -> Advice | None:
+        """The same as far as it is thought over."""
         chain = self._chain
         if not chain.sampler.flying:
-            self.choice = self._advice = None
-            self._next_look, self._chosen_at = 0.0, -np.inf
-            return None
-        if chain.t >= self._next_look:
+            self._forget()
+            self._next_look = 0.0
+        elif chain.t >= self._next_look:
             self._next_look = chain.t + _EVERY
-            self._advice = self._look()
+            self._see()
         return self._advice
 
-    def _look(self) -> Advice | None:
+    def think(self) -> bool:
+        """Think for some milliseconds; whether there is more to think about."""
+        if self._thought is None:
+            return False
+        try:
+            next(self._thought)
+            return True
+        except StopIteration as end:
+            found = end.value
+        except np.linalg.LinAlgError:
+            # Estimates may be anything while a flight begins; no advice is worth a session.
+            found = None
+        assert self._weighed is not None
+        self._thought = None
+        self._settle(found, *self._weighed)
+        return False
+
+    def _forget(self) -> None:
+        self.choice = self._advice = self._thought = None
+        self._chosen_at = -np.inf
+
+    def _see(self) -> None:
+        """Look how things stand, and begin to think where that is worth it."""
         fit = self._chain.fit
         if fit.seconds < _LEAST_SECONDS:
-            self.choice, self._chosen_at = None, -np.inf
-            return None
+            self._forget()
+            return
         now = self._judge(fit)
         if is_enough(now, self.options.target):
-            self.choice = None
-            return Advice("", f"enough: {self._met(now)}", progress=1.0, enough=True)
+            self._forget()
+            self._advice = Advice("", f"enough: {self._met(now)}", progress=1.0, enough=True)
+            return
+        if self._thought is not None:
+            return
         progress = self._progress()
         since = self._chain.t - self._chosen_at
         if (
@@ -118,9 +155,42 @@ class Coach:
             or progress >= _FLOWN
             or (progress < _BEGUN and since >= _STALE)
         ):
-            self._choose(fit, now)
-            progress = 0.0
+            self._begin(fit, now)
+        else:
+            self._advice = self._told(now, progress)
         self._seconds = fit.seconds
+
+    def _begin(self, fit: Fit, now: dict[str, float | None]) -> None:
+        """Begin to think about what to fly next."""
+        if any((now[name] or 1.0) >= _GROPING for name in ("Ixx", "Iyy")):
+            # What a hover's noise looks like is no vehicle.
+            fit = replace(fit, rotation=None)
+        self._weighed = fit, now
+        self._thought = self._weigh(fit)
+
+    def _weigh(self, fit: Fit) -> Steps[Choice | None]:
+        outlook = self._outlook(fit)
+        yield
+        return (yield from choosing(outlook, self._library, self._judge, self.options.target))
+
+    def _settle(self, found: Choice | None, fit: Fit, now: dict[str, float | None]) -> None:
+        """Advise what was found."""
+        self._chosen_at = self._chain.t
+        self._gathered[:] = 0.0
+        self._gains = ()
+        self.choice = found
+        if found is not None and fit.rotation is None:
+            # A rule of thumb picks the manoeuvre, but promises nothing.
+            self.choice = replace(found, manoeuvre=found.manoeuvre.lasting(_FIRST))
+            self._text = f"{motion_words(self.choice.manoeuvre)}: first values of everything"
+        elif found is not None:
+            # What is told is against the intervals that the pilot sees.
+            self.choice = found = replace(found, now=now)
+            self._gains = tuple(found.names[:_MOST_GAINS])
+            self._text = sentence(found.manoeuvre, found.names, now, found.expected)
+        self._advice = self._told(now, 0.0)
+
+    def _told(self, now: Mapping[str, float | None], progress: float) -> Advice | None:
         choice = self.choice
         if choice is None:
             return None
@@ -132,31 +202,6 @@ class Coach:
         )
         manoeuvre = choice.manoeuvre
         return Advice(manoeuvre.name, self._text, manoeuvre.seconds, progress, gains)
-
-    def _choose(self, fit: Fit, now: Mapping[str, float | None]) -> None:
-        if any((now[name] or 1.0) >= _GROPING for name in ("Ixx", "Iyy")):
-            # What a hover's noise looks like is no vehicle.
-            fit = replace(fit, rotation=None)
-        try:
-            found = choose(self._outlook(fit), self._library, self._judge, self.options.target)
-        except np.linalg.LinAlgError:
-            # Estimates may be anything while a flight begins; no advice is worth a session.
-            found = None
-        self._chosen_at = self._chain.t
-        self._gathered[:] = 0.0
-        self._gains = ()
-        self.choice = found
-        if found is None:
-            return
-        if fit.rotation is None:
-            # A rule of thumb picks the manoeuvre, but promises nothing.
-            self.choice = replace(found, manoeuvre=found.manoeuvre.lasting(_FIRST))
-            self._text = f"{motion_words(self.choice.manoeuvre)}: first values of everything"
-            return
-        # What is told is against the intervals that the pilot sees.
-        self.choice = found = replace(found, now=now)
-        self._gains = tuple(found.names[:_MOST_GAINS])
-        self._text = sentence(found.manoeuvre, found.names, now, found.expected)
 
     def _judge(self, fit: Fit) -> dict[str, float | None]:
         chain = self._chain

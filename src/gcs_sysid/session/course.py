@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.parameters import NOTHING, Value
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.session.snapshot import Course
@@ -12,11 +13,14 @@ MAX_POINTS = 4096
 
 
 class CourseRecorder:
-    """Keeps at most `MAX_POINTS` instants: when full, every second one goes."""
+    """Keeps at most `MAX_POINTS` instants: when full, every second one goes.
+
+    What is given out are views, not copies: an instant is written once, and in the place of one
+    that was given out never.
+    """
 
     def __init__(self) -> None:
-        self._t = np.empty(MAX_POINTS)
-        self._numbers = np.full((2, len(PARAMETERS), MAX_POINTS), np.nan)
+        self._t, self._numbers = _room()
         self._count = 0
         self._every = 1
         self._skipped = 0
@@ -28,10 +32,11 @@ class CourseRecorder:
             return
         self._skipped = 0
         if self._count == MAX_POINTS:
-            half = MAX_POINTS // 2
-            self._t[:half] = self._t[::2].copy()
-            self._numbers[:, :, :half] = self._numbers[:, :, ::2].copy()
-            self._count = half
+            times, numbers = self._t, self._numbers
+            self._t, self._numbers = _room()
+            self._count = MAX_POINTS // 2
+            self._t[: self._count] = times[::2]
+            self._numbers[:, :, : self._count] = numbers[:, :, ::2]
             self._every *= 2
         self._t[self._count] = t
         for i, name in enumerate(PARAMETERS):
@@ -42,14 +47,22 @@ class CourseRecorder:
 
     def clear(self) -> None:
         """Forget everything."""
+        self._t, self._numbers = _room()
         self._count = self._skipped = 0
         self._every = 1
 
     def course(self) -> Course:
-        """A copy that does not change any more."""
-        values, stds = self._numbers[:, :, : self._count].copy()
+        """The instants so far; what is given out does not change any more."""
+        t, numbers = self._t[: self._count], self._numbers[:, :, : self._count]
+        t.flags.writeable = numbers.flags.writeable = False
+        values, stds = numbers
         return Course(
-            self._t[: self._count].copy(),
+            t,
             dict(zip(PARAMETERS, values, strict=True)),
             dict(zip(PARAMETERS, stds, strict=True)),
         )
+
+
+def _room() -> tuple[Array, Array]:
+    """(m,) times and (2, parameters, m) values and standard deviations, none of them known."""
+    return np.empty(MAX_POINTS), np.full((2, len(PARAMETERS), MAX_POINTS), np.nan)

@@ -30,6 +30,8 @@ _ASK_EVERY = 0.2
 """s between looks at the rates that arrive."""
 _FEW, _GATHER = 16, 0.002
 """Frames in one go that are not worth waking for, and s to wait for more."""
+_THINK = 0.003
+"""s that the coach may think between looks at the link."""
 _PUBLISH_EVERY, _PUBLISH_LATE = 0.2, 0.4
 """s between snapshots; the longer one while more frames wait than are taken in one go."""
 _DRAINED_AFTER = 0.7
@@ -93,9 +95,9 @@ class LiveSession:
         self._latest: Snapshot | None = None
         self._told_result_at = 0.0
         self._asked = self._published = -float("inf")
-        self._rounds: list[Callable[[Sequence[Frame], float], None]] = [
-            self._identify,
-            self._watch_link,
+        self._rounds: list[Callable[[LiveSession, Sequence[Frame], float], None]] = [
+            LiveSession._identify,
+            LiveSession._watch_link,
         ]
         """What is done with frames beside recording them; a defect takes the first away."""
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
@@ -109,6 +111,7 @@ class LiveSession:
         if self._options.predict:
             chain.observers.append(self._prediction.take)
         self._coach = None if coach is None else Coach(chain, coach)
+        self._advised: Advice | None = None
 
     def start(self) -> None:
         """Begin."""
@@ -220,6 +223,7 @@ class LiveSession:
         self._tell_recording()
         self.final = self._final()
         self._publish(LinkState.ENDED)
+        self._pipeline.chain.observers.clear()  # they hold the chain: it would outlive its session
 
     def _loop(self) -> None:
         began = time.monotonic()
@@ -230,20 +234,22 @@ class LiveSession:
                 self._recording.write(frames)
             if self._rounds:
                 try:
-                    self._rounds[0](frames, now)
+                    self._rounds[0](self, frames, now)
                 except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
                     self._retreat(defect)
             while not self._actions.empty():
                 self._do(self._actions.get())
             self._tell_recording()
             # What is shown waits while frames do, but not for ever.
-            due = _PUBLISH_EVERY if len(frames) < _FEW else _PUBLISH_LATE
-            if now - self._published >= due:
+            few = len(frames) < _FEW
+            if now - self._published >= (_PUBLISH_EVERY if few else _PUBLISH_LATE):
                 self._published = now
                 self._publish(self._state())
+            elif few:
+                self._think()
             if self._stop.is_set() or self._ended(now, began):
                 return
-            if 0 < len(frames) < _FEW:
+            if frames and few:
                 # Let datagrams gather in the system's buffer: waking for each costs most.
                 self._stop.wait(_GATHER)
 
@@ -275,7 +281,7 @@ class LiveSession:
 
     @property
     def _identifying(self) -> bool:
-        return self._rounds[:1] == [self._identify]
+        return self._rounds[:1] == [LiveSession._identify]
 
     def _retreat(self, defect: Exception) -> None:
         """Do less from now on: what has failed once would fail again."""
@@ -375,6 +381,7 @@ class LiveSession:
         self._need_estimate()
         self._station.leave()
         intake = self._pipeline.intake
+        self._pipeline.chain.observers.clear()
         self._begin(vehicle.address)
         selector = self._pipeline.intake.selector
         for known in intake.selector.autopilots:  # the others stay to be chosen
@@ -386,15 +393,21 @@ class LiveSession:
             self._note(self._recording.start(path))
 
     def _advice(self) -> Advice | None:
-        """The coach's; a defect of the coach is told once and costs no flight."""
+        self._think()  # busy or not
+        return self._advised
+
+    def _think(self) -> None:
+        """Let the coach think a little; a defect of it is told once and costs no flight."""
         if self._coach is None:
-            return None
+            return
         try:
-            return self._coach.advise()
+            enough = time.monotonic() + _THINK
+            while self._coach.think() and time.monotonic() < enough:
+                pass
+            self._advised = self._coach.look()
         except Exception as defect:  # noqa: BLE001 - words alone are lost
-            self._coach = None
+            self._coach = self._advised = None
             self._note(f"{_in_words(defect)}: the coach falls silent")
-            return None
 
     def _publish(self, state: LinkState) -> None:
         while True:
