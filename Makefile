@@ -32,7 +32,7 @@ $(SIMULATORS_INSTALLED): $(INSTALLED)
 	@touch $@
 
 # One thread a process: more would only wait for each other.
-test test-all quick: export OMP_NUM_THREADS = 1
+test test-all quick soak soak-short: export OMP_NUM_THREADS = 1
 
 test: $(SIMULATORS_INSTALLED) ## the tests
 	$(BIN)/python -m pytest -n auto --dist loadfile
@@ -83,8 +83,8 @@ MINUTES ?= 60
 soak: $(INSTALLED) ## flights with faults drawn at random, an hour long; MINUTES=...
 	$(BIN)/python -m benchmarks.reliability.soak --minutes $(MINUTES)
 
-soak-short: $(INSTALLED) ## the same for five minutes
-	$(BIN)/python -m benchmarks.reliability.soak --minutes 5
+soak-short: $(INSTALLED) ## the same, five minutes of flight
+	$(BIN)/python -m benchmarks.reliability.soak --flights 5
 
 docs: $(INSTALLED) ## the documentation as a site, into build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict

@@ -87,6 +87,13 @@ def test_what_cannot_be_identified_from_is_still_an_answer(inspect, fly):
     assert "Can be identified from: NO" in out
 
 
+def test_a_recording_that_was_not_ended_is_told(inspect, flight, tmp_path):
+    path = tmp_path / "torn.tlog"
+    path.write_bytes(flight.tlog.read_bytes()[:-5])
+    _, out, _ = inspect(path)
+    assert re.search(r"the last record is cut short: \d+ bytes \(the recording was not", out)
+
+
 @pytest.mark.parametrize("name", ["missing.tlog", "nonesuch", "text.bin"])
 def test_unreadable_gives_one_line(inspect, name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.anchors import Anchor
-from gcs_sysid.estimation.parameters import CORE, NOTHING, Value, physical_parameters, verdict
+from gcs_sysid.estimation.parameters import (
+    CORE,
+    NOTHING,
+    Value,
+    motor_lag,
+    physical_parameters,
+    verdict,
+)
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.model import rigid_body as rb
@@ -179,3 +186,20 @@ def test_commands_name_their_own_parameters():
     assert physical_parameters(anchor, ROTATION, TRANSLATION, ARM, rotor_input="command")[
         "T_max"
     ].value == pytest.approx(K_T)
+
+
+def test_a_motors_form_is_doubted_the_more_the_slower_it_is():
+    """However well commands fit, a lag of the speed is not one of the command."""
+    known = np.diag(np.append((1e-5 * THETA) ** 2, [1e-10, 1e-10, 1e-8]))
+    sure = replace(TRANSLATION, kappa_std=1e-5 * KAPPA)
+    stds = []
+    for lag in (0.01, 0.03, 0.06):
+        at = np.array([0.0, lag, 0.5])
+        fit = replace(spread(1e-5), full_covariance=known, coordinates=at)
+        found = physical_parameters(Anchor("mass", MASS), fit, sure, ARM, rotor_input="command")
+        stds.append([found[name].std for name in ("thrust_curve", "T_max", "cg_x")])
+        assert motor_lag(fit).std == pytest.approx(0.02 * lag, rel=0.02)
+    quick, usual, slow = np.array(stds)
+    np.testing.assert_allclose(usual, quick)
+    np.testing.assert_allclose(slow, 2.0 * usual, rtol=0.01)
+    assert usual[0] == pytest.approx(0.0015, rel=0.01)

@@ -114,3 +114,76 @@ def test_a_verdict_does_not_depend_on_when_it_is_asked_for():
     np.testing.assert_array_equal(np.array(values), late.at(np.array(times)))
     assert late.wild == 2
     assert np.nanmax(np.abs(np.diff(values, axis=0))) < 250.0
+
+
+def moving(seconds=6.0, rate=250.0, seed=7):
+    """Times and whole rpm of four rotors, as an ESC tells them."""
+    t = np.arange(round(seconds * rate)) / rate
+    noise = np.random.default_rng(seed).normal(0.0, 5.0, (len(t), 4))
+    return t, np.round(speeds_of(t) * 9.55 + noise)
+
+
+def given_out(t, v, grid):
+    """What a stream gives at grid times, each asked for as soon as it is settled."""
+    buffer, values, done = RotorBuffer(v.shape[1]), np.full((len(grid), v.shape[1]), np.nan), 0
+    for time, row in zip(t.tolist(), v.tolist(), strict=True):
+        buffer.push(time, tuple(row))
+        upto = int(np.searchsorted(grid, buffer.settled(time), side="right"))
+        if upto > done:
+            values[done:upto] = buffer.at(grid[done:upto])
+            buffer.forget_before(grid[upto - 1])
+            done = upto
+    return buffer, values[:done]
+
+
+def test_speeds_that_stand_still_under_new_stamps_are_taken_for_lost():
+    t, v = moving()
+    v[1000:1125] = v[999]
+    buffer, values = given_out(t, v, t[5:] + 0.001)
+    lost = np.isnan(values).any(axis=1)
+    times = (t[5:] + 0.001)[: len(values)]
+    np.testing.assert_array_equal(lost, (times > t[999]) & (times < t[1125]))
+    assert buffer.still == 125
+    assert buffer.wild == 0
+
+
+def test_a_stream_that_often_repeats_itself_is_no_fault():
+    t, v = moving()
+    v = v[np.arange(len(v)) // 4 * 4]  # readings at a quarter of the rate
+    v[1000:1125] = v[999]
+    buffer, values = given_out(t, v, t[5:] + 0.001)
+    assert buffer.still == 0
+    assert np.isfinite(values).all()
+
+
+def test_motors_that_stand_are_told():
+    t, v = moving()
+    v[1000:] = 0.0
+    buffer, values = given_out(t, v, t[5:])
+    assert buffer.still == 0
+    assert (values[1100:] == 0.0).all()
+
+
+@pytest.mark.parametrize("at_once", [7, 90])
+def test_samples_at_once_tell_the_same_as_one_by_one(at_once):
+    t, v = moving()
+    v[300:310], v[1000:1125] = v[299], v[999]
+    grid = t[5:-10] + 0.001
+    whole, values = given_out(t, v, grid)
+    buffer, found, refused = RotorBuffer(4), [], 0
+    for start in range(0, len(t), at_once):
+        part = slice(start, start + at_once)
+        if start and buffer.extends(t[part], v[part]):
+            buffer.extend(t[part], v[part])
+        else:
+            refused += 1
+            for time, row in zip(t[part].tolist(), v[part].tolist(), strict=True):
+                buffer.push(time, tuple(row))
+        ready = grid[len(found) : int(np.searchsorted(grid, buffer.settled(t[part][-1]), "right"))]
+        if len(ready):
+            found += list(buffer.at(ready))
+            buffer.forget_before(ready[-1])
+    n = min(len(found), len(values))
+    np.testing.assert_array_equal(np.array(found)[:n], values[:n])
+    assert buffer.still == whole.still == 125
+    assert refused <= 2 + 125 // at_once + 1

@@ -6,6 +6,7 @@ import struct
 import threading
 import time
 import tracemalloc
+import weakref
 from collections import deque
 
 import pytest
@@ -14,6 +15,7 @@ from fastcrc import crc16
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation import tracking
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.session.coaching import CoachOptions
 from gcs_sysid.session.live import LiveSession
 from gcs_sysid.session.live_options import LiveOptions
 from gcs_sysid.session.snapshot import LinkState
@@ -203,6 +205,17 @@ def test_wishes_wait_in_a_bounded_queue(session):
         session.toggle_recording()
 
 
+def test_a_recording_that_is_being_started_is_not_stopped_by_haste(session, monkeypatch, tmp_path):
+    """Both presses would be told that it starts."""
+    monkeypatch.chdir(tmp_path)
+    assert session.toggle_recording().startswith("recording to")
+    with pytest.raises(InputError, match="try again"):
+        session.toggle_recording()
+    session._do(session._actions.get())
+    assert session.toggle_recording().endswith("stopped")
+    session._recording.finish()
+
+
 def test_changes_are_kept_up_to_a_number():
     tracker = tracking.Tracker(load_airframe("paper").geometry, 0.004, tracking.Tuning())
     for n in range(3 * tracking.MOST_PASSING):
@@ -287,6 +300,25 @@ def test_a_defect_costs_the_estimate_and_not_the_recording(running, where, name,
     assert told[0].startswith("internal error (ZeroDivisionError: a defect): the estimate ends")
     assert any("its last good one" in reason for reason in session.final.reasons)
     assert session.recordings() == [f"recorded to {path}"]
+
+
+def test_an_ended_session_leaves_nothing_for_the_garbage_collector(tmp_path):
+    """Its estimator has tens of megabytes, which must not wait for a collection."""
+    link = FakeLink()
+    options = LiveOptions(coach=CoachOptions(), predict=True)
+    session = LiveSession(link, load_airframe("paper"), options, tmp_path / "own.tlog")
+    chain = weakref.ref(session._pipeline.chain)
+    gc.collect()
+    gc.disable()
+    try:
+        session.start()
+        flown(link, 50)
+        until(session, lambda shown: shown.link.received >= 50)
+        session.stop()
+        del session
+        assert chain() is None
+    finally:
+        gc.enable()
 
 
 def test_a_defect_at_the_very_end_leaves_the_last_result(running):

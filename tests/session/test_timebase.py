@@ -11,7 +11,14 @@ from gcs_sysid.session.timebase import TimeBase
 from gcs_sysid.telemetry.logs import open_log
 
 IMU, ATTITUDE, SPEED = ((s, "", 0) for s in (Stream.IMU, Stream.ATTITUDE, Stream.ROTOR_SPEED))
-WIDTH = {Stream.IMU: 6, Stream.ATTITUDE: 4, Stream.ROTOR_SPEED: 4, Stream.IN_AIR: 1}
+VELOCITY = (Stream.VELOCITY, "", 0)
+WIDTH = {
+    Stream.IMU: 6,
+    Stream.ATTITUDE: 4,
+    Stream.ROTOR_SPEED: 4,
+    Stream.VELOCITY: 6,
+    Stream.IN_AIR: 1,
+}
 
 
 def cubic(t, width):
@@ -151,6 +158,49 @@ def test_gap_of_one_stream_is_marked_and_the_others_go_on():
         atol=1e-5,  # beside the gap a straight line instead of the cubic
     )
     assert run.base.restarts == 0
+
+
+def lossy(share=0.2, scatter=0.02, seed=5):
+    """What comes of a flight over a link that loses a fifth and mixes up the rest."""
+    rng = np.random.default_rng(seed)
+    sent = [*usual(100.0), *stream(Stream.VELOCITY, 50.0, 0.0007, 6.0)]
+    came = [(r.t + scatter * rng.random(), r) for r in sent if rng.random() >= share]
+    return [r for _, r in sorted(came, key=lambda pair: pair[0])]
+
+
+@pytest.mark.parametrize("tick", [0.001, 0.3])
+def test_what_is_bridged_does_not_depend_on_when_it_is_asked_for(tick):
+    often, usually = Run(lossy(), tick), Run(lossy())
+    upto = usually.t < 5.7
+    for key in (ATTITUDE, VELOCITY):
+        np.testing.assert_array_equal(often.values(key)[: upto.sum()], usually.values(key)[upto])
+
+
+@pytest.mark.parametrize("lost", [1, 4, 6])
+def test_velocity_is_carried_over_lost_samples(lost):
+    records = [*usual(), *stream(Stream.VELOCITY, 50.0, 0.0007, 6.0)]
+    gone = (3.0, 3.0 + 0.02 * lost)
+    came = [
+        (r.t + (0.02 if r.stream is Stream.VELOCITY else 0.0), r)
+        for r in records
+        if r.stream is not Stream.VELOCITY or not gone[0] < r.t < gone[1]
+    ]
+    run = Run([r for _, r in sorted(came, key=lambda pair: pair[0])])
+    inside = (run.t > 0.1) & (run.t < 5.9)
+    assert np.abs(run.values(VELOCITY) - cubic(run.t, 6))[inside].max() < 1e-3
+
+
+def test_a_velocity_that_is_gone_holds_nothing_up():
+    records = [*usual(), *stream(Stream.VELOCITY, 50.0, 0.0007, 3.0)]
+    base = TimeBase()
+    behind = []
+    for r in sorted(records, key=lambda r: r.t):
+        block = base.push(r)
+        if block is not None:
+            behind.append((r.t, r.t - block.t[-1]))
+    late = [lag for t, lag in behind if t > 3.4]
+    assert late
+    assert max(late) < 0.06
 
 
 def test_repeated_samples_are_dropped_and_counted():

@@ -27,7 +27,18 @@ def test_a_truncated_last_record_is_left_out(tmp_path, flight):
     path = tmp_path / "cut.tlog"
     for cut in range(1, len(flight[-1][1].raw) + 8):
         path.write_bytes(data[:-cut])
-        assert list(read_tlog(path)) == flight[:-1]
+        reader = read_tlog(path)
+        assert list(reader) == flight[:-1]
+        assert reader.counts.cut_short == 8 + len(flight[-1][1].raw) - cut
+
+
+def test_what_is_no_record_is_not_taken_for_one_cut_short(tmp_path, flight):
+    path = tmp_path / "whole.tlog"
+    for after in (b"", bytes(9), bytes(8) + b"\xfd\x09\x02", bytes(8) + b"\xfe\x00" + bytes(9)):
+        path.write_bytes(as_bytes(flight) + after)
+        reader = read_tlog(path)
+        assert list(reader) == flight
+        assert reader.counts.cut_short == 0
 
 
 @pytest.mark.parametrize("seed", range(100))

@@ -202,7 +202,7 @@ def _show(
         try:
             if not stopped.is_set():
                 app.run()
-            if app.defect is not None:
+            if app.defect is not None and not stopped.is_set():
                 kind = type(app.defect).__name__
                 output.say(
                     f"the screen has failed ({kind}: {app.defect}); the session goes on without "

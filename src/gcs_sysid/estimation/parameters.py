@@ -45,7 +45,7 @@ leave a slow remainder of that size that no scatter within one flight tells."""
 
 _CURVE_SHAPE = 1e-3
 """Of the CG's offset with commands, least standard deviation: thrust curves are not quite of the
-form fitted (measured: 0.13 % where the lag is the speed's, not the command's)."""
+form fitted (measured: 0.13 % where the lag is the speed's, not the command's; see `_slowness`)."""
 
 _DELAY_YARDSTICK = 0.02
 """s, what a delay is measured against: 10 ms of it cost 30 % on Izz."""
@@ -79,7 +79,12 @@ flight is that of noise, and says nothing of it."""
 
 _COMMAND_ERROR = 0.0015
 """Relative, of what rests on commands: a motor is not quite of first order, nor its thrust quite a
-parabola of the command. On flights of the emulator it leaves 0.1 to 0.25 %."""
+parabola of the command. On flights of the emulator it leaves 0.1 to 0.25 %, in the thrust curve as
+well; see `_slowness`."""
+_QUICK_MOTOR = 0.03
+"""s, lag of the motors that these errors were measured with."""
+_LAG_ERROR = 0.02
+"""Relative, of a motor's lag: up to 3.5 % at 100 Hz and on recorded flights."""
 
 
 @dataclass(frozen=True)
@@ -121,12 +126,13 @@ def physical_parameters(
     own = ("k_T", "k_M") if rotor_input == "speed" else ("T_max", "thrust_curve")
     more = ("moment_ratio", "rotational_damping", "rotor_inertia", "linear_drag")
     out = dict.fromkeys((*_BODY, *own, *more), NOTHING)
-    doubt = 0.0 if rotor_input == "speed" else _COMMAND_ERROR
+    slowness = 0.0 if rotor_input == "speed" else _slowness(rotation)
+    doubt = _COMMAND_ERROR * slowness
     if rotation is not None:
         # Lengths need no scale at all.
         for name, index in (("cg_x", rb.CG_X), ("cg_y", rb.CG_Y)):
             offset = float(rotation.theta[index])
-            shape = 0.0 if rotor_input == "speed" else _CURVE_SHAPE * offset
+            shape = _CURVE_SHAPE * slowness * offset
             std = math.hypot(rotation.std[index], _CG_FLOOR * arm, shape)
             out[name] = _judged(offset, std, 0.2 * arm)
         ratio = float(rotation.theta[rb.MOMENT_RATIO])
@@ -156,7 +162,7 @@ def physical_parameters(
             spread = math.hypot(scale.thrust_share, doubt)
             out |= _scaled(rotation, scale.thrust, spread, 0.0 if anchor.kind == thrust else bend)
         if rotor_input == "command":
-            out["thrust_curve"] = _coordinate(rotation, CURVE, 1.0)
+            out["thrust_curve"] = _coordinate(rotation, CURVE, 1.0, doubt)
             out["rotor_inertia"] = NOTHING
             out.pop("k_M", None)
         for name in _AXES.keys() & out.keys():
@@ -190,14 +196,33 @@ def motor_lag(rotation: RotationFit | None) -> Value:
     """Time constant from command to rotor, s."""
     if rotation is None or rotation.r_squared.min() < UNOBSERVABLE_BELOW_R2:
         return NOTHING
-    return _coordinate(rotation, LAG, _LAG_YARDSTICK)
+    doubt = _LAG_ERROR * float(rotation.coordinates[LAG])
+    return _coordinate(rotation, LAG, _LAG_YARDSTICK, doubt)
 
 
-def _coordinate(rotation: RotationFit, which: int, yardstick: float) -> Value:
-    """One of the grid's coordinates; given where it was not estimated."""
+def _slowness(rotation: RotationFit | None) -> float:
+    """What the errors of a motor's form are multiplied with, at least 1.
+
+    Whether a rotor's speed lags or its command is of no account for small changes; for large ones
+    it is, the more so the longer the lag: 60 ms leave 0.44 %, three times what 30 ms leave.
+    """
+    return 1.0 if rotation is None else max(1.0, float(rotation.coordinates[LAG]) / _QUICK_MOTOR)
+
+
+def _coordinate(rotation: RotationFit, which: int, yardstick: float, doubt: float = 0.0) -> Value:
+    """One of the grid's coordinates; given where it was not estimated.
+
+    Args:
+        rotation: the fit.
+        which: coordinate.
+        yardstick: what it is measured against.
+        doubt: what its form may be off by, in its unit.
+    """
     value = float(rotation.coordinates[which])
     std = float(rotation.coordinates_std[which])
-    return _judged(value, std, yardstick) if std > 0.0 else Value(value, 0.0, "given")
+    if std == 0.0:
+        return Value(value, 0.0, "given")
+    return _judged(value, math.hypot(std, doubt), yardstick)
 
 
 def _scaled(rotation: RotationFit, thrust: float, spread: float, bend: float) -> dict[str, Value]:

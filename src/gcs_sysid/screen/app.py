@@ -120,7 +120,9 @@ class SysidApp(ActingApp):
         self.draw()
 
     def draw(self) -> None:
-        """Draw the present view."""
+        """Draw the present view, unless the screen is being left: nothing can be added then."""
+        if not self._main.is_attached:
+            return
         if self._snapshot is not None:
             self._exponents = fmt.choose_exponents(
                 self._snapshot.result, self.truth, self._exponents

@@ -130,7 +130,7 @@ class Chain:
         self._tracker: Tracker | None = None
         self._told = 0
         self._usable = True
-        self._spiked = False
+        self._spiked = self._stood_still = False
         self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self._course_number = 0.0
         self._fit = Fit(None, None, 0.0)
@@ -403,6 +403,7 @@ class Chain:
             "restarts": base.restarts,
             "imu_outliers": asdict(base.faults),
             "rotor_outliers": base.wild_speeds,
+            "rotor_still": base.still_speeds,
             "rotor_input": self._input_telemetry(),
         }
 
@@ -522,10 +523,17 @@ class Chain:
         return [int(i) + 1 for i in np.flatnonzero(renewed)]
 
     def _tell_outliers(self) -> None:
-        """Say when the first gyro spike was replaced; how many there were is in the result."""
-        if self.sampler.time_base.faults.spikes and not self._spiked:
+        """Say when the first gyro spike was replaced, and when rotor speeds first stood still.
+
+        How many there were is in the result.
+        """
+        base = self.sampler.time_base
+        if base.faults.spikes and not self._spiked:
             self._spiked = True
             self.note("spikes on the gyro: replaced by what their neighbours say")
+        if base.still_speeds and not self._stood_still:
+            self._stood_still = True
+            self.note("rotor speeds stood still, old ones under new stamps: left out")
 
     def _tell_rate(self) -> None:
         """Say when the IMU becomes too slow for the grid, and when it no longer is."""

@@ -91,13 +91,14 @@ class LiveSession:
         self._sender_gone = sender_gone
         self._on_result = on_result
         self._actions: queue.Queue[Callable[[], None]] = queue.Queue(_MOST_ACTIONS)
+        self._toggling = False
         self._stop = threading.Event()
         self._latest: Snapshot | None = None
         self._told_result_at = 0.0
         self._asked = self._published = -float("inf")
-        self._rounds: list[Callable[[Sequence[Frame], float], None]] = [
-            self._identify,
-            self._watch_link,
+        self._rounds: list[Callable[[LiveSession, Sequence[Frame], float], None]] = [
+            LiveSession._identify,
+            LiveSession._watch_link,
         ]
         """What is done with frames beside recording them; a defect takes the first away."""
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
@@ -146,14 +147,34 @@ class LiveSession:
         self._ask(self._reset)
 
     def toggle_recording(self) -> str:
-        """Start or stop recording; says which."""
+        """Start or stop recording; says which.
+
+        Raises:
+            InputError: it is being started or stopped, or see `_ask`.
+        """
+        if self._toggling:
+            raise InputError("recording is being started or stopped: try again")
         recording = self._recording
         if recording.active:
-            self._ask(lambda: self._note(recording.stop()))
+            self._ask_toggle(recording.stop)
             return f"recording {recording.path} stopped"
         path = recording.next_path()
-        self._ask(lambda: self._note(recording.start(path)))
+        self._ask_toggle(lambda: recording.start(path))
         return f"recording to {path}"
+
+    def _ask_toggle(self, change: Callable[[], str]) -> None:
+        self._toggling = True
+        try:
+            self._ask(lambda: self._toggle(change))
+        except InputError:
+            self._toggling = False
+            raise
+
+    def _toggle(self, change: Callable[[], str]) -> None:
+        try:
+            self._note(change())
+        finally:
+            self._toggling = False
 
     def _ask(self, action: Callable[[], None]) -> None:
         """Have something done in the session's thread.
@@ -223,6 +244,7 @@ class LiveSession:
         self._tell_recording()
         self.final = self._final()
         self._publish(LinkState.ENDED)
+        self._pipeline.chain.observers.clear()  # they hold the chain: it would outlive its session
 
     def _loop(self) -> None:
         began = time.monotonic()
@@ -233,7 +255,7 @@ class LiveSession:
                 self._recording.write(frames)
             if self._rounds:
                 try:
-                    self._rounds[0](frames, now)
+                    self._rounds[0](self, frames, now)
                 except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
                     self._retreat(defect)
             while not self._actions.empty():
@@ -280,7 +302,7 @@ class LiveSession:
 
     @property
     def _identifying(self) -> bool:
-        return self._rounds[:1] == [self._identify]
+        return self._rounds[:1] == [LiveSession._identify]
 
     def _retreat(self, defect: Exception) -> None:
         """Do less from now on: what has failed once would fail again."""
@@ -380,6 +402,7 @@ class LiveSession:
         self._need_estimate()
         self._station.leave()
         intake = self._pipeline.intake
+        self._pipeline.chain.observers.clear()
         self._begin(vehicle.address)
         selector = self._pipeline.intake.selector
         for known in intake.selector.autopilots:  # the others stay to be chosen

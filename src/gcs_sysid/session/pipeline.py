@@ -130,6 +130,8 @@ class Pipeline:
             heard = f"; heard: {others}" if others else ""
             which = " the wanted" if self._wanted else " any"
             reasons = (f"no heartbeat of{which} autopilot was heard{heard}",)
+        elif result.verdict != "identified":
+            reasons = (*reasons, *self._telemetry.problems)
         telemetry = {**self._telemetry.as_dict(), **result.telemetry}
         if self._recorded is not None:
             telemetry["recorded"] = f"{self._recorded:%Y-%m-%d %H:%M} UTC"

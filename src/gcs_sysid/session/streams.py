@@ -21,8 +21,10 @@ _ALIKE, _STILL = 0.7, 0.3
 """Share of steps that make up a stream's rate, and that show that it is still the same."""
 _SAME = 5e-7
 """Times closer than this (s) are the same: stamps are whole microseconds."""
-_SHORTEST, _SHORT = 0.04, 0.065
-"""s; gaps that are bridged in fast streams: three lost samples at 100 Hz, two at 50 Hz."""
+_SHORTEST = 0.04
+"""s; a shorter time is no gap."""
+_BRIDGED = ((4, 0.052), (2, 0.065))
+"""Lost samples in a row that are bridged, as long as the gap (s) is not longer."""
 _REORDER = 0.02
 """s; a sample that comes after one so much newer still finds its place. The grid, which is 0.04 s
 behind at least, has not been there."""
@@ -38,12 +40,16 @@ class StreamBuffer:
     Args:
         width: numbers in a sample.
         hold: whether the last value holds (states) instead of being interpolated (signals).
+        bridged: s; a shorter time between samples is no gap, however fast they usually come.
         keep: samples kept behind the grid.
     """
 
-    def __init__(self, width: int, *, hold: bool = False, keep: int = _KEEP) -> None:
+    def __init__(
+        self, width: int, *, hold: bool = False, bridged: float = 0.0, keep: int = _KEEP
+    ) -> None:
         self.width = width
         self._keep = keep
+        self._bridged = bridged
         self.hold = hold
         self.repeated = 0
         """Samples dropped because their stamp was not new."""
@@ -135,6 +141,23 @@ class StreamBuffer:
         """Time of the oldest sample kept."""
         return float(self._arrays()[0][0])
 
+    @property
+    def gap(self) -> float:
+        """Time in s beyond which two samples have nothing between them."""
+        return max(usual_gap(self.interval), self._bridged)
+
+    def known_until(self, horizon: float) -> float:
+        """Time up to which samples to come change nothing, if none of before `horizon` does.
+
+        After a lost sample the next may still bridge the gap: that is worth waiting for. A stream
+        that has been silent for longer holds nothing up.
+        """
+        t, _ = self._arrays()
+        if not len(t) or t[-1] + self.gap < horizon:
+            return np.inf
+        # Cubics end on the last but one.
+        return float(t[-2] if len(t) > 1 and t[-1] - t[-2] <= self.gap else t[-1])
+
     def at(self, grid: Array, gap: float | None = None) -> Array:
         """(n, width) values at the grid times, NaN where the stream has a gap.
 
@@ -151,7 +174,7 @@ class StreamBuffer:
             index = np.searchsorted(t, grid + _SAME, side="right") - 1
             return np.where(index[:, None] >= 0, v[np.maximum(index, 0)], np.nan)
         if gap is None:
-            gap = usual_gap(self.interval)
+            gap = self.gap
         return interpolate(*self._sound(t, v, grid, gap), grid, gap)
 
     def _sound(self, t: Array, v: Array, grid: Array, gap: float) -> tuple[Array, Array]:
@@ -163,6 +186,15 @@ class StreamBuffer:
         times, _ = self._arrays()
         older = int(np.searchsorted(times, t))
         self._start += max(min(older, len(times)) - self._keep, 0)
+
+    def _drop_after(self, t: float) -> int:
+        """Forget the samples after a time, as if they had not come; how many there were."""
+        times, _ = self._arrays()
+        dropped = len(times) - int(np.searchsorted(times, t, side="right"))
+        self._end -= dropped
+        if dropped:
+            self._newest = t
+        return dropped
 
     def _arrays(self) -> tuple[Array, Array]:
         """Times and values of all samples, as views."""
@@ -207,12 +239,13 @@ class StreamBuffer:
 def usual_gap(interval: float) -> float:
     """Time in s beyond which two samples of a stream have nothing between them.
 
-    One lost sample is always bridged. So are more, two in a row at least, as long as the gap stays
-    short against the windows of the estimator (0.2 s), which hardly let anything faster through:
-    over a link that loses every fifth message half of all windows would else be lost, most of all
-    those of the momentum balance, which lives on long unbroken stretches.
+    One lost sample is always bridged. So are more, four in a row at 100 Hz and two at 50 Hz, as
+    long as the gap stays short against the windows of the estimator (0.2 s), which hardly let
+    anything faster through: over a link that loses every fifth message half of all windows would
+    else be lost, most of all those of the momentum balance, which lives on long unbroken stretches.
     """
-    return max(2.6 * interval, min(3.2 * interval, _SHORT), _SHORTEST) + _SAME
+    bridged = (min((lost + 1.2) * interval, most) for lost, most in _BRIDGED)
+    return max(2.6 * interval, *bridged, _SHORTEST) + _SAME
 
 
 def usual_interval(steps: Sequence[float]) -> float:

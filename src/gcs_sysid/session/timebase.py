@@ -22,11 +22,18 @@ Key = tuple[Stream, str, int]
 """Stream, source, first rotor."""
 _IMU: Key = (Stream.IMU, "", 0)
 
+_AWAITED = (Stream.ATTITUDE, Stream.VELOCITY, Stream.ROTOR_COMMAND)
+"""Streams whose next sample the grid waits for; IMU and measured speeds have rules of their own."""
+
 _LEAST_STEP = 1e-4
 """s, of the grid. No IMU is sent faster; stamps that claim it would make a second of flight a
 million samples."""
-_LEAST_LAG = 0.04
+_LEAST_LAG, _MOST_LAG = 0.04, 0.3
 """s, of the grid behind the newest sample."""
+_CARRIED = 0.15
+"""s between velocities that still tell what moved the vehicle in between. A velocity is a sum
+already: across lost samples its change is the whole impulse, which the momentum balance would
+lose, and begin anew with what the velocity is off at that moment."""
 _ROUNDING = 1e-6
 """s, of sums of ticks."""
 _FEW = 16
@@ -80,7 +87,7 @@ class TimeBase:
         self.faults = SensorFaults()
         """Outliers of the IMU, found so far."""
         self._buffers: dict[Key, StreamBuffer] = {}
-        self._wild_before = 0
+        self._wild_before = self._still_before = 0
         self._newest = -np.inf
         self._started = False
         self._fresh = True
@@ -95,7 +102,7 @@ class TimeBase:
         Two samples of the slowest signal, so that the cubic has both its right neighbours.
         """
         slowest = max(b.interval for b in self._buffers.values() if not b.hold)
-        return min(max(4.0 * self.dt, 2.2 * slowest, _LEAST_LAG), 0.3)
+        return min(max(4.0 * self.dt, 2.2 * slowest, _LEAST_LAG), _MOST_LAG)
 
     @property
     def imu_interval(self) -> float:
@@ -163,11 +170,18 @@ class TimeBase:
         return self.catch_up()
 
     def catch_up(self) -> Block | None:
-        """Give out what there is, tick or no tick: all but the samples of the last `lag`."""
+        """Give out what there is, tick or no tick: all but the samples of the last `lag`.
+
+        Where a stream has lost samples the grid waits for the next one, for a while.
+        """
         if not self._started:
             return None
+        horizon = self._newest - self.lag
+        waits = (b for key, b in self._buffers.items() if key[0] in _AWAITED)
+        known = min((b.known_until(horizon) for b in waits), default=np.inf)
+        horizon = min(horizon, max(known, self._newest - _MOST_LAG))
         settled = [b.settled(self._newest) for b in self._rotor_buffers()]
-        return self._emit(min(self._newest - self.lag, self._imu_buffer().settled(), *settled))
+        return self._emit(min(horizon, self._imu_buffer().settled(), *settled))
 
     def _tick_on(self, t: float) -> None:
         past = t + _ROUNDING - self._next_tick
@@ -210,7 +224,8 @@ class TimeBase:
             if record.stream is Stream.ROTOR_SPEED:
                 buffer = RotorBuffer(width)
             else:
-                buffer = StreamBuffer(width, hold=hold)
+                bridged = _CARRIED if record.stream is Stream.VELOCITY else 0.0
+                buffer = StreamBuffer(width, hold=hold, bridged=bridged)
             self._buffers[key] = buffer
         return buffer
 
@@ -221,6 +236,11 @@ class TimeBase:
     def wild_speeds(self) -> int:
         """Messages of rotor speeds with a wild value, taken for lost."""
         return self._wild_before + sum(b.wild for b in self._rotor_buffers())
+
+    @property
+    def still_speeds(self) -> int:
+        """Messages of rotor speeds that stood still, taken for lost."""
+        return self._still_before + sum(b.still for b in self._rotor_buffers())
 
     def _imu_buffer(self) -> InertialBuffer:
         buffer = self._buffers.get(_IMU)
@@ -265,7 +285,7 @@ class TimeBase:
         self._fresh = True
         self.restarts += 1
         if clear:
-            self._wild_before = self.wild_speeds
+            self._wild_before, self._still_before = self.wild_speeds, self.still_speeds
             self._buffers.clear()
             self._newest = -np.inf
 

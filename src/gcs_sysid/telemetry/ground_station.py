@@ -10,11 +10,12 @@ from typing import Any
 
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.link import Link
+from gcs_sysid.telemetry.link import Address, Link
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.parameter_requests import ParameterRequests
 from gcs_sysid.telemetry.receiver import Receiver
 from gcs_sysid.telemetry.requests import StreamRequests
+from gcs_sysid.telemetry.senders import Rival
 from gcs_sysid.telemetry.signing import Refusal, SignatureCheck, Signer, SigningClock, read_key
 
 LOST_AFTER = 3.0
@@ -150,6 +151,10 @@ class GroundStation:
         )
         self._parameters.tick(now, intake.vehicle, intake.parameters)
         self._events += self._streams.take_events()
+        if self._receiver.marks:
+            self._tell_once("a reset that came over the link is passed over: only the user resets")
+        if self._receiver.whereabouts.rival is not None:
+            self._tell_once(_told(self._receiver.whereabouts.rival))
         check = self._receiver.check
         if check is not None:
             for refusal in check.refused:
@@ -176,15 +181,24 @@ class GroundStation:
         if check is not None and check.refused and not check.accepted:
             reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(check.refused.items()))
             lines.append(f"no frame has the signature of this key; refused: {reasons}")
+        if self._receiver.whereabouts.rival is not None:
+            lines.append(_told(self._receiver.whereabouts.rival))
         return tuple(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """For the result's `telemetry`: who was refused; empty without a key."""
-        check = self._receiver.check
-        if check is None:
-            return {}
-        refused = {reason.value: check.refused[reason] for reason in Refusal}
-        return {"signing": {"accepted": check.accepted, "refused": refused}}
+        """For the result's `telemetry`: who was refused; empty when all was believed."""
+        check, whereabouts = self._receiver.check, self._receiver.whereabouts
+        told: dict[str, Any] = {}
+        if check is not None:
+            refused = {reason.value: check.refused[reason] for reason in Refusal}
+            told["signing"] = {"accepted": check.accepted, "refused": refused}
+        if whereabouts.rival is not None:
+            told["two_senders"] = {
+                "believed": _words(whereabouts.rival.address),
+                "other": _words(whereabouts.rival.other),
+                "passed_over": whereabouts.passed_over,
+            }
+        return told
 
     def leave(self) -> None:
         """Give the vehicle its own rates back: another one will be followed."""
@@ -196,3 +210,18 @@ class GroundStation:
         self._link.close()
         if self._clock is not None:
             self._clock.close()
+
+
+def _told(rival: Rival) -> str:
+    """Who else speaks in the vehicle's name, in words."""
+    system, component = rival.vehicle
+    return (
+        f"two senders speak as {system}:{component}: {_words(rival.address)}, taken for the "
+        f"vehicle, and {_words(rival.other)}; unless both are its links, somebody forges its "
+        "messages, and signing keeps them out"
+    )
+
+
+def _words(address: Address) -> str:
+    host, port = address
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

@@ -11,19 +11,24 @@ from gcs_sysid.columns import IntakeEvent, RecordBlock
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.telemetry.block_decode import BlockDecoder
 from gcs_sysid.telemetry.clock import ClockDrift
+from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, FrameBlock, counts_of
 from gcs_sysid.telemetry.frames import Frame, Validity
 from gcs_sysid.telemetry.marks import is_reset_mark
-from gcs_sysid.telemetry.messages import MESSAGE_IDS
+from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
+from gcs_sysid.telemetry.senders import Contradictions
 from gcs_sysid.telemetry.tracks import TrackCollector
 from gcs_sysid.telemetry.vehicles import Vehicle, VehicleSelector
 
 FATES = ("used", "not needed", "passed over", "dropped", "others")
 _HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
 _STATUSTEXT = MESSAGE_IDS["STATUSTEXT"]
+_heartbeat = picker("HEARTBEAT", "type", "autopilot", "base_mode")
 _RARE = [MESSAGE_IDS[name] for name in ("HEARTBEAT", "EXTENDED_SYS_STATE", "PARAM_VALUE")]
+_MOST_OTHERS_TOLD = 4
+"""Vehicles that are told of one by one; a hostile sender can make up hundreds."""
 _LEAST_SINGLE = 64
 """Frames taken one by one where a block cannot be read at once; doubled while that goes on."""
 
@@ -55,6 +60,7 @@ class Intake:
         self.fates = Counter(dict.fromkeys(FATES, 0))
         self.garbage_bytes = 0
         self._others: set[tuple[int, int]] = set()
+        self._contradictions = Contradictions()
         self._events: list[IntakeEvent] = []
 
     @property
@@ -100,7 +106,7 @@ class Intake:
         known = self.selector.chosen is not None
         is_chosen = self.selector.take(frame)
         if frame.message_id == _HEARTBEAT:
-            self._note_other((frame.system, frame.component))
+            self._hear(frame)
         if not is_chosen:
             self.fates["others"] += 1
             return None
@@ -213,7 +219,7 @@ class Intake:
         """Take a message of a block that no columns are made of."""
         if frame.message_id == _HEARTBEAT:
             self.selector.hear(frame)
-            self._note_other((frame.system, frame.component))
+            self._hear(frame)
         record = self.decoder.decode(frame) if self.selector.is_chosen(frame) else None
         self._put(order, record, out)
 
@@ -246,13 +252,43 @@ class Intake:
             "fates": dict(self.fates),
         }
 
-    def _note_other(self, who: tuple[int, int]) -> None:
-        """Tell of a vehicle that could be meant as well, when the user chose none."""
-        chosen, other = self.selector.chosen, self.selector.systems.get(who)
-        if chosen is None or other is None or self.selector.wanted is not None:
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Why what comes may not be the vehicle's, one line each."""
+        if not self._contradictions.found:
+            return ()
+        return (
+            f"the heartbeats of {self.vehicle} contradict each other: somebody else sends in its "
+            "name too (signing tells them apart)",
+        )
+
+    def _hear(self, heartbeat: Frame) -> None:
+        """See whether a heartbeat is of another vehicle, or of somebody who poses as this one."""
+        chosen, who = self.selector.chosen, (heartbeat.system, heartbeat.component)
+        if chosen is None:
             return
-        if other.is_autopilot and who != chosen.address and who not in self._others:
-            self._others.add(who)
+        if who != chosen.address:
+            self._note_other(chosen, who)
+            return
+        vehicle_type, autopilot, mode = _heartbeat(heartbeat.payload)
+        armed = bool(mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        if self._contradictions.take(vehicle_type, autopilot, armed=armed):
+            self._note("senders", *self.problems)
+
+    def _note_other(self, chosen: Vehicle, who: tuple[int, int]) -> None:
+        """Tell of a vehicle that could be meant as well, when the user chose none."""
+        other = self.selector.systems.get(who)
+        if other is None or not other.is_autopilot or self.selector.wanted is not None:
+            return
+        if who in self._others or len(self._others) > _MOST_OTHERS_TOLD:
+            return
+        self._others.add(who)
+        if len(self._others) > _MOST_OTHERS_TOLD:
+            self._note(
+                "vehicles",
+                f"more than {_MOST_OTHERS_TOLD} other vehicles speak: no more of them are told of",
+            )
+        else:
             self._note(
                 "vehicles",
                 f"more than one vehicle speaks: {other} too; using {chosen}, the first heard "

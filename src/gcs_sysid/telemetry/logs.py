@@ -44,6 +44,10 @@ class Telemetry(Protocol):
     def parameters(self) -> dict[str, float]:
         """The vehicle's parameters, as far as they were heard."""
 
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Why what comes may not be the vehicle's, one line each."""
+
     def take_events(self) -> list[IntakeEvent]:
         """What happened since this was last asked."""
 
@@ -126,6 +130,11 @@ class TlogLog:
         """As `Telemetry` says."""
         return self.intake.parameters
 
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """As `Telemetry` says."""
+        return self.intake.problems
+
     def take_events(self) -> list[IntakeEvent]:
         """As `Telemetry` says."""
         events = self._events[:]
@@ -135,7 +144,9 @@ class TlogLog:
     def as_dict(self) -> dict[str, Any]:
         """As `Telemetry` says."""
         self.intake.garbage_bytes = self._reader.garbage_bytes
-        return {**self.intake.as_dict(), "clock_drift_ppm": self.drift_ppm}
+        torn = self._reader.counts.cut_short
+        told = {"clock_drift_ppm": self.drift_ppm} | ({"cut_short": torn} if torn else {})
+        return {**self.intake.as_dict(), **told}
 
 
 class OnboardLog:
@@ -143,6 +154,8 @@ class OnboardLog:
 
     drift_ppm: float | None = None
     recorded: float | None = None
+    problems: tuple[str, ...] = ()
+    """An autopilot's own log holds nobody else's messages."""
 
     def __init__(
         self, kind: str, recording: Recording, wanted: tuple[int, int | None] | None = None

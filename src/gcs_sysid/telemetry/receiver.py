@@ -1,7 +1,13 @@
 """From the bytes of a link to frames that are believed."""
 
+import time
+from collections.abc import Callable
+
 from gcs_sysid.telemetry.frames import Frame, FrameScanner, Validity
 from gcs_sysid.telemetry.link import Address, Link
+from gcs_sysid.telemetry.marks import is_reset_mark
+from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
+from gcs_sysid.telemetry.senders import Whereabouts
 from gcs_sysid.telemetry.signing import Refusal, SignatureCheck
 
 
@@ -13,32 +19,38 @@ class Receiver:
 
     Args:
         link: open.
-        check: believes only what is signed; None: there is no key, and all is believed.
+        check: believes only what is signed; None: there is no key, and nearly all is believed.
+        clock: steady, s.
 
     Attributes:
         received_bytes: all bytes that arrived.
         check: see above.
+        whereabouts: of the vehicle.
+        marks: frames that would have passed for the user's reset, and were not believed: only
+            what is recorded has such, and nothing that comes over a link is one.
     """
 
     MOST_SENDERS = 64
-    MOVED_AFTER = 3
-    """Datagrams in a row with frames in the vehicle's name from one other address, none from its
-    own, after which it has moved there. Who forges a few among the vehicle's gets no answers."""
 
-    def __init__(self, link: Link, check: SignatureCheck | None = None) -> None:
+    def __init__(
+        self,
+        link: Link,
+        check: SignatureCheck | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.received_bytes = 0
         self.check = check
+        self.whereabouts = Whereabouts()
+        self.marks = 0
         self._link = link
+        self._clock = clock
         self._breaks = link.breaks
-        self._vehicle: tuple[int, int] | None = None
         self._scanners: dict[Address | None, FrameScanner] = {}
         self._garbage_of_dropped = 0
-        self._answered: Address | None = None
-        self._elsewhere = 0
 
     def follow(self, vehicle: tuple[int, int]) -> None:
         """Answer from now on to the address that the vehicle (sysid, compid) speaks from."""
-        self._vehicle = vehicle
+        self.whereabouts.follow(vehicle)
 
     def poll(self, timeout: float) -> list[Frame]:
         """Wait up to `timeout` s for bytes; the frames that they complete and that are believed."""
@@ -58,36 +70,37 @@ class Receiver:
     def _believed(self, found: list[Frame], source: Address | None) -> list[Frame]:
         """The frames that are believed; answers go where the vehicle's come from."""
         if self.check is None:
-            if any(self._is_the_vehicles(frame) for frame in found):
-                self._hear_vehicle(source)
-            return found
-        believed = []
+            before = self.whereabouts.address
+            believed = self.whereabouts.take(found, source, self._clock())
+            if self.whereabouts.address != before:
+                self._link.answer_to(self.whereabouts.address)
+        else:
+            believed = self._signed(self.check, found, source)
+        if any(frame.system == OWN_SYSTEM for frame in believed):
+            return self._without_marks(believed)
+        return believed
+
+    def _signed(
+        self, check: SignatureCheck, found: list[Frame], source: Address | None
+    ) -> list[Frame]:
+        """Those with the key's signature."""
+        believed, whereabouts = [], self.whereabouts
         for frame in found:
-            refusal = self.check.take(frame)
+            refusal = check.take(frame)
             if refusal is None:
                 believed.append(frame)
             # A vehicle without a clock of its own begins with an old time. It learns the time
             # from our heartbeats, so that they must reach it before it is believed.
-            ours = refusal is None or (refusal is Refusal.TOO_OLD and self._vehicle is None)
-            if ours and frame.signed and self._is_the_vehicles(frame):
-                self._answer(source)
+            ours = refusal is None or (refusal is Refusal.TOO_OLD and whereabouts.vehicle is None)
+            if ours and frame.signed and whereabouts.is_vehicles(frame):
+                whereabouts.move(source)
+                self._link.answer_to(source)
         return believed
 
-    def _hear_vehicle(self, source: Address | None) -> None:
-        """Answer the vehicle where it speaks from; nothing proves that it is the vehicle."""
-        self._elsewhere = 0 if source == self._answered else self._elsewhere + 1
-        unsettled = self._vehicle is None or self._answered is None
-        if unsettled or self._elsewhere >= self.MOVED_AFTER:
-            self._answer(source)
-
-    def _answer(self, source: Address | None) -> None:
-        self._answered, self._elsewhere = source, 0
-        self._link.answer_to(source)
-
-    def _is_the_vehicles(self, frame: Frame) -> bool:
-        if self._vehicle is None:
-            return True
-        return (frame.system, frame.component) == self._vehicle and frame.valid is Validity.OK
+    def _without_marks(self, frames: list[Frame]) -> list[Frame]:
+        left = [f for f in frames if f.valid is not Validity.OK or not is_reset_mark(f)]
+        self.marks += len(frames) - len(left)
+        return left
 
     @property
     def garbage_bytes(self) -> int:

@@ -63,6 +63,7 @@ class ScanCounts:
         garbage_bytes: bytes that belong to no record.
         resyncs: how often the chain of records was broken and found again.
         repaired_times: record times that were damaged.
+        cut_short: bytes of a last record whose end is missing; garbage too.
     """
 
     frames: int = 0
@@ -71,6 +72,7 @@ class ScanCounts:
     garbage_bytes: int = 0
     resyncs: int = 0
     repaired_times: int = 0
+    cut_short: int = 0
 
 
 class Scanner:
@@ -108,6 +110,8 @@ class Scanner:
         behind = int(stop[-1]) if len(at) else 0
         if final:
             kept, done, rest = len(at), size, size - behind
+            if len(at) and _is_cut_short(content[behind:]):
+                self.counts.cut_short = rest
             self._hunting = hunting and not len(at)
         elif len(at):
             # The last frame comes again: its time is judged with its neighbour's.
@@ -323,6 +327,17 @@ class _Chain:
         good = _Headers(self._data, inside).validity == OK
         rejected: Array = bad[np.unique(owner[good])]
         return rejected
+
+
+def _is_cut_short(rest: bytes) -> bool:
+    """Whether the last bytes of a file are a record whose end is missing."""
+    frame = rest[STAMP:]
+    if len(frame) < 3:
+        return bool(rest) and frame[:1] in (b"", bytes([MAGIC_1]), bytes([MAGIC_2]))
+    if frame[0] == MAGIC_1:
+        return HEADER_1 + frame[1] + CHECKSUM > len(frame)
+    size = HEADER_2 + frame[1] + CHECKSUM + SIGNATURE * frame[2]
+    return frame[0] == MAGIC_2 and frame[2] <= FLAG_SIGNED and size > len(frame)
 
 
 def record_follows(data: bytes, at: int, frame: Frame) -> bool:

@@ -191,7 +191,7 @@ class Inspector:
             rotors_assumed=rotors is None,
             telemetry=counts,
             rotor_input=RotorInput(None) if self._judge is None else self._judge.finish(sources),
-            problems=problems,
+            problems=(*problems, *telemetry.problems),
         )
         return replace(inspection, findings=findings_of(inspection))
 

@@ -22,6 +22,8 @@ LOSS_TOLD, LOSS_HURTS = 2.0, 20.0
 """Percent of the IMU's samples or of all messages."""
 GARBAGE_TOLD = 1000
 """Bytes; a few are usual where a recording began or ended."""
+MOST_NAMED = 8
+"""Other vehicles; a hostile sender can make up hundreds."""
 SLOW_FILTER = 40.0
 """Hz. A gyro filter below this delays by more than 5 ms."""
 
@@ -198,6 +200,10 @@ def _losses(found: Inspection) -> Iterator[Finding]:
     bad = int(found.telemetry.get("bad_crc", 0))
     if bad:
         yield Finding("note", f"{bad} messages of another definition, or damaged, are skipped")
+    torn = int(found.telemetry.get("cut_short", 0))
+    if torn:
+        text = f"the last record is cut short: {torn} bytes (the recording was not ended)"
+        yield Finding("note", text)
     garbage = int(found.telemetry.get("garbage_bytes", 0))
     if garbage >= GARBAGE_TOLD or found.telemetry.get("damaged"):
         text = f"damaged: {garbage} bytes belong to no message" if garbage else "damaged in part"
@@ -219,5 +225,6 @@ def _others(found: Inspection) -> Iterator[Finding]:
         yield Finding("note", f"the autopilot restarted in between ({found.clock.reboots} x)")
     others = [s for s in found.systems if s.is_autopilot and s.address != found.vehicle_address]
     if others:
-        names = ", ".join(map(str, others))
+        more = [f"{len(others) - MOST_NAMED} more"] * (len(others) > MOST_NAMED)
+        names = ", ".join([*map(str, others[:MOST_NAMED]), *more])
         yield Finding("note", f"other vehicles speak too: {names}", "choose with --vehicle")

@@ -1,0 +1,416 @@
+"""Every way to run the program against an autopilot that keeps each byte it is sent.
+
+Whatever is done, whatever the vehicle says: only what docs/links.md lists comes out.
+"""
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import serial
+
+from gcs_sysid.__main__ import main
+from gcs_sysid.cli import live as live_command
+from gcs_sysid.session import live as live_session
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.link import Chunk, Link
+from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.urls import parse_url
+from gcs_sysid.web.share import VARIABLE, Door, RemoteSource
+from tests.autopilots import GROUPS, READS, SETS, Autopilot
+
+HEARTBEAT = "HEARTBEAT"
+AIRFRAME = ("--airframe", "paper")
+KEY = bytes(range(32))
+PATIENCE = 60.0
+"""s; nothing waits so long where all is well."""
+termios = pytest.importorskip("termios") if hasattr(os, "openpty") else None
+needs_posix = pytest.mark.skipif(
+    not hasattr(os, "openpty"), reason="sends signals to itself, and needs pseudo terminals"
+)
+DOCUMENT = Path(__file__).parents[1] / "docs" / "links.md"
+
+
+# --- a minute in a moment: all that a session does as time goes by
+
+
+class Air(Link):
+    """A link in memory, on which time passes as it is listened to."""
+
+    datagrams = True
+
+    def __init__(self, vehicle, silent):
+        super().__init__(parse_url("udpin:127.0.0.1:14550"))
+        self.now = 0.0
+        self._vehicle, self._silent = vehicle, silent
+        self._answers = []
+
+    def receive(self, timeout):
+        self.now += 0.05
+        said = self._vehicle.speak(0.05) + self._answers
+        self._answers = []
+        if self._silent[0] < self.now < self._silent[1]:
+            return []
+        return [Chunk(raw, ("10.0.0.1", 14550)) for raw in said]
+
+    def send(self, data):
+        self._answers += self._vehicle.hear(data)
+
+    def close(self):
+        self.ended = True
+
+
+@pytest.fixture
+def pass_time(monkeypatch, capsys):
+    """Runs `live --headless` for so many seconds of an invented clock."""
+
+    def run(vehicle, seconds, *options, silent=(0.0, 0.0)):
+        air = Air(vehicle, silent)
+        monkeypatch.setattr(live_command, "open_link", lambda url: air)
+        monkeypatch.setattr(live_session, "time", SimpleNamespace(monotonic=lambda: air.now))
+        monkeypatch.setattr(live_session, "_FEW", 0)  # never waits for more
+        words = ["live", "udpin:127.0.0.1:14550", *AIRFRAME, "--headless", "--no-record"]
+        status = main([*words, "--duration", str(seconds), *options])
+        assert status == 1  # a vehicle that stands still tells nothing
+        assert "internal error" not in capsys.readouterr().err
+        return vehicle.asked
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("manners", "kinds"),
+    [
+        ({}, {HEARTBEAT, SETS, READS}),
+        ({"mute": True}, {HEARTBEAT, SETS, READS}),
+        ({"autopilot": 3, "old": True, "version": 1}, {HEARTBEAT, SETS, READS, GROUPS}),
+    ],
+    ids=["px4", "mute", "old-ardupilot"],
+)
+def test_as_time_goes_by_only_what_is_documented_is_sent(manners, kinds, pass_time):
+    """With an outage, after which all is asked for again."""
+    vehicle = Autopilot(**manners)
+    asked = pass_time(vehicle, 40.0, silent=(22.0, 27.0))
+    assert asked.keys() == kinds
+    assert 37 <= asked[HEARTBEAT].total() <= 41
+    document = DOCUMENT.read_text(encoding="utf-8")
+    assert all(name in document for name in asked[SETS])
+    streams = {value.name: n for n, value in mavlink.enums["MAV_DATA_STREAM"].items()}
+    groups = {n: name.removeprefix("MAV_DATA_STREAM_") for name, n in streams.items()}
+    assert all(groups[n] in document for n in asked[GROUPS])
+    assert all(vehicle.own_rate.values())
+
+
+def test_who_only_listens_sends_nothing_in_a_minute(pass_time):
+    for manners in ({}, {"mute": True}):
+        assert not pass_time(Autopilot(**manners), 30.0, "--listen-only", silent=(10.0, 15.0))
+
+
+# --- real links, whole commands
+
+
+class Ground:
+    """The vehicle's end of a link, in a thread: speaks until the command has ended.
+
+    Args:
+        vehicle: speaks.
+        enough: whether the vehicle has been asked for enough.
+        then: called once, when it has.
+    """
+
+    def __init__(self, vehicle, send, receive, enough, then):
+        self._vehicle, self._send, self._receive = vehicle, send, receive
+        self._enough, self._then = enough, then
+        self.problem = None
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._over.set()
+        self._thread.join()
+        assert self.problem is None
+
+    def _run(self):
+        try:
+            answers, waiting = [], True
+            for _ in range(round(PATIENCE / 0.05)):
+                if self._over.wait(0.05):
+                    break
+                self._send(answers + self._vehicle.speak(0.05))
+                answers = self._vehicle.hear(self._receive())
+                if waiting and self._enough(self._vehicle.asked):
+                    waiting = False
+                    self._then()
+            else:
+                raise TimeoutError(f"asked for no more than {dict(self._vehicle.asked)}")
+            self._vehicle.hear(self._receive())
+        except Exception as problem:  # noqa: BLE001 - told by the test
+            self.problem = problem
+            os.kill(os.getpid(), signal.SIGTERM)
+
+
+@contextlib.contextmanager
+def on_udp(vehicle, enough, then):
+    """A vehicle that sends to a port, at which a command listens; the command's URL."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end,
+    ):
+        probe.bind(("127.0.0.1", 0))
+        to = probe.getsockname()
+        probe.close()
+        end.bind(("127.0.0.1", 0))
+        end.setblocking(False)
+
+        def send(frames):
+            for raw in frames:
+                with contextlib.suppress(OSError):  # nobody listens there yet
+                    end.sendto(raw, to)
+
+        def receive():
+            data = b""
+            with contextlib.suppress(OSError):  # nothing more has come
+                while True:
+                    data += end.recv(65536)
+            return data
+
+        with Ground(vehicle, send, receive, enough, then):
+            yield f"udpin:127.0.0.1:{to[1]}"
+
+
+@contextlib.contextmanager
+def on_tcp(vehicle, enough, then):
+    """A vehicle that a command connects to; the command's URL."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.setblocking(False)
+        peers = []
+
+        def send(frames):
+            with contextlib.suppress(BlockingIOError):
+                peers.append(server.accept()[0])
+                peers[-1].setblocking(False)
+            for peer in peers:
+                with contextlib.suppress(OSError):  # it has hung up
+                    peer.sendall(b"".join(frames))
+
+        def receive():
+            data = b""
+            for peer in peers:
+                with contextlib.suppress(OSError):  # nothing more has come
+                    while more := peer.recv(65536):
+                        data += more
+            return data
+
+        with Ground(vehicle, send, receive, enough, then):
+            yield f"tcp:127.0.0.1:{server.getsockname()[1]}"
+        for peer in peers:
+            peer.close()
+
+
+@contextlib.contextmanager
+def on_serial(vehicle, enough, then):
+    """A vehicle on a serial port; the command's URL."""
+    ours, theirs = os.openpty()
+    serial.Serial(os.ttyname(theirs)).close()  # sets it to carry bytes as they are
+    os.set_blocking(ours, False)
+
+    def send(frames):
+        with contextlib.suppress(BlockingIOError):  # nobody reads
+            os.write(ours, b"".join(frames))
+
+    def receive():
+        data = b""
+        with contextlib.suppress(OSError):
+            while True:
+                data += os.read(ours, 65536)
+        return data
+
+    try:
+        with Ground(vehicle, send, receive, enough, then):
+            yield f"{os.ttyname(theirs)},57600"
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+@pytest.fixture
+def end_by(monkeypatch):
+    """Sends a signal to this process; one that comes when the command has ended does no harm."""
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = [(number, signal.signal(number, lambda *_: None)) for number in numbers]
+    yield lambda number: lambda: os.kill(os.getpid(), number)
+    for number, handler in before:
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def streams_and_parameters(asked):
+    return len(asked[SETS]) >= 5 and len(asked[READS]) >= 2
+
+
+def assert_harmless(vehicle):
+    """And left as it was found."""
+    assert vehicle.asked.keys() == {HEARTBEAT, SETS, READS}
+    assert vehicle.received == vehicle.understood
+    assert all(vehicle.own_rate.values())
+
+
+@needs_posix
+@pytest.mark.parametrize("words", [["live", "--headless", *AIRFRAME, "--no-record"], ["inspect"]])
+def test_a_serial_port(words, end_by, folder, capsys):
+    vehicle = Autopilot(autopilot=mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
+    with on_serial(vehicle, streams_and_parameters, end_by(signal.SIGTERM)) as url:
+        assert main([*words, url]) in (0, 1)
+    assert_harmless(vehicle)
+    assert "Traceback" not in capsys.readouterr().err
+
+
+_WITH_TERMINAL = """
+import fcntl, sys, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+from gcs_sysid.__main__ import main
+sys.exit(main(sys.argv[1:]))
+"""
+"""Makes standard input the terminal that the process belongs to, and runs the program."""
+
+
+class OnTerminal:
+    """The program on a terminal of its own, in a session that ends when the terminal closes."""
+
+    def __init__(self, *words, folder):
+        self._ours, theirs = os.openpty()
+        os.set_blocking(self._ours, False)
+        termios.tcsetwinsize(theirs, (24, 80))
+        ends = dict.fromkeys(("stdin", "stdout", "stderr"), theirs)
+        command = [sys.executable, "-c", _WITH_TERMINAL, *words]
+        self.process = subprocess.Popen(command, **ends, cwd=folder, start_new_session=True)
+        os.close(theirs)
+        self.shown = b""
+
+    def shows(self, text=None):
+        """Take what is shown until it has this text, or until the program has ended."""
+        for _ in range(round(PATIENCE / 0.05)):
+            with contextlib.suppress(OSError):  # nothing more has come, or it is gone
+                while True:
+                    self.shown += os.read(self._ours, 65536)
+            if text is not None and text in self.shown:
+                return True
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(0.05)
+                return text is None
+        return False
+
+    def type(self, keys):
+        os.write(self._ours, keys)
+
+    def hang_up(self):
+        os.close(self._ours)
+        self._ours = -1
+
+    def end(self):
+        self.process.kill()
+        self.process.wait()
+        if self._ours >= 0:
+            os.close(self._ours)
+
+
+@needs_posix
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["SIGTERM", pytest.param("hang up", marks=pytest.mark.thorough)])
+def test_the_screen_its_keys_and_its_end_over_a_signed_link(how, folder):
+    """The result is written, the recordings are whole, the rates are given back."""
+    (folder / "vehicle.key").write_bytes(KEY)
+    vehicle, other = Autopilot(key=KEY), threading.Event()
+
+    def both(asked):
+        return vehicle.targets == {(1, 1), (2, 1)}
+
+    with on_udp(vehicle, both, other.set) as url:
+        options = ("--signing-key", "vehicle.key", "--json", "result.json", "--record", "a.tlog")
+        program = OnTerminal("live", url, *AIRFRAME, *options, folder=folder)
+        try:
+            assert program.shows(b"2:1")
+            program.type(b"mrv")
+            assert program.shows(b"Which vehicle?"), program.shown
+            program.type(b"\x1b[B\r")
+            assert other.wait(PATIENCE), program.shown
+            program.hang_up() if how == "hang up" else program.process.terminate()
+            assert program.shows(None)
+            status = program.process.returncode
+        finally:
+            program.end()
+    # Whoever closes the terminal does not want to be told.
+    assert status == (1 if how == "SIGTERM" else 0), program.shown
+    assert_harmless(vehicle)
+    assert vehicle.signed == {True}
+    assert b"Traceback" not in program.shown
+    assert b"failed" not in program.shown
+    final = json.loads((folder / "result.json").read_text().splitlines()[-1])
+    assert (final["verdict"], final["vehicle"]["sysid"]) == ("refused", 2)
+    recordings = sorted(folder.glob("*.tlog"))
+    assert len(recordings) == 2  # one of each vehicle
+    for recording in recordings:
+        reader = read_tlog(recording)
+        assert sum(1 for _ in reader) > 0
+        assert reader.garbage_bytes == 0
+
+
+@needs_posix
+def test_browsers_and_their_keys_over_tcp(end_by, folder, capsys):
+    """`--web`, ended by SIGHUP as by a terminal that closes."""
+    vehicle = Autopilot()
+
+    def act():
+        """What a page does whose keys are pressed."""
+        viewer = RemoteSource(Door.parse(os.environ[VARIABLE]), lambda: None)
+        actions = viewer.scene.actions
+        actions.mark("here")
+        actions.reset()
+        actions.toggle_recording()
+        actions.set_anchor("mass", 2.0)
+        end_by(signal.SIGHUP)()
+
+    with on_tcp(vehicle, streams_and_parameters, act) as url:
+        assert main(["live", url, *AIRFRAME, "--web", "0"]) == 1
+    assert_harmless(vehicle)
+    out, err = capsys.readouterr()
+    assert "given" in out  # the result's table
+    assert "here" in err
+    assert "Traceback" not in err
+    assert list(folder.glob("logs/*.tlog"))
+
+
+def test_what_is_read_from_files_opens_no_link(folder, monkeypatch, capsys):
+    vehicle = Autopilot()
+    with Path("flight.tlog").open("wb") as log:
+        for n in range(100):
+            stamp = struct.pack(">Q", 1_750_000_000_000_000 + 50_000 * n)
+            log.writelines(stamp + raw for raw in vehicle.speak(0.05))
+
+    def refuse(*_arguments, **_named):
+        raise AssertionError("a link was opened")
+
+    monkeypatch.setattr(socket, "socket", refuse)
+    monkeypatch.setattr(serial, "Serial", refuse)
+    for words in (["replay", "--headless", "--speed", "max", *AIRFRAME], ["analyze", *AIRFRAME]):
+        assert main([*words, "flight.tlog"]) in (1, 2)
+    assert main(["inspect", "flight.tlog"]) == 0
+    assert "AssertionError" not in capsys.readouterr().err
