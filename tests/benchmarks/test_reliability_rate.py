@@ -125,6 +125,8 @@ def test_growth_of_memory_and_handles_is_told():
     first = soak.Round((), 60.0, 5.0, "identified", 1.0, 150.0, 7, ())
     assert soak.against(first, first) == []
     assert len(soak.against(first, replace(first, memory=200.0, handles=9))) == 2
+    rounds = [replace(first, memory=float(n)) for n in range(30)]
+    assert [soak.reference(rounds[:n]).memory for n in (1, 2, 9, 10, 30)] == [0, 1, 1, 9, 9]
 
 
 def test_a_played_recording_gives_all_its_bytes_and_ends(recording):
