@@ -263,11 +263,11 @@ class LiveSession:
             self._tell_recording()
             # What is shown waits while frames do, but not for ever.
             few = len(frames) < _FEW
+            # In a stream without a pause the coach gets as much as the frames took.
+            self._think(_THINK if few else max(_THINK, time.monotonic() - now))
             if now - self._published >= (_PUBLISH_EVERY if few else _PUBLISH_LATE):
                 self._published = now
                 self._publish(self._state())
-            elif few:
-                self._think()
             if self._stop.is_set() or self._ended(now, began):
                 return
             if frames and few:
@@ -413,16 +413,12 @@ class LiveSession:
             self._recording.stop()
             self._note(self._recording.start(path))
 
-    def _advice(self) -> Advice | None:
-        self._think()  # busy or not
-        return self._advised
-
-    def _think(self) -> None:
-        """Let the coach think a little; a defect of it is told once and costs no flight."""
+    def _think(self, seconds: float) -> None:
+        """Let the coach think for a while; a defect of it is told once and costs no flight."""
         if self._coach is None:
             return
         try:
-            enough = time.monotonic() + _THINK
+            enough = time.monotonic() + seconds
             while self._coach.think() and time.monotonic() < enough:
                 pass
             self._advised = self._coach.look()
@@ -452,7 +448,7 @@ class LiveSession:
             result, events = self.final or before.result, self._pipeline.chain.events
             return replace(before, result=result, link=link, events=events, advice=None)
         result = self.final or self._complete(self._pipeline.result())
-        acceleration, advice = self._prediction.acceleration(), self._advice()
+        acceleration, advice = self._prediction.acceleration(), self._advised
         target = (self._options.coach or CoachOptions()).target
         return picture(self._pipeline.chain, result, link, acceleration, target, advice)
 

@@ -155,12 +155,19 @@ def _last_document(text: str, where: str) -> object:
     def refuse(word: str) -> NoReturn:
         raise InputError(f"{where}: not strict JSON: {word} in it")
 
+    def finite(digits: str) -> float:
+        number = float(digits)
+        return number if math.isfinite(number) else refuse(f"{digits[:20]}, which is too large,")
+
+    def loads(part: str) -> object:
+        return json.loads(part, parse_constant=refuse, parse_float=finite)
+
     try:
         try:
-            return json.loads(text, parse_constant=refuse)
+            return loads(text)
         except json.JSONDecodeError as error:
             if not error.msg.startswith("Extra data"):
                 raise
-            return json.loads(text.rstrip().rpartition("\n")[2], parse_constant=refuse)
+            return loads(text.rstrip().rpartition("\n")[2])
     except (ValueError, RecursionError) as error:
         raise InputError(f"{where}: not valid JSON: {error}") from error

@@ -17,6 +17,8 @@ MOST_SYSTEMS = 256
 
 RADIO = (51, 68)
 """(sysid, compid) of SiK telemetry radios: they add RADIO_STATUS to what they carry."""
+_EVERYBODY = 0
+"""The system that every vehicle is meant by; none has that number."""
 
 _AUTOPILOT_KEYS = {
     mavlink.MAV_AUTOPILOT_PX4: ("px4", "PX4"),
@@ -89,6 +91,7 @@ class Vehicle:
             self.autopilot not in (None, mavlink.MAV_AUTOPILOT_INVALID)
             and self.vehicle_type not in _NOT_VEHICLES
             and self.address != RADIO
+            and self.system != _EVERYBODY
         )
 
     def __str__(self) -> str:
@@ -174,6 +177,8 @@ class VehicleSelector:
             self.chosen = replace(self.chosen, version=vehicle.version)
 
     def _fits(self, vehicle: Vehicle) -> bool:
+        if vehicle.system == _EVERYBODY:
+            return False
         if self.wanted is None:
             return vehicle.is_autopilot
         system, component = self.wanted
