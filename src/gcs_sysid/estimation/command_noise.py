@@ -14,8 +14,9 @@ than yaw: what matters is the covariance of all rotors.
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, complete_rows, runs
+from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.basis import BODY, SIGNALS, WIDTH, RotorBasis
+from gcs_sysid.estimation.input_noise import THIRD_DIFFERENCE, InputNoise
 from gcs_sysid.estimation.rotors import motor_filter
 from gcs_sysid.filters.smoothers import Smoother, leaky
 from gcs_sysid.model import rigid_body
@@ -30,8 +31,6 @@ what is seen at a quarter of their rate may well be motion: taking that out cost
 brings."""
 _SPACING = 2
 """Samples between those of a difference: it sees most at a quarter of the sample rate."""
-_THIRD_DIFFERENCE = 20.0
-"""1 + 9 + 9 + 1: variance of a third difference over that of white noise."""
 _ENOUGH = 100
 _FOLDS = 40
 """Multiples of the sample rate from which noise folds down, at most."""
@@ -65,7 +64,7 @@ def missed_share(dt: float, loop_cutoff: float | None, streams: int = 1) -> floa
     return float((sampled[0] - 1.0) / (seen @ sampled / seen.sum()))
 
 
-class CommandNoise:
+class CommandNoise(InputNoise):
     """Follows level and noise of the commands.
 
     Args:
@@ -80,6 +79,7 @@ class CommandNoise:
         self, geometry: Array, dt: float, loop_cutoff: float | None = None, streams: int = 1
     ) -> None:
         rotors = geometry.shape[1]
+        super().__init__(rotors)
         self._dt = dt
         self._share = missed_share(dt, loop_cutoff, streams)
         self._mixer = rigid_body.mixer(geometry)
@@ -87,24 +87,7 @@ class CommandNoise:
         self._sum = np.zeros(rotors)
         self._differences = 0
         self._products = np.zeros((rotors, rotors))
-        self._last = np.zeros((0, rotors))
         self._overlaps: dict[float, Array] = {}
-
-    def update(self, commands: Array) -> None:
-        """Take (n, rotors) commands, 0 to 1; NaN where missing."""
-        complete = complete_rows(commands)
-        if complete.all():
-            self._add(commands)
-            return
-        for run, there in runs(complete):
-            if there:
-                self._add(commands[run])
-            else:
-                self.restart()
-
-    def restart(self) -> None:
-        """What comes next does not join on to what came before."""
-        self._last = self._last[:0]
 
     def _add(self, commands: Array) -> None:
         self._count += len(commands)
@@ -126,7 +109,7 @@ class CommandNoise:
         """(rotors, rotors) of white noise on the commands that stands for what is missed."""
         if self._differences < _ENOUGH:
             return np.zeros_like(self._products)
-        scale = self._share / (self._differences * _THIRD_DIFFERENCE)
+        scale = self._share / (self._differences * THIRD_DIFFERENCE)
         covariance: Array = scale * self._products
         return covariance
 

@@ -6,8 +6,9 @@ Where the noise is known, its part of the moments is known too and is taken out 
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, complete_rows, runs
+from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.basis import WIDTH
+from gcs_sysid.estimation.input_noise import THIRD_DIFFERENCE, InputNoise
 from gcs_sysid.filters.smoothers import Smoother
 from gcs_sysid.model import rigid_body
 
@@ -16,13 +17,11 @@ ROUNDING_STD = 2.0 * np.pi / 60.0 / np.sqrt(12.0)
 _FAST_ENOUGH = 0.012
 """s. Below this sample time a rotor hardly moves within four samples, so that what is left of
 them after a parabola is taken out is noise; above, motion and noise cannot be told apart."""
-_THIRD_DIFFERENCE = 20.0
-"""1 + 9 + 9 + 1: variance of a third difference over that of white noise."""
 
 _DH = rigid_body.SIGNALS.index("dH")
 
 
-class SpeedNoise:
+class SpeedNoise(InputNoise):
     """Follows level and noise of the rotor speeds.
 
     Args:
@@ -33,29 +32,13 @@ class SpeedNoise:
     def __init__(self, geometry: Array, dt: float) -> None:
         self._dt = dt
         rotors = geometry.shape[1]
+        super().__init__(rotors)
         self._samples = 0
         self._sums = np.zeros((2, rotors))  # of Omega and Omega^2
         self._differences = 0
         self._difference_squares = np.zeros(rotors)
-        self._last = np.zeros((0, rotors))
         x, y, s = geometry
         self._mix = np.stack([-y, x, np.ones_like(x), s])  # roll, pitch, thrust, yaw
-
-    def update(self, speeds: Array) -> None:
-        """Take (n, rotors) speeds in rad/s; NaN where missing."""
-        complete = complete_rows(speeds)
-        if complete.all():
-            self._add(speeds)
-            return
-        for run, there in runs(complete):
-            if there:
-                self._add(speeds[run])
-            else:
-                self.restart()
-
-    def restart(self) -> None:
-        """What comes next does not join on to what came before."""
-        self._last = self._last[:0]
 
     def _add(self, speeds: Array) -> None:
         self._samples += len(speeds)
@@ -73,7 +56,7 @@ class SpeedNoise:
         floor = np.full(self._sums.shape[1], ROUNDING_STD)
         if self._dt > _FAST_ENOUGH or self._differences < 100:
             return floor
-        seen = np.sqrt(self._difference_squares / self._differences / _THIRD_DIFFERENCE)
+        seen = np.sqrt(self._difference_squares / self._differences / THIRD_DIFFERENCE)
         std: Array = np.maximum(seen, floor)
         return std
 
