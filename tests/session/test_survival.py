@@ -266,7 +266,7 @@ def broken(*_arguments, **_named):
 @pytest.mark.parametrize(
     ("where", "name", "watched"),
     [
-        ("chain", "feed", True),
+        ("chain", "admit", True),
         ("chain", "result", True),
         ("intake", "frame", False),
         ("intake", "health", False),

@@ -9,10 +9,10 @@ from gcs_sysid.coach.information import information
 from gcs_sysid.coach.manoeuvres import Manoeuvre
 from gcs_sysid.coach.motion import Motion, reaching
 from gcs_sysid.coach.outlook import Outlook
-from gcs_sysid.coach.steps import Steps, finished
 from gcs_sysid.coach.targets import excess, is_enough
 from gcs_sysid.estimation.basis import LAG
 from gcs_sysid.estimation.online import Fit
+from gcs_sysid.steps import Steps, finished
 
 Judge = Callable[[Fit], Mapping[str, float | None]]
 """Shares of a fit, see `targets.shares`."""

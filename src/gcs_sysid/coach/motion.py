@@ -7,9 +7,9 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.coach.manoeuvres import Manoeuvre
-from gcs_sysid.coach.steps import Steps, finished
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.steps import Steps, finished
 
 _POINTS = 96
 """In a period; the fastest products of the fastest pace take eight of them."""

@@ -11,6 +11,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.steps import Steps
 
 ENOUGH = 10.0
 """s of a flight from which it is told whether the vehicle is the same."""
@@ -72,9 +73,9 @@ class Trial:
             kept.append(part)
         self.parts = kept
 
-    def fit(self) -> Fit:
-        """Of this flight alone."""
-        return self._estimator.fit()
+    def fitting(self) -> Steps[Fit]:
+        """The fit of this flight alone."""
+        return self._estimator.fitting()
 
 
 def is_another(before: Fit, now: Fit, arm: float) -> bool:

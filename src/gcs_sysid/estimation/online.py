@@ -21,8 +21,9 @@ from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import Tuning
-from gcs_sysid.estimation.validation import Validation, validate
+from gcs_sysid.estimation.validation import Validation, validating
 from gcs_sysid.model import rigid_body
+from gcs_sysid.steps import Steps, finished
 
 _SETTLE_GROWTH = 1.5
 _MIN_BATCHES = 10
@@ -152,9 +153,9 @@ class OnlineEstimator:
         density: Array = np.diag(left) * (self.dt / record.noise_gains()[fit.leak])
         return density
 
-    def reserve(self) -> None:
+    def reserving(self) -> Steps[None]:
         """Have all memory now that a long flight will need; many estimators live but shortly."""
-        self._record.reserve()
+        return self._record.reserving()
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
@@ -176,6 +177,12 @@ class OnlineEstimator:
         Returns:
             A fit for each stop, as `update` and `fit` would give them one by one.
         """
+        return finished(self.following(samples, stops, course))
+
+    def following(
+        self, samples: Samples, stops: Sequence[int], course: str = ""
+    ) -> Steps[list[Fit]]:
+        """`follow` in steps."""
         return self._follow(self._record.take(samples, stops), course)
 
     def fit(self, *, quick: bool = False, course: str = "") -> Fit:
@@ -188,16 +195,21 @@ class OnlineEstimator:
             course: name of the course of quick estimates to go on with. One that decides
                 something must not depend on how often others look.
         """
+        return finished(self.fitting(quick=quick, course=course))
+
+    def fitting(self, *, quick: bool = False, course: str = "") -> Steps[Fit]:
+        """`fit` in steps."""
         if quick:
-            return self._follow((None,), course)[0]
+            return (yield from self._follow((None,), course))[0]
         record = self._record
         record.flush()
+        yield
         self._renew_prior()
-        rot = self._fit_rotation()
+        rot = yield from self._fit_rotation()
         trans, accelerometer = self.fit_translation(rot)
         validation = None
         if record.article is None:
-            validation = validate(
+            validation = yield from validating(
                 record.rotation.batches,
                 record.rotation.counts,
                 self._basis,
@@ -208,7 +220,7 @@ class OnlineEstimator:
         coupling = self._coupling_of(rot)
         if coupling is not None and coupling.contradicted:
             # What rotors turn against remains to be told: inertia in roll and pitch.
-            rot = rotation.fit_rotation(
+            rot = yield from rotation.fitting_rotation(
                 self._without_products(),
                 record.rotation.counts,
                 self._basis,
@@ -235,7 +247,7 @@ class OnlineEstimator:
         self._record.forget_last(seconds)
         self._footings.clear()
 
-    def _follow(self, stops: Iterable[None], course: str) -> list[Fit]:
+    def _follow(self, stops: Iterable[None], course: str) -> Steps[list[Fit]]:
         """Quick fits at stops of what is coming in."""
         fits: list[Fit] = []
         waiting: list[_Instant] = []
@@ -243,17 +255,23 @@ class OnlineEstimator:
             footing = self._footings.get(course)
             if footing is None or self.seconds >= footing.settle:
                 if footing is not None:
-                    fits += self._followed(footing, waiting)
+                    fits += yield from self._followed(footing, waiting)
                 waiting = []
-                fits.append(self._settle(course, footing))
+                yield
+                fits.append((yield from self._settle(course, footing)))
+                yield
                 continue
             waiting.append(self._instant(footing.rotation.leak))
             if self._is_outdated(footing):
-                fits += self._followed(footing, waiting)
+                yield
+                fits += yield from self._followed(footing, waiting)
                 waiting = []
+                yield
                 fits[-1] = self._renewed(course, footing, fits[-1])
+                yield
         if waiting:
-            fits += self._followed(self._footings[course], waiting)
+            yield
+            fits += yield from self._followed(self._footings[course], waiting)
         return fits
 
     def _instant(self, leak: int) -> _Instant:
@@ -274,11 +292,11 @@ class OnlineEstimator:
             or self._is_coupling_due()
         )
 
-    def _followed(self, footing: _Footing, instants: Sequence[_Instant]) -> list[Fit]:
+    def _followed(self, footing: _Footing, instants: Sequence[_Instant]) -> Steps[list[Fit]]:
         """Quick fits at several instants, from one footing."""
         if not instants:
             return []
-        rotations = rotation.follow_rotation(
+        rotations = yield from rotation.follow_rotation(
             np.stack([i.rotation for i in instants]),
             np.array([i.rows for i in instants]),
             self._basis,
@@ -286,6 +304,7 @@ class OnlineEstimator:
             footing.rotation,
             self.prior,
         )
+        yield
         thrusts: Sequence[TranslationFit | None] = [None] * len(instants)
         if footing.thrust is not None:
             weights = [self._basis.thrust_weights(fit.coordinates) for fit in rotations]
@@ -318,11 +337,12 @@ class OnlineEstimator:
         coupling = self._coupling_of(rot) if self._is_coupling_due() else self._coupling
         return replace(fit, translation=self._with_slope(trans, rot), coupling=coupling)
 
-    def _settle(self, course: str, before: _Footing | None) -> Fit:
+    def _settle(self, course: str, before: _Footing | None) -> Steps[Fit]:
         """A fit that chooses leak and delay, as a footing for those to come."""
         self._renew_prior()
         known = before if self.seconds > _WELL_KNOWN else None
-        rot = self._fit_rotation(None if known is None else known.rotation)
+        rot = yield from self._fit_rotation(None if known is None else known.rotation)
+        yield
         where = self._coordinates(rot)
         thrust = self._fit_momentum(where)
         trans = thrust or self._fit_accelerometer(where)
@@ -337,17 +357,17 @@ class OnlineEstimator:
         if self.prior_source is not None:
             self.prior = self.prior_source(self.fit_translation()[0])
 
-    def _fit_rotation(self, start: RotationFit | None = None) -> RotationFit | None:
+    def _fit_rotation(self, start: RotationFit | None = None) -> Steps[RotationFit | None]:
         record = self._record
         if record.article:
             return record.article.fit()
         moments = record.rotation
         data = moments.batches, moments.counts, self._basis, self._noise()
         if start is not None:
-            fit = rotation.fit_rotation(*data, start, self.prior)
+            fit = yield from rotation.fitting_rotation(*data, start, self.prior)
             if fit is not None and fit.converged:
                 return fit
-        return rotation.fit_rotation(*data, prior=self.prior)
+        return (yield from rotation.fitting_rotation(*data, prior=self.prior))
 
     def _fit_momentum(self, where: Array) -> TranslationFit | None:
         """Of the momentum balance, at (3,) coordinates; None while it is too early."""

@@ -40,6 +40,7 @@ from gcs_sysid.estimation.search import (
 )
 from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor, symmetric_roots
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.steps import Steps, finished
 
 _WARM_ITERATIONS, _FOLLOW_ITERATIONS = 12, 2
 _BLIND_STEP = 3.0
@@ -158,10 +159,23 @@ def fit_rotation(
         The fit, or None while the data cannot even start one (fewer rows than unknowns, or no
         response to roll and pitch torque).
     """
+    return finished(fitting_rotation(batches, counts, basis, noise, start, prior))
+
+
+def fitting_rotation(
+    batches: Array,
+    counts: NDArray[np.int64],
+    basis: RotorBasis,
+    noise: Array,
+    start: RotationFit | None = None,
+    prior: Prior | None = None,
+) -> Steps[RotationFit | None]:
+    """`fit_rotation` in steps."""
     rows = int(counts.sum())
     if rows < 3 * rb.N_THETA:
         return None
     bank = batches.sum(axis=0)
+    yield
     problem = Problem(bank, rows, basis, prior)
     at = basis.nodes[basis.middle]
     first = [first_guess(m, rows, at, prior) for m in basis.moments_at(bank, at)]
@@ -169,26 +183,26 @@ def fit_rotation(
         return None
     unknowns = np.stack([guess for guess in first if guess is not None])
     if start is None:
-        point, converged = search(problem, scan(problem, unknowns))
+        starts = yield from scan(problem, unknowns)
+        point, converged = yield from search(problem, starts)
     else:
         # An earlier estimate from too little motion may lie in a valley of its own.
         earlier = np.tile(start.unknowns, (len(bank), 1))
         closer = problem.evaluate(earlier).cost < problem.evaluate(unknowns).cost
         unknowns = np.where(closer[:, None], earlier, unknowns)
-        point, converged = minimise(problem, unknowns, _WARM_ITERATIONS)
+        point, converged = yield from minimise(problem, unknowns, _WARM_ITERATIONS)
     level = None
     if basis.commands and noise.any():
-        problem, point, level = without_noise(problem, point, noise)
+        problem, point, level = yield from without_noise(problem, point, noise)
         batches = batches - counts[:, None, None, None] * noise
     outcome = _Outcome(problem, point, noise)
     inverse_roots = outcome.roots[1]
-    scatter = [
-        (
-            inflation(inverse_roots[i], meat(outcome.scores(i, batches[:, i], counts))),
-            student_factor(outcome.shares(i, batches[:, i])),
-        )
-        for i in range(len(bank))
-    ]
+    scatter = []
+    for i in range(len(bank)):
+        yield
+        spread_out = inflation(inverse_roots[i], meat(outcome.scores(i, batches[:, i], counts)))
+        yield
+        scatter.append((spread_out, student_factor(outcome.shares(i, batches[:, i]))))
     spread, widening = (np.stack(parts) for parts in zip(*scatter, strict=True))
     if level is not None:
         spread = spread + outcome.spread_of(LEVEL_UNCERTAINTY * level)
@@ -202,7 +216,7 @@ def follow_rotation(
     noise: Array,
     start: RotationFit,
     prior: Prior | None = None,
-) -> list[RotationFit]:
+) -> Steps[list[RotationFit]]:
     """Follow a growing record from an earlier fit: a step or two with its leak.
 
     How far the score scatters is taken over from the earlier fit, as it hardly changes.
@@ -224,15 +238,17 @@ def follow_rotation(
     unknowns = start.footing.unknowns[None]
     scatter = start.footing.inflation, start.footing.widening
     outcome = _Outcome(problem, problem.evaluate(unknowns), noise)
+    yield
     near = outcome.take_step(_BLIND_STEP)
     fits = outcome.fits(*scatter, [start.converged] * len(rows), [start.leak] * len(rows))
     if not near.all():
         far = ~near
         alone = Problem(totals[far], rows[far], basis, prior)
         starts = np.repeat(unknowns, len(alone.rows), axis=0)
-        point, converged = minimise(alone, starts, _FOLLOW_ITERATIONS)
+        point, converged = yield from minimise(alone, starts, _FOLLOW_ITERATIONS)
         if noisy:
-            alone, point, _ = without_noise(alone, point, noise[far])
+            alone, point, _ = yield from without_noise(alone, point, noise[far])
+        yield
         leaks = [start.leak] * len(converged)
         better = _Outcome(alone, point, noise[far]).fits(*scatter, converged, leaks)
         for i, fit in zip(np.flatnonzero(far), better, strict=True):

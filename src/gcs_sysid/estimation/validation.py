@@ -21,9 +21,10 @@ from scipy.special import stdtr
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.basis import RotorBasis
 from gcs_sysid.estimation.priors import Prior
-from gcs_sysid.estimation.rotation import fit_rotation
+from gcs_sysid.estimation.rotation import fitting_rotation
 from gcs_sysid.estimation.search import N_X
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.steps import Steps, finished
 
 FITTED_SHARE = 0.6
 """Share of the flight that is fitted; the rest is predicted."""
@@ -80,13 +81,26 @@ def validate(
     Returns:
         None while the flight is too short to be divided.
     """
+    return finished(validating(batches, counts, basis, noise, gains, prior))
+
+
+def validating(
+    batches: Array,
+    counts: NDArray[np.int64],
+    basis: RotorBasis,
+    noise: Array,
+    gains: Array,
+    prior: Prior | None = None,
+) -> Steps[Validation | None]:
+    """`validate` in steps."""
     k = len(counts)
     cut = round(FITTED_SHARE * k)
     if k < _MIN_BATCHES:
         return None
-    fit = fit_rotation(batches[:cut], counts[:cut], basis, noise, prior=prior)
+    fit = yield from fitting_rotation(batches[:cut], counts[:cut], basis, noise, prior=prior)
     if fit is None:
         return None
+    yield
     rest = basis.moments_at(batches[cut:, 0].sum(axis=0), fit.coordinates)
     Q = rb.forward_matrix(fit.theta)
     Rxx, Rxy, Ryy = rest[:N_X, :N_X], rest[:N_X, N_X:], rest[N_X:, N_X:]

@@ -6,9 +6,9 @@ numbers that the live session ended with.
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -42,6 +42,7 @@ from gcs_sysid.session.rotor_input import RotorChooser
 from gcs_sysid.session.rotor_units import RotorSource, gyro_cutoff, loop_cutoff
 from gcs_sysid.session.sampling import SampleBlock, Sampler
 from gcs_sysid.session.snapshot import Course, Event
+from gcs_sysid.steps import Pending, Steps, finished
 
 if TYPE_CHECKING:
     from gcs_sysid.estimation.offline import OfflineFit
@@ -51,6 +52,8 @@ WINDOW = 8192
 """IMU samples that are best taken at once."""
 _LEAST_WINDOW = 64
 """Fewer are fed one by one as fast."""
+_MOST_PENDING = 10
+"""Blocks of samples, 1 s of them, that are not learnt from yet."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,28 @@ _Cutoffs = tuple[float | None, float | None]
 """Hz, low-pass of the gyro as it is sent, and as the rate loop has it; None: there is none."""
 
 
+class _Known(NamedTuple):
+    """What else was known when samples came; they may be learnt from later.
+
+    Attributes:
+        t: s, time of the chain.
+        imu_interval: s.
+        is_usable: whether the IMU is fast enough for the grid.
+        has_spikes: whether any on the gyro was replaced.
+        stood_still: whether rotor speeds ever did.
+        cutoffs: of speeds, and of commands, by the parameters that had come.
+        twin: the other stream of commands that is used.
+    """
+
+    t: float
+    imu_interval: float
+    is_usable: bool
+    has_spikes: bool
+    stood_still: bool
+    cutoffs: _Cutoffs
+    twin: str | None
+
+
 class Chain:
     """Feeds records through to estimates.
 
@@ -110,6 +135,10 @@ class Chain:
         self.airframe = airframe
         self.observers: list[Callable[[SampleBlock], None]] = []
         """Are shown every block of samples before the estimator takes it."""
+        self.pending = Pending(_MOST_PENDING)
+        """What is still to be learnt from samples that were admitted."""
+        self.renewals = 0
+        """How often the estimate was renewed."""
         self.options = options = options or ChainOptions()
         if options.tuning.method != "forward":
             # The article knows rotor speeds alone.
@@ -140,10 +169,22 @@ class Chain:
 
     def feed(self, record: Record) -> bool:
         """Take one record. Returns whether the estimate was renewed."""
-        renewed = False
-        for block in self.sampler.push(record):
-            renewed = self._take(block) or renewed
-        return renewed
+        before = self.renewals
+        self.admit(record)
+        self.pending.finish()
+        return self.renewals > before
+
+    def admit(self, record: Record) -> None:
+        """Take one record as far as the grid; learning from its samples is left to `pending`.
+
+        The outcome is the same, however much is left for later. Until it is done, results are
+        those of an earlier moment, and nothing but records may be taken.
+        """
+        self._admit(self.sampler.push(record))
+
+    def _admit(self, blocks: tuple[SampleBlock, ...]) -> None:
+        if blocks:
+            self.pending.add(self._learn(blocks, self._known()))
 
     def take(self, window: RecordBlock) -> None:
         """Take records that follow each other, as `feed` would one by one, but for rounding.
@@ -167,17 +208,17 @@ class Chain:
         if blocks is None:
             self.sampler = known
             return False
-        for block in blocks:
-            self._take(block)
+        self._admit(blocks)
+        self.pending.finish()
         return True
 
     def finish(self) -> Result:
         """Use what is still held back and give the final result."""
-        for block in self.sampler.finish():
-            self._take(block)
+        self._admit(self.sampler.finish())
+        self.pending.finish()
         if self._tracker is not None:
             self._tracker.finish()
-            self._tell_events(self._tracker)
+            finished(self._tell_events(self._tracker, self.t))
         result = self.refit()
         speeds = self.rotor_input == "speed"
         if self.options.offline and self._tracker is not None and speeds:
@@ -193,8 +234,8 @@ class Chain:
     def reset(self) -> None:
         """Forget the estimate; go on with the next samples."""
         # However records were taken, what came before is forgotten, and nothing else.
-        for block in self.sampler.catch_up():
-            self._take(block)
+        self._admit(self.sampler.catch_up())
+        self.pending.finish()
         self._tracker = None
         self._anchors = self._anchors[:1]
         self._told = 0
@@ -219,6 +260,7 @@ class Chain:
             InputError: see `check_anchor`.
         """
         self.check_anchor(anchor.kind)
+        self.pending.finish()
         self.chooser.anchor = anchor
         self._anchors = [anchor]
         for segment in () if self._tracker is None else self._tracker.segments:
@@ -229,10 +271,14 @@ class Chain:
 
     def note(self, text: str) -> None:
         """Add a line to the event log."""
-        self._events.append(Event(self.t, one_line(text)))
+        self._note(self.t, text)
+
+    def _note(self, t: float, text: str) -> None:
+        self._events.append(Event(t, one_line(text)))
 
     def refit(self) -> Result:
         """Fit now and give the result."""
+        self.pending.finish()
         if self._tracker is not None:
             self._fit = self._tracker.fit()
         return self.result()
@@ -259,7 +305,7 @@ class Chain:
         """Whether parameters came too late: what they say is not what the estimate rests on."""
         if self._tracker is None:
             return False
-        return self.chooser.outdated or self._cutoffs != self._cutoffs_now()
+        return self.chooser.outdated or self._cutoffs != self._used_of(self._cutoffs_now())
 
     @property
     def fit(self) -> Fit:
@@ -482,35 +528,54 @@ class Chain:
             return (*reasons, "without commands T_max sets no scale: give --mass or --k-t")
         return reasons
 
-    def _take(self, block: SampleBlock) -> bool:
+    def _known(self) -> _Known:
+        base = self.sampler.time_base
+        return _Known(
+            self.t,
+            base.imu_interval,
+            base.is_usable,
+            bool(base.faults.spikes),
+            bool(base.still_speeds),
+            self._cutoffs_now(),
+            self._twin,
+        )
+
+    def _learn(self, blocks: Sequence[SampleBlock], known: _Known) -> Steps[None]:
+        for block in blocks:
+            yield from self._learn_from(block, known)
+
+    def _learn_from(self, block: SampleBlock, known: _Known) -> Steps[None]:
         if block.rotors is not None and block.rotors is not self._rotors:
-            self._use(block.rotors)
+            self._use(block.rotors, known.t)
         for observer in self.observers:
             observer(block)
         if self._rotors is None:
-            return False
+            return
         tracker = self._tracker
         if tracker is None or tracker.dt != block.dt:
             if not np.isfinite(block.samples.gyro).any():
-                return False  # nothing flies: no reason to give up what is known
+                return  # nothing flies: no reason to give up what is known
             if tracker is not None and tracker.start is not None:
                 old, new = 1.0 / tracker.dt, 1.0 / block.dt
-                self.note(f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate starts anew")
-            tracker = self._tracker = self._new_tracker(block.dt)
+                anew = f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate starts anew"
+                self._note(known.t, anew)
+            tracker = self._tracker = self._new_tracker(block.dt, known)
+            yield from tracker.reserving()
             # Rows are counted from the first sample in flight, however blocks fall.
             block = block.since(int(np.isfinite(block.samples.gyro).all(axis=1).argmax()))
         elif block.fresh:
             tracker.restart()
-        self._tell_rate()
-        self._tell_outliers()
+        self._tell_rate(known)
+        self._tell_outliers(known)
         stops = self._stops(block.t)
-        points = tracker.update(block.t, block.samples, block.flying, stops)
-        self._tell_events(tracker)
+        points = yield from tracker.updating(block.t, block.samples, block.flying, stops)
+        yield from self._tell_events(tracker, known.t)
         for stop, point in zip(stops, points, strict=True):
+            yield
             self._fit = point.fit
             values = self._values(point.fit, self._anchors[point.segment])
             self._course.append(float(block.t[stop - 1]), values)
-        return bool(points)
+        self.renewals += len(points)
 
     def _stops(self, t: Array) -> list[int]:
         """After how many samples at (n,) times the estimate is renewed."""
@@ -522,33 +587,31 @@ class Chain:
         self._course_number = max(float(number[-1]), self._course_number)
         return [int(i) + 1 for i in np.flatnonzero(renewed)]
 
-    def _tell_outliers(self) -> None:
+    def _tell_outliers(self, known: _Known) -> None:
         """Say when the first gyro spike was replaced, and when rotor speeds first stood still.
 
         How many there were is in the result.
         """
-        base = self.sampler.time_base
-        if base.faults.spikes and not self._spiked:
+        if known.has_spikes and not self._spiked:
             self._spiked = True
-            self.note("spikes on the gyro: replaced by what their neighbours say")
-        if base.still_speeds and not self._stood_still:
+            self._note(known.t, "spikes on the gyro: replaced by what their neighbours say")
+        if known.stood_still and not self._stood_still:
             self._stood_still = True
-            self.note("rotor speeds stood still, old ones under new stamps: left out")
+            self._note(known.t, "rotor speeds stood still, old ones under new stamps: left out")
 
-    def _tell_rate(self) -> None:
+    def _tell_rate(self, known: _Known) -> None:
         """Say when the IMU becomes too slow for the grid, and when it no longer is."""
-        base = self.sampler.time_base
-        if base.is_usable == self._usable:
+        if known.is_usable == self._usable:
             return
-        self._usable = base.is_usable
+        self._usable = known.is_usable
         told = "the estimate goes on" if self._usable else "too slow for the estimate to go on with"
-        rate = f"at {1.0 / base.imu_interval:.0f} Hz" if base.imu_interval else "anew"
-        self.note(f"the IMU comes {rate}: {told}")
+        rate = f"at {1.0 / known.imu_interval:.0f} Hz" if known.imu_interval else "anew"
+        self._note(known.t, f"the IMU comes {rate}: {told}")
 
-    def _use(self, rotors: RotorSource) -> None:
+    def _use(self, rotors: RotorSource, t: float) -> None:
         """Take the rotors' input from this stream from now on."""
         anew = "" if self._rotors is None else ": estimate starts anew"
-        self.note(f"rotors from {rotors.name}, {rotors.why}{anew}")
+        self._note(t, f"rotors from {rotors.name}, {rotors.why}{anew}")
         self._rotors = rotors
         self._tracker = None
         self._fit = Fit(None, None, 0.0)
@@ -557,15 +620,18 @@ class Chain:
     def _cutoffs_now(self) -> _Cutoffs:
         given, chooser = self.airframe.gyro_filter, self.chooser
         known = chooser.autopilot, chooser.parameters
-        loop = loop_cutoff(*known) if self.rotor_input == "command" else None
-        return gyro_cutoff(given, *known), loop
+        return gyro_cutoff(given, *known), loop_cutoff(*known)
 
-    def _new_tracker(self, dt: float) -> Tracker:
+    def _used_of(self, cutoffs: _Cutoffs) -> _Cutoffs:
+        gyro, loop = cutoffs
+        return gyro, loop if self.rotor_input == "command" else None
+
+    def _new_tracker(self, dt: float, known: _Known) -> Tracker:
         assert self._rotors is not None
         self._anchors = self._anchors[:1]
         self._told = 0
         own, changes = self.options.tuning, self.options.changes
-        self._cutoffs = gyro, loop = self._cutoffs_now()
+        self._cutoffs = gyro, loop = self._used_of(known.cutoffs)
         tuning = replace(own, gyro_cutoff=gyro)
         if self._rotors.kind == "command":
             curve = self.airframe.command.thrust_curve
@@ -573,7 +639,7 @@ class Chain:
                 COMMANDS,
                 gyro_cutoff=gyro,
                 loop_cutoff=loop,
-                command_streams=1 if self._twin is None else 2,
+                command_streams=1 if known.twin is None else 2,
                 smoother=own.smoother,
                 bandwidth=own.bandwidth,
                 curves=COMMANDS.curves if curve is None else (curve,),
@@ -591,15 +657,15 @@ class Chain:
             keep=self.options.offline,
         )
 
-    def _tell_events(self, tracker: Tracker) -> None:
+    def _tell_events(self, tracker: Tracker, t: float) -> Steps[None]:
         told, self._told = self._told, tracker.forgotten + len(tracker.events)
         for event in tracker.events[max(told - tracker.forgotten, 0) :]:
-            self.note(summary.note_of(event))
+            self._note(t, summary.note_of(event))
             if event.segment is not None:
                 self._go_on_after(tracker.segments[event.segment])
-                self._fit = tracker.fit(quick=True)
+                self._fit = yield from tracker.fitting(quick=True)
                 if len(tracker.segments) == MOST_SEGMENTS:
-                    self.note(f"{MOST_SEGMENTS} changes: more are not looked for")
+                    self._note(t, f"{MOST_SEGMENTS} changes: more are not looked for")
 
     def _go_on_after(self, segment: Segment) -> None:
         """Find the anchor of what follows a segment."""

@@ -4,6 +4,7 @@ It only reads: what the chain estimates is the same with a coach and without.
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,7 +14,6 @@ from gcs_sysid.coach.choice import Choice, choosing
 from gcs_sysid.coach.information import Noise, speed_noise
 from gcs_sysid.coach.manoeuvres import Limits, library
 from gcs_sysid.coach.outlook import Outlook, outlook_of
-from gcs_sysid.coach.steps import Steps
 from gcs_sysid.coach.supposed import supposed, supposed_noise
 from gcs_sysid.coach.targets import is_enough, shares
 from gcs_sysid.coach.words import motion_words, sentence
@@ -21,6 +21,7 @@ from gcs_sysid.estimation.online import Fit
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.sampling import SampleBlock
 from gcs_sysid.session.snapshot import Advice, Gain
+from gcs_sysid.steps import Steps
 
 _EVERY = 1.0
 """s of vehicle time between looks."""
@@ -74,8 +75,7 @@ class Coach:
         self._chain = chain
         self._library = library(self.options.limits)
         self._advice: Advice | None = None
-        self._thought: Steps[Choice | None] | None = None
-        self._weighed: tuple[Fit, dict[str, float | None]] | None = None
+        self._thought: Steps[None] | None = None
         self._text = ""
         self._gains: tuple[str, ...] = ()
         self._next_look = 0.0
@@ -119,16 +119,13 @@ class Coach:
             return False
         try:
             next(self._thought)
-            return True
-        except StopIteration as end:
-            found = end.value
-        except np.linalg.LinAlgError:
-            # Estimates may be anything while a flight begins; no advice is worth a session.
-            found = None
-        assert self._weighed is not None
+        except StopIteration:
+            self._thought = None
+        return self._thought is not None
+
+    def stop(self) -> None:
+        """Think no more: a thought that is not finished holds coach and chain."""
         self._thought = None
-        self._settle(found, *self._weighed)
-        return False
 
     def _forget(self) -> None:
         self.choice = self._advice = self._thought = None
@@ -165,13 +162,17 @@ class Coach:
         if any((now[name] or 1.0) >= _GROPING for name in ("Ixx", "Iyy")):
             # What a hover's noise looks like is no vehicle.
             fit = replace(fit, rotation=None)
-        self._weighed = fit, now
-        self._thought = self._weigh(fit)
+        self._thought = self._weigh(fit, now)
 
-    def _weigh(self, fit: Fit) -> Steps[Choice | None]:
-        outlook = self._outlook(fit)
-        yield
-        return (yield from choosing(outlook, self._library, self._judge, self.options.target))
+    def _weigh(self, fit: Fit, now: dict[str, float | None]) -> Steps[None]:
+        found = None
+        # Estimates may be anything while a flight begins; no advice is worth a session.
+        with suppress(np.linalg.LinAlgError):
+            outlook = self._outlook(fit)
+            yield
+            target = self.options.target
+            found = yield from choosing(outlook, self._library, self._judge, target)
+        self._settle(found, fit, now)
 
     def _settle(self, found: Choice | None, fit: Fit, now: dict[str, float | None]) -> None:
         """Advise what was found."""

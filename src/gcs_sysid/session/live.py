@@ -33,7 +33,9 @@ _FEW, _GATHER = 16, 0.002
 _THINK = 0.003
 """s that the coach may think between looks at the link."""
 _PUBLISH_EVERY, _PUBLISH_LATE = 0.2, 0.4
-"""s between snapshots; the longer one while more frames wait than are taken in one go."""
+"""s between snapshots; the longer one while there is more to do than can be done in one go."""
+_RESULT_EVERY = 1.0
+"""s of the vehicle's clock between results that are passed on."""
 _DRAINED_AFTER = 0.7
 """s of silence after the sender's end, before the session ends too."""
 _MOST_ACTIONS = 64
@@ -244,12 +246,18 @@ class LiveSession:
         self._tell_recording()
         self.final = self._final()
         self._publish(LinkState.ENDED)
-        self._pipeline.chain.observers.clear()  # they hold the chain: it would outlive its session
+        self._leave()
+
+    def _leave(self) -> None:
+        """Let go of the pipeline, which would outlive its session."""
+        self._pipeline.drop()
+        if self._coach is not None:
+            self._coach.stop()
 
     def _loop(self) -> None:
         began = time.monotonic()
         while True:
-            frames = self._station.poll(_POLL)
+            frames = self._station.poll(0.0 if self._busy else _POLL)
             now = time.monotonic()
             if frames:
                 self._recording.write(frames)
@@ -262,9 +270,10 @@ class LiveSession:
                 self._do(self._actions.get())
             self._tell_recording()
             # What is shown waits while frames do, but not for ever.
-            few = len(frames) < _FEW
-            # In a stream without a pause the coach gets as much as the frames took.
-            self._think(_THINK if few else max(_THINK, time.monotonic() - now))
+            few = len(frames) < _FEW and not self._busy
+            if not self._busy:
+                # In a stream without a pause the coach gets as much as the frames took.
+                self._think(_THINK if few else max(_THINK, time.monotonic() - now))
             if now - self._published >= (_PUBLISH_EVERY if few else _PUBLISH_LATE):
                 self._published = now
                 self._publish(self._state())
@@ -274,13 +283,22 @@ class LiveSession:
                 # Let datagrams gather in the system's buffer: waking for each costs most.
                 self._stop.wait(_GATHER)
 
+    @property
+    def _busy(self) -> bool:
+        """Whether there is something to be learnt from what has come."""
+        return self._identifying and bool(self._pipeline.chain.pending)
+
     def _identify(self, frames: Sequence[Frame], now: float) -> None:
         """All that is done with frames beside recording them."""
-        pipeline = self._pipeline
+        pipeline, pending = self._pipeline, self._pipeline.chain.pending
         if frames:
             pipeline.intake.garbage_bytes = self._station.garbage_bytes
-            pipeline.take(frames)
+            pipeline.admit(frames)
         self._attend(frames, now)
+        # A step between looks at the link; in a stream without a pause as long as frames took.
+        enough = 2.0 * time.monotonic() - now
+        while pending.step() and time.monotonic() < enough:
+            pass
         self._tell_result()
 
     def _watch_link(self, frames: Sequence[Frame], now: float) -> None:
@@ -350,7 +368,11 @@ class LiveSession:
 
     def _tell_result(self) -> None:
         t = self._pipeline.chain.t
-        if self._on_result is not None and t - self._told_result_at >= 1.0:
+        late = t - self._told_result_at - _RESULT_EVERY
+        if self._on_result is not None and late >= 0.0:
+            if self._busy and late < _PUBLISH_LATE:
+                return
+            self._pipeline.chain.pending.finish()
             self._told_result_at = t
             result = self._complete(self._pipeline.result())
             try:
@@ -402,7 +424,7 @@ class LiveSession:
         self._need_estimate()
         self._station.leave()
         intake = self._pipeline.intake
-        self._pipeline.chain.observers.clear()
+        self._leave()
         self._begin(vehicle.address)
         selector = self._pipeline.intake.selector
         for known in intake.selector.autopilots:  # the others stay to be chosen
@@ -447,6 +469,7 @@ class LiveSession:
         if before is not None and not self._identifying:
             result, events = self.final or before.result, self._pipeline.chain.events
             return replace(before, result=result, link=link, events=events, advice=None)
+        self._pipeline.chain.pending.finish()
         result = self.final or self._complete(self._pipeline.result())
         acceleration, advice = self._prediction.acceleration(), self._advised
         target = (self._options.coach or CoachOptions()).target

@@ -14,6 +14,7 @@ from typing import Any
 from gcs_sysid.columns import IntakeEvent, RecordBlock
 from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.records import Record
 from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
 from gcs_sysid.session.result import Result
 from gcs_sysid.telemetry.frames import Frame
@@ -54,14 +55,23 @@ class Pipeline:
 
     def take(self, frames: Iterable[Frame]) -> bool:
         """Take frames in the order received. Returns whether the estimate was renewed."""
-        renewed = False
+        before = self.chain.renewals
+        for record in self._records(frames):
+            self.chain.feed(record)
+        return self.chain.renewals > before
+
+    def admit(self, frames: Iterable[Frame]) -> None:
+        """Take frames, as `take` does, but leave to `chain.pending` what takes long."""
+        for record in self._records(frames):
+            self.chain.admit(record)
+
+    def _records(self, frames: Iterable[Frame]) -> Iterator[Record]:
         for frame in frames:
             record = self.intake.frame(frame)
             for event in self.intake.take_events():
                 self._take_event(event)
-            if record is not None and self.chain.feed(record):
-                renewed = True
-        return renewed
+            if record is not None:
+                yield record
 
     def take_log(self, log: Log, progress: Callable[[float], None] | None = None) -> None:
         """Take a whole recording, instead of frames.
@@ -100,6 +110,7 @@ class Pipeline:
 
     def copy(self) -> "Pipeline":
         """One in the same state, that goes its own way; log and observers are the same."""
+        self.chain.pending.finish()
         shared = (self._telemetry, *self.chain.observers)
         return deepcopy(self, {id(thing): thing for thing in shared})
 
@@ -121,6 +132,11 @@ class Pipeline:
     def finish(self) -> Result:
         """The final estimate, from all that was taken."""
         return self._complete(self.chain.finish())
+
+    def drop(self) -> None:
+        """Leave undone what is pending, and forget who observes: both hold what they look at."""
+        self.chain.pending.drop()
+        self.chain.observers.clear()
 
     def _complete(self, result: Result) -> Result:
         vehicle = self._telemetry.vehicle
