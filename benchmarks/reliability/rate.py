@@ -9,9 +9,11 @@ as it always does and runs on one core.
 
 Lost is what was sent and is not in the tool's count, by numbers sent and by sequence numbers. The
 times are those of `benchmarks.reliability.watched`: from the system's stamp on a datagram's arrival
-until the chain has taken all that was read with it, renewed estimates included. An estimate is
-renewed each 0.5 s of the vehicle's clock, from blocks of 0.1 s; the grid on which its samples lie
-stays 0.04 s behind the newest stamp by design. That is no delay of the processor, and not counted.
+until all that was read with it lies on the grid of samples; of a datagram that completes a block of
+0.1 s, until that block is learnt from and the estimate renewed, where that is due (each 0.5 s of
+the vehicle's clock). The latter are told apart too. The grid stays 0.04 s behind the newest stamp
+by design; that is no delay of the processor, and not counted. Between two looks at the link is what
+one step takes, in the processor's time of that thread, whatever else the machine does.
 """
 
 import argparse
@@ -206,8 +208,9 @@ def rows_of(run: Run, sent: int) -> list[tuple[str, str, str]]:
         ("renewed estimates", f"{times['renewals']}", ""),
     ]
     for kind, what in (
-        ("taken_ms", "datagram's arrival to its samples in the chain"),
-        ("renewed_ms", "the same where an estimate was renewed on the way"),
+        ("taken_ms", "datagram's arrival until it is taken"),
+        ("renewed_ms", "the same of those that had an estimate renewed"),
+        ("stretches_ms", "processor time between two looks at the link"),
     ):
         for level, ms in zip(LEVELS, times[kind], strict=True):
             bar = f"< {LATE_MS:.0f} ms" if kind == "taken_ms" and level == LEVELS[at] else ""

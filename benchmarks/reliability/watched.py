@@ -3,10 +3,13 @@
     python -m benchmarks.reliability.watched TIMES.json [--core N] ... -- live URL --headless ...
 
 runs the words after `--` as `gcs-sysid` would, with the same code all the way. The system stamps
-each datagram as it comes in (SO_TIMESTAMPNS, Linux alone), long before Python sees it. A datagram
-counts as taken when the pipeline has taken all the frames that were read together with it: they
-are records then, and in the estimator as far as its grid goes, and an estimate that was due has
-been made.
+each datagram as it comes in (SO_TIMESTAMPNS, Linux alone), long before Python sees it.
+
+A datagram counts as taken when all that was read together with it is decoded and lies on the grid
+of samples. One that completes a block of samples (0.1 s of the vehicle's clock) counts as taken
+only when all of that block is learnt from: rows made, changes looked for, and the estimate renewed
+where that is due. The tool does that work in steps and reads the link between them, so that
+datagrams read meanwhile may be taken before it.
 """
 
 import argparse
@@ -17,18 +20,22 @@ import struct
 import sys
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterator, Sequence
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gcs_sysid.__main__ import main as gcs_sysid
 from gcs_sysid.cli import live
+from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.steps import Steps
 from gcs_sysid.telemetry import link
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.link import LARGEST_DATAGRAM, Address, Link, UdpLink
+from gcs_sysid.telemetry.link import LARGEST_DATAGRAM, Address, Chunk, Link, UdpLink
 from gcs_sysid.telemetry.urls import LinkUrl
 
 SO_TIMESTAMPNS = 35
@@ -39,51 +46,105 @@ SAMPLED_EVERY = 5.0
 """s between looks at the memory."""
 
 
+class Kept:
+    """Numbers in a room of fixed size, so that keeping them does not look like a leak."""
+
+    def __init__(self, most: int) -> None:
+        self._numbers = np.ones(most, np.int64)
+        self.count = 0
+
+    def add(self, numbers: Sequence[int]) -> None:
+        """Keep these too, as far as there is room."""
+        end = min(self.count + len(numbers), len(self._numbers))
+        self._numbers[self.count : end] = numbers[: end - self.count]
+        self.count = end
+
+    @property
+    def numbers(self) -> NDArray[np.int64]:
+        """All that are kept."""
+        return self._numbers[: self.count]
+
+    def levels(self) -> list[float]:
+        """Percentiles at `LEVELS`, in ms of what are ns."""
+        return (1e-6 * np.percentile(self.numbers, LEVELS)).tolist() if self.count else []
+
+
 class Times:
     """What was seen of the process.
 
     Attributes:
-        waiting: ns since 1970, when the datagrams arrived that are not taken yet.
-        taken: ns from arrival to taken, each datagram.
-        renewed: ns to a renewed estimate, from the arrival of the oldest datagram of those taken
-            together; one a renewal.
+        waiting: ns since 1970 when the datagrams arrived that are not taken yet, and their bytes.
+        taken: ns from a datagram's arrival until it is taken, see the module.
+        renewed: the same of those alone that had an estimate renewed.
+        stretches: ns of processor time of the session's thread between two looks at the link.
         memory: (s since the start, bytes) of resident memory.
     """
 
     def __init__(self) -> None:
-        self.waiting: list[int] = []
-        # Fixed in size, so that keeping times does not look like a leak.
-        self.taken = np.zeros(4_000_000, np.int64)
-        self.taken_count = 0
-        self.renewed: list[int] = []
+        self.waiting: list[tuple[int, int]] = []
+        self.taken, self.renewed = Kept(4_000_000), Kept(10_000)
+        self.stretches = Kept(4_000_000)
         self.memory: list[tuple[float, int]] = []
-        self.taken.fill(1)
+        self._looked: int | None = None
+        self._current = range(0)
+        self._held: set[int] = set()
 
-    def take(self, renewed: bool) -> None:
-        """All that was waiting has been taken."""
+    def frames(self, frames: Sequence[Frame]) -> Iterator[Frame]:
+        """The frames of the datagrams that wait; whose frame is at hand, is kept in mind."""
+        every = range(len(self.waiting))
+        ends = list(accumulate(size for _, size in self.waiting))
+        # Where there were other bytes than those of the frames, any datagram may be the one.
+        told = bool(ends) and ends[-1] == sum(len(frame.raw) for frame in frames)
+        at = number = 0
+        for frame in frames:
+            if told:
+                number += at >= ends[number]
+                at += len(frame.raw)
+            self._current = every[number : number + 1] if told else every
+            yield frame
+
+    def admitted(self) -> None:
+        """All that was waiting is on the grid; what made work is held until that is done."""
         now = time.time_ns()
-        if not self.waiting:
-            return
-        if renewed:
-            self.renewed.append(now - min(self.waiting))
-        end = min(self.taken_count + len(self.waiting), len(self.taken))
-        self.taken[self.taken_count : end] = now - np.array(
-            self.waiting[: end - self.taken_count], np.int64
-        )
-        self.taken_count = end
+        left = [at for number, (at, _) in enumerate(self.waiting) if number not in self._held]
+        self.taken.add([now - at for at in left])
         self.waiting.clear()
+        self._current = range(0)
+        self._held.clear()
+
+    def work(self, piece: Steps[None], renewals: Callable[[], int]) -> Steps[None]:
+        """The same work, done for the datagrams at hand."""
+        held = [self.waiting[number][0] for number in self._current if number not in self._held]
+        self._held |= set(self._current)
+        return self._done_for(held, piece, renewals)
+
+    def _done_for(
+        self, held: list[int], piece: Steps[None], renewals: Callable[[], int]
+    ) -> Steps[None]:
+        before = renewals()
+        yield from piece
+        waited = [time.time_ns() - at for at in held]
+        self.taken.add(waited)
+        if renewals() > before:
+            self.renewed.add(waited)
+
+    def looks(self) -> None:
+        """The session's thread is about to look at the link."""
+        if self._looked is not None:
+            self.stretches.add([time.thread_time_ns() - self._looked])
+
+    def has_looked(self) -> None:
+        """It has looked, and goes on."""
+        self._looked = time.thread_time_ns()
 
     def as_dict(self) -> dict[str, Any]:
         """Percentiles in ms at `LEVELS`, and the memory."""
-
-        def levels(values: Any) -> list[float]:
-            return (1e-6 * np.percentile(values, LEVELS)).tolist() if len(values) else []
-
         return {
-            "datagrams": self.taken_count,
-            "taken_ms": levels(self.taken[: self.taken_count]),
-            "renewals": len(self.renewed),
-            "renewed_ms": levels(self.renewed),
+            "datagrams": self.taken.count,
+            "taken_ms": self.taken.levels(),
+            "renewals": self.renewed.count,
+            "renewed_ms": self.renewed.levels(),
+            "stretches_ms": self.stretches.levels(),
             "memory": self.memory,
         }
 
@@ -102,31 +163,44 @@ def stamped_link(times: Times) -> type[UdpLink]:
             super().__init__(url)
             self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
 
+        def receive(self, timeout: float) -> list[Chunk]:
+            times.looks()
+            chunks = super().receive(timeout)
+            times.has_looked()
+            return chunks
+
         def _read(self, from_socket: socket.socket) -> tuple[bytes, Address]:
             data, about, _, source = from_socket.recvmsg(LARGEST_DATAGRAM, _SPACE)
             for level, kind, content in about:
                 if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS:
                     seconds, ns = _STAMP.unpack(content)
-                    times.waiting.append(seconds * 1_000_000_000 + ns)
+                    times.waiting.append((seconds * 1_000_000_000 + ns, len(data)))
             return data, source
 
     return StampedLink
 
 
 def watch(times: Times) -> None:
-    """Have the tool's link and pipeline keep times from now on."""
+    """Have the tool's link, pipeline and chain keep times from now on."""
     stamped = stamped_link(times)
-    take = Pipeline.take
+    admit, begin = Pipeline.admit, Chain.__init__
 
-    def timed(pipeline: Pipeline, frames: Iterable[Frame]) -> bool:
-        renewed = take(pipeline, frames)
-        times.take(renewed)
-        return renewed
+    def timed(pipeline: Pipeline, frames: Sequence[Frame]) -> None:
+        admit(pipeline, times.frames(frames))
+        times.admitted()
+
+    def with_timed_work(chain: Chain, *arguments: Any) -> None:
+        begin(chain, *arguments)
+        add = chain.pending.add
+        chain.pending.add = lambda piece: add(  # type: ignore[method-assign]
+            times.work(piece, lambda: chain.renewals)
+        )
 
     def open_link(url: LinkUrl, *_: float) -> Link:
         return stamped(url)
 
-    Pipeline.take = timed  # type: ignore[method-assign]
+    Pipeline.admit = timed  # type: ignore[method-assign, assignment]
+    Chain.__init__ = with_timed_work  # type: ignore[method-assign, assignment]
     live.open_link = open_link
 
 

@@ -33,7 +33,9 @@ _FEW, _GATHER = 16, 0.002
 _THINK = 0.003
 """s that the coach may think between looks at the link."""
 _PUBLISH_EVERY, _PUBLISH_LATE = 0.2, 0.4
-"""s between snapshots; the longer one while there is more to do than can be done in one go."""
+"""s between snapshots; the longer one while more frames wait than are taken in one go."""
+_OVERDUE = 1.0
+"""s after which snapshots and results wait no more for what there is to be learnt to be done."""
 _RESULT_EVERY = 1.0
 """s of the vehicle's clock between results that are passed on."""
 _DRAINED_AFTER = 0.7
@@ -270,16 +272,17 @@ class LiveSession:
                 self._do(self._actions.get())
             self._tell_recording()
             # What is shown waits while frames do, but not for ever.
-            few = len(frames) < _FEW and not self._busy
-            if not self._busy:
+            few, busy = len(frames) < _FEW, self._busy
+            if not busy:
                 # In a stream without a pause the coach gets as much as the frames took.
                 self._think(_THINK if few else max(_THINK, time.monotonic() - now))
-            if now - self._published >= (_PUBLISH_EVERY if few else _PUBLISH_LATE):
+            every = _OVERDUE if busy else _PUBLISH_EVERY if few else _PUBLISH_LATE
+            if now - self._published >= every:
                 self._published = now
                 self._publish(self._state())
             if self._stop.is_set() or self._ended(now, began):
                 return
-            if frames and few:
+            if frames and few and not busy:
                 # Let datagrams gather in the system's buffer: waking for each costs most.
                 self._stop.wait(_GATHER)
 
@@ -295,10 +298,7 @@ class LiveSession:
             pipeline.intake.garbage_bytes = self._station.garbage_bytes
             pipeline.admit(frames)
         self._attend(frames, now)
-        # A step between looks at the link; in a stream without a pause as long as frames took.
-        enough = 2.0 * time.monotonic() - now
-        while pending.step() and time.monotonic() < enough:
-            pass
+        pending.step()  # just one: then the link is looked at again
         self._tell_result()
 
     def _watch_link(self, frames: Sequence[Frame], now: float) -> None:
@@ -370,7 +370,7 @@ class LiveSession:
         t = self._pipeline.chain.t
         late = t - self._told_result_at - _RESULT_EVERY
         if self._on_result is not None and late >= 0.0:
-            if self._busy and late < _PUBLISH_LATE:
+            if self._busy and late < _OVERDUE:
                 return
             self._pipeline.chain.pending.finish()
             self._told_result_at = t
