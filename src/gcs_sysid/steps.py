@@ -31,9 +31,9 @@ class Pending:
         self._most = most
         self._pieces: deque[Steps[None]] = deque()
 
-    def __bool__(self) -> bool:
-        """Whether there is anything left to do."""
-        return bool(self._pieces)
+    def __len__(self) -> int:
+        """How many pieces are not finished."""
+        return len(self._pieces)
 
     def add(self, piece: Steps[None]) -> None:
         """Have another piece of work done after all the others."""

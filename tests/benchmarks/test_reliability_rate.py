@@ -2,14 +2,16 @@
 
 import random
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from benchmarks.reliability import day, flood, rate, soak
+from benchmarks.reliability import day, flood, rate, soak, watched
 from benchmarks.reliability.flights import emulate
 from benchmarks.reliability.watched import Times
 from gcs_sysid.session.result import Estimate
+from gcs_sysid.steps import finished
 from gcs_sysid.telemetry.frames import FrameScanner, Validity
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
@@ -24,14 +26,41 @@ def test_garbage_holds_no_frame_and_repeats_with_its_seed():
     assert flood.garbage(3, 50) == flood.garbage(3, 50) != flood.garbage(4, 50)
 
 
-def test_times_count_each_datagram_once():
-    times = Times()
-    times.waiting += [10, 20]
-    times.take(renewed=True)
-    times.take(renewed=True)  # nothing new
-    told = times.as_dict()
-    assert (told["datagrams"], told["renewals"]) == (2, 1)
-    assert times.renewed[0] == times.taken[0] == times.taken[1] + 10
+def told_apart(sizes, completing, raws, monkeypatch):
+    """Times of datagrams that came at 10, 20, ... ns and were taken at 100; work until 500."""
+    clock = [100]
+    monkeypatch.setattr(watched.time, "time_ns", lambda: clock[0])
+    times, renewals = Times(), [0]
+    times.waiting += [(10 * (n + 1), size) for n, size in enumerate(sizes)]
+    pieces = []
+
+    def learn():
+        yield
+        renewals[0] += 1
+
+    for number, _ in enumerate(times.frames([frame(raw) for raw in raws])):
+        if number == completing:
+            pieces.append(times.work(learn(), lambda: renewals[0]))
+    times.admitted()
+    clock[0] = 500
+    for piece in pieces:
+        finished(piece)
+    return sorted(times.taken.numbers.tolist()), sorted(times.renewed.numbers.tolist())
+
+
+def frame(raw):
+    return SimpleNamespace(raw=raw)
+
+
+def test_each_datagram_counts_until_what_it_brought_about_is_done(monkeypatch):
+    raws = [b"aaa", b"bb", b"bb", b"c"]
+    assert told_apart([3, 4, 1], None, raws, monkeypatch) == ([70, 80, 90], [])
+    # The second holds two frames, of which one completes a block.
+    assert told_apart([3, 4, 1], 1, raws, monkeypatch) == ([70, 90, 480], [480])
+    assert told_apart([3, 4, 1], 2, raws, monkeypatch) == ([70, 90, 480], [480])
+    assert told_apart([3, 4, 1], 3, raws, monkeypatch) == ([80, 90, 470], [470])
+    # Bytes that are in no frame: it may be any of them.
+    assert told_apart([3, 9, 1], 3, raws, monkeypatch)[1] == [470, 480, 490]
 
 
 def test_growth_is_told_from_when_memory_had_settled():

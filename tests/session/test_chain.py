@@ -1,5 +1,6 @@
 """The chain from records to results, on the article's flight."""
 
+import random
 from dataclasses import replace
 
 import numpy as np
@@ -168,6 +169,43 @@ def test_reset_forgets_and_goes_on(paper_records):
     result = chain.finish()
     assert 20.0 < result.telemetry["used_seconds"] < 35.0
     assert result.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.05)
+
+
+def test_how_much_is_left_for_later_changes_nothing(paper_records):
+    """Of two flights, with a silence between in which anything may have been done."""
+    start = paper_records[0].t
+    first = [r for r in paper_records if r.t - start < 8.0]
+    second = [r._replace(t=r.t + 30.0) for r in paper_records if r.t - start < 11.5]
+    at_once, later = (
+        Chain(load_airframe("paper"), ChainOptions(course_interval=1.0)) for _ in "12"
+    )
+    rng, longest = random.Random(1), 0
+    for record in (*first, *second):
+        at_once.feed(record)
+        later.admit(record)
+        for _ in range(rng.choice((0, 0, 0, 1, 1, 30))):
+            later.pending.step()
+        longest = max(longest, len(later.pending))
+    assert longest > 1
+    assert at_once.renewals > 12
+    # Bit for bit; NaN is no number to compare.
+    assert repr(everything(later)) == repr(everything(at_once))
+
+
+def everything(chain):
+    result, course = chain.finish(), chain.course
+    arrays = [course.t, *course.value.values(), *course.std.values()]
+    return result, chain.events, [array.tolist() for array in arrays]
+
+
+def test_what_is_asked_of_a_chain_has_all_work_done_first(paper_records):
+    chain = Chain(load_airframe("paper"))
+    for record in paper_records[: len(paper_records) // 6]:
+        chain.admit(record)
+    assert chain.pending
+    used = chain.result().telemetry["used_seconds"]
+    assert not chain.pending
+    assert used > 8.0
 
 
 @pytest.mark.parametrize("boot", [0.0, 1000.0])

@@ -1,6 +1,7 @@
 """Whatever comes and whatever fails: memory stays bounded, the recording whole."""
 
 import gc
+import itertools
 import random
 import struct
 import threading
@@ -9,13 +10,14 @@ import tracemalloc
 import weakref
 from collections import deque
 
+import numpy as np
 import pytest
 from fastcrc import crc16
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation import tracking
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.session.coaching import CoachOptions
+from gcs_sysid.session.coaching import Coach, CoachOptions
 from gcs_sysid.session.live import LiveSession
 from gcs_sysid.session.live_options import LiveOptions
 from gcs_sysid.session.snapshot import LinkState
@@ -302,12 +304,34 @@ def test_a_defect_costs_the_estimate_and_not_the_recording(running, where, name,
     assert session.recordings() == [f"recorded to {path}"]
 
 
-def test_an_ended_session_leaves_nothing_for_the_garbage_collector(tmp_path):
+def test_the_link_is_looked_at_between_two_steps_of_work(running):
+    session, link, _ = running
+    receive, looks, seen = link.receive, itertools.count(), []
+    link.receive = lambda timeout: (next(looks), receive(timeout))[1]
+
+    def work():
+        for _ in range(20):
+            seen.append(next(looks))
+            yield
+
+    session.start()
+    flown(link, 5)
+    until(session, lambda shown: shown.link.received == 5)
+    session._pipeline.chain.pending.add(work())
+    until(session, lambda _: len(seen) == 20)
+    assert (np.diff(seen) == 2).all()
+
+
+def test_an_ended_session_leaves_nothing_for_the_garbage_collector(tmp_path, monkeypatch):
     """Its estimator has tens of megabytes, which must not wait for a collection."""
     link = FakeLink()
     options = LiveOptions(coach=CoachOptions(), predict=True)
     session = LiveSession(link, load_airframe("paper"), options, tmp_path / "own.tlog")
     chain = weakref.ref(session._pipeline.chain)
+    # Its coach is in the middle of a thought.
+    monkeypatch.setattr(Coach, "look", lambda _: None)
+    monkeypatch.setattr(Coach, "think", lambda _: False)
+    session._coach._begin(chain().fit, {"Ixx": None, "Iyy": None})
     gc.collect()
     gc.disable()
     try:

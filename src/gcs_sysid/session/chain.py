@@ -5,18 +5,13 @@ depends on the records and their order alone, so the analysis of a recording end
 numbers that the live session ended with.
 """
 
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from gcs_sysid.arrays import Array
 from gcs_sysid.columns import RecordBlock
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.anchors import Anchor, AnchorKind, relative_prior, resolve_scale
-from gcs_sysid.estimation.changes import ChangeTuning
+from gcs_sysid.estimation.anchors import Anchor, AnchorKind
 from gcs_sysid.estimation.command_noise import SLOW_COMMANDS
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.parameters import (
@@ -26,87 +21,33 @@ from gcs_sysid.estimation.parameters import (
     rotor_delay,
     verdict,
 )
-from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotors import RotorInput
-from gcs_sysid.estimation.tracking import MOST_SEGMENTS, Segment, Tracker
-from gcs_sysid.estimation.translation import TranslationFit
-from gcs_sysid.estimation.tuning import COMMANDS, Tuning
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import TIMING
-from gcs_sysid.plain import one_line
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.session import summary
-from gcs_sysid.session.course import CourseRecorder
+from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.learner import Cutoffs, Known, Learner
 from gcs_sysid.session.result import Estimate, Result
 from gcs_sysid.session.rotor_input import RotorChooser
-from gcs_sysid.session.rotor_units import RotorSource, gyro_cutoff, loop_cutoff
+from gcs_sysid.session.rotor_units import gyro_cutoff, loop_cutoff
 from gcs_sysid.session.sampling import SampleBlock, Sampler
 from gcs_sysid.session.snapshot import Course, Event
-from gcs_sysid.steps import Pending, Steps, finished
+from gcs_sysid.steps import Pending
+
+__all__ = ["WINDOW", "Chain", "ChainOptions"]
 
 if TYPE_CHECKING:
     from gcs_sysid.estimation.offline import OfflineFit
 
-_MAX_EVENTS = 300
 WINDOW = 8192
 """IMU samples that are best taken at once."""
 _LEAST_WINDOW = 64
 """Fewer are fed one by one as fast."""
 _MOST_PENDING = 10
 """Blocks of samples, 1 s of them, that are not learnt from yet."""
-
-
-@dataclass(frozen=True)
-class ChainOptions:
-    """What a user may set.
-
-    Attributes:
-        tuning: of the estimator with rotor speeds; with commands it has its own.
-        changes: of the change detector; None: changes in flight are not looked for.
-        course_interval: s between refits for the estimate's course; None: only at the end.
-        tick: s of vehicle time between blocks; the estimate does not depend on it.
-        start: s after the first record; earlier records are not used.
-        end: s after the first record; later ones are not used.
-        offline: whether the final estimate is the maximum-likelihood one.
-        parameters: of the autopilot, as far as they are known beforehand.
-    """
-
-    tuning: Tuning = field(default_factory=Tuning)
-    changes: ChangeTuning | None = field(default_factory=ChangeTuning)
-    course_interval: float | None = 0.5
-    tick: float = 0.1
-    start: float = 0.0
-    end: float = float("inf")
-    offline: bool = False
-    parameters: Mapping[str, float] = field(default_factory=dict)
-
-
 _ENOUGH_TO_ANSWER = 10.0
 """s of flight in which roll and pitch are seen to answer the rotors, if they do at all."""
-_Cutoffs = tuple[float | None, float | None]
-"""Hz, low-pass of the gyro as it is sent, and as the rate loop has it; None: there is none."""
-
-
-class _Known(NamedTuple):
-    """What else was known when samples came; they may be learnt from later.
-
-    Attributes:
-        t: s, time of the chain.
-        imu_interval: s.
-        is_usable: whether the IMU is fast enough for the grid.
-        has_spikes: whether any on the gyro was replaced.
-        stood_still: whether rotor speeds ever did.
-        cutoffs: of speeds, and of commands, by the parameters that had come.
-        twin: the other stream of commands that is used.
-    """
-
-    t: float
-    imu_interval: float
-    is_usable: bool
-    has_spikes: bool
-    stood_still: bool
-    cutoffs: _Cutoffs
-    twin: str | None
 
 
 class Chain:
@@ -133,13 +74,10 @@ class Chain:
         if anchor is None:
             raise ValueError("the airframe has no scale anchor (mass, k_T or T_max)")
         self.airframe = airframe
-        self.observers: list[Callable[[SampleBlock], None]] = []
-        """Are shown every block of samples before the estimator takes it."""
         self.pending = Pending(_MOST_PENDING)
         """What is still to be learnt from samples that were admitted."""
-        self.renewals = 0
-        """How often the estimate was renewed."""
         self.options = options = options or ChainOptions()
+        self._learner = Learner(airframe, anchor, options)
         if options.tuning.method != "forward":
             # The article knows rotor speeds alone.
             airframe = replace(airframe, rotor_input="speed")
@@ -153,19 +91,7 @@ class Chain:
             options.end,
             airframe.imu_arm,
         )
-        self._rotors: RotorSource | None = None
-        self._cutoffs: _Cutoffs = (None, None)
-        self._anchors = [anchor]
-        self._tracker: Tracker | None = None
-        self._told = 0
-        self._usable = True
-        self._spiked = self._stood_still = False
-        self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
-        self._course_number = 0.0
-        self._fit = Fit(None, None, 0.0)
         self._offline: OfflineFit | None = None
-        self._course = CourseRecorder()
-        self._course_step = options.course_interval
 
     def feed(self, record: Record) -> bool:
         """Take one record. Returns whether the estimate was renewed."""
@@ -177,14 +103,14 @@ class Chain:
     def admit(self, record: Record) -> None:
         """Take one record as far as the grid; learning from its samples is left to `pending`.
 
-        The outcome is the same, however much is left for later. Until it is done, results are
-        those of an earlier moment, and nothing but records may be taken.
+        The outcome is the same, however much is left for later. Whatever else is asked of the
+        chain, but for the time and how it stands, has all of it done first.
         """
         self._admit(self.sampler.push(record))
 
     def _admit(self, blocks: tuple[SampleBlock, ...]) -> None:
         if blocks:
-            self.pending.add(self._learn(blocks, self._known()))
+            self.pending.add(self._learner.learn(blocks, self._known()))
 
     def take(self, window: RecordBlock) -> None:
         """Take records that follow each other, as `feed` would one by one, but for rounding.
@@ -215,19 +141,16 @@ class Chain:
     def finish(self) -> Result:
         """Use what is still held back and give the final result."""
         self._admit(self.sampler.finish())
-        self.pending.finish()
-        if self._tracker is not None:
-            self._tracker.finish()
-            finished(self._tell_events(self._tracker, self.t))
+        self.pending.add(self._learner.finish(self.t))
         result = self.refit()
         speeds = self.rotor_input == "speed"
-        if self.options.offline and self._tracker is not None and speeds:
+        if self.options.offline and self._learner.tracker is not None and speeds:
             # Splines and likelihoods take a while to load, and few ask for them.
             from gcs_sysid.estimation.offline import fit_offline
 
-            self._offline = fit_offline(self._tracker, self._fit)
+            self._offline = fit_offline(self._learner.tracker, self._learner.fit)
             if self._offline is not None:
-                self._fit = self._offline.fit
+                self._learner.fit = self._offline.fit
             result = self.result()
         return result
 
@@ -236,11 +159,7 @@ class Chain:
         # However records were taken, what came before is forgotten, and nothing else.
         self._admit(self.sampler.catch_up())
         self.pending.finish()
-        self._tracker = None
-        self._anchors = self._anchors[:1]
-        self._told = 0
-        self._fit = Fit(None, None, 0.0)
-        self._course.clear()
+        self._learner.reset()
         self.note("estimate reset")
 
     def check_anchor(self, kind: AnchorKind) -> None:
@@ -249,7 +168,8 @@ class Chain:
         Raises:
             InputError: it does not.
         """
-        used = self.airframe.rotor_input if self._rotors is None else self._rotors.kind
+        rotors = self._learner.rotors
+        used = self.airframe.rotor_input if rotors is None else rotors.kind
         if (used, kind) in (("speed", "T_max"), ("command", "k_T")):
             raise InputError(f"{kind} sets no scale with {used}s as the rotors' input")
 
@@ -262,25 +182,19 @@ class Chain:
         self.check_anchor(anchor.kind)
         self.pending.finish()
         self.chooser.anchor = anchor
-        self._anchors = [anchor]
-        for segment in () if self._tracker is None else self._tracker.segments:
-            self._go_on_after(segment)
-        self._course.clear()
+        self._learner.set_anchor(anchor)
         scale = summary.scale_of(anchor)
         self.note(f"scale: {scale.anchor} = {scale.value:.6g} {scale.unit}")
 
     def note(self, text: str) -> None:
         """Add a line to the event log."""
-        self._note(self.t, text)
-
-    def _note(self, t: float, text: str) -> None:
-        self._events.append(Event(t, one_line(text)))
+        self._learner.note(self.t, text)
 
     def refit(self) -> Result:
         """Fit now and give the result."""
         self.pending.finish()
-        if self._tracker is not None:
-            self._fit = self._tracker.fit()
+        if self._learner.tracker is not None:
+            self._learner.fit = self._learner.tracker.fit()
         return self.result()
 
     @property
@@ -296,62 +210,72 @@ class Chain:
     @property
     def rotor_input(self) -> RotorInput:
         """What the estimate rests on."""
-        if self._rotors is not None:
-            return self._rotors.kind
-        return "command" if self.airframe.rotor_input == "command" else "speed"
+        return self._learner.rotor_input
+
+    @property
+    def observers(self) -> list[Callable[[SampleBlock], None]]:
+        """Are shown every block of samples before the estimator takes it."""
+        return self._learner.observers
+
+    @property
+    def renewals(self) -> int:
+        """How often the estimate was renewed."""
+        return self._learner.renewals
 
     @property
     def outdated(self) -> bool:
         """Whether parameters came too late: what they say is not what the estimate rests on."""
-        if self._tracker is None:
+        if self._learner.tracker is None:
             return False
-        return self.chooser.outdated or self._cutoffs != self._used_of(self._cutoffs_now())
+        learner = self._learner
+        return self.chooser.outdated or learner.cutoffs != learner.used_of(self._cutoffs())
 
     @property
     def fit(self) -> Fit:
         """The latest fit."""
-        return self._fit
+        return self._learner.fit
 
     @property
     def estimator(self) -> OnlineEstimator | None:
         """The one in force; None before the first sample in flight."""
-        return None if self._tracker is None else self._tracker.estimator
+        return None if self._learner.tracker is None else self._learner.tracker.estimator
 
     def values(self, fit: Fit) -> dict[str, Value]:
         """Physical parameters of any fit, by the rules of this flight's own."""
-        return self._values(fit, self.anchor)
+        return self._learner.values(fit, self.anchor)
 
     @property
     def anchor(self) -> Anchor:
         """The scale in force."""
-        return self._anchors[-1]
+        return self._learner.anchors[-1]
 
     @property
     def gyro_cutoff(self) -> float | None:
         """Hz, low-pass of the autopilot on its gyro that the estimate reckons with."""
-        return self._cutoffs[0]
+        return self._learner.cutoffs[0]
 
     @property
     def used_seconds(self) -> float:
         """Flight time that the latest estimate rests on."""
-        return self._fit.seconds
+        return self._learner.fit.seconds
 
     @property
     def events(self) -> tuple[Event, ...]:
         """Event log, the latest last."""
-        return tuple(self._events)
+        return tuple(self._learner.events)
 
     @property
     def course(self) -> Course:
         """How the estimates moved so far."""
-        return self._course.course()
+        return self._learner.course.course()
 
     def result(self) -> Result:
         """The latest fit as a result."""
-        values = self._values(self._fit, self.anchor)
-        word, reasons = verdict(values, self.rotor_input, self._fit.coupling)
+        self.pending.finish()
+        values = self._learner.values(self._learner.fit, self.anchor)
+        word, reasons = verdict(values, self.rotor_input, self._learner.fit.coupling)
         first = self._data_reasons()
-        if self._fit.rotation is None:
+        if self._learner.fit.rotation is None:
             word, reasons = "refused", first or reasons
         else:
             reasons = (*first, *reasons)
@@ -363,12 +287,12 @@ class Chain:
             vehicle={},
             scale=summary.scale_of(self.anchor),
             rotor_input=self.rotor_input,
-            parameters=summary.estimates_of(values, self._fit, self.anchor, self._bounds()),
+            parameters=summary.estimates_of(values, self._learner.fit, self.anchor, self._bounds()),
             estimator="online" if self._offline is None else "offline",
             timing=self._timing(),
             events=self._changes([*past, values]),
             segments=self._segments(past),
-            validation=summary.validation_of(self._fit),
+            validation=summary.validation_of(self._learner.fit),
             priors={
                 name: {"value": value, "std": std}
                 for name, (value, std) in self.airframe.priors.items()
@@ -377,41 +301,38 @@ class Chain:
             airframe=self.airframe.as_json(),
         )
 
-    def _values(self, fit: Fit, anchor: Anchor) -> dict[str, Value]:
-        # A prior on the mass is of the vehicle as it took off.
-        known = {} if anchor.origin else summary.priors_for(self.airframe.priors, self.rotor_input)
-        return summary.values_of(fit, anchor, self.airframe.arm, known, self.rotor_input)
-
     def _timing(self) -> dict[str, Estimate]:
-        timing = {"rotor_delay": rotor_delay(self._fit.rotation)}
+        timing = {"rotor_delay": rotor_delay(self._learner.fit.rotation)}
         if self.rotor_input == "command":
-            timing["motor_lag"] = motor_lag(self._fit.rotation)
+            timing["motor_lag"] = motor_lag(self._learner.fit.rotation)
         return {
             name: Estimate(value.value, value.std, TIMING[name].unit, value.status)
             for name, value in timing.items()
         }
 
     def _past_values(self) -> list[dict[str, Value]]:
-        if self._tracker is None:
+        if self._learner.tracker is None:
             return []
         return [
-            self._values(segment.fit, anchor)
-            for segment, anchor in zip(self._tracker.segments, self._anchors, strict=False)
+            self._learner.values(segment.fit, anchor)
+            for segment, anchor in zip(
+                self._learner.tracker.segments, self._learner.anchors, strict=False
+            )
         ]
 
     def _bounds(self) -> dict[str, Value] | None:
         if self._offline is None:
             return None
-        bounds = self._values(self._offline.bounding_fit, self.anchor)
+        bounds = self._learner.values(self._offline.bounding_fit, self.anchor)
         # The likelihood is that of the rotation.
         return {n: v for n, v in bounds.items() if n not in ("mass", "k_T", "T_max", "linear_drag")}
 
     def _changes(self, values: list[dict[str, Value]]) -> tuple[dict[str, Any], ...]:
-        if self._tracker is None:
+        if self._learner.tracker is None:
             return ()
         out = []
         before = 0
-        for event in self._tracker.events:
+        for event in self._learner.tracker.events:
             after = None
             if event.segment is not None:
                 before, after = event.segment, values[event.segment + 1]
@@ -421,7 +342,7 @@ class Chain:
         return tuple(out)
 
     def _segments(self, past: list[dict[str, Value]]) -> tuple[dict[str, Any], ...]:
-        if self._tracker is None:
+        if self._learner.tracker is None:
             return ()
         return tuple(
             {
@@ -435,7 +356,7 @@ class Chain:
                 "validation": summary.validation_of(segment.fit),
             }
             for segment, anchor, values in zip(
-                self._tracker.segments, self._anchors, past, strict=False
+                self._learner.tracker.segments, self._learner.anchors, past, strict=False
             )
         )
 
@@ -443,7 +364,7 @@ class Chain:
         base = self.sampler.time_base
         return {
             "grid_rate": 1.0 / base.dt if base.dt else None,
-            "used_seconds": self._fit.seconds,
+            "used_seconds": self._learner.fit.seconds,
             "late": base.late,
             "repeated": base.repeated,
             "restarts": base.restarts,
@@ -460,7 +381,7 @@ class Chain:
 
     def _input_telemetry(self) -> dict[str, Any]:
         """Which rotor stream is used, how it is read, and why not the others."""
-        source = self._rotors
+        source = self._learner.rotors
         if source is None:
             return {"source": None, "refused": dict(self.chooser.refused)}
         out: dict[str, Any] = {
@@ -469,8 +390,8 @@ class Chain:
             "refused": dict(source.refused or {}),
             "with": self._twin,
             "repeats": self.chooser.repeats[source.name].as_dict(),
-            "gyro_filter": None if self._tracker is None else self._cutoffs[0],
-            "loop_filter": None if self._tracker is None else self._cutoffs[1],
+            "gyro_filter": None if self._learner.tracker is None else self._learner.cutoffs[0],
+            "loop_filter": None if self._learner.tracker is None else self._learner.cutoffs[1],
         }
         if source.range is not None:
             out["range"] = [source.range.low, source.range.high]
@@ -492,7 +413,7 @@ class Chain:
                 "no rotor speeds (ESC_STATUS, ESC_TELEMETRY) and no actuator outputs "
                 "(ACTUATOR_OUTPUT_STATUS, SERVO_OUTPUT_RAW): the autopilot must be asked for them",
             )
-        if self._rotors is None and self.chooser.judged:
+        if self._learner.rotors is None and self.chooser.judged:
             return self._input_reasons()
         if self.outdated:
             return (
@@ -501,15 +422,15 @@ class Chain:
             )
         if Stream.ATTITUDE not in seen:
             return ("no attitude (ATTITUDE or ATTITUDE_QUATERNION)",)
-        if self._fit.rotation is None:
-            if self._fit.seconds > _ENOUGH_TO_ANSWER:
+        if self._learner.fit.rotation is None:
+            if self._learner.fit.seconds > _ENOUGH_TO_ANSWER:
                 return (
                     "the vehicle does not turn as these rotors would turn it: check the motor "
                     "order and rotor positions in the airframe file, and fly roll and pitch",
                 )
             return ("too little flight in which all the needed data came together",)
-        if self._fit.rotation.r_squared.min() < WEAK_BELOW_R2:
-            share = max(100.0 * self._fit.rotation.r_squared.min(), 0.0)
+        if self._learner.fit.rotation.r_squared.min() < WEAK_BELOW_R2:
+            share = max(100.0 * self._learner.fit.rotation.r_squared.min(), 0.0)
             return (
                 f"the rotors explain only {share:.0f} % of the motion on one axis: "
                 "fly it harder than the wind does, and check the motor order",
@@ -521,157 +442,27 @@ class Chain:
         if not self.chooser.refused:
             return ("no rotor speeds and no commands came while it flew",)
         reasons = tuple(f"{name} {why}" for name, why in self.chooser.refused.items())
-        kind = self._anchors[0].kind
+        kind = self._learner.anchors[0].kind
         if kind == "k_T":
             return (*reasons, "without rotor speeds k_T sets no scale: give --mass or --t-max")
         if kind == "T_max":
             return (*reasons, "without commands T_max sets no scale: give --mass or --k-t")
         return reasons
 
-    def _known(self) -> _Known:
+    def _known(self) -> Known:
         base = self.sampler.time_base
-        return _Known(
+        return Known(
             self.t,
             base.imu_interval,
             base.is_usable,
             bool(base.faults.spikes),
             bool(base.still_speeds),
-            self._cutoffs_now(),
+            self._cutoffs(),
             self._twin,
         )
 
-    def _learn(self, blocks: Sequence[SampleBlock], known: _Known) -> Steps[None]:
-        for block in blocks:
-            yield from self._learn_from(block, known)
-
-    def _learn_from(self, block: SampleBlock, known: _Known) -> Steps[None]:
-        if block.rotors is not None and block.rotors is not self._rotors:
-            self._use(block.rotors, known.t)
-        for observer in self.observers:
-            observer(block)
-        if self._rotors is None:
-            return
-        tracker = self._tracker
-        if tracker is None or tracker.dt != block.dt:
-            if not np.isfinite(block.samples.gyro).any():
-                return  # nothing flies: no reason to give up what is known
-            if tracker is not None and tracker.start is not None:
-                old, new = 1.0 / tracker.dt, 1.0 / block.dt
-                anew = f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate starts anew"
-                self._note(known.t, anew)
-            tracker = self._tracker = self._new_tracker(block.dt, known)
-            yield from tracker.reserving()
-            # Rows are counted from the first sample in flight, however blocks fall.
-            block = block.since(int(np.isfinite(block.samples.gyro).all(axis=1).argmax()))
-        elif block.fresh:
-            tracker.restart()
-        self._tell_rate(known)
-        self._tell_outliers(known)
-        stops = self._stops(block.t)
-        points = yield from tracker.updating(block.t, block.samples, block.flying, stops)
-        yield from self._tell_events(tracker, known.t)
-        for stop, point in zip(stops, points, strict=True):
-            yield
-            self._fit = point.fit
-            values = self._values(point.fit, self._anchors[point.segment])
-            self._course.append(float(block.t[stop - 1]), values)
-        self.renewals += len(points)
-
-    def _stops(self, t: Array) -> list[int]:
-        """After how many samples at (n,) times the estimate is renewed."""
-        if self._course_step is None:
-            return []
-        # Times are rounded; a sample that is early by so little is on time.
-        number = np.floor(t / self._course_step + 1e-3)
-        renewed = np.diff(number, prepend=self._course_number) > 0.0
-        self._course_number = max(float(number[-1]), self._course_number)
-        return [int(i) + 1 for i in np.flatnonzero(renewed)]
-
-    def _tell_outliers(self, known: _Known) -> None:
-        """Say when the first gyro spike was replaced, and when rotor speeds first stood still.
-
-        How many there were is in the result.
-        """
-        if known.has_spikes and not self._spiked:
-            self._spiked = True
-            self._note(known.t, "spikes on the gyro: replaced by what their neighbours say")
-        if known.stood_still and not self._stood_still:
-            self._stood_still = True
-            self._note(known.t, "rotor speeds stood still, old ones under new stamps: left out")
-
-    def _tell_rate(self, known: _Known) -> None:
-        """Say when the IMU becomes too slow for the grid, and when it no longer is."""
-        if known.is_usable == self._usable:
-            return
-        self._usable = known.is_usable
-        told = "the estimate goes on" if self._usable else "too slow for the estimate to go on with"
-        rate = f"at {1.0 / known.imu_interval:.0f} Hz" if known.imu_interval else "anew"
-        self._note(known.t, f"the IMU comes {rate}: {told}")
-
-    def _use(self, rotors: RotorSource, t: float) -> None:
-        """Take the rotors' input from this stream from now on."""
-        anew = "" if self._rotors is None else ": estimate starts anew"
-        self._note(t, f"rotors from {rotors.name}, {rotors.why}{anew}")
-        self._rotors = rotors
-        self._tracker = None
-        self._fit = Fit(None, None, 0.0)
-        self._course.clear()
-
-    def _cutoffs_now(self) -> _Cutoffs:
+    def _cutoffs(self) -> Cutoffs:
+        """Of speeds, and of commands, by the parameters that have come."""
         given, chooser = self.airframe.gyro_filter, self.chooser
         known = chooser.autopilot, chooser.parameters
         return gyro_cutoff(given, *known), loop_cutoff(*known)
-
-    def _used_of(self, cutoffs: _Cutoffs) -> _Cutoffs:
-        gyro, loop = cutoffs
-        return gyro, loop if self.rotor_input == "command" else None
-
-    def _new_tracker(self, dt: float, known: _Known) -> Tracker:
-        assert self._rotors is not None
-        self._anchors = self._anchors[:1]
-        self._told = 0
-        own, changes = self.options.tuning, self.options.changes
-        self._cutoffs = gyro, loop = self._used_of(known.cutoffs)
-        tuning = replace(own, gyro_cutoff=gyro)
-        if self._rotors.kind == "command":
-            curve = self.airframe.command.thrust_curve
-            tuning = replace(
-                COMMANDS,
-                gyro_cutoff=gyro,
-                loop_cutoff=loop,
-                command_streams=1 if known.twin is None else 2,
-                smoother=own.smoother,
-                bandwidth=own.bandwidth,
-                curves=COMMANDS.curves if curve is None else (curve,),
-            )
-        if self._rotors.kind == "command" or gyro is not None:
-            # Thrust at a command goes with the battery's voltage, and the detector compares
-            # speeds with a gyro that is not filtered.
-            changes = None
-        return Tracker(
-            self.airframe.geometry,
-            dt,
-            tuning,
-            changes if own.method == "forward" else None,
-            self._prior if self.airframe.priors else None,
-            keep=self.options.offline,
-        )
-
-    def _tell_events(self, tracker: Tracker, t: float) -> Steps[None]:
-        told, self._told = self._told, tracker.forgotten + len(tracker.events)
-        for event in tracker.events[max(told - tracker.forgotten, 0) :]:
-            self._note(t, summary.note_of(event))
-            if event.segment is not None:
-                self._go_on_after(tracker.segments[event.segment])
-                self._fit = yield from tracker.fitting(quick=True)
-                if len(tracker.segments) == MOST_SEGMENTS:
-                    self._note(t, f"{MOST_SEGMENTS} changes: more are not looked for")
-
-    def _go_on_after(self, segment: Segment) -> None:
-        """Find the anchor of what follows a segment."""
-        before = self._values(segment.fit, self.anchor)
-        self._anchors.append(summary.next_anchor(self.anchor, before, segment.end))
-
-    def _prior(self, translation: TranslationFit | None) -> Prior | None:
-        known = summary.priors_for(self.airframe.priors, self.rotor_input)
-        return relative_prior(known, resolve_scale(self._anchors[0], translation, known))

@@ -372,7 +372,6 @@ class LiveSession:
         if self._on_result is not None and late >= 0.0:
             if self._busy and late < _OVERDUE:
                 return
-            self._pipeline.chain.pending.finish()
             self._told_result_at = t
             result = self._complete(self._pipeline.result())
             try:
@@ -469,7 +468,6 @@ class LiveSession:
         if before is not None and not self._identifying:
             result, events = self.final or before.result, self._pipeline.chain.events
             return replace(before, result=result, link=link, events=events, advice=None)
-        self._pipeline.chain.pending.finish()
         result = self.final or self._complete(self._pipeline.result())
         acceleration, advice = self._prediction.acceleration(), self._advised
         target = (self._options.coach or CoachOptions()).target

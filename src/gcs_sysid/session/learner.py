@@ -1,0 +1,265 @@
+"""From blocks of samples to fits: which estimator learns from them, and what is told of it.
+
+It works in steps, so that whoever has other things to do, as to look at a link, does them in
+between. What it learns depends on the blocks, and on what was known when each came, alone.
+"""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.anchors import Anchor, relative_prior, resolve_scale
+from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.parameters import Value
+from gcs_sysid.estimation.priors import Prior
+from gcs_sysid.estimation.rotors import RotorInput
+from gcs_sysid.estimation.tracking import MOST_SEGMENTS, Segment, Tracker
+from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.estimation.tuning import COMMANDS
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.plain import one_line
+from gcs_sysid.session import summary
+from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.course import CourseRecorder
+from gcs_sysid.session.rotor_units import RotorSource
+from gcs_sysid.session.sampling import SampleBlock
+from gcs_sysid.session.snapshot import Event
+from gcs_sysid.steps import Steps
+
+_MAX_EVENTS = 300
+
+Cutoffs = tuple[float | None, float | None]
+"""Hz, low-pass of the gyro as it is sent, and as the rate loop has it; None: there is none."""
+
+
+class Known(NamedTuple):
+    """What else was known when samples came.
+
+    Attributes:
+        t: s, time of the chain.
+        imu_interval: s.
+        is_usable: whether the IMU is fast enough for the grid.
+        has_spikes: whether any on the gyro was replaced.
+        stood_still: whether rotor speeds ever did.
+        cutoffs: of speeds, and of commands, by the parameters that had come.
+        twin: the other stream of commands that is used.
+    """
+
+    t: float
+    imu_interval: float
+    is_usable: bool
+    has_spikes: bool
+    stood_still: bool
+    cutoffs: Cutoffs
+    twin: str | None
+
+
+class Learner:
+    """Learns from blocks of samples.
+
+    Args:
+        airframe: of the vehicle.
+        anchor: sets the scale.
+        options: settings.
+    """
+
+    def __init__(self, airframe: Airframe, anchor: Anchor, options: ChainOptions) -> None:
+        self.observers: list[Callable[[SampleBlock], None]] = []
+        """Are shown every block of samples before the estimator takes it."""
+        self.rotors: RotorSource | None = None
+        """The stream that is learnt from."""
+        self.cutoffs: Cutoffs = (None, None)
+        """What the estimate reckons with."""
+        self.anchors = [anchor]
+        """The scale of each segment, and that in force."""
+        self.tracker: Tracker | None = None
+        """None before the first sample in flight."""
+        self.fit = Fit(None, None, 0.0)
+        """The latest."""
+        self.renewals = 0
+        """How often it was renewed."""
+        self.course = CourseRecorder()
+        self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
+        self._airframe = airframe
+        self._options = options
+        self._told = 0
+        self._usable = True
+        self._spiked = self._stood_still = False
+        self._course_number = 0.0
+
+    @property
+    def rotor_input(self) -> RotorInput:
+        """What the estimate rests on."""
+        if self.rotors is not None:
+            return self.rotors.kind
+        return "command" if self._airframe.rotor_input == "command" else "speed"
+
+    def note(self, t: float, text: str) -> None:
+        """Add a line to the event log."""
+        self.events.append(Event(t, one_line(text)))
+
+    def values(self, fit: Fit, anchor: Anchor) -> dict[str, Value]:
+        """Physical parameters of a fit, by the rules of this flight."""
+        # A prior on the mass is of the vehicle as it took off.
+        priors, arm = self._airframe.priors, self._airframe.arm
+        known = {} if anchor.origin else summary.priors_for(priors, self.rotor_input)
+        return summary.values_of(fit, anchor, arm, known, self.rotor_input)
+
+    def reset(self) -> None:
+        """Forget the estimate; go on with the next samples."""
+        self.tracker = None
+        self.anchors = self.anchors[:1]
+        self._told = 0
+        self.fit = Fit(None, None, 0.0)
+        self.course.clear()
+
+    def set_anchor(self, anchor: Anchor) -> None:
+        """Let another fact set the scale, from the start on; the course begins anew."""
+        self.anchors = [anchor]
+        for segment in () if self.tracker is None else self.tracker.segments:
+            self._go_on_after(segment)
+        self.course.clear()
+
+    def finish(self, t: float) -> Steps[None]:
+        """Decide what is undecided, because nothing more will come."""
+        if self.tracker is not None:
+            self.tracker.finish()
+            yield from self._tell_events(self.tracker, t)
+
+    def learn(self, blocks: Sequence[SampleBlock], known: Known) -> Steps[None]:
+        """Learn from blocks that came at once."""
+        for block in blocks:
+            yield from self._learn_from(block, known)
+
+    def _learn_from(self, block: SampleBlock, known: Known) -> Steps[None]:
+        if block.rotors is not None and block.rotors is not self.rotors:
+            self._use(block.rotors, known.t)
+        for observer in self.observers:
+            observer(block)
+        if self.rotors is None:
+            return
+        tracker = self.tracker
+        if tracker is None or tracker.dt != block.dt:
+            if not np.isfinite(block.samples.gyro).any():
+                return  # nothing flies: no reason to give up what is known
+            if tracker is not None and tracker.start is not None:
+                old, new = 1.0 / tracker.dt, 1.0 / block.dt
+                anew = f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate starts anew"
+                self.note(known.t, anew)
+            tracker = self.tracker = self._new_tracker(block.dt, known)
+            yield from tracker.reserving()
+            # Rows are counted from the first sample in flight, however blocks fall.
+            block = block.since(int(np.isfinite(block.samples.gyro).all(axis=1).argmax()))
+        elif block.fresh:
+            tracker.restart()
+        self._tell_rate(known)
+        self._tell_outliers(known)
+        stops = self._stops(block.t)
+        points = yield from tracker.updating(block.t, block.samples, block.flying, stops)
+        yield from self._tell_events(tracker, known.t)
+        for stop, point in zip(stops, points, strict=True):
+            yield
+            self.fit = point.fit
+            values = self.values(point.fit, self.anchors[point.segment])
+            self.course.append(float(block.t[stop - 1]), values)
+        self.renewals += len(points)
+
+    def _stops(self, t: Array) -> list[int]:
+        """After how many samples at (n,) times the estimate is renewed."""
+        if self._options.course_interval is None:
+            return []
+        # Times are rounded; a sample that is early by so little is on time.
+        number = np.floor(t / self._options.course_interval + 1e-3)
+        renewed = np.diff(number, prepend=self._course_number) > 0.0
+        self._course_number = max(float(number[-1]), self._course_number)
+        return [int(i) + 1 for i in np.flatnonzero(renewed)]
+
+    def _tell_outliers(self, known: Known) -> None:
+        """Say when the first gyro spike was replaced, and when rotor speeds first stood still.
+
+        How many there were is in the result.
+        """
+        if known.has_spikes and not self._spiked:
+            self._spiked = True
+            self.note(known.t, "spikes on the gyro: replaced by what their neighbours say")
+        if known.stood_still and not self._stood_still:
+            self._stood_still = True
+            self.note(known.t, "rotor speeds stood still, old ones under new stamps: left out")
+
+    def _tell_rate(self, known: Known) -> None:
+        """Say when the IMU becomes too slow for the grid, and when it no longer is."""
+        if known.is_usable == self._usable:
+            return
+        self._usable = known.is_usable
+        told = "the estimate goes on" if self._usable else "too slow for the estimate to go on with"
+        rate = f"at {1.0 / known.imu_interval:.0f} Hz" if known.imu_interval else "anew"
+        self.note(known.t, f"the IMU comes {rate}: {told}")
+
+    def _use(self, rotors: RotorSource, t: float) -> None:
+        """Take the rotors' input from this stream from now on."""
+        anew = "" if self.rotors is None else ": estimate starts anew"
+        self.note(t, f"rotors from {rotors.name}, {rotors.why}{anew}")
+        self.rotors = rotors
+        self.tracker = None
+        self.fit = Fit(None, None, 0.0)
+        self.course.clear()
+
+    def used_of(self, cutoffs: Cutoffs) -> Cutoffs:
+        """Those that matter to the rotors' input in use."""
+        gyro, loop = cutoffs
+        return gyro, loop if self.rotor_input == "command" else None
+
+    def _new_tracker(self, dt: float, known: Known) -> Tracker:
+        assert self.rotors is not None
+        self.anchors = self.anchors[:1]
+        self._told = 0
+        own, changes = self._options.tuning, self._options.changes
+        self.cutoffs = gyro, loop = self.used_of(known.cutoffs)
+        tuning = replace(own, gyro_cutoff=gyro)
+        if self.rotors.kind == "command":
+            curve = self._airframe.command.thrust_curve
+            tuning = replace(
+                COMMANDS,
+                gyro_cutoff=gyro,
+                loop_cutoff=loop,
+                command_streams=1 if known.twin is None else 2,
+                smoother=own.smoother,
+                bandwidth=own.bandwidth,
+                curves=COMMANDS.curves if curve is None else (curve,),
+            )
+        if self.rotors.kind == "command" or gyro is not None:
+            # Thrust at a command goes with the battery's voltage, and the detector compares
+            # speeds with a gyro that is not filtered.
+            changes = None
+        return Tracker(
+            self._airframe.geometry,
+            dt,
+            tuning,
+            changes if own.method == "forward" else None,
+            self._prior if self._airframe.priors else None,
+            keep=self._options.offline,
+        )
+
+    def _tell_events(self, tracker: Tracker, t: float) -> Steps[None]:
+        told, self._told = self._told, tracker.forgotten + len(tracker.events)
+        for event in tracker.events[max(told - tracker.forgotten, 0) :]:
+            self.note(t, summary.note_of(event))
+            if event.segment is not None:
+                self._go_on_after(tracker.segments[event.segment])
+                self.fit = yield from tracker.fitting(quick=True)
+                if len(tracker.segments) == MOST_SEGMENTS:
+                    self.note(t, f"{MOST_SEGMENTS} changes: more are not looked for")
+
+    def _go_on_after(self, segment: Segment) -> None:
+        """Find the anchor of what follows a segment."""
+        anchor = self.anchors[-1]
+        before = self.values(segment.fit, anchor)
+        self.anchors.append(summary.next_anchor(anchor, before, segment.end))
+
+    def _prior(self, translation: TranslationFit | None) -> Prior | None:
+        known = summary.priors_for(self._airframe.priors, self.rotor_input)
+        return relative_prior(known, resolve_scale(self.anchors[0], translation, known))
