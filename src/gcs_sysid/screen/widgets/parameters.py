@@ -14,6 +14,7 @@ from textual.widgets import Static
 from gcs_sysid.model.parameters import Parameter
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
+from gcs_sysid.screen.widgets.lines import Line, Lines
 from gcs_sysid.session.result import Estimate
 
 Cell = tuple[str, str]
@@ -122,11 +123,11 @@ def _columns(view: View, width: int) -> list[Column]:
     return wanted
 
 
-def _line(name: Cell, cells: list[Cell]) -> Content:
-    return Content.assemble(name, *(part for cell in cells for part in (" ", cell)))
+def _line(name: Cell, cells: list[Cell]) -> Line:
+    return [name, *(part for cell in cells for part in ((" ", ""), cell))]
 
 
-class ParameterRow(Widget):
+class ParameterRow(Lines):
     """One parameter, on one line."""
 
     class Chosen(Message):
@@ -139,7 +140,6 @@ class ParameterRow(Widget):
     def __init__(self, name: str) -> None:
         super().__init__()
         self.parameter_name = name
-        self.cells: list[Cell] = []
 
     def show(
         self, view: View, columns: list[Column], parameter: Parameter, estimate: Estimate
@@ -151,14 +151,9 @@ class ParameterRow(Widget):
             *(column.cell(view, parameter, estimate) for column in columns),
         ]
         self.set_class(chosen, "-selected")
-        if cells != self.cells:
-            self.cells = cells
+        if not self.lines:
             self.tooltip = f"{parameter.symbol}: {parameter.meaning}"
-            self.refresh()
-
-    def render(self) -> Content:
-        """The line."""
-        return _line(self.cells[0], self.cells[1:]) if self.cells else Content("")
+        self.put([_line(cells[0], cells[1:])])
 
     def on_click(self) -> None:
         """Choose this parameter for the plot."""
@@ -172,7 +167,7 @@ class ParameterTable(Widget):
 
     def __init__(self) -> None:
         super().__init__(id="parameters")
-        self._head = Static(id="parameters-head")
+        self._head = Lines(id="parameters-head")
         self._holder = VerticalScroll(can_focus=False)
         self._empty = Static("No estimate yet.", id="parameters-empty")
         self._why = Static(id="reasons")
@@ -200,8 +195,7 @@ class ParameterTable(Widget):
         columns = _columns(view, self.content_size.width)
         if columns != self._columns:
             self._columns = columns
-            head = _line((NAME_HEAD, ""), [(c.head, "") for c in columns])
-            self._head.update(head)
+            self._head.put([_line((NAME_HEAD, ""), [(c.head, "") for c in columns])])
         found = [] if view.snapshot is None else fmt.rows(view.snapshot.result)
         names = [parameter.name for parameter, _ in found]
         if names != self._names:
