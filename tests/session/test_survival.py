@@ -213,7 +213,7 @@ def test_a_recording_that_is_being_started_is_not_stopped_by_haste(session, monk
     assert session.toggle_recording().startswith("recording to")
     with pytest.raises(InputError, match="try again"):
         session.toggle_recording()
-    session._do(session._actions.get())
+    session._wishes.grant(session._note)
     assert session.toggle_recording().endswith("stopped")
     session._recording.finish()
 

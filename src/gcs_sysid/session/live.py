@@ -1,13 +1,12 @@
 """The live session: a thread from the link to immutable snapshots."""
 
-import queue
 import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from gcs_sysid.errors import GcsSysidError, InputError
+from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName
 from gcs_sysid.session.chain import ChainOptions
@@ -19,6 +18,7 @@ from gcs_sysid.session.prediction import LivePrediction
 from gcs_sysid.session.recording import Recording
 from gcs_sysid.session.result import Result
 from gcs_sysid.session.snapshot import Advice, HeardVehicle, LinkState, Snapshot
+from gcs_sysid.session.wishes import Wishes, in_words
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.link import Link
@@ -42,8 +42,6 @@ _RESULT_EVERY = 1.0
 """s of the vehicle's clock between results that are passed on."""
 _DRAINED_AFTER = 0.7
 """s of silence after the sender's end, before the session ends too."""
-_MOST_ACTIONS = 64
-"""Wishes of the user that wait; who asks faster is refused."""
 _LONGEST_MARK = 200
 """Characters; the rest is cut."""
 
@@ -96,7 +94,7 @@ class LiveSession:
         self._recording = Recording(record_to)
         self._sender_gone = sender_gone
         self._on_result = on_result
-        self._actions: queue.Queue[Callable[[], None]] = queue.Queue(_MOST_ACTIONS)
+        self._wishes = Wishes()
         self._toggling = False
         self._stop = threading.Event()
         self._latest: Snapshot | None = None
@@ -146,17 +144,17 @@ class LiveSession:
 
     def mark(self, text: str) -> None:
         """Write a mark into the event log."""
-        self._ask(lambda: self._pipeline.chain.note(text[:_LONGEST_MARK]))
+        self._wishes.ask(lambda: self._pipeline.chain.note(text[:_LONGEST_MARK]))
 
     def reset(self) -> None:
         """Forget the estimate and start anew, as the analysis of the recording then does too."""
-        self._ask(self._reset)
+        self._wishes.ask(self._reset)
 
     def toggle_recording(self) -> str:
         """Start or stop recording; says which.
 
         Raises:
-            InputError: it is being started or stopped, or see `_ask`.
+            InputError: it is being started or stopped, or see `Wishes.ask`.
         """
         if self._toggling:
             raise InputError("recording is being started or stopped: try again")
@@ -171,7 +169,7 @@ class LiveSession:
     def _ask_toggle(self, change: Callable[[], str]) -> None:
         self._toggling = True
         try:
-            self._ask(lambda: self._toggle(change))
+            self._wishes.ask(lambda: self._toggle(change))
         except InputError:
             self._toggling = False
             raise
@@ -181,17 +179,6 @@ class LiveSession:
             self._note(change())
         finally:
             self._toggling = False
-
-    def _ask(self, action: Callable[[], None]) -> None:
-        """Have something done in the session's thread.
-
-        Raises:
-            InputError: too much waits to be done.
-        """
-        try:
-            self._actions.put_nowait(action)
-        except queue.Full:
-            raise InputError("the session is busy: try again") from None
 
     def set_anchor(self, kind: str, value: float) -> str:
         """Let another fact set the scale.
@@ -208,7 +195,7 @@ class LiveSession:
         name: AnchorName = kind  # type: ignore[assignment]
         airframe = self._airframe.with_anchor(name, value)
         self._pipeline.chain.check_anchor(name)
-        self._ask(lambda: self._set_anchor(airframe, Anchor(name, value)))
+        self._wishes.ask(lambda: self._set_anchor(airframe, Anchor(name, value)))
         return f"scale from {kind} = {value:.6g} {ANCHORS[name]}"
 
     def choose_vehicle(self, address: tuple[int, int]) -> str:
@@ -221,7 +208,7 @@ class LiveSession:
         if address not in heard:
             raise InputError("no vehicle {}:{} was heard".format(*address))
         vehicle, path = heard[address], self._recording.next_path()
-        self._ask(lambda: self._choose(vehicle, path))
+        self._wishes.ask(lambda: self._choose(vehicle, path))
         return f"starting anew on {vehicle.name}"
 
     @property
@@ -270,8 +257,8 @@ class LiveSession:
                     self._rounds[0](self, frames, now)
                 except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
                     self._retreat(defect)
-            while not self._actions.empty():
-                self._do(self._actions.get())
+            met = self._wishes.grant(self._note)
+            self.problem = self.problem or met
             self._tell_recording()
             # What is shown waits while frames do, but not for ever.
             few, busy = len(frames) < _FEW, self._busy
@@ -331,7 +318,7 @@ class LiveSession:
         self.problem = self.problem or defect
         del self._rounds[:1]
         lost = "the estimate ends here" if self._rounds else "the link is no longer watched"
-        self._note(f"{_in_words(defect)}: {lost}; what arrives is still recorded")
+        self._note(f"{in_words(defect)}: {lost}; what arrives is still recorded")
 
     def _final(self) -> Result:
         """The final result; after a defect, the last good one."""
@@ -342,7 +329,7 @@ class LiveSession:
                 self._retreat(defect)
         assert self._latest is not None
         result, chain = self._latest.result, self._pipeline.chain
-        why = "" if self.problem is None else f"{_in_words(self.problem)}: "
+        why = "" if self.problem is None else f"{in_words(self.problem)}: "
         early = f"{why}the estimate is that of {chain.t:.1f} s, its last good one"
         return replace(result, reasons=(*result.reasons, early))
 
@@ -383,7 +370,7 @@ class LiveSession:
             except Exception as problem:  # noqa: BLE001 - the session goes on without a listener
                 self.problem = self.problem or problem
                 self._on_result = None
-                self._note(f"{_in_words(problem)}: results are passed on no more")
+                self._note(f"{in_words(problem)}: results are passed on no more")
 
     def _tell_recording(self) -> None:
         for text in self._recording.take_events():
@@ -392,16 +379,6 @@ class LiveSession:
     def _note(self, text: str) -> None:
         if text:
             self._pipeline.chain.note(text)
-
-    def _do(self, action: Callable[[], None]) -> None:
-        """What a user asks for may fail; it is told, and the flight goes on."""
-        try:
-            action()
-        except (GcsSysidError, OSError) as error:
-            self._note(f"not done: {error}")
-        except Exception as defect:  # noqa: BLE001 - the flight goes on all the same
-            self.problem = self.problem or defect
-            self._note(f"not done: {_in_words(defect)}")
 
     def _reset(self) -> None:
         self._need_estimate()
@@ -449,7 +426,7 @@ class LiveSession:
             self._advised = self._coach.look()
         except Exception as defect:  # noqa: BLE001 - words alone are lost
             self._coach = self._advised = None
-            self._note(f"{_in_words(defect)}: the coach falls silent")
+            self._note(f"{in_words(defect)}: the coach falls silent")
 
     def _publish(self, state: LinkState) -> None:
         while True:
@@ -476,7 +453,3 @@ class LiveSession:
         acceleration, advice = self._prediction.acceleration(), self._advised
         target = (self._options.coach or CoachOptions()).target
         return picture(self._pipeline.chain, result, link, acceleration, target, advice)
-
-
-def _in_words(defect: Exception) -> str:
-    return f"internal error ({type(defect).__name__}: {defect})"
