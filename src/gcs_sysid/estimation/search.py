@@ -23,6 +23,8 @@ COORDINATE_STD = np.array([0.03, 0.05, 0.5])
 
 MAX_ITERATIONS = 40
 _SCAN_ITERATIONS, _STARTS = 8, 4
+_NODES_AT_ONCE = 16
+"""Of a basis, whose moments are made in one step."""
 _CONVERGED = 1e-6
 """Steps smaller than this many standard deviations change nothing."""
 _UNSEEN = 1e-2
@@ -214,7 +216,13 @@ def scan(problem: Problem, unknowns: Array) -> Steps[Array]:
     every = np.repeat(unknowns, nodes, axis=0)
     every[:, COORDINATES] = np.tile(basis.nodes, (leaks, 1))
     P = basis.maps(basis.nodes)[:, 0]
-    there = (P @ problem.bank[:, None] @ np.swapaxes(P, 1, 2)).reshape(-1, WIDTH, WIDTH)
+    parts = []
+    for start in range(0, nodes, _NODES_AT_ONCE):
+        yield
+        some = P[start : start + _NODES_AT_ONCE]
+        parts.append(some @ problem.bank[:, None] @ np.swapaxes(some, 1, 2))
+    there = np.concatenate(parts, axis=1).reshape(-1, WIDTH, WIDTH)
+    yield
     rows = np.repeat(problem.rows, nodes)
     given = Problem(there, rows, PLAIN, problem.prior)
     point, _ = yield from minimise(given, every, _SCAN_ITERATIONS)
