@@ -30,7 +30,7 @@ from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.estimation.tracking import MOST_SEGMENTS, Segment, Tracker
 from gcs_sysid.estimation.translation import TranslationFit
-from gcs_sysid.estimation.tuning import COMMANDS, Tuning
+from gcs_sysid.estimation.tuning import COMMANDS, Tuning, tuning_for_commands
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import TIMING
 from gcs_sysid.plain import one_line
@@ -570,10 +570,9 @@ class Chain:
         if self._rotors.kind == "command":
             curve = self.airframe.command.thrust_curve
             tuning = replace(
-                COMMANDS,
+                tuning_for_commands(dt),
                 gyro_cutoff=gyro,
                 loop_cutoff=loop,
-                command_streams=1 if self._twin is None else 2,
                 smoother=own.smoother,
                 bandwidth=own.bandwidth,
                 curves=COMMANDS.curves if curve is None else (curve,),

@@ -108,7 +108,7 @@ class Predictor:
         self._path: RotorPath | None = None
         if model is not None:
             lag, commands = float(model.coordinates[LAG]), model.rotor_input == "command"
-            basis = RotorBasis((0.0,), (lag,), commands=commands, half_width=self.half * dt)
+            basis = RotorBasis((0.0,), (lag,), commands=commands, half_width=self.half * dt, dt=dt)
             self._path = RotorPath(model.geometry, dt, basis, model.gyro_cutoff)
 
     def rows(self, piece: Motion) -> Rows:
