@@ -160,7 +160,7 @@ def test_known_noise_of_commands_leaves_the_estimate_where_it_was(truth, flight)
     moments, counts = record.rotation.batches, record.rotation.counts
     noisy = moments + counts[:, None, None, None] * added
     clean, untold, told = (
-        fit_rotation(batches, counts, record.basis, n)
+        fit_rotation(batches, counts, record.basis, n, doubt=noise.doubt)
         for batches, n in ((moments, 0.0 * added), (noisy, 0.0 * added), (noisy, added))
     )
     names = [0, 1, 2, rb.MOMENT_RATIO]

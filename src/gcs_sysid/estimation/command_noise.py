@@ -21,7 +21,7 @@ from gcs_sysid.filters.smoothers import Smoother, leaky
 from gcs_sysid.model import rigid_body
 from gcs_sysid.recursions import lfilter
 
-LEVEL_UNCERTAINTY = 0.3
+_DOUBT = 0.3
 """Relative, of what is missed, one standard deviation: loops are not all alike, interpolation to
 the IMU's times takes some noise away, and messages are lost."""
 SLOW_COMMANDS = 0.012
@@ -119,6 +119,11 @@ class CommandNoise(InputNoise):
                 third = third[_SPACING:] - third[:-_SPACING]
             self._differences += len(third)
             self._products += third.T @ third
+
+    @property
+    def doubt(self) -> float:
+        """One standard deviation of the covariance told, relative."""
+        return _DOUBT
 
     @property
     def covariance(self) -> Array:

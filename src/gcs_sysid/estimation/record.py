@@ -164,6 +164,11 @@ class FlightRecord:
         """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
         return self._input_noise.std
 
+    @property
+    def noise_doubt(self) -> float:
+        """One standard deviation of what `noise` tells, relative."""
+        return self._input_noise.doubt
+
     def noise(self, leak: int) -> Array:
         """What known noise of the inputs adds to the moments of one row.
 
