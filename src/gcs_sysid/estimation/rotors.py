@@ -70,7 +70,7 @@ class RotorPath:
             autopilot's gyro feels them, and (lags * sets, n) thrust as it acts.
         """
         if self._commands:
-            mixed, H = self._of_commands(np.clip(rotors, 0.0, None))
+            mixed, H = self._of_commands(rotors)
         else:
             mixed, H = rigid_body.rotor_signals(self._geometry, rotors[None])
         signals = np.concatenate([mixed, H[..., None]], axis=-1)
@@ -86,7 +86,7 @@ class RotorPath:
         mixed = shares @ rigid_body.mixer(self._geometry)
         # A rotor's speed goes with the root of its thrust: sqrt(w) at one end of the curves, w at
         # the other; between them a straight line will do.
-        H = np.stack([np.sqrt(w), w], axis=1) @ self._geometry[2]
+        H = np.stack([np.sqrt(np.clip(w, 0.0, None)), w], axis=1) @ self._geometry[2]
         n = len(commands)
         return mixed.reshape(-1, n, 4), H.reshape(-1, n)
 
