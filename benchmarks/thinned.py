@@ -3,9 +3,9 @@
     python -m benchmarks.thinned FOLDER [--thinnings N]
 
 thins every .tlog with a .truth.json to a fifth, each time at another phase and with another 5 % of
-all messages lost, and prints mean and root-mean-square error of each parameter, the mean half width
-of its interval, and how many of them hold the truth. Products of inertia are in 1e-4 kg m^2, all
-else is in %.
+all messages lost, and prints mean, root-mean-square and largest error of each parameter, the mean
+half width of its interval, and how many of them hold the truth. Products of inertia are in
+1e-4 kg m^2, all else is in %.
 
 Where commands are the input, a bound stands beside it. What was commanded between two samples is
 not known; what it does to the angular acceleration is found from the whole log, and taken for
@@ -168,13 +168,14 @@ def main() -> None:
                         told = share * (found.value - truth[name]), 1.96 * share * found.std
                         errors.setdefault(name, []).append(told)
         print(f"{log.name}: rotors by {whole.rotor_input}, {options.thinnings} thinnings")
-        print(f"  {'':<20}{'mean':>8}{'rms':>8}{'+-95 %':>8}{'hold':>8}   Cramer-Rao std")
+        columns = "".join(f"{column:>8}" for column in ("mean", "rms", "worst", "+-95 %", "hold"))
+        print(f"  {'':<20}{columns}   Cramer-Rao std")
         for name, pairs in errors.items():
             error, half = np.array(pairs).T
             rms, hold = np.sqrt(np.mean(error**2)), np.mean(np.abs(error) <= half)
             known = f"{least[name]:8.2f}" if name in least and name not in PRODUCTS else ""
-            row = f"{error.mean():8.2f}{rms:8.2f}{half.mean():8.2f}{100 * hold:7.0f} %   {known}"
-            print(f"  {name:<20}{row}", flush=True)
+            row = f"{error.mean():8.2f}{rms:8.2f}{np.abs(error).max():8.2f}{half.mean():8.2f}"
+            print(f"  {name:<20}{row}{100 * hold:7.0f} %   {known}", flush=True)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.rotation import fit_rotation
 from gcs_sysid.estimation.tuning import COMMANDS
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.session.streams import interpolate
 
 DT = 0.005
 FULL = 1.2
@@ -104,25 +105,34 @@ def test_maps_make_any_filter_of_the_elements(where):
 
 @pytest.mark.parametrize(
     ("dt", "apart"),
-    [(0.012, ()), (0.02, ()), (0.05, ()), (0.02, (0.001, 0.004, 0.007, 0.010))],
+    [
+        (0.012, None),
+        (0.02, None),
+        (0.05, None),
+        (0.02, 0.0),
+        (0.02, 0.005),
+        (0.02, 0.008),
+        (0.02, 0.014),
+    ],
 )
 def test_what_commands_miss_follows_the_rate_loops_low_pass(dt, apart):
     """Noise held from sample to sample has more power than the noise it stands for.
 
-    The mean of two streams, so far apart by turns, misses less.
+    The mean of two streams, the second sampled later and taken at the first one's times, misses
+    what neither has.
     """
     cutoff, fine, span = 40.0, 0.001, 0.6
     white = np.random.default_rng(5).normal(0.0, 0.01, (600_000, 4))
     noise = sosfilt(butter(2, cutoff, fs=1.0 / fine, output="sos"), white, axis=0)
     each = round(dt / fine)
-    seen = CommandNoise(np.ones((3, 4)), dt, cutoff, 2 if apart else 1)
-    commands = noise[::each]
-    if apart:
-        both = [np.roll(noise, -round(late / fine), axis=0)[::each] for late in apart]
-        by_turns = np.array_split(np.arange(len(commands)), len(apart))
-        second = np.concatenate([b[turn] for b, turn in zip(both, by_turns, strict=True)])
-        commands = 0.5 * (commands + second)
-    seen.update(0.5 + commands)
+    seen = CommandNoise(np.ones((3, 4)), dt, cutoff)
+    commands, told = noise[::each], None
+    if apart is not None:
+        t = np.arange(len(commands)) * dt
+        second = interpolate(t + apart, noise[round(apart / fine) :: each], t, 2.0 * dt)
+        second[:2] = commands[:2]
+        commands, told = 0.5 * (commands + second), np.full(len(t), dt - apart)
+    seen.update(0.5 + commands, told)
     true = noise.reshape(-1, round(span / fine), 4).mean(axis=1)
     held = commands.reshape(-1, round(span / dt), 4).mean(axis=1)
     excess = (held * (held - true)).mean()
@@ -150,7 +160,7 @@ def test_known_noise_of_commands_leaves_the_estimate_where_it_was(truth, flight)
     moments, counts = record.rotation.batches, record.rotation.counts
     noisy = moments + counts[:, None, None, None] * added
     clean, untold, told = (
-        fit_rotation(batches, counts, record.basis, n)
+        fit_rotation(batches, counts, record.basis, n, doubt=noise.doubt)
         for batches, n in ((moments, 0.0 * added), (noisy, 0.0 * added), (noisy, added))
     )
     names = [0, 1, 2, rb.MOMENT_RATIO]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from scipy.signal import butter, lfilter, sosfilt
 
 from gcs_sysid.estimation import rotation, translation
 from gcs_sysid.estimation.article import METHODS, ArticleEstimator
@@ -17,6 +18,7 @@ from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.filters.smoothers import DifferentiatorSmoother, WindowSmoother
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.session.streams import interpolate
 
 DT = 0.005
 
@@ -322,6 +324,27 @@ def test_noise_of_the_speeds_is_known_and_taken_out(truth, flight):
     torques = [0, 1, 2, 3, rb.SIGNALS.index("dH")]
     # 20 flights of 1200 rows, half of them independent: a few percent.
     np.testing.assert_allclose(np.diag(said)[torques], np.diag(surplus)[torques], rtol=0.1)
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.05])
+def test_what_slow_speeds_miss_is_known_to_a_factor(truth, lost):
+    """Noise of a rate loop behind motors of 40 ms, all rotors alike, at 50 Hz."""
+    fine, each, lag = 0.002, 10, 0.04
+    rng = np.random.default_rng(3)
+    white = sosfilt(butter(2, 40.0, fs=1.0 / fine, output="sos"), rng.normal(0.0, 9.0, 400_000))
+    noise = lfilter([fine / lag], [1.0, fine / lag - 1.0], white)
+    t = np.arange(0, len(noise), each)
+    kept = t[rng.random(len(t)) >= lost]
+    seen = interpolate(fine * kept, noise[kept, None], fine * t, 0.07)[:, 0]
+    seen[np.isnan(seen)] = 0.0
+    follower = SpeedNoise(truth.geometry, fine * each)
+    follower.update(600.0 + seen[:, None] * np.ones(4))
+    held = seen.reshape(-1, 20).mean(axis=1)
+    excess = 20.0 * np.mean((held - noise.reshape(-1, 20 * each).mean(axis=1)) ** 2)
+    told = follower.covariance
+    assert 0.5 * excess < told[0, 0] < 4.0 * excess
+    np.testing.assert_allclose(told, told[0, 0], rtol=1e-3)
+    assert follower.doubt > 0.0
 
 
 def test_rounding_of_the_speeds_is_the_least_noise(truth):

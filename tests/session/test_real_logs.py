@@ -88,10 +88,11 @@ def test_a_slow_and_lossy_link_still_tells_the_inertia(log, tmp_path):
     truth = truth_of(path)
     flown = thinned(path, tmp_path / log, seed=1)
     found = analyze_log(flown, airframe_of(path).with_anchor("mass", truth["mass"])).parameters
-    assert found["Ixx"].value == pytest.approx(truth["Ixx"], rel=0.08)
-    assert found["Iyy"].value == pytest.approx(truth["Iyy"], rel=0.08)
+    # Of twenty thinnings this one is the farthest off in Izz: 2.7 % rms (benchmarks.thinned).
+    for name, share in {"Ixx": 0.03, "Iyy": 0.03, "Izz": 0.065, "moment_ratio": 0.065}.items():
+        assert found[name].value == pytest.approx(truth[name], rel=share), name
     for name in PRODUCTS:
         assert found[name].value == pytest.approx(truth[name], abs=2e-4), name
     known = {n: e for n, e in found.items() if truth.get(n) is not None and e.std}
     held = [n for n, e in known.items() if abs(e.value - truth[n]) <= 1.96 * e.std]
-    assert len(held) >= 0.75 * len(known), sorted(known.keys() - set(held))
+    assert len(held) >= 0.8 * len(known), sorted(known.keys() - set(held))

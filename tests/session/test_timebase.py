@@ -16,6 +16,7 @@ WIDTH = {
     Stream.IMU: 6,
     Stream.ATTITUDE: 4,
     Stream.ROTOR_SPEED: 4,
+    Stream.ROTOR_COMMAND: 4,
     Stream.VELOCITY: 6,
     Stream.IN_AIR: 1,
 }
@@ -201,6 +202,16 @@ def test_a_velocity_that_is_gone_holds_nothing_up():
     late = [lag for t, lag in behind if t > 3.4]
     assert late
     assert max(late) < 0.06
+
+
+def test_commands_come_with_their_own_stamps():
+    """By which two streams of the same commands are told apart; nothing before the first."""
+    commands = stream(Stream.ROTOR_COMMAND, 50.0, 0.208)
+    run = Run(sorted([*stream(Stream.IMU, 50.0), *commands], key=lambda r: r.t))
+    stamps = np.concatenate([b.stamps[Stream.ROTOR_COMMAND, "", 0] for b in run.blocks])
+    early = run.t < 0.207
+    assert np.isnan(stamps[early]).all()
+    np.testing.assert_allclose((run.t - stamps)[~early], 0.012, atol=1e-6)
 
 
 def test_repeated_samples_are_dropped_and_counted():

@@ -42,6 +42,19 @@ SIGNALS, BODY = len(ROTOR_COLUMNS), len(_BODY_COLUMNS)
 _RIDGE = 1e-12
 
 
+def motor_filter(dt: float, lag: float) -> tuple[float, float, float]:
+    """(a, b0, b1) of w_k = a w_{k-1} + b0 u_k + b1 u_{k-1} for a motor of first order.
+
+    Exact for commands that run straight from stamp to stamp, which has no phase of its own;
+    that a command is held until the next one comes is then part of the delay.
+    """
+    if lag == 0.0:
+        return 0.0, 1.0, 0.0
+    a = float(np.exp(-dt / lag))
+    share = lag / dt * (1.0 - a)
+    return a, 1.0 - share, share - a
+
+
 def response(omega: Array, delay: Array, lag: Array) -> Array:
     """(..., n) of motors with these lags (...), stamps late by (...) put right, at (n,) rad/s."""
     passed: Array = np.exp(1j * omega * delay[..., None]) / (1.0 + 1j * omega * lag[..., None])
@@ -55,16 +68,17 @@ class _Span:
         half_width: s, of the window that all pass afterwards.
         delays: (k,) s.
         lags: (k,) s.
+        dt: s between samples; 0: next to nothing.
     """
 
-    def __init__(self, half_width: float, delays: Array, lags: Array) -> None:
+    def __init__(self, half_width: float, delays: Array, lags: Array, dt: float) -> None:
         self.omega = np.linspace(0.0, 10.0 / half_width, 80)
         window = cosine_window(100, half_width / 100.0).average
         places = np.linspace(-half_width, half_width, len(window))
         # What the window lets pass; commands and their noise grow with frequency.
         self._passed = np.abs(np.cos(np.outer(self.omega, places)) @ window)
         self._passed *= 1.0 + (0.5 * half_width * self.omega) ** 2
-        A = self._stacked(response(self.omega, delays, lags)).T
+        A = self._stacked(self._made(delays, lags, dt)).T
         # Weighted least squares with the weights' sum given, for all right-hand sides. Filters
         # resemble each other in a long window: the sum is put right by itself, as rounding in a
         # bordered system would leave it off by 3e-4, and with it every moment of inertia.
@@ -83,6 +97,17 @@ class _Span:
             total = 0.0
         weights: Array = self._stacked(target) @ self._of_target.T + total * self._of_sum
         return weights
+
+    def _made(self, delays: Array, lags: Array, dt: float) -> Array:
+        """(k, n) what the filters really pass: those of motors lose some between slow samples."""
+        if not dt:
+            return response(self.omega, delays, lags)
+        late = np.exp(-1j * self.omega * dt)
+        coefficients = np.array([motor_filter(dt, lag) for lag in lags])
+        a, b0, b1 = coefficients.T[:, :, None]
+        moved = np.exp(1j * self.omega * delays[:, None])
+        made: Array = moved * (b0 + b1 * late) / (1.0 - a * late)
+        return made
 
     def _stacked(self, passed: Array) -> Array:
         weighed = passed * self._passed
@@ -109,6 +134,7 @@ class RotorBasis:
         curves: least and greatest thrust curve; one value where it is given. Not for speeds.
         commands: whether commands are the input.
         half_width: s, of the window that rows pass.
+        dt: s between samples; 0: so little that motors are filtered as they are.
     """
 
     def __init__(
@@ -119,6 +145,7 @@ class RotorBasis:
         *,
         commands: bool = False,
         half_width: float = 0.1,
+        dt: float = 0.0,
     ) -> None:
         self.delays, self.lags = np.asarray(delays, float), np.asarray(lags, float)
         curve = np.asarray(curves, float)
@@ -136,8 +163,9 @@ class RotorBasis:
             half_width,
             np.array([self.delays[e.delay] for e in self.elements]),
             np.array([self.lags[e.lag] for e in self.elements]),
+            dt,
         )
-        self._lag_span = _Span(half_width, np.zeros_like(self.lags), self.lags)
+        self._lag_span = _Span(half_width, np.zeros_like(self.lags), self.lags, dt)
         scan = [_thinned(axis, most) for axis, most in zip(axes, _SCANNED, strict=True)]
         self.nodes = np.array(list(product(*scan)))
         """(n, 3) coordinates from which a search may start."""

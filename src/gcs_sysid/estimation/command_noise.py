@@ -14,15 +14,14 @@ than yaw: what matters is the covariance of all rotors.
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.basis import BODY, SIGNALS, WIDTH, RotorBasis
+from gcs_sysid.arrays import Array, complete_rows
+from gcs_sysid.estimation.basis import BODY, SIGNALS, WIDTH, RotorBasis, motor_filter
 from gcs_sysid.estimation.input_noise import THIRD_DIFFERENCE, InputNoise
-from gcs_sysid.estimation.rotors import motor_filter
 from gcs_sysid.filters.smoothers import Smoother, leaky
 from gcs_sysid.model import rigid_body
 from gcs_sysid.recursions import lfilter
 
-LEVEL_UNCERTAINTY = 0.3
+_DOUBT = 0.3
 """Relative, of what is missed, one standard deviation: loops are not all alike, interpolation to
 the IMU's times takes some noise away, and messages are lost."""
 SLOW_COMMANDS = 0.012
@@ -36,32 +35,32 @@ _FOLDS = 40
 """Multiples of the sample rate from which noise folds down, at most."""
 _SETTLED = 12.0
 """Time constants after which a motor's response has ended."""
+_PLACES = 16
+"""Of one stream's samples between those of another, which are told apart."""
 
 
-def missed_share(dt: float, loop_cutoff: float | None, streams: int = 1) -> float:
-    """Share of the commands' scatter, seen as by `CommandNoise`, that never acted.
+def missed_and_seen(dt: float, loop_cutoff: float | None, apart: float | None = None) -> Array:
+    """(2,) of noise of density one: what never acted of it, and what `CommandNoise` sees.
 
     Noise S(f) behind a second-order Butterworth low-pass, sampled, is sum_k S(f + k / dt). At low
-    frequencies S(0) of it is there in truth, the rest is folded down. The mean of two streams, the
-    second sampled anywhere between the samples of the first, passes (1 + sinc(f dt)) / 2 of S.
+    frequencies S(0) of it is there in truth, the rest is folded down. What is folded by k comes
+    out of a second stream turned by 2 pi k a / dt: the mean of both has cos^2(pi k a / dt) of it.
 
     Args:
         dt: s between samples.
         loop_cutoff: Hz; None: there is no low-pass, and all of white noise is missed.
-        streams: whose mean the commands are, 1 or 2.
+        apart: a, s between the samples of two streams; None: there is one.
     """
-    if dt < SLOW_COMMANDS:
-        return 0.0
     if loop_cutoff is None:
-        return 1.0
+        return np.ones(2)
     f = np.linspace(0.0, 0.5, 101) / dt
-    shifted = f[:, None] + np.arange(-_FOLDS, _FOLDS + 1) / dt
-    power = 1.0 / (1.0 + (shifted / loop_cutoff) ** 4)
-    if streams == 2:
-        power *= 0.5 * (1.0 + np.sinc(shifted * dt))
+    folds = np.arange(-_FOLDS, _FOLDS + 1)
+    power = 1.0 / (1.0 + ((f[:, None] + folds / dt) / loop_cutoff) ** 4)
+    if apart is not None:
+        power *= np.cos(np.pi * folds * apart / dt) ** 2
     sampled = power.sum(axis=1)
     seen = np.sin(np.pi * _SPACING * f * dt) ** 6
-    return float((sampled[0] - 1.0) / (seen @ sampled / seen.sum()))
+    return np.array([sampled[0] - 1.0, seen @ sampled / seen.sum()])
 
 
 class CommandNoise(InputNoise):
@@ -72,16 +71,17 @@ class CommandNoise(InputNoise):
         dt: s between samples.
         loop_cutoff: Hz, of the second-order low-pass that the gyro passes on its way into the
             commands; None: there is none.
-        streams: whose mean the commands are.
     """
 
-    def __init__(
-        self, geometry: Array, dt: float, loop_cutoff: float | None = None, streams: int = 1
-    ) -> None:
+    def __init__(self, geometry: Array, dt: float, loop_cutoff: float | None = None) -> None:
         rotors = geometry.shape[1]
         super().__init__(rotors)
         self._dt = dt
-        self._share = missed_share(dt, loop_cutoff, streams)
+        self._slow = dt >= SLOW_COMMANDS
+        apart = (*(dt / _PLACES * np.arange(_PLACES)), None)
+        self._folding = np.array([missed_and_seen(dt, loop_cutoff, a) for a in apart])
+        self._places = np.zeros(_PLACES + 1)
+        """How many samples had their second stream at each place, and how many had none."""
         self._mixer = rigid_body.mixer(geometry)
         self._count = 0
         self._sum = np.zeros(rotors)
@@ -89,10 +89,26 @@ class CommandNoise(InputNoise):
         self._products = np.zeros((rotors, rotors))
         self._overlaps: dict[float, Array] = {}
 
+    def update(self, inputs: Array, apart: Array | None = None) -> None:
+        """Take (n, rotors) commands; NaN where missing.
+
+        Args:
+            inputs: the commands.
+            apart: (n,) s between the samples of the two streams whose mean they are; NaN, or None
+                altogether: there is one.
+        """
+        if self._slow:
+            place = np.full(len(inputs), _PLACES)
+            if apart is not None:
+                two = np.isfinite(apart)
+                place[two] = np.rint(apart[two] / self._dt * _PLACES).astype(int) % _PLACES
+            self._places += np.bincount(place[complete_rows(inputs)], minlength=_PLACES + 1)
+        super().update(inputs)
+
     def _add(self, commands: Array) -> None:
         self._count += len(commands)
         self._sum += commands.sum(axis=0)
-        if self._share == 0.0:
+        if not self._slow:
             return
         joined = np.concatenate([self._last, commands])
         reach = 3 * _SPACING
@@ -105,11 +121,17 @@ class CommandNoise(InputNoise):
             self._products += third.T @ third
 
     @property
+    def doubt(self) -> float:
+        """One standard deviation of the covariance told, relative."""
+        return _DOUBT
+
+    @property
     def covariance(self) -> Array:
         """(rotors, rotors) of white noise on the commands that stands for what is missed."""
         if self._differences < _ENOUGH:
             return np.zeros_like(self._products)
-        scale = self._share / (self._differences * THIRD_DIFFERENCE)
+        missed, seen = self._places @ self._folding
+        scale = missed / seen / (self._differences * THIRD_DIFFERENCE)
         covariance: Array = scale * self._products
         return covariance
 
@@ -129,8 +151,14 @@ class CommandNoise(InputNoise):
         out = np.zeros((WIDTH, WIDTH))
         average, _ = smoother.noise_gains(memory)
         # Near half throttle thrust follows the command one to one, whatever the curve.
-        out[:4, :4] = average * (self._mixer.T @ self.covariance @ self._mixer)
+        out[:4, :4] = average * self._torques
         return out
+
+    @property
+    def _torques(self) -> Array:
+        """(4, 4) covariance of roll, pitch, thrust and yaw."""
+        torques: Array = self._mixer.T @ self.covariance @ self._mixer
+        return torques
 
     def element_moments(self, basis: RotorBasis, smoother: Smoother, memory: float) -> Array:
         """(width, width) what it adds to the moments of a row of elements.
@@ -142,7 +170,7 @@ class CommandNoise(InputNoise):
         """
         out = np.zeros((basis.width, basis.width))
         signals = np.zeros((SIGNALS, SIGNALS))
-        signals[:4, :4] = self._mixer.T @ self.covariance @ self._mixer
+        signals[:4, :4] = self._torques
         if not signals.any():
             return out
         if memory not in self._overlaps:

@@ -23,6 +23,11 @@ class InputNoise(ABC):
 
     @property
     @abstractmethod
+    def doubt(self) -> float:
+        """One standard deviation of the variance told, relative."""
+
+    @property
+    @abstractmethod
     def std(self) -> Array:
         """(rotors,) of one input."""
 

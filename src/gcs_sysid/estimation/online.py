@@ -226,6 +226,7 @@ class OnlineEstimator:
                 self._basis,
                 self._noise(),
                 prior=self.prior,
+                doubt=record.noise_doubt,
             )
         return Fit(rot, trans, self.seconds, validation, accelerometer, coupling)
 
@@ -364,10 +365,11 @@ class OnlineEstimator:
         moments = record.rotation
         data = moments.batches, moments.counts, self._basis, self._noise()
         if start is not None:
-            fit = yield from rotation.fitting_rotation(*data, start, self.prior)
+            fit = yield from rotation.fitting_rotation(*data, start, self.prior, record.noise_doubt)
             if fit is not None and fit.converged:
                 return fit
-        return (yield from rotation.fitting_rotation(*data, prior=self.prior))
+        doubt = record.noise_doubt
+        return (yield from rotation.fitting_rotation(*data, prior=self.prior, doubt=doubt))
 
     def _fit_momentum(self, where: Array) -> TranslationFit | None:
         """Of the momentum balance, at (3,) coordinates; None while it is too early."""

@@ -51,9 +51,7 @@ class FlightRecord:
         self._smoother = smoother
         commands = tuning.rotor_input == "command"
         self._input_noise = (
-            CommandNoise(geometry, dt, tuning.loop_cutoff, tuning.command_streams)
-            if commands
-            else SpeedNoise(geometry, dt)
+            CommandNoise(geometry, dt, tuning.loop_cutoff) if commands else SpeedNoise(geometry, dt)
         )
         self.memories = tuning.leaks
         # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
@@ -65,6 +63,7 @@ class FlightRecord:
             tuning.curves,
             commands=commands,
             half_width=half_width,
+            dt=dt,
         )
         path = RotorPath(geometry, dt, basis, tuning.gyro_cutoff)
         self._rows = RowMaker(path, basis, smoother)
@@ -130,7 +129,7 @@ class FlightRecord:
         for number, (part, rows) in enumerate(zip(pairwise(edges), pairwise(counts), strict=True)):
             piece = slice(*part)
             if part[0] < part[1]:
-                self._input_noise.update(samples.speeds[piece])
+                self._follow_noise(samples.speeds[piece], samples.apart[piece, 0])
                 if self.article:
                     self.article.update(samples.part(piece))
             if rows[0] < rows[1]:
@@ -139,6 +138,12 @@ class FlightRecord:
                 self.accelerometer.add(sections.accelerometer(*rows))
             if number < len(ends):
                 yield
+
+    def _follow_noise(self, speeds: Array, apart: Array) -> None:
+        if isinstance(self._input_noise, CommandNoise):
+            self._input_noise.update(speeds, apart)
+        else:
+            self._input_noise.update(speeds)
 
     @property
     def seconds(self) -> float:
@@ -159,6 +164,11 @@ class FlightRecord:
     def speed_std(self) -> Array:
         """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
         return self._input_noise.std
+
+    @property
+    def noise_doubt(self) -> float:
+        """One standard deviation of what `noise` tells, relative."""
+        return self._input_noise.doubt
 
     def noise(self, leak: int) -> Array:
         """What known noise of the inputs adds to the moments of one row.
@@ -246,7 +256,7 @@ class _Held:
     """
 
     def __init__(self, size: int, rotors: int) -> None:
-        edges = np.cumsum([0, 3, 3, rotors, 4, 3, 3])
+        edges = np.cumsum([0, 3, 3, rotors, 4, 3, 3, 1])
         self._size = size
         self._buffer = np.empty((size, edges[-1]))
         self._columns = [slice(a, b) for a, b in pairwise(edges)]

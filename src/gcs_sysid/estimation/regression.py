@@ -8,7 +8,7 @@ dominates, no leak is better; the estimator carries both and takes the more cert
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,6 +31,8 @@ class Samples:
         attitude: (n, 4) body to world.
         force: (n, 3) specific force, m/s^2.
         velocity: (n, 3) north, east, down, m/s.
+        apart: (n, 1) s between the samples of two streams of commands whose mean `speeds` holds;
+            NaN where there is one, as it is unless told.
     """
 
     gyro: Array
@@ -39,11 +41,18 @@ class Samples:
     attitude: Array
     force: Array
     velocity: Array
+    apart: Array = field(default_factory=lambda: np.empty((0, 1)))
+
+    def __post_init__(self) -> None:
+        if not len(self.apart):
+            object.__setattr__(self, "apart", np.full((len(self.gyro), 1), np.nan))
 
     @property
     def signals(self) -> tuple[Array, ...]:
         """All of them, in order."""
-        return self.gyro, self.rates, self.speeds, self.attitude, self.force, self.velocity
+        return (
+            self.gyro, self.rates, self.speeds, self.attitude, self.force, self.velocity, self.apart
+        )  # fmt: skip
 
     def part(self, where: slice | Mask) -> "Samples":
         """Some of the samples."""

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation import basis as coordinate
 from gcs_sysid.estimation.basis import RotorBasis
-from gcs_sysid.estimation.command_noise import LEVEL_UNCERTAINTY
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.search import (
     N_X,
@@ -142,6 +141,7 @@ def fit_rotation(
     noise: Array,
     start: RotationFit | None = None,
     prior: Prior | None = None,
+    doubt: float = 0.0,
 ) -> RotationFit | None:
     """Fit theta and the basis' coordinates to moments.
 
@@ -154,12 +154,13 @@ def fit_rotation(
         start: an earlier fit: a few steps from there, at every leak, at little cost. None: from
             the data alone, to the minimum.
         prior: what else is known.
+        doubt: one standard deviation of the noise, relative.
 
     Returns:
         The fit, or None while the data cannot even start one (fewer rows than unknowns, or no
         response to roll and pitch torque).
     """
-    return finished(fitting_rotation(batches, counts, basis, noise, start, prior))
+    return finished(fitting_rotation(batches, counts, basis, noise, start, prior, doubt))
 
 
 def fitting_rotation(
@@ -169,6 +170,7 @@ def fitting_rotation(
     noise: Array,
     start: RotationFit | None = None,
     prior: Prior | None = None,
+    doubt: float = 0.0,
 ) -> Steps[RotationFit | None]:
     """`fit_rotation` in steps."""
     rows = int(counts.sum())
@@ -191,9 +193,9 @@ def fitting_rotation(
         closer = problem.evaluate(earlier).cost < problem.evaluate(unknowns).cost
         unknowns = np.where(closer[:, None], earlier, unknowns)
         point, converged = yield from minimise(problem, unknowns, _WARM_ITERATIONS)
-    level = None
+    pull = None
     if basis.commands and noise.any():
-        problem, point, level = yield from without_noise(problem, point, noise)
+        problem, point, pull = yield from without_noise(problem, point, noise)
         batches = batches - counts[:, None, None, None] * noise
     outcome = _Outcome(problem, point, noise)
     inverse_roots = outcome.roots[1]
@@ -204,8 +206,8 @@ def fitting_rotation(
         yield
         scatter.append((spread_out, student_factor(outcome.shares(i, batches[:, i]))))
     spread, widening = (np.stack(parts) for parts in zip(*scatter, strict=True))
-    if level is not None:
-        spread = spread + outcome.spread_of(LEVEL_UNCERTAINTY * level)
+    if doubt:
+        spread = spread + outcome.spread_of(doubt * (outcome.pull if pull is None else pull))
     return most_certain(outcome.fits(spread, widening, converged, range(len(bank))))
 
 
@@ -298,6 +300,20 @@ class _Outcome:
         spread: Array = moved[:, :, None] * moved[:, None, :]
         return spread
 
+    @property
+    def pull(self) -> Array:
+        """(K, p) gradient that undoes what noise of measured speeds does, to first order.
+
+        It makes least squares underrate its inputs (errors in variables).
+        """
+        problem, point = self._problem, self._point
+        pull = np.zeros_like(self._scale)
+        if not problem.basis.commands:
+            noise = problem.rows[:, None, None] * self._noise
+            excess = point.Q @ noise[:, :N_X, :N_X] - noise[:, N_X:, :N_X]
+            pull[:, : rb.N_THETA] = _times(point.WG, excess.reshape(len(pull), -1))
+        return pull
+
     def scores(self, i: int, batches: Array, counts: NDArray[np.int64]) -> Array:
         """(k, p) scaled downhill gradient of half the cost, batch by batch.
 
@@ -382,14 +398,7 @@ class _Outcome:
         spread, widening = np.broadcast_to(spread, (K, p, p)), np.broadcast_to(widening, (K, p))
         root, inverse_root = self.roots
         prior = problem.prior
-        # Noise on the inputs makes least squares underrate them; what that does to the gradient
-        # is known, and one Newton step takes it back (first-order correction for errors in
-        # variables).
-        pull = np.zeros((K, p))
-        if not problem.basis.commands:
-            noise = problem.rows[:, None, None] * self._noise
-            excess = point.Q @ noise[:, :N_X, :N_X] - noise[:, N_X:, :N_X]
-            pull[:, :n] = _times(point.WG, excess.reshape(K, -1))
+        pull = self.pull
         wider = widening[:, :, None] * inverse_root
         data_covariance = wider @ spread @ np.swapaxes(wider, 1, 2)
         covariance = data_covariance

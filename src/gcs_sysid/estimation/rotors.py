@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows, runs
-from gcs_sysid.estimation.basis import RotorBasis
+from gcs_sysid.estimation.basis import RotorBasis, motor_filter
 from gcs_sysid.model import rigid_body
 from gcs_sysid.recursions import lfilter
 
@@ -70,7 +70,7 @@ class RotorPath:
             autopilot's gyro feels them, and (lags * sets, n) thrust as it acts.
         """
         if self._commands:
-            mixed, H = self._of_commands(np.clip(rotors, 0.0, None))
+            mixed, H = self._of_commands(rotors)
         else:
             mixed, H = rigid_body.rotor_signals(self._geometry, rotors[None])
         signals = np.concatenate([mixed, H[..., None]], axis=-1)
@@ -86,7 +86,7 @@ class RotorPath:
         mixed = shares @ rigid_body.mixer(self._geometry)
         # A rotor's speed goes with the root of its thrust: sqrt(w) at one end of the curves, w at
         # the other; between them a straight line will do.
-        H = np.stack([np.sqrt(w), w], axis=1) @ self._geometry[2]
+        H = np.stack([np.sqrt(np.clip(w, 0.0, None)), w], axis=1) @ self._geometry[2]
         n = len(commands)
         return mixed.reshape(-1, n, 4), H.reshape(-1, n)
 
@@ -132,19 +132,6 @@ class RotorPath:
             self._settle -= skip
             out[:, run.start + skip : run.stop] = np.swapaxes(filtered[skip:], 0, 1)
         return out
-
-
-def motor_filter(dt: float, lag: float) -> tuple[float, float, float]:
-    """(a, b0, b1) of w_k = a w_{k-1} + b0 u_k + b1 u_{k-1} for a motor of first order.
-
-    Exact for commands that run straight from stamp to stamp, which has no phase of its own;
-    that a command is held until the next one comes is then part of the delay.
-    """
-    if lag == 0.0:
-        return 0.0, 1.0, 0.0
-    a = float(np.exp(-dt / lag))
-    share = lag / dt * (1.0 - a)
-    return a, 1.0 - share, share - a
 
 
 def _butterworth(cutoff: float) -> tuple[Array, Array]:

@@ -2,6 +2,10 @@
 
 Noise on an input makes least squares underrate what that input does (errors in variables).
 Where the noise is known, its part of the moments is known too and is taken out again.
+
+Speeds that come slowly miss what the rotors did in between: the gyro's noise comes back in the
+commands, less of it in the rotors, and folds down to the frequencies of the motion (see
+`estimation.command_noise`); where a message was lost, interpolation does not find it either.
 """
 
 import numpy as np
@@ -14,9 +18,15 @@ from gcs_sysid.model import rigid_body
 
 ROUNDING_STD = 2.0 * np.pi / 60.0 / np.sqrt(12.0)
 """rad/s, of a speed sent as a whole number of revolutions a minute."""
-_FAST_ENOUGH = 0.012
-"""s. Below this sample time a rotor hardly moves within four samples, so that what is left of
-them after a parabola is taken out is noise; above, motion and noise cannot be told apart."""
+_FAST_ENOUGH, _SLOWEST = 0.012, 0.025
+"""s. Below the one sample time a rotor hardly moves within four samples, so that what is left of
+them after a parabola is taken out is noise; above the other, motion and noise cannot be told
+apart. Between them the vehicle hardly moves, but the rotors do."""
+_MISSED, _DOUBT = 0.25, 0.5
+"""Of what is left of four samples between those times, what is missed, and how well that is known:
+with motors of 40 ms, 0.08 where no message is lost and samples are taken as they come, 0.2 with
+5 % lost, three times as much where interpolation to the IMU's times smooths them."""
+_ENOUGH = 100
 
 _DH = rigid_body.SIGNALS.index("dH")
 
@@ -36,9 +46,8 @@ class SpeedNoise(InputNoise):
         self._samples = 0
         self._sums = np.zeros((2, rotors))  # of Omega and Omega^2
         self._differences = 0
-        self._difference_squares = np.zeros(rotors)
-        x, y, s = geometry
-        self._mix = np.stack([-y, x, np.ones_like(x), s])  # roll, pitch, thrust, yaw
+        self._products = np.zeros((rotors, rotors))
+        self._mixer = rigid_body.mixer(geometry)
 
     def _add(self, speeds: Array) -> None:
         self._samples += len(speeds)
@@ -48,16 +57,29 @@ class SpeedNoise(InputNoise):
         if len(joined) > 3:
             third = joined[3:] - joined[:-3] - 3.0 * (joined[2:-1] - joined[1:-2])
             self._differences += len(third)
-            self._difference_squares += (third * third).sum(axis=0)
+            self._products += third.T @ third
+
+    @property
+    def doubt(self) -> float:
+        """One standard deviation of the covariance told, relative."""
+        return _DOUBT if _FAST_ENOUGH < self._dt <= _SLOWEST else 0.0
+
+    @property
+    def covariance(self) -> Array:
+        """(rotors, rotors) rad^2/s^2 of white noise on the speeds."""
+        covariance = np.zeros_like(self._products)
+        if self._dt <= _SLOWEST and self._differences >= _ENOUGH:
+            covariance = self._products / (self._differences * THIRD_DIFFERENCE)
+            # Sensors err one by one; what the loop does it does to all rotors at once.
+            one_by_one = self._dt <= _FAST_ENOUGH
+            covariance = np.diag(np.diag(covariance)) if one_by_one else _MISSED * covariance
+        least = np.maximum(ROUNDING_STD**2 - np.diag(covariance), 0.0)
+        return covariance + np.diag(least)
 
     @property
     def std(self) -> Array:
         """(rotors,) rad/s."""
-        floor = np.full(self._sums.shape[1], ROUNDING_STD)
-        if self._dt > _FAST_ENOUGH or self._differences < 100:
-            return floor
-        seen = np.sqrt(self._difference_squares / self._differences / THIRD_DIFFERENCE)
-        std: Array = np.maximum(seen, floor)
+        std: Array = np.sqrt(np.diag(self.covariance))
         return std
 
     def moments(self, smoother: Smoother, memory: float) -> Array:
@@ -71,8 +93,9 @@ class SpeedNoise(InputNoise):
         if self._samples == 0:
             return out
         average, derivative = smoother.noise_gains(memory)
-        mean_square = self._sums[1] / self._samples
-        mix, variance = self._mix, self.std**2
-        out[:4, :4] = average * (mix * (4.0 * mean_square * variance)) @ mix.T
-        out[_DH, _DH] = derivative * variance.sum()
+        # Of Omega^2 the noise is 2 Omega times that of Omega.
+        slope = 2.0 * np.sqrt(self._sums[1] / self._samples)
+        mixer, spin, covariance = self._mixer * slope[:, None], self._mixer[:, 3], self.covariance
+        out[:4, :4] = average * (mixer.T @ covariance @ mixer)
+        out[_DH, _DH] = derivative * (spin @ covariance @ spin)
         return out

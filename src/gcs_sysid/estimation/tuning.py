@@ -1,9 +1,10 @@
 """Settings of the online estimator."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from gcs_sysid.estimation import article
+from gcs_sysid.estimation.command_noise import SLOW_COMMANDS
 from gcs_sysid.estimation.rotors import RotorInput
 
 
@@ -24,7 +25,6 @@ class Tuning:
         curves: least and greatest thrust curve, for commands; one value is taken as given.
         gyro_cutoff: Hz, low-pass of the autopilot on its gyro; None: there is none.
         loop_cutoff: Hz, low-pass of the gyro on its way into the commands; None: there is none.
-        command_streams: of commands, whose mean the samples hold.
         settle_interval: s, least time between full fits of a running course, which choose
             leak and delay; later they come when the record has grown by half.
         batch_time: s, length of a batch of moments.
@@ -42,7 +42,6 @@ class Tuning:
     curves: tuple[float, ...] = (1.0,)
     gyro_cutoff: float | None = None
     loop_cutoff: float | None = None
-    command_streams: int = 1
     settle_interval: float = 2.0
     batch_time: float = 1.0
 
@@ -57,3 +56,12 @@ COMMANDS = Tuning(
     curves=(-0.2, 1.2),
 )
 """Tuning for commands as the rotors' input."""
+
+
+def tuning_for_commands(dt: float) -> Tuning:
+    """Tuning for commands that come every `dt` s.
+
+    What slow ones miss is noise of all frequencies, the motion is slow: a leak weighs what is
+    sure most, and errors in how much is missed least.
+    """
+    return COMMANDS if dt < SLOW_COMMANDS else replace(COMMANDS, leaks=(0.15,))

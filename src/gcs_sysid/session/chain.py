@@ -458,7 +458,6 @@ class Chain:
             bool(base.faults.spikes),
             bool(base.still_speeds),
             self._cutoffs(),
-            self._twin,
         )
 
     def _cutoffs(self) -> Cutoffs:

@@ -19,7 +19,7 @@ from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.estimation.tracking import MOST_SEGMENTS, Segment, Tracker
 from gcs_sysid.estimation.translation import TranslationFit
-from gcs_sysid.estimation.tuning import COMMANDS
+from gcs_sysid.estimation.tuning import COMMANDS, tuning_for_commands
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.plain import one_line
 from gcs_sysid.session import summary
@@ -46,7 +46,6 @@ class Known(NamedTuple):
         has_spikes: whether any on the gyro was replaced.
         stood_still: whether rotor speeds ever did.
         cutoffs: of speeds, and of commands, by the parameters that had come.
-        twin: the other stream of commands that is used.
     """
 
     t: float
@@ -55,7 +54,6 @@ class Known(NamedTuple):
     has_spikes: bool
     stood_still: bool
     cutoffs: Cutoffs
-    twin: str | None
 
 
 class Learner:
@@ -223,10 +221,9 @@ class Learner:
         if self.rotors.kind == "command":
             curve = self._airframe.command.thrust_curve
             tuning = replace(
-                COMMANDS,
+                tuning_for_commands(dt),
                 gyro_cutoff=gyro,
                 loop_cutoff=loop,
-                command_streams=1 if known.twin is None else 2,
                 smoother=own.smoother,
                 bandwidth=own.bandwidth,
                 curves=COMMANDS.curves if curve is None else (curve,),

@@ -26,6 +26,8 @@ _FIRST_MOTOR = 101
 _PX4_DRIVERS = ("PWM_MAIN", "PWM_AUX", "SIM_GZ_EC")
 _USUAL = (800.0, 2200.0)
 """Pulses of servo outputs lie between, in us."""
+_STOPPED = -0.05
+"""Commands below are none; curves between samples do not reach so far."""
 ARDUPILOT_GYRO_FILTER = 20.0
 """Hz, INS_GYRO_FILTER of a multirotor that nobody changed."""
 PX4_LOOP_FILTER = 40.0
@@ -159,6 +161,11 @@ class RotorSource:
 
 
 def normalised(outputs: Array, range_: Range) -> Array:
-    """Commands of 0 to 1; what is below the range (disarmed, failsafe) is stopped."""
-    u: Array = np.clip((outputs - range_.low) / (range_.high - range_.low), 0.0, None)
-    return u
+    """Commands of 0 to 1; what is below the range (disarmed, failsafe) is stopped.
+
+    Between samples a curve passes below 0 where motors stop and above 1 where they give all; to
+    cut off one of both would make the mean of what acted too large.
+    """
+    u = (outputs - range_.low) / (range_.high - range_.low)
+    stopped: Array = np.where(u < _STOPPED, 0.0, u)
+    return stopped

@@ -56,10 +56,17 @@ class SampleBlock:
 
 @dataclass(frozen=True)
 class _Held:
-    """A block whose rotor stream is not chosen yet, with those that there are, by name."""
+    """A block whose rotor stream is not chosen yet, with those that there are, by name.
+
+    Attributes:
+        block: without its rotors.
+        rotors: (n, rotors) of each stream.
+        stamps: (n,) s of each stream of commands.
+    """
 
     block: SampleBlock
     rotors: dict[str, Array]
+    stamps: dict[str, Array]
 
 
 class Sampler:
@@ -214,18 +221,26 @@ class Sampler:
         """The blocks held back, with the rotor stream that is believed now."""
         choice, ready = self.chooser.choice, []
         for held in self._held:
-            rotors = held.rotors.get(choice.name) if choice is not None else None
-            twin = held.rotors.get(self.chooser.twin or "")
-            if rotors is not None and twin is not None and held.block.dt >= SLOW_COMMANDS:
-                rotors = mean_of(rotors, twin)
             samples = held.block.samples
-            if choice is not None and rotors is not None:
-                samples = replace(samples, speeds=choice.read(rotors))
+            if choice is not None and choice.name in held.rotors:
+                rotors, apart = self._joined(held, choice.name)
+                samples = replace(samples, speeds=choice.read(rotors), apart=apart)
             ready.append(replace(held.block, samples=samples, rotors=choice))
         self._held.clear()
         if ready:
             self._show_rotors(ready[-1].samples.speeds[-1])
         return tuple(ready)
+
+    def _joined(self, held: _Held, name: str) -> tuple[Array, Array]:
+        """(n, rotors) of a stream, with its twin where they are slow; (n, 1) s between both."""
+        rotors, second = held.rotors[name], self.chooser.twin
+        apart = np.full(len(rotors), np.nan)
+        if second in held.rotors and held.block.dt >= SLOW_COMMANDS:
+            twin = held.rotors[second]
+            both = complete_rows(rotors + twin)
+            apart[both] = (held.stamps[name] - held.stamps[second])[both]
+            rotors = mean_of(rotors, twin)
+        return rotors, apart[:, None]
 
     def _samples(self, block: Block) -> _Held:
         assert self._first is not None
@@ -267,7 +282,8 @@ class Sampler:
         self.t = float(t[-1])
         self.flying = bool(flying[-1])
         self._show(samples)
-        return _Held(SampleBlock(t, samples, flying, dt, block.fresh), rotors)
+        stamps = {family(key[1]): stamps for key, stamps in block.stamps.items()}
+        return _Held(SampleBlock(t, samples, flying, dt, block.fresh), rotors, stamps)
 
     def _attitude(
         self, flt: ComplementaryFilter, gyro: Array, reference: Array

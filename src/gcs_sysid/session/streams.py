@@ -181,6 +181,12 @@ class StreamBuffer:
         """The samples to interpolate between: here all of them."""
         return t, v
 
+    def stamps(self, grid: Array) -> Array:
+        """(n,) s, times of the latest samples at the grid times, NaN where there is none."""
+        t, _ = self._arrays()
+        index = np.searchsorted(t, grid + _SAME, side="right") - 1
+        return np.append(t, np.nan)[index]  # -1 is the NaN
+
     def forget_before(self, t: float) -> None:
         """Drop what no later grid point needs."""
         times, _ = self._arrays()

@@ -55,10 +55,12 @@ class Block:
     Attributes:
         t: (n,) s, vehicle clock, uniform.
         values: stream key -> (n, width), NaN where missing.
+        stamps: stream key of commands -> (n,) s, times of the samples at or before the points.
     """
 
     t: Array
     values: dict[Key, Array]
+    stamps: dict[Key, Array]
     fresh: bool = False
     """Whether the grid started anew: nothing before this block joins on to it."""
 
@@ -299,7 +301,12 @@ class TimeBase:
             key: buffer.at(t, self._imu_gap if key == _IMU else None)
             for key, buffer in self._buffers.items()
         }
-        block = Block(t, values, self._fresh)
+        stamps = {
+            key: buffer.stamps(t)
+            for key, buffer in self._buffers.items()
+            if key[0] is Stream.ROTOR_COMMAND
+        }
+        block = Block(t, values, stamps, self._fresh)
         self._fresh = False
         for buffer in self._buffers.values():
             buffer.forget_before(t[-1])
