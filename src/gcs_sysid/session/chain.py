@@ -25,6 +25,7 @@ from gcs_sysid.estimation.parameters import (
     motor_lag,
     rotor_delay,
     verdict,
+    with_clock_error,
 )
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotors import RotorInput
@@ -124,6 +125,8 @@ class Chain:
             options.end,
             airframe.imu_arm,
         )
+        self.clock_error = 0.0
+        """Share by which the vehicle's clock may be wrong, as the owner tells; of results alone."""
         self._rotors: RotorSource | None = None
         self._cutoffs: _Cutoffs = (None, None)
         self._anchors = [anchor]
@@ -317,7 +320,9 @@ class Chain:
             vehicle={},
             scale=summary.scale_of(self.anchor),
             rotor_input=self.rotor_input,
-            parameters=summary.estimates_of(values, self._fit, self.anchor, self._bounds()),
+            parameters=summary.estimates_of(
+                with_clock_error(values, self.clock_error), self._fit, self.anchor, self._bounds()
+            ),
             estimator="online" if self._offline is None else "offline",
             timing=self._timing(),
             events=self._changes([*past, values]),
@@ -340,6 +345,7 @@ class Chain:
         timing = {"rotor_delay": rotor_delay(self._fit.rotation)}
         if self.rotor_input == "command":
             timing["motor_lag"] = motor_lag(self._fit.rotation)
+        timing = with_clock_error(timing, self.clock_error)
         return {
             name: Estimate(value.value, value.std, TIMING[name].unit, value.status)
             for name, value in timing.items()
@@ -384,7 +390,9 @@ class Chain:
                 "scale": summary.scale_of(anchor).as_json(),
                 "parameters": {
                     name: estimate.as_json()
-                    for name, estimate in summary.estimates_of(values, segment.fit, anchor).items()
+                    for name, estimate in summary.estimates_of(
+                        with_clock_error(values, self.clock_error), segment.fit, anchor
+                    ).items()
                 },
                 "validation": summary.validation_of(segment.fit),
             }
