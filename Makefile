@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PROGRAM_INSTALLED := $(VENV)/.installed-program
 INSTALLED := $(VENV)/.installed
 BENCH_INSTALLED := $(VENV)/.installed-bench
 SPEED_INSTALLED := $(VENV)/.installed-speed
@@ -14,15 +15,20 @@ SIMULATORS_INSTALLED := $(VENV)/.installed-simulators
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
 
-$(INSTALLED): pyproject.toml constraints.txt
+$(PROGRAM_INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "Python 3.11 or newer is needed; name one with: make PYTHON=python3.12 ..." >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint constraints.txt --editable .
+	@touch $@
+
+$(INSTALLED): $(PROGRAM_INSTALLED)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
 	  --constraint constraints.txt --editable '.[dev,fleet,cluster]'
 	@touch $@
 
-demo: $(INSTALLED) ## fly the emulator and identify it on the live screen
+demo: $(PROGRAM_INSTALLED) ## fly the emulator and identify it on the live screen
 	$(BIN)/gcs-sysid demo
 
 # What the tests of exports load their files with: 60 MB without what they draw and train with.

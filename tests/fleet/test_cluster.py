@@ -72,4 +72,4 @@ def test_no_scheduler_is_a_line(batch, logs, tmp_path, monkeypatch):
         logs, "-o", tmp_path / "out", "--airframe", "paper", "--scheduler", "tcp://x"
     )
     assert (status, err.count("\n")) == (2, 1)
-    assert 'pip install "gcs-sysid[fleet,cluster]"' in err
+    assert "pip install distributed pyarrow" in err

@@ -2,14 +2,16 @@
 
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 from rich.segment import Segment
 from textual.pilot import Pilot
 
 from gcs_sysid.screen import Actions, Baseline, SysidApp
-from gcs_sysid.session.snapshot import Snapshot
+from gcs_sysid.screen.replay import ReplayApp
+from gcs_sysid.screen.widgets.transport import Transport
+from gcs_sysid.session.snapshot import LinkState, Snapshot
 
 from . import fake
 
@@ -89,5 +91,29 @@ def run_screen() -> RunScreen:
             running = Running(app, pilot, source, clock)
             await running.settle()
             yield running
+
+    return run
+
+
+@pytest.fixture
+def run_replay():
+    """The same for a replay; also gives what was asked of it."""
+
+    @asynccontextmanager
+    async def run(playback=fake.PLAYING, size=(80, 24)):
+        link = fake.link(LinkState.REPLAY, url="flight.ulg", recording="")
+        source = fake.FakeSource(replace(fake.snapshot(), link=link, playback=playback))
+        clock, asked = Clock(), []
+
+        def noted(what):
+            return lambda *arguments: (asked.append((what, *arguments)), f"{what} it is")[1]
+
+        transport = Transport(*map(noted, ("pause", "speed", "seek", "skip")))
+        actions = Actions(absent="in a replay")
+        app = ReplayApp(source, transport, fake.TRUTH, actions, time_source=clock)
+        async with app.run_test(size=size) as pilot:
+            running = Running(app, pilot, source, clock)
+            await running.settle()
+            yield running, asked
 
     return run

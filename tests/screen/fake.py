@@ -21,6 +21,7 @@ from gcs_sysid.session.snapshot import (
     HeardVehicle,
     LinkState,
     LinkStatus,
+    Playback,
     Snapshot,
 )
 
@@ -40,6 +41,7 @@ TRUTH = {
     "rotational_damping": 0.0,
     "rotor_inertia": 0.0,
 }
+PLAYING = Playback(position=45.0, duration=180.0, speed=1.0)
 
 # name: value over truth, std over truth, status
 _STATE: dict[str, tuple[float, float, Status]] = {

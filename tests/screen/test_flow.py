@@ -5,12 +5,18 @@ from dataclasses import replace
 
 import pytest
 
+from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.main import layout_classes
-from gcs_sysid.screen.widgets.parameters import ParameterRow
+from gcs_sysid.screen.widgets.parameters import ParameterRows
 from gcs_sysid.session.result import Estimate
 from gcs_sysid.session.snapshot import Event, LinkState
 
 from . import fake
+
+
+def names_of(result):
+    """Of the parameters, from top to bottom."""
+    return [parameter.name for parameter, _ in fmt.rows(result)]
 
 
 async def test_before_the_first_snapshot(run_screen):
@@ -74,14 +80,23 @@ async def test_the_same_snapshot_is_not_drawn_again(run_screen, monkeypatch):
 async def test_only_rows_that_changed_are_drawn_again(run_screen, monkeypatch):
     async with run_screen(fake.snapshot()) as s:
         drawn = []
-        monkeypatch.setattr(
-            ParameterRow, "refresh", lambda row, *a, **k: drawn.append(row.parameter_name)
-        )
+        monkeypatch.setattr(ParameterRows, "refresh", lambda rows, *regions: drawn.extend(regions))
         result = fake.result()
         result.parameters["Izz"] = Estimate(0.031, 0.0001, "kg m^2", "identified")
         s.source.snapshot = replace(fake.snapshot(), result=result)
         s.app.poll()
-        assert drawn == ["Izz"]
+        [region] = drawn
+        assert (region.y, region.height) == (names_of(result).index("Izz"), 1)
+
+
+async def test_the_parameter_under_the_mouse_is_explained(run_screen):
+    async with run_screen(fake.snapshot()) as s:
+        rows = s.app.screen.query_one(ParameterRows)
+        names = names_of(fake.result())
+        await s.pilot.hover(ParameterRows, offset=(3, names.index("Izz")))
+        assert "body z axis" in str(rows.tooltip)
+        await s.pilot.hover(ParameterRows, offset=(3, names.index("cg_x")))
+        assert "forward" in str(rows.tooltip)
 
 
 async def test_parameters_come_and_go(run_screen):

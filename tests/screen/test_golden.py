@@ -86,6 +86,12 @@ async def test_states(run_screen, state, size):
         await check_both_themes(s, f"{state}-{named(size)}")
 
 
+@pytest.mark.parametrize("size", SIZES, ids=named)
+async def test_replay(run_replay, size):
+    async with run_replay(size=size) as (s, _):
+        await check_both_themes(s, f"replay-{named(size)}")
+
+
 @pytest.mark.parametrize(
     ("size", "page"), [(size, page) for size, pages in KEYS.items() for page in pages]
 )

@@ -1,43 +1,13 @@
 """The screen of a replay: every key, the bar, the click, and what it says."""
 
-from contextlib import asynccontextmanager
 from dataclasses import replace
 
 import pytest
 
-from gcs_sysid.screen import Actions
 from gcs_sysid.screen.help import HelpScreen
-from gcs_sysid.screen.replay import ReplayApp
-from gcs_sysid.screen.widgets.transport import Transport, state_of
-from gcs_sysid.session.snapshot import LinkState, Playback
+from gcs_sysid.screen.widgets.transport import state_of
 
-from . import fake
-from .conftest import Clock, Running
-
-PLAYING = Playback(position=45.0, duration=180.0, speed=1.0)
-
-
-@pytest.fixture
-def run_replay():
-    @asynccontextmanager
-    async def run(playback=PLAYING, size=(80, 24)):
-        link = fake.link(LinkState.REPLAY, url="flight.ulg", recording="")
-        source = fake.FakeSource(replace(fake.snapshot(), link=link, playback=playback))
-        clock, asked = Clock(), []
-
-        def noted(what):
-            return lambda *arguments: (asked.append((what, *arguments)), f"{what} it is")[1]
-
-        transport = Transport(*map(noted, ("pause", "speed", "seek", "skip")))
-        actions = Actions(absent="in a replay")
-        app = ReplayApp(source, transport, fake.TRUTH, actions, time_source=clock)
-        async with app.run_test(size=size) as pilot:
-            running = Running(app, pilot, source, clock)
-            await running.settle()
-            yield running, asked
-
-    return run
-
+from .fake import PLAYING
 
 KEYS = {
     "space": ("pause",),

@@ -128,9 +128,7 @@ class ClusterPool:
         try:
             import distributed
         except ImportError as error:
-            raise InputError(
-                '--scheduler needs Dask: pip install "gcs-sysid[fleet,cluster]"'
-            ) from error
+            raise InputError("--scheduler needs Dask: pip install distributed pyarrow") from error
         try:
             self._client = distributed.Client(address, timeout=10, set_as_default=False)
         except (OSError, ValueError) as error:

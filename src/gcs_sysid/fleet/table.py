@@ -32,7 +32,7 @@ def require() -> None:
         import pyarrow.parquet  # noqa: F401
     except ImportError as error:
         raise InputError(
-            'the table of a fleet is written and read by PyArrow: pip install "gcs-sysid[fleet]"'
+            "the table of a fleet is written and read by PyArrow: pip install pyarrow"
         ) from error
 
 

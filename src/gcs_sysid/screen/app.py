@@ -19,7 +19,7 @@ from gcs_sysid.screen.standing import shares
 from gcs_sysid.screen.themes import DARK, LIGHT
 from gcs_sysid.screen.view import Baseline, View
 from gcs_sysid.screen.widgets.pages import PAGES, PageBar
-from gcs_sysid.screen.widgets.parameters import ParameterRow
+from gcs_sysid.screen.widgets.parameters import ParameterRows
 from gcs_sysid.session.comparison import Comparison, compare
 from gcs_sysid.session.snapshot import Event, LinkState, Snapshot
 
@@ -244,7 +244,7 @@ class SysidApp(ActingApp):
         """Show the help screen."""
         self.push_screen(HelpScreen())
 
-    def on_parameter_row_chosen(self, message: ParameterRow.Chosen) -> None:
+    def on_parameter_rows_chosen(self, message: ParameterRows.Chosen) -> None:
         """A click on a parameter chooses it."""
         self._select(message.parameter_name)
 

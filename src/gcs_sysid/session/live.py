@@ -28,8 +28,10 @@ _POLL = 0.05
 """s; the longest that an action of the user waits."""
 _ASK_EVERY = 0.2
 """s between looks at the rates that arrive."""
-_FEW, _GATHER = 16, 0.002
-"""Frames in one go that are not worth waking for, and s to wait for more."""
+_FEW = 16
+"""Frames in one go that are not worth waking for."""
+_GATHER, _GATHER_MOST = 2.0, (0.002, 0.008)
+"""Samples of the IMU to wait for then, and least and most s."""
 _THINK = 0.003
 """s that the coach may think between looks at the link."""
 _PUBLISH_EVERY, _PUBLISH_LATE = 0.2, 0.4
@@ -272,7 +274,9 @@ class LiveSession:
                 return
             if frames and few:
                 # Let datagrams gather in the system's buffer: waking for each costs most.
-                self._stop.wait(_GATHER)
+                least, most = _GATHER_MOST
+                dt = self._pipeline.chain.sampler.time_base.dt
+                self._stop.wait(min(max(_GATHER * dt, least), most))
 
     def _identify(self, frames: Sequence[Frame], now: float) -> None:
         """All that is done with frames beside recording them."""

@@ -7,6 +7,7 @@ fit that was in force before the block came, so that what is shown was never fit
 
 from collections import deque
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -90,6 +91,11 @@ def half_window(dt: float, rotor_input: RotorInput) -> int:
     return max(tuning.min_half_samples, round(tuning.half_width / dt))
 
 
+@lru_cache(maxsize=4)
+def _basis_of(lag: float, commands: bool, half_width: float) -> RotorBasis:
+    return RotorBasis((0.0,), (lag,), commands=commands, half_width=half_width)
+
+
 class Predictor:
     """Makes rows of samples, piece by piece.
 
@@ -108,7 +114,7 @@ class Predictor:
         self._path: RotorPath | None = None
         if model is not None:
             lag, commands = float(model.coordinates[LAG]), model.rotor_input == "command"
-            basis = RotorBasis((0.0,), (lag,), commands=commands, half_width=self.half * dt)
+            basis = _basis_of(lag, commands, self.half * dt)
             self._path = RotorPath(model.geometry, dt, basis, model.gyro_cutoff)
 
     def rows(self, piece: Motion) -> Rows:

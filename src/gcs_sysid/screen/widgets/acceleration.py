@@ -2,16 +2,15 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from textual.content import Content
 
 from gcs_sysid.screen import braille
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
+from gcs_sysid.screen.widgets.lines import Line
 from gcs_sysid.screen.widgets.rationed import RationedPlot
 from gcs_sysid.session.snapshot import Acceleration
 
 Floats = NDArray[np.float64]
-Part = tuple[str, str]
 
 AXES = ("roll", "pitch", "yaw")
 PREDICTED = "•"
@@ -85,25 +84,23 @@ class AccelerationPanel(RationedPlot):
         found = None if view.snapshot is None else view.snapshot.acceleration
         if found is not self._found:
             self._found = found
-            self.refresh_later()
+            self.draw_later()
 
-    def render(self) -> Content:
-        """Draw for the present size."""
-        self.note_drawing()
+    def drawing(self) -> list[Line]:
+        """Three strips, and what the signs mean."""
         found, size = self._found, self.content_size
         if found is None or len(found.t) < 2:
-            return Content.styled("nothing predicted yet", fmt.MUTED)
+            return [[("nothing predicted yet", fmt.MUTED)]]
         if size.width < MIN_WIDTH or size.height < MIN_HEIGHT:
-            return Content("")
-        lines = self._lines(found, size.width, size.height)
-        return Content("\n").join([Content.assemble(*line) for line in lines])
+            return []
+        return self._strips(found, size.width, size.height)
 
-    def _lines(self, found: Acceleration, width: int, height: int) -> list[list[Part]]:
+    def _strips(self, found: Acceleration, width: int, height: int) -> list[Line]:
         each = max(1, (height - 1) // 3)
         columns = width - MARGIN
         start, end = float(found.t[0]), float(found.t[-1])
         shares = found.r_squared
-        lines: list[list[Part]] = []
+        lines: list[Line] = []
         for axis, name in enumerate(AXES):
             measured, predicted = found.measured[:, axis], found.predicted[:, axis]
             limit = nice_limit(float(np.nanmax(np.abs(measured), initial=0.0)))

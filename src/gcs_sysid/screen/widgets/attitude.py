@@ -2,13 +2,9 @@
 
 import math
 
-from textual.content import Content
-from textual.widgets import Static
-
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
-
-Part = tuple[str, str]
+from gcs_sysid.screen.widgets.lines import Line, Lines
 
 HORIZON_WIDTH = 25
 WINGS = "━━━┫◆┣━━━"
@@ -57,26 +53,20 @@ def deflection(value: float, limit: float, width: int) -> str:
     return f"{left:>{half}}│{right:<{half}}"
 
 
-class AttitudePanel(Static):
+class AttitudePanel(Lines):
     """How the vehicle stands in the air and what its rotors do."""
 
     BORDER_TITLE = "Attitude and rotors"
 
     def __init__(self) -> None:
         super().__init__(id="attitude")
-        self._shown: list[list[Part]] = []
         self._top_speed = 1.0
 
     def show(self, view: View) -> None:
         """Bring the panel up to date."""
-        lines = self._horizon_lines(view) + self._angle_lines(view) + self._rotor_lines(view)
-        if lines != self._shown:
-            grown = len(lines) != len(self._shown)
-            self._shown = lines
-            text = Content("\n").join([Content.assemble(*line) for line in lines])
-            self.update(text, layout=grown)
+        self.put(self._horizon_lines(view) + self._angle_lines(view) + self._rotor_lines(view))
 
-    def _horizon_lines(self, view: View) -> list[list[Part]]:
+    def _horizon_lines(self, view: View) -> list[Line]:
         if view.snapshot is None or view.snapshot.attitude is None:
             return [[("no attitude yet", fmt.MUTED)]]
         roll, pitch, _ = view.snapshot.attitude
@@ -91,7 +81,7 @@ class AttitudePanel(Static):
             )
         return lines
 
-    def _angle_lines(self, view: View) -> list[list[Part]]:
+    def _angle_lines(self, view: View) -> list[Line]:
         if view.snapshot is None or view.snapshot.attitude is None:
             return []
         lines = []
@@ -112,7 +102,7 @@ class AttitudePanel(Static):
             )
         return lines
 
-    def _rotor_lines(self, view: View) -> list[list[Part]]:
+    def _rotor_lines(self, view: View) -> list[Line]:
         if view.snapshot is None or not view.snapshot.rotor_speeds:
             return [[("no rotor speeds", fmt.MUTED)]]
         speeds = view.snapshot.rotor_speeds

@@ -2,16 +2,15 @@
 
 import math
 from dataclasses import dataclass
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
-from textual.content import Content
 
 from gcs_sysid.intervals import Z95
 from gcs_sysid.screen import braille
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
+from gcs_sysid.screen.widgets.lines import Line
 from gcs_sysid.screen.widgets.rationed import RationedPlot
 from gcs_sysid.session.snapshot import Course
 
@@ -19,6 +18,10 @@ Floats = NDArray[np.float64]
 
 MIN_WIDTH, MIN_HEIGHT = 24, 6
 """Below this a plot says nothing."""
+_NOTHING, _BAND, _TRUTH, _VALUE = range(4)
+_SIGNS = (" ", "░", "─", "")
+_STYLES = ("", "$primary 70%", "$text-warning", "bold")
+"""What a cell of the picture shows, each over the one before."""
 
 
 def nice_ticks(low: float, high: float, wanted: int) -> tuple[list[float], list[str]]:
@@ -125,9 +128,9 @@ class Convergence(RationedPlot):
         """Bring the plot up to date."""
         old, self.view = self.view, view
         if old is None or (old.selected, old.exponents) != (view.selected, view.exponents):
-            self.refresh()
+            self.draw()
         elif (old.snapshot and old.snapshot.course) is not (view.snapshot and view.snapshot.course):
-            self.refresh_later()
+            self.draw_later()
 
     def headline(self) -> str:
         """The parameter's name and present value, as the plot's title writes it."""
@@ -141,19 +144,18 @@ class Convergence(RationedPlot):
         unit = fmt.scaled_unit(parameter.unit, exponent)
         return f"{fmt.label(parameter.name)} = {value} {sign}{half} {unit}".rstrip()
 
-    def render(self) -> Content:
-        """Draw for the present size and theme."""
+    def drawing(self) -> list[Line]:
+        """The picture between its headline and its axis."""
         width, height = self.content_size.width, self.content_size.height
         view = self.view
-        self.note_drawing()
         if view is None or view.snapshot is None or width < MIN_WIDTH or height < MIN_HEIGHT:
-            return Content("")
+            return []
         found = view.estimate(view.selected)
         course, truth = view.snapshot.course, view.truth.get(view.selected)
         scale = 1.0 if found is None else 10.0 ** -view.exponents.get(fmt.exponent_key(found[0]), 0)
         whole = reduce_course(course, view.selected, braille.DOTS_WIDE * width, scale)
         if whole is None:
-            return Content(f"{fmt.label(view.selected)}: no course to plot yet")
+            return [[(f"{fmt.label(view.selected)}: no course to plot yet", "")]]
         truth = None if truth is None else scale * truth
         bounds = value_range(whole, truth)
         # Headline, time axis with its numbers, and legend take four lines.
@@ -165,18 +167,18 @@ class Convergence(RationedPlot):
         rows = self._rows(curve, bounds, truth, (columns, lines))
         cell = (bounds[1] - bounds[0]) / lines
         at = {int((bounds[1] - tick) / cell): text for tick, text in zip(*ticks, strict=True)}
-        drawn = [Content.styled(self.headline().center(width), "bold")]
+        drawn: list[Line] = [[(self.headline().center(width), "bold")]]
         for number, row in enumerate(rows):
             axis = f"{at.get(number, ''):>{margin - 1}}{'┤' if number in at else '│'}"
-            drawn.append(Content.assemble(axis, *row))
+            drawn.append([(axis, ""), *row])
         drawn += self._time_axis(curve, margin, columns)
         legend = "░ 95 % band   ⠒ value" + ("" if truth is None else "   ─ truth")
-        drawn.append(Content.styled(f"seconds     {legend}".center(width).rstrip(), fmt.MUTED))
-        return Content("\n").join(drawn)
+        drawn.append([(f"seconds     {legend}".center(width).rstrip(), fmt.MUTED)])
+        return drawn
 
     def _rows(
         self, curve: Curve, bounds: tuple[float, float], truth: float | None, size: tuple[int, int]
-    ) -> list[list[tuple[str, str]]]:
+    ) -> list[Line]:
         """The lines of the picture: band, truth and value, each over the one before."""
         columns, lines = size
         span = _span(curve)
@@ -184,28 +186,23 @@ class Convergence(RationedPlot):
         x = np.rint((curve.t - span[0]) / (span[1] - span[0]) * wide).astype(np.int64)
         x, first = np.unique(x, return_index=True)
         dots = braille.curve(x, curve.low[first], curve.high[first], bounds, size, wide)
-        band = shade(curve, span, bounds, size)
-        level = None
+        kinds = np.where(shade(curve, span, bounds, size), _BAND, _NOTHING)
         if truth is not None:
-            level = int((bounds[1] - truth) / (bounds[1] - bounds[0]) * lines)
+            kinds[int((bounds[1] - truth) / (bounds[1] - bounds[0]) * lines)] = _TRUTH
+        kinds[np.array([[dot != " " for dot in line] for line in dots])] = _VALUE
         out = []
-        for number, line in enumerate(dots):
-            cells = [
-                (dot, "bold") if dot != " "
-                else ("─", "$text-warning") if number == level
-                else ("░", "$primary 70%") if covered
-                else (" ", "")
-                for dot, covered in zip(line, band[number].tolist(), strict=True)
-            ]  # fmt: skip
+        for line, kind in zip(dots, kinds, strict=True):
+            edges = [0, *(np.flatnonzero(np.diff(kind)) + 1).tolist(), columns]
+            runs = zip(edges, edges[1:], kind[edges[:-1]].tolist(), strict=False)
             out.append(
                 [
-                    ("".join(text for text, _ in run), style)
-                    for style, run in groupby(cells, key=lambda cell: cell[1])
+                    (line[a:b] if of == _VALUE else _SIGNS[of] * (b - a), _STYLES[of])
+                    for a, b, of in runs
                 ]
             )
         return out
 
-    def _time_axis(self, curve: Curve, margin: int, columns: int) -> list[Content]:
+    def _time_axis(self, curve: Curve, margin: int, columns: int) -> list[Line]:
         """The axis below the picture, and its numbers."""
         start, end = _span(curve)
         line, numbers = ["─"] * columns, [" "] * (columns + margin)
@@ -216,8 +213,8 @@ class Convergence(RationedPlot):
                 line[place] = "┬"
                 numbers[left : left + len(text)] = text
         return [
-            Content(" " * (margin - 1) + "└" + "".join(line)),
-            Content("".join(numbers).rstrip()),
+            [(" " * (margin - 1) + "└" + "".join(line), "")],
+            [("".join(numbers).rstrip(), "")],
         ]
 
 

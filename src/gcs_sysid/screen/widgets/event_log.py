@@ -1,13 +1,22 @@
 """The event log, the newest at the bottom."""
 
+import textwrap
+
 from textual.app import ComposeResult
 from textual.containers import VerticalScroll
-from textual.content import Content
-from textual.widgets import Static
 
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
+from gcs_sysid.screen.widgets.lines import Line, Lines
 from gcs_sysid.session.snapshot import Event
+
+
+def event_lines(event: Event, width: int) -> list[Line]:
+    """An event, its text wrapped beside its time."""
+    stamp = f"{fmt.clock_tenths(event.t)}  "
+    texts = textwrap.wrap(event.text, max(1, width - len(stamp))) or [""]
+    stamps = [stamp, *[" " * len(stamp)] * (len(texts) - 1)]
+    return [[(time, fmt.MUTED), (text, "")] for time, text in zip(stamps, texts, strict=True)]
 
 
 class EventLog(VerticalScroll, can_focus=False):
@@ -17,23 +26,29 @@ class EventLog(VerticalScroll, can_focus=False):
 
     def __init__(self) -> None:
         super().__init__(id="events")
-        self._text = Static(id="event-lines")
-        self._events: tuple[Event, ...] | None = None
+        self._text = Lines(id="event-lines")
+        self._view: View | None = None
+        self._shown: tuple[tuple[Event, ...], int] | None = None
 
     def compose(self) -> ComposeResult:
-        """One text for all lines: the log is short and changes rarely."""
+        """One text for all lines."""
         yield self._text
 
     def show(self, view: View) -> None:
         """Bring the log up to date, and follow its end unless the user has scrolled up."""
+        self._view = view
         found = () if view.snapshot is None else view.snapshot.events
-        if found == self._events:
+        width = self.scrollable_content_region.width
+        if (found, width) == self._shown:
             return
-        at_end = self._events is None or self.scroll_offset.y >= self.max_scroll_y
-        self._events = found
-        lines = [
-            Content.assemble((f"{fmt.clock_tenths(e.t)}  ", fmt.MUTED), e.text) for e in found
-        ] or [Content.styled("nothing yet", fmt.MUTED)]
-        self._text.update(Content("\n").join(lines))
+        at_end = self._shown is None or self.scroll_offset.y >= self.max_scroll_y
+        self._shown = found, width
+        lines = [line for event in found for line in event_lines(event, width)]
+        self._text.put(lines or [[("nothing yet", fmt.MUTED)]])
         if at_end:
             self.scroll_end(animate=False)
+
+    def on_resize(self) -> None:
+        """Wrap the texts anew."""
+        if self._view is not None:
+            self.show(self._view)

@@ -2,14 +2,11 @@
 
 from textual.app import ComposeResult
 from textual.containers import VerticalScroll
-from textual.content import Content
-from textual.widgets import Static
 
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
+from gcs_sysid.screen.widgets.lines import Line, Lines
 from gcs_sysid.session.snapshot import LinkStatus
-
-Part = tuple[str, str]
 
 SCROLLBAR = 2
 """Columns that the scroll bar takes when there are many messages."""
@@ -34,7 +31,7 @@ def facts(link: LinkStatus) -> list[tuple[str, str, str]]:
     ]
 
 
-def message_line(name: str, got: float, asked: float | None, width: int) -> list[Part]:
+def message_line(name: str, got: float, asked: float | None, width: int) -> Line:
     """One message with its rates; a sign says whether it comes as asked."""
     room = max(8, width - 14)
     shown = name if len(name) <= room else name[: room - 1] + "…"
@@ -56,9 +53,8 @@ class LinkPanel(VerticalScroll, can_focus=False):
 
     def __init__(self) -> None:
         super().__init__(id="link")
-        self._text = Static(id="link-lines")
+        self._text = Lines(id="link-lines")
         self._view: View | None = None
-        self._shown: list[list[Part]] = []
 
     def compose(self) -> ComposeResult:
         """One text for all lines."""
@@ -69,25 +65,21 @@ class LinkPanel(VerticalScroll, can_focus=False):
         self._view = view
         lines = self._lines(view)
         # Messages come and go; a panel that shrinks each time would have the screen laid out anew.
-        lines += [[]] * (len(self._shown) - len(lines))
-        if lines != self._shown:
-            grown = len(lines) != len(self._shown)
-            self._shown = lines
-            text = Content("\n").join([Content.assemble(*line) for line in lines])
-            self._text.update(text, layout=grown)
+        lines += [[]] * (len(self._text.lines) - len(lines))
+        self._text.put(lines)
 
     def on_resize(self) -> None:
         """Lay the columns out anew."""
         if self._view is not None:
             self.show(self._view)
 
-    def _lines(self, view: View) -> list[list[Part]]:
+    def _lines(self, view: View) -> list[Line]:
         if view.snapshot is None:
             return [[("no link yet", fmt.MUTED)]]
         link = view.snapshot.link
         room = (self.content_size.width or 36) - SCROLLBAR
         width = min(room, 44)
-        lines: list[list[Part]] = []
+        lines: list[Line] = []
         for name, text, style in facts(link):
             # The end of a path or an address says more than its beginning.
             shown = text if len(text) <= room - 9 else "…" + text[max(1, len(text) - room + 10) :]

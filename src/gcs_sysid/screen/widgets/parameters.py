@@ -7,6 +7,7 @@ from textual import events
 from textual.app import ComposeResult
 from textual.containers import VerticalScroll
 from textual.content import Content
+from textual.geometry import Region
 from textual.message import Message
 from textual.widget import Widget
 from textual.widgets import Static
@@ -14,6 +15,7 @@ from textual.widgets import Static
 from gcs_sysid.model.parameters import Parameter
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
+from gcs_sysid.screen.widgets.lines import Line, Lines
 from gcs_sysid.session.result import Estimate
 
 Cell = tuple[str, str]
@@ -122,12 +124,21 @@ def _columns(view: View, width: int) -> list[Column]:
     return wanted
 
 
-def _line(name: Cell, cells: list[Cell]) -> Content:
-    return Content.assemble(name, *(part for cell in cells for part in (" ", cell)))
+def _line(name: Cell, cells: list[Cell]) -> Line:
+    return [name, *(part for cell in cells for part in ((" ", ""), cell))]
 
 
-class ParameterRow(Widget):
-    """One parameter, on one line."""
+def _lit(line: Line, width: int) -> Line:
+    """A line on the colour of what is chosen, to the edge of the table."""
+    missing = width - sum(len(text) for text, _ in line)
+    return [
+        (text, style if " on " in style else f"{style} on $primary-muted")
+        for text, style in (*line, (" " * missing, ""))
+    ]
+
+
+class ParameterRows(Lines):
+    """The parameters, one a line."""
 
     class Chosen(Message):
         """The user clicked on a parameter."""
@@ -136,33 +147,39 @@ class ParameterRow(Widget):
             super().__init__()
             self.parameter_name = name
 
-    def __init__(self, name: str) -> None:
-        super().__init__()
-        self.parameter_name = name
-        self.cells: list[Cell] = []
+    def __init__(self) -> None:
+        super().__init__(id="parameter-rows")
+        self.parameters: list[Parameter] = []
+        """From top to bottom."""
+        self._pointed: Parameter | None = None
 
-    def show(
+    def show(self, view: View, columns: list[Column]) -> None:
+        """Write the cells anew."""
+        found = [] if view.snapshot is None else fmt.rows(view.snapshot.result)
+        self.parameters = [parameter for parameter, _ in found]
+        lines = [self._row(view, columns, *pair) for pair in found]
+        self.put(lines or [[(" No estimate yet.", fmt.MUTED)]])
+
+    def _row(
         self, view: View, columns: list[Column], parameter: Parameter, estimate: Estimate
-    ) -> None:
-        """Write the cells anew; the terminal is touched only where a text has changed."""
+    ) -> Line:
         chosen = view.selected == parameter.name
-        cells = [
-            (("▸" if chosen else " ") + fmt.label(parameter.name).ljust(8), "bold" * chosen),
-            *(column.cell(view, parameter, estimate) for column in columns),
-        ]
-        self.set_class(chosen, "-selected")
-        if cells != self.cells:
-            self.cells = cells
-            self.tooltip = f"{parameter.symbol}: {parameter.meaning}"
-            self.refresh()
+        name = ("▸" if chosen else " ") + fmt.label(parameter.name).ljust(8)
+        cells = [column.cell(view, parameter, estimate) for column in columns]
+        line = _line((name, "bold" * chosen), cells)
+        return _lit(line, self.content_size.width) if chosen else line
 
-    def render(self) -> Content:
-        """The line."""
-        return _line(self.cells[0], self.cells[1:]) if self.cells else Content("")
+    def on_click(self, event: events.Click) -> None:
+        """Choose the parameter under the mouse for the plot."""
+        if event.y < len(self.parameters):
+            self.post_message(self.Chosen(self.parameters[event.y].name))
 
-    def on_click(self) -> None:
-        """Choose this parameter for the plot."""
-        self.post_message(self.Chosen(self.parameter_name))
+    def on_mouse_move(self, event: events.MouseMove) -> None:
+        """Say what the parameter under the mouse is."""
+        pointed = self.parameters[event.y] if event.y < len(self.parameters) else None
+        if pointed is not self._pointed:
+            self._pointed = pointed
+            self.tooltip = None if pointed is None else f"{pointed.symbol}: {pointed.meaning}"
 
 
 class ParameterTable(Widget):
@@ -172,12 +189,10 @@ class ParameterTable(Widget):
 
     def __init__(self) -> None:
         super().__init__(id="parameters")
-        self._head = Static(id="parameters-head")
+        self._head = Lines(id="parameters-head")
         self._holder = VerticalScroll(can_focus=False)
-        self._empty = Static("No estimate yet.", id="parameters-empty")
         self._why = Static(id="reasons")
-        self._names: list[str] = []
-        self._rows: dict[str, ParameterRow] = {}
+        self._rows = ParameterRows()
         self._view: View | None = None
         self._columns: list[Column] = []
         self._reasons = ""
@@ -186,7 +201,7 @@ class ParameterTable(Widget):
         """Head, rows, reasons."""
         yield self._head
         with self._holder:
-            yield self._empty
+            yield self._rows
         yield self._why
 
     def on_resize(self, event: events.Resize) -> None:
@@ -200,29 +215,9 @@ class ParameterTable(Widget):
         columns = _columns(view, self.content_size.width)
         if columns != self._columns:
             self._columns = columns
-            head = _line((NAME_HEAD, ""), [(c.head, "") for c in columns])
-            self._head.update(head)
-        found = [] if view.snapshot is None else fmt.rows(view.snapshot.result)
-        names = [parameter.name for parameter, _ in found]
-        if names != self._names:
-            self._names = names
-            self._rebuild(names)
-        for parameter, estimate in found:
-            self._rows[parameter.name].show(view, columns, parameter, estimate)
+            self._head.put([_line((NAME_HEAD, ""), [(c.head, "") for c in columns])])
+        self._rows.show(view, columns)
         self._show_reasons(view)
-
-    def _rebuild(self, names: list[str]) -> None:
-        for name in [name for name in self._rows if name not in names]:
-            self._rows.pop(name).remove()
-        for place, name in enumerate(names):
-            if name not in self._rows:
-                self._rows[name] = ParameterRow(name)
-                # Names come in a fixed order, so a new one goes behind those that stand already.
-                if place == 0:
-                    self._holder.mount(self._rows[name], before=0)
-                else:
-                    self._holder.mount(self._rows[name], after=self._rows[names[place - 1]])
-        self._empty.display = not names
 
     def _show_reasons(self, view: View) -> None:
         reasons = "" if view.snapshot is None else fmt.one_line(view.snapshot.result.reasons)
@@ -235,5 +230,7 @@ class ParameterTable(Widget):
 
     def reveal(self, name: str) -> None:
         """Scroll a parameter into view."""
-        if name in self._rows:
-            self._rows[name].scroll_visible(animate=False)
+        names = [parameter.name for parameter in self._rows.parameters]
+        if name in names:
+            line = Region(0, names.index(name), 1, 1)
+            self._holder.scroll_to_region(line, animate=False)

@@ -3,35 +3,44 @@
 import math
 import time
 
-from textual.widget import Widget
+from gcs_sysid.screen.widgets.lines import Line, Lines
 
 MIN_SECONDS = 0.5
 """Between two drawings of what grows."""
 
 
-class RationedPlot(Widget):
-    """Redraws on request, several requests within `MIN_SECONDS` making one drawing."""
+class RationedPlot(Lines):
+    """Draws itself on request, several requests within `MIN_SECONDS` making one drawing."""
 
     def __init__(self, id: str, classes: str | None = None) -> None:
         super().__init__(id=id, classes=classes)
         self._drawn_at = -math.inf
         self._waiting = False
 
-    def note_drawing(self) -> None:
-        """To be called by `render`."""
-        self._drawn_at = time.monotonic()
+    def drawing(self) -> list[Line]:
+        """The plot for the present size."""
+        raise NotImplementedError
 
-    def refresh_later(self) -> None:
-        """Redraw when the last drawing is old enough."""
+    def draw(self) -> None:
+        """Draw now."""
+        self._drawn_at = time.monotonic()
+        self.put(self.drawing())
+
+    def draw_later(self) -> None:
+        """Draw when the last drawing is old enough."""
         if self._waiting:
             return
         rest = self._drawn_at + MIN_SECONDS - time.monotonic()
         if rest <= 0.0:
-            self.refresh()
+            self.draw()
             return
         self._waiting = True
-        self.set_timer(rest, self._refresh_waiting)
+        self.set_timer(rest, self._draw_waiting)
 
-    def _refresh_waiting(self) -> None:
+    def _draw_waiting(self) -> None:
         self._waiting = False
-        self.refresh()
+        self.draw()
+
+    def on_resize(self) -> None:
+        """Draw for the new size."""
+        self.draw()

@@ -1,0 +1,72 @@
+"""A widget of styled lines, of which only those that have changed are drawn again.
+
+Textual's own widgets format all their text anew for any change of it. On a large screen whose
+numbers change several times a second that was most of what the whole program cost.
+"""
+
+from collections.abc import Sequence
+from itertools import groupby, zip_longest
+
+from rich.segment import Segment
+from rich.style import Style as SegmentStyle
+from textual.geometry import Region, Size
+from textual.strip import Strip
+from textual.style import Style
+from textual.widget import Widget
+
+from gcs_sysid.plain import printable
+
+Part = tuple[str, str]
+"""Text without line ends, and its style as in Textual's markup."""
+Line = list[Part]
+
+
+class Lines(Widget):
+    """Shows lines as they are, cut at the right edge."""
+
+    ALLOW_SELECT = False
+
+    def __init__(self, id: str | None = None, classes: str | None = None) -> None:
+        super().__init__(id=id, classes=classes)
+        self._lines: list[Line] = []
+        self._base: Style | None = None
+        self._styles: dict[str, SegmentStyle] = {}
+
+    @property
+    def lines(self) -> Sequence[Line]:
+        """What is shown."""
+        return self._lines
+
+    def put(self, lines: list[Line]) -> None:
+        """Show other lines; the terminal is touched only where they differ."""
+        before, self._lines = self._lines, lines
+        if len(before) != len(lines) and self.styles.auto_dimensions:
+            self.refresh(layout=True)
+            return
+        pairs = enumerate(zip_longest(before, lines))
+        stretches = groupby(pairs, key=lambda pair: pair[1][0] != pair[1][1])
+        width = self.content_size.width
+        changed = [[y for y, _ in stretch] for differs, stretch in stretches if differs]
+        if changed:
+            self.refresh(*(Region(0, ys[0], width, len(ys)) for ys in changed))
+
+    def get_content_height(self, container: Size, viewport: Size, width: int) -> int:
+        """All lines."""
+        return len(self._lines)
+
+    def render_line(self, y: int) -> Strip:
+        """One line."""
+        base = self.visual_style
+        if base is not self._base:  # another theme, another class
+            self._base = base
+            self._styles = {"": base.rich_style}
+        line = self._lines[y] if y < len(self._lines) else []
+        strip = Strip([Segment(printable(text), self._style(style)) for text, style in line])
+        return strip.adjust_cell_length(self.content_size.width, self._styles[""])
+
+    def _style(self, style: str) -> SegmentStyle:
+        found = self._styles.get(style)
+        if found is None:
+            assert self._base is not None
+            self._styles[style] = found = (self._base + Style.parse(style)).rich_style
+        return found
