@@ -128,6 +128,8 @@ class Chain:
         self.clock_error = 0.0
         """Share by which the vehicle's clock may be wrong, as the owner tells; of results alone."""
         self._rotors: RotorSource | None = None
+        self._rotors_lost = False
+        self._input_events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
         self._cutoffs: _Cutoffs = (None, None)
         self._anchors = [anchor]
         self._tracker: Tracker | None = None
@@ -325,7 +327,7 @@ class Chain:
             ),
             estimator="online" if self._offline is None else "offline",
             timing=self._timing(),
-            events=self._changes([*past, values]),
+            events=(*self._input_events, *self._changes([*past, values])),
             segments=self._segments(past),
             validation=summary.validation_of(self._fit),
             priors={
@@ -493,6 +495,8 @@ class Chain:
     def _take(self, block: SampleBlock) -> bool:
         if block.rotors is not None and block.rotors is not self._rotors:
             self._use(block.rotors)
+        elif block.rotors is None and self._rotors is not None and not self._rotors_lost:
+            self._tell_loss(self._rotors.name)
         for observer in self.observers:
             observer(block)
         if self._rotors is None:
@@ -555,12 +559,31 @@ class Chain:
 
     def _use(self, rotors: RotorSource) -> None:
         """Take the rotors' input from this stream from now on."""
-        anew = "" if self._rotors is None else ": estimate starts anew"
-        self.note(f"rotors from {rotors.name}, {rotors.why}{anew}")
-        self._rotors = rotors
+        before, lost = self._rotors, self._rotors_lost
+        self._rotors, self._rotors_lost = rotors, False
+        text = f"rotors from {rotors.name}, {rotors.why}"
+        if before is None:
+            self.note(text)
+        elif lost and rotors.reads_as(before):
+            self._tell_input(f"{rotors.name} is sound again: the estimate goes on")
+            return
+        else:
+            self._tell_input(f"{text}: estimate starts anew")
         self._tracker = None
         self._fit = Fit(None, None, 0.0)
         self._course.clear()
+
+    def _tell_loss(self, name: str) -> None:
+        """Say that the rotors' input is not sound any more, and nothing else is."""
+        self._rotors_lost = True
+        why = self.chooser.refused.get(name, "comes no more")
+        self._tell_input(
+            f"{name} {why}, and no other input is sound: the estimate rests on what came before"
+        )
+
+    def _tell_input(self, text: str) -> None:
+        self.note(text)
+        self._input_events.append({"t": self.t, "kind": "rotor_input", "text": text})
 
     def _cutoffs_now(self) -> _Cutoffs:
         given, chooser = self.airframe.gyro_filter, self.chooser

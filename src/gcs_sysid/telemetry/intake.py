@@ -263,7 +263,8 @@ class Intake:
             return ()
         return (
             f"the heartbeats of {self.vehicle} contradict each other: somebody else sends in its "
-            "name too (signing tells them apart)",
+            "name too, and may hide that it flies; the autopilot's own log (.ulg, .bin) knows, and "
+            "signing (--signing-key) keeps them out",
         )
 
     def _hear(self, heartbeat: Frame) -> None:
