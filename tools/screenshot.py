@@ -29,8 +29,8 @@ from gcs_sysid.session.live import LiveSession
 from gcs_sysid.session.live_options import LiveOptions
 from gcs_sysid.session.result import Result
 from gcs_sysid.session.snapshot import Snapshot
-from gcs_sysid.telemetry.link import TcpLink
-from gcs_sysid.telemetry.urls import LinkUrl
+from gcs_sysid.telemetry.link import open_link
+from gcs_sysid.telemetry.urls import parse_url
 
 
 class Still:
@@ -72,15 +72,15 @@ async def capture(
 
 
 def demo_source() -> tuple[Still, dict[str, float]]:
-    """A snapshot 40 s into the demo flight, with the emulator's truth."""
-    link = TcpLink(LinkUrl("tcpin", "udpin:0.0.0.0:14550", host="127.0.0.1", port=0))
+    """A snapshot 40 s into the demo flight, in real time, with the emulator's truth."""
+    link = open_link(parse_url("udpin:127.0.0.1:14550"))
     with tempfile.TemporaryDirectory() as folder:
         truth = Path(folder) / "truth.json"
         flight = ["--airframe", "paper", "--mission", "all-axes", "--noise", "mems", "--seed", "1"]
         emulator = subprocess.Popen(
             [
-                *(sys.executable, "-m", "sim_bridge", *flight, "--speed", "max"),
-                *("--connect", f"tcp:127.0.0.1:{link.port}", "--truth", str(truth)),
+                *(sys.executable, "-m", "sim_bridge", *flight),
+                *("--connect", "udpout:127.0.0.1:14550", "--truth", str(truth)),
             ]
         )
         taken: queue.Queue[Snapshot] = queue.Queue()

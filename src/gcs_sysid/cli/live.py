@@ -15,6 +15,7 @@ from gcs_sysid.cli.json_lines import JsonLines
 from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.cli.table import result_table
 from gcs_sysid.errors import GcsSysidError, InputError
+from gcs_sysid.garbage import spare_what_stays
 from gcs_sysid.session.live import LiveSession
 from gcs_sysid.session.live_options import LiveOptions
 from gcs_sysid.session.result import Result
@@ -143,6 +144,7 @@ def follow(
         Exception: what went wrong in the session or its screen, once all else is done.
     """
     writer.when_gone = session.request_stop
+    spare_what_stays()
     if is_watched(options):
         _show(session, truth, options, baseline)
     else:
