@@ -83,6 +83,19 @@ def test_spikes_side_by_side_and_in_turn():
         np.testing.assert_allclose(cleaned, clean, atol=0.02)
 
 
+@pytest.mark.parametrize("second", [-12.0, 9.0])
+@pytest.mark.parametrize("apart", [1, 2, 3, 4, 5])
+def test_two_spikes_near_each_other_are_two(apart, second):
+    t = times(400, 250.0)
+    clean = multisine(t) + noise(len(t), 0.01)
+    x = clean.copy()
+    x[200, 1] += 8.0
+    x[200 + apart, 1] += second
+    cleaned, spikes = run(t, x, 250.0)
+    assert {(200, 1), (200 + apart, 1)} <= set(map(tuple, np.argwhere(spikes).tolist()))
+    np.testing.assert_allclose(cleaned, clean, atol=0.1)
+
+
 def test_noise_that_begins_is_no_row_of_spikes():
     t = times(1000, 250.0)
     x = noise(1000, 0.01)

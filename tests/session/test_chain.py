@@ -7,12 +7,16 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.parameters import Value
+from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.session import course as course_module
 from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.session.rotor_input import Repeats
+from gcs_sysid.session.rotor_units import RotorSource
+from gcs_sysid.session.sampling import SampleBlock
 
 END_ONLY = ChainOptions(course_interval=None)
 
@@ -311,3 +315,18 @@ def test_a_wrong_airframe_is_told_apart_from_a_short_flight(paper_records):
     assert result.verdict == "partial"
     assert result.parameters["k_M"].value < 0.0
     assert "check spin in the airframe file" in result.reasons[0]
+
+
+def test_a_rotor_stream_that_dies_and_comes_again_is_told():
+    chain = Chain(load_airframe("paper"))
+    speeds = RotorSource("speed", "ESC_STATUS", "measured speeds")
+    nothing = Samples(*(np.full((4, n), np.nan) for n in (3, 3, 4, 4, 3, 3)))
+    chain.chooser.repeats["ESC_STATUS"] = Repeats()
+    chain.chooser.refused = {"ESC_STATUS": "rotor 2 reads 0 while the others move"}
+    for rotors in (speeds, None, None, replace(speeds, why="again"), replace(speeds, scale=2.0)):
+        block = SampleBlock(np.arange(4.0), nothing, np.zeros(4, bool), 1.0, False, rotors)
+        chain._take(block)
+    died, again, other = (e["text"] for e in chain.result().events if e["kind"] == "rotor_input")
+    assert died.startswith("ESC_STATUS rotor 2 reads 0 while the others move, and no other")
+    assert again == "ESC_STATUS is sound again: the estimate goes on"
+    assert other.endswith("estimate starts anew")

@@ -59,6 +59,14 @@ def test_height_tells_idling_on_the_ground_from_flight():
     spans(flown(height=height, speed=500.0 + 0.0 * T), 0.0, T[-1])
 
 
+def test_forged_heartbeats_do_not_land_it():
+    """They say disarmed; the autopilot says that it flies, and all rotors turn."""
+    forged = np.where((T > 9.0) & (np.floor(10.0 * T) % 2.0 == 0.0), 0.0, between(8.0, 20.0))
+    turning = {"in_air": between(10.0, 20.0), "speed": between(9.0, 20.5, 500.0)}
+    spans(flown(armed=forged, **turning), 11.0, 20.0)
+    assert len(flown(armed=forged, in_air=turning["in_air"])) == 0  # nothing bears it out
+
+
 @pytest.mark.parametrize("block", [1, 7, 100])
 def test_size_of_blocks_does_not_matter(block):
     height = between(12.0, 20.0, 5.0)

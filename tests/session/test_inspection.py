@@ -193,7 +193,7 @@ def flown(*speeds, vehicle_type):
         inspector.take(Record(Stream.IMU, t, (0.001 * math.sin(i),) + (0.0,) * 4 + (-9.8,)))
         values = tuple(v + v / 50.0 * math.sin(i * (k + 1)) for k, v in enumerate(speeds))
         inspector.take(Record(Stream.ROTOR_SPEED, t, values, 0, "ESC_STATUS"))
-    return inspector.finish("made", "tlog", None)
+    return inspector.finish("made", "tlog")
 
 
 def test_a_type_that_tells_no_number_is_said():
@@ -283,7 +283,7 @@ def test_several_flights_and_the_ground_between():
             inspector.take(Record(Stream.IN_AIR, t, (float(500 <= i % 3000 < 2500),)))
         if not 3000 <= i < 3300:  # a gap on the ground is none in flight
             inspector.take(Record(Stream.IMU, t, (0.0,) * 5 + (-9.8,)))
-    found = inspector.finish("made", "tlog", None)
+    found = inspector.finish("made", "tlog")
     assert found.flights == (pytest.approx((5.0, 25.0)), pytest.approx((35.0, 55.0)))
     assert found.stream(Stream.IMU).gaps == 0
     assert found.stream(Stream.IMU).samples == 4000
@@ -293,6 +293,7 @@ def test_several_flights_and_the_ground_between():
 def test_clock_drift_is_told(inspect):
     found = inspect("--duration", "30", "--trap", "clock-drift=8000")
     assert found.clock.drift_ppm == pytest.approx(8000.0, rel=0.02)
+    assert any("clock runs 0.80 % fast" in finding.text for finding in found.findings)
 
 
 @pytest.mark.slow
@@ -356,7 +357,7 @@ def test_flight_by_armed_and_turning_rotors():
         inspector.take(Record(Stream.IMU, t, (0.0,) * 3 + (0.0, 0.0, -9.8)))
         speed = 500.0 + i % 7 if 500 <= i < 3000 else 0.0
         inspector.take(Record(Stream.ROTOR_SPEED, t, (speed, speed, speed, 0.0), 0, "ESC_STATUS"))
-    found = inspector.finish("made", "tlog", None)
+    found = inspector.finish("made", "tlog")
     assert found.flight_told_by == "rotors"
     assert found.flights == (pytest.approx((5.0, 30.0), abs=0.02),)
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from gcs_sysid.records import Stream
-from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.marks import reset_mark
@@ -164,15 +163,12 @@ def comparable(records):
 
 def compare(path, window, wanted=None, rng=None):
     single = Intake(wanted)
-    drift = ClockDrift()
     records, events = [], []
     for time_us, frame in read_tlog(path):
-        record = single.frame(frame)
+        record = single.frame(frame, time_us * 1e-6)
         events += single.take_events()
         if record is not None:
             records.append(record)
-            if single.clock is not None:
-                drift.take(single.clock, time_us * 1e-6)
     blocks = Intake(wanted)
     made = [
         blocks.block(piece)
@@ -187,7 +183,8 @@ def compare(path, window, wanted=None, rng=None):
     assert blocks.turning == single.turning
     assert blocks.parameters == single.parameters
     assert blocks.clock == single.clock
-    assert blocks.drift.ppm == drift.ppm
+    assert blocks.drift.ppm == single.drift.ppm
+    assert blocks.drift.bounds == single.drift.bounds
     assert blocks.vehicle == single.vehicle
     assert blocks.systems == single.systems
     assert blocks.selector.frames == single.selector.frames
@@ -262,7 +259,9 @@ def test_nothing_is_taken_one_by_one_while_nothing_is_odd(tmp_path, make_sender,
     singles = []
     decode = Intake.frame
     monkeypatch.setattr(
-        Intake, "frame", lambda self, frame: singles.append(frame) or decode(self, frame)
+        Intake,
+        "frame",
+        lambda self, frame, when: singles.append(frame) or decode(self, frame, when),
     )
     intake = Intake()
     blocks = [intake.block(block) for block in TlogReader(path, 1 << 16).blocks()]

@@ -77,3 +77,42 @@ def test_drift_begins_anew_on_a_reboot():
     for i in range(100):
         drift.take(1.0 + i, WALL + 200.0 + i)
     assert drift.ppm == pytest.approx(0.0, abs=1.0)
+
+
+def told(vehicle_of, jitter, seconds):
+    """Of moments a second apart, each late by up to `jitter` s."""
+    rng = random.Random(5)
+    drift = ClockDrift()
+    for wall in range(seconds + 1):
+        drift.take(10.0 + vehicle_of(wall) - rng.uniform(0.0, jitter), WALL + wall)
+    return drift.bounds
+
+
+@pytest.mark.parametrize("ppm", [-20_000.0, 0.0, 8_000.0])
+@pytest.mark.parametrize(("jitter", "seconds"), [(0.0, 10), (0.01, 20), (0.05, 60), (0.5, 600)])
+def test_bounds_hold_the_drift(ppm, jitter, seconds):
+    low, high = told(lambda wall: wall * (1.0 + 1e-6 * ppm), jitter, seconds)
+    assert low - 1e-3 <= ppm <= high + 1e-3
+    assert high - low < 16e6 * jitter / seconds + 1e-3
+
+
+UNEVEN = {
+    "the receiving clock is set": lambda t: t + 0.5 * (t > 17),
+    "it is set in the middle": lambda t: t - 1.0 * (t >= 20),
+    "the link falls behind at first": lambda t: t - min(0.03 * t, 0.4),
+    "a simulator is held up now and then": lambda t: t - 0.2 * (t // 12),
+}
+
+
+@pytest.mark.parametrize("what", UNEVEN)
+def test_what_is_not_even_is_no_drift(what):
+    low, high = told(UNEVEN[what], 0.0, 40)
+    assert low < 0.0 < high
+
+
+def test_bounds_of_a_few_moments_are_not_told():
+    assert told(lambda wall: wall, 0.0, 9) is None
+    drift = ClockDrift()
+    for i in range(30):
+        drift.take(10.0 + i, WALL)  # a recorder without a clock
+    assert drift.bounds is None

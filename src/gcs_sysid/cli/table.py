@@ -26,6 +26,8 @@ _STYLES = (
     _Style(4, 1, frozenset({"%", "bound 95 %"})),
 )
 """The roomiest first."""
+_TOLD = ("rotor_input", "senders")
+"""Kinds of events beside changes of the vehicle that bear on what the numbers rest on."""
 
 
 def result_table(
@@ -119,6 +121,7 @@ def _notes(result: Result) -> list[str]:
             leaning.setdefault(estimate.rests_on, []).append(name)
     notes = [f"{', '.join(names)}: mostly from {what}" for what, names in leaning.items()]
     notes += [_event_line(event) for event in result.events if "detected" in event]
+    notes += [f"{e['t']:.2f} s: {e['text']}" for e in result.events if e["kind"] in _TOLD]
     spikes = result.telemetry.get("imu_outliers", {}).get("spikes", 0)
     if spikes:
         notes.append(f"{spikes} gyro samples were spikes, replaced by what their neighbours say")

@@ -87,6 +87,20 @@ _LAG_ERROR = 0.02
 """Relative, of a motor's lag: up to 3.5 % at 100 Hz and on recorded flights."""
 
 
+_CLOCK_POWERS = dict.fromkeys(
+    ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "k_M", "moment_ratio", "rotor_inertia",
+     "rotor_delay", "motor_lag"), 1.0
+) | dict.fromkeys(("mass", "k_T", "T_max"), 0.05)  # fmt: skip
+"""Relative error per share by which the clock is fast. Rates and thrust need no clock, angular
+acceleration does: inertia in roll and pitch, where torque is known, is off by all of it. Gyroscopic
+torques do not scale, and keep Izz (0.6 to 1.2), products (0.6 to 1.2) and k_M (-0.5 to 0.2) from
+following. Thrust is held against gravity, and no clock tells its mean (0.01 to 0.04)."""
+_CLOCK_DAMPING = 0.1
+"""1/s, of Ixx: the same of rotational damping, which takes up a part of what does not fit."""
+_CLOCK_DRAG = 0.5
+"""1/s, of the mass: the same of drag (0.3 to 0.6)."""
+
+
 @dataclass(frozen=True)
 class Value:
     """A parameter's value, standard deviation and status; None where there is nothing."""
@@ -176,6 +190,36 @@ def physical_parameters(
                     doubt = math.hypot(told.std, _MODEL_ERROR * told.value)
                     out[name] = replace(told, std=doubt)
     return out
+
+
+def with_clock_error(values: Mapping[str, Value], share: float) -> dict[str, Value]:
+    """Values with what they may be off by, were the vehicle's clock wrong.
+
+    Args:
+        values: parameters or timing, by name.
+        share: by which it may run fast or slow.
+    """
+    if not share:
+        return dict(values)
+    errors = {
+        name: power * abs(value.value)
+        for name, power in _CLOCK_POWERS.items()
+        for value in (values.get(name, NOTHING),)
+        if value.value is not None
+    }
+    for name, rate, of in (
+        ("rotational_damping", _CLOCK_DAMPING, "Ixx"),
+        ("linear_drag", _CLOCK_DRAG, "mass"),
+    ):
+        size = values.get(of, NOTHING).value
+        if size is not None:
+            errors[name] = rate * size
+    return {
+        name: replace(value, std=math.hypot(value.std, share * errors[name]))
+        if name in errors and value.std and value.status != "given"
+        else value
+        for name, value in values.items()
+    }
 
 
 def rests_on_prior(rotation: RotationFit) -> frozenset[str]:

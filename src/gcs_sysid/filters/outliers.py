@@ -5,8 +5,10 @@ scatter. On a moving signal (a doublet at 20 Hz) that median is not where the sa
 the sample is asked instead whether it agrees with any one of four readings of its neighbours: it
 lies between the two sides, on the line through the two before it or the two after it, or on
 the cubic through all four. Motion agrees with one of them, however hard; a spike with none, and
-its neighbours still agree with the side that has no spike. The unit is the median disagreement
-around and before, so that vibration and noise raise the bar, and so does the start of either.
+its neighbours still agree with the side that has no spike. Those between two spikes do not, but
+with a line that passes over them. The unit is the median disagreement before, and what three of
+the samples around exceed, so that vibration and noise raise the bar, and so does the start of
+either, but two spikes do not.
 
 A verdict depends on `AHEAD` samples after and `BEHIND` before, and on nothing else: samples may
 come in any grouping.
@@ -19,8 +21,11 @@ from gcs_sysid.arrays import Array, Mask
 _REACH = 2
 """Neighbours on each side that a sample is compared with."""
 _AROUND = 3
-"""Samples on each side for the usual disagreement around: two spikes in turn are no noise yet,
-but noise that begins is."""
+"""Samples on each side for the usual disagreement around."""
+_NOISE = 3
+"""So many of them that disagree are no spikes, but noise that begins."""
+_OVER = ((-2, 1), (-1, 2), (-2, 2))
+"""Neighbours whose lines pass over one that may be a spike."""
 _PAST = 64
 """Samples before those, for the usual disagreement."""
 _LEAST_PAST = 24
@@ -54,11 +59,11 @@ def despiked(t: Array, x: Array, gap: float, least: float) -> tuple[Array, Mask]
     if len(t) < 2 * _REACH + 1 or not _may_spike(x, least):
         return x, np.zeros(x.shape, dtype=bool)
     with np.errstate(divide="ignore", invalid="ignore"):
-        off = _disagreement(t, x, gap)
-        size = np.minimum(off, _outside(x))
+        off, own = _disagreement(t, x, gap)
+        size = np.minimum(own, _outside(x))
         spikes: Mask = size > least
         rows, columns = np.nonzero(spikes)
-        spikes[rows, columns] = size[rows, columns] > _USUAL * _usual(off, rows, columns)
+        spikes[rows, columns] = size[rows, columns] > _USUAL * _usual(off, own, rows, columns)
     return (_filled(t, x, spikes, gap) if spikes.any() else x), spikes
 
 
@@ -96,8 +101,12 @@ def _outside(x: Array) -> Array:
     return out
 
 
-def _disagreement(t: Array, x: Array, gap: float) -> Array:
-    """(n, width) distance to the nearest of the two lines and the cubic; NaN: fewer than two."""
+def _disagreement(t: Array, x: Array, gap: float) -> tuple[Array, Array]:
+    """(n, width) distance to the nearest of the two lines and the cubic; NaN: fewer than two.
+
+    And (n, width) to the nearest of these and of the lines that pass over a neighbour: what is
+    left of a sample's disagreement when its neighbours may be spikes.
+    """
     step = np.diff(t)
     step[step > gap] = np.nan
     slope = np.diff(x, axis=0) / step[:, None]
@@ -114,32 +123,39 @@ def _disagreement(t: Array, x: Array, gap: float) -> Array:
             if i != j:
                 weights[:, j] *= apart[:, i] / (t[around[:, j]] - t[around[:, i]])
     cubic = np.einsum("kj,kjw->kw", weights, x[around])
-    cubic[np.isnan(step[around[:, 0]] + step[k - 1] + step[k] + step[k + 1])] = np.nan
+    broken = np.isnan(step[around[:, 0]] + step[k - 1] + step[k] + step[k + 1])
+    cubic[broken] = np.nan
     readings[2, k] = np.abs(x[k] - cubic)
-    out: Array = np.fmin(np.fmin(readings[0], readings[1]), readings[2])
+    off: Array = np.fmin(np.fmin(readings[0], readings[1]), readings[2])
     # By one reading alone, a spike beside a sample would be taken for one in it.
-    out[np.isnan(readings).sum(axis=0) > 1] = np.nan
-    return out
+    off[np.isnan(readings).sum(axis=0) > 1] = np.nan
+    own = off.copy()
+    for left, right in _OVER:
+        share = (t[k] - t[k + left]) / (t[k + right] - t[k + left])
+        line = x[k + left] + share[:, None] * (x[k + right] - x[k + left])
+        own[k] = np.where(broken[:, None], own[k], np.fmin(own[k], np.abs(x[k] - line)))
+    return off, own
 
 
-def _usual(off: Array, rows: Array, columns: Array) -> Array:
+def _usual(off: Array, own: Array, rows: Array, columns: Array) -> Array:
     """(m,) usual disagreement at those places, the larger of that around and that before."""
     near = rows[:, None] + np.arange(-_AROUND, _AROUND + 1)
     past = rows[:, None] - _AROUND - 1 - np.arange(_PAST)
-    around = _medians(off, near, columns, least=1)
-    before = _medians(off, past, columns, least=_LEAST_PAST)
+    places = np.arange(len(rows))
+    around, known = _sorted(own, near, columns)
+    noise = around[places, np.maximum(known - _NOISE, 0)]
+    before, known = _sorted(off, past, columns)
+    median = before[places, np.maximum(known - 1, 0) // 2]
     # Without enough of the past nothing is known to be unusual.
-    return np.where(np.isnan(before), np.inf, np.fmax(around, before))
+    return np.where(known < _LEAST_PAST, np.inf, np.fmax(noise, median))
 
 
-def _medians(off: Array, rows: Array, columns: Array, least: int) -> Array:
-    """(m,) medians over (m, k) rows, NaN where fewer than `least` are known."""
+def _sorted(off: Array, rows: Array, columns: Array) -> tuple[Array, Array]:
+    """(m, k) values of (m, k) rows, rising, unknown ones last; (m,) how many are known."""
     inside = (rows >= 0) & (rows < len(off))
     values = np.where(inside, off[np.clip(rows, 0, len(off) - 1), columns[:, None]], np.nan)
-    values = np.sort(values, axis=1)  # NaN come last
-    known = np.isfinite(values).sum(axis=1)
-    medians = values[np.arange(len(values)), np.maximum(known - 1, 0) // 2]
-    return np.where(known >= least, medians, np.nan)
+    values = np.sort(values, axis=1)
+    return values, np.isfinite(values).sum(axis=1)
 
 
 def _filled(t: Array, x: Array, spikes: Mask, gap: float) -> Array:

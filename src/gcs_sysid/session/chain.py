@@ -20,6 +20,7 @@ from gcs_sysid.estimation.parameters import (
     motor_lag,
     rotor_delay,
     verdict,
+    with_clock_error,
 )
 from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.model.airframe import Airframe
@@ -91,6 +92,8 @@ class Chain:
             options.end,
             airframe.imu_arm,
         )
+        self.clock_error = 0.0
+        """Share by which the vehicle's clock may be wrong, as the owner tells; of results alone."""
         self._offline: OfflineFit | None = None
 
     def feed(self, record: Record) -> bool:
@@ -287,10 +290,15 @@ class Chain:
             vehicle={},
             scale=summary.scale_of(self.anchor),
             rotor_input=self.rotor_input,
-            parameters=summary.estimates_of(values, self._learner.fit, self.anchor, self._bounds()),
+            parameters=summary.estimates_of(
+                with_clock_error(values, self.clock_error),
+                self._learner.fit,
+                self.anchor,
+                self._bounds(),
+            ),
             estimator="online" if self._offline is None else "offline",
             timing=self._timing(),
-            events=self._changes([*past, values]),
+            events=(*self._learner.input_events, *self._changes([*past, values])),
             segments=self._segments(past),
             validation=summary.validation_of(self._learner.fit),
             priors={
@@ -305,6 +313,7 @@ class Chain:
         timing = {"rotor_delay": rotor_delay(self._learner.fit.rotation)}
         if self.rotor_input == "command":
             timing["motor_lag"] = motor_lag(self._learner.fit.rotation)
+        timing = with_clock_error(timing, self.clock_error)
         return {
             name: Estimate(value.value, value.std, TIMING[name].unit, value.status)
             for name, value in timing.items()
@@ -351,7 +360,9 @@ class Chain:
                 "scale": summary.scale_of(anchor).as_json(),
                 "parameters": {
                     name: estimate.as_json()
-                    for name, estimate in summary.estimates_of(values, segment.fit, anchor).items()
+                    for name, estimate in summary.estimates_of(
+                        with_clock_error(values, self.clock_error), segment.fit, anchor
+                    ).items()
                 },
                 "validation": summary.validation_of(segment.fit),
             }
@@ -458,6 +469,7 @@ class Chain:
             bool(base.faults.spikes),
             bool(base.still_speeds),
             self._cutoffs(),
+            dict(self.chooser.refused),
         )
 
     def _cutoffs(self) -> Cutoffs:

@@ -30,12 +30,15 @@ class FlightDetector:
         Returns:
             (n,) whether it flies.
         """
-        stands = (armed < 0.5) | (speeds == 0.0).all(axis=1)
+        turn = (speeds > 0.0).all(axis=1)
+        # Whoever says disarmed of a vehicle that says it flies, with all rotors turning, is not it.
+        disarmed = (armed < 0.5) & ~(turn & (in_air > 0.5))
+        stands = disarmed | (speeds == 0.0).all(axis=1)
         ground = _held(np.where(stands, position[:, 2], np.nan), self._ground)
         self._ground = float(ground[-1])
         # Where height or ground is not known, turning rotors must do.
         low = ground - position[:, 2] < _HEIGHT
-        guess = (speeds > 0.0).all(axis=1) & ~low
+        guess = turn & ~low
         aloft = np.where(np.isfinite(in_air), in_air > 0.5, guess) & ~stands
         stood_at = np.maximum.accumulate(np.append(self._stood_at, np.where(aloft, -np.inf, t)))
         self._stood_at = float(stood_at[-1])

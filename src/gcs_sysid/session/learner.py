@@ -5,9 +5,9 @@ between. What it learns depends on the blocks, and on what was known when each c
 """
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,6 +46,7 @@ class Known(NamedTuple):
         has_spikes: whether any on the gyro was replaced.
         stood_still: whether rotor speeds ever did.
         cutoffs: of speeds, and of commands, by the parameters that had come.
+        refused: rotor streams, and why each is not sound.
     """
 
     t: float
@@ -54,6 +55,7 @@ class Known(NamedTuple):
     has_spikes: bool
     stood_still: bool
     cutoffs: Cutoffs
+    refused: Mapping[str, str]
 
 
 class Learner:
@@ -84,6 +86,9 @@ class Learner:
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self._airframe = airframe
         self._options = options
+        self.input_events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
+        """Of rotor streams that died, came again or were replaced, as in a result."""
+        self._rotors_lost = False
         self._told = 0
         self._usable = True
         self._spiked = self._stood_still = False
@@ -136,6 +141,8 @@ class Learner:
     def _learn_from(self, block: SampleBlock, known: Known) -> Steps[None]:
         if block.rotors is not None and block.rotors is not self.rotors:
             self._use(block.rotors, known.t)
+        elif block.rotors is None and self.rotors is not None and not self._rotors_lost:
+            self._tell_loss(self.rotors.name, known)
         for observer in self.observers:
             observer(block)
         if self.rotors is None:
@@ -199,12 +206,32 @@ class Learner:
 
     def _use(self, rotors: RotorSource, t: float) -> None:
         """Take the rotors' input from this stream from now on."""
-        anew = "" if self.rotors is None else ": estimate starts anew"
-        self.note(t, f"rotors from {rotors.name}, {rotors.why}{anew}")
-        self.rotors = rotors
+        before, lost = self.rotors, self._rotors_lost
+        self.rotors, self._rotors_lost = rotors, False
+        text = f"rotors from {rotors.name}, {rotors.why}"
+        if before is None:
+            self.note(t, text)
+        elif lost and rotors.reads_as(before):
+            self._tell_input(t, f"{rotors.name} is sound again: the estimate goes on")
+            return
+        else:
+            self._tell_input(t, f"{text}: estimate starts anew")
         self.tracker = None
         self.fit = Fit(None, None, 0.0)
         self.course.clear()
+
+    def _tell_loss(self, name: str, known: Known) -> None:
+        """Say that the rotors' input is not sound any more, and nothing else is."""
+        self._rotors_lost = True
+        why = known.refused.get(name, "comes no more")
+        self._tell_input(
+            known.t,
+            f"{name} {why}, and no other input is sound: the estimate rests on what came before",
+        )
+
+    def _tell_input(self, t: float, text: str) -> None:
+        self.note(t, text)
+        self.input_events.append({"t": t, "kind": "rotor_input", "text": text})
 
     def used_of(self, cutoffs: Cutoffs) -> Cutoffs:
         """Those that matter to the rotors' input in use."""

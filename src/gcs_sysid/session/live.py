@@ -98,7 +98,7 @@ class LiveSession:
         self._toggling = False
         self._stop = threading.Event()
         self._latest: Snapshot | None = None
-        self._told_result_at = 0.0
+        self._arrived = self._told_result_at = 0.0
         self._asked = self._published = -float("inf")
         self._rounds: list[Callable[[LiveSession, Sequence[Frame], float], None]] = [
             LiveSession._identify,
@@ -251,7 +251,7 @@ class LiveSession:
             frames = self._station.poll(0.0 if self._busy else _POLL)
             now = time.monotonic()
             if frames:
-                self._recording.write(frames)
+                self._arrived = 1e-6 * self._recording.write(frames)
             if self._rounds:
                 try:
                     self._rounds[0](self, frames, now)
@@ -287,22 +287,20 @@ class LiveSession:
         pipeline, pending = self._pipeline, self._pipeline.chain.pending
         if frames:
             pipeline.intake.garbage_bytes = self._station.garbage_bytes
-            pipeline.admit(frames)
+            pipeline.admit(frames, self._arrived)
         self._attend(frames, now)
         pending.step()  # just one: then the link is looked at again
         self._tell_result()
 
     def _watch_link(self, frames: Sequence[Frame], now: float) -> None:
         """The same without an estimate: the streams go on being asked for."""
-        self._pipeline.intake.frames(frames)
+        self._pipeline.intake.frames(frames, self._arrived)
         self._attend(frames, now)
 
     def _attend(self, frames: Sequence[Frame], now: float) -> None:
         """Answer the vehicle."""
         intake = self._pipeline.intake
         self._station.follow(now, intake)
-        if frames and intake.clock is not None:
-            intake.drift.take(intake.clock, now)
         if now - self._asked >= _ASK_EVERY:
             self._asked = now
             self._station.tick(now, self._pipeline.intake)

@@ -16,6 +16,7 @@ from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.records import Record
 from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
+from gcs_sysid.session.clock_doubt import clock_doubt
 from gcs_sysid.session.result import Result
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.intake import Intake
@@ -53,21 +54,26 @@ class Pipeline:
         self._events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
         self._recorded: datetime | None = None
 
-    def take(self, frames: Iterable[Frame]) -> bool:
-        """Take frames in the order received. Returns whether the estimate was renewed."""
+    def take(self, frames: Iterable[Frame], wall: float | None = None) -> bool:
+        """Take frames in the order received. Returns whether the estimate was renewed.
+
+        Args:
+            frames: as they came.
+            wall: when they came, s, as it is recorded; None: not known.
+        """
         before = self.chain.renewals
-        for record in self._records(frames):
+        for record in self._records(frames, wall):
             self.chain.feed(record)
         return self.chain.renewals > before
 
-    def admit(self, frames: Iterable[Frame]) -> None:
+    def admit(self, frames: Iterable[Frame], wall: float | None = None) -> None:
         """Take frames, as `take` does, but leave to `chain.pending` what takes long."""
-        for record in self._records(frames):
+        for record in self._records(frames, wall):
             self.chain.admit(record)
 
-    def _records(self, frames: Iterable[Frame]) -> Iterator[Record]:
+    def _records(self, frames: Iterable[Frame], wall: float | None) -> Iterator[Record]:
         for frame in frames:
-            record = self.intake.frame(frame)
+            record = self.intake.frame(frame, wall)
             for event in self.intake.take_events():
                 self._take_event(event)
             if record is not None:
@@ -127,11 +133,25 @@ class Pipeline:
 
     def result(self) -> Result:
         """The latest estimate."""
-        return self._complete(self.chain.result())
+        return self._complete(self._with_doubt(self.chain.result))
 
     def finish(self) -> Result:
         """The final estimate, from all that was taken."""
-        return self._complete(self.chain.finish())
+        return self._complete(self._with_doubt(self.chain.finish))
+
+    def _with_doubt(self, estimate: Callable[[], Result]) -> Result:
+        """The chain's result, with what it may be wrong by where the clock may be."""
+        doubt = clock_doubt(self._telemetry.drift, self._telemetry.parameters)
+        self.chain.clock_error = 0.0 if doubt is None else abs(doubt.share)
+        result = estimate()
+        if doubt is None or result.verdict == "refused":
+            return result
+        return replace(
+            result,
+            verdict="partial",
+            reasons=(doubt.reason, *result.reasons),
+            telemetry={**result.telemetry, "clock_doubt": doubt.share},
+        )
 
     def drop(self) -> None:
         """Leave undone what is pending, and forget who observes: both hold what they look at."""

@@ -49,10 +49,12 @@ class Recording:
         """Frames that were to be recorded and are in no file."""
         return self._dropped + sum(w.dropped for w in (self._writer, *self._ending) if w)
 
-    def write(self, frames: Sequence[Frame]) -> None:
-        """Record frames that arrived now."""
+    def write(self, frames: Sequence[Frame]) -> int:
+        """Record frames that arrived now; returns when that is, us since 1970."""
+        now = time.time_ns() // 1000
         if self._writer is not None:
-            self._writer.write(time.time_ns() // 1000, frames)
+            self._writer.write(now, frames)
+        return now
 
     def next_path(self) -> Path:
         """Where another recording would go."""

@@ -248,7 +248,10 @@ class RotorChooser:
             self._restart()
             return
         chosen = self._choose(judgements, refused)
-        gone = "" if self.choice is None else f"{self.choice.name} died in flight; "
+        gone = ""
+        if self.choice is not None:
+            name = self.choice.name
+            gone = f"{name} died in flight ({refused.get(name, 'nothing comes')}); "
         if chosen is not None:
             chosen = replace(chosen, why=gone + chosen.why, refused=refused)
         self.choice, self.refused = chosen, refused

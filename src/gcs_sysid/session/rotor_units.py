@@ -149,6 +149,10 @@ class RotorSource:
     scale: float = 1.0
     refused: Mapping[str, str] | None = None
 
+    def reads_as(self, other: "RotorSource") -> bool:
+        """Whether it is the same stream, read in the same way."""
+        return (self.name, self.range, self.scale) == (other.name, other.range, other.scale)
+
     def read(self, values: Array) -> Array:
         """(n, rotors) of the stream to rad/s, or to commands of 0 (stopped) to 1 (full).
 

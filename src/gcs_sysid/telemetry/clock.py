@@ -3,10 +3,9 @@
 Three kinds of stamp come: 64-bit microseconds, 32-bit milliseconds (wrap after 49.7 days) and
 32-bit microseconds (SERVO_OUTPUT_RAW: wrap after 71.6 minutes). All are put on one axis,
 seconds since the vehicle's boot. The wall clock has no part in it: how far the two drift apart
-is only shown.
+is told, and doubted where no clock would (`session.clock_doubt`).
 """
 
-import statistics
 from typing import Any
 
 import numpy as np
@@ -144,9 +143,18 @@ class ClockDrift:
     LEAST_SPAN = 20.0
     """s. Over less time, the jitter of the link is larger than the drift of a clock."""
 
+    LEAST_MOMENTS = 11
+    """From which on `bounds` can be told."""
+    UNEVEN = 8.0
+    """Of the offsets' scatter about a line, over the time heard: what the slope may be off by.
+    Jitter without memory makes slopes of up to 3 times that, a clock that is set 5 times, and
+    delays that wander like a random walk 5 times in one flight of ten, 9 in one of a hundred."""
+
     def __init__(self) -> None:
         self._moments: list[tuple[float, float]] = []
         self._step = self.STEP
+        self._bounds: tuple[float, float] | None = None
+        self._outdated = False
 
     def take(self, vehicle: float, wall: float) -> None:
         """Note one moment on both clocks, s."""
@@ -159,6 +167,7 @@ class ClockDrift:
             elif abs(wall - last_wall) < self._step:
                 return
         moments.append((vehicle, wall))
+        self._outdated = True
         if len(moments) > self.MOST:
             del moments[1::2]
             self._step *= 2.0
@@ -177,12 +186,42 @@ class ClockDrift:
     def ppm(self) -> float | None:
         """Parts per million by which the vehicle's clock is fast; None until it can be told."""
         moments = self._moments
-        half = len(moments) // 2
-        slopes = [
-            (late[0] - early[0]) / (late[1] - early[1])
-            for early, late in zip(moments, moments[half:], strict=False)
-            if half and late[1] > early[1]
-        ]
-        if not slopes or moments[-1][1] - moments[0][1] < self.LEAST_SPAN:
+        if not moments or moments[-1][1] - moments[0][1] < self.LEAST_SPAN:
             return None
-        return 1e6 * (statistics.median(slopes) - 1.0)
+        line = self._line(np.array(moments))
+        return None if line is None else 1e6 * line[0]
+
+    @property
+    def bounds(self) -> tuple[float, float] | None:
+        """Parts per million between which the drift surely lies; None until that can be told.
+
+        A clock that runs wrong does so evenly. Delays that come and go, a computer's clock that
+        is set and a simulator that is held up bend the line, and so far its slope is not believed.
+        """
+        if self._outdated:
+            self._bounds, self._outdated = self._find_bounds(), False
+        return self._bounds
+
+    def _find_bounds(self) -> tuple[float, float] | None:
+        if len(self._moments) < self.LEAST_MOMENTS:
+            return None
+        moments = np.array(self._moments) - self._moments[0]
+        line = self._line(moments)
+        if line is None:
+            return None
+        slope, span = line
+        left = moments[:, 0] - (1.0 + slope) * moments[:, 1]
+        scatter = float(np.quantile(np.abs(left - np.median(left)), 0.9))
+        off = self.UNEVEN * scatter / span
+        return 1e6 * (slope - off), 1e6 * (slope + off)
+
+    @staticmethod
+    def _line(moments: Array) -> tuple[float, float] | None:
+        """How fast the vehicle's clock gains, and over how many seconds that was seen."""
+        half = len(moments) // 2
+        vehicle, wall = (moments[half : 2 * half] - moments[:half]).T
+        on = wall > 0.0
+        if not on.any():
+            return None
+        gains = (vehicle[on] - wall[on]) / wall[on]
+        return float(np.median(gains)), 2.0 * float(np.median(wall[on]))

@@ -42,7 +42,7 @@ class Intake:
         selector: who was heard, who was chosen.
         decoder: makes the records; its `dropped` and `clock` are worth showing.
         monitor: counts and rates.
-        drift: of the vehicle's clock, by the times of the records that `block` took.
+        drift: of the vehicle's clock, by the times at which frames came, as far as they are told.
         turning: names of the messages that have told of all their rotors turning.
         fates: what became of the frames whose checksum is right, all of them: "used" (made a
             record), "not needed" (of a type that tells nothing for identification), "passed over"
@@ -83,17 +83,22 @@ class Intake:
         """The latest time on the vehicle's clock, s."""
         return self.decoder.clock.now
 
-    def frames(self, frames: Iterable[Frame]) -> list[Record]:
-        """Take frames in the order received; the records they make."""
+    def frames(self, frames: Iterable[Frame], wall: float | None = None) -> list[Record]:
+        """Take frames in the order received; the records they make. See `frame`."""
         records: list[Record] = []
         for frame in frames:
-            record = self.frame(frame)
+            record = self.frame(frame, wall)
             if record is not None:
                 records.append(record)
         return records
 
-    def frame(self, frame: Frame) -> Record | None:
-        """Take one frame; the record it makes, if any."""
+    def frame(self, frame: Frame, wall: float | None = None) -> Record | None:
+        """Take one frame; the record it makes, if any.
+
+        Args:
+            frame: as it came.
+            wall: when it came, s, of any clock that runs on evenly; None: not known.
+        """
         if frame.system == OWN_SYSTEM and frame.valid is Validity.OK and is_reset_mark(frame):
             self._note("reset", "estimate reset by the user")
             return None
@@ -131,6 +136,8 @@ class Intake:
             self.monitor.take_record(record)
             if record.stream is Stream.ROTOR_SPEED and record.source not in self.turning:
                 self._note_turning(record.source, np.array([record.values]))
+            if wall is not None and clock.now is not None:
+                self.drift.take(clock.now, wall)
         return record
 
     def block(self, frames: FrameBlock) -> RecordBlock:
@@ -224,10 +231,7 @@ class Intake:
         self._put(order, record, out)
 
     def _take_single(self, order: int, time_us: int, frame: Frame, out: TrackCollector) -> None:
-        record = self.frame(frame)
-        self._put(order, record, out)
-        if record is not None and self.clock is not None:
-            self.drift.take(self.clock, time_us * 1e-6)
+        self._put(order, self.frame(frame, time_us * 1e-6), out)
 
     def _put(self, order: int, record: Record | None, out: TrackCollector) -> None:
         out.events += [(order, event) for event in self.take_events()]
@@ -259,7 +263,8 @@ class Intake:
             return ()
         return (
             f"the heartbeats of {self.vehicle} contradict each other: somebody else sends in its "
-            "name too (signing tells them apart)",
+            "name too, and may hide that it flies; the autopilot's own log (.ulg, .bin) knows, and "
+            "signing (--signing-key) keeps them out",
         )
 
     def _hear(self, heartbeat: Frame) -> None:

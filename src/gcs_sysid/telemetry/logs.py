@@ -20,6 +20,7 @@ from gcs_sysid.columns import IntakeEvent, RecordBlock
 from gcs_sysid.errors import InputError
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.telemetry import dataflash_format, ulog
+from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.monitor import GAP, GAPS_KEPT
@@ -43,6 +44,10 @@ class Telemetry(Protocol):
     @property
     def parameters(self) -> dict[str, float]:
         """The vehicle's parameters, as far as they were heard."""
+
+    @property
+    def drift(self) -> ClockDrift:
+        """Of the vehicle's clock against the receiving computer's, as far as it is known."""
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -116,6 +121,11 @@ class TlogLog:
         return self.intake.drift.ppm
 
     @property
+    def drift(self) -> ClockDrift:
+        """As `Telemetry` says."""
+        return self.intake.drift
+
+    @property
     def vehicle(self) -> Vehicle | None:
         """As `Telemetry` says."""
         return self.intake.vehicle
@@ -161,6 +171,7 @@ class OnboardLog:
         self, kind: str, recording: Recording, wanted: tuple[int, int | None] | None = None
     ) -> None:
         self.kind = kind
+        self.drift = ClockDrift()
         self._recording = recording
         own = Vehicle(
             recording.system, recording.component, recording.vehicle_type, recording.autopilot

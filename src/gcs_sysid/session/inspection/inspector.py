@@ -8,6 +8,7 @@ from pathlib import Path
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.records import Record, Stream
+from gcs_sysid.session.clock_doubt import clock_doubt
 from gcs_sysid.session.inspection.assumed import USUAL, assumed_airframe, rotor_count
 from gcs_sysid.session.inspection.facts import (
     AXES,
@@ -24,7 +25,7 @@ from gcs_sysid.session.inspection.readiness import findings_of
 from gcs_sysid.session.inspection.rotor_input import RotorJudge
 from gcs_sysid.session.inspection.watch import MotionWatch, RotorWatch, StreamWatch
 from gcs_sysid.session.rotor_input import family
-from gcs_sysid.telemetry.clock import JUMP_BACK, ClockDrift
+from gcs_sysid.telemetry.clock import JUMP_BACK
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Link
@@ -150,7 +151,6 @@ class Inspector:
         self,
         source: str,
         kind: str,
-        drift_ppm: float | None,
         problems: tuple[str, ...] = (),
     ) -> Inspection:
         """All that was found, judged.
@@ -158,7 +158,6 @@ class Inspector:
         Args:
             source: name of the log or link.
             kind: as `Inspection.kind`.
-            drift_ppm: of the vehicle's clock.
             problems: that a link has.
         """
         self._look_at_all()
@@ -166,6 +165,8 @@ class Inspector:
         self._flight.turn(self.duration, flying=False)
         self._count_wraps()
         telemetry = self._telemetry
+        doubt = clock_doubt(telemetry.drift, telemetry.parameters)
+        doubts = () if doubt is None else (doubt.reason,)
         counts = telemetry.as_dict()
         rotors = self._known_rotors
         messages = {name: entry["count"] for name, entry in counts.get("messages", {}).items()}
@@ -184,14 +185,14 @@ class Inspector:
             ),
             rotor_sources=sources,
             motion=dict(zip(AXES, self._motion.motion(), strict=False)),
-            clock=ClockFacts(drift_ppm, self._reboots, self._wraps),
+            clock=ClockFacts(telemetry.drift.ppm, self._reboots, self._wraps),
             parameters=that_matter(telemetry.parameters),
             parameter_count=len(telemetry.parameters),
             rotors=rotors or USUAL,
             rotors_assumed=rotors is None,
             telemetry=counts,
             rotor_input=RotorInput(None) if self._judge is None else self._judge.finish(sources),
-            problems=(*problems, *telemetry.problems),
+            problems=(*problems, *telemetry.problems, *doubts),
         )
         return replace(inspection, findings=findings_of(inspection))
 
@@ -282,7 +283,7 @@ def inspect_log(
                 progress(log.share_read)
     if progress:
         progress(1.0)
-    return inspector.finish(str(path), log.kind, log.drift_ppm)
+    return inspector.finish(str(path), log.kind)
 
 
 def inspect_link(
@@ -315,7 +316,7 @@ def inspect_link(
     Raises:
         InputError: the signing key cannot be read.
     """
-    intake, drift = Intake(wanted), ClockDrift()
+    intake = Intake(wanted)
     inspector = Inspector(intake, airframe)
     rotors = USUAL if airframe is None else len(airframe.rotors)
     try:
@@ -337,10 +338,8 @@ def inspect_link(
             if heard is None and intake.vehicle is not None:
                 heard = now
             count = heard is not None and now - heard >= settling
-            for record in intake.frames(frames):
+            for record in intake.frames(frames, now):
                 inspector.take(record, count=count)
-            if intake.clock is not None:
-                drift.take(intake.clock, now)
             station.follow(now, intake)
             passed = now - (began if heard is None else heard)
             if now - asked >= _ASK_EVERY:
@@ -354,4 +353,4 @@ def inspect_link(
         station.close()
     if progress:
         progress(1.0)
-    return inspector.finish(str(link.url), "link", drift.ppm, station.problems)
+    return inspector.finish(str(link.url), "link", station.problems)

@@ -1,0 +1,77 @@
+"""Whether the vehicle's clock may be a wrong one.
+
+All is reckoned on it: angular acceleration, and with that inertia, is off by as much as it is. The
+only other clock there is belongs to the computer that received, and where the two drift apart
+nobody knows which is right. Good clocks hardly do. A simulator that does not keep real time does
+without being wrong: its clock is that of its physics.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from gcs_sysid.telemetry.clock import ClockDrift
+
+TWO_GOOD_CLOCKS = 500.0
+"""ppm. Crystals are off by less than 100; a computer's clock that is being set by the network is
+slewed by up to 500. What stays below it costs inertia 0.05 %, less than its noise usually does."""
+NO_CLOCK = 30_000.0
+"""ppm, from which on it is a matter of simulated time. A serial port whose clock is off by 2 to 3 %
+is not understood any more."""
+
+_SIH_ON_BOARD = 2.0
+"""SYS_HITL: PX4 simulates its own vehicle."""
+_SIH_FRAMES = (10_000.0, 20_000.0)
+"""SYS_AUTOSTART of vehicles that PX4 simulates on a computer."""
+
+
+@dataclass(frozen=True)
+class ClockDoubt:
+    """Two clocks of which one is wrong.
+
+    Attributes:
+        share: by which the vehicle's is faster; negative: slower.
+    """
+
+    share: float
+
+    @property
+    def reason(self) -> str:
+        """In a pilot's words."""
+        way = "fast" if self.share > 0.0 else "slow"
+        link = "" if self.share > 0.0 else ", or the link falls behind more and more"
+        return (
+            f"the vehicle's clock runs {100.0 * abs(self.share):.2f} % {way} against the receiving "
+            f"computer's, more than good clocks do, and either may be wrong{link}: inertia and k_M "
+            "may be off by as much, and have that much more room; fly again with another computer "
+            "to see which it is (a simulator is known by its SIM_ or SIH_ parameters: read them)"
+        )
+
+
+def clock_doubt(drift: ClockDrift, parameters: Mapping[str, float]) -> ClockDoubt | None:
+    """What is to be doubted; None where nothing is.
+
+    Args:
+        drift: of the vehicle's clock.
+        parameters: of the autopilot, as far as they are known.
+    """
+    bounds = drift.bounds
+    if bounds is None or (bounds[0] <= TWO_GOOD_CLOCKS and bounds[1] >= -TWO_GOOD_CLOCKS):
+        return None
+    ppm = 0.5 * sum(bounds)
+    if abs(ppm) >= NO_CLOCK or is_simulated(parameters):
+        return None
+    return ClockDoubt(1e-6 * ppm)
+
+
+def is_simulated(parameters: Mapping[str, float]) -> bool:
+    """Whether it is a simulator, by parameters that only simulators have.
+
+    Where PX4's firmware can simulate its vehicle, it answers for SIH_MASS in real flight as well.
+    """
+    if any(name.startswith("SIM_") for name in parameters):
+        return True
+    if "SIH_MASS" not in parameters:
+        return False
+    low, high = _SIH_FRAMES
+    on_board = parameters.get("SYS_HITL") == _SIH_ON_BOARD
+    return on_board or low <= parameters.get("SYS_AUTOSTART", 0.0) < high
