@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.estimation.parameters import Value
 from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.tuning import Tuning
@@ -14,9 +15,10 @@ from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.session import course as course_module
 from gcs_sysid.session.chain import Chain, ChainOptions
-from gcs_sysid.session.rotor_input import Repeats
+from gcs_sysid.session.learner import Known, Learner
 from gcs_sysid.session.rotor_units import RotorSource
 from gcs_sysid.session.sampling import SampleBlock
+from gcs_sysid.steps import finished
 
 END_ONLY = ChainOptions(course_interval=None)
 
@@ -318,15 +320,16 @@ def test_a_wrong_airframe_is_told_apart_from_a_short_flight(paper_records):
 
 
 def test_a_rotor_stream_that_dies_and_comes_again_is_told():
-    chain = Chain(load_airframe("paper"))
+    learner = Learner(load_airframe("paper"), Anchor("mass", 1.5), ChainOptions())
     speeds = RotorSource("speed", "ESC_STATUS", "measured speeds")
     nothing = Samples(*(np.full((4, n), np.nan) for n in (3, 3, 4, 4, 3, 3)))
-    chain.chooser.repeats["ESC_STATUS"] = Repeats()
-    chain.chooser.refused = {"ESC_STATUS": "rotor 2 reads 0 while the others move"}
+    refused = {"ESC_STATUS": "rotor 2 reads 0 while the others move"}
+    known = Known(3.0, 0.004, True, False, False, (None, None), refused)
     for rotors in (speeds, None, None, replace(speeds, why="again"), replace(speeds, scale=2.0)):
         block = SampleBlock(np.arange(4.0), nothing, np.zeros(4, bool), 1.0, False, rotors)
-        chain._take(block)
-    died, again, other = (e["text"] for e in chain.result().events if e["kind"] == "rotor_input")
+        finished(learner.learn([block], known))
+    assert {event["kind"] for event in learner.input_events} == {"rotor_input"}
+    died, again, other = (event["text"] for event in learner.input_events)
     assert died.startswith("ESC_STATUS rotor 2 reads 0 while the others move, and no other")
     assert again == "ESC_STATUS is sound again: the estimate goes on"
     assert other.endswith("estimate starts anew")

@@ -469,7 +469,7 @@ class Chain:
             bool(base.faults.spikes),
             bool(base.still_speeds),
             self._cutoffs(),
-            dict(self.chooser.refused),
+            self.chooser.refused,
         )
 
     def _cutoffs(self) -> Cutoffs:
