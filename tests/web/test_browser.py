@@ -144,7 +144,7 @@ def test_two_look_and_there_is_one_link(browser, flight, serve):
         first.press("q")
         first.page.get_by_text("This view is closed").wait_for(timeout=_PATIENCE)
         second.press("r")
-        assert second.sees("Reset: the estimate starts anew")
+        assert second.sees("estimate reset")  # the event; the answer may pass unseen
         assert vehicle.connections == 1
         status, out, err = served.end()
         second.page.get_by_text("This view is closed").wait_for(timeout=_PATIENCE)
