@@ -41,10 +41,10 @@ $(SIMULATORS_INSTALLED): $(INSTALLED)
 test test-all quick soak soak-short: export OMP_NUM_THREADS = 1
 
 test: $(SIMULATORS_INSTALLED) ## the tests
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test-all: $(SIMULATORS_INSTALLED) ## those too that repeat on more flights what others show on one
-	$(BIN)/python -m pytest -n auto --dist loadfile -m ''
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m ''
 
 quick: $(SIMULATORS_INSTALLED) ## the tests without whole flights
 	$(BIN)/python -m pytest -m "not slow and not thorough"

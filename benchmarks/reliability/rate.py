@@ -220,6 +220,8 @@ def rows_of_times(times: dict[str, Any]) -> list[tuple[str, str, str]]:
         ("renewed_ms", "the same of those that had an estimate renewed"),
         ("stretches_ms", "processor time between two looks at the link"),
     ):
+        if not times[kind]:
+            sys.exit(f"{what}: there were none; see what the tool said")
         for level, ms in zip(LEVELS, times[kind], strict=True):
             bar = f"< {LATE_MS:.0f} ms" if kind == "taken_ms" and level == BARRED else ""
             rows.append((f"{what}, {level:g} %", f"{ms:.2f} ms", bar))

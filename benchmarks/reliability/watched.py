@@ -185,8 +185,8 @@ def watch(times: Times) -> None:
     stamped = stamped_link(times)
     admit, begin = Pipeline.admit, Chain.__init__
 
-    def timed(pipeline: Pipeline, frames: Sequence[Frame]) -> None:
-        admit(pipeline, times.frames(frames))
+    def timed(pipeline: Pipeline, frames: Sequence[Frame], wall: float | None = None) -> None:
+        admit(pipeline, times.frames(frames), wall)
         times.admitted()
 
     def with_timed_work(chain: Chain, *arguments: Any) -> None:
