@@ -5,9 +5,9 @@ from textual.widgets import Static
 
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
+from gcs_sysid.screen.widgets.lines import Line
 from gcs_sysid.session.snapshot import Advice, Gain
 
-Part = tuple[str, str]
 BAR = 20
 
 
@@ -17,14 +17,14 @@ def gain_text(gain: Gain) -> str:
     return f"{fmt.label(gain.name)} {now} → {fmt.rough(gain.expected)}"
 
 
-def advice_lines(advice: Advice, width: int) -> list[list[Part]]:
+def advice_lines(advice: Advice, width: int) -> list[Line]:
     """The advice as lines: what to fly, then progress and gains."""
     if advice.enough:
         return [[("✓ ENOUGH  ", "bold $text-success"), (advice.text, "bold")]]
     if not advice.manoeuvre:
         return [[("COACH  ", "bold $text-primary"), (advice.text, "")]]
     left = max(0.0, (1.0 - advice.progress) * advice.seconds)
-    parts: list[Part] = [
+    parts: Line = [
         (fmt.bar(advice.progress, BAR), "$text-primary on $panel"),
         (f" {100.0 * advice.progress:3.0f} %  {left:.0f} s left", "bold"),
     ]
@@ -43,7 +43,7 @@ class CoachPanel(Static):
 
     def __init__(self) -> None:
         super().__init__(id="coach")
-        self._shown: list[list[Part]] = []
+        self._shown: list[Line] = []
         self.display = False
 
     def show(self, view: View) -> None:

@@ -2,6 +2,7 @@
 
 import math
 import time
+from abc import abstractmethod
 
 from gcs_sysid.screen.widgets.lines import Line, Lines
 
@@ -17,9 +18,9 @@ class RationedPlot(Lines):
         self._drawn_at = -math.inf
         self._waiting = False
 
+    @abstractmethod
     def drawing(self) -> list[Line]:
         """The plot for the present size."""
-        raise NotImplementedError
 
     def draw(self) -> None:
         """Draw now."""

@@ -5,9 +5,8 @@ from textual.widgets import Static
 
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
+from gcs_sysid.screen.widgets.lines import Line
 from gcs_sysid.session.snapshot import LinkState
-
-Part = tuple[str, str]
 
 
 class StatusLine(Static):
@@ -16,7 +15,7 @@ class StatusLine(Static):
     def __init__(self, title: str) -> None:
         super().__init__(id="status")
         self.title_text = title
-        self._parts: list[Part] = []
+        self._parts: Line = []
 
     def show(self, view: View) -> None:
         """Bring the line up to date."""
@@ -25,7 +24,7 @@ class StatusLine(Static):
             self._parts = parts
             self.refresh()
 
-    def _parts_of(self, view: View) -> list[Part]:
+    def _parts_of(self, view: View) -> Line:
         snapshot = view.snapshot
         if snapshot is None:
             return [(self.title_text, "bold"), ("○ opening", "$text-warning")]

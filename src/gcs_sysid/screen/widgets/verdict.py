@@ -7,9 +7,8 @@ from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.big_letters import HEIGHT, big
 from gcs_sysid.screen.standing import Standing, compared, headline, named, standing_of
 from gcs_sysid.screen.view import View
+from gcs_sysid.screen.widgets.lines import Line
 from gcs_sysid.session.snapshot import LinkState, Snapshot
-
-Part = tuple[str, str]
 
 
 class VerdictPanel(Static):
@@ -21,7 +20,7 @@ class VerdictPanel(Static):
         super().__init__(id="verdict")
         self.large = False
         self._view: View | None = None
-        self._shown: list[list[Part]] = []
+        self._shown: list[Line] = []
         self.display = False
 
     def show(self, view: View) -> None:
@@ -52,10 +51,10 @@ class VerdictPanel(Static):
         if self._view is not None:
             self.show(self._view)
 
-    def _small(self, snapshot: Snapshot, standing: Standing, width: int) -> list[list[Part]]:
+    def _small(self, snapshot: Snapshot, standing: Standing, width: int) -> list[Line]:
         sign = fmt.VERDICT_SIGN[snapshot.result.verdict]
         head = f"{sign} {headline(snapshot)} {len(standing.known)}/{standing.total}"
-        parts: list[Part] = [(head, "bold")]
+        parts: Line = [(head, "bold")]
         room = width - len(head)
         groups = [("~ weak", standing.weak), ("✗ missing", standing.missing)]
         groups = [(title, group) for title, group in groups if group]
@@ -68,7 +67,7 @@ class VerdictPanel(Static):
             room -= len(title) + len(text) + 4
         return [parts]
 
-    def _large(self, snapshot: Snapshot, standing: Standing, width: int) -> list[list[Part]]:
+    def _large(self, snapshot: Snapshot, standing: Standing, width: int) -> list[Line]:
         letters = big(f"{headline(snapshot)} {len(standing.known)}/{standing.total}")
         room = width - len(letters[0]) - 3
         within = f"{standing.reached} within ±{fmt.rough(snapshot.target)}"
