@@ -90,13 +90,7 @@ class CommandNoise(InputNoise):
         self._overlaps: dict[float, Array] = {}
 
     def update(self, inputs: Array, apart: Array | None = None) -> None:
-        """Take (n, rotors) commands; NaN where missing.
-
-        Args:
-            inputs: the commands.
-            apart: (n,) s between the samples of the two streams whose mean they are; NaN, or None
-                altogether: there is one.
-        """
+        """Take commands, see `InputNoise.update`."""
         if self._slow:
             place = np.full(len(inputs), _PLACES)
             if apart is not None:

@@ -31,8 +31,14 @@ class InputNoise(ABC):
     def std(self) -> Array:
         """(rotors,) of one input."""
 
-    def update(self, inputs: Array) -> None:
-        """Take (n, rotors) inputs; NaN where missing."""
+    def update(self, inputs: Array, apart: Array | None = None) -> None:
+        """Take (n, rotors) inputs; NaN where missing.
+
+        Args:
+            inputs: speeds in rad/s, or commands.
+            apart: of commands, (n,) s between the samples of the two streams whose mean they are;
+                NaN, or None altogether: there is one.
+        """
         complete = complete_rows(inputs)
         if complete.all():
             self._add(inputs)

@@ -129,7 +129,7 @@ class FlightRecord:
         for number, (part, rows) in enumerate(zip(pairwise(edges), pairwise(counts), strict=True)):
             piece = slice(*part)
             if part[0] < part[1]:
-                self._follow_noise(samples.speeds[piece], samples.apart[piece, 0])
+                self._input_noise.update(samples.speeds[piece], samples.apart[piece, 0])
                 if self.article:
                     self.article.update(samples.part(piece))
             if rows[0] < rows[1]:
@@ -138,12 +138,6 @@ class FlightRecord:
                 self.accelerometer.add(sections.accelerometer(*rows))
             if number < len(ends):
                 yield
-
-    def _follow_noise(self, speeds: Array, apart: Array) -> None:
-        if isinstance(self._input_noise, CommandNoise):
-            self._input_noise.update(speeds, apart)
-        else:
-            self._input_noise.update(speeds)
 
     @property
     def seconds(self) -> float:
