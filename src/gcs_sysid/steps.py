@@ -1,9 +1,11 @@
 """Work in steps of some milliseconds, for a thread that has other things to do meanwhile."""
 
 from collections import deque
-from collections.abc import Generator
-from typing import TypeVar
+from collections.abc import Callable, Generator
+from functools import wraps
+from typing import ParamSpec, TypeVar
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 Steps = Generator[None, None, T]
@@ -18,6 +20,16 @@ def finished(steps: Steps[T]) -> T:
         except StopIteration as end:
             outcome: T = end.value
             return outcome
+
+
+def at_once(in_steps: Callable[P, Steps[T]]) -> Callable[P, T]:
+    """The same function or method, but all steps done at once."""
+
+    @wraps(in_steps)
+    def whole(*arguments: P.args, **options: P.kwargs) -> T:
+        return finished(in_steps(*arguments, **options))
+
+    return whole
 
 
 class Pending:

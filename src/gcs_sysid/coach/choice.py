@@ -12,7 +12,7 @@ from gcs_sysid.coach.outlook import Outlook
 from gcs_sysid.coach.targets import excess, is_enough
 from gcs_sysid.estimation.basis import LAG
 from gcs_sysid.estimation.online import Fit
-from gcs_sysid.steps import Steps, finished
+from gcs_sysid.steps import Steps, at_once
 
 Judge = Callable[[Fit], Mapping[str, float | None]]
 """Shares of a fit, see `targets.shares`."""
@@ -60,9 +60,9 @@ class Choice:
         return [name for _, _, name in sorted(gained)]
 
 
-def choose(
+def choosing(
     outlook: Outlook, library: Iterable[Manoeuvre], judge: Judge, target: float
-) -> Choice | None:
+) -> Steps[Choice | None]:
     """The manoeuvre that brings the widest intervals nearest to the target; None: none can.
 
     Args:
@@ -71,13 +71,6 @@ def choose(
         judge: tells the shares of a fit.
         target: share to reach.
     """
-    return finished(choosing(outlook, library, judge, target))
-
-
-def choosing(
-    outlook: Outlook, library: Iterable[Manoeuvre], judge: Judge, target: float
-) -> Steps[Choice | None]:
-    """`choose` in steps."""
     now = judge(outlook.after())
     far = excess(now, _CLOSE * target)
     best: tuple[float, Manoeuvre, Motion, Array] | None = None
@@ -107,6 +100,9 @@ def choosing(
     yield
     after = _after(outlook, told, chosen)
     return Choice(chosen, motion, now, judge(after), after, told)
+
+
+choose = at_once(choosing)
 
 
 def _starts(motion: Motion) -> bool:

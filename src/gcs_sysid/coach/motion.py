@@ -9,7 +9,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.coach.manoeuvres import Manoeuvre
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
-from gcs_sysid.steps import Steps, finished
+from gcs_sysid.steps import Steps, at_once
 
 _POINTS = 96
 """In a period; the fastest products of the fastest pace take eight of them."""
@@ -64,16 +64,11 @@ class Motion:
     period: float
 
 
-def within_reach(manoeuvre: Manoeuvre, craft: Craft) -> tuple[Manoeuvre, Motion] | None:
+def reaching(manoeuvre: Manoeuvre, craft: Craft) -> Steps[tuple[Manoeuvre, Motion] | None]:
     """The manoeuvre with no more swing than the rotors can give, and its motion.
 
     Yaw is given up first, as rotors have least to turn it with. None: not even a small one.
     """
-    return finished(reaching(manoeuvre, craft))
-
-
-def reaching(manoeuvre: Manoeuvre, craft: Craft) -> Steps[tuple[Manoeuvre, Motion] | None]:
-    """`within_reach` in steps."""
     for smaller in _SHRUNK:
         tilted = replace(
             manoeuvre,
@@ -90,6 +85,9 @@ def reaching(manoeuvre: Manoeuvre, craft: Craft) -> Steps[tuple[Manoeuvre, Motio
             if _is_within(motion.shares, craft):
                 return tried, motion
     return None
+
+
+within_reach = at_once(reaching)
 
 
 def _whole(angle: float) -> float:

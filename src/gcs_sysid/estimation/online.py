@@ -23,7 +23,7 @@ from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.estimation.validation import Validation, validating
 from gcs_sysid.model import rigid_body
-from gcs_sysid.steps import Steps, finished
+from gcs_sysid.steps import Steps, at_once
 
 _SETTLE_GROWTH = 1.5
 _MIN_BATCHES = 10
@@ -166,7 +166,9 @@ class OnlineEstimator:
         for _ in self._record.take(samples):
             pass
 
-    def follow(self, samples: Samples, stops: Sequence[int], course: str = "") -> list[Fit]:
+    def following(
+        self, samples: Samples, stops: Sequence[int], course: str = ""
+    ) -> Steps[list[Fit]]:
         """Take a block of samples, with quick fits on the way.
 
         Args:
@@ -177,15 +179,11 @@ class OnlineEstimator:
         Returns:
             A fit for each stop, as `update` and `fit` would give them one by one.
         """
-        return finished(self.following(samples, stops, course))
-
-    def following(
-        self, samples: Samples, stops: Sequence[int], course: str = ""
-    ) -> Steps[list[Fit]]:
-        """`follow` in steps."""
         return self._follow(self._record.take(samples, stops), course)
 
-    def fit(self, *, quick: bool = False, course: str = "") -> Fit:
+    follow = at_once(following)
+
+    def fitting(self, *, quick: bool = False, course: str = "") -> Steps[Fit]:
         """The estimate from everything so far.
 
         Args:
@@ -195,10 +193,6 @@ class OnlineEstimator:
             course: name of the course of quick estimates to go on with. One that decides
                 something must not depend on how often others look.
         """
-        return finished(self.fitting(quick=quick, course=course))
-
-    def fitting(self, *, quick: bool = False, course: str = "") -> Steps[Fit]:
-        """`fit` in steps."""
         if quick:
             return (yield from self._follow((None,), course))[0]
         record = self._record
@@ -229,6 +223,8 @@ class OnlineEstimator:
                 doubt=record.noise_doubt,
             )
         return Fit(rot, trans, self.seconds, validation, accelerometer, coupling)
+
+    fit = at_once(fitting)
 
     def fit_translation(
         self, at: RotationFit | None = None

@@ -39,7 +39,7 @@ from gcs_sysid.estimation.search import (
 )
 from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor, symmetric_roots
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.steps import Steps, finished
+from gcs_sysid.steps import Steps, at_once
 
 _WARM_ITERATIONS, _FOLLOW_ITERATIONS = 12, 2
 _BLIND_STEP = 3.0
@@ -134,7 +134,7 @@ class RotationFit:
         return float(self.coordinates_std[coordinate.DELAY])
 
 
-def fit_rotation(
+def fitting_rotation(
     batches: Array,
     counts: NDArray[np.int64],
     basis: RotorBasis,
@@ -142,7 +142,7 @@ def fit_rotation(
     start: RotationFit | None = None,
     prior: Prior | None = None,
     doubt: float = 0.0,
-) -> RotationFit | None:
+) -> Steps[RotationFit | None]:
     """Fit theta and the basis' coordinates to moments.
 
     Args:
@@ -160,19 +160,6 @@ def fit_rotation(
         The fit, or None while the data cannot even start one (fewer rows than unknowns, or no
         response to roll and pitch torque).
     """
-    return finished(fitting_rotation(batches, counts, basis, noise, start, prior, doubt))
-
-
-def fitting_rotation(
-    batches: Array,
-    counts: NDArray[np.int64],
-    basis: RotorBasis,
-    noise: Array,
-    start: RotationFit | None = None,
-    prior: Prior | None = None,
-    doubt: float = 0.0,
-) -> Steps[RotationFit | None]:
-    """`fit_rotation` in steps."""
     rows = int(counts.sum())
     if rows < 3 * rb.N_THETA:
         return None
@@ -209,6 +196,9 @@ def fitting_rotation(
     if doubt:
         spread = spread + outcome.spread_of(doubt * (outcome.pull if pull is None else pull))
     return most_certain(outcome.fits(spread, widening, converged, range(len(bank))))
+
+
+fit_rotation = at_once(fitting_rotation)
 
 
 def follow_rotation(

@@ -26,7 +26,7 @@ from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.translation import accelerometer_gain
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.steps import Steps, finished
+from gcs_sysid.steps import Steps, at_once, finished
 
 _ARM_EVERY, _ARM_GROWTH = 1.0, 1.2
 """s between new references of the detector, and growth of the record, whichever is later."""
@@ -168,13 +168,13 @@ class Tracker:
         if self._keep and self.kept:
             self.kept.append(_gap(self.kept[-1]))
 
-    def update(
+    def updating(
         self,
         t: Array,
         samples: Samples,
         flying: Mask | None = None,
         stops: Sequence[int] = (),
-    ) -> list[Point]:
+    ) -> Steps[list[Point]]:
         """Take a block of samples; how they are grouped is one.
 
         Args:
@@ -186,16 +186,6 @@ class Tracker:
         Returns:
             A point of the course for each stop.
         """
-        return finished(self.updating(t, samples, flying, stops))
-
-    def updating(
-        self,
-        t: Array,
-        samples: Samples,
-        flying: Mask | None = None,
-        stops: Sequence[int] = (),
-    ) -> Steps[list[Point]]:
-        """`update` in steps."""
         points: list[Point] = []
         for run, aloft in runs(np.ones(len(t), dtype=bool) if flying is None else flying):
             # A stop between two runs is the end of the first.
@@ -206,6 +196,8 @@ class Tracker:
                 yield from self._stand(t[run])
                 points += yield from self._idle(len(here))
         return points
+
+    update = at_once(updating)
 
     def finish(self) -> None:
         """Decide what is undecided, because nothing more will come."""
@@ -378,13 +370,11 @@ class Tracker:
             )
             detector.arm((yield from self.fitting(quick=True, course="watch")))
 
-    def fit(self, *, quick: bool = False) -> Fit:
-        """The fit in force; see `OnlineEstimator.fit`."""
-        return finished(self.fitting(quick=quick))
-
     def fitting(self, *, quick: bool = False, course: str = "") -> Steps[Fit]:
-        """`fit` in steps."""
+        """The fit in force; see `OnlineEstimator.fitting`."""
         return self._estimator.fitting(quick=quick, course=course)
+
+    fit = at_once(fitting)
 
     def _learn(self, samples: Samples, stops: Sequence[int]) -> Steps[list[Point]]:
         if self._keep:

@@ -24,7 +24,7 @@ from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotation import fitting_rotation
 from gcs_sysid.estimation.search import N_X
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.steps import Steps, finished
+from gcs_sysid.steps import Steps, at_once
 
 FITTED_SHARE = 0.6
 """Share of the flight that is fitted; the rest is predicted."""
@@ -59,14 +59,14 @@ class Validation:
     coordinates: Array
 
 
-def validate(
+def validating(
     batches: Array,
     counts: NDArray[np.int64],
     basis: RotorBasis,
     noise: Array,
     gains: Array,
     prior: Prior | None = None,
-) -> Validation | None:
+) -> Steps[Validation | None]:
     """Fit the first batches, predict the others.
 
     Args:
@@ -81,18 +81,6 @@ def validate(
     Returns:
         None while the flight is too short to be divided.
     """
-    return finished(validating(batches, counts, basis, noise, gains, prior))
-
-
-def validating(
-    batches: Array,
-    counts: NDArray[np.int64],
-    basis: RotorBasis,
-    noise: Array,
-    gains: Array,
-    prior: Prior | None = None,
-) -> Steps[Validation | None]:
-    """`validate` in steps."""
     k = len(counts)
     cut = round(FITTED_SHARE * k)
     if k < _MIN_BATCHES:
@@ -118,6 +106,9 @@ def validating(
         theta=fit.theta,
         coordinates=fit.coordinates,
     )
+
+
+validate = at_once(validating)
 
 
 def _whiteness(
