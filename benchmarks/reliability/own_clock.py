@@ -151,7 +151,7 @@ def main() -> None:
     rows = [
         ("datagrams", f"{times.taken.count}", ""),
         *rows_of_times(times.as_dict()),
-        ("memory at the end", f"{size:.1f} MB", ""),
+        ("memory in the last minute", f"{size:.1f} MB", ""),
         ("growth since minute 2", f"{grown:.2f} MB", ""),
     ]
     print(table(rows))

@@ -42,7 +42,7 @@ SO_TIMESTAMPNS = 35
 _STAMP = struct.Struct("@qq")
 _SPACE = socket.CMSG_SPACE(_STAMP.size) if hasattr(socket, "CMSG_SPACE") else 0
 LEVELS = (50.0, 95.0, 99.0, 99.9, 100.0)
-SAMPLED_EVERY = 5.0
+SAMPLED_EVERY = 0.5
 """s between looks at the memory."""
 
 

@@ -64,8 +64,18 @@ def test_each_datagram_counts_until_what_it_brought_about_is_done(monkeypatch):
 
 
 def test_growth_is_told_from_when_memory_had_settled():
-    memory = [(5.0, 50_000_000), (125.0, 100_000_000), (130.0, 103_000_000), (600.0, 101_000_000)]
-    assert rate.growth(memory) == (101.0, 3.0)
+    memory = [(5, 50), (125, 100), (130, 103), (185, 98), (239, 106), (590, 101), (599, 96)]
+    assert rate.growth([(float(t), 1_000_000 * size) for t, size in memory]) == (101.0, 3.0)
+
+
+def test_what_comes_and_goes_within_each_minute_is_no_growth():
+    memory = [(float(t), 100_000_000 + 9_000_000 * (t % 7 == 0)) for t in range(5, 600, 5)]
+    assert rate.growth(memory) == (109.0, 0.0)
+
+
+def test_a_leak_is_growth():
+    memory = [(float(t), 100_000_000 + 20_000 * t) for t in range(600)]
+    assert rate.growth(memory)[1] == pytest.approx(8.4, abs=0.1)
 
 
 @pytest.fixture(scope="module")
