@@ -24,7 +24,7 @@ from itertools import product
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, mapped
 from gcs_sysid.filters.windows import cosine_window
 from gcs_sysid.model import rigid_body as rb
 
@@ -205,9 +205,7 @@ class RotorBasis:
 
     def moments_at(self, moments: Array, at: Array) -> Array:
         """(..., WIDTH, WIDTH) of rows at (3,) coordinates, from (..., width, width)."""
-        P = self.maps(at[None])[0, 0]
-        out: Array = P @ moments @ P.T
-        return out
+        return mapped(self.maps(at[None])[0, 0], moments)
 
     def noise_at(self, noise: Array, at: Array) -> Array:
         """(..., WIDTH, WIDTH) of noise of the inputs in the moments of rows at (3,) coordinates.

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.arrays import Array, Mask, mapped
 from gcs_sysid.estimation import basis as coordinate
 from gcs_sysid.estimation.basis import RotorBasis
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
@@ -337,7 +337,7 @@ class _Outcome:
         k, n, inverse_root, point = len(batches), rb.N_THETA, self.roots[1][i], self._point
         basis, W = self._problem.basis, point.W[i]
         P = self._problem.maps(self._unknowns[i : i + 1])[0]
-        moments = P[0] @ batches @ P[0].T
+        moments = mapped(P[0], batches)
         inverse = (inverse_root @ inverse_root) / self._scales[i]
         weighted = (inverse[:n, :n] @ point.WG[i].reshape(n, -1)).reshape(n, 3, N_X)
         moved = np.linalg.inv(W) @ weighted
