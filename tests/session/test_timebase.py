@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gcs_sysid.records import Record, Stream
-from gcs_sysid.session.streams import interpolate
+from gcs_sysid.session.streams import FAR, interpolate
 from gcs_sysid.session.timebase import TimeBase
 from gcs_sysid.telemetry.logs import open_log
 
@@ -112,6 +112,26 @@ def test_interpolate_takes_samples_on_the_grid_as_they_are():
     assert np.isnan(interpolate(t[:1], v[:1], t, gap=1.0)).all()
 
 
+@pytest.mark.parametrize(("lost", "most"), [(0, 1.0), (1, 1.05), (2, 1.2), (4, 1.5), (10, 1.5)])
+def test_bridging_lost_samples_multiplies_little_noise(lost, most):
+    t = np.delete(np.arange(60), slice(30, 30 + lost)).astype(float)
+    grid = np.linspace(29.0, 30.0 + lost, 41)
+    # Each sample's share in each value: noise of 1 in all of them makes their length.
+    shares = interpolate(t, np.eye(len(t)), grid, gap=20.0, among=FAR)
+    noise = np.linalg.norm(shares, axis=1)
+    assert noise.max() <= most + 1e-9
+    cubic = t**3 - 70.0 * t**2
+    assert shares @ cubic == pytest.approx(grid**3 - 70.0 * grid**2)
+
+
+def test_no_other_samples_are_taken_beyond_a_gap():
+    t = np.delete(np.arange(30.0), [10, 11, 12, 13, 16, 17])
+    shares = interpolate(t, np.eye(len(t)), np.array([12.0]), gap=5.0, among=FAR)[0]
+    assert set(t[shares != 0.0]) == {7.0, 9.0, 14.0, 18.0}
+    beyond = interpolate(t, np.eye(len(t)), np.array([12.0]), gap=2.5, among=FAR)[0]
+    assert np.isnan(beyond).all()
+
+
 @settings(max_examples=20, deadline=None)
 @given(delays=st.lists(st.floats(0.0, 0.015), min_size=1, max_size=50))
 def test_order_between_streams_does_not_matter_within_the_lag(delays):
@@ -170,10 +190,11 @@ def lossy(share=0.2, scatter=0.02, seed=5):
 
 
 @pytest.mark.parametrize("tick", [0.001, 0.3])
-def test_what_is_bridged_does_not_depend_on_when_it_is_asked_for(tick):
-    often, usually = Run(lossy(), tick), Run(lossy())
+@pytest.mark.parametrize("share", [0.2, 0.5])
+def test_what_is_bridged_does_not_depend_on_when_it_is_asked_for(tick, share):
+    often, usually = Run(lossy(share), tick), Run(lossy(share))
     upto = usually.t < 5.7
-    for key in (ATTITUDE, VELOCITY):
+    for key in (IMU, ATTITUDE, VELOCITY):
         np.testing.assert_array_equal(often.values(key)[: upto.sum()], usually.values(key)[upto])
 
 

@@ -9,13 +9,10 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.filters import outliers
-from gcs_sysid.session.streams import StreamBuffer, interpolate, usual_gap
+from gcs_sysid.session.streams import FAR, StreamBuffer, interpolate, neighbours, usual_gap
 
-_CUBIC = 2
-"""Samples on each side that interpolation takes."""
 _SLOPE = 1
 """Samples on each side that angular acceleration takes."""
-_AHEAD = outliers.AHEAD + _CUBIC + _SLOPE
 _GYRO = slice(0, 3)
 
 
@@ -45,7 +42,7 @@ class InertialBuffer(StreamBuffer):
     """
 
     def __init__(self, faults: SensorFaults, arm: tuple[float, float, float] | None = None) -> None:
-        super().__init__(6, keep=outliers.BEHIND + _CUBIC + _SLOPE)
+        super().__init__(6, keep=outliers.BEHIND + FAR + _SLOPE)
         self._arm = arm
         self.faults = faults
         self.step = 0.0
@@ -67,10 +64,11 @@ class InertialBuffer(StreamBuffer):
     def settled(self) -> float:
         """Time up to which later samples change nothing."""
         t, v = self._arrays()
-        known = t[~outliers.frozen(v)]
+        known, gap = t[~outliers.frozen(v)], usual_gap(self.step)
+        ahead = outliers.AHEAD + neighbours(gap, self.step) + _SLOPE
         # A sensor that stands still must not hold everything up: past a gap nothing matters.
-        latest = t[-1] - _AHEAD * usual_gap(self.step)
-        return float(max(known[-1 - _AHEAD], latest) if len(known) > _AHEAD else latest)
+        latest = t[-1] - ahead * gap
+        return float(max(known[-1 - ahead], latest) if len(known) > ahead else latest)
 
     def at(self, grid: Array, gap: float | None = None) -> Array:
         """(n, 6) values at the grid times, NaN in gaps, and where a spike cannot be replaced."""
@@ -88,7 +86,7 @@ class InertialBuffer(StreamBuffer):
         self._counted = float(grid[-1])
         if self._arm is not None and any(self._arm):
             v = np.hstack([v[:, _GYRO], at_cg(t, v[:, _GYRO], v[:, 3:], self._arm, gap)])
-        return interpolate(t, v, grid, gap)
+        return interpolate(t, v, grid, gap, neighbours(gap, self.step))
 
     def _found(self, times: Array, until: float, kind: str) -> None:
         new = int(np.count_nonzero((times > self._counted) & (times <= until)))

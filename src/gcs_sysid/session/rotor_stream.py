@@ -7,12 +7,10 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.recursions import lfilter
-from gcs_sysid.session.streams import StreamBuffer, usual_gap
+from gcs_sysid.session.streams import StreamBuffer, neighbours, usual_gap
 
 _REACH = 2
 """Samples on each side that one is compared with."""
-AHEAD = 2 * _REACH
-"""Samples after a grid point that its value depends on: the cubic's, and what judges them."""
 _WILD, _BESIDE = 0.2, 2.0
 """A wild value is off the middle of its neighbours by this share of it, and by so many times what
 these differ by. No rotor speeds up and slows down by a fifth while its neighbours in time stand."""
@@ -129,10 +127,12 @@ class RotorBuffer(StreamBuffer):
         A stream that is silent holds nothing up: what comes after a gap judges nothing before it.
         """
         t, _ = self._arrays()
-        dead = newest - AHEAD * usual_gap(self.interval)
+        # What the cubic takes, and what judges that.
+        ahead = neighbours(self.gap, self.interval) + _REACH
+        dead = newest - ahead * usual_gap(self.interval)
         if self._stillness.suspected:
             t = t[: np.searchsorted(t, self._stillness.since, side="right")]
-        return max(float(t[-1 - AHEAD]), dead) if len(t) > AHEAD else dead
+        return max(float(t[-1 - ahead]), dead) if len(t) > ahead else dead
 
     def _sound(self, t: Array, v: Array, grid: Array, gap: float) -> tuple[Array, Array]:
         wild = wild_rows(t, v, gap)

@@ -25,6 +25,12 @@ _SHORTEST = 0.04
 """s; a shorter time is no gap."""
 _BRIDGED = ((4, 0.052), (2, 0.065))
 """Lost samples in a row that are bridged, as long as the gap (s) is not longer."""
+FAR = 4
+"""Samples on each side of a point among which interpolation looks for its two, where there may be
+long gaps. Elsewhere these are the nearest."""
+_WIDE = 3.5
+"""Times the distance to its outer neighbours that a gap may have. A cubic across a longer one would
+multiply their noise, by 3 for ten lost samples."""
 _REORDER = 0.02
 """s; a sample that comes after one so much newer still finds its place. The grid, which is 0.04 s
 behind at least, has not been there."""
@@ -155,8 +161,9 @@ class StreamBuffer:
         t, _ = self._arrays()
         if not len(t) or t[-1] + self.gap < horizon:
             return np.inf
-        # Cubics end on the last but one.
-        return float(t[-2] if len(t) > 1 and t[-1] - t[-2] <= self.gap else t[-1])
+        last = t[-neighbours(self.gap, self.interval) :]
+        broken = np.flatnonzero(np.diff(last) > self.gap)
+        return float(last[broken[-1] + 1 if len(broken) else 0])
 
     def at(self, grid: Array, gap: float | None = None) -> Array:
         """(n, width) values at the grid times, NaN where the stream has a gap.
@@ -175,7 +182,8 @@ class StreamBuffer:
             return np.where(index[:, None] >= 0, v[np.maximum(index, 0)], np.nan)
         if gap is None:
             gap = self.gap
-        return interpolate(*self._sound(t, v, grid, gap), grid, gap)
+        among = neighbours(gap, self.interval)
+        return interpolate(*self._sound(t, v, grid, gap), grid, gap, among)
 
     def _sound(self, t: Array, v: Array, grid: Array, gap: float) -> tuple[Array, Array]:
         """The samples to interpolate between: here all of them."""
@@ -254,6 +262,16 @@ def usual_gap(interval: float) -> float:
     return max(2.6 * interval, *bridged, _SHORTEST) + _SAME
 
 
+def neighbours(gap: float, interval: float) -> int:
+    """Samples on each side that `interpolate` looks at, of a stream with such gaps.
+
+    Args:
+        gap: s, longest that is bridged.
+        interval: s, the usual one.
+    """
+    return FAR if gap > _WIDE * interval else 2
+
+
 def usual_interval(steps: Sequence[float]) -> float:
     """Time between samples that may be skipped, or come by turns at short and long intervals.
 
@@ -270,14 +288,18 @@ def usual_interval(steps: Sequence[float]) -> float:
     return sum(alike) / len(alike)
 
 
-def interpolate(t: Array, v: Array, grid: Array, gap: float) -> Array:
-    """Cubic interpolation through the four nearest samples (Lagrange, any spacing).
+def interpolate(t: Array, v: Array, grid: Array, gap: float, among: int = 2) -> Array:
+    """Cubic interpolation through four samples (Lagrange, any spacing).
+
+    These are the two nearest, and on either side of them the next; if that is near against the gap
+    between the two, one further out.
 
     Args:
         t: (m,) rising sample times.
         v: (m, width) samples.
         grid: (n,) times wanted.
         gap: samples further apart than this have nothing between them.
+        among: how many samples on each side the outer ones may be looked for.
 
     Returns:
         (n, width), NaN outside the samples and inside gaps. Next to a gap or an end the two
@@ -298,6 +320,16 @@ def interpolate(t: Array, v: Array, grid: Array, gap: float) -> Array:
     on_left, on_right = np.abs(past) < _SAME, np.abs(ahead) < _SAME
     first, last = np.maximum(left - 1, 0), np.minimum(right + 1, m - 1)
     width_before, width_after = before - t[first], t[last] - after
+    for k in range(2, among):
+        near = step > _WIDE * np.minimum(width_before, width_after)
+        if not near.any():
+            break
+        near_before, near_after = step > _WIDE * width_before, step > _WIDE * width_after
+        outer = np.maximum(left - k, 0)
+        first = np.where(near_before & (before - t[outer] <= gap), outer, first)
+        outer = np.minimum(right + k, m - 1)
+        last = np.where(near_after & (t[outer] - after <= gap), outer, last)
+        width_before, width_after = before - t[first], t[last] - after
     cubic = inside & ~on_left & ~on_right
     cubic &= (width_before > 0.0) & (width_before <= gap) & (width_after > 0.0)
     cubic &= width_after <= gap

@@ -2,8 +2,8 @@
 
 The grid runs on the vehicle's clock at the IMU's own rate. A grid point is given out a fixed
 lag behind the newest IMU stamp, so that the outcome depends on the order of the records alone,
-never on when they happened to be read. Between samples a cubic through the four nearest is
-taken; where a stream has a gap its values are marked as missing.
+never on when they happened to be read. Between samples a cubic through four of them is taken;
+where a stream has a gap its values are marked as missing.
 """
 
 from collections.abc import Sequence
