@@ -6,30 +6,24 @@ numbers that the live session ended with.
 """
 
 from collections.abc import Callable
-from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from gcs_sysid.columns import RecordBlock
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.anchors import Anchor, AnchorKind
-from gcs_sysid.estimation.command_noise import SLOW_COMMANDS
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.parameters import (
-    WEAK_BELOW_R2,
     Value,
-    motor_lag,
-    rotor_delay,
-    verdict,
-    with_clock_error,
 )
 from gcs_sysid.estimation.rotors import RotorInput
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.model.parameters import TIMING
-from gcs_sysid.records import Record, Stream
+from gcs_sysid.records import Record
 from gcs_sysid.session import summary
 from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.findings import Findings
 from gcs_sysid.session.learner import Cutoffs, Known, Learner
-from gcs_sysid.session.result import Estimate, Result
+from gcs_sysid.session.result import Result
 from gcs_sysid.session.rotor_input import RotorChooser
 from gcs_sysid.session.rotor_units import gyro_cutoff, loop_cutoff
 from gcs_sysid.session.sampling import SampleBlock, Sampler
@@ -47,8 +41,6 @@ _LEAST_WINDOW = 64
 """Fewer are fed one by one as fast."""
 _MOST_PENDING = 10
 """Blocks of samples, 1 s of them, that are not learnt from yet."""
-_ENOUGH_TO_ANSWER = 10.0
-"""s of flight in which roll and pitch are seen to answer the rotors, if they do at all."""
 
 
 class Chain:
@@ -275,190 +267,14 @@ class Chain:
     def result(self) -> Result:
         """The latest fit as a result."""
         self.pending.finish()
-        values = self._learner.values(self._learner.fit, self.anchor)
-        word, reasons = verdict(values, self.rotor_input, self._learner.fit.coupling)
-        first = self._data_reasons()
-        if self._learner.fit.rotation is None:
-            word, reasons = "refused", first or reasons
-        else:
-            reasons = (*first, *reasons)
-        past = self._past_values()
-        return Result(
-            verdict=word,  # type: ignore[arg-type]
-            reasons=reasons if word != "identified" else (),
-            source="",
-            vehicle={},
-            scale=summary.scale_of(self.anchor),
-            rotor_input=self.rotor_input,
-            parameters=summary.estimates_of(
-                with_clock_error(values, self.clock_error),
-                self._learner.fit,
-                self.anchor,
-                self._bounds(),
-            ),
-            estimator="online" if self._offline is None else "offline",
-            timing=self._timing(),
-            events=(*self._learner.input_events, *self._changes([*past, values])),
-            segments=self._segments(past),
-            validation=summary.validation_of(self._learner.fit),
-            priors={
-                name: {"value": value, "std": std}
-                for name, (value, std) in self.airframe.priors.items()
-            },
-            telemetry=self._telemetry(),
-            airframe=self.airframe.as_json(),
-        )
-
-    def _timing(self) -> dict[str, Estimate]:
-        timing = {"rotor_delay": rotor_delay(self._learner.fit.rotation)}
-        if self.rotor_input == "command":
-            timing["motor_lag"] = motor_lag(self._learner.fit.rotation)
-        timing = with_clock_error(timing, self.clock_error)
-        return {
-            name: Estimate(value.value, value.std, TIMING[name].unit, value.status)
-            for name, value in timing.items()
-        }
-
-    def _past_values(self) -> list[dict[str, Value]]:
-        if self._learner.tracker is None:
-            return []
-        return [
-            self._learner.values(segment.fit, anchor)
-            for segment, anchor in zip(
-                self._learner.tracker.segments, self._learner.anchors, strict=False
-            )
-        ]
-
-    def _bounds(self) -> dict[str, Value] | None:
-        if self._offline is None:
-            return None
-        bounds = self._learner.values(self._offline.bounding_fit, self.anchor)
-        # The likelihood is that of the rotation.
-        return {n: v for n, v in bounds.items() if n not in ("mass", "k_T", "T_max", "linear_drag")}
-
-    def _changes(self, values: list[dict[str, Value]]) -> tuple[dict[str, Any], ...]:
-        if self._learner.tracker is None:
-            return ()
-        out = []
-        before = 0
-        for event in self._learner.tracker.events:
-            after = None
-            if event.segment is not None:
-                before, after = event.segment, values[event.segment + 1]
-            out.append(summary.event_of(event, values[before], after))
-            if event.segment is not None:
-                before = event.segment + 1
-        return tuple(out)
-
-    def _segments(self, past: list[dict[str, Value]]) -> tuple[dict[str, Any], ...]:
-        if self._learner.tracker is None:
-            return ()
-        return tuple(
-            {
-                "start": segment.start,
-                "end": segment.end,
-                "scale": summary.scale_of(anchor).as_json(),
-                "parameters": {
-                    name: estimate.as_json()
-                    for name, estimate in summary.estimates_of(
-                        with_clock_error(values, self.clock_error), segment.fit, anchor
-                    ).items()
-                },
-                "validation": summary.validation_of(segment.fit),
-            }
-            for segment, anchor, values in zip(
-                self._learner.tracker.segments, self._learner.anchors, past, strict=False
-            )
-        )
-
-    def _telemetry(self) -> dict[str, Any]:
-        base = self.sampler.time_base
-        return {
-            "grid_rate": 1.0 / base.dt if base.dt else None,
-            "used_seconds": self._learner.fit.seconds,
-            "late": base.late,
-            "repeated": base.repeated,
-            "restarts": base.restarts,
-            "imu_outliers": asdict(base.faults),
-            "rotor_outliers": base.wild_speeds,
-            "rotor_still": base.still_speeds,
-            "rotor_input": self._input_telemetry(),
-        }
-
-    @property
-    def _twin(self) -> str | None:
-        """The other stream of commands that is used."""
-        return self.chooser.twin if self.sampler.time_base.dt >= SLOW_COMMANDS else None
-
-    def _input_telemetry(self) -> dict[str, Any]:
-        """Which rotor stream is used, how it is read, and why not the others."""
-        source = self._learner.rotors
-        if source is None:
-            return {"source": None, "refused": dict(self.chooser.refused)}
-        out: dict[str, Any] = {
-            "source": source.name,
-            "why": source.why,
-            "refused": dict(source.refused or {}),
-            "with": self._twin,
-            "repeats": self.chooser.repeats[source.name].as_dict(),
-            "gyro_filter": None if self._learner.tracker is None else self._learner.cutoffs[0],
-            "loop_filter": None if self._learner.tracker is None else self._learner.cutoffs[1],
-        }
-        if source.range is not None:
-            out["range"] = [source.range.low, source.range.high]
-            out["range_from"] = source.range.origin
-        return out
-
-    def _data_reasons(self) -> tuple[str, ...]:
-        """What is missing, the first cause alone: the rest follows from it."""
-        seen = self.sampler.seen
-        if not seen:
-            seconds = self.sampler.recorded
-            if seconds is None:
-                return ("no telemetry that can be used",)
-            return (f"nothing between --start and --end: the record lasts {seconds:.1f} s",)
-        if Stream.IMU not in seen:
-            return ("no IMU data (HIGHRES_IMU): the autopilot must be asked for it",)
-        if not seen & {Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND}:
-            return (
-                "no rotor speeds (ESC_STATUS, ESC_TELEMETRY) and no actuator outputs "
-                "(ACTUATOR_OUTPUT_STATUS, SERVO_OUTPUT_RAW): the autopilot must be asked for them",
-            )
-        if self._learner.rotors is None and self.chooser.judged:
-            return self._input_reasons()
-        if self.outdated:
-            return (
-                "the autopilot's parameters came too late to be used for filters and ranges: "
-                "analyse the recording",
-            )
-        if Stream.ATTITUDE not in seen:
-            return ("no attitude (ATTITUDE or ATTITUDE_QUATERNION)",)
-        if self._learner.fit.rotation is None:
-            if self._learner.fit.seconds > _ENOUGH_TO_ANSWER:
-                return (
-                    "the vehicle does not turn as these rotors would turn it: check the motor "
-                    "order and rotor positions in the airframe file, and fly roll and pitch",
-                )
-            return ("too little flight in which all the needed data came together",)
-        if self._learner.fit.rotation.r_squared.min() < WEAK_BELOW_R2:
-            share = max(100.0 * self._learner.fit.rotation.r_squared.min(), 0.0)
-            return (
-                f"the rotors explain only {share:.0f} % of the motion on one axis: "
-                "fly it harder than the wind does, and check the motor order",
-            )
-        return ()
-
-    def _input_reasons(self) -> tuple[str, ...]:
-        """Why no rotor stream can be used."""
-        if not self.chooser.refused:
-            return ("no rotor speeds and no commands came while it flew",)
-        reasons = tuple(f"{name} {why}" for name, why in self.chooser.refused.items())
-        kind = self._learner.anchors[0].kind
-        if kind == "k_T":
-            return (*reasons, "without rotor speeds k_T sets no scale: give --mass or --t-max")
-        if kind == "T_max":
-            return (*reasons, "without commands T_max sets no scale: give --mass or --k-t")
-        return reasons
+        return Findings(
+            self.airframe,
+            self.sampler,
+            self._learner,
+            self._offline,
+            self.clock_error,
+            self.outdated,
+        ).result()
 
     def _known(self) -> Known:
         base = self.sampler.time_base

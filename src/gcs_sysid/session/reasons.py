@@ -1,0 +1,70 @@
+"""Why the data do not tell more: the words of a verdict below `identified`."""
+
+from gcs_sysid.estimation.anchors import Anchor
+from gcs_sysid.estimation.parameters import WEAK_BELOW_R2
+from gcs_sysid.records import Stream
+from gcs_sysid.session.learner import Learner
+from gcs_sysid.session.rotor_input import RotorChooser
+from gcs_sysid.session.sampling import Sampler
+
+_ENOUGH_TO_ANSWER = 10.0
+"""s of flight in which roll and pitch are seen to answer the rotors, if they do at all."""
+
+
+def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[str, ...]:
+    """What is missing, the first cause alone: the rest follows from it.
+
+    Args:
+        sampler: of the chain.
+        learner: of the chain.
+        outdated: whether parameters came too late for what the estimate rests on.
+    """
+    seen = sampler.seen
+    if not seen:
+        seconds = sampler.recorded
+        if seconds is None:
+            return ("no telemetry that can be used",)
+        return (f"nothing between --start and --end: the record lasts {seconds:.1f} s",)
+    if Stream.IMU not in seen:
+        return ("no IMU data (HIGHRES_IMU): the autopilot must be asked for it",)
+    if not seen & {Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND}:
+        return (
+            "no rotor speeds (ESC_STATUS, ESC_TELEMETRY) and no actuator outputs "
+            "(ACTUATOR_OUTPUT_STATUS, SERVO_OUTPUT_RAW): the autopilot must be asked for them",
+        )
+    if learner.rotors is None and sampler.chooser.judged:
+        return _input_reasons(sampler.chooser, learner.anchors[0])
+    if outdated:
+        return (
+            "the autopilot's parameters came too late to be used for filters and ranges: "
+            "analyse the recording",
+        )
+    if Stream.ATTITUDE not in seen:
+        return ("no attitude (ATTITUDE or ATTITUDE_QUATERNION)",)
+    if learner.fit.rotation is None:
+        if learner.fit.seconds > _ENOUGH_TO_ANSWER:
+            return (
+                "the vehicle does not turn as these rotors would turn it: check the motor "
+                "order and rotor positions in the airframe file, and fly roll and pitch",
+            )
+        return ("too little flight in which all the needed data came together",)
+    if learner.fit.rotation.r_squared.min() < WEAK_BELOW_R2:
+        share = max(100.0 * learner.fit.rotation.r_squared.min(), 0.0)
+        return (
+            f"the rotors explain only {share:.0f} % of the motion on one axis: "
+            "fly it harder than the wind does, and check the motor order",
+        )
+    return ()
+
+
+def _input_reasons(chooser: RotorChooser, anchor: Anchor) -> tuple[str, ...]:
+    """Why no rotor stream can be used."""
+    if not chooser.refused:
+        return ("no rotor speeds and no commands came while it flew",)
+    reasons = tuple(f"{name} {why}" for name, why in chooser.refused.items())
+    kind = anchor.kind
+    if kind == "k_T":
+        return (*reasons, "without rotor speeds k_T sets no scale: give --mass or --t-max")
+    if kind == "T_max":
+        return (*reasons, "without commands T_max sets no scale: give --mass or --k-t")
+    return reasons
