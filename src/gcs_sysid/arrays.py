@@ -1,5 +1,6 @@
 """Array types for signatures (docstrings give shapes and units), and where arrays are whole."""
 
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
@@ -12,7 +13,7 @@ Mask = NDArray[Any]
 """Booleans."""
 
 _AT_ONCE = 32
-"""Matrices multiplied at a time."""
+"""Matrices worked on at a time."""
 
 
 def complete_rows(values: Array) -> Mask:
@@ -27,22 +28,11 @@ def runs(mask: Mask) -> list[tuple[slice, bool]]:
     return [(slice(a, b), bool(mask[a])) for a, b in pairwise(edges) if b > a]
 
 
-def mapped(P: Array, moments: Array) -> Array:
-    """(..., n, n) P M P' of (..., m, m) moments M, a few at a time: they may be many, and large.
+def by_parts(work: Callable[[Array], Array], stack: Array) -> Array:
+    """(k, ...) what work makes of (k, ...) matrices, a few at a time.
 
-    Args:
-        P: (n, m).
-        moments: as many as there are.
+    What they all need in between is then never there for all of them: the matrices may be many, and
+    large.
     """
-    n = len(P)
-    out = np.empty((*moments.shape[:-2], n, n))
-    if moments.ndim == 2:
-        return np.matmul(P @ moments, P.T, out=out)
-    if moments.ndim > 3:
-        for part, result in zip(moments, out, strict=True):
-            result[...] = mapped(P, part)
-        return out
-    for start in range(0, len(moments), _AT_ONCE):
-        some = slice(start, start + _AT_ONCE)
-        np.matmul(P @ moments[some], P.T, out=out[some])
-    return out
+    starts = range(0, max(len(stack), 1), _AT_ONCE)
+    return np.concatenate([work(stack[start : start + _AT_ONCE]) for start in starts])

@@ -8,6 +8,9 @@ from gcs_sysid.model import rigid_body as rb
 
 THETA = np.array([80.0, 110.0, 170.0, 6.0, -4.0, 5.0, 0.01, -0.02, 0.02, 60.0, 0.0])
 
+PLAIN = np.eye(rb.N_SIGNALS + 3)
+"""Of moments of rows as they are."""
+
 
 def batches(share, noise=0.05, rows=100, count=30, activity=1.0, seed=5):
     """Moments of rows with the gyroscopic torque of THETA multiplied by a share."""
@@ -23,14 +26,14 @@ def batches(share, noise=0.05, rows=100, count=30, activity=1.0, seed=5):
 
 @pytest.mark.parametrize("share", [1.0, 0.0, 0.5])
 def test_share_is_found(share):
-    found = gyroscopic_coupling(batches(share), THETA)
+    found = gyroscopic_coupling(batches(share), PLAIN, THETA)
     assert np.all(np.abs(found.share - share) < 4.0 * found.std)
     assert np.all(found.std < 0.05)
     assert found.contradicted == (share < 1.0)
 
 
 def test_rotation_about_one_axis_at_a_time_contradicts_nothing():
-    found = gyroscopic_coupling(batches(0.0, activity=3e-3), THETA)
+    found = gyroscopic_coupling(batches(0.0, activity=3e-3), PLAIN, THETA)
     assert np.all(found.std > 0.2)
     assert not found.contradicted
 
@@ -38,7 +41,7 @@ def test_rotation_about_one_axis_at_a_time_contradicts_nothing():
 def test_no_coupling_is_no_contradiction():
     same = THETA.copy()
     same[:6] = [100.0, 100.0, 100.0, 0.0, 0.0, 0.0]
-    found = gyroscopic_coupling(batches(1.0), same)
+    found = gyroscopic_coupling(batches(1.0), PLAIN, same)
     assert np.isnan(found.share).all()
     assert not found.contradicted
 

@@ -24,7 +24,7 @@ from itertools import product
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, mapped
+from gcs_sysid.arrays import Array
 from gcs_sysid.filters.windows import cosine_window
 from gcs_sysid.model import rigid_body as rb
 
@@ -203,9 +203,16 @@ class RotorBasis:
         maps[:, 0, _BODY_COLUMNS, range(self.width - BODY, self.width)] = 1.0
         return maps
 
+    def map_at(self, at: Array) -> Array:
+        """(WIDTH, width) that makes rows [x, y] at (3,) coordinates of rows of elements."""
+        P: Array = self.maps(at[None])[0, 0]
+        return P
+
     def moments_at(self, moments: Array, at: Array) -> Array:
         """(..., WIDTH, WIDTH) of rows at (3,) coordinates, from (..., width, width)."""
-        return mapped(self.maps(at[None])[0, 0], moments)
+        P = self.map_at(at)
+        out: Array = P @ moments @ P.T
+        return out
 
     def noise_at(self, noise: Array, at: Array) -> Array:
         """(..., WIDTH, WIDTH) of noise of the inputs in the moments of rows at (3,) coordinates.

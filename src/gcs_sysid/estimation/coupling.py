@@ -44,16 +44,17 @@ class Coupling:
         return bool(np.any((away > _OFF) & (away > _SURE * self.std)))
 
 
-def gyroscopic_coupling(batches: Array, theta: Array) -> Coupling:
+def gyroscopic_coupling(batches: Array, P: Array, theta: Array) -> Coupling:
     """Compare the gyroscopic torque in the data with that of the fit.
 
     Args:
-        batches: (k, WIDTH, WIDTH) moments of rows [x, y], rotors' signals as fitted.
+        batches: (k, width, width) moments of rows of elements.
+        P: (WIDTH, width) that makes rows [x, y] of these, rotors' signals as fitted.
         theta: (N_THETA,) of the fit.
     """
     n = rb.N_SIGNALS
     Q = rb.forward_matrix(theta)
-    total = batches.sum(axis=0)
+    total = P @ batches.sum(axis=0) @ P.T
     share, std = np.full(3, np.nan), np.full(3, np.nan)
     for axis in range(3):
         predicted, residual = np.zeros(n + 3), np.zeros(n + 3)
@@ -66,7 +67,7 @@ def gyroscopic_coupling(batches: Array, theta: Array) -> Coupling:
         power = max(float(predicted @ total @ predicted), _TINY)
         more = float(predicted @ total @ residual) / power
         # Neighbouring batches share slow noise, as in the sandwich of the fit.
-        scores = np.einsum("i,kij,j->k", predicted, batches, residual - more * predicted)
+        scores = (batches @ ((residual - more * predicted) @ P)) @ (predicted @ P)
         meat = float(scores @ scores + 2.0 * (scores[1:] @ scores[:-1]))
         share[axis] = 1.0 + more
         std[axis] = np.sqrt(max(meat, float(scores @ scores))) / power

@@ -431,8 +431,8 @@ class OnlineEstimator:
         if fit is None or self._record.article or len(moments.batches) < _MIN_BATCHES:
             return None
         self._coupling_at = _SETTLE_GROWTH * self.seconds
-        at_fit = self._basis.moments_at(moments.batches[:, fit.leak], fit.coordinates)
-        self._coupling = gyroscopic_coupling(at_fit, fit.theta)
+        P = self._basis.map_at(fit.coordinates)
+        self._coupling = gyroscopic_coupling(moments.batches[:, fit.leak], P, fit.theta)
         return self._coupling
 
     def _without_products(self) -> Array:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gcs_sysid.arrays import Array, Mask, mapped
+from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation import basis as coordinate
 from gcs_sysid.estimation.basis import RotorBasis
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
@@ -312,14 +312,19 @@ class _Outcome:
             batches: (k, width, width) of this hypothesis.
             counts: (k,) rows in each.
         """
-        k, f, point = len(batches), len(self._problem.basis.free), self._point
+        f, point = len(self._problem.basis.free), self._point
         P = self._problem.maps(self._unknowns[i : i + 1])[0]
         TP = residual_maker(point.Q[i]) @ P
-        TPM = TP[:1] @ batches[:, None]
-        scores = (TPM[:, 0] @ P[0].T)[..., :N_X].reshape(k, -1) @ point.WG[i].T
-        if f:
+
+        def some(batches: Array) -> Array:
+            TPM, k = TP[0] @ batches, len(batches)
+            of_theta: Array = (TPM @ P[0].T)[..., :N_X].reshape(k, -1) @ point.WG[i].T
+            if not f:
+                return of_theta
             slopes = TPM.reshape(k, -1) @ (point.W[i] @ TP[1:]).reshape(f, -1).T
-            scores = np.column_stack([scores, -slopes])
+            return np.column_stack([of_theta, -slopes])
+
+        scores = by_parts(some, batches)
         # Away from the likelihood's own minimum all batches pull one way; that is no scatter.
         scores -= np.outer(counts / counts.sum(), scores.sum(axis=0))
         scaled: Array = scores / self._scale[i]
@@ -334,21 +339,23 @@ class _Outcome:
             i: of the hypothesis.
             batches: (k, width, width) of this hypothesis.
         """
-        k, n, inverse_root, point = len(batches), rb.N_THETA, self.roots[1][i], self._point
-        basis, W = self._problem.basis, point.W[i]
+        n, inverse_root, point = rb.N_THETA, self.roots[1][i], self._point
+        W = point.W[i]
         P = self._problem.maps(self._unknowns[i : i + 1])[0]
-        moments = mapped(P[0], batches)
         inverse = (inverse_root @ inverse_root) / self._scales[i]
         weighted = (inverse[:n, :n] @ point.WG[i].reshape(n, -1)).reshape(n, 3, N_X)
         moved = np.linalg.inv(W) @ weighted
-        shares: Array = moments[:, :N_X, :N_X].reshape(k, -1) @ (
-            (np.swapaxes(moved, 1, 2) @ weighted).reshape(n, -1).T
-        )
-        if basis.free:
-            TP = residual_maker(point.Q[i]) @ P[1:]
+        powers = (np.swapaxes(moved, 1, 2) @ weighted).reshape(n, -1).T
+        X, TP = P[0, :N_X], residual_maker(point.Q[i]) @ P[1:]
+
+        def some(batches: Array) -> Array:
+            of_theta: Array = (X @ batches @ X.T).reshape(len(batches), -1) @ powers
+            if not len(TP):
+                return of_theta
             bends = ((W @ TP) * (TP @ batches[:, None])).sum(axis=(2, 3))
-            shares = np.column_stack([shares, bends])
-        return shares
+            return np.column_stack([of_theta, bends])
+
+        return by_parts(some, batches)
 
     def take_step(self, largest: float) -> Mask:
         """Go on by a Gauss-Newton step where that is no longer than so many deviations.

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, by_parts
 from gcs_sysid.estimation.basis import RotorBasis
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotation import fitting_rotation
@@ -124,9 +124,13 @@ def _whiteness(
     if len(gains) < 2:
         return np.full(3, np.nan), np.full(3, np.nan)
     T = np.hstack([-Q, np.eye(3)])
-    pair = np.swapaxes(batches[:, :2], 0, 1)
-    here = basis.moments_at(pair, at)
-    plain, summed = np.einsum("ai,lkij,aj->lka", T, here, T)  # (k, 3) each: residual power
+    TP = T @ basis.map_at(at)
+
+    def power(some: Array) -> Array:
+        squares: Array = ((TP @ some) * TP).sum(axis=-1)
+        return squares
+
+    plain, summed = (by_parts(power, batches[:, leak]) for leak in (0, 1))  # (k, 3) of residuals
     of_speeds = np.einsum("ai,lij,aj->la", T, basis.noise_at(noise[:2], at), T)
     ratio = gains[1] / gains[0]
     # Of the plain power, what the speeds' noise does not explain is the gyro's.
