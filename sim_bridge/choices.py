@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.usage import not_negative, number, positive
+from gcs_sysid.usage import between, not_negative, positive
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,18 @@ class Span:
         """Whether it is on, t seconds after the start of the flight."""
         since = t - self.start
         return since >= 0.0 and (since % self.every if self.every else since) < self.length
+
+
+LATEST = 1e7
+"""s: beyond it no flight goes on; that is 115 days."""
+
+
+def moment(text: str) -> float:
+    """A type of value: s from the start of the flight, above zero."""
+    value = positive(text)
+    if value > LATEST:
+        raise argparse.ArgumentTypeError(f"must be at most {LATEST:g} s, got {text!r}")
+    return value
 
 
 def share(text: str) -> float:
@@ -113,7 +125,7 @@ def two(
 
 def seconds(text: str) -> float:
     """A type of value: s, of either sign."""
-    return number(text)
+    return between(-LATEST, LATEST, "s")(text)
 
 
 def parse_choice(text: str, kinds: Mapping[str, Kind], word: str) -> tuple[str, Any]:

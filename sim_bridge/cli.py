@@ -16,13 +16,13 @@ from gcs_sysid import __version__
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.reading import read_bytes
 from gcs_sysid.telemetry.tlog import read_tlog
-from gcs_sysid.usage import OneLineParser, not_negative, number, positive
+from gcs_sysid.usage import OneLineParser, between, not_negative, number, positive
 from sim_bridge import ardupilot
 from sim_bridge.answering import AnsweringAutopilot
 from sim_bridge.ardupilot import ArduPilot
 from sim_bridge.autopilot import BOOT_US, EPOCH_US
 from sim_bridge.bad_line import BadLine
-from sim_bridge.choices import message_number
+from sim_bridge.choices import message_number, moment
 from sim_bridge.line_faults import fault_help, make_faults, parse_fault
 from sim_bridge.links import Link, TlogLink, open_link
 from sim_bridge.manoeuvres import read_plan
@@ -58,7 +58,7 @@ def _rate(text: str) -> float:
 
 
 def _speed(text: str) -> float:
-    return math.inf if text == "max" else positive(text)
+    return math.inf if text == "max" else between(1e-3, 1e6, "times real time")(text)
 
 
 def _seed(text: str) -> int:
@@ -75,7 +75,7 @@ def _mass_step(text: str) -> Change:
     time, colon, factor = text.partition(":")
     if not colon:
         raise argparse.ArgumentTypeError(f"write T:FACTOR, such as 30:1.2, got {text!r}")
-    return mass_step(not_negative(time), positive(factor))
+    return mass_step(not_negative(time), between(0.01, 100.0, "times the mass")(factor))
 
 
 def _mission(text: str) -> str:
@@ -125,7 +125,7 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="NAME|PLAN.json",
         help=f"{', '.join(sorted(MISSIONS))}, or a plan of gcs-sysid plan --json (default: paper)",
     )
-    add("--duration", type=positive, metavar="S", help="s (default: the mission's length)")
+    add("--duration", type=moment, metavar="S", help="s (default: the mission's length)")
     add(
         "--mass-step",
         type=_mass_step,
@@ -136,7 +136,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add(
         "--turbulence",
-        type=not_negative,
+        type=between(0.0, 10.0, "rad/s"),
         metavar="W",
         help="body-rate wobble from gusts, rad/s rms (default: 0.02 in hover, else 0)",
     )
@@ -145,7 +145,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("--noise", choices=NOISE_MODELS, default="mems", help="sensor noise (default: mems)")
     add(
         "--sigma",
-        type=not_negative,
+        type=between(0.0, 100.0, "rad"),
         default=0.02,
         metavar="X",
         help="of paper and white noise, rad and rad/s (default: 0.02)",

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from gcs_sysid.usage import not_negative, number, positive
+from gcs_sysid.usage import between, not_negative, number
 from sim_bridge.choices import (
     Kind,
     Span,
@@ -87,7 +87,7 @@ KINDS: dict[str, Kind] = {
     "corrupt": Kind("share of frames with wrong bytes, or cut short", share, "SHARE", "0.02"),
     "bandwidth": Kind(
         "bytes/s that pass; half a second of them waits, what comes beyond is lost",
-        positive,
+        between(1.0, 1e9, "bytes/s"),
         "BYTES/S",
     ),
     "delay": Kind("all comes later by so much", milliseconds, "MS", "50"),

@@ -1,6 +1,7 @@
 """The loop that flies a mission and talks: paced by the clock, or as fast as it goes."""
 
 import json
+import math
 import os
 import sys
 import time
@@ -15,6 +16,8 @@ from sim_bridge.vehicle import Vehicle
 
 LISTEN_STEPS = 4
 """Physics steps between looks at what has arrived."""
+FASTEST = 250.0
+"""m/s that a vehicle can have and fly."""
 
 
 class Pacing(Protocol):
@@ -99,12 +102,17 @@ def fly(
         duration: s.
         pace: of the flight.
         truth: kept up to date.
+
+    Raises:
+        InputError: the vehicle does not stay up; what it sent until then has been sent.
     """
     progress = Progress(duration)
     steps = round(duration * 1e6 / simulation.step_us)
     for tick in range(steps + 1):
         if tick:
             simulation.step()
+            if tick % LISTEN_STEPS == 0:
+                _check_flies(simulation)
         frames = autopilot.poll(tick)
         if tick % LISTEN_STEPS == 0:
             pace.wait(simulation.time)
@@ -119,6 +127,16 @@ def fly(
             for link in links:
                 link.send(frames, stamp)
     progress.end()
+
+
+def _check_flies(simulation: Simulation) -> None:
+    """Stop a flight that no message could tell any more: speeds go up to 327 m/s in some."""
+    speed = math.hypot(*simulation.state.velocity)
+    if not speed < FASTEST:
+        raise InputError(
+            f"{simulation.time:.1f} s after the start the vehicle is out of control at over "
+            f"{FASTEST:g} m/s: its rotors cannot hold this mass, or the air is too rough"
+        )
 
 
 class Progress:

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from gcs_sysid.usage import not_negative, positive
+from gcs_sysid.usage import between, not_negative
 from sim_bridge.choices import (
     Kind,
     Span,
@@ -16,6 +16,7 @@ from sim_bridge.choices import (
     gather,
     message_number,
     milliseconds,
+    moment,
     parse_choice,
     seconds,
     share,
@@ -122,7 +123,9 @@ KINDS: dict[str, Kind] = {
         "MS",
         "4",
     ),
-    "accelerometer-bias": Kind("accelerometer bias on every axis", not_negative, "M/S2", "0.2"),
+    "accelerometer-bias": Kind(
+        "accelerometer bias on every axis", between(0.0, 1000.0, "m/s^2"), "M/S2", "0.2"
+    ),
     "attitude-nan": Kind("attitude reads NaN for so long", span, "FROM:S[:EVERY]"),
     "attitude-stuck": Kind("attitude stands still for so long", span, "FROM:S[:EVERY]"),
     "rotor-late": Kind(
@@ -136,22 +139,22 @@ KINDS: dict[str, Kind] = {
     "disorder": Kind(
         "share of frames sent after the one that follows them", share, "SHARE", "0.05"
     ),
-    "wrap-us": Kind("32-bit stamps in us wrap so long after the start", positive, "S", "10"),
+    "wrap-us": Kind("32-bit stamps in us wrap so long after the start", moment, "S", "10"),
     "wrap-ms": Kind(
         "32-bit stamps in ms wrap so long after the start, and those in us with them",
-        positive,
+        moment,
         "S",
         "10",
     ),
     "clock-drift": Kind("the vehicle's clock runs fast by so much", _ppm, "PPM", "8000"),
     "clock-jump": Kind(
         "the vehicle's clock is set ahead, or back, by so much",
-        two(positive, seconds, "FROM:S"),
+        two(moment, seconds, "FROM:S"),
         "FROM:S",
     ),
-    "reboot": Kind("the autopilot restarts so long after the start", positive, "S"),
+    "reboot": Kind("the autopilot restarts so long after the start", moment, "S"),
     "rate-reset": Kind(
-        "another ground station resets the rates so long after the start", positive, "S"
+        "another ground station resets the rates so long after the start", moment, "S"
     ),
     "never-sent": Kind(
         "this message is acknowledged and never comes; may be given again", _message, "MESSAGE"
@@ -162,7 +165,7 @@ KINDS: dict[str, Kind] = {
     "active-count": Kind(
         "ACTUATOR_OUTPUT_STATUS counts outputs that drive nothing, too", whole(32), "N", "16"
     ),
-    "ground": Kind("on the ground, disarmed, before and after each flight", positive, "S", "10"),
+    "ground": Kind("on the ground, disarmed, before and after each flight", moment, "S", "10"),
     "flights": Kind(
         "flights one after the other, with a stay on the ground between", whole(100), "N", "2"
     ),

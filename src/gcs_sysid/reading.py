@@ -1,8 +1,24 @@
 """Files that are read whole: not before their size is known to be bearable."""
 
+import stat
 from pathlib import Path
 
 from gcs_sysid.errors import InputError
+
+
+def check_regular(path: Path) -> None:
+    """See that a path leads to a file, which is as long as it says and ends.
+
+    A pipe that nobody writes to would hold the program up for ever, a device has no end.
+
+    Raises:
+        InputError: it leads to a pipe or a device.
+        OSError: it leads nowhere.
+    """
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise InputError(
+            f"{path} is a pipe or a device: save what it gives as a file, and give that"
+        )
 
 
 def read_bytes(path: Path, most: int, what: str) -> bytes:

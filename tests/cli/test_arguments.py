@@ -238,3 +238,23 @@ def test_no_vehicle_address(text):
         return
     with pytest.raises(argparse.ArgumentTypeError):
         arguments.vehicle_address(text)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="says it in other words")
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ("inspect", "x" * 3000),
+        ("analyze", *PAPER, "x" * 3000 + ".tlog"),
+        ("analyze", *PAPER, "a.tlog", "--json", f"{'x' * 3000}/a.json"),
+        ("export", "a.json", "--to", "urdf", "-o", "x" * 3000),
+        ("batch", *PAPER, "-o", "out", "x" * 3000),
+    ],
+)
+def test_what_the_system_cannot_look_up_is_no_defect_of_the_program(files, capsys, argv):
+    assert run(argv) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(ERROR)
+    assert "internal" not in said
+    assert "File name too long" in said
+    assert said.count("\n") == 1

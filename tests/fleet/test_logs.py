@@ -1,6 +1,8 @@
 """Which files are logs, and whose airframe."""
 
+import os
 import struct
+import sys
 
 import pytest
 
@@ -40,6 +42,14 @@ def test_what_begins_with_a_dot_is_passed_over(tmp_path):
 def test_a_path_that_is_not_there_is_told(tmp_path):
     with pytest.raises(InputError, match=r"gone: no such file or folder"):
         find_logs([tmp_path / "gone"])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such pipes there")
+def test_a_pipe_that_is_named_is_refused_and_one_in_a_folder_passed_over(tmp_path):
+    os.mkfifo(tmp_path / "a.tlog")
+    with pytest.raises(InputError, match="pipe or a device"):
+        find_logs([tmp_path / "a.tlog"])
+    assert find_logs([tmp_path]) == []
 
 
 def test_the_nearest_airframe_counts(tmp_path):

@@ -179,6 +179,14 @@ def test_unreadable_files(tmp_path):
         load_airframe(str(binary))
 
 
+def test_a_key_of_ten_thousand_parts_is_refused_at_once(tmp_path):
+    """For 40 kB of one tomllib needs 18 s."""
+    path = tmp_path / "quad.toml"
+    path.write_text("a." * 20_000 + "a = 1")
+    with pytest.raises(InputError, match=r"quad\.toml: a line with more than 1000 dots"):
+        load_airframe(str(path))
+
+
 @pytest.mark.parametrize("name", ANCHORS)
 def test_with_anchor_leaves_that_one_alone_in_force(name):
     airframe = load_airframe("paper").with_anchor(name, 3.0)

@@ -135,6 +135,14 @@ def test_a_payload_nobody_weighed_is_suspected():
     assert any("is not 1.5 kg but about 1.875 kg" in note for note in comparison.notes)
 
 
+@pytest.mark.parametrize("values", [(1.0, 0.0), (0.0, 1.0)])
+def test_rotors_without_thrust_suggest_no_mass_that_divides_by_it(values):
+    before, after = values
+    comparison = compare(result(k_T=before), result(k_T=after, source="b"))
+    assert comparison.differences["k_T"].verdict == "changed"
+    assert not any("about 0 kg" in note or "nan" in note for note in comparison.notes)
+
+
 def test_other_rotors_are_another_vehicle():
     hexa = result(airframe=load_airframe("px4-hexa-x"), source="b.tlog")
     with pytest.raises(InputError, match=r"a\.tlog has 4 rotors, b\.tlog has 6"):

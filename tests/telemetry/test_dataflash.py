@@ -8,6 +8,7 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.records import Record, Stream
+from gcs_sysid.telemetry import dataflash_format
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.logs import open_log
 
@@ -261,3 +262,12 @@ def test_one_flight_recorded_both_ways_agrees(shared_logs):
     assert onboard[Stream.ROTOR_COMMAND, "RCOU"][0].values == (1000.0,) * 4
     landing = [max(r.t for r in w[Stream.IN_AIR, ""] if r.values == (1.0,)) for w in ways]
     assert landing[0] == pytest.approx(landing[1], abs=1.0)
+
+
+def test_a_log_larger_than_any_card_holds_is_not_read(tmp_path):
+    path = tmp_path / "sparse.bin"
+    with open(path, "wb") as file:
+        file.write(dataflash_format.HEAD)
+        file.truncate(dataflash_format.MOST_BYTES + 1)
+    with pytest.raises(InputError, match=r"too large for an ArduPilot log: 4,294,967,297 bytes"):
+        open_log(path)

@@ -1,7 +1,10 @@
 """One door to every kind of recording, told by content; every ground station's .tlog."""
 
+import os
 import random
 import struct
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -197,3 +200,19 @@ def test_missing_files_and_folders_give_one_line(tmp_path):
         open_log(tmp_path / "missing.ulg")
     with pytest.raises(InputError, match="is a folder"):
         open_log(tmp_path)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such pipes there")
+def test_a_pipe_that_nobody_writes_to_holds_nothing_up(tmp_path):
+    for name in ("a.tlog", "a.ulg", "a.bin"):
+        os.mkfifo(tmp_path / name)
+        with pytest.raises(InputError, match="pipe or a device"):
+            open_log(tmp_path / name)
+    with pytest.raises(InputError, match="pipe or a device"):
+        read_tlog(tmp_path / "a.tlog")
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no such device there")
+def test_a_device_is_no_log():
+    with pytest.raises(InputError, match="pipe or a device"):
+        open_log(Path("/dev/zero"))

@@ -7,6 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from gcs_sysid.telemetry import tlog_scan
 from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, counts_of
 from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.tlog_scan import ScanCounts, Scanner
@@ -111,6 +112,33 @@ def test_windows_of_any_size_give_the_same_frames_times_and_counts(raws, seed):
     whole = scan(bytes(data))
     for window in (300, 1000, 4096):
         assert scan(bytes(data), window) == whole
+
+
+@pytest.mark.parametrize("garbage", range(900, 1060, 8))
+def test_long_garbage_is_judged_alike_by_windows_of_any_size(raws, garbage, monkeypatch):
+    monkeypatch.setattr(tlog_scan, "ALONE", 1000)
+    stamps = times(30)
+    stamps[10] ^= 1 << 28  # the last before the garbage: damaged, if its neighbours are asked
+    data = as_log(raws[:11], stamps[:11]) + b"\x55" * garbage + as_log(raws[11:30], stamps[11:])
+    data += bytes(3000)
+    whole = scan(data)
+    assert whole[2].garbage_bytes == garbage + 3000
+    assert whole[2].repaired_times == (garbage < 1000)
+    for window in (300, 1000, 1001, 4096):
+        assert scan(data, window) == whole
+
+
+@pytest.mark.parametrize("behind", ["one", "many"])
+def test_garbage_without_end_after_a_frame_is_read_in_little_memory(raws, behind):
+    """As a disk leaves it on which a power cut met a file that had been given its room."""
+    scanner, rest, longest = Scanner(), as_log(raws[: 1 if behind == "one" else 20]), 0
+    for _ in range(100):
+        block, done = scanner.scan(rest := rest + bytes(2**17), final=False)
+        rest = rest[done:]
+        longest = max(longest, len(rest))
+        del block
+    assert longest < tlog_scan.ALONE + 2**18
+    assert scanner.counts.frames == (1 if behind == "one" else 20)
 
 
 def test_a_whole_type_of_another_definition_keeps_the_chain(sender):

@@ -2,6 +2,7 @@
 
 import math
 import random
+import time
 
 import numpy as np
 import pytest
@@ -201,3 +202,15 @@ def test_one_flight_recorded_both_ways_gives_the_same_records(shared_logs):
     }
     for end in (min, max):
         assert end(flying["tlog"]) == pytest.approx(end(flying["ulg"]), abs=0.6)
+
+
+def test_zeros_at_the_end_as_a_power_cut_leaves_them_cost_no_time(tmp_path, path):
+    """pyulog needs two seconds for each megabyte of them."""
+    padded = tmp_path / "padded.ulg"
+    padded.write_bytes(path.read_bytes())
+    with open(padded, "ab") as file:
+        file.truncate(file.tell() + 2**28)
+    begin = time.process_time()
+    recording = read_ulog(padded)
+    assert time.process_time() - begin < 5.0
+    assert recording.counts == read_ulog(path).counts

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from gcs_sysid import __version__
 from gcs_sysid.cli import arguments, setup_options
 from gcs_sysid.errors import GcsSysidError
+from gcs_sysid.plain import one_line
 from gcs_sysid.usage import OneLineParser
 
 PROGRAM = "gcs-sysid"
@@ -164,9 +165,14 @@ def run(argv: Sequence[str]) -> int:
         # A defect. The user gets one line; whoever mends it sets GCS_SYSID_DEBUG.
         if os.environ.get("GCS_SYSID_DEBUG"):
             raise
+        if isinstance(error, OSError) and error.filename is not None:
+            # The machine's: a folder that may not be looked into, a name that is too long.
+            said = one_line(f"{error.filename}: {error.strerror}")
+            print(f"{PROGRAM}: error: {said}", file=sys.stderr)
+            return USAGE
         kind = type(error).__name__
         print(
-            f"{PROGRAM}: error: internal error ({kind}: {error}); "
+            f"{PROGRAM}: error: internal error ({kind}: {one_line(str(error))}); "
             "please report it, with GCS_SYSID_DEBUG=1 set",
             file=sys.stderr,
         )

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.reading import check_regular
 from gcs_sysid.telemetry import dataflash_format, ulog
 from gcs_sysid.telemetry.frames import Validity, read_frame
 from gcs_sysid.telemetry.tlog_scan import STAMP
@@ -36,6 +37,8 @@ def find_logs(paths: Iterable[Path]) -> list[Path]:
     for path in paths:
         if not path.exists():
             raise InputError(f"{path}: no such file or folder")
+        if not path.is_dir():
+            check_regular(path)
         for log in _in_folder(path) if path.is_dir() else [path]:
             found.setdefault(log.resolve(), log)
     return list(found.values())

@@ -30,6 +30,8 @@ PRIORS = (
 
 _MOST_BYTES = 1_000_000
 """A file beyond this describes no airframe."""
+_MOST_DOTS = 1000
+"""In a line, where 64 rotors have some 200: tomllib needs the cube of a dotted key's parts."""
 
 MOST_ARM = 100.0
 """m; a rotor further out than this is a slip of the pen."""
@@ -213,6 +215,8 @@ def read_airframe_table(name_or_path: str) -> tuple[dict[str, Any], str]:
                 + ", ".join(builtin_names())
             )
         text = read_text(path, _MOST_BYTES, "the airframe file")
+    if any(line.count(".") > _MOST_DOTS for line in text.splitlines()):
+        raise InputError(f"{where}: a line with more than {_MOST_DOTS} dots is no airframe's")
     try:
         return tomllib.loads(text), where
     except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError

@@ -261,7 +261,10 @@ def _suspicion(mass: float, found: Mapping[str, Difference]) -> Iterable[str]:
         thrust = found.get(name)
         if thrust is None or thrust.verdict != "changed":
             continue
-        ratio = _value(thrust.before) / _value(thrust.after)
+        before, after = _value(thrust.before), _value(thrust.after)
+        if before <= 0.0 or after <= 0.0:
+            continue  # no mass makes up for rotors without thrust
+        ratio = before / after
         yield (
             f"{name} changed at the masses given: either rotors, air or battery did, or the mass "
             f"of B is not {mass:.4g} kg but about {mass * ratio:.4g} kg"

@@ -16,6 +16,8 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 
 HEAD = b"\xa3\x95"
+MOST_BYTES = 2**32
+"""Of a log, which is read whole: the cards that autopilots write to hold no larger file."""
 _FMT = 0x80
 _FMT_SIZE = 89
 _HEADER = 3
@@ -57,9 +59,14 @@ class DataflashLog:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
+            size = path.stat().st_size
+            if size > MOST_BYTES:
+                raise InputError(f"{path}: too large for an ArduPilot log: {size:,} bytes")
             self._data = path.read_bytes()
         except OSError as error:
             raise InputError(f"cannot read {path}: {error.strerror}") from error
+        except MemoryError as error:
+            raise InputError(f"{path}: too large for this machine's memory") from error
         self.garbage_bytes = 0
         self._types: dict[int, EntryType] = {}
         self._places = self._find()

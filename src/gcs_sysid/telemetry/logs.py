@@ -18,6 +18,7 @@ import numpy as np
 
 from gcs_sysid.columns import IntakeEvent, RecordBlock
 from gcs_sysid.errors import InputError
+from gcs_sysid.reading import check_regular
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.telemetry import dataflash_format, ulog
 from gcs_sysid.telemetry.clock import ClockDrift
@@ -285,6 +286,7 @@ def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
     try:
         if path.is_dir():
             raise InputError(f"{path} is a folder: give a .tlog, .ulg or .bin file")
+        check_regular(path)
         with open(path, "rb") as file:
             head = file.read(len(ulog.MAGIC))
     except OSError as error:

@@ -10,6 +10,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
+from gcs_sysid.reading import check_regular
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame, find_frame
 from gcs_sysid.telemetry.message_arrays import message_arrays
@@ -44,6 +45,7 @@ class TlogReader:
         try:
             if self.path.is_dir():
                 raise InputError(f"{self.path} is a folder: give a .tlog file")
+            check_regular(self.path)
             size = self.path.stat().st_size
             with open(self.path, "rb") as file:
                 head = file.read(HEAD)

@@ -44,6 +44,8 @@ CLOCK_STEP = 60_000_000
 other, is damaged."""
 FAR_STEP = 86_400_000_000
 """us. The same where there is only one neighbour."""
+ALONE = 2**20
+"""Bytes of garbage after which no neighbour is waited for, however long it goes on."""
 
 _IDS = max(CRC_EXTRA) + 2
 _EXTRA = np.full(_IDS, -1, np.int16)
@@ -113,21 +115,21 @@ class Scanner:
             if len(at) and _is_cut_short(content[behind:]):
                 self.counts.cut_short = rest
             self._hunting = hunting and not len(at)
-        elif len(at):
+        elif len(at) and limit - STAMP - behind < ALONE:
             # The last frame comes again: its time is judged with its neighbour's.
             kept, done, rest = len(at) - 1, int(start[-1]), 0
             self._hunting = hunting and done == 0
         else:
-            kept = 0
-            done = rest = max(limit - STAMP, 0)
+            kept, done = len(at), max(limit - STAMP, 0)
+            rest = done - behind
             self._hunting = hunting or done > 0
         gaps = start - before
         counts = self.counts
         counts.garbage_bytes += int(gaps.sum()) + rest
         counts.resyncs += int(np.count_nonzero(gaps))
-        if hunting and not self._hunting and gaps[:1].sum() == 0:
+        if hunting and len(at) and done and not gaps[0]:
             counts.resyncs += 1  # found where the piece begins
-        time_us, damaged = self._times(data, at, at - before >= STAMP, kept)
+        time_us, damaged = self._times(data, at, gaps, at - before >= STAMP, kept)
         counts.repaired_times += damaged
         head = head.first(kept)
         block = FrameBlock(
@@ -150,8 +152,18 @@ class Scanner:
         counts.unknown += int(np.count_nonzero(block.validity == UNKNOWN))
         return block, done
 
-    def _times(self, data: Array, at: Array, stamped: Mask, kept: int) -> tuple[Array, int]:
-        """(kept,) uint64 record times, and how many of them were damaged."""
+    def _times(
+        self, data: Array, at: Array, gaps: Array, stamped: Mask, kept: int
+    ) -> tuple[Array, int]:
+        """(kept,) uint64 record times, and how many of them were damaged.
+
+        Args:
+            data: the piece.
+            at: (n,) where its frames begin.
+            gaps: (n,) bytes of garbage before each record.
+            stamped: (n,) which have a whole time before them.
+            kept: how many of them are decided.
+        """
         time_us = np.zeros(len(at), np.uint64)
         time_us[stamped] = rows_of(data, at[stamped] - STAMP, STAMP).view(">u8")[:, 0]
         if not kept:
@@ -159,7 +171,9 @@ class Scanner:
         around = np.full(len(at) + 2, np.nan)
         around[0] = self._behind_us
         around[1:-1] = np.where(stamped, time_us, np.nan)
-        past, here, ahead = around[:-2], around[1:-1], around[2:]
+        past, here, ahead = around[:-2], around[1:-1], around[2:].copy()
+        # So that windows of any size judge alike.
+        ahead[:-1][gaps[1:] >= ALONE] = np.nan
         spike = (abs(here - past) > CLOCK_STEP) & (abs(here - ahead) > CLOCK_STEP)
         spike &= abs(ahead - past) <= CLOCK_STEP
         # The first and the last of a file have one neighbour, which must not be far away.

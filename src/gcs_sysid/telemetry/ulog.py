@@ -31,6 +31,10 @@ from gcs_sysid.telemetry.tracks import Recording
 MAGIC = b"ULog\x01\x12\x35"
 _ENTRY_HEAD = 3
 """Bytes before the content of an entry."""
+_ZEROS = 2**16
+"""Bytes of zeros that are kept at the end: as many as an entry can hold."""
+_PIECE = 2**20
+"""Bytes looked at together."""
 
 _TOPICS = [
     "sensor_combined", "estimator_sensor_bias", "vehicle_attitude", "vehicle_local_position",
@@ -90,7 +94,7 @@ def _load(path: Path) -> ULog:
     said = io.StringIO()  # pyulog prints what it finds wrong
     try:
         with open(path, "rb") as file, contextlib.redirect_stdout(said):
-            return ULog(_Handle(file), _TOPICS)
+            return ULog(_Handle(_without_zeros(file)), _TOPICS)
     except OSError as error:
         if error.errno == errno.EINVAL:  # pyulog went back by a damaged length, out of the file
             raise InputError(f"{path} cannot be read as a PX4 log: it is damaged") from error
@@ -100,6 +104,23 @@ def _load(path: Path) -> ULog:
         OverflowError, RecursionError, MemoryError,
     ) as error:  # fmt: skip
         raise InputError(f"{path} cannot be read as a PX4 log: {error}") from error
+
+
+def _without_zeros(file: BinaryIO) -> BinaryIO:
+    """A log without the zeros behind it, as a power cut leaves them.
+
+    pyulog takes every three of them for a message: two seconds a megabyte.
+    """
+    size = end = file.seek(0, io.SEEK_END)
+    content = b""
+    while end and not content:
+        start = max(end - _PIECE, 0)
+        file.seek(start)
+        content = file.read(end - start).rstrip(b"\0")
+        end = start
+    file.seek(0)
+    kept = end + len(content) + _ZEROS
+    return file if size <= kept else io.BytesIO(file.read(kept))
 
 
 class _Handle:
