@@ -200,6 +200,16 @@ def test_blocks_make_what_single_frames_make(tmp_path, make_sender, seed):
     compare(path, window, [None, None, (2, None), (9, 1)][seed // 4 % 4], rng)
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_blocks_go_over_from_a_stray_heartbeat_to_the_vehicle_alike(tmp_path, make_sender, seed):
+    path = tmp_path / "stray.tlog"
+    stray = struct.pack(">Q", START - 4000) + make_sender(66, 1).heartbeat().raw
+    path.write_bytes(stray + log_of(make_sender, seed, [0.0, 0.01][seed % 2], 3000))
+    made = compare(path, [3000, 1 << 20][seed % 4 // 2], None, random.Random(seed))
+    told = [event.text for block in made for _, event in block.events if event.kind == "vehicles"]
+    assert sum("the first heard, sends nothing but heartbeats" in text for text in told) == 1
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_sequence_numbers_are_counted_alike(seed):
     rng = random.Random(seed)

@@ -3,6 +3,7 @@
 import math
 import random
 
+import numpy as np
 import pytest
 
 from gcs_sysid.records import Stream
@@ -71,6 +72,52 @@ def test_records_come_from_the_chosen_vehicle_alone(make_sender):
     )
     assert [event.kind for event in intake.take_events()] == ["vehicle", "vehicles"]
     assert intake.take_events() == []
+
+
+def stray_and_vehicle(make_sender, seconds, before=()):
+    """Heartbeats of 66:1 and all of 1:1, the stray one first, with more frames after it."""
+    stray, vehicle = make_sender(66, 1), make_sender(1, 1)
+    frames = [stray.heartbeat(), *before]
+    for i in range(round(100 * seconds)):
+        if i % 100 == 0:
+            frames += [stray.heartbeat(), vehicle.heartbeat()]
+        frames.append(vehicle.imu(5.0 + 0.01 * i))
+    return frames
+
+
+def test_a_stray_heartbeat_is_not_the_vehicle_for_long(make_sender):
+    intake = Intake()
+    records = intake.frames(stray_and_vehicle(make_sender, 5.0))
+    assert intake.vehicle.address == (1, 1)
+    times = [record.t for record in records if record.stream is Stream.IMU]
+    assert times == pytest.approx(7.0 + 0.01 * np.arange(300))  # from its third heartbeat on
+    assert intake.monitor.lost == 0
+    assert [event.text for event in intake.take_events()] == [
+        "PX4 quadrotor 66:1 heard",
+        "more than one vehicle speaks: PX4 quadrotor 1:1 too; using PX4 quadrotor 66:1, the first "
+        "heard (choose with --vehicle 1:1)",
+        "PX4 quadrotor 66:1, the first heard, sends nothing but heartbeats: using PX4 quadrotor "
+        "1:1, whose IMU data come",
+    ]
+
+
+def test_a_vehicle_that_tells_something_stays_the_vehicle_and_the_other_is_named(make_sender):
+    intake = Intake()
+    level = make_sender(66, 1).attitude(3.0)
+    intake.frames(stray_and_vehicle(make_sender, 5.0, [level]))
+    assert intake.vehicle.address == (66, 1)
+    (problem,) = intake.problems
+    assert problem == (
+        "PX4 quadrotor 1:1 sent 505 messages, PX4 quadrotor 66:1, the first heard, 7: choose it "
+        "with --vehicle 1:1"
+    )
+
+
+def test_a_vehicle_that_the_user_chose_stays_the_vehicle(make_sender):
+    intake = Intake((66, None))
+    intake.frames(stray_and_vehicle(make_sender, 5.0))
+    assert intake.vehicle.address == (66, 1)
+    assert intake.problems == ()
 
 
 def test_another_vehicle_on_the_link_is_told_once_with_what_to_do(make_sender):

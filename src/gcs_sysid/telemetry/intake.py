@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.columns import IntakeEvent, RecordBlock
 from gcs_sysid.records import Record, Stream
 from gcs_sysid.telemetry.block_decode import BlockDecoder
@@ -29,6 +29,8 @@ _heartbeat = picker("HEARTBEAT", "type", "autopilot", "base_mode")
 _RARE = [MESSAGE_IDS[name] for name in ("HEARTBEAT", "EXTENDED_SYS_STATE", "PARAM_VALUE")]
 _MOST_OTHERS_TOLD = 4
 """Vehicles that are told of one by one; a hostile sender can make up hundreds."""
+_MORE = 3
+"""Times the messages of the chosen vehicle, from which another is told of when all is not well."""
 _LEAST_SINGLE = 64
 """Frames taken one by one where a block cannot be read at once; doubled while that goes on."""
 
@@ -108,8 +110,13 @@ class Intake:
             if chosen is not None and (frame.system, frame.component) == chosen.address:
                 self.monitor.take_chosen(frame, self.clock)
             return None
-        known = self.selector.chosen is not None
+        first = self.selector.chosen
+        known = first is not None
         is_chosen = self.selector.take(frame)
+        if first is not None and not is_chosen and self.clock is None:
+            is_chosen = self.selector.go_over(frame)
+            if is_chosen:
+                self._begin_anew(first)
         if frame.message_id == _HEARTBEAT:
             self._hear(frame)
         if not is_chosen:
@@ -148,15 +155,22 @@ class Intake:
         out = TrackCollector()
         at, single = 0, _LEAST_SINGLE
         while at < len(frames):
-            done = self._take_block(frames.part(at, len(frames)), out)
+            done = 0
+            if not self._is_doubtful:
+                done = self._take_block(frames.part(at, len(frames)), out)
             at += done
             # Most often one frame is unusual, but it may be all of them.
             single = 2 * single if done < single else _LEAST_SINGLE
             if self.selector.chosen is None:  # a heartbeat comes, perhaps that of the vehicle
                 single = 1
+            elif self._is_doubtful:
+                single = len(frames)
+            doubtful = self._is_doubtful
             for time_us, frame in frames.part(at, at + single):
                 self._take_single(frames.number + at, time_us, frame, out)
                 at += 1
+                if doubtful and self.clock is not None:
+                    break
         block = out.block()
         for track in block.tracks:
             if track.stream is Stream.ROTOR_SPEED:
@@ -172,12 +186,19 @@ class Intake:
             stop = int(np.argmax(marks))
             frames, good = frames.part(0, stop), good[:stop]
         beats = good & (frames.message_id == _HEARTBEAT)
+        if chosen is not None and self.clock is None:
+            # Another vehicle's heartbeat: which of them is meant, is decided frame by frame.
+            others = beats & ~self._from(frames, chosen)
+            stop = int(np.argmax(others)) if others.any() else len(frames)
+            frames, good, beats = frames.part(0, stop), good[:stop], beats[:stop]
+            if not stop:
+                return 0
         if chosen is None:
             stop = int(np.argmax(beats)) if beats.any() else len(frames)
             self._count(frames.part(0, stop))
             self.fates["others"] += int(np.count_nonzero(good[:stop]))
             return stop
-        chosens = (frames.system == chosen.system) & (frames.component == chosen.component)
+        chosens = self._from(frames, chosen)
         others = good & ~chosens
         good &= chosens
         dropped = self.decoder.dropped_messages
@@ -216,6 +237,11 @@ class Intake:
         self.fates.update(fates, others=int(np.count_nonzero(others[:stop])))
         self.drift.take_block(now[made], frames.time_us[made] * 1e-6)
         return stop
+
+    @staticmethod
+    def _from(frames: FrameBlock, vehicle: Vehicle) -> Mask:
+        mask: Mask = (frames.system == vehicle.system) & (frames.component == vehicle.component)
+        return mask
 
     def _count(self, frames: FrameBlock) -> None:
         self.monitor.take_block(frames.validity)
@@ -257,8 +283,44 @@ class Intake:
         }
 
     @property
+    def _is_doubtful(self) -> bool:
+        """Whether the chosen vehicle has told nothing yet, and there is another one."""
+        told = self.selector.chosen is None or self.clock is not None
+        return not told and len(self.selector.autopilots) > 1
+
+    def _begin_anew(self, first: Vehicle) -> None:
+        """Another vehicle is the chosen one: of the first there were heartbeats alone."""
+        self._others.add(first.address)  # told of here
+        self.decoder = BlockDecoder()
+        self._contradictions = Contradictions()
+        self.monitor.begin_anew()
+        self._note(
+            "vehicles",
+            f"{first}, the first heard, sends nothing but heartbeats: "
+            f"using {self.vehicle}, whose IMU data come",
+        )
+
+    @property
     def problems(self) -> tuple[str, ...]:
         """Why what comes may not be the vehicle's, one line each."""
+        return (*self._contradicting, *self._others_told_more)
+
+    @property
+    def _others_told_more(self) -> tuple[str, ...]:
+        chosen, frames = self.selector.chosen, self.selector.frames
+        if chosen is None or self.selector.wanted is not None:
+            return ()
+        most = max(self.selector.autopilots, key=lambda each: frames[each.address], default=chosen)
+        if frames[most.address] <= _MORE * frames.get(chosen.address, 0):
+            return ()
+        return (
+            f"{most} sent {frames[most.address]} messages, {chosen}, the first heard, "
+            f"{frames.get(chosen.address, 0)}: choose it with --vehicle "
+            f"{most.system}:{most.component}",
+        )
+
+    @property
+    def _contradicting(self) -> tuple[str, ...]:
         if not self._contradictions.found:
             return ()
         return (
@@ -278,7 +340,7 @@ class Intake:
         vehicle_type, autopilot, mode = _heartbeat(heartbeat.payload)
         armed = bool(mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         if self._contradictions.take(vehicle_type, autopilot, armed=armed):
-            self._note("senders", *self.problems)
+            self._note("senders", *self._contradicting)
 
     def _note_other(self, chosen: Vehicle, who: tuple[int, int]) -> None:
         """Tell of a vehicle that could be meant as well, when the user chose none."""

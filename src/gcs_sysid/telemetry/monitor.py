@@ -171,6 +171,12 @@ class Monitor:
         self.unknown += counts.get(UNKNOWN, 0)
         self.bad_crc += counts.get(BAD_CRC, 0)
 
+    def begin_anew(self) -> None:
+        """From now on another vehicle is the chosen one; what came of all goes on."""
+        self.heard = 0
+        self._counts.clear()
+        self._sequence = SequenceCount()
+
     def take_chosen(self, frame: Frame, now: float | None) -> None:
         """Count a frame of the chosen vehicle; `now` is its clock after that frame."""
         if frame.valid is not Validity.BAD_CRC:

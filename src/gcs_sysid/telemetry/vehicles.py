@@ -8,7 +8,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import counts_of
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.messages import picker
+from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 
 _heartbeat = picker("HEARTBEAT", "type", "autopilot")
 
@@ -17,6 +17,10 @@ MOST_SYSTEMS = 256
 
 RADIO = (51, 68)
 """(sysid, compid) of SiK telemetry radios: they add RADIO_STATUS to what they carry."""
+_INERTIAL = {MESSAGE_IDS[name] for name in ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU")}
+_BEATS, _SAMPLES = 3, 20
+"""Heartbeats and inertial messages of one that speaks, after which one that told nothing in all
+that time is not the vehicle. Autopilots send a heartbeat a second, and answer a request in less."""
 _EVERYBODY = 0
 """The system that every vehicle is meant by; none has that number."""
 
@@ -110,6 +114,8 @@ class Vehicle:
 class VehicleSelector:
     """Chooses the vehicle: the one wanted, else the first autopilot that sends a heartbeat.
 
+    That may be a stray heartbeat's: see `go_over`.
+
     Attributes:
         chosen: the vehicle, None until it has sent a heartbeat.
         systems: (sysid, compid) -> all that was heard, in the order heard.
@@ -122,6 +128,7 @@ class VehicleSelector:
         self.systems: dict[tuple[int, int], Vehicle] = {}
         self.frames: dict[tuple[int, int], int] = {}
         self.wanted = wanted
+        self._shown: dict[tuple[int, int], tuple[int, int]] = {}
 
     def take(self, frame: Frame) -> bool:
         """Note a frame whose checksum is right; True when it is the chosen vehicle's."""
@@ -162,6 +169,27 @@ class VehicleSelector:
         vehicle_type, autopilot = _heartbeat(heartbeat.payload)
         who = (heartbeat.system, heartbeat.component)
         self._hear(Vehicle(*who, vehicle_type, autopilot, heartbeat.version))
+
+    def go_over(self, frame: Frame) -> bool:
+        """Choose the sender of a frame instead of a vehicle that tells nothing.
+
+        Call it, while the chosen one has told nothing but heartbeats, for all frames of others.
+
+        Returns:
+            Whether the frame was what the decision took.
+        """
+        who = (frame.system, frame.component)
+        other = self.systems.get(who)
+        if self.wanted is not None or other is None or not other.is_autopilot:
+            return False
+        beats, samples = self._shown.get(who, (0, 0))
+        beats += frame.message_id == MESSAGE_IDS["HEARTBEAT"]
+        samples += frame.message_id in _INERTIAL
+        self._shown[who] = beats, samples
+        if beats < _BEATS or samples < _SAMPLES:
+            return False
+        self.chosen = other
+        return True
 
     @property
     def autopilots(self) -> list[Vehicle]:
