@@ -213,7 +213,7 @@ def make_parser() -> argparse.ArgumentParser:
         help="send this recording again, its frames as they are, at its own pace times --speed",
     )
     add("--tlog", type=Path, metavar="FILE", help="write the flight straight to a .tlog")
-    add("--force", action="store_true", help="replace the .tlog if there is one")
+    add("--force", action="store_true", help="replace .tlog and truth file if there are any")
     add("--truth", type=Path, metavar="FILE", help="write the true parameters as JSON")
     # However a program that starts this one ends, its pipe closes.
     parser.add_argument(
@@ -256,6 +256,7 @@ def run(args: argparse.Namespace) -> None:
             autopilot.set_parameter(name, value)
         except KeyError:
             raise InputError(f"--param: {args.autopilot} here has no {name!r}") from None
+    _check_truth(args)
     truth = TruthFile(args.truth, simulation, autopilot)
     links: list[Link] = []
     try:
@@ -272,6 +273,16 @@ def run(args: argparse.Namespace) -> None:
     finally:
         for link in links:
             link.close()
+
+
+def _check_truth(args: argparse.Namespace) -> None:
+    """See that the truth file takes no other file's place unasked."""
+    if args.truth is None:
+        return
+    if args.tlog is not None and args.truth.resolve() == args.tlog.resolve():
+        raise InputError("--tlog and --truth name the same file")
+    if args.truth.exists() and not args.force:
+        raise InputError(f"{args.truth} exists; --force replaces it")
 
 
 def _play(args: argparse.Namespace) -> None:

@@ -235,3 +235,17 @@ def test_quaternion_and_rotation_agree() -> None:
         c(0.1) * s(-0.2) * c(2.0) + s(0.1) * s(2.0),
     )
     np.testing.assert_allclose(rotate_to_body(q, (1.0, 0.0, 0.0)), expected, atol=1e-12)
+
+
+def test_a_truth_file_takes_no_other_files_place_unasked(tmp_path: Path, capsys: Any) -> None:
+    log, truth = tmp_path / "f.tlog", tmp_path / "t.json"
+    truth.write_text("mine")
+    fly = ["--tlog", str(log), "--duration", "0.1", "--truth"]
+    assert main([*fly, str(truth)]) == 2
+    assert "t.json exists; --force replaces it" in capsys.readouterr().err
+    assert truth.read_text() == "mine"
+    assert not log.exists()
+    assert main([*fly, str(log), "--force"]) == 2
+    assert "name the same file" in capsys.readouterr().err
+    assert main([*fly, str(truth), "--force"]) == 0
+    assert json.loads(truth.read_text())["mass"] == 1.5
