@@ -147,6 +147,20 @@ def test_accelerometer_gives_no_drag():
     assert verdict(values)[0] == "identified"
 
 
+@pytest.mark.parametrize("told", ["gyro's low-pass", "rotors ahead of the IMU"])
+def test_drag_is_doubted_where_the_attitude_is_late(told):
+    tau, quickness, sharp = 0.011, 7.0, spread(0.003)
+    source = replace(TRANSLATION, quickness=quickness)
+    lateness = tau
+    if told == "rotors ahead of the IMU":
+        lateness, sharp = 0.0, replace(sharp, coordinates=np.array([-tau, 0.0, 0.0]))
+    values = physical_parameters(Anchor("mass", MASS), sharp, source, ARM, lateness=lateness)
+    std = MASS * np.hypot(TRANSLATION.delta_std, tau * quickness)
+    assert values["linear_drag"].std == pytest.approx(std)
+    on_time = physical_parameters(Anchor("mass", MASS), ROTATION, source, ARM)
+    assert on_time["linear_drag"].std == pytest.approx(MASS * TRANSLATION.delta_std)
+
+
 def parameters(**statuses):
     given = dict.fromkeys(CORE, "identified") | {"mass": "given"} | statuses
     return {n: Value(1.0, 0.1, s) for n, s in given.items()}

@@ -186,6 +186,31 @@ def test_attitude_errors_count_as_far_as_the_horizontal_axes_show_them(tilt, sha
         assert abs(fit.kappa - kappa) < 1.2 * fit.kappa_std
 
 
+@pytest.mark.parametrize("late", [0.0, 0.01])
+def test_a_late_attitude_looks_like_so_much_drag(late):
+    rng, t, kappa = np.random.default_rng(2), np.arange(0.0, 120.0, 0.02), 1.4e-4
+    pace, phase = rng.uniform(1.0, 4.0, (2, 12)), rng.uniform(0.0, 6.28, (2, 12))
+
+    def tilts(at):
+        return 0.03 * np.sin(pace[..., None] * at + phase[..., None]).sum(axis=1)
+
+    acceleration = 9.81 * tilts(t)
+    velocity = -9.81 * 0.03 * (np.cos(pace[..., None] * t + phase[..., None]) / pace[..., None])
+    rows = np.zeros((3, len(t), 4))
+    rows[:2, :, 0] = -tilts(t - late) * 9.81 / kappa
+    rows[2, :, 0] = 9.81 / kappa
+    rows[:2, :, 1] = velocity.sum(axis=1)
+    rows[2, :, 1] = 0.01 * rng.standard_normal(len(t))
+    rows[..., 2] = 1.0
+    rows[:2, :, 3] = acceleration
+    rows[2, :, 3] = -9.81 + 0.3 * rng.standard_normal(len(t))
+    moments = Moments((3, 4, 4), 40)
+    moments.add(rows)
+    fit = translation.fit_momentum(moments.batches, moments.counts)
+    assert fit.quickness == pytest.approx((acceleration**2).sum() / (rows[:2, :, 1] ** 2).sum())
+    assert fit.delta == pytest.approx(late * fit.quickness, rel=0.1, abs=1e-3)
+
+
 def test_without_velocity_the_accelerometer_serves(truth, flight):
     bias = 0.03
     blind = replace(

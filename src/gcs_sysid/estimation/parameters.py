@@ -121,6 +121,7 @@ def physical_parameters(
     known: Mapping[str, Known] | None = None,
     rotor_input: RotorInput = "speed",
     coupling: Coupling | None = None,
+    lateness: float = 0.0,
 ) -> dict[str, Value]:
     """Physical parameters of the fits, at the anchor's scale.
 
@@ -135,6 +136,7 @@ def physical_parameters(
         known: priors on mass and k_T; those on the rotation are in its fit.
         rotor_input: what the fits are relative to.
         coupling: whether the vehicle moves like a rigid body.
+        lateness: s, known delay of the gyro, and so of the attitude.
     """
     thrust = "k_T" if rotor_input == "speed" else "T_max"
     own = ("k_T", "k_M") if rotor_input == "speed" else ("T_max", "thrust_curve")
@@ -168,7 +170,10 @@ def physical_parameters(
     if anchor.kind in out and anchor.std == 0.0:
         out[anchor.kind] = Value(anchor.value, 0.0, "given")
     if translation is not None and scale.mass is not None and math.isfinite(translation.delta):
-        drag, std = scale.mass * translation.delta, scale.mass * translation.delta_std
+        if rotor_input == "speed" and rotation is not None:
+            lateness += max(-float(rotation.delay), 0.0)  # rotors ahead: the IMU is behind
+        spread = math.hypot(translation.delta_std, lateness * translation.quickness)
+        drag, std = scale.mass * translation.delta, scale.mass * spread
         out["linear_drag"] = _judged(drag, std, max(abs(drag), 0.05 * scale.mass))
     if rotation is not None:
         if scale.thrust is not None:

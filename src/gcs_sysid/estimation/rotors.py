@@ -134,6 +134,11 @@ class RotorPath:
         return out
 
 
+def low_pass_delay(cutoff: float | None) -> float:
+    """S by which the second-order low-pass of a gyro delays slow motion; None: there is none."""
+    return 0.0 if cutoff is None else math.sqrt(2.0) / (2.0 * math.pi * cutoff)
+
+
 def _butterworth(cutoff: float) -> tuple[Array, Array]:
     """(b, a) of the second-order low-pass, its cutoff in cycles a sample, by bilinear transform."""
     w = math.tan(math.pi * cutoff)

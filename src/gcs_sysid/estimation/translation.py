@@ -42,6 +42,7 @@ _SLOPE_ERROR_SHARE = 3e-3
 towards zero, and drag is not in it."""
 _MIN_BATCHES_FOR_BIAS = 10
 """Fewer do not tell how far the bias itself may be off."""
+_TINY = 1e-300
 _ROWS_IN_WINDOW = 3.0
 """Square root of the rows that share a window's noise."""
 
@@ -88,6 +89,10 @@ class TranslationFit:
     footing: Footing | None = None
     curve_slope: float = 0.0
     """Change of kappa with the thrust curve, where that is estimated."""
+    quickness: float = 0.0
+    """1/s^2, square of horizontal acceleration over that of velocity. An attitude that is late by
+    tau turns thrust by what the vehicle turns in that time, along the change of acceleration, which
+    is against the velocity: it looks like a delta of tau times this."""
     unbiased: float = np.nan
     """Of the accelerometer: kappa as if it had no bias, which is what a `Gain` belongs to."""
 
@@ -144,6 +149,7 @@ def _momentum(balance: "_Balance", inflated: Array) -> list[TranslationFit]:
             float(delta_stds[i]),
             "momentum",
             Footing(weights, inflated),
+            quickness=float(balance.quickness[i]),
         )
         for i, weights in enumerate(balance.weights)
     ]
@@ -260,6 +266,7 @@ class _Balance:
     Attributes:
         estimate: (K, unknowns) after a step.
         weights: (K, axes) that follow from its residuals.
+        quickness: (K,) 1/s^2, see `TranslationFit`.
     """
 
     def __init__(self, totals: Array, rows: Array, layout: Array) -> None:
@@ -269,6 +276,8 @@ class _Balance:
         self._normals = turned @ totals[..., :inputs, :inputs] @ layout
         self._rights = (turned @ totals[..., :inputs, 3:])[..., 0]
         self._powers = totals[..., 3, 3]
+        horizontal = totals[:, :2].sum(axis=1)
+        self.quickness = horizontal[:, 3, 3] / np.maximum(horizontal[:, 1, 1], _TINY)
         self._floor = np.maximum(1e-12 * self._powers / self._rows, 1e-300)
         self.estimate = np.zeros((len(totals), unknowns))
         self.weights = np.ones((len(totals), axes))

@@ -16,7 +16,7 @@ from gcs_sysid.estimation.anchors import Anchor, relative_prior, resolve_scale
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.parameters import Value
 from gcs_sysid.estimation.priors import Prior
-from gcs_sysid.estimation.rotors import RotorInput
+from gcs_sysid.estimation.rotors import RotorInput, low_pass_delay
 from gcs_sysid.estimation.tracking import MOST_SEGMENTS, Segment, Tracker
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import COMMANDS, tuning_for_commands
@@ -110,7 +110,8 @@ class Learner:
         # A prior on the mass is of the vehicle as it took off.
         priors, arm = self._airframe.priors, self._airframe.arm
         known = {} if anchor.origin else summary.priors_for(priors, self.rotor_input)
-        return summary.values_of(fit, anchor, arm, known, self.rotor_input)
+        late = low_pass_delay(self.cutoffs[0])
+        return summary.values_of(fit, anchor, arm, known, self.rotor_input, late)
 
     def reset(self) -> None:
         """Forget the estimate; go on with the next samples."""

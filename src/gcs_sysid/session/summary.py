@@ -52,6 +52,7 @@ def values_of(
     arm: float,
     known: Mapping[str, Known],
     rotor_input: RotorInput = "speed",
+    lateness: float = 0.0,
 ) -> dict[str, Value]:
     """Physical parameters of a fit, or nothing but the anchor while it is too early.
 
@@ -63,7 +64,7 @@ def values_of(
     early = fit.seconds < MIN_SECONDS and not anchor.origin
     rotation = None if early else fit.rotation
     return physical_parameters(
-        anchor, rotation, fit.translation, arm, known, rotor_input, fit.coupling
+        anchor, rotation, fit.translation, arm, known, rotor_input, fit.coupling, lateness
     )
 
 
