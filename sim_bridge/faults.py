@@ -14,6 +14,12 @@ RPM = 30.0 / math.pi
 SPIKE = 8.0
 """rad/s, least size of a gyro outlier; the largest is twice that."""
 
+FORCE_SPIKE = 40.0
+"""m/s^2, the same of an accelerometer outlier."""
+
+TILT_SPIKE = 0.5
+"""rad, the same of an attitude outlier."""
+
 RPM_SPIKE = 20_000
 """Largest wild value of a rotor speed, rpm."""
 
@@ -37,11 +43,13 @@ class SensorFaults:
         self.traps = traps
         self.now = 0.0
         # A generator each: one trap does not move what another does.
-        rotor, attitude, gyro, imu = (seed or np.random.SeedSequence(0)).spawn(4)
+        rotor, attitude, gyro, imu, force, tilt = (seed or np.random.SeedSequence(0)).spawn(6)
         self._rotor_random = np.random.default_rng(rotor)
         self._attitude_random = np.random.default_rng(attitude)
         self._gyro_random = np.random.default_rng(gyro)
         self._imu_random = np.random.default_rng(imu)
+        self._force_random = np.random.default_rng(force)
+        self._tilt_random = np.random.default_rng(tilt)
         self._spins = [rotor.spin for rotor in vehicle.rotors]
         self._last_rpm: list[int] = []
         self._last_inertial: tuple[Sample, Sample] | None = None
@@ -76,12 +84,13 @@ class SensorFaults:
         return span is not None and span.holds(self.now)
 
     def angles(self, angles: Sample) -> Sample:
-        """Roll, pitch and yaw in rad, NaN or as they were."""
+        """Roll, pitch and yaw in rad, NaN, as they were, or with one far off."""
         if self._is_on(self.traps.attitude_nan):
             return [math.nan] * 3
         if not (self._last_angles and self._is_on(self.traps.attitude_stuck)):
             self._last_angles = angles
-        return self._last_angles
+        share = self.traps.attitude_outliers
+        return _struck(self._last_angles, share, TILT_SPIKE, self._tilt_random)
 
     def quaternion(self, q: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
         """The quaternion or its negative, which is the same attitude."""
@@ -101,12 +110,21 @@ class SensorFaults:
             return [math.nan] * 3, [math.nan] * 3
         if self._last_inertial is not None and self._is_on(traps.imu_stuck):
             return self._last_inertial
-        if traps.gyro_outliers and self._gyro_random.random() < traps.gyro_outliers:
-            axis = int(self._gyro_random.integers(3))
-            size = SPIKE * (1.0 + self._gyro_random.random())
-            gyro = list(gyro)
-            gyro[axis] += size * (1.0 if self._gyro_random.random() < 0.5 else -1.0)
+        gyro = _struck(gyro, traps.gyro_outliers, SPIKE, self._gyro_random)
+        share = traps.accelerometer_outliers
+        accelerometer = _struck(accelerometer, share, FORCE_SPIKE, self._force_random)
         if traps.accelerometer_bias:
             accelerometer = [a + traps.accelerometer_bias for a in accelerometer]
         self._last_inertial = gyro, accelerometer
         return gyro, accelerometer
+
+
+def _struck(values: Sample, share: float, least: float, random: np.random.Generator) -> Sample:
+    """Values, a share of them with one off by `least` to twice that."""
+    if not share or random.random() >= share:
+        return values
+    axis = int(random.integers(3))
+    size = least * (1.0 + random.random())
+    out = list(values)
+    out[axis] += size * (1.0 if random.random() < 0.5 else -1.0)
+    return out

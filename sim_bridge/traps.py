@@ -41,6 +41,8 @@ class Traps:
     esc_silent: tuple[int, float] = (0, 0.0)
     quaternion_flips: float = 0.0
     gyro_outliers: float = 0.0
+    accelerometer_outliers: float = 0.0
+    attitude_outliers: float = 0.0
     imu_frozen: float = 0.0
     imu_nan: Span | None = None
     imu_stuck: Span | None = None
@@ -111,6 +113,15 @@ KINDS: dict[str, Kind] = {
     ),
     "gyro-outliers": Kind(
         "share of IMU samples with a spike on one gyro axis", share, "SHARE", "0.002"
+    ),
+    "accelerometer-outliers": Kind(
+        "share of IMU samples with a spike on one axis of the accelerometer",
+        share,
+        "SHARE",
+        "0.002",
+    ),
+    "attitude-outliers": Kind(
+        "share of attitudes that are half a radian and more off", share, "SHARE", "0.002"
     ),
     "imu-frozen": Kind(
         "share of IMU samples that repeat the last under a fresh stamp", share, "SHARE", "0.02"

@@ -64,6 +64,8 @@ CASES = (
     case("flood=500"),
     # Sensors.
     case("gyro-outliers=0.01"),
+    case("accelerometer-outliers=0.01"),
+    case("attitude-outliers=0.01"),
     case("imu-frozen=0.05"),
     case("imu-nan=10:0.5:4"),
     case("imu-stuck=10:0.5:4"),

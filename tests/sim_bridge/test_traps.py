@@ -134,6 +134,34 @@ def test_gyro_outliers(px4: OpenDesk) -> None:
     assert ((off > 0.0).sum(axis=1) <= 1).all()
 
 
+def test_accelerometer_outliers(px4: OpenDesk) -> None:
+    spoilt = px4("accelerometer-outliers=0.01").hear(8.0)
+    off = np.abs(force_of(spoilt) - force_of(px4().hear(8.0)))
+    struck = off.max(axis=1) > 1.0
+    assert np.mean(struck) == pytest.approx(0.01, abs=0.006)
+    assert off[struck].max(axis=1).min() >= 39.9
+    assert np.array_equal(gyro_of(spoilt), gyro_of(px4().hear(8.0)))
+
+
+def test_attitude_outliers(px4: OpenDesk) -> None:
+    spoilt, plain = px4("attitude-outliers=0.05").hear(8.0), px4().hear(8.0)
+    angles = [
+        np.array([[m.roll, m.pitch, m.yaw] for m in of_type(messages, "ATTITUDE")])
+        for messages in (spoilt, plain)
+    ]
+    off = np.abs(angles[0] - angles[1]).max(axis=1)
+    assert np.mean(off > 0.1) == pytest.approx(0.05, abs=0.03)
+    assert off[off > 0.1].min() >= 0.5 - 1e-6
+    quaternions = [
+        np.array([[m.q1, m.q2, m.q3, m.q4] for m in of_type(messages, "ATTITUDE_QUATERNION")])
+        for messages in (spoilt, plain)
+    ]
+    turned = 2.0 * np.arccos(np.clip(np.abs((quaternions[0] * quaternions[1]).sum(axis=1)), 0, 1))
+    assert np.mean(turned > 0.1) == pytest.approx(0.05, abs=0.03)
+    assert turned[turned > 0.1].min() >= 0.5 - 1e-3
+    assert np.allclose(np.linalg.norm(quaternions[0], axis=1), 1.0, atol=1e-6)
+
+
 def test_a_frozen_imu_repeats_all_its_values(px4: OpenDesk) -> None:
     messages = px4("imu-frozen=0.05").hear(8.0)
     values = np.hstack([gyro_of(messages), force_of(messages)])
