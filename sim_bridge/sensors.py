@@ -209,14 +209,27 @@ class Channel:
         self._randoms = [np.random.default_rng(s) for s in seed.spawn(len(self._components))]
         for component, random in zip(self._components, self._randoms, strict=True):
             component.start(random, width)
+        self._drawn: Array = np.empty((0, width))
         self._ready: Iterator[list[float]] = iter(())
         self._quiet = [0.0] * width
 
     def block(self, count: int) -> Array:
-        """The next (count, width) samples."""
-        out = np.zeros((count, self.width))
+        """The next (count, width) samples.
+
+        However many are asked for, they are drawn BLOCK at a time: a recursion that goes on from
+        one block to the next rounds its first value otherwise than within one.
+        """
+        drawn = [self._drawn]
+        for _ in range(-((len(self._drawn) - count) // BLOCK)):
+            drawn.append(self._draw())
+        whole = np.concatenate(drawn)
+        self._drawn = whole[count:]
+        return whole[:count]
+
+    def _draw(self) -> Array:
+        out = np.zeros((BLOCK, self.width))
         for component, random in zip(self._components, self._randoms, strict=True):
-            out += component.block(random, count, self.width, self.interval)
+            out += component.block(random, BLOCK, self.width, self.interval)
         return out
 
     def next(self) -> list[float]:

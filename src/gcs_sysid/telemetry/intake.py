@@ -310,13 +310,13 @@ class Intake:
         chosen, frames = self.selector.chosen, self.selector.frames
         if chosen is None or self.selector.wanted is not None:
             return ()
-        most = max(self.selector.autopilots, key=lambda each: frames[each.address], default=chosen)
-        if frames[most.address] <= _MORE * frames.get(chosen.address, 0):
+        counts = {each: frames.get(each.address, 0) for each in self.selector.autopilots}
+        own, most = frames.get(chosen.address, 0), max(counts, key=counts.__getitem__, default=None)
+        if most is None or counts[most] <= _MORE * own:
             return ()
         return (
-            f"{most} sent {frames[most.address]} messages, {chosen}, the first heard, "
-            f"{frames.get(chosen.address, 0)}: choose it with --vehicle "
-            f"{most.system}:{most.component}",
+            f"{most} sent {counts[most]} messages, {chosen}, the first heard, {own}: choose it "
+            f"with --vehicle {most.system}:{most.component}",
         )
 
     @property
