@@ -163,9 +163,9 @@ class Intake:
             single = 2 * single if done < single else _LEAST_SINGLE
             if self.selector.chosen is None:  # a heartbeat comes, perhaps that of the vehicle
                 single = 1
-            elif self._is_doubtful:
-                single = len(frames)
             doubtful = self._is_doubtful
+            if doubtful:
+                single = len(frames)
             for time_us, frame in frames.part(at, at + single):
                 self._take_single(frames.number + at, time_us, frame, out)
                 at += 1
@@ -186,7 +186,7 @@ class Intake:
             stop = int(np.argmax(marks))
             frames, good = frames.part(0, stop), good[:stop]
         beats = good & (frames.message_id == _HEARTBEAT)
-        if chosen is not None and self.clock is None:
+        if chosen is not None and self._may_go_over:
             # Another vehicle's heartbeat: which of them is meant, is decided frame by frame.
             others = beats & ~self._from(frames, chosen)
             stop = int(np.argmax(others)) if others.any() else len(frames)
@@ -284,9 +284,14 @@ class Intake:
 
     @property
     def _is_doubtful(self) -> bool:
-        """Whether the chosen vehicle has told nothing yet, and there is another one."""
-        told = self.selector.chosen is None or self.clock is not None
-        return not told and len(self.selector.autopilots) > 1
+        """Whether it may be another vehicle, of which there is one."""
+        return self._may_go_over and len(self.selector.autopilots) > 1
+
+    @property
+    def _may_go_over(self) -> bool:
+        """Whether the chosen vehicle, chosen by nobody, has told nothing but heartbeats yet."""
+        selector = self.selector
+        return selector.chosen is not None and selector.wanted is None and self.clock is None
 
     def _begin_anew(self, first: Vehicle) -> None:
         """Another vehicle is the chosen one: of the first there were heartbeats alone."""
