@@ -96,3 +96,17 @@ def test_a_slow_and_lossy_link_still_tells_the_inertia(log, tmp_path):
     known = {n: e for n, e in found.items() if truth.get(n) is not None and e.std}
     held = [n for n, e in known.items() if abs(e.value - truth[n]) <= 1.96 * e.std]
     assert len(held) >= 0.8 * len(known), sorted(known.keys() - set(held))
+
+
+@pytest.mark.parametrize("name", ["px4_quad_two_flights_unchanged", "px4_quad_masschange_CRASH"])
+def test_a_second_flight_on_commands_goes_on(name):
+    log = LOGS / f"{name}.tlog"
+    if not log.exists():
+        pytest.skip("not among the logs")
+    result = analyze_log(log, load_airframe(str(log.with_suffix(".toml"))))
+    assert result.rotor_input == "command"
+    if "unchanged" in name:
+        assert not result.segments
+        assert result.parameters["T_max"].value == pytest.approx(8.2, rel=0.01)
+        for axis, true in (("Ixx", 0.03), ("Iyy", 0.024), ("Izz", 0.046)):
+            assert result.parameters[axis].value == pytest.approx(true, rel=0.02)

@@ -7,10 +7,11 @@ import pytest
 
 from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.parameters import Value
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.uncertainty import watched_factor
-from gcs_sysid.session.summary import values_of
+from gcs_sysid.session.summary import next_anchor, values_of
 
 SHARE = 0.04
 THETA = np.array([80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3])
@@ -37,3 +38,16 @@ def test_nothing_but_the_anchor_at_first():
     early = values_of(replace(FIT, seconds=2.9, running=True), MASS, 0.35, {})
     assert early["mass"].status == "given"
     assert early["Ixx"].value is None
+
+
+@pytest.mark.parametrize(("thrust", "other"), [("k_T", "T_max"), ("T_max", "k_T")])
+def test_the_scale_carries_over_a_change_with_speeds_and_with_commands(thrust, other):
+    values = {"mass": Value(1.5, 0.0, "given"), thrust: Value(8.2, 0.02, "identified")}
+    after = next_anchor(MASS, values, 31.2)
+    assert (after.kind, after.value, after.std) == (thrust, 8.2, 0.02)
+    assert after.origin
+    given = Anchor(thrust, 8.0)
+    assert next_anchor(given, values, 31.2).value == 8.0
+    unknown = {**values, thrust: Value(None, None, "unobservable")}
+    assert next_anchor(MASS, unknown, 31.2) is MASS
+    assert other not in values

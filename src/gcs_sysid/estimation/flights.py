@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.basis import CURVE
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.model import rigid_body as rb
@@ -117,4 +118,7 @@ def _thrust(before: Fit, now: Fit) -> tuple[float, int]:
     if a is None or b is None or not max(a.kappa_std, b.kappa_std) < _KNOWN_TO * a.kappa:
         return 0.0, 0
     variance = a.kappa_std**2 + b.kappa_std**2 + (_MODEL_ERROR * a.kappa) ** 2
+    for thrust, rotation in ((a, before.rotation), (b, now.rotation)):
+        if rotation is not None:  # T_max / m goes with the thrust curve, which is uncertain too
+            variance += (thrust.curve_slope * float(rotation.coordinates_std[CURVE])) ** 2
     return (b.kappa - a.kappa) ** 2 / variance, 1

@@ -272,7 +272,7 @@ class Learner:
     def _tell_events(self, tracker: Tracker, t: float) -> Steps[None]:
         told, self._told = self._told, tracker.forgotten + len(tracker.events)
         for event in tracker.events[max(told - tracker.forgotten, 0) :]:
-            self.note(t, summary.note_of(event))
+            self.note(t, summary.note_of(event, self.rotor_input))
             if event.segment is not None:
                 self._go_on_after(tracker.segments[event.segment])
                 self.fit = yield from tracker.fitting(quick=True)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.anchors import Anchor, Known
+from gcs_sysid.estimation.anchors import Anchor, AnchorKind, Known
 from gcs_sysid.estimation.change_kinds import describe
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.parameters import Value, physical_parameters, rests_on_prior
@@ -121,20 +121,21 @@ def scale_of(anchor: Anchor) -> Scale:
 
 
 def next_anchor(anchor: Anchor, values: Mapping[str, Value], until: float) -> Anchor:
-    """The anchor after a change of the body: the rotors are the same, so k_T stays.
+    """The anchor after a change of the body: the rotors are the same, so their thrust stays.
 
     Args:
         anchor: in force before.
-        values: parameters before.
+        values: parameters before, with k_T (rotor speeds) or T_max (commands).
         until: s, session time of the change.
     """
-    k_T = values["k_T"]
+    kind: AnchorKind = "k_T" if "k_T" in values else "T_max"
+    thrust = values[kind]
     origin = f"the flight before {until:.1f} s"
-    if anchor.kind == "k_T":
-        return Anchor("k_T", anchor.value, anchor.std, origin)
-    if k_T.value is None or k_T.std is None:
+    if anchor.kind == kind:
+        return Anchor(kind, anchor.value, anchor.std, origin)
+    if thrust.value is None or thrust.std is None:
         return anchor
-    return Anchor("k_T", k_T.value, k_T.std, origin)
+    return Anchor(kind, thrust.value, thrust.std, origin)
 
 
 def validation_of(fit: Fit) -> dict[str, Any]:
@@ -200,12 +201,13 @@ def event_of(
     return out
 
 
-def note_of(event: Event) -> str:
+def note_of(event: Event, rotor_input: RotorInput = "speed") -> str:
     """A line for the event log."""
+    thrust = "k_T" if rotor_input == "speed" else "T_max"
     if event.change is None:
         return (
             f"the vehicle differs since the landing at {event.onset:.1f} s: "
-            "k_T stays, the rest is identified anew"
+            f"{thrust} stays, the rest is identified anew"
         )
     cause = event.cause
     kind = "change" if cause is None else cause.kind
@@ -215,4 +217,4 @@ def note_of(event: Event) -> str:
     if kind == "passing":
         return f"{text}; the estimate goes on"
     ratio = "" if cause is None else f" (mass x {cause.mass_ratio:.3f})"
-    return f"{text}{ratio}: k_T stays, the rest is identified anew"
+    return f"{text}{ratio}: {thrust} stays, the rest is identified anew"
