@@ -8,8 +8,7 @@ each datagram as it comes in (SO_TIMESTAMPNS, Linux alone), long before Python s
 A datagram counts as taken when all that was read together with it is decoded and lies on the grid
 of samples. One that completes a block of samples (0.1 s of the vehicle's clock) counts as taken
 only when all of that block is learnt from: rows made, changes looked for, and the estimate renewed
-where that is due. The tool does that work in steps and reads the link between them, so that
-datagrams read meanwhile may be taken before it.
+where that is due.
 """
 
 import argparse
@@ -32,7 +31,7 @@ from gcs_sysid.__main__ import main as gcs_sysid
 from gcs_sysid.cli import live
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.pipeline import Pipeline
-from gcs_sysid.steps import Steps
+from gcs_sysid.session.sampling import SampleBlock
 from gcs_sysid.telemetry import link
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.link import LARGEST_DATAGRAM, Address, Chunk, Link, UdpLink
@@ -112,17 +111,12 @@ class Times:
         self._current = range(0)
         self._held.clear()
 
-    def work(self, piece: Steps[None], renewals: Callable[[], int]) -> Steps[None]:
-        """The same work, done for the datagrams at hand."""
+    def work(self, learn: Callable[[], None], renewals: Callable[[], int]) -> None:
+        """Do the work that the datagrams at hand bring about."""
         held = [self.waiting[number][0] for number in self._current if number not in self._held]
         self._held |= set(self._current)
-        return self._done_for(held, piece, renewals)
-
-    def _done_for(
-        self, held: list[int], piece: Steps[None], renewals: Callable[[], int]
-    ) -> Steps[None]:
         before = renewals()
-        yield from piece
+        learn()
         waited = [time.time_ns() - at for at in held]
         self.taken.add(waited)
         if renewals() > before:
@@ -183,24 +177,22 @@ def stamped_link(times: Times) -> type[UdpLink]:
 def watch(times: Times) -> None:
     """Have the tool's link, pipeline and chain keep times from now on."""
     stamped = stamped_link(times)
-    admit, begin = Pipeline.admit, Chain.__init__
+    take, learn = Pipeline.take, Chain._learn
 
-    def timed(pipeline: Pipeline, frames: Sequence[Frame], wall: float | None = None) -> None:
-        admit(pipeline, times.frames(frames), wall)
+    def timed(pipeline: Pipeline, frames: Sequence[Frame], wall: float | None = None) -> bool:
+        renewed = take(pipeline, times.frames(frames), wall)
         times.admitted()
+        return renewed
 
-    def with_timed_work(chain: Chain, *arguments: Any) -> None:
-        begin(chain, *arguments)
-        add = chain.pending.add
-        chain.pending.add = lambda piece: add(  # type: ignore[method-assign]
-            times.work(piece, lambda: chain.renewals)
-        )
+    def timed_work(chain: Chain, blocks: tuple[SampleBlock, ...]) -> None:
+        if blocks:
+            times.work(lambda: learn(chain, blocks), lambda: chain.renewals)
 
     def open_link(url: LinkUrl, *_: float) -> Link:
         return stamped(url)
 
-    Pipeline.admit = timed  # type: ignore[method-assign, assignment]
-    Chain.__init__ = with_timed_work  # type: ignore[method-assign, assignment]
+    Pipeline.take = timed  # type: ignore[method-assign, assignment]
+    Chain._learn = timed_work  # type: ignore[method-assign]
     live.open_link = open_link
 
 

@@ -11,7 +11,6 @@ from benchmarks.reliability import day, flood, rate, soak, watched
 from benchmarks.reliability.flights import emulate
 from benchmarks.reliability.watched import Times
 from gcs_sysid.session.result import Estimate
-from gcs_sysid.steps import finished
 from gcs_sysid.telemetry.frames import FrameScanner, Validity
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
@@ -32,19 +31,16 @@ def told_apart(sizes, completing, raws, monkeypatch):
     monkeypatch.setattr(watched.time, "time_ns", lambda: clock[0])
     times, renewals = Times(), [0]
     times.waiting += [(10 * (n + 1), size) for n, size in enumerate(sizes)]
-    pieces = []
 
     def learn():
-        yield
+        clock[0] = 500
         renewals[0] += 1
 
     for number, _ in enumerate(times.frames([frame(raw) for raw in raws])):
         if number == completing:
-            pieces.append(times.work(learn(), lambda: renewals[0]))
+            times.work(learn, lambda: renewals[0])
+            clock[0] = 100
     times.admitted()
-    clock[0] = 500
-    for piece in pieces:
-        finished(piece)
     return sorted(times.taken.numbers.tolist()), sorted(times.renewed.numbers.tolist())
 
 

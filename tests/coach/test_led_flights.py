@@ -57,25 +57,6 @@ def test_progress_is_of_motion_and_not_of_time():
 
 
 @pytest.mark.slow
-def test_thinking_in_steps_comes_to_the_same_advice():
-    """Old advice stands until the new one is thought out, and the chain may go on meanwhile."""
-    flight = Flight("px4-sih", ManoeuvreMission(), 2)
-    chain = flight.pipeline.chain
-    at_once, stepwise = (Coach(chain, CoachOptions(TARGET)) for _ in range(2))
-    flight.fly(4.5)
-    wanted = at_once.advise()
-    assert wanted is not None
-    assert stepwise.look() is None
-    steps = 0
-    while stepwise.think():
-        steps += 1
-        assert stepwise.look() is None
-    assert steps > 20
-    assert stepwise.look() == wanted
-    assert not stepwise.think()
-
-
-@pytest.mark.slow
 def test_estimates_are_the_same_with_a_coach_and_without():
     ends = []
     for led in (False, True):

@@ -1,6 +1,5 @@
 """The chain from records to results, on the article's flight."""
 
-import random
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +17,6 @@ from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.learner import Known, Learner
 from gcs_sysid.session.rotor_units import RotorSource
 from gcs_sysid.session.sampling import SampleBlock
-from gcs_sysid.steps import finished
 
 END_ONLY = ChainOptions(course_interval=None)
 
@@ -177,43 +175,6 @@ def test_reset_forgets_and_goes_on(paper_records):
     assert result.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.05)
 
 
-def test_how_much_is_left_for_later_changes_nothing(paper_records):
-    """Of two flights, with a silence between in which anything may have been done."""
-    start = paper_records[0].t
-    first = [r for r in paper_records if r.t - start < 8.0]
-    second = [r._replace(t=r.t + 30.0) for r in paper_records if r.t - start < 11.5]
-    at_once, later = (
-        Chain(load_airframe("paper"), ChainOptions(course_interval=1.0)) for _ in "12"
-    )
-    rng, longest = random.Random(1), 0
-    for record in (*first, *second):
-        at_once.feed(record)
-        later.admit(record)
-        for _ in range(rng.choice((0, 0, 0, 1, 1, 30))):
-            later.pending.step()
-        longest = max(longest, len(later.pending))
-    assert longest > 1
-    assert at_once.renewals > 12
-    # Bit for bit; NaN is no number to compare.
-    assert repr(everything(later)) == repr(everything(at_once))
-
-
-def everything(chain):
-    result, course = chain.finish(), chain.course
-    arrays = [course.t, *course.value.values(), *course.std.values()]
-    return result, chain.events, [array.tolist() for array in arrays]
-
-
-def test_what_is_asked_of_a_chain_has_all_work_done_first(paper_records):
-    chain = Chain(load_airframe("paper"))
-    for record in paper_records[: len(paper_records) // 6]:
-        chain.admit(record)
-    assert chain.pending
-    used = chain.result().telemetry["used_seconds"]
-    assert not chain.pending
-    assert used > 8.0
-
-
 @pytest.mark.parametrize("boot", [0.0, 1000.0])
 def test_a_reboot_in_the_middle_costs_little(paper_records, boot):
     """The vehicle's clock starts again, below or above where the log began."""
@@ -327,7 +288,7 @@ def test_a_rotor_stream_that_dies_and_comes_again_is_told():
     known = Known(3.0, 0.004, True, False, False, (None, None), refused)
     for rotors in (speeds, None, None, replace(speeds, why="again"), replace(speeds, scale=2.0)):
         block = SampleBlock(np.arange(4.0), nothing, np.zeros(4, bool), 1.0, False, rotors)
-        finished(learner.learn([block], known))
+        learner.learn([block], known)
     assert {event["kind"] for event in learner.input_events} == {"rotor_input"}
     died, again, other = (event["text"] for event in learner.input_events)
     assert died.startswith("ESC_STATUS rotor 2 reads 0 while the others move, and no other")

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from gcs_sysid.arrays import Array
 from gcs_sysid.coach.information import information
 from gcs_sysid.coach.manoeuvres import Manoeuvre
-from gcs_sysid.coach.motion import Motion, reaching
+from gcs_sysid.coach.motion import Motion, within_reach
 from gcs_sysid.coach.outlook import Outlook
 from gcs_sysid.coach.targets import excess, is_enough
 from gcs_sysid.estimation.basis import LAG
 from gcs_sysid.estimation.online import Fit
-from gcs_sysid.steps import Steps, at_once
 
 Judge = Callable[[Fit], Mapping[str, float | None]]
 """Shares of a fit, see `targets.shares`."""
@@ -60,9 +59,9 @@ class Choice:
         return [name for _, _, name in sorted(gained)]
 
 
-def choosing(
+def choose(
     outlook: Outlook, library: Iterable[Manoeuvre], judge: Judge, target: float
-) -> Steps[Choice | None]:
+) -> Choice | None:
     """The manoeuvre that brings the widest intervals nearest to the target; None: none can.
 
     Args:
@@ -75,15 +74,13 @@ def choosing(
     far = excess(now, _CLOSE * target)
     best: tuple[float, Manoeuvre, Motion, Array] | None = None
     for manoeuvre in library:
-        found = yield from reaching(manoeuvre, outlook.craft)
+        found = within_reach(manoeuvre, outlook.craft)
         if found is None:
             continue
         reached, motion = found
         if outlook.fit.rotation is None and not _starts(motion):
             continue
-        yield
         told = information(motion, outlook.craft, outlook.noise, float(outlook.coordinates[LAG]))
-        yield
         reached = reached.lasting(USUAL)
         left = excess(judge(_after(outlook, told, reached)), _CLOSE * target)
         if best is None or left < best[0]:
@@ -92,17 +89,12 @@ def choosing(
         return None
     _, chosen, motion, told = best
     for seconds in _LENGTHS:
-        yield
         tried = chosen.lasting(float(seconds))
         if is_enough(judge(_after(outlook, told, tried)), _CLOSE * target):
             chosen = tried
             break
-    yield
     after = _after(outlook, told, chosen)
     return Choice(chosen, motion, now, judge(after), after, told)
-
-
-choose = at_once(choosing)
 
 
 def _starts(motion: Motion) -> bool:

@@ -9,7 +9,6 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.coach.manoeuvres import Manoeuvre
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
-from gcs_sysid.steps import Steps, at_once
 
 _POINTS = 96
 """In a period; the fastest products of the fastest pace take eight of them."""
@@ -64,7 +63,7 @@ class Motion:
     period: float
 
 
-def reaching(manoeuvre: Manoeuvre, craft: Craft) -> Steps[tuple[Manoeuvre, Motion] | None]:
+def within_reach(manoeuvre: Manoeuvre, craft: Craft) -> tuple[Manoeuvre, Motion] | None:
     """The manoeuvre with no more swing than the rotors can give, and its motion.
 
     Yaw is given up first, as rotors have least to turn it with. None: not even a small one.
@@ -80,14 +79,10 @@ def reaching(manoeuvre: Manoeuvre, craft: Craft) -> Steps[tuple[Manoeuvre, Motio
             tried = replace(tilted, yaw=_whole(weaker * manoeuvre.yaw))
             if not tried.can_be_seen:
                 break
-            yield
             motion = motion_of(tried, craft)
             if _is_within(motion.shares, craft):
                 return tried, motion
     return None
-
-
-within_reach = at_once(reaching)
 
 
 def _whole(angle: float) -> float:

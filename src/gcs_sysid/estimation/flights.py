@@ -12,7 +12,6 @@ from gcs_sysid.estimation.basis import CURVE
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.steps import Steps
 
 ENOUGH = 10.0
 """s of a flight from which it is told whether the vehicle is the same."""
@@ -74,9 +73,9 @@ class Trial:
             kept.append(part)
         self.parts = kept
 
-    def fitting(self) -> Steps[Fit]:
+    def fit(self) -> Fit:
         """The fit of this flight alone."""
-        return self._estimator.fitting()
+        return self._estimator.fit()
 
 
 def is_another(before: Fit, now: Fit, arm: float) -> bool:

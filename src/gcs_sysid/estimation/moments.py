@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.steps import Steps
 
 _AT_ONCE = 2**18
 """Bytes that are had from the system in a step; page by page that takes up to 10 ms a MB."""
@@ -51,12 +50,11 @@ class Moments:
         other._counts, other.total = self._counts.copy(), self.total.copy()
         return other
 
-    def reserving(self) -> Steps[None]:
+    def reserve(self) -> None:
         """Have all memory now, before a long flight, and not find it wanting in it."""
         each = max(_AT_ONCE // self.total.nbytes, 1)
         for start in range(self._begun, len(self._batches), each):
             self._batches[start : start + each] = 0.0  # untouched zeros take none
-            yield
 
     @property
     def batches(self) -> Array:

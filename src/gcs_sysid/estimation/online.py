@@ -21,9 +21,8 @@ from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import Tuning
-from gcs_sysid.estimation.validation import Validation, validating
+from gcs_sysid.estimation.validation import Validation, validate
 from gcs_sysid.model import rigid_body
-from gcs_sysid.steps import Steps, at_once
 
 _SETTLE_GROWTH = 1.5
 _MIN_BATCHES = 10
@@ -153,9 +152,9 @@ class OnlineEstimator:
         density: Array = np.diag(left) * (self.dt / record.noise_gains()[fit.leak])
         return density
 
-    def reserving(self) -> Steps[None]:
+    def reserve(self) -> None:
         """Have all memory now that a long flight will need; many estimators live but shortly."""
-        return self._record.reserving()
+        return self._record.reserve()
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
@@ -166,9 +165,7 @@ class OnlineEstimator:
         for _ in self._record.take(samples):
             pass
 
-    def following(
-        self, samples: Samples, stops: Sequence[int], course: str = ""
-    ) -> Steps[list[Fit]]:
+    def follow(self, samples: Samples, stops: Sequence[int], course: str = "") -> list[Fit]:
         """Take a block of samples, with quick fits on the way.
 
         Args:
@@ -181,9 +178,7 @@ class OnlineEstimator:
         """
         return self._follow(self._record.take(samples, stops), course)
 
-    follow = at_once(following)
-
-    def fitting(self, *, quick: bool = False, course: str = "") -> Steps[Fit]:
+    def fit(self, *, quick: bool = False, course: str = "") -> Fit:
         """The estimate from everything so far.
 
         Args:
@@ -194,16 +189,15 @@ class OnlineEstimator:
                 something must not depend on how often others look.
         """
         if quick:
-            return (yield from self._follow((None,), course))[0]
+            return self._follow((None,), course)[0]
         record = self._record
         record.flush()
-        yield
         self._renew_prior()
-        rot = yield from self._fit_rotation()
+        rot = self._fit_rotation()
         trans, accelerometer = self.fit_translation(rot)
         validation = None
         if record.article is None:
-            validation = yield from validating(
+            validation = validate(
                 record.rotation.batches,
                 record.rotation.counts,
                 self._basis,
@@ -214,7 +208,7 @@ class OnlineEstimator:
         coupling = self._coupling_of(rot)
         if coupling is not None and coupling.contradicted:
             # What rotors turn against remains to be told: inertia in roll and pitch.
-            rot = yield from rotation.fitting_rotation(
+            rot = rotation.fit_rotation(
                 self._without_products(),
                 record.rotation.counts,
                 self._basis,
@@ -223,8 +217,6 @@ class OnlineEstimator:
                 doubt=record.noise_doubt,
             )
         return Fit(rot, trans, self.seconds, validation, accelerometer, coupling)
-
-    fit = at_once(fitting)
 
     def fit_translation(
         self, at: RotationFit | None = None
@@ -244,7 +236,7 @@ class OnlineEstimator:
         self._record.forget_last(seconds)
         self._footings.clear()
 
-    def _follow(self, stops: Iterable[None], course: str) -> Steps[list[Fit]]:
+    def _follow(self, stops: Iterable[None], course: str) -> list[Fit]:
         """Quick fits at stops of what is coming in."""
         fits: list[Fit] = []
         waiting: list[_Instant] = []
@@ -252,23 +244,17 @@ class OnlineEstimator:
             footing = self._footings.get(course)
             if footing is None or self.seconds >= footing.settle:
                 if footing is not None:
-                    fits += yield from self._followed(footing, waiting)
+                    fits += self._followed(footing, waiting)
                 waiting = []
-                yield
-                fits.append((yield from self._settle(course, footing)))
-                yield
+                fits.append(self._settle(course, footing))
                 continue
             waiting.append(self._instant(footing.rotation.leak))
             if self._is_outdated(footing):
-                yield
-                fits += yield from self._followed(footing, waiting)
+                fits += self._followed(footing, waiting)
                 waiting = []
-                yield
                 fits[-1] = self._renewed(course, footing, fits[-1])
-                yield
         if waiting:
-            yield
-            fits += yield from self._followed(self._footings[course], waiting)
+            fits += self._followed(self._footings[course], waiting)
         return fits
 
     def _instant(self, leak: int) -> _Instant:
@@ -289,11 +275,11 @@ class OnlineEstimator:
             or self._is_coupling_due()
         )
 
-    def _followed(self, footing: _Footing, instants: Sequence[_Instant]) -> Steps[list[Fit]]:
+    def _followed(self, footing: _Footing, instants: Sequence[_Instant]) -> list[Fit]:
         """Quick fits at several instants, from one footing."""
         if not instants:
             return []
-        rotations = yield from rotation.follow_rotation(
+        rotations = rotation.follow_rotation(
             np.stack([i.rotation for i in instants]),
             np.array([i.rows for i in instants]),
             self._basis,
@@ -301,7 +287,6 @@ class OnlineEstimator:
             footing.rotation,
             self.prior,
         )
-        yield
         thrusts: Sequence[TranslationFit | None] = [None] * len(instants)
         if footing.thrust is not None:
             weights = [self._basis.thrust_weights(fit.coordinates) for fit in rotations]
@@ -334,12 +319,11 @@ class OnlineEstimator:
         coupling = self._coupling_of(rot) if self._is_coupling_due() else self._coupling
         return replace(fit, translation=self._with_slope(trans, rot), coupling=coupling)
 
-    def _settle(self, course: str, before: _Footing | None) -> Steps[Fit]:
+    def _settle(self, course: str, before: _Footing | None) -> Fit:
         """A fit that chooses leak and delay, as a footing for those to come."""
         self._renew_prior()
         known = before if self.seconds > _WELL_KNOWN else None
-        rot = yield from self._fit_rotation(None if known is None else known.rotation)
-        yield
+        rot = self._fit_rotation(None if known is None else known.rotation)
         where = self._coordinates(rot)
         thrust = self._fit_momentum(where)
         trans = thrust or self._fit_accelerometer(where)
@@ -354,18 +338,18 @@ class OnlineEstimator:
         if self.prior_source is not None:
             self.prior = self.prior_source(self.fit_translation()[0])
 
-    def _fit_rotation(self, start: RotationFit | None = None) -> Steps[RotationFit | None]:
+    def _fit_rotation(self, start: RotationFit | None = None) -> RotationFit | None:
         record = self._record
         if record.article:
             return record.article.fit()
         moments = record.rotation
         data = moments.batches, moments.counts, self._basis, self._noise()
         if start is not None:
-            fit = yield from rotation.fitting_rotation(*data, start, self.prior, record.noise_doubt)
+            fit = rotation.fit_rotation(*data, start, self.prior, record.noise_doubt)
             if fit is not None and fit.converged:
                 return fit
         doubt = record.noise_doubt
-        return (yield from rotation.fitting_rotation(*data, prior=self.prior, doubt=doubt))
+        return rotation.fit_rotation(*data, prior=self.prior, doubt=doubt)
 
     def _fit_momentum(self, where: Array) -> TranslationFit | None:
         """Of the momentum balance, at (3,) coordinates; None while it is too early."""

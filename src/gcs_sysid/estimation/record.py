@@ -15,7 +15,6 @@ from gcs_sysid.estimation.rotors import RotorPath
 from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.filters.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
-from gcs_sysid.steps import Steps
 
 _PIECE_TIME = 0.1
 """s of samples that are taken at once."""
@@ -82,10 +81,10 @@ class FlightRecord:
         self.momentum = Moments((3, width, width), per_batch, kept)
         self.accelerometer = Moments((width, width), per_batch, kept)
 
-    def reserving(self) -> Steps[None]:
+    def reserve(self) -> None:
         """Have all memory now that a long flight will need."""
         for moments in (self.rotation, self.momentum, self.accelerometer):
-            yield from moments.reserving()
+            moments.reserve()
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""

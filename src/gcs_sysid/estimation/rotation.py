@@ -39,7 +39,6 @@ from gcs_sysid.estimation.search import (
 )
 from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor, symmetric_roots
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.steps import Steps, at_once
 
 _WARM_ITERATIONS, _FOLLOW_ITERATIONS = 12, 2
 _BLIND_STEP = 3.0
@@ -134,7 +133,7 @@ class RotationFit:
         return float(self.coordinates_std[coordinate.DELAY])
 
 
-def fitting_rotation(
+def fit_rotation(
     batches: Array,
     counts: NDArray[np.int64],
     basis: RotorBasis,
@@ -142,7 +141,7 @@ def fitting_rotation(
     start: RotationFit | None = None,
     prior: Prior | None = None,
     doubt: float = 0.0,
-) -> Steps[RotationFit | None]:
+) -> RotationFit | None:
     """Fit theta and the basis' coordinates to moments.
 
     Args:
@@ -164,7 +163,6 @@ def fitting_rotation(
     if rows < 3 * rb.N_THETA:
         return None
     bank = batches.sum(axis=0)
-    yield
     problem = Problem(bank, rows, basis, prior)
     at = basis.nodes[basis.middle]
     first = [first_guess(m, rows, at, prior) for m in basis.moments_at(bank, at)]
@@ -172,33 +170,28 @@ def fitting_rotation(
         return None
     unknowns = np.stack([guess for guess in first if guess is not None])
     if start is None:
-        starts = yield from scan(problem, unknowns)
-        point, converged = yield from search(problem, starts)
+        starts = scan(problem, unknowns)
+        point, converged = search(problem, starts)
     else:
         # An earlier estimate from too little motion may lie in a valley of its own.
         earlier = np.tile(start.unknowns, (len(bank), 1))
         closer = problem.evaluate(earlier).cost < problem.evaluate(unknowns).cost
         unknowns = np.where(closer[:, None], earlier, unknowns)
-        point, converged = yield from minimise(problem, unknowns, _WARM_ITERATIONS)
+        point, converged = minimise(problem, unknowns, _WARM_ITERATIONS)
     pull = None
     if basis.commands and noise.any():
-        problem, point, pull = yield from without_noise(problem, point, noise)
+        problem, point, pull = without_noise(problem, point, noise)
         batches = batches - counts[:, None, None, None] * noise
     outcome = _Outcome(problem, point, noise)
     inverse_roots = outcome.roots[1]
     scatter = []
     for i in range(len(bank)):
-        yield
         spread_out = inflation(inverse_roots[i], meat(outcome.scores(i, batches[:, i], counts)))
-        yield
         scatter.append((spread_out, student_factor(outcome.shares(i, batches[:, i]))))
     spread, widening = (np.stack(parts) for parts in zip(*scatter, strict=True))
     if doubt:
         spread = spread + outcome.spread_of(doubt * (outcome.pull if pull is None else pull))
     return most_certain(outcome.fits(spread, widening, converged, range(len(bank))))
-
-
-fit_rotation = at_once(fitting_rotation)
 
 
 def follow_rotation(
@@ -208,7 +201,7 @@ def follow_rotation(
     noise: Array,
     start: RotationFit,
     prior: Prior | None = None,
-) -> Steps[list[RotationFit]]:
+) -> list[RotationFit]:
     """Follow a growing record from an earlier fit: a step or two with its leak.
 
     How far the score scatters is taken over from the earlier fit, as it hardly changes.
@@ -230,17 +223,15 @@ def follow_rotation(
     unknowns = start.footing.unknowns[None]
     scatter = start.footing.inflation, start.footing.widening
     outcome = _Outcome(problem, problem.evaluate(unknowns), noise)
-    yield
     near = outcome.take_step(_BLIND_STEP)
     fits = outcome.fits(*scatter, [start.converged] * len(rows), [start.leak] * len(rows))
     if not near.all():
         far = ~near
         alone = Problem(totals[far], rows[far], basis, prior)
         starts = np.repeat(unknowns, len(alone.rows), axis=0)
-        point, converged = yield from minimise(alone, starts, _FOLLOW_ITERATIONS)
+        point, converged = minimise(alone, starts, _FOLLOW_ITERATIONS)
         if noisy:
-            alone, point, _ = yield from without_noise(alone, point, noise[far])
-        yield
+            alone, point, _ = without_noise(alone, point, noise[far])
         leaks = [start.leak] * len(converged)
         better = _Outcome(alone, point, noise[far]).fits(*scatter, converged, leaks)
         for i, fit in zip(np.flatnonzero(far), better, strict=True):

@@ -13,7 +13,6 @@ from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.basis import PLAIN, WIDTH, RotorBasis
 from gcs_sysid.estimation.priors import COORDINATES, Prior
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.steps import Steps
 
 N_X = rb.N_SIGNALS
 
@@ -207,7 +206,7 @@ class Problem:
         return Point(unknowns, cost, gradient, hessian, S, Q, W, WG)
 
 
-def scan(problem: Problem, unknowns: Array) -> Steps[Array]:
+def scan(problem: Problem, unknowns: Array) -> Array:
     """Fit at every node of the basis; (starts, leaks, N_UNKNOWNS) the best ones of each leak."""
     basis, leaks = problem.basis, len(problem.bank)
     nodes = len(basis.nodes)
@@ -218,14 +217,12 @@ def scan(problem: Problem, unknowns: Array) -> Steps[Array]:
     P = basis.maps(basis.nodes)[:, 0]
     parts = []
     for start in range(0, nodes, _NODES_AT_ONCE):
-        yield
         some = P[start : start + _NODES_AT_ONCE]
         parts.append(some @ problem.bank[:, None] @ np.swapaxes(some, 1, 2))
     there = np.concatenate(parts, axis=1).reshape(-1, WIDTH, WIDTH)
-    yield
     rows = np.repeat(problem.rows, nodes)
     given = Problem(there, rows, PLAIN, problem.prior)
-    point, _ = yield from minimise(given, every, _SCAN_ITERATIONS)
+    point, _ = minimise(given, every, _SCAN_ITERATIONS)
     cost = point.cost + problem.weak_cost(every) / rows
     starts = 1 if len(basis.free) == 1 else _STARTS
     best = np.argsort(cost.reshape(leaks, nodes), axis=1)[:, :starts]
@@ -234,19 +231,19 @@ def scan(problem: Problem, unknowns: Array) -> Steps[Array]:
     return chosen
 
 
-def search(problem: Problem, starts: Array) -> Steps[tuple[Point, Mask]]:
+def search(problem: Problem, starts: Array) -> tuple[Point, Mask]:
     """The best minimum that (starts, leaks, N_UNKNOWNS) lead to, for each leak."""
     s, leaks, _ = starts.shape
     if s == 1:
-        return (yield from minimise(problem, starts[0], MAX_ITERATIONS))
+        return minimise(problem, starts[0], MAX_ITERATIONS)
     bank, rows = np.tile(problem.bank, (s, 1, 1)), np.tile(problem.rows, s)
     wide = Problem(bank, rows, problem.basis, problem.prior)
-    point, converged = yield from minimise(wide, starts.reshape(s * leaks, -1), MAX_ITERATIONS)
+    point, converged = minimise(wide, starts.reshape(s * leaks, -1), MAX_ITERATIONS)
     best = np.argmin(point.cost.reshape(s, leaks), axis=0) * leaks + np.arange(leaks)
     return Point(*(values[best] for values in vars(point).values())), converged[best]
 
 
-def minimise(problem: Problem, unknowns: Array, limit: int) -> Steps[tuple[Point, Mask]]:
+def minimise(problem: Problem, unknowns: Array, limit: int) -> tuple[Point, Mask]:
     """Levenberg-Marquardt on log det of the residual covariance (W concentrated out).
 
     Args:
@@ -264,7 +261,6 @@ def minimise(problem: Problem, unknowns: Array, limit: int) -> Steps[tuple[Point
     gain = np.full(K, np.inf)
     point = problem.evaluate(unknowns)
     for _ in range(limit):
-        yield
         gradient, hessian = point.gradient, point.hessian
         if problem.prior is not None:
             gradient = gradient + problem.prior_pull(point.unknowns)
@@ -292,9 +288,7 @@ def minimise(problem: Problem, unknowns: Array, limit: int) -> Steps[tuple[Point
     return point, converged
 
 
-def without_noise(
-    problem: Problem, point: Point, noise: Array
-) -> Steps[tuple[Problem, Point, Array]]:
+def without_noise(problem: Problem, point: Point, noise: Array) -> tuple[Problem, Point, Array]:
     """The problem without noise of the commands, and where its gradient vanishes.
 
     Such noise is a good part of what slow commands show: unlike that of measured speeds, one step
@@ -316,7 +310,6 @@ def without_noise(
         hessian = hessian + problem.prior_information()
     H = hessian / (d[:, :, None] * d[:, None, :]) + _DAMPING * np.eye(problem.p)
     for _ in range(_NOISE_STEPS):
-        yield
         gradient = told.evaluate(unknowns).gradient
         if problem.prior is not None:
             gradient = gradient + problem.prior_pull(unknowns)

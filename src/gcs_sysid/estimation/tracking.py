@@ -26,7 +26,6 @@ from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.translation import accelerometer_gain
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.steps import Steps, at_once, finished
 
 _ARM_EVERY, _ARM_GROWTH = 1.0, 1.2
 """s between new references of the detector, and growth of the record, whichever is later."""
@@ -168,13 +167,13 @@ class Tracker:
         if self._keep and self.kept:
             self.kept.append(_gap(self.kept[-1]))
 
-    def updating(
+    def update(
         self,
         t: Array,
         samples: Samples,
         flying: Mask | None = None,
         stops: Sequence[int] = (),
-    ) -> Steps[list[Point]]:
+    ) -> list[Point]:
         """Take a block of samples; how they are grouped is one.
 
         Args:
@@ -191,19 +190,17 @@ class Tracker:
             # A stop between two runs is the end of the first.
             here = [stop - run.start for stop in stops[len(points) :] if stop <= run.stop]
             if aloft:
-                points += yield from self._fly(t[run], samples.part(run), here)
+                points += self._fly(t[run], samples.part(run), here)
             else:
-                yield from self._stand(t[run])
-                points += yield from self._idle(len(here))
+                self._stand(t[run])
+                points += self._idle(len(here))
         return points
-
-    update = at_once(updating)
 
     def finish(self) -> None:
         """Decide what is undecided, because nothing more will come."""
-        finished(self._end_trial())
+        self._end_trial()
 
-    def _stand(self, t: Array) -> Steps[None]:
+    def _stand(self, t: Array) -> None:
         """Take the (n,) times of samples on the ground."""
         if self.start is None:
             return
@@ -215,7 +212,7 @@ class Tracker:
                 self._trial.drop_last(_TOUCHDOWN)
                 self._trial.restart()
         if t[-1] - self._landed >= _STAY:
-            yield from self._end_trial()
+            self._end_trial()
 
     def _touch_down(self) -> None:
         """Leave out how the flight ended, and what looked like a change there."""
@@ -236,7 +233,7 @@ class Tracker:
         if self.kept:
             self.kept.append(_gap(self.kept[-1]))
 
-    def _fly(self, t: Array, samples: Samples, stops: Sequence[int]) -> Steps[list[Point]]:
+    def _fly(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[Point]:
         """Take samples of flight."""
         if self.start is None:
             self.start = float(t[0])
@@ -245,45 +242,45 @@ class Tracker:
         if landed is None:
             landed, stay = self._newest, _AWAY
         if t[0] - landed >= stay and np.isfinite(landed):
-            yield from self._end_trial()
+            self._end_trial()
             fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
             self._trial = Trial(fresh, landed, float(t[0]))
         self._newest = float(t[-1])
         if self._trial is None:
-            return (yield from self._follow(t, samples, stops))
+            return self._follow(t, samples, stops)
         room = self._trial.room
-        points = yield from self._idle(sum(stop <= room for stop in stops))
+        points = self._idle(sum(stop <= room for stop in stops))
         self._trial.take(t[:room], samples.part(slice(0, room)))
         if len(t) >= room:
-            yield from self._end_trial()
+            self._end_trial()
         if len(t) > room:
             later = [stop - room for stop in stops[len(points) :]]
-            points += yield from self._follow(t[room:], samples.part(slice(room, None)), later)
+            points += self._follow(t[room:], samples.part(slice(room, None)), later)
         return points
 
-    def _idle(self, count: int) -> Steps[list[Point]]:
+    def _idle(self, count: int) -> list[Point]:
         """What stops show while nothing is learnt."""
         if not count:
             return []
-        fit = yield from self.fitting(quick=True)
+        fit = self.fit(quick=True)
         return [Point(fit, len(self.segments))] * count
 
-    def _end_trial(self) -> Steps[None]:
+    def _end_trial(self) -> None:
         """Tell whether the vehicle is the same, and go on with what the trial has seen."""
         trial, self._trial = self._trial, None
         if trial is None:
             return
         assert self.start is not None
-        before = yield from self.fitting()
+        before = self.fit()
         arm = float(np.mean(np.hypot(self.geometry[0], self.geometry[1])))
         room = len(self.segments) < MOST_SEGMENTS
-        if room and is_another(before, (yield from trial.fitting()), arm):
+        if room and is_another(before, trial.fit(), arm):
             self._add(Event(trial.landed, trial.end, None, None, len(self.segments)))
             self.segments.append(Segment(self.start, trial.landed, before))
             # Of what was known only the scale is left, and the accelerometer.
             fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
             fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
-            yield from self._go_on_with(fresh, [])
+            self._go_on_with(fresh, [])
             self.start = trial.start
             if self._changes is not None:
                 self._detector = ChangeDetector(self.geometry, self.dt, self._changes)
@@ -292,9 +289,9 @@ class Tracker:
             if part is None:
                 self._break()
             else:
-                yield from self._follow(*part, ())
+                self._follow(*part, ())
 
-    def _follow(self, t: Array, samples: Samples, stops: Sequence[int]) -> Steps[list[Point]]:
+    def _follow(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[Point]:
         """Learn from samples of the vehicle that is being followed."""
         points: list[Point] = []
         done = 0
@@ -303,8 +300,7 @@ class Tracker:
             stop = min(done + self._quiet_samples(), len(t))
             part = slice(done, stop)
             here = [s - done for s in stops[len(points) :] if s <= stop]
-            yield
-            taken = yield from self._take(t[part], samples.part(part), here)
+            taken = self._take(t[part], samples.part(part), here)
             if taken is None:
                 # A change: again from there, deciding as often as ever.
                 self._hasty = stop - done
@@ -314,8 +310,8 @@ class Tracker:
             self._count += stop - done
             done = stop
             if self._count % self._frame == 0:
-                yield from self._look()
-        return points + (yield from self._idle(len(stops) - len(points)))
+                self._look()
+        return points + self._idle(len(stops) - len(points))
 
     def _quiet_samples(self) -> int:
         """Samples in which nothing is decided, if no change is detected."""
@@ -327,15 +323,14 @@ class Tracker:
         quiet = self._arm_at - self._estimator.seconds - _HELD_BACK
         return frame + self._frame * max(int(quiet / (self._frame * self.dt)) - 1, 0)
 
-    def _take(self, t: Array, samples: Samples, stops: Sequence[int]) -> Steps[list[Point] | None]:
+    def _take(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[Point] | None:
         """Take samples; None where many were tried at once, and there is a change in them."""
         detector = self._detector
         if detector is None:
-            return (yield from self._learn(samples, stops))
+            return self._learn(samples, stops)
         at_once = len(t) > self._frame
         known = deepcopy(detector) if at_once else detector
         found = detector.update(samples)
-        yield
         points: list[Point] = []
         if found:
             if at_once:
@@ -345,41 +340,39 @@ class Tracker:
             self._suspect(found[0], float(t[-1]))
             before = len(t) - min(after, len(t))
             here = [stop for stop in stops if stop <= before]
-            points = yield from self._learn(samples.part(slice(0, before)), here)
+            points = self._learn(samples.part(slice(0, before)), here)
             self._next_start = float(t[min(before, len(t) - 1)])
             samples = samples.part(slice(before, None))
         if self._next is None:
-            return (yield from self._learn(samples, stops))
+            return self._learn(samples, stops)
         if len(samples.gyro):
             self._next.update(samples)
             if self._keep:
                 self._next_kept.append(samples)
-        return points + (yield from self._idle(len(stops) - len(points)))
+        return points + self._idle(len(stops) - len(points))
 
-    def _look(self) -> Steps[None]:
+    def _look(self) -> None:
         """Decide what there is to decide; give the detector a better reference."""
         detector = self._detector
         if detector is None:
             return
         if self._next is not None:
             if not detector.deciding:
-                yield from self._decide(detector.cause)
+                self._decide(detector.cause)
         elif self._estimator.seconds >= self._arm_at:
             self._arm_at = max(
                 self._estimator.seconds + _ARM_EVERY, _ARM_GROWTH * self._estimator.seconds
             )
-            detector.arm((yield from self.fitting(quick=True, course="watch")))
+            detector.arm(self.fit(quick=True, course="watch"))
 
-    def fitting(self, *, quick: bool = False, course: str = "") -> Steps[Fit]:
-        """The fit in force; see `OnlineEstimator.fitting`."""
-        return self._estimator.fitting(quick=quick, course=course)
+    def fit(self, *, quick: bool = False, course: str = "") -> Fit:
+        """The fit in force; see `OnlineEstimator.fit`."""
+        return self._estimator.fit(quick=quick, course=course)
 
-    fit = at_once(fitting)
-
-    def _learn(self, samples: Samples, stops: Sequence[int]) -> Steps[list[Point]]:
+    def _learn(self, samples: Samples, stops: Sequence[int]) -> list[Point]:
         if self._keep:
             self.kept.append(samples)
-        fits = yield from self._estimator.following(samples, stops)
+        fits = self._estimator.follow(samples, stops)
         return [Point(fit, len(self.segments)) for fit in fits]
 
     def _suspect(self, change: Change, now: float) -> None:
@@ -395,7 +388,7 @@ class Tracker:
         self._next = OnlineEstimator(self.geometry, self.dt, self._tuning)
         self._next_kept = []
 
-    def _decide(self, cause: Cause | None) -> Steps[None]:
+    def _decide(self, cause: Cause | None) -> None:
         """What the pending change was is known as well as it can be: go on accordingly."""
         assert self._pending is not None
         assert self._next is not None
@@ -410,7 +403,7 @@ class Tracker:
         else:
             known_for = event.detected - event.onset
             self._estimator.forget_last(known_for + _CONTAMINATED)
-            before = yield from self.fitting()
+            before = self.fit()
             if cause is not None and cause.kind == "rotor_failure":
                 self.stopped = True
             else:
@@ -420,21 +413,21 @@ class Tracker:
                 fresh.accelerometer_gain = accelerometer_gain(
                     before.translation, before.accelerometer
                 )
-                yield from self._go_on_with(fresh, fresh_kept)
+                self._go_on_with(fresh, fresh_kept)
                 self.start = self._next_start
                 self._arm_at = 0.0
         self._add(event)
         if len(self.segments) >= MOST_SEGMENTS:
             self._changes = self._detector = None
 
-    def reserving(self) -> Steps[None]:
+    def reserve(self) -> None:
         """Have all memory now that a long flight will need."""
-        return self._estimator.reserving()
+        return self._estimator.reserve()
 
-    def _go_on_with(self, estimator: OnlineEstimator, kept: list[Samples]) -> Steps[None]:
+    def _go_on_with(self, estimator: OnlineEstimator, kept: list[Samples]) -> None:
         """Another vehicle from now on: what is known of the last one is in its segment."""
         self._estimator, self.kept = estimator, kept
-        yield from self.reserving()
+        self.reserve()
 
     def _add(self, event: Event) -> None:
         self.events.append(event)

@@ -21,10 +21,9 @@ from scipy.special import stdtr
 from gcs_sysid.arrays import Array, by_parts
 from gcs_sysid.estimation.basis import RotorBasis
 from gcs_sysid.estimation.priors import Prior
-from gcs_sysid.estimation.rotation import fitting_rotation
+from gcs_sysid.estimation.rotation import fit_rotation
 from gcs_sysid.estimation.search import N_X
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.steps import Steps, at_once
 
 FITTED_SHARE = 0.6
 """Share of the flight that is fitted; the rest is predicted."""
@@ -59,14 +58,14 @@ class Validation:
     coordinates: Array
 
 
-def validating(
+def validate(
     batches: Array,
     counts: NDArray[np.int64],
     basis: RotorBasis,
     noise: Array,
     gains: Array,
     prior: Prior | None = None,
-) -> Steps[Validation | None]:
+) -> Validation | None:
     """Fit the first batches, predict the others.
 
     Args:
@@ -85,10 +84,9 @@ def validating(
     cut = round(FITTED_SHARE * k)
     if k < _MIN_BATCHES:
         return None
-    fit = yield from fitting_rotation(batches[:cut], counts[:cut], basis, noise, prior=prior)
+    fit = fit_rotation(batches[:cut], counts[:cut], basis, noise, prior=prior)
     if fit is None:
         return None
-    yield
     rest = basis.moments_at(batches[cut:, 0].sum(axis=0), fit.coordinates)
     Q = rb.forward_matrix(fit.theta)
     Rxx, Rxy, Ryy = rest[:N_X, :N_X], rest[:N_X, N_X:], rest[N_X:, N_X:]
@@ -106,9 +104,6 @@ def validating(
         theta=fit.theta,
         coordinates=fit.coordinates,
     )
-
-
-validate = at_once(validating)
 
 
 def _whiteness(

@@ -28,7 +28,6 @@ from gcs_sysid.session.rotor_input import RotorChooser
 from gcs_sysid.session.rotor_units import gyro_cutoff, loop_cutoff
 from gcs_sysid.session.sampling import SampleBlock, Sampler
 from gcs_sysid.session.snapshot import Course, Event
-from gcs_sysid.steps import Pending
 
 __all__ = ["WINDOW", "Chain", "ChainOptions"]
 
@@ -39,8 +38,6 @@ WINDOW = 8192
 """IMU samples that are best taken at once."""
 _LEAST_WINDOW = 64
 """Fewer are fed one by one as fast."""
-_MOST_PENDING = 10
-"""Blocks of samples, 1 s of them, that are not learnt from yet."""
 
 
 class Chain:
@@ -67,8 +64,6 @@ class Chain:
         if anchor is None:
             raise ValueError("the airframe has no scale anchor (mass, k_T or T_max)")
         self.airframe = airframe
-        self.pending = Pending(_MOST_PENDING)
-        """What is still to be learnt from samples that were admitted."""
         self.options = options = options or ChainOptions()
         self._learner = Learner(airframe, anchor, options)
         if options.tuning.method != "forward":
@@ -91,21 +86,12 @@ class Chain:
     def feed(self, record: Record) -> bool:
         """Take one record. Returns whether the estimate was renewed."""
         before = self.renewals
-        self.admit(record)
-        self.pending.finish()
+        self._learn(self.sampler.push(record))
         return self.renewals > before
 
-    def admit(self, record: Record) -> None:
-        """Take one record as far as the grid; learning from its samples is left to `pending`.
-
-        The outcome is the same, however much is left for later. Whatever else is asked of the
-        chain, but for the time and how it stands, has all of it done first.
-        """
-        self._admit(self.sampler.push(record))
-
-    def _admit(self, blocks: tuple[SampleBlock, ...]) -> None:
+    def _learn(self, blocks: tuple[SampleBlock, ...]) -> None:
         if blocks:
-            self.pending.add(self._learner.learn(blocks, self._known()))
+            self._learner.learn(blocks, self._known())
 
     def take(self, window: RecordBlock) -> None:
         """Take records that follow each other, as `feed` would one by one, but for rounding.
@@ -129,14 +115,13 @@ class Chain:
         if blocks is None:
             self.sampler = known
             return False
-        self._admit(blocks)
-        self.pending.finish()
+        self._learn(blocks)
         return True
 
     def finish(self) -> Result:
         """Use what is still held back and give the final result."""
-        self._admit(self.sampler.finish())
-        self.pending.add(self._learner.finish(self.t))
+        self._learn(self.sampler.finish())
+        self._learner.finish(self.t)
         result = self.refit()
         speeds = self.rotor_input == "speed"
         if self.options.offline and self._learner.tracker is not None and speeds:
@@ -152,8 +137,7 @@ class Chain:
     def reset(self) -> None:
         """Forget the estimate; go on with the next samples."""
         # However records were taken, what came before is forgotten, and nothing else.
-        self._admit(self.sampler.catch_up())
-        self.pending.finish()
+        self._learn(self.sampler.catch_up())
         self._learner.reset()
         self.note("estimate reset")
 
@@ -175,7 +159,6 @@ class Chain:
             InputError: see `check_anchor`.
         """
         self.check_anchor(anchor.kind)
-        self.pending.finish()
         self.chooser.anchor = anchor
         self._learner.set_anchor(anchor)
         scale = summary.scale_of(anchor)
@@ -187,7 +170,6 @@ class Chain:
 
     def refit(self) -> Result:
         """Fit now and give the result."""
-        self.pending.finish()
         if self._learner.tracker is not None:
             self._learner.fit = self._learner.tracker.fit()
         return self.result()
@@ -266,7 +248,6 @@ class Chain:
 
     def result(self) -> Result:
         """The latest fit as a result."""
-        self.pending.finish()
         return Findings(
             self.airframe,
             self.sampler,

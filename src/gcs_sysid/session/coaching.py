@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.coach.choice import Choice, choosing
+from gcs_sysid.coach.choice import Choice, choose
 from gcs_sysid.coach.information import Noise, speed_noise
 from gcs_sysid.coach.manoeuvres import Limits, library
 from gcs_sysid.coach.outlook import Outlook, outlook_of
@@ -21,7 +21,6 @@ from gcs_sysid.estimation.online import Fit
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.sampling import SampleBlock
 from gcs_sysid.session.snapshot import Advice, Gain
-from gcs_sysid.steps import Steps
 
 _EVERY = 1.0
 """s of vehicle time between looks."""
@@ -60,8 +59,8 @@ class CoachOptions:
 class Coach:
     """Watches a chain and says what to fly next.
 
-    To weigh all manoeuvres takes longer than a link can wait, so it is done in steps: `look` now
-    and then, `think` whenever there is nothing else to do. `advise` does all of it at once.
+    To weigh all manoeuvres takes a tenth of a second: `look` now and then, `think` when there is
+    nothing else to do. `advise` does both.
 
     Args:
         chain: fed by somebody else; the coach observes its samples.
@@ -75,7 +74,7 @@ class Coach:
         self._chain = chain
         self._library = library(self.options.limits)
         self._advice: Advice | None = None
-        self._thought: Steps[None] | None = None
+        self._thought: tuple[Fit, dict[str, float | None]] | None = None
         self._text = ""
         self._gains: tuple[str, ...] = ()
         self._next_look = 0.0
@@ -98,8 +97,7 @@ class Coach:
     def advise(self) -> Advice | None:
         """What to fly next; about once a second it is thought over."""
         self.look()
-        while self.think():
-            pass
+        self.think()
         return self.look()
 
     def look(self) -> Advice | None:
@@ -113,19 +111,11 @@ class Coach:
             self._see()
         return self._advice
 
-    def think(self) -> bool:
-        """Think for some milliseconds; whether there is more to think about."""
-        if self._thought is None:
-            return False
-        try:
-            next(self._thought)
-        except StopIteration:
-            self._thought = None
-        return self._thought is not None
-
-    def stop(self) -> None:
-        """Think no more: a thought that is not finished holds coach and chain."""
-        self._thought = None
+    def think(self) -> None:
+        """Weigh all manoeuvres, if that is due."""
+        thought, self._thought = self._thought, None
+        if thought is not None:
+            self._weigh(*thought)
 
     def _forget(self) -> None:
         self.choice = self._advice = self._thought = None
@@ -162,16 +152,15 @@ class Coach:
         if any((now[name] or 1.0) >= _GROPING for name in ("Ixx", "Iyy")):
             # What a hover's noise looks like is no vehicle.
             fit = replace(fit, rotation=None)
-        self._thought = self._weigh(fit, now)
+        self._thought = fit, now
 
-    def _weigh(self, fit: Fit, now: dict[str, float | None]) -> Steps[None]:
+    def _weigh(self, fit: Fit, now: dict[str, float | None]) -> None:
         found = None
         # Estimates may be anything while a flight begins; no advice is worth a session.
         with suppress(np.linalg.LinAlgError):
             outlook = self._outlook(fit)
-            yield
             target = self.options.target
-            found = yield from choosing(outlook, self._library, self._judge, target)
+            found = choose(outlook, self._library, self._judge, target)
         self._settle(found, fit, now)
 
     def _settle(self, found: Choice | None, fit: Fit, now: dict[str, float | None]) -> None:

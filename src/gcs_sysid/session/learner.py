@@ -1,7 +1,6 @@
 """From blocks of samples to fits: which estimator learns from them, and what is told of it.
 
-It works in steps, so that whoever has other things to do, as to look at a link, does them in
-between. What it learns depends on the blocks, and on what was known when each came, alone.
+What it learns depends on the blocks, and on what was known when each came, alone.
 """
 
 from collections import deque
@@ -28,7 +27,6 @@ from gcs_sysid.session.course import CourseRecorder
 from gcs_sysid.session.rotor_units import RotorSource
 from gcs_sysid.session.sampling import SampleBlock
 from gcs_sysid.session.snapshot import Event
-from gcs_sysid.steps import Steps
 
 _MAX_EVENTS = 300
 
@@ -128,18 +126,18 @@ class Learner:
             self._go_on_after(segment)
         self.course.clear()
 
-    def finish(self, t: float) -> Steps[None]:
+    def finish(self, t: float) -> None:
         """Decide what is undecided, because nothing more will come."""
         if self.tracker is not None:
             self.tracker.finish()
-            yield from self._tell_events(self.tracker, t)
+            self._tell_events(self.tracker, t)
 
-    def learn(self, blocks: Sequence[SampleBlock], known: Known) -> Steps[None]:
+    def learn(self, blocks: Sequence[SampleBlock], known: Known) -> None:
         """Learn from blocks that came at once."""
         for block in blocks:
-            yield from self._learn_from(block, known)
+            self._learn_from(block, known)
 
-    def _learn_from(self, block: SampleBlock, known: Known) -> Steps[None]:
+    def _learn_from(self, block: SampleBlock, known: Known) -> None:
         if block.rotors is not None and block.rotors is not self.rotors:
             self._use(block.rotors, known.t)
         elif block.rotors is None and self.rotors is not None and not self._rotors_lost:
@@ -157,7 +155,7 @@ class Learner:
                 anew = f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate starts anew"
                 self.note(known.t, anew)
             tracker = self.tracker = self._new_tracker(block.dt, known)
-            yield from tracker.reserving()
+            tracker.reserve()
             # Rows are counted from the first sample in flight, however blocks fall.
             block = block.since(int(np.isfinite(block.samples.gyro).all(axis=1).argmax()))
         elif block.fresh:
@@ -165,10 +163,9 @@ class Learner:
         self._tell_rate(known)
         self._tell_outliers(known)
         stops = self._stops(block.t)
-        points = yield from tracker.updating(block.t, block.samples, block.flying, stops)
-        yield from self._tell_events(tracker, known.t)
+        points = tracker.update(block.t, block.samples, block.flying, stops)
+        self._tell_events(tracker, known.t)
         for stop, point in zip(stops, points, strict=True):
-            yield
             self.fit = point.fit
             values = self.values(point.fit, self.anchors[point.segment])
             self.course.append(float(block.t[stop - 1]), values)
@@ -269,13 +266,13 @@ class Learner:
             keep=self._options.offline,
         )
 
-    def _tell_events(self, tracker: Tracker, t: float) -> Steps[None]:
+    def _tell_events(self, tracker: Tracker, t: float) -> None:
         told, self._told = self._told, tracker.forgotten + len(tracker.events)
         for event in tracker.events[max(told - tracker.forgotten, 0) :]:
             self.note(t, summary.note_of(event, self.rotor_input))
             if event.segment is not None:
                 self._go_on_after(tracker.segments[event.segment])
-                self.fit = yield from tracker.fitting(quick=True)
+                self.fit = tracker.fit(quick=True)
                 if len(tracker.segments) == MOST_SEGMENTS:
                     self.note(t, f"{MOST_SEGMENTS} changes: more are not looked for")
 

@@ -32,12 +32,8 @@ _FEW = 16
 """Frames in one go that are not worth waking for."""
 _GATHER, _GATHER_MOST = 2.0, (0.002, 0.008)
 """Samples of the IMU to wait for then, and least and most s."""
-_THINK = 0.003
-"""s that the coach may think between looks at the link."""
 _PUBLISH_EVERY, _PUBLISH_LATE = 0.2, 0.4
 """s between snapshots; the longer one while more frames wait than are taken in one go."""
-_OVERDUE = 1.0
-"""s after which snapshots and results wait no more for what there is to be learnt to be done."""
 _RESULT_EVERY = 1.0
 """s of the vehicle's clock between results that are passed on."""
 _DRAINED_AFTER = 0.7
@@ -242,13 +238,11 @@ class LiveSession:
     def _leave(self) -> None:
         """Let go of the pipeline, which would outlive its session."""
         self._pipeline.drop()
-        if self._coach is not None:
-            self._coach.stop()
 
     def _loop(self) -> None:
         began = time.monotonic()
         while True:
-            frames = self._station.poll(0.0 if self._busy else _POLL)
+            frames = self._station.poll(_POLL)
             now = time.monotonic()
             if frames:
                 self._arrived = 1e-6 * self._recording.write(frames)
@@ -261,35 +255,28 @@ class LiveSession:
             self.problem = self.problem or met
             self._tell_recording()
             # What is shown waits while frames do, but not for ever.
-            few, busy = len(frames) < _FEW, self._busy
-            if not busy:
-                # In a stream without a pause the coach gets as much as the frames took.
-                self._think(_THINK if few else max(_THINK, time.monotonic() - now))
-            every = _OVERDUE if busy else _PUBLISH_EVERY if few else _PUBLISH_LATE
+            few = len(frames) < _FEW
+            if few:
+                self._think()
+            every = _PUBLISH_EVERY if few else _PUBLISH_LATE
             if now - self._published >= every:
                 self._published = now
                 self._publish(self._state())
             if self._stop.is_set() or self._ended(now, began):
                 return
-            if frames and few and not busy:
+            if frames and few:
                 # Let datagrams gather in the system's buffer: waking for each costs most.
                 least, most = _GATHER_MOST
                 dt = self._pipeline.chain.sampler.time_base.dt
                 self._stop.wait(min(max(_GATHER * dt, least), most))
 
-    @property
-    def _busy(self) -> bool:
-        """Whether there is something to be learnt from what has come."""
-        return self._identifying and bool(self._pipeline.chain.pending)
-
     def _identify(self, frames: Sequence[Frame], now: float) -> None:
         """All that is done with frames beside recording them."""
-        pipeline, pending = self._pipeline, self._pipeline.chain.pending
+        pipeline = self._pipeline
         if frames:
             pipeline.intake.garbage_bytes = self._station.garbage_bytes
-            pipeline.admit(frames, self._arrived)
+            pipeline.take(frames, self._arrived)
         self._attend(frames, now)
-        pending.step()  # just one: then the link is looked at again
         self._tell_result()
 
     def _watch_link(self, frames: Sequence[Frame], now: float) -> None:
@@ -359,8 +346,6 @@ class LiveSession:
         t = self._pipeline.chain.t
         late = t - self._told_result_at - _RESULT_EVERY
         if self._on_result is not None and late >= 0.0:
-            if self._busy and late < _OVERDUE:
-                return
             self._told_result_at = t
             result = self._complete(self._pipeline.result())
             try:
@@ -413,14 +398,12 @@ class LiveSession:
             self._recording.stop()
             self._note(self._recording.start(path))
 
-    def _think(self, seconds: float) -> None:
-        """Let the coach think for a while; a defect of it is told once and costs no flight."""
+    def _think(self) -> None:
+        """Let the coach think; a defect of it is told once and costs no flight."""
         if self._coach is None:
             return
         try:
-            enough = time.monotonic() + seconds
-            while self._coach.think() and time.monotonic() < enough:
-                pass
+            self._coach.think()
             self._advised = self._coach.look()
         except Exception as defect:  # noqa: BLE001 - words alone are lost
             self._coach = self._advised = None

@@ -66,11 +66,6 @@ class Pipeline:
             self.chain.feed(record)
         return self.chain.renewals > before
 
-    def admit(self, frames: Iterable[Frame], wall: float | None = None) -> None:
-        """Take frames, as `take` does, but leave to `chain.pending` what takes long."""
-        for record in self._records(frames, wall):
-            self.chain.admit(record)
-
     def _records(self, frames: Iterable[Frame], wall: float | None) -> Iterator[Record]:
         for frame in frames:
             record = self.intake.frame(frame, wall)
@@ -116,7 +111,6 @@ class Pipeline:
 
     def copy(self) -> "Pipeline":
         """One in the same state, that goes its own way; log and observers are the same."""
-        self.chain.pending.finish()
         shared = (self._telemetry, *self.chain.observers)
         return deepcopy(self, {id(thing): thing for thing in shared})
 
@@ -154,8 +148,7 @@ class Pipeline:
         )
 
     def drop(self) -> None:
-        """Leave undone what is pending, and forget who observes: both hold what they look at."""
-        self.chain.pending.drop()
+        """Forget who observes: they hold what they look at."""
         self.chain.observers.clear()
 
     def _complete(self, result: Result) -> Result:
