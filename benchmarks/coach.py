@@ -17,25 +17,25 @@ from functools import lru_cache, partial
 import numpy as np
 
 from benchmarks.accuracy.flights import measure
-from gcs_sysid.coach.manoeuvres import Limits
-from gcs_sysid.coach.targets import is_enough, shares
-from gcs_sysid.estimation.anchors import Anchor
+from gcs_sysid.coach.interval_targets import is_enough, shares
+from gcs_sysid.coach.manoeuvre_library import Limits
 from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.parameters import CORE
+from gcs_sysid.estimation.physical_parameters import CORE
 from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.live.flight_coach import Coach, CoachOptions
 from gcs_sysid.model.airframe import Airframe, load_airframe
+from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.results.summary import values_of
 from gcs_sysid.session.chain import ChainOptions
-from gcs_sysid.session.coaching import Coach, CoachOptions
 from gcs_sysid.session.pipeline import Pipeline
-from gcs_sysid.session.summary import values_of
 from gcs_sysid.telemetry.frames import FrameScanner
 from sim_bridge.ensemble import Flight as EmulatedFlight
 from sim_bridge.ensemble import fly_ensemble
-from sim_bridge.manoeuvres import ManoeuvreMission, Swings
 from sim_bridge.missions import MISSIONS, Mission
 from sim_bridge.px4 import Px4
+from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.simulation import Simulation
-from sim_bridge.vehicle import Vehicle
+from sim_bridge.swings import ManoeuvreMission, Swings
 from sim_bridge.vehicle_files import load_vehicle
 
 TARGET = 0.02
@@ -85,7 +85,7 @@ class Flight:
         self._autopilot = Px4(self.simulation, "mems", 0.02, rate, sensors)
         self._scanner = FrameScanner()
         self.pipeline = Pipeline(
-            self.airframe, "emulator", options=ChainOptions(course_interval=0.5)
+            self.airframe, "emulator", options=ChainOptions(history_interval=0.5)
         )
 
     def fly(self, seconds: float) -> None:
@@ -125,7 +125,7 @@ def modes(seed: int, airframe: str) -> Flown:
     each = round(LOOK * RATE)
     for start in range(0, len(samples.gyro), each):
         (fit,) = estimator.follow(samples.part(slice(start, start + each)), [each])
-        values = values_of(fit, Anchor("mass", vehicle.mass), known.arm, {})
+        values = values_of(fit, ScaleReference("mass", vehicle.mass), known.arm, {})
         if is_enough(shares(values, known.arm, "speed"), TARGET):
             truth = vehicle.truth()
             errors = {n: 100.0 * abs((values[n].value or np.nan) / truth[n] - 1.0) for n in CORE}

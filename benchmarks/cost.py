@@ -15,11 +15,11 @@ from pathlib import Path
 
 from benchmarks.accuracy.flights import GEOMETRY, fly, measure
 from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.tuning import Tuning
-from gcs_sysid.filters.complementary import ComplementaryFilter
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.signals.complementary import ComplementaryFilter
+from gcs_sysid.signals.samples import Samples
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import read_tlog
 
@@ -58,7 +58,7 @@ def chain_rates(log: Path) -> dict[str, float]:
     samples = sum(record.stream == "imu" for record in records)
     rates = {}
     for name, tick in _TICKS:
-        chain = Chain(load_airframe("paper"), ChainOptions(course_interval=0.1, tick=tick))
+        chain = Chain(load_airframe("paper"), ChainOptions(history_interval=0.1, tick=tick))
         began = time.process_time()
         for record in records:
             chain.feed(record)

@@ -27,7 +27,7 @@ from benchmarks.filter_errors import (
     measure,
     prepare,
 )
-from gcs_sysid.filters.complementary import DEFAULT_K_P
+from gcs_sysid.signals.complementary import DEFAULT_K_P
 
 Outcome = dict[str, Any]
 """What `measure` returns."""

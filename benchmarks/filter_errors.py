@@ -13,8 +13,9 @@ import numpy as np
 from benchmarks.accuracy.flights import PHYSICS_RATE, fly
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.tuning import Tuning
-from gcs_sysid.filters.complementary import ComplementaryFilter, complementary
-from gcs_sysid.filters.differentiator import (
+from gcs_sysid.model import attitude
+from gcs_sysid.signals.complementary import ComplementaryFilter, complementary
+from gcs_sysid.signals.differentiator import (
     ARTICLE_R,
     DEFAULT_BANDWIDTH,
     LinearDifferentiator,
@@ -22,9 +23,8 @@ from gcs_sysid.filters.differentiator import (
     central_difference,
     nonlinear_differentiator,
 )
-from gcs_sysid.filters.smoothers import DAMPING
-from gcs_sysid.filters.windows import cosine_window
-from gcs_sysid.model import attitude
+from gcs_sysid.signals.smoothers import DAMPING
+from gcs_sysid.signals.windows import cosine_window
 from sim_bridge.ensemble import Flight
 from sim_bridge.missions import PAPER
 

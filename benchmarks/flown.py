@@ -14,9 +14,9 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.coach.information import information
-from gcs_sysid.coach.manoeuvres import Manoeuvre
+from gcs_sysid.coach.manoeuvre_library import Manoeuvre
 from gcs_sysid.coach.motion import Craft, motion_of
-from gcs_sysid.coach.supposed import supposed, supposed_noise
+from gcs_sysid.coach.prior_vehicle import prior_noise, prior_vehicle
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from sim_bridge.vehicle_files import load_vehicle
@@ -46,8 +46,8 @@ FLOWN: dict[str, list[Swing]] = {
 
 
 def craft_of(name: str) -> tuple[Craft, Array]:
-    """An emulated vehicle as it is, and (N_UNKNOWNS,) margins of what one could have supposed."""
-    vehicle, expected = load_vehicle(name), supposed(load_airframe(name))
+    """An emulated vehicle as it is, and (N_UNKNOWNS,) margins of what one could have assumed."""
+    vehicle, expected = load_vehicle(name), prior_vehicle(load_airframe(name))
     true = vehicle.truth()
     theta = np.array([true[parameter] for parameter in rb.THETA], dtype=float)
     relative = [parameter not in ("cg_x", "cg_y", "moment_ratio") for parameter in rb.THETA]
@@ -65,7 +65,7 @@ def deviations(swings: list[Swing], craft: Craft, margin: Array) -> Array:
     for degrees in swings:
         roll, pitch, yaw = map(math.radians, degrees)
         flown = Manoeuvre("", roll=roll, pitch=pitch, yaw=yaw)
-        told = information(motion_of(flown, craft), craft, supposed_noise(craft))
+        told = information(motion_of(flown, craft), craft, prior_noise(craft))
         total += SECONDS / len(swings) * told
     size = np.sqrt(np.diag(total))
     covariance = np.linalg.inv(total / np.outer(size, size)) / np.outer(size, size)

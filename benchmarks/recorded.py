@@ -17,8 +17,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
+from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.result import Result
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.tlog import read_tlog
 

@@ -127,7 +127,11 @@ READERS = {
     ),
     "mavpose": Reader("mavpose", read_mavpose, ("mavpose",), once=True),
     "analyze": Reader(
-        "gcs-sysid analyze", read_analyze, ("gcs_sysid.cli.analyze",), once=True, long_only=True
+        "gcs-sysid analyze",
+        read_analyze,
+        ("gcs_sysid.cli.analyze_command",),
+        once=True,
+        long_only=True,
     ),
 }
 

@@ -27,7 +27,7 @@ from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain
-from gcs_sysid.session.sampling import SampleBlock
+from gcs_sysid.signals.sampling import SampleBlock
 
 PRODUCTS = ("Ixy", "Iyz", "Ixz")
 SHOWN = (

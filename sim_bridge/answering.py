@@ -8,10 +8,10 @@ import numpy as np
 
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.autopilot import Schedule, Stream, VehicleClock
-from sim_bridge.company import Company
 from sim_bridge.instruments import Instruments
-from sim_bridge.parameters import Parameter
+from sim_bridge.other_systems import OtherSystems
 from sim_bridge.status_messages import StatusMessages
+from sim_bridge.vehicle_parameters import Parameter
 from sim_bridge.wire import FrameWriter
 
 REBOOT_SILENCE = 1.0
@@ -52,15 +52,15 @@ class AnsweringAutopilot(ABC):
         self.clock = instruments.clock
         self.writer = writer
         self._sim = instruments.simulation
-        self._traps = instruments.faults.traps
-        skips, disorder, company = seed.spawn(3)
+        self._sensor_faults = instruments.faults.sensor_faults
+        skips, disorder, other_systems = seed.spawn(3)
         self._skip_random = np.random.default_rng(skips)
         self._disorder_random = np.random.default_rng(disorder)
-        self._company = Company(instruments, company)
-        self._never_sent = set(self._traps.never_sent)
-        self._reboot_tick = self._tick_of(self._traps.reboot)
-        self._jump_tick = self._tick_of(self._traps.clock_jump[0])
-        self._reset_tick = self._tick_of(self._traps.rate_reset)
+        self._other_systems = OtherSystems(instruments, other_systems)
+        self._never_sent = set(self._sensor_faults.never_sent)
+        self._reboot_tick = self._tick_of(self._sensor_faults.reboot)
+        self._jump_tick = self._tick_of(self._sensor_faults.clock_jump[0])
+        self._reset_tick = self._tick_of(self._sensor_faults.rate_reset)
         self._silent_until = 0
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
@@ -100,7 +100,7 @@ class AnsweringAutopilot(ABC):
         if tick == self._reboot_tick:
             self._restart(tick)
         if tick == self._jump_tick:
-            self.clock.jump(tick, round(1e6 * self._traps.clock_jump[1]))
+            self.clock.jump(tick, round(1e6 * self._sensor_faults.clock_jump[1]))
         if tick == self._reset_tick:
             self._reset_rates(tick)
         frames: list[bytes] = []
@@ -109,20 +109,20 @@ class AnsweringAutopilot(ABC):
         for stream in self.schedule.take(tick):
             if self._is_sent(stream):
                 frames += stream.make()
-        frames += self._company.poll()
-        return self._shuffled(frames) if self._traps.disorder else frames
+        frames += self._other_systems.poll()
+        return self._shuffled(frames) if self._sensor_faults.disorder else frames
 
     def _is_sent(self, stream: Stream) -> bool:
         if stream.msgid in self._never_sent:
             return False
-        share = self._traps.skips
+        share = self._sensor_faults.skips
         return not (share and self._skip_random.random() < share)
 
     def _shuffled(self, frames: list[bytes]) -> list[bytes]:
         """Some frames after the one that follows: senders of their own share the link."""
         frames = list(frames)
         for i in range(len(frames) - 1):
-            if self._disorder_random.random() < self._traps.disorder:
+            if self._disorder_random.random() < self._sensor_faults.disorder:
                 frames[i], frames[i + 1] = frames[i + 1], frames[i]
         return frames
 

@@ -11,12 +11,12 @@ from sim_bridge.ardupilot_instruments import ESC_PERIOD, ArduPilotInstruments
 from sim_bridge.ardupilot_messages import ArduPilotMessages
 from sim_bridge.ardupilot_parameters import ardupilot_parameters
 from sim_bridge.autopilot import Schedule, vehicle_clock
-from sim_bridge.faults import SensorFaults
-from sim_bridge.parameters import Parameter
+from sim_bridge.fault_injection import FaultInjector
+from sim_bridge.sensor_faults import NO_SENSOR_FAULTS, SensorFaults
 from sim_bridge.sensors import make_channels
 from sim_bridge.simulation import Simulation
 from sim_bridge.status_messages import Identity, StatusMessages
-from sim_bridge.traps import NO_TRAPS, Traps
+from sim_bridge.vehicle_parameters import Parameter
 from sim_bridge.wire import FrameWriter
 
 STEP_US = 1250
@@ -108,7 +108,7 @@ class ArduPilot(AnsweringAutopilot):
         noise: one of `NOISE_MODELS`; of gyro and accelerometer before their filters.
         sigma: of the models that take one.
         seed: of the sensors.
-        traps: in force.
+        sensor_faults: in force.
         writer: makes the frames; None for unsigned MAVLink 2 of system 1.
         asked: message number -> Hz, as if a ground station had asked before the flight.
     """
@@ -121,7 +121,7 @@ class ArduPilot(AnsweringAutopilot):
         noise: str,
         sigma: float,
         seed: np.random.SeedSequence,
-        traps: Traps = NO_TRAPS,
+        sensor_faults: SensorFaults = NO_SENSOR_FAULTS,
         writer: FrameWriter | None = None,
         asked: Mapping[int, float] | None = None,
     ) -> None:
@@ -139,8 +139,8 @@ class ArduPilot(AnsweringAutopilot):
         self._instruments = ArduPilotInstruments(
             simulation,
             channels,
-            vehicle_clock(traps, simulation.step_us, BOOT_US),
-            SensorFaults(vehicle, traps, faults),
+            vehicle_clock(sensor_faults, simulation.step_us, BOOT_US),
+            FaultInjector(vehicle, sensor_faults, faults),
         )
         super().__init__(self._instruments, writer, link)
         self._handlers["REQUEST_DATA_STREAM"] = self._data_stream
@@ -149,7 +149,7 @@ class ArduPilot(AnsweringAutopilot):
         self._status = StatusMessages(self._instruments, writer, IDENTITY)
         self.schedule = Schedule(simulation.step_us)
         self._make_streams()
-        if traps.groups_only:
+        if sensor_faults.groups_only:
             self._never_sent.add(mavlink.MAVLINK_MSG_ID_HIGHRES_IMU)
         self._asked = dict(asked or {})
         self._ask(0)
@@ -214,7 +214,7 @@ class ArduPilot(AnsweringAutopilot):
         return [self._flight.text(words) for words in texts]
 
     def _set_interval(self, message: Any) -> int:
-        if self._traps.groups_only:
+        if self._sensor_faults.groups_only:
             return UNSUPPORTED
         msgid, asked = round(message.param1), message.param2
         stream = self.schedule.streams.get(msgid)
@@ -244,7 +244,7 @@ class ArduPilot(AnsweringAutopilot):
     def _set_group(self, group: int, rate: int, tick: int) -> None:
         """Set the rates of a group's messages, whatever was asked of each before."""
         groups = _GROUPS if group == mavlink.MAV_DATA_STREAM_ALL else (group,)
-        least = LEAST_INTERVAL_BEFORE_4_MS if self._traps.groups_only else LEAST_INTERVAL_MS
+        least = LEAST_INTERVAL_BEFORE_4_MS if self._sensor_faults.groups_only else LEAST_INTERVAL_MS
         interval = max(1000 // rate, least) if rate else 0
         for number in groups:
             for msgid in _GROUPS.get(number, ()):

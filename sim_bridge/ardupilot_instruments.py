@@ -3,7 +3,7 @@
 import math
 
 from sim_bridge.autopilot import VehicleClock
-from sim_bridge.faults import RPM, SensorFaults
+from sim_bridge.fault_injection import RPM, FaultInjector
 from sim_bridge.instruments import Instruments, Sample
 from sim_bridge.sensors import Channel
 from sim_bridge.simulation import Simulation
@@ -74,7 +74,7 @@ class ArduPilotInstruments(Instruments):
         simulation: Simulation,
         channels: dict[str, Channel],
         clock: VehicleClock,
-        faults: SensorFaults,
+        faults: FaultInjector,
     ) -> None:
         super().__init__(simulation, channels, clock, faults)
         rate = 1.0 / simulation.step_size

@@ -9,7 +9,7 @@ from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.ardupilot_parameters import PWM_MAX, PWM_MIN, spin_range
 from sim_bridge.dynamics import rotate_to_body
-from sim_bridge.messages import MAGNETIC_FIELD, FlightMessages, voltage
+from sim_bridge.message_writers import MAGNETIC_FIELD, FlightMessages, voltage
 
 POSITION_FROM_US = 40_000_000
 """us since the autopilot was switched on: before that its EKF knows no position."""

@@ -1,8 +1,8 @@
 """The few parameters an emulated ArduCopter shows."""
 
 from sim_bridge.ardupilot_instruments import FILTER_HZ
-from sim_bridge.parameters import INT8, INT16, INT32, REAL32, Parameter
-from sim_bridge.vehicle import Vehicle
+from sim_bridge.simulated_vehicle import Vehicle
+from sim_bridge.vehicle_parameters import INT8, INT16, INT32, REAL32, Parameter
 
 PWM_MIN, PWM_MAX = 1000, 2000
 """us, MOT_PWM_MIN and MOT_PWM_MAX."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from sim_bridge.dynamics import STEP_US
-from sim_bridge.traps import Traps
+from sim_bridge.sensor_faults import SensorFaults
 
 BOOT_US = 20_000_000
 """The vehicle's clock at the start of the flight: it was switched on 20 s before."""
@@ -47,14 +47,16 @@ class VehicleClock:
         self._start_us += max(by_us, -self.at(tick))
 
 
-def vehicle_clock(traps: Traps, step_us: int, start_us: int = BOOT_US) -> VehicleClock:
+def vehicle_clock(
+    sensor_faults: SensorFaults, step_us: int, start_us: int = BOOT_US
+) -> VehicleClock:
     """The clock of a vehicle switched on so long before, unless the traps say otherwise."""
-    if traps.wrap_us:
-        start_us = (1 << 32) - round(1e6 * traps.wrap_us)
-    if traps.wrap_ms:
+    if sensor_faults.wrap_us:
+        start_us = (1 << 32) - round(1e6 * sensor_faults.wrap_us)
+    if sensor_faults.wrap_ms:
         # 2^32 ms are a whole number of times 2^32 us: both wrap at once.
-        start_us = 1000 * (1 << 32) - round(1e6 * traps.wrap_ms)
-    return VehicleClock(start_us, step_us, traps.clock_drift)
+        start_us = 1000 * (1 << 32) - round(1e6 * sensor_faults.wrap_ms)
+    return VehicleClock(start_us, step_us, sensor_faults.clock_drift)
 
 
 class Autopilot(Protocol):

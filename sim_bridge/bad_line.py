@@ -10,11 +10,11 @@ import math
 
 import numpy as np
 
+from sim_bridge.attacker import Attacker
 from sim_bridge.autopilot import BOOT_US
 from sim_bridge.choices import Span
 from sim_bridge.line_faults import LineFaults
 from sim_bridge.links import Link
-from sim_bridge.stranger import Stranger
 from sim_bridge.wire import MAGIC
 
 QUEUE = 0.5
@@ -41,9 +41,9 @@ class BadLine:
         self._faults = faults
         # A generator each: one fault does not move what another does.
         names = ("loss", "bursts", "corrupt", "jitter", "reorder", "duplicate", "up")
-        *children, stranger = seed.spawn(len(names) + 1)
+        *children, attacker = seed.spawn(len(names) + 1)
         self._random = dict(zip(names, map(np.random.default_rng, children), strict=True))
-        self._stranger = Stranger(faults, stranger) if faults.intruders else None
+        self._attacker = Attacker(faults, attacker) if faults.intruders else None
         self._on_the_way: list[tuple[int, int, bytes]] = []
         self._number = 0
         self._in_burst = False
@@ -67,8 +67,8 @@ class BadLine:
             else:
                 self.lost += 1
         self._pass_on(time_us)
-        if self._stranger is not None:
-            self._link.intrude(self._stranger.datagrams(now), time_us)
+        if self._attacker is not None:
+            self._link.intrude(self._attacker.datagrams(now), time_us)
 
     def receive(self) -> bytes:
         """What has arrived from the ground; the way up loses as much as the way down."""

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
+from gcs_sysid.argument_types import between, not_negative, positive
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.usage import between, not_negative, positive
 
 
 @dataclass(frozen=True)

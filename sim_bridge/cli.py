@@ -13,27 +13,32 @@ from types import FrameType
 import numpy as np
 
 from gcs_sysid import __version__
+from gcs_sysid.argument_types import OneLineParser, between, not_negative, number, positive
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.reading import read_bytes
 from gcs_sysid.telemetry.tlog import read_tlog
-from gcs_sysid.usage import OneLineParser, between, not_negative, number, positive
 from sim_bridge import ardupilot
 from sim_bridge.answering import AnsweringAutopilot
 from sim_bridge.ardupilot import ArduPilot
 from sim_bridge.autopilot import BOOT_US, EPOCH_US
 from sim_bridge.bad_line import BadLine
 from sim_bridge.choices import message_number, moment
+from sim_bridge.ground_cycle import GroundCycle
 from sim_bridge.line_faults import fault_help, make_faults, parse_fault
 from sim_bridge.links import Link, TlogLink, open_link
-from sim_bridge.manoeuvres import read_plan
 from sim_bridge.missions import MISSIONS, Mission
-from sim_bridge.outing import Outing
 from sim_bridge.playback import play, wait_for_somebody
 from sim_bridge.px4 import Px4
+from sim_bridge.sensor_faults import (
+    SensorFaults,
+    make_sensor_faults,
+    parse_sensor_fault,
+    sensor_fault_help,
+)
 from sim_bridge.sensors import NOISE_MODELS
 from sim_bridge.server import Pace, TruthFile, fly
 from sim_bridge.simulation import Change, Simulation, mass_step
-from sim_bridge.traps import Traps, make_traps, parse_trap, trap_help
+from sim_bridge.swings import read_plan
 from sim_bridge.vehicle_files import load_vehicle
 from sim_bridge.wire import FrameWriter, Signer
 
@@ -100,7 +105,7 @@ def make_parser() -> argparse.ArgumentParser:
         prog="sim-bridge",
         description="Emulate a multirotor that speaks MAVLink as PX4 or ArduPilot does.",
         epilog=(
-            f"traps (usual value in brackets):\n{trap_help()}\n\n"
+            f"traps (usual value in brackets):\n{sensor_fault_help()}\n\n"
             f"faults (usual value in brackets):\n{fault_help()}"
         ).replace("%", "%%"),
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -168,7 +173,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add(
         "--trap",
-        type=parse_trap,
+        type=parse_sensor_fault,
         action="append",
         default=[],
         metavar="NAME[=VALUE]",
@@ -238,11 +243,11 @@ def run(args: argparse.Namespace) -> None:
         _play(args)
         return
     vehicle = load_vehicle(args.airframe, args.arm)
-    traps = _traps(args)
+    sensor_faults = _sensor_faults(args)
     faults = make_faults(args.fault)
     mission: Mission = MISSIONS.get(args.mission) or read_plan(Path(args.mission))
-    if traps.ground or traps.flights > 1:
-        mission = Outing(mission, traps.ground, traps.flights)
+    if sensor_faults.ground or sensor_faults.flights > 1:
+        mission = GroundCycle(mission, sensor_faults.ground, sensor_faults.flights)
     duration = args.duration or mission.duration
     # One seed, independent generators: what one draws never moves the other.
     gusts, sensors = np.random.SeedSequence(args.seed).spawn(2)
@@ -250,7 +255,7 @@ def run(args: argparse.Namespace) -> None:
     if args.autopilot == "ardupilot":
         loop = {"step_us": ardupilot.STEP_US, "control_steps": ardupilot.LOOP_STEPS}
     simulation = Simulation(vehicle, mission, gusts, args.turbulence, args.mass_step, **loop)
-    autopilot = _autopilot(args, simulation, traps, sensors)
+    autopilot = _autopilot(args, simulation, sensor_faults, sensors)
     for name, value in args.param:
         try:
             autopilot.set_parameter(name, value)
@@ -301,15 +306,15 @@ def _play(args: argparse.Namespace) -> None:
     print(f"played {count} frames of {args.play}", file=sys.stderr)
 
 
-def _traps(args: argparse.Namespace) -> Traps:
+def _sensor_faults(args: argparse.Namespace) -> SensorFaults:
     unsent = [("never_sent", (message_number(name),)) for name in _NOT_SENT[args.rotor_input]]
-    return make_traps([*args.trap, *unsent])
+    return make_sensor_faults([*args.trap, *unsent])
 
 
 def _autopilot(
     args: argparse.Namespace,
     simulation: Simulation,
-    traps: Traps,
+    sensor_faults: SensorFaults,
     seed: np.random.SeedSequence,
 ) -> AnsweringAutopilot:
     """Who speaks, and in which version of MAVLink."""
@@ -328,8 +333,8 @@ def _autopilot(
     if args.autopilot == "ardupilot":
         # Nobody can ask through a file, so what a recording needs has been asked for.
         asked = ardupilot.recorder_rates(args.rate) if only_file else None
-        return ArduPilot(simulation, args.noise, args.sigma, seed, traps, writer, asked)
-    return Px4(simulation, args.noise, args.sigma, args.rate, seed, traps, writer)
+        return ArduPilot(simulation, args.noise, args.sigma, seed, sensor_faults, writer, asked)
+    return Px4(simulation, args.noise, args.sigma, args.rate, seed, sensor_faults, writer)
 
 
 def read_key(path: Path) -> bytes:

@@ -17,7 +17,7 @@ import numpy as np
 from gcs_sysid.model.parameters import GRAVITY
 from sim_bridge.dynamics import State
 from sim_bridge.missions import Reference
-from sim_bridge.vehicle import Value, Vehicle, allocation
+from sim_bridge.simulated_vehicle import Value, Vehicle, allocation
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gcs_sysid.model.parameters import GRAVITY
-from sim_bridge.vehicle import Value, Vehicle
+from sim_bridge.simulated_vehicle import Value, Vehicle
 
 STEP_US = 1000
 """Usual step of the physics, us."""
@@ -194,7 +194,7 @@ class Dynamics:
     ) -> State:
         """Advance by one step with the rotor-speed targets held.
 
-        The rotors are solved exactly, the body by RK4 on the rotors' known course.
+        The rotors are solved exactly, the body by RK4 on the rotors' known history.
         """
         h = self.step_size
         half, whole, _ = self._decay

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from sim_bridge.instruments import quaternion_of_arrays
 from sim_bridge.missions import Mission
 from sim_bridge.sensors import make_channels
+from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.simulation import Change, Simulation
-from sim_bridge.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_bridge.autopilot import VehicleClock
-from sim_bridge.faults import SensorFaults
+from sim_bridge.fault_injection import FaultInjector
 from sim_bridge.sensors import Channel
 from sim_bridge.simulation import Simulation
 
@@ -36,18 +36,18 @@ class Instruments:
         simulation: Simulation,
         channels: dict[str, Channel],
         clock: VehicleClock,
-        faults: SensorFaults,
+        faults: FaultInjector,
     ) -> None:
         self.simulation = simulation
         self.clock = clock
         self.faults = faults
         self._channels = channels
         self._drawn: dict[str, tuple[int, Sample]] = {}
-        traps = faults.traps
-        self._imu_age = round(traps.imu_late / simulation.step_size)
-        self._rotor_age = round(traps.rotor_late / simulation.step_size)
-        self._attitude_age = round(traps.attitude_late / simulation.step_size)
-        self._averaged = round(traps.gyro_average / simulation.step_size)
+        sensor_faults = faults.sensor_faults
+        self._imu_age = round(sensor_faults.imu_late / simulation.step_size)
+        self._rotor_age = round(sensor_faults.rotor_late / simulation.step_size)
+        self._attitude_age = round(sensor_faults.attitude_late / simulation.step_size)
+        self._averaged = round(sensor_faults.gyro_average / simulation.step_size)
         # One element a physics step, the newest last; empty unless something looks back.
         self._inertial: deque[tuple[Sample, Sample]] = deque(
             maxlen=self._imu_age + self._averaged + 1
@@ -165,7 +165,7 @@ class Instruments:
     def rotor_speeds(self) -> Sample:
         """Measured rotor speeds, rad/s, never below zero."""
         speeds, targets = self._rotor_state()
-        if self.faults.traps.rpm_command:
+        if self.faults.sensor_faults.rpm_command:
             return list(targets)
         noise = self._noise("rotor", True)
         return [max(0.0, speed + n) for speed, n in zip(speeds, noise, strict=True)]

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from gcs_sysid.usage import between, not_negative, number
+from gcs_sysid.argument_types import between, not_negative, number
 from sim_bridge.choices import (
     Kind,
     Span,

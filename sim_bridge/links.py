@@ -69,7 +69,7 @@ class UdpLink:
 
     def __init__(self, host: str, port: int, listen: bool) -> None:
         self._listen = listen
-        self._stranger: socket.socket | None = None
+        self._attacker: socket.socket | None = None
         family, address = _resolve(host, port, socket.SOCK_DGRAM)
         self.peer: Any = None if listen else address
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
@@ -116,12 +116,12 @@ class UdpLink:
         del time_us
         if self.peer is None or not datagrams:
             return
-        if self._stranger is None:
-            self._stranger = socket.socket(self._socket.family, socket.SOCK_DGRAM)
-            self._stranger.setblocking(False)
+        if self._attacker is None:
+            self._attacker = socket.socket(self._socket.family, socket.SOCK_DGRAM)
+            self._attacker.setblocking(False)
         for data in datagrams:
             with contextlib.suppress(OSError):  # who floods does not wait
-                self._stranger.sendto(data, self.peer)
+                self._attacker.sendto(data, self.peer)
 
     def receive(self) -> bytes:
         """What has arrived; on a listening link the last sender becomes the peer."""
@@ -138,8 +138,8 @@ class UdpLink:
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
-        if self._stranger is not None:
-            self._stranger.close()
+        if self._attacker is not None:
+            self._attacker.close()
 
 
 class TcpLink(_OneSender):

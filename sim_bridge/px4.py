@@ -7,14 +7,14 @@ import numpy as np
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.answering import ACCEPTED, DENIED, FAILED, AnsweringAutopilot
 from sim_bridge.autopilot import Schedule, vehicle_clock
-from sim_bridge.faults import SensorFaults
+from sim_bridge.fault_injection import FaultInjector
 from sim_bridge.instruments import Instruments
 from sim_bridge.px4_messages import Px4Messages
 from sim_bridge.px4_parameters import px4_parameters
+from sim_bridge.sensor_faults import NO_SENSOR_FAULTS, SensorFaults
 from sim_bridge.sensors import make_channels
 from sim_bridge.simulation import Simulation
 from sim_bridge.status_messages import Identity, StatusMessages
-from sim_bridge.traps import NO_TRAPS, Traps
 from sim_bridge.wire import FrameWriter
 
 # Which messages read which sensor: its noise is drawn at the pace of the fastest of them.
@@ -48,7 +48,7 @@ class Px4(AnsweringAutopilot):
         sigma: of the models that take one.
         rate: of IMU and rotors, Hz.
         seed: of the sensors.
-        traps: in force.
+        sensor_faults: in force.
         writer: makes the frames; None for unsigned MAVLink 2 of system 1.
     """
 
@@ -59,7 +59,7 @@ class Px4(AnsweringAutopilot):
         sigma: float,
         rate: float,
         seed: np.random.SeedSequence,
-        traps: Traps = NO_TRAPS,
+        sensor_faults: SensorFaults = NO_SENSOR_FAULTS,
         writer: FrameWriter | None = None,
     ) -> None:
         writer = writer or FrameWriter(1, 1)
@@ -76,8 +76,8 @@ class Px4(AnsweringAutopilot):
         instruments = Instruments(
             simulation,
             channels,
-            vehicle_clock(traps, simulation.step_us),
-            SensorFaults(vehicle, traps, faults),
+            vehicle_clock(sensor_faults, simulation.step_us),
+            FaultInjector(vehicle, sensor_faults, faults),
         )
         super().__init__(instruments, writer, link)
         self.parameters = px4_parameters(vehicle, writer.sysid)

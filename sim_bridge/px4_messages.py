@@ -6,7 +6,7 @@ Fields are passed in wire order, which is not the order of the definitions: see
 
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.dynamics import rotate_to_body
-from sim_bridge.messages import HOME, MAGNETIC_FIELD, FlightMessages, voltage
+from sim_bridge.message_writers import HOME, MAGNETIC_FIELD, FlightMessages, voltage
 
 IMU_FIELDS = 63
 """HIGHRES_IMU fields_updated: accelerometer and gyro."""
@@ -93,7 +93,9 @@ class Px4Messages(FlightMessages):
         else:
             outputs = [DISARMED] * self._rotors
         # A count of outputs, the unused ones among them, as PX4 in simulation sends it.
-        return outputs + [DISARMED] * (self.instruments.faults.traps.active_count - len(outputs))
+        return outputs + [DISARMED] * (
+            self.instruments.faults.sensor_faults.active_count - len(outputs)
+        )
 
     def esc_info(self) -> list[bytes]:
         """ESC_INFO, four rotors a message."""

@@ -1,7 +1,7 @@
 """The few parameters an emulated PX4 shows."""
 
-from sim_bridge.parameters import INT32, REAL32, Parameter
-from sim_bridge.vehicle import Vehicle
+from sim_bridge.simulated_vehicle import Vehicle
+from sim_bridge.vehicle_parameters import INT32, REAL32, Parameter
 
 
 def px4_parameters(vehicle: Vehicle, sysid: int) -> list[Parameter]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.model.parameters import GRAVITY
-from gcs_sysid.recursions import lfilter
+from gcs_sysid.signals.recursions import lfilter
 
 Array = NDArray[np.float64]
 

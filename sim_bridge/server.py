@@ -11,8 +11,8 @@ from typing import Any, Protocol
 from gcs_sysid.errors import InputError
 from sim_bridge.autopilot import BOOT_US, Autopilot
 from sim_bridge.links import Link
+from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.simulation import Simulation
-from sim_bridge.vehicle import Vehicle
 
 LISTEN_STEPS = 4
 """Physics steps between looks at what has arrived."""

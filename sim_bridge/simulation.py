@@ -7,9 +7,9 @@ import numpy as np
 
 from sim_bridge.controller import Controller
 from sim_bridge.dynamics import CALM, STEP_US, Disturbance, Dynamics, State, rotate_to_body
+from sim_bridge.ground_cycle import GroundCycle
 from sim_bridge.missions import HEIGHT, Mission
-from sim_bridge.outing import Outing
-from sim_bridge.vehicle import Value, Vehicle, hover_thrusts
+from sim_bridge.simulated_vehicle import Value, Vehicle, hover_thrusts
 
 CONTROL_STEPS = 4
 """Usual physics steps a control period: 250 Hz."""
@@ -125,8 +125,8 @@ class Simulation:
         self.disturbance = CALM
         self.armed = True
         self.grounded = False
-        self._outing = mission if isinstance(mission, Outing) else None
-        if self._outing is not None:
+        self._ground_cycle = mission if isinstance(mission, GroundCycle) else None
+        if self._ground_cycle is not None:
             self._stand()
         else:
             self._control()
@@ -155,7 +155,7 @@ class Simulation:
             self.dynamics.use(change.apply(before))
             self.done.append((change, before, self.vehicle))
         if self.tick % self._control_steps == 0:
-            if self._outing is not None and self._outing.is_grounded(self.time):
+            if self._ground_cycle is not None and self._ground_cycle.is_grounded(self.time):
                 self._stand()
             else:
                 self._control()
@@ -169,8 +169,8 @@ class Simulation:
 
     def _stand(self) -> None:
         """On the ground: rotors stopped, or turning with not quite the thrust to leave it."""
-        assert self._outing is not None
-        self.armed = self._outing.is_armed(self.time)
+        assert self._ground_cycle is not None
+        self.armed = self._ground_cycle.is_armed(self.time)
         idle = trim(self.vehicle).speeds
         if not self.grounded:
             self.grounded = True

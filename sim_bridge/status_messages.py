@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.autopilot import EPOCH_US
 from sim_bridge.instruments import Instruments
-from sim_bridge.messages import CELLS, HOME, MessageMaker, voltage
+from sim_bridge.message_writers import CELLS, HOME, MessageMaker, voltage
 from sim_bridge.wire import FrameWriter
 
 EARTH_RADIUS = 6371000.0
@@ -189,7 +189,7 @@ class StatusMessages(MessageMaker):
         """GPS_RAW_INT."""
         latitude, longitude, height = self._place()
         vx, vy, _ = self.instruments.velocity(fresh=False)
-        course = math.degrees(math.atan2(vy, vx)) % 360.0
+        history = math.degrees(math.atan2(vy, vx)) % 360.0
         return [
             self.writer.frame(
                 mavlink.MAVLink_gps_raw_int_message,
@@ -200,7 +200,7 @@ class StatusMessages(MessageMaker):
                 70,
                 110,
                 round(math.hypot(vx, vy) * 100.0),
-                round(course * 100.0) % 36000,
+                round(history * 100.0) % 36000,
                 mavlink.GPS_FIX_TYPE_3D_FIX,
                 14,
                 round(height * 1e3),

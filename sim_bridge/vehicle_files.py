@@ -15,7 +15,7 @@ from gcs_sysid.model.airframe import (
     parse_airframe,
     read_airframe_table,
 )
-from sim_bridge.vehicle import Vehicle, hover_thrusts
+from sim_bridge.simulated_vehicle import Vehicle, hover_thrusts
 
 _POSITIVE = ("mass", "Ixx", "Iyy", "Izz", "k_T", "k_M", "T_max")
 _NOT_NEGATIVE = ("motor_lag", "rotational_damping", "rotor_inertia", "linear_drag")

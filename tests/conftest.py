@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from gcs_sysid.records import Record
+from gcs_sysid.signals.records import Record
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge.cli import main as sim_bridge

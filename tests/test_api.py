@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import gcs_sysid
-from gcs_sysid.records import Stream
 from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import open_log
 
 

@@ -11,19 +11,19 @@ import pytest
 
 import gcs_sysid
 import sim_bridge
-from gcs_sysid.cli.main import run
+from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import write_whole
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.plain import LONGEST_LINE, one_line
 from gcs_sysid.reading import read_text
-from gcs_sysid.session.result_file import read_result
+from gcs_sysid.results.result_file import read_result
+from gcs_sysid.sanitize import LONGEST_LINE, one_line
 from gcs_sysid.telemetry.link import UdpLink
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.signing import read_key
 from gcs_sysid.telemetry.urls import parse_url
-from sim_bridge.manoeuvres import read_plan
+from sim_bridge.swings import read_plan
 
 TOOL = Path(gcs_sysid.__file__).parent
 ROOTS = [TOOL, Path(sim_bridge.__file__).parent]
@@ -87,7 +87,8 @@ def test_only_what_is_live_opens_a_link():
         if any(function.split(".")[-1] == "open_link" for function, _ in called(tree))
     }
     assert openers == {
-        "cli/live.py", "cli/inspect.py", "setup_help/listening.py", "telemetry/reconnect.py",
+        "cli/live_command.py", "cli/inspect_command.py", "setup_help/listening.py",
+        "telemetry/reconnect.py",
     }  # fmt: skip
 
 

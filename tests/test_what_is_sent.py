@@ -19,8 +19,8 @@ import pytest
 import serial
 
 from gcs_sysid.__main__ import main
-from gcs_sysid.cli import live as live_command
-from gcs_sysid.session import live as live_session
+from gcs_sysid.cli import live_command as live_command
+from gcs_sysid.live import live_session as live_session
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.link import Chunk, Link
 from gcs_sysid.telemetry.tlog import read_tlog

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from playwright.sync_api import sync_playwright
 
-from gcs_sysid.cli.main import run
+from gcs_sysid.cli.program import run
 
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 SAMPLE = Path(__file__).resolve().parents[1] / "logs" / "sample.tlog"

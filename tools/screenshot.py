@@ -23,12 +23,12 @@ from pathlib import Path
 from typing import Any
 
 from gcs_sysid.cli.output import read_truth
+from gcs_sysid.live.live_options import LiveOptions
+from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.snapshot import Snapshot
 from gcs_sysid.screen import SnapshotSource, SysidApp
-from gcs_sysid.session.live import LiveSession
-from gcs_sysid.session.live_options import LiveOptions
-from gcs_sysid.session.result import Result
-from gcs_sysid.session.snapshot import Snapshot
 from gcs_sysid.telemetry.link import open_link
 from gcs_sysid.telemetry.urls import parse_url
 

@@ -32,7 +32,7 @@ from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.speed_noise import ROUNDING_STD
 from gcs_sysid.estimation.tuning import Tuning
-from gcs_sysid.filters.complementary import ComplementaryFilter
+from gcs_sysid.signals.complementary import ComplementaryFilter
 
 SIGMA = 0.02
 """The article's baseline noise."""
@@ -130,7 +130,7 @@ def mems_offline(seed: int) -> dict[str, Any]:
     return {"online": outcome(fit), "offline": outcome(offline(samples, 0.004, fit, level))}
 
 
-def course(seed: int) -> dict[str, Any]:
+def history(seed: int) -> dict[str, Any]:
     """Refits of the all-axes mission at 10 Hz while it is flown, and what was claimed at each."""
     dt = 0.05
     samples = measure(fly("all-axes", 20), "paper", SIGMA, seed)
@@ -153,7 +153,7 @@ def course(seed: int) -> dict[str, Any]:
 
 
 def followed(t: Array, errors: Array, std: Array, identified: Mask) -> dict[str, Any]:
-    """What a course comes to.
+    """What a history comes to.
 
     Args:
         t: (n,) s.
@@ -249,7 +249,7 @@ CASES = (
     Case("white", 100, white, _slow),
     Case("mems", 100, mems, _fast),
     Case("mems-offline", 3, mems_offline, _fast),
-    Case("course", 200, course, lambda: fly("all-axes", 20)),
+    Case("course", 200, history, lambda: fly("all-axes", 20)),
     Case("delay", 24, delays, _fly_late),
     Case("peers", 8, comparison, lambda: peers.tune("paper")),
     Case("peers-mems", 2, comparison_mems, lambda: peers.tune("mems")),

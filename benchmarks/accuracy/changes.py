@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.flights import GEOMETRY, VEHICLE, fly, measure
-from gcs_sysid.estimation.changes import ChangeTuning
+from gcs_sysid.estimation.change_detection import ChangeTuning
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import Tuning
 from sim_bridge.ensemble import Flight
+from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.simulation import Change, mass_step
-from sim_bridge.vehicle import Vehicle
 
 RATE = 250
 DT = 1.0 / RATE
@@ -20,7 +20,7 @@ AT = 30.0
 SECONDS = 52.0
 FACTOR = 1.2
 STEP, EARLY_STEP, EARLY = 0.5, 0.1, 2.0
-"""s between estimates of the course after the change, and at first."""
+"""s between estimates of the history after the change, and at first."""
 BLOCK = 25
 """Samples fed at a time; 0.1 s."""
 QUIET = ("hover", "paper", "all-axes")

@@ -7,16 +7,16 @@ import numpy as np
 from benchmarks.accuracy.article import NAMES
 from benchmarks.accuracy.flights import ARM, GEOMETRY, TRUTH, VEHICLE, exact, fly
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.estimation.innovations import AxisNoise, Noise
 from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximise_likelihood
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
-from gcs_sysid.estimation.parameters import Value
-from gcs_sysid.estimation.regression import Samples
+from gcs_sysid.estimation.physical_parameters import Value
 from gcs_sysid.estimation.speed_noise import ROUNDING_STD
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.session.summary import values_of
+from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.results.summary import values_of
+from gcs_sysid.signals.samples import Samples
 from sim_bridge.sensors import CORNER
 
 Outcome = dict[str, list[float]]
@@ -49,7 +49,7 @@ def offline(samples: Samples, dt: float, start: Fit, speed_std: float | None) ->
 
 def at_known_mass(fit: Fit) -> dict[str, Value]:
     """The physical parameters at the scale of the known mass, as the program tells them."""
-    return values_of(fit, Anchor("mass", VEHICLE.mass), ARM, {})
+    return values_of(fit, ScaleReference("mass", VEHICLE.mass), ARM, {})
 
 
 def outcome(fit: Fit) -> Outcome:

@@ -42,15 +42,15 @@ def noise(data: Data) -> Any:
     for axes, speeds in zip(grid, ("exact", "telemetered"), strict=True):
         axes[0].set_ylabel(f"error, %; {speeds} speeds")
         floors = [least(bound(data, "paper", s, speeds)) for s in sigmas]
-        courses = [("article", _THEIRS, "s-", list(TABLE_3.values()))]
+        histories = [("article", _THEIRS, "s-", list(TABLE_3.values()))]
         for name, color in (("online", _OURS), ("offline", _BETTER)):
             found = [summary(at_noise(data, s, f"{name} {speeds}")) for s in sigmas]
-            courses.append((name, color, "o-", found))
-        courses.append(("Cramér-Rao bound", _BOUND, "--", floors))
+            histories.append((name, color, "o-", found))
+        histories.append(("Cramér-Rao bound", _BOUND, "--", floors))
         for i, (axis, what) in enumerate(
             zip(axes, ("mean of the ten, median", "largest, 95th percentile"), strict=True)
         ):
-            for label, color, style, points in courses:
+            for label, color, style, points in histories:
                 axis.plot(sigmas, [p[i] for p in points], style, color=color, label=label)
             axis.set(yscale="log", xticks=sigmas)
             if speeds == "exact":

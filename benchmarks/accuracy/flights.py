@@ -7,9 +7,9 @@ import numpy as np
 
 from benchmarks.accuracy.article import NAMES
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.regression import Samples
-from gcs_sysid.filters.complementary import ComplementaryFilter
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.signals.complementary import ComplementaryFilter
+from gcs_sysid.signals.samples import Samples
 from sim_bridge.ensemble import Flight, fly_ensemble
 from sim_bridge.missions import MISSIONS
 from sim_bridge.simulation import Change

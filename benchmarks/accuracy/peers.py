@@ -21,11 +21,11 @@ from statsmodels.regression.recursive_ls import RecursiveLS
 from benchmarks.accuracy.estimators import Outcome, in_percent, online, outcome
 from benchmarks.accuracy.flights import GEOMETRY, VEHICLE, fly, measure
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.article import Method
+from gcs_sysid.estimation.article_estimator import Method
 from gcs_sysid.estimation.online import Fit
-from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.signals.samples import Samples
 
 TUNING_SEEDS = (100001, 100002, 100003)
 """The unscented filter, which takes long, is tuned on the first alone."""

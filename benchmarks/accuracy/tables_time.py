@@ -72,7 +72,7 @@ def changes(data: Data) -> Section:
         known = Counter(str(o["cause"]) for o in outcomes).most_common()
         said = ", ".join(f"`{cause}` {count}" for cause, count in known)
         again = sum(o["again"] for o in outcomes)
-        t, errors = _course(outcomes)
+        t, errors = _history(outcomes)
         back = np.median(settled(t, errors), axis=0)
         rows.append([name, said, str(again), *(number(float(b)) for b in back)])
     lines = [
@@ -86,7 +86,7 @@ def changes(data: Data) -> Section:
     return Section(verdicts, lines)
 
 
-def _course(outcomes: list[dict[str, Any]]) -> tuple[Array, Array]:
+def _history(outcomes: list[dict[str, Any]]) -> tuple[Array, Array]:
     """Times (n,) after the change and errors (seeds, n, 7) in %: mass and inertia."""
     errors = np.array([o["error"] for o in outcomes], dtype=float)
     return np.array(outcomes[0]["t"]), errors
@@ -99,7 +99,7 @@ def _detection(outcomes: list[dict[str, Any]], bar: float) -> Verdict:
 
 def _mass(case: dict[str, Any]) -> list[Verdict]:
     outcomes = [o["mass"] for o in case["outcomes"]]
-    t, errors = _course(outcomes)
+    t, errors = _history(outcomes)
     sizes = np.nan_to_num(np.abs(errors), nan=np.inf)
     at = int(np.searchsorted(t, 1.0, side="right")) - 1
     mass = float(np.percentile(sizes[:, at, 0], 95, method="higher"))
@@ -130,7 +130,7 @@ def _mass(case: dict[str, Any]) -> list[Verdict]:
 
 def _payload(case: dict[str, Any]) -> list[Verdict]:
     outcomes = [o["payload"] for o in case["outcomes"]]
-    t, errors = _course(outcomes)
+    t, errors = _history(outcomes)
     back = np.median(settled(t, errors[:, :, 1:]), axis=0)
     return [
         _detection(outcomes, 50.0),

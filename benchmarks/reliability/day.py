@@ -33,9 +33,9 @@ from benchmarks.reliability.flights import emulate
 from benchmarks.reliability.watched import resident
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.results.result import Result
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
-from gcs_sysid.session.result import Result
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import Frame, read_frame
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
@@ -251,7 +251,7 @@ def main() -> int:
     parser.add_argument("--packs", type=int, default=6, help="flights (default: 6)")
     options = parser.parse_args()
     airframe = load_airframe("paper")
-    pipeline = Pipeline(airframe, "day", None, ChainOptions(course_interval=10.0, tick=1.0))
+    pipeline = Pipeline(airframe, "day", None, ChainOptions(history_interval=10.0, tick=1.0))
     replayer = Replayer(1, (1 << 32) * 1e-3 - TO_WRAP)
     print(f"{'flight':<8}{'flown':>8}{'clock':>12}{'MB':>8}  errors in % (+- half width of 95 %)")
     memory, spent, bad = [], time.process_time(), 0

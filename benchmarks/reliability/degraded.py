@@ -23,10 +23,10 @@ import numpy as np
 from benchmarks.reliability.fault_cases import CASES, DROPOUTS, HEADLINE, Case
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
-from gcs_sysid.session.result import Result
 from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge.autopilot import BOOT_US, EPOCH_US
 from sim_bridge.bad_line import BadLine
@@ -34,8 +34,8 @@ from sim_bridge.line_faults import LineFaults
 from sim_bridge.links import TlogLink
 from sim_bridge.missions import MISSIONS
 from sim_bridge.px4 import Px4
+from sim_bridge.sensor_faults import NO_SENSOR_FAULTS, SensorFaults
 from sim_bridge.simulation import Simulation
-from sim_bridge.traps import NO_TRAPS, Traps
 from sim_bridge.vehicle_files import load_vehicle
 
 AIRFRAME = "paper"
@@ -122,11 +122,11 @@ class Row:
 
 
 @lru_cache(maxsize=12)
-def fly(flight: Flight, seed: int, traps: Traps = NO_TRAPS) -> Tape:
+def fly(flight: Flight, seed: int, sensor_faults: SensorFaults = NO_SENSOR_FAULTS) -> Tape:
     """The frames of one flight; each seed has its own noise."""
     gusts, sensors = np.random.SeedSequence(seed).spawn(2)
     simulation = Simulation(load_vehicle(AIRFRAME), MISSIONS[flight.mission], gusts, 0.0)
-    autopilot = Px4(simulation, "mems", 0.02, flight.rate, sensors, traps)
+    autopilot = Px4(simulation, "mems", 0.02, flight.rate, sensors, sensor_faults)
     tape: Tape = []
     for tick in range(round(flight.seconds / simulation.step_size) + 1):
         if tick:
@@ -174,7 +174,7 @@ def analysed(case: Case, flight: Flight, seed: int) -> Outcome:
     """One flight with one case's faults."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight.tlog"
-        record(fly(flight, seed, case.traps), case.line, seed, path)
+        record(fly(flight, seed, case.sensor_faults), case.line, seed, path)
         return outcome_of(analyze_log(path, load_airframe(AIRFRAME)))
 
 
@@ -313,7 +313,7 @@ def table(flight: Flight, seeds: int, processes: int, cases: Sequence[Case] = CA
     ]
     clean: Row | None = None
     for case in cases:
-        if case.traps == NO_TRAPS:
+        if case.sensor_faults == NO_SENSOR_FAULTS:
             for seed in range(1, seeds + 1):
                 fly(flight, seed)  # once for all faults of the line: forked children have it
         row = Row(over_seeds(partial(analysed, case, flight), seeds, processes, case.name))

@@ -4,7 +4,12 @@ from dataclasses import dataclass
 
 from sim_bridge.line_faults import KINDS as FAULTS
 from sim_bridge.line_faults import NO_FAULTS, LineFaults, make_faults, parse_fault
-from sim_bridge.traps import NO_TRAPS, Traps, make_traps, parse_trap
+from sim_bridge.sensor_faults import (
+    NO_SENSOR_FAULTS,
+    SensorFaults,
+    make_sensor_faults,
+    parse_sensor_fault,
+)
 
 
 @dataclass(frozen=True)
@@ -14,20 +19,22 @@ class Case:
     Attributes:
         name: of them, in words or as on the command line.
         line: what the link does.
-        traps: what vehicle and sensors do.
+        sensor_faults: what vehicle and sensors do.
     """
 
     name: str
     line: LineFaults = NO_FAULTS
-    traps: Traps = NO_TRAPS
+    sensor_faults: SensorFaults = NO_SENSOR_FAULTS
 
 
 def case(written: str, name: str = "") -> Case:
     """From faults and traps as the command line has them, with blanks between."""
     words = written.split()
     line = [parse_fault(w) for w in words if w.partition("=")[0] in FAULTS]
-    traps = [parse_trap(w) for w in words if w.partition("=")[0] not in FAULTS]
-    return Case(name or written.replace(" ", ", "), make_faults(line), make_traps(traps))
+    sensor_faults = [parse_sensor_fault(w) for w in words if w.partition("=")[0] not in FAULTS]
+    return Case(
+        name or written.replace(" ", ", "), make_faults(line), make_sensor_faults(sensor_faults)
+    )
 
 
 HEADLINE = case(

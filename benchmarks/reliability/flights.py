@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
+from sim_bridge.ground_cycle import GroundCycle
 from sim_bridge.links import TlogLink
 from sim_bridge.missions import MISSIONS, Mission
-from sim_bridge.outing import Outing
 from sim_bridge.px4 import Px4
+from sim_bridge.sensor_faults import SensorFaults
 from sim_bridge.server import Pace, TruthFile, fly
 from sim_bridge.simulation import Change, Simulation
-from sim_bridge.traps import Traps
 from sim_bridge.vehicle_files import load_vehicle
 
 FAST = {
@@ -50,7 +50,7 @@ def emulate(
     ground: float = 12.0,
     noise: str = "mems",
     seed: int = 1,
-    traps: Traps | None = None,
+    sensor_faults: SensorFaults | None = None,
     changes: Sequence[Change] = (),
     seconds: float = math.inf,
     mission: Mission = MISSIONS["paper"],
@@ -65,7 +65,7 @@ def emulate(
         ground: s of each stay on the ground.
         noise: of the sensors, one of `NOISE_MODELS`.
         seed: of noise and traps.
-        traps: in force.
+        sensor_faults: in force.
         changes: of the vehicle.
         seconds: after which it ends at the latest.
         mission: flown in the air, the article's if none is given.
@@ -74,11 +74,11 @@ def emulate(
         The length of the recording in s.
     """
     gusts, sensors = np.random.SeedSequence(seed).spawn(2)
-    outing = Outing(mission, ground, flights)
-    simulation = Simulation(load_vehicle("paper"), outing, gusts, None, list(changes))
-    autopilot = Px4(simulation, noise, 0.02, rate, sensors, traps or Traps())
+    ground_cycle = GroundCycle(mission, ground, flights)
+    simulation = Simulation(load_vehicle("paper"), ground_cycle, gusts, None, list(changes))
+    autopilot = Px4(simulation, noise, 0.02, rate, sensors, sensor_faults or SensorFaults())
     set_rates(autopilot, rates or {})
-    seconds = min(seconds, outing.duration)
+    seconds = min(seconds, ground_cycle.duration)
     link = TlogLink(path, replace=True)
     truth = TruthFile(path.with_suffix(".truth.json"), simulation, autopilot)
     try:

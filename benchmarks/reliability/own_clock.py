@@ -20,10 +20,10 @@ from typing import Any
 from benchmarks.reliability import watched
 from benchmarks.reliability.rate import growth, rows_of_times, table
 from gcs_sysid.cli.json_lines import JsonLines
+from gcs_sysid.live import live_session as live
+from gcs_sysid.live.flight_coach import CoachOptions
+from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.session import live
-from gcs_sysid.session.coaching import CoachOptions
-from gcs_sysid.session.live_options import LiveOptions
 from gcs_sysid.telemetry.link import DATAGRAMS_AT_ONCE, Address, Chunk, Link
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import parse_url

@@ -34,13 +34,13 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.reliability.watched import resident
+from gcs_sysid.live.live_session import LiveOptions, LiveSession
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.session.live import LiveOptions, LiveSession
-from gcs_sysid.session.result import Result
+from gcs_sysid.results.result import Result
 from gcs_sysid.telemetry.link import Chunk, Link
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.urls import parse_url
-from sim_bridge import traps
+from sim_bridge import sensor_faults as sensor_faults
 from sim_bridge.playback import moments
 
 TRAPS = (
@@ -101,8 +101,8 @@ def known(candidates: Sequence[str], module: str) -> list[str]:
 
 
 def draw(random_: random.Random) -> tuple[list[str], list[str]]:
-    """Traps and faults of one flight."""
-    every = [("trap", text) for text in known(TRAPS, traps.__name__)]
+    """SensorFaults and faults of one flight."""
+    every = [("trap", text) for text in known(TRAPS, sensor_faults.__name__)]
     every += [("fault", text) for text in known(FAULTS, "sim_bridge.line_faults")]
     some = random_.sample(every, random_.randint(0, MOST))
     return [t for kind, t in some if kind == "trap"], [t for kind, t in some if kind == "fault"]

@@ -28,10 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.__main__ import main as gcs_sysid
-from gcs_sysid.cli import live
+from gcs_sysid.cli import live_command as live
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.pipeline import Pipeline
-from gcs_sysid.session.sampling import SampleBlock
+from gcs_sysid.signals.sampling import SampleBlock
 from gcs_sysid.telemetry import link
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.link import LARGEST_DATAGRAM, Address, Chunk, Link, UdpLink

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    from gcs_sysid.cli.main import run
+    from gcs_sysid.cli.program import run
 
     return run(sys.argv[1:] if argv is None else argv)
 

@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.columns import RecordBlock, Track
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import ANCHORS, Airframe
 from gcs_sysid.model.airframe import load_airframe as read_airframe
-from gcs_sysid.records import Stream
+from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.results.result_file import read_result
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
-from gcs_sysid.session.result import Estimate, Result
-from gcs_sysid.session.result_file import read_result
+from gcs_sysid.signals.columns import RecordBlock, Track
+from gcs_sysid.signals.records import Stream
 
 __all__ = [
     "Airframe",
@@ -212,7 +212,7 @@ def analyze(
     Raises:
         InputError: the log or the airframe cannot be used.
     """
-    options = ChainOptions(course_interval=None, start=start, end=end, offline=offline)
+    options = ChainOptions(history_interval=None, start=start, end=end, offline=offline)
     return analyze_log(Path(log), load_airframe(airframe, **known), vehicle, options)
 
 
@@ -235,7 +235,7 @@ def identify(
         InputError: arrays do not fit, or the airframe cannot be used.
     """
     whole = load_airframe(airframe, **known)
-    chain = Chain(whole, ChainOptions(course_interval=None, offline=offline))
+    chain = Chain(whole, ChainOptions(history_interval=None, offline=offline))
     block = RecordBlock(_in_order(signals.tracks(len(whole.rotors))))
     for window in block.windows(WINDOW):
         chain.take(window)

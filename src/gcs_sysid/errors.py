@@ -1,6 +1,6 @@
 """Errors that a user can act on: one clear line, no traceback."""
 
-from gcs_sysid.plain import one_line
+from gcs_sysid.sanitize import one_line
 
 
 class GcsSysidError(Exception):

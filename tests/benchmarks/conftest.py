@@ -37,7 +37,7 @@ def both(random: Random, scale: float) -> dict[str, Any]:
     }
 
 
-def course() -> dict[str, Any]:
+def history() -> dict[str, Any]:
     t = [0.1 * k for k in range(20)]
     return {
         "settled": [1.0] * 10,
@@ -97,7 +97,7 @@ def data() -> dict[str, Any]:
         "noisiest": case([both(random, scale) for _ in some]),
         "white": case([both(random, scale) for _ in some]),
         "mems": case([{k: outcome(random, scale) for k in ("still", "vibrating")} for _ in some]),
-        "course": case([course() for _ in some]),
+        "course": case([history() for _ in some]),
         "delay": case([{n: {"error": [0.1] * 10, "std": [0.1] * 10, "off": 0.1} for n in late}]),
         "peers": case([{**peer, "settings": {"other": 5.0}}]),
         "changes": case([{"mass": changed(), "payload": changed()} for _ in some]),

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.reliability import day, flood, rate, soak, watched
 from benchmarks.reliability.flights import emulate
 from benchmarks.reliability.watched import Times
-from gcs_sysid.session.result import Estimate
+from gcs_sysid.results.result import Estimate
 from gcs_sysid.telemetry.frames import FrameScanner, Validity
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
@@ -132,7 +132,7 @@ def test_faults_are_drawn_by_the_seed_from_the_emulators_tables():
     drawn = [soak.draw(random.Random(seed)) for seed in range(30)]
     assert drawn == [soak.draw(random.Random(seed)) for seed in range(30)]
     assert len({text for trapped, _ in drawn for text in trapped}) > 5
-    assert soak.known(["skips", "no-such-trap=3"], "sim_bridge.traps") == ["skips"]
+    assert soak.known(["skips", "no-such-trap=3"], "sim_bridge.sensor_faults") == ["skips"]
     assert soak.known(["skips"], "sim_bridge.no_such_module") == []
 
 

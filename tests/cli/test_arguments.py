@@ -9,8 +9,8 @@ from importlib import resources
 import pytest
 
 from gcs_sysid.cli import arguments
-from gcs_sysid.cli.main import run
-from gcs_sysid.estimation import article
+from gcs_sysid.cli.program import run
+from gcs_sysid.estimation import article_estimator as article
 
 ERROR = "gcs-sysid: error: "
 

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from gcs_sysid.cli.main import run
+from gcs_sysid.cli.program import run
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
-from gcs_sysid.session.result import Estimate, Result, Scale
+from gcs_sysid.results.result import Estimate, Result, Scale
 
 ERROR = "gcs-sysid: error: "
 VALUES = {

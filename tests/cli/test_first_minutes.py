@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 
 from gcs_sysid.cli import setup_options
-from gcs_sysid.cli.main import build_parser, run
+from gcs_sysid.cli.program import build_parser, run
 from gcs_sysid.cli.welcome import commands_of
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.setup_help import listening
-from gcs_sysid.setup_help.findings import Sign
+from gcs_sysid.setup_help.checks import Sign
 from gcs_sysid.setup_help.layouts import LAYOUTS, layout_rotors
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.urls import parse_url

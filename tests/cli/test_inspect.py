@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from gcs_sysid.cli.inspection_text import report
-from gcs_sysid.cli.main import run
-from gcs_sysid.session.inspection.inspector import inspect_log
+from gcs_sysid.cli.program import run
+from gcs_sysid.inspection.inspector import inspect_log
 
 GOLDEN = Path(__file__).parent / "golden"
 

@@ -4,10 +4,11 @@ import json
 
 import pytest
 
-from gcs_sysid.cli.main import run
-from gcs_sysid.estimation.anchors import Anchor, Scale, relative_prior, resolve_scale
+from gcs_sysid.cli.program import run
+from gcs_sysid.estimation.scale import Scale, relative_prior, resolve_scale
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.scale_reference import ScaleReference
 
 PAPER = ("--airframe", "paper")
 
@@ -140,20 +141,22 @@ def test_priors_of_an_airframe_file(tmp_path, paper_flight, analyze):
 def test_scale_from_each_anchor():
     kappa, share = 2.05e-4 / 1.5, 1e-3
     fit = TranslationFit(kappa, share * kappa, 0.1, 0.01, "momentum")
-    by_mass = resolve_scale(Anchor("mass", 1.5), fit, {})
+    by_mass = resolve_scale(ScaleReference("mass", 1.5), fit, {})
     assert by_mass == Scale(1.5, 0.0, pytest.approx(2.05e-4), pytest.approx(share))
-    by_k_T = resolve_scale(Anchor("k_T", 2.05e-4, 2.05e-6), fit, {})
+    by_k_T = resolve_scale(ScaleReference("k_T", 2.05e-4, 2.05e-6), fit, {})
     assert by_k_T.mass == pytest.approx(1.5)
     assert by_k_T.mass_share == pytest.approx((share**2 + 0.01**2) ** 0.5)
     loaded = 2.05e-4 / 1.8
-    added = resolve_scale(Anchor("added_mass", 0.3, loaded=(loaded, share * loaded)), fit, {})
+    added = resolve_scale(
+        ScaleReference("added_mass", 0.3, loaded=(loaded, share * loaded)), fit, {}
+    )
     assert added.mass == pytest.approx(1.5)
     assert added.thrust == pytest.approx(2.05e-4)
     # kappa_1 and kappa_2 differ by a sixth: their errors count six and more times.
     assert added.mass_share == pytest.approx(6.0 * share * 2**0.5, rel=1e-6)
     assert added.thrust_share == pytest.approx(share * (5.0**2 + 6.0**2) ** 0.5, rel=1e-6)
     # A prior on k_T is weighed by its variance.
-    both = resolve_scale(Anchor("mass", 1.5), fit, {"k_T": (2.05e-4 * 1.002, 2.05e-7)})
+    both = resolve_scale(ScaleReference("mass", 1.5), fit, {"k_T": (2.05e-4 * 1.002, 2.05e-7)})
     assert both.thrust == pytest.approx(2.05e-4 * 1.001, rel=1e-6)
     assert both.thrust_share == pytest.approx(share / 2**0.5, rel=2e-3)
 

@@ -1,7 +1,7 @@
 """The headless output of `live`."""
 
-from gcs_sysid.cli.live import events_after
-from gcs_sysid.session.snapshot import Event
+from gcs_sysid.cli.live_command import events_after
+from gcs_sysid.results.snapshot import Event
 
 
 def test_each_event_is_told_once_though_old_ones_are_dropped():

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.cli.main import run
+from gcs_sysid.cli.program import run
 
 SIH = ("--airframe", "px4-sih", "--mass", "1")
 GOLDEN = Path(__file__).parent / "golden" / "plan.txt"

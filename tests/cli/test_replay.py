@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from gcs_sysid.cli.main import run
+from gcs_sysid.cli.program import run
 
 PAPER = ("--airframe", "paper")
 

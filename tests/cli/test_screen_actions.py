@@ -8,11 +8,11 @@ import pytest
 
 from gcs_sysid.cli.screen_actions import SUFFIXES, export_result, report_session
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.targets import TARGETS
-from gcs_sysid.exports.vehicle import MissingError
+from gcs_sysid.exports.exported_vehicle import MissingError
+from gcs_sysid.exports.formats import TARGETS
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.results.snapshot import HeardVehicle, LinkState, LinkStatus
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.snapshot import HeardVehicle, LinkState, LinkStatus
 
 
 @pytest.fixture(scope="module")

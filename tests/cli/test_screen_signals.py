@@ -7,9 +7,9 @@ from signal import SIGTERM, raise_signal
 import pytest
 
 from gcs_sysid.__main__ import main
-from gcs_sysid.cli import live
+from gcs_sysid.cli import live_command as live
 from gcs_sysid.screen.app import SysidApp
-from gcs_sysid.screen.main import MainScreen
+from gcs_sysid.screen.main_view import MainScreen
 
 PATIENCE = 40.0
 """s; nothing waits so long where all is well."""

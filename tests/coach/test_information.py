@@ -5,16 +5,16 @@ import pytest
 
 from benchmarks.accuracy.flights import measure
 from gcs_sysid.coach.information import information
-from gcs_sysid.coach.manoeuvres import Limits, library
+from gcs_sysid.coach.manoeuvre_library import Limits, library
 from gcs_sysid.coach.motion import within_reach
-from gcs_sysid.coach.supposed import supposed
+from gcs_sysid.coach.prior_vehicle import prior_vehicle
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.priors import N_UNKNOWNS
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
 from sim_bridge.ensemble import fly_ensemble
-from sim_bridge.manoeuvres import ManoeuvreMission, Swings
+from sim_bridge.swings import ManoeuvreMission, Swings
 
 RATE, SECONDS = 100.0, 16.0
 FREE = slice(0, rb.N_THETA + 1)
@@ -23,7 +23,7 @@ FREE = slice(0, rb.N_THETA + 1)
 
 def expected_std(manoeuvre, motion, craft, noise):
     told = information(motion, craft, noise) * manoeuvre.effective_seconds
-    margin = supposed(load_airframe("paper")).at(9.80665 / craft.thrust).std
+    margin = prior_vehicle(load_airframe("paper")).at(9.80665 / craft.thrust).std
     total = (told + np.diag(margin**-2.0))[FREE, FREE]
     return np.sqrt(np.diag(np.linalg.inv(total)))[: rb.DAMPING]
 
@@ -43,7 +43,7 @@ def test_intervals_come_out_as_expected(name, craft, noise, vehicle):
         estimator.update(measure(flight, "mems", 0.0, seed))
         rotation = estimator.fit().rotation
         assert rotation is not None
-        stds.append((rotation.std / rotation.footing.widening[: rb.N_THETA])[: rb.DAMPING])
+        stds.append((rotation.std / rotation.warm_start.widening[: rb.N_THETA])[: rb.DAMPING])
     ratio = np.median(stds, axis=0) / expected_std(manoeuvre, motion, craft, noise)
     # An interval's own width is uncertain: sixteen batches tell it to some 20 %.
     assert 1.0 / 1.5 < np.median(ratio) < 1.5, ratio

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from benchmarks.coach import AGREES, TARGET, WANTED, Flight, coached, modes
-from gcs_sysid.session.coaching import Coach, CoachOptions
-from sim_bridge.manoeuvres import ManoeuvreMission, Swings
+from gcs_sysid.live.flight_coach import Coach, CoachOptions
 from sim_bridge.missions import MISSIONS
+from sim_bridge.swings import ManoeuvreMission, Swings
 
 HALF = 0.5
 

@@ -6,28 +6,28 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from gcs_sysid.coach.manoeuvres import Limits
-from gcs_sysid.coach.picture import plan_svg, plan_text
-from gcs_sysid.coach.plan import HOVER, PAUSE, make_plan
-from gcs_sysid.coach.supposed import supposed
-from gcs_sysid.coach.targets import shares
+from gcs_sysid.coach.flight_plan import HOVER, PAUSE, make_plan
+from gcs_sysid.coach.interval_targets import shares
+from gcs_sysid.coach.manoeuvre_library import Limits
+from gcs_sysid.coach.plan_picture import plan_svg, plan_text
+from gcs_sysid.coach.prior_vehicle import prior_vehicle
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.session.summary import values_of
-from sim_bridge.manoeuvres import read_plan
+from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.results.summary import values_of
+from sim_bridge.swings import read_plan
 
 
 def plan_for(name, target=0.02, limits=None, commands=False):
     airframe = load_airframe(name)
-    anchor = Anchor("mass", airframe.mass or 1.0)
+    anchor = ScaleReference("mass", airframe.mass or 1.0)
     kind = "command" if commands else "speed"
     airframe = airframe.with_anchor("mass", anchor.value)
 
     def judge(fit):
         return shares(values_of(fit, anchor, airframe.arm, {}, kind), airframe.arm, kind)
 
-    known = supposed(airframe, commands=commands)
+    known = prior_vehicle(airframe, commands=commands)
     return make_plan(name, known, judge, target, limits or Limits())
 
 

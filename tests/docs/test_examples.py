@@ -19,7 +19,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.cli.main import run as gcs_sysid
+from gcs_sysid.cli.program import run as gcs_sysid
 
 from .pages import PAGES, ROOT, Block, blocks, prose
 

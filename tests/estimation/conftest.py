@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.model import attitude
+from gcs_sysid.signals.samples import Samples
 
 G = 9.80665
 

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-from gcs_sysid.estimation.basis import BODY, SIGNALS, RotorBasis
+from gcs_sysid.estimation.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics
 from gcs_sysid.estimation.command_noise import CommandNoise
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.record import FlightRecord
-from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.rotation import fit_rotation
 from gcs_sysid.estimation.tuning import COMMANDS
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.session.streams import interpolate
+from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.stream_buffer import interpolate
 
 DT = 0.005
 FULL = 1.2
@@ -78,7 +78,7 @@ def test_given_lag_and_curve_are_kept(truth, flight):
 @pytest.mark.parametrize("where", [(0.0, 0.05, 0.3), (-0.012, 0.008, -0.1), (0.027, 0.12, 1.0)])
 def test_maps_make_any_filter_of_the_elements(where):
     """A chirp through a motor, window and all: as the elements' mixture says."""
-    basis = RotorBasis(
+    basis = ActuatorDynamics(
         COMMANDS.delays, COMMANDS.lags, COMMANDS.curves, commands=True, half_width=0.2
     )
     delay, lag, _ = where

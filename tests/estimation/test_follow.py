@@ -1,4 +1,4 @@
-"""The course of quick fits: what a block gives at once, and what single fits give."""
+"""The history of quick fits: what a block gives at once, and what single fits give."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def measured(flight, *, commands=False):
     return replace(flight, gyro=gyro, rates=gyro, speeds=speeds, velocity=velocity)
 
 
-def course(truth, samples, block, tuning, **attributes):
+def series(truth, samples, block, tuning, **attributes):
     estimator = OnlineEstimator(truth.geometry, DT, tuning)
     for name, value in attributes.items():
         setattr(estimator, name, value)
@@ -69,14 +69,14 @@ def assert_same(fits, others):
             assert a.translation.source == b.translation.source
             assert a.translation.kappa == pytest.approx(b.translation.kappa, rel=1e-6)
             assert a.translation.kappa_std == pytest.approx(b.translation.kappa_std, rel=1e-4)
-        assert (a.coupling is None) == (b.coupling is None), k
+        assert (a.rigid_body_test is None) == (b.rigid_body_test is None), k
 
 
 @pytest.mark.parametrize("block", [7, 250, 100_000])
 @pytest.mark.parametrize("smoother", ["window", "td"])
 def test_blocks_give_what_single_fits_give(truth, flight, block, smoother):
     samples, tuning = measured(flight), Tuning(smoother=smoother)
-    fits = course(truth, samples, block, tuning)
+    fits = series(truth, samples, block, tuning)
     assert sum(fit.rotation is not None for fit in fits) > 200
     assert_same(fits, single(truth, samples, tuning))
 
@@ -86,7 +86,7 @@ def test_blocks_of_commands_give_what_single_fits_give(truth, flight):
     # In the first seconds the valley of lag, delay and curve is flat, and rounding leads astray.
     late = [
         [fit for fit in fits if fit.seconds > 8.0]
-        for fits in (course(truth, samples, 3000, COMMANDS), single(truth, samples, COMMANDS))
+        for fits in (series(truth, samples, 3000, COMMANDS), single(truth, samples, COMMANDS))
     ]
     assert len(late[0]) > 150
     assert_same(*late)
@@ -100,7 +100,7 @@ def test_blocks_know_the_prior(truth, flight):
     known[at, at] = (0.01 * mean[at]) ** -2.0
     sources = {"prior_source": lambda translation: Prior(mean, known)}
     samples = measured(flight)
-    fits = course(truth, samples, 400, Tuning(), **sources)
+    fits = series(truth, samples, 400, Tuning(), **sources)
     assert_same(fits, single(truth, samples, Tuning(), **sources))
     early = next(fit for fit in fits if fit.rotation is not None and fit.seconds > 2.0)
     assert early.rotation.std[at] < 0.011 * mean[at]

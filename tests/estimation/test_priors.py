@@ -5,8 +5,8 @@ import pytest
 from scipy.signal import lfilter
 
 from gcs_sysid.estimation import rotation
-from gcs_sysid.estimation.basis import N_COORDINATES, PLAIN, WIDTH
-from gcs_sysid.estimation.moments import Moments
+from gcs_sysid.estimation.actuator_dynamics import N_COORDINATES, PLAIN, WIDTH
+from gcs_sysid.estimation.normal_equations import NormalEquations
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS, Prior, prior_of
 from gcs_sysid.estimation.tuning import Tuning
@@ -35,7 +35,7 @@ def fit(seed, prior=None, tumbling=True, colour=1, theta=THETA, sigma=1.0):
     fresh = sigma * rng.standard_normal((ROWS + colour - 1, 3))
     kernel = np.full(colour, 1.0 / np.sqrt(colour))
     noise = np.column_stack([np.convolve(e, kernel, "valid") for e in fresh.T])
-    moments = Moments((1, WIDTH, WIDTH), PER_BATCH)
+    moments = NormalEquations((1, WIDTH, WIDTH), PER_BATCH)
     moments.add(np.column_stack([x, x @ rb.forward_matrix(theta).T + noise])[None])
     none = np.zeros((1, WIDTH, WIDTH))
     return rotation.fit_rotation(moments.batches, moments.counts, PLAIN, none, prior=prior)

@@ -8,17 +8,17 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, lfilter, sosfilt
 
 from gcs_sysid.estimation import rotation, translation
-from gcs_sysid.estimation.article import METHODS, ArticleEstimator
-from gcs_sysid.estimation.basis import WIDTH, RotorBasis
-from gcs_sysid.estimation.moments import Moments
+from gcs_sysid.estimation.actuator_dynamics import WIDTH, ActuatorDynamics
+from gcs_sysid.estimation.article_estimator import METHODS, ArticleEstimator
+from gcs_sysid.estimation.normal_equations import NormalEquations
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.regression import LeakySums, RowMaker
-from gcs_sysid.estimation.rotors import RotorPath
+from gcs_sysid.estimation.rotor_signals import RotorPath
 from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.estimation.tuning import Tuning
-from gcs_sysid.filters.smoothers import DifferentiatorSmoother, WindowSmoother
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.session.streams import interpolate
+from gcs_sysid.signals.smoothers import DifferentiatorSmoother, WindowSmoother
+from gcs_sysid.signals.stream_buffer import interpolate
 
 DT = 0.005
 
@@ -29,13 +29,13 @@ def noisy(samples, sigma, seed):
 
 
 def row_maker(truth, smoother):
-    basis = RotorBasis(smoother.delays)
+    basis = ActuatorDynamics(smoother.delays)
     return RowMaker(RotorPath(truth.geometry, DT, basis), basis, smoother)
 
 
 def rows_of(truth, samples, smoother):
     """Rows [x, y] without delay."""
-    basis = RotorBasis(smoother.delays)
+    basis = ActuatorDynamics(smoother.delays)
     plain = basis.maps(np.array([[0.0, 0.0, 1.0]]))[0, 0]
     return row_maker(truth, smoother).update(samples).rotation[0] @ plain.T
 
@@ -44,8 +44,8 @@ def bank_of(truth, samples, smoother, memory=0.0):
     """What the rotational fit takes, without noise of the rotor speeds: one leak, all delays."""
     rows = row_maker(truth, smoother).update(samples).rotation
     rows = LeakySums(smoother.step * DT, [memory]).update(rows)
-    basis = RotorBasis(smoother.delays)
-    moments = Moments((1, basis.width, basis.width), 40)
+    basis = ActuatorDynamics(smoother.delays)
+    moments = NormalEquations((1, basis.width, basis.width), 40)
     moments.add(rows[:, 0])
     noise = np.zeros((1, WIDTH, WIDTH))
     return moments.batches, moments.counts, basis, noise
@@ -116,7 +116,7 @@ def test_no_fit_without_data_or_response(truth, flight):
         rotation.fit_rotation(
             np.zeros((3, 1, 19, 19)),
             np.array([5, 5, 5]),
-            RotorBasis((0.0,)),
+            ActuatorDynamics((0.0,)),
             np.zeros((1, 19, 19)),
         )
         is None
@@ -178,7 +178,7 @@ def test_attitude_errors_count_as_far_as_the_horizontal_axes_show_them(tilt, sha
     rows[..., 1] = rng.standard_normal((3, n))
     rows[..., 2] = 1.0
     rows[..., 3] = -kappa * thrust * true.T
-    moments = Moments((3, 4, 4), 40)
+    moments = NormalEquations((3, 4, 4), 40)
     moments.add(rows)
     fit = translation.fit_momentum(moments.batches, moments.counts)
     assert fit.kappa_std == pytest.approx(share * kappa, rel=0.15)
@@ -204,7 +204,7 @@ def test_a_late_attitude_looks_like_so_much_drag(late):
     rows[..., 2] = 1.0
     rows[:2, :, 3] = acceleration
     rows[2, :, 3] = -9.81 + 0.3 * rng.standard_normal(len(t))
-    moments = Moments((3, 4, 4), 40)
+    moments = NormalEquations((3, 4, 4), 40)
     moments.add(rows)
     fit = translation.fit_momentum(moments.batches, moments.counts)
     assert fit.quickness == pytest.approx((acceleration**2).sum() / (rows[:2, :, 1] ** 2).sum())
@@ -233,7 +233,7 @@ def test_accelerometer_fit_is_least_squares():
     rng = np.random.default_rng(1)
     thrust = rng.uniform(5e4, 9e4, 400)
     rows = np.column_stack([thrust, 0 * thrust, 1 + 0 * thrust, -1.4e-4 * thrust])
-    moments = Moments((4, 4), 40)
+    moments = NormalEquations((4, 4), 40)
     moments.add(rows)
     few = translation.fit_accelerometer(moments.batches[:9], moments.counts[:9])
     assert few.kappa == pytest.approx(1.4e-4, rel=1e-9)
@@ -252,7 +252,7 @@ def test_an_accelerometers_bias_is_within_the_interval(spread):
     rng = np.random.default_rng(2)
     thrust = 7e4 * (1.0 + spread * rng.normal(size=2000))
     f = -1.4e-4 * thrust + 0.3 + 0.05 * rng.normal(size=2000)
-    moments = Moments((4, 4), 40)
+    moments = NormalEquations((4, 4), 40)
     moments.add(np.column_stack([thrust, 0 * thrust, 1 + 0 * thrust, f]))
     fit = translation.fit_accelerometer(moments.batches, moments.counts)
     assert abs(fit.kappa - 1.4e-4) < 1.96 * fit.kappa_std
@@ -261,7 +261,7 @@ def test_an_accelerometers_bias_is_within_the_interval(spread):
 
 
 def test_too_few_rows_make_no_translation():
-    moments = Moments((4, 4), 40)
+    moments = NormalEquations((4, 4), 40)
     moments.add(np.ones((49, 4)))
     assert translation.fit_accelerometer(moments.batches, moments.counts) is None
 

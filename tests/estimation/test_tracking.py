@@ -5,11 +5,11 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.changes import ChangeTuning
-from gcs_sysid.estimation.regression import Samples
+from gcs_sysid.estimation.change_detection import ChangeTuning
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.signals.samples import Samples
 from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.missions import MISSIONS
 from sim_bridge.simulation import Change, mass_step

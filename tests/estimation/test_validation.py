@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.basis import PLAIN, WIDTH
+from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.search import N_X
 from gcs_sysid.estimation.tuning import Tuning

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gcs_sysid.exports.vehicle import assemble
+from gcs_sysid.exports.exported_vehicle import assemble
 
 from . import known
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
-from gcs_sysid.session.result import Estimate, Result, Scale
+from gcs_sysid.results.result import Estimate, Result, Scale
 
 VALUES = {
     "mass": 1.5, "Ixx": 0.0165, "Iyy": 0.021, "Izz": 0.0292, "Ixy": 0.00136, "Iyz": 0.00255,

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from gcs_sysid.cli.main import run
+from gcs_sysid.cli.program import run
 
 from .known import TURN
 

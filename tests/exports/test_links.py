@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.exports import gazebo_sdf, urdf
-from gcs_sysid.exports.vehicle import assemble
+from gcs_sysid.exports.exported_vehicle import assemble
 
 from .known import FULL_SPEED, LAG, TURN, VALUES, Equations, command_result, without
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.exports import mjcf
-from gcs_sysid.exports.vehicle import assemble
+from gcs_sysid.exports.exported_vehicle import assemble
 from gcs_sysid.model.airframe import load_airframe
 
 from .known import FULL_SPEED, LAG, TURN, VALUES, Equations, speed_result, without

@@ -12,7 +12,7 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports import px4_sih
-from gcs_sysid.exports.vehicle import MissingError, assemble
+from gcs_sysid.exports.exported_vehicle import MissingError, assemble
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 

@@ -5,7 +5,7 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports import rotorpy
-from gcs_sysid.exports.vehicle import MissingError, assemble
+from gcs_sysid.exports.exported_vehicle import MissingError, assemble
 from gcs_sysid.model.airframe import load_airframe
 
 from .known import FULL_SPEED, LAG, TURN, VALUES, Equations, command_result, speed_result

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.cli.main import run
+from gcs_sysid.cli.program import run
 from gcs_sysid.model.airframe import load_airframe
 
 SHORT = ("--mission", "all-axes", "--noise", "paper", "--sigma", "0.002", "--rate", "20")

@@ -11,15 +11,15 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="needs the extra fleet")
 
-from gcs_sysid.cli.main import run
+from gcs_sysid.cli.program import run
+from gcs_sysid.fleet.batch_table import row, write_table
 from gcs_sysid.fleet.jobs import Job, Task
-from gcs_sysid.fleet.table import row, write_table
 from gcs_sysid.fleet.trend import mean, scatter_of, vehicles_of
 from gcs_sysid.fleet.trend_page import render
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
-from gcs_sysid.session.comparison import LEVEL
-from gcs_sysid.session.result import Estimate, Result, Scale
+from gcs_sysid.results.comparison import LEVEL
+from gcs_sysid.results.result import Estimate, Result, Scale
 
 STD = 0.01
 NAMES = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M")

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from gcs_sysid.cli.main import run
+from gcs_sysid.cli.program import run
 
 from .reading import Page
 

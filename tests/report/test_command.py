@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from gcs_sysid.cli.main import run
+from gcs_sysid.cli.program import run
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.tlog_writer import TlogWriter
 
@@ -111,6 +111,6 @@ def test_the_report_needs_neither_screen_nor_mavlink():
 
 
 def test_who_asks_for_none_does_not_load_it():
-    code = "import sys, gcs_sysid.cli.analyze; print('gcs_sysid.report' in sys.modules)"
+    code = "import sys, gcs_sysid.cli.analyze_command; print('gcs_sysid.report' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

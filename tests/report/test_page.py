@@ -10,16 +10,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gcs_sysid.inspection import readiness
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.report.data import AXES, Provenance, ReportData
 from gcs_sysid.report.evidence import LITTLE, NEEDED
 from gcs_sysid.report.page import render
-from gcs_sysid.report.prediction import Prediction, Spectrum
+from gcs_sysid.report.prediction_series import Prediction, Spectrum
 from gcs_sysid.report.wording import STATUS_WORDS
-from gcs_sysid.session.inspection import readiness
-from gcs_sysid.session.snapshot import Course, Event
-from gcs_sysid.telemetry.streams import NEEDED_RATE
+from gcs_sysid.results.snapshot import Event, History
+from gcs_sysid.telemetry.wanted_streams import NEEDED_RATE
 
 from .reading import Page
 
@@ -243,7 +243,7 @@ def made_up(text="flight.tlog", rows=2000, instants=50):
         "streams": [stream],
         "flights": [{"start": 0.0, "end": 60.0}],
     }
-    course = np.linspace(0.0, 60.0, instants)
+    history = np.linspace(0.0, 60.0, instants)
     values = {name: np.full(instants, 0.0165) + 1e-4 * rng.normal(size=instants)
               for name in PARAMETERS}  # fmt: skip
     return ReportData(
@@ -253,7 +253,7 @@ def made_up(text="flight.tlog", rows=2000, instants=50):
             load_airframe("paper"), name=text, imu_position=(0.01, -0.02, 0.0), gyro_filter=20.0
         ),
         provenance=Provenance(("gcs-sysid", "analyze", text), {text: text}, 10, "ab" * 32),
-        course=Course(course, values, {n: np.full(instants, 1e-4) for n in PARAMETERS}),
+        history=History(history, values, {n: np.full(instants, 1e-4) for n in PARAMETERS}),
         prediction=Prediction(t, y, y, y + 0.1, t[1] - t[0], t > 36.0, np.zeros(3)),
         spectrum=Spectrum(f, np.ones((200, 3)), np.ones((200, 3))),
         truth={"Ixx": 0.0164, "Iyy": 0.0},
@@ -308,7 +308,7 @@ def test_a_refused_recording_has_a_page_too():
         **{"parameters": {}, "scale": None, "vehicle": {}, "telemetry": {}},
         "reasons": ["no IMU data"],
     }
-    bare = ReportData(result, {}, data.airframe, data.provenance, Course(np.empty(0), {}, {}))
+    bare = ReportData(result, {}, data.airframe, data.provenance, History(np.empty(0), {}, {}))
     page = Page(render(bare))
     assert "Not identified" in page.one("section", id="verdict").text
     assert "no IMU data" in page.one("section", id="verdict").text
@@ -344,7 +344,7 @@ def test_numbers_beyond_all_measure_do_no_harm():
 
 def test_json_has_no_numbers_that_json_lacks():
     data = made_up()
-    value = dict(data.course.value) | {"Ixx": np.full(50, math.nan)}
-    page = Page(render(replace(data, course=replace(data.course, value=value))))
+    value = dict(data.history.value) | {"Ixx": np.full(50, math.nan)}
+    page = Page(render(replace(data, history=replace(data.history, value=value))))
     json.loads(page.all("script")[0].text, parse_constant=lambda word: pytest.fail(word))
     assert "course-Ixx" not in page.data["figures"]

@@ -8,10 +8,10 @@ import pytest
 from rich.segment import Segment
 from textual.pilot import Pilot
 
+from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.screen import Actions, Baseline, SysidApp
-from gcs_sysid.screen.replay import ReplayApp
+from gcs_sysid.screen.replay_app import ReplayApp
 from gcs_sysid.screen.widgets.transport import Transport
-from gcs_sysid.session.snapshot import LinkState, Snapshot
 
 from . import fake
 

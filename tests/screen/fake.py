@@ -10,20 +10,20 @@ from dataclasses import replace
 import numpy as np
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.screen import Actions
-from gcs_sysid.session.result import Estimate, Result, Scale, Status
-from gcs_sysid.session.snapshot import (
+from gcs_sysid.results.result import Estimate, Result, Scale, Status
+from gcs_sysid.results.snapshot import (
     Acceleration,
     Advice,
-    Course,
     Event,
     Gain,
     HeardVehicle,
+    History,
     LinkState,
     LinkStatus,
     Playback,
     Snapshot,
 )
+from gcs_sysid.screen import Actions
 
 TRUTH = {
     "mass": 1.5,
@@ -90,7 +90,7 @@ def result() -> Result:
     )
 
 
-def course(duration: float = 42.0) -> Course:
+def history(duration: float = 42.0) -> History:
     """A decaying oscillation onto the final values, with a band that narrows."""
     t = np.arange(0.5, duration, 0.1)
     values, stds = {}, {}
@@ -102,7 +102,7 @@ def course(duration: float = 42.0) -> Course:
         stds[name] = estimate.std * np.sqrt(duration / t) * (1.0 + 6.0 * np.exp(-t / 6.0))
         values[name][:5] = np.nan
         stds[name][:5] = np.nan
-    return Course(t=t, value=values, std=stds)
+    return History(t=t, value=values, std=stds)
 
 
 def link(state: LinkState = LinkState.CONNECTED, **changes: object) -> LinkStatus:
@@ -184,7 +184,7 @@ def snapshot() -> Snapshot:
         used_seconds=31.0,
         flying=True,
         result=result(),
-        course=course(),
+        history=history(),
         link=link(),
         attitude=(math.radians(12.4), math.radians(-5.1), math.radians(87.0)),
         rates=(0.41, -0.22, 0.05),
@@ -207,20 +207,20 @@ def waiting() -> Snapshot:
         used_seconds=0.0,
         flying=False,
         result=replace(result(), verdict="refused", reasons=(), parameters={}, timing={}),
-        course=Course(np.array([]), {}, {}),
+        history=History(np.array([]), {}, {}),
         link=LinkStatus(state=LinkState.WAITING, url="udpin:0.0.0.0:14550"),
     )
 
 
 def bare() -> Snapshot:
-    """A vehicle that speaks, but of which nothing is known yet: no values, no course."""
+    """A vehicle that speaks, but of which nothing is known yet: no values, no history."""
     nothing = {n: Estimate(None, None, e.unit, "unobservable") for n, e in estimates().items()}
     return replace(
         snapshot(),
         flying=False,
         used_seconds=0.0,
         result=replace(result(), parameters=nothing, timing={}, verdict="refused"),
-        course=Course(np.array([]), {}, {}),
+        history=History(np.array([]), {}, {}),
         attitude=None,
         rates=None,
         rotor_speeds=(),

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import pytest
 
+from gcs_sysid.results.result import Estimate
+from gcs_sysid.results.snapshot import Event, LinkState
 from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.screen.main import layout_classes
-from gcs_sysid.screen.widgets.parameters import ParameterRows
-from gcs_sysid.session.result import Estimate
-from gcs_sysid.session.snapshot import Event, LinkState
+from gcs_sysid.screen.main_view import layout_classes
+from gcs_sysid.screen.widgets.parameter_table import ParameterRows
 
 from . import fake
 
@@ -181,7 +181,7 @@ async def test_the_final_plot_is_drawn_though_it_came_soon_after_the_last(run_sc
     """Drawings of the plot are rationed; the last one must not be lost."""
     async with run_screen(fake.snapshot()) as s:
         await s.press("2")
-        await s.serve(replace(fake.snapshot(), course=fake.course(90.0)))
+        await s.serve(replace(fake.snapshot(), history=fake.history(90.0)))
         for _ in range(50):
             await s.pilot.pause(0.05)
             if "80" in s.lines()[-4]:

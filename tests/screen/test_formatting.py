@@ -2,8 +2,8 @@ import math
 
 import pytest
 
+from gcs_sysid.results.result import Estimate
 from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.session.result import Estimate
 
 from . import fake
 

@@ -14,8 +14,8 @@ from rich.color import Color
 from rich.segment import Segment
 from rich.style import Style
 
+from gcs_sysid.results.snapshot import Advice, LinkState
 from gcs_sysid.screen import Baseline
-from gcs_sysid.session.snapshot import Advice, LinkState
 
 from . import fake
 

@@ -4,23 +4,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gcs_sysid.results.result import Estimate
+from gcs_sysid.results.snapshot import Advice, History, LinkState
 from gcs_sysid.screen import braille
 from gcs_sysid.screen.big_letters import HEIGHT, big
-from gcs_sysid.screen.standing import headline, named, shares, standing_of
+from gcs_sysid.screen.verdict_summary import headline, named, shares, standing_of
 from gcs_sysid.screen.widgets.acceleration import nice_limit, overlay, strip
-from gcs_sysid.screen.widgets.attitude import HORIZON_WIDTH, WINGS, deflection, horizon
-from gcs_sysid.screen.widgets.coach import advice_lines
+from gcs_sysid.screen.widgets.attitude_panel import HORIZON_WIDTH, WINGS, deflection, horizon
+from gcs_sysid.screen.widgets.coach_panel import advice_lines
 from gcs_sysid.screen.widgets.convergence import nice_ticks, reduce_course, shade, value_range
-from gcs_sysid.screen.widgets.link import message_line
-from gcs_sysid.session.result import Estimate
-from gcs_sysid.session.snapshot import Advice, Course, LinkState
+from gcs_sysid.screen.widgets.link_panel import message_line
 
 from . import fake
 
 
-def course(value, std=0.1):
+def history(value, std=0.1):
     n = len(value)
-    return Course(
+    return History(
         t=np.linspace(0.0, 10.0, n),
         value={"m": np.asarray(value, float)},
         std={"m": np.full(n, std)},
@@ -31,14 +31,14 @@ def test_decimation_keeps_a_single_spike():
     value = np.ones(5000)
     value[1234] = 7.0
     value[4321] = -3.0
-    curve = reduce_course(course(value), "m", 70)
+    curve = reduce_course(history(value), "m", 70)
     assert curve.t.size == 70
     assert curve.high.max() == 7.0
     assert curve.low.min() == -3.0
 
 
 def test_decimation_spans_the_course():
-    curve = reduce_course(course(np.arange(1000.0)), "m", 40)
+    curve = reduce_course(history(np.arange(1000.0)), "m", 40)
     assert curve.t[0] == 0.0
     assert curve.t[-1] == pytest.approx(10.0)
     assert curve.low[0] == 0.0
@@ -46,7 +46,7 @@ def test_decimation_spans_the_course():
 
 
 def test_decimation_scales_value_and_band():
-    curve = reduce_course(course(np.full(10, 2.0), std=0.5), "m", 5, scale=1000.0)
+    curve = reduce_course(history(np.full(10, 2.0), std=0.5), "m", 5, scale=1000.0)
     assert curve.high.max() == pytest.approx(2000.0)
     assert curve.band_high.max() == pytest.approx(2000.0 + 1.96 * 500.0, rel=1e-4)
 
@@ -54,7 +54,7 @@ def test_decimation_scales_value_and_band():
 def test_gaps_and_unknown_values_are_left_out():
     value = np.ones(100)
     value[:50] = np.nan
-    curve = reduce_course(course(value, std=math.inf), "m", 20)
+    curve = reduce_course(history(value, std=math.inf), "m", 20)
     assert curve.t[0] >= 5.0
     assert np.isnan(curve.band_low).all()
     assert not shade(curve, (0.0, 10.0), (0.0, 2.0), (20, 10)).any()
@@ -62,32 +62,32 @@ def test_gaps_and_unknown_values_are_left_out():
 
 @pytest.mark.parametrize("value", [[], [np.nan, np.nan]])
 def test_no_values_no_curve(value):
-    assert reduce_course(course(value), "m", 20) is None
+    assert reduce_course(history(value), "m", 20) is None
 
 
 def test_an_unknown_name_has_no_curve():
-    assert reduce_course(course([1.0]), "Ixx", 20) is None
+    assert reduce_course(history([1.0]), "Ixx", 20) is None
 
 
 def test_range_follows_the_later_half_and_the_truth():
     value = np.concatenate([np.linspace(100.0, 1.0, 500), np.full(600, 1.0)])
-    low, high = value_range(reduce_course(course(value, std=0.01), "m", 60), truth=1.5)
+    low, high = value_range(reduce_course(history(value, std=0.01), "m", 60), truth=1.5)
     assert 0.5 < low < 1.0
     assert 1.5 < high < 2.0
 
 
 def test_range_of_a_constant_is_not_empty():
-    low, high = value_range(reduce_course(course([0.0, 0.0], std=0.0), "m", 60), None)
+    low, high = value_range(reduce_course(history([0.0, 0.0], std=0.0), "m", 60), None)
     assert low < 0.0 < high
 
 
 def test_a_vast_band_does_not_hide_the_value():
-    low, high = value_range(reduce_course(course([1.0, 1.1], std=1e9), "m", 60), None)
+    low, high = value_range(reduce_course(history([1.0, 1.1], std=1e9), "m", 60), None)
     assert high - low < 20.0
 
 
 def test_the_band_covers_its_cells_and_no_others():
-    curve = reduce_course(course(np.full(10, 5.0), std=1.0 / 1.96), "m", 3)
+    curve = reduce_course(history(np.full(10, 5.0), std=1.0 / 1.96), "m", 3)
     covered = shade(curve, (0.0, 10.0), (0.0, 10.0), (8, 10))
     # Three instants: the band from 4 to 6 is there from edge to edge, and nowhere else.
     assert np.flatnonzero(covered.all(axis=1)).tolist() == [4, 5]
@@ -95,7 +95,7 @@ def test_the_band_covers_its_cells_and_no_others():
 
 
 def test_the_band_has_no_stripes_where_instants_are_few():
-    curve = reduce_course(course(np.full(4, 5.0)), "m", 100)
+    curve = reduce_course(history(np.full(4, 5.0)), "m", 100)
     assert shade(curve, (0.0, 10.0), (0.0, 10.0), (50, 5)).any(axis=0).all()
 
 

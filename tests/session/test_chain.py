@@ -5,20 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.anchors import Anchor
-from gcs_sysid.estimation.parameters import Value
-from gcs_sysid.estimation.regression import Samples
+from gcs_sysid.estimation.physical_parameters import Value
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
-from gcs_sysid.records import Record, Stream
-from gcs_sysid.session import course as course_module
+from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.results import history as course_module
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.learner import Known, Learner
-from gcs_sysid.session.rotor_units import RotorSource
-from gcs_sysid.session.sampling import SampleBlock
+from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.signals.rotor_units import RotorSource
+from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.sampling import SampleBlock
 
-END_ONLY = ChainOptions(course_interval=None)
+END_ONLY = ChainOptions(history_interval=None)
 
 
 def run(records, options=END_ONLY, airframe=None):
@@ -64,18 +64,18 @@ def test_size_of_blocks_does_not_matter(paper_records, whole, tick):
 
 
 def test_course_does_not_move_the_final_result(paper_records, whole):
-    chain, result = run(paper_records, ChainOptions(course_interval=0.5))
+    chain, result = run(paper_records, ChainOptions(history_interval=0.5))
     assert values(result) == rounded(whole)
-    course = chain.course
-    assert len(course.t) > 100
+    history = chain.history
+    assert len(history.t) > 100
     # Instants are those of samples, at 20 Hz.
-    assert np.abs(np.diff(course.t) - 0.5).max() < 0.051
-    assert np.mean(np.diff(course.t)) == pytest.approx(0.5, abs=0.001)
-    assert set(course.value) == set(course.std) == set(PARAMETERS)
+    assert np.abs(np.diff(history.t) - 0.5).max() < 0.051
+    assert np.mean(np.diff(history.t)) == pytest.approx(0.5, abs=0.001)
+    assert set(history.value) == set(history.std) == set(PARAMETERS)
     # The last point is the quick fit of nearly all data: well within its own interval.
-    last = course.value["Ixx"][-1]
+    last = history.value["Ixx"][-1]
     assert last == pytest.approx(whole.parameters["Ixx"].value, abs=whole.parameters["Ixx"].std)
-    assert run(paper_records)[0].course.t.size == 0
+    assert run(paper_records)[0].history.t.size == 0
 
 
 def test_start_and_end_cut_the_records(paper_records):
@@ -165,7 +165,7 @@ def test_reset_forgets_and_goes_on(paper_records):
     assert chain.used_seconds > 20.0
     chain.reset()
     assert chain.used_seconds == 0.0
-    assert chain.course.t.size == 0
+    assert chain.history.t.size == 0
     assert chain.events[-1].text == "estimate reset"
     assert "Ixx" not in values(chain.result())
     for record in paper_records[half:]:
@@ -225,12 +225,12 @@ def test_an_airframe_without_scale_is_refused():
 
 def test_course_and_events_are_bounded(paper_records, monkeypatch):
     monkeypatch.setattr(course_module, "MAX_POINTS", 32)
-    chain, _ = run(paper_records, ChainOptions(course_interval=0.5))
-    course = chain.course
-    assert 16 <= len(course.t) <= 32
-    assert np.all(np.diff(course.t) > 0.0)
-    assert course.t[-1] > 55.0  # it still covers the whole flight
-    assert course.t[0] < 10.0
+    chain, _ = run(paper_records, ChainOptions(history_interval=0.5))
+    history = chain.history
+    assert 16 <= len(history.t) <= 32
+    assert np.all(np.diff(history.t) > 0.0)
+    assert history.t[-1] > 55.0  # it still covers the whole flight
+    assert history.t[0] < 10.0
     for k in range(2000):
         chain.note(f"mark {k}")
     assert len(chain.events) <= 500
@@ -239,18 +239,18 @@ def test_course_and_events_are_bounded(paper_records, monkeypatch):
 
 def test_a_course_given_out_does_not_change(monkeypatch):
     monkeypatch.setattr(course_module, "MAX_POINTS", 8)
-    recorder = course_module.CourseRecorder()
+    recorder = course_module.HistoryRecorder()
     shown = []
     for k in range(20):
         recorder.append(float(k), {"mass": Value(1.0 + k, 0.1, "identified")})
-        shown.append((recorder.course(), recorder.course().t.copy()))
+        shown.append((recorder.history(), recorder.history().t.copy()))
     recorder.clear()
     recorder.append(99.0, {})
-    for course, times in shown:
-        assert np.array_equal(course.t, times)
-        assert np.array_equal(course.value["mass"], 1.0 + times)
+    for history, times in shown:
+        assert np.array_equal(history.t, times)
+        assert np.array_equal(history.value["mass"], 1.0 + times)
         with pytest.raises(ValueError, match="read-only"):
-            course.value["mass"][0] = 0.0
+            history.value["mass"][0] = 0.0
 
 
 def test_rotor_records_in_two_parts_are_one_set(paper_records, whole):
@@ -281,7 +281,7 @@ def test_a_wrong_airframe_is_told_apart_from_a_short_flight(paper_records):
 
 
 def test_a_rotor_stream_that_dies_and_comes_again_is_told():
-    learner = Learner(load_airframe("paper"), Anchor("mass", 1.5), ChainOptions())
+    learner = Learner(load_airframe("paper"), ScaleReference("mass", 1.5), ChainOptions())
     speeds = RotorSource("speed", "ESC_STATUS", "measured speeds")
     nothing = Samples(*(np.full((4, n), np.nan) for n in (3, 3, 4, 4, 3, 3)))
     refused = {"ESC_STATUS": "rotor 2 reads 0 while the others move"}

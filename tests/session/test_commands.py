@@ -3,9 +3,9 @@
 import pytest
 
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.records import Stream
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.signals.records import Stream
 
 FLIGHT = ("--mission", "all-axes", "--rate", "100", "--duration", "40", "--seed", "3")
 
@@ -25,7 +25,7 @@ def chain_of(records, anchor=None, **options):
     airframe = load_airframe("paper")
     if anchor:
         airframe = airframe.with_anchor(*anchor)
-    chain = Chain(airframe, ChainOptions(course_interval=None, **options))
+    chain = Chain(airframe, ChainOptions(history_interval=None, **options))
     for record in records:
         chain.feed(record)
     return chain
@@ -139,8 +139,8 @@ def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
     parameter = next(r for r in records if r.stream is Stream.IMU)._replace(
         stream=Stream.PARAMETER, values=(float(cutoff),), source="INS_GYRO_FILTER"
     )
-    chain = Chain(load_airframe("paper"), ChainOptions(course_interval=None))
-    chain.chooser.autopilot = "ardupilot"
+    chain = Chain(load_airframe("paper"), ChainOptions(history_interval=None))
+    chain.rotor_selector.autopilot = "ardupilot"
     for record in (parameter, *records):
         chain.feed(record)
     result = chain.finish()
@@ -149,8 +149,8 @@ def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
     for name in ("Ixx", "Iyy"):
         assert result.parameters[name].value == pytest.approx(flown.truth[name], rel=0.02)
     # The same parameter after the flight is too late, and is told so.
-    late = Chain(load_airframe("paper"), ChainOptions(course_interval=None))
-    late.chooser.autopilot = "ardupilot"
+    late = Chain(load_airframe("paper"), ChainOptions(history_interval=None))
+    late.rotor_selector.autopilot = "ardupilot"
     for record in (*records, parameter):
         late.feed(record)
     late.finish()

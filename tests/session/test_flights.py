@@ -6,12 +6,12 @@ import shutil
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.parameters import CORE
+from gcs_sysid.estimation.physical_parameters import CORE
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.records import Record, Stream
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.tlog import read_tlog
 
 AS_THE_ARTICLE = ("--noise", "paper", "--sigma", "0.02", "--rate", "20")
@@ -81,7 +81,7 @@ def test_mems_noise_at_250_hz(fly, airframe):
 
 
 def test_size_of_portions_does_not_matter(paper_flight, paper_result, airframe):
-    pipeline = Pipeline(airframe, str(paper_flight.tlog), None, ChainOptions(course_interval=None))
+    pipeline = Pipeline(airframe, str(paper_flight.tlog), None, ChainOptions(history_interval=None))
     for _, frame in read_tlog(paper_flight.tlog):
         pipeline.take([frame])
     result = pipeline.finish()
@@ -168,7 +168,7 @@ def after_a_landing(records, stay=5.0, second=None):
 
 
 def follow(records, tick=0.1):
-    chain = Chain(load_airframe("paper"), ChainOptions(course_interval=None, tick=tick))
+    chain = Chain(load_airframe("paper"), ChainOptions(history_interval=None, tick=tick))
     for record in records:
         chain.feed(record)
     return chain, chain.finish()
@@ -250,8 +250,8 @@ def test_a_short_second_flight_is_decided_at_its_end(paper_records, paper_result
 )
 def test_emulated_flights_with_a_stay_between(fly, airframe, step):
     """Two outings with take-off and landing; the second, if so, with a tenth more mass."""
-    traps = ("--trap", "ground=6", "--trap", "flights=2")
-    flight = fly("--mission", "all-axes", "--noise", "mems", "--rate", "50", *traps, *step)
+    sensor_faults = ("--trap", "ground=6", "--trap", "flights=2")
+    flight = fly("--mission", "all-axes", "--noise", "mems", "--rate", "50", *sensor_faults, *step)
     result = analyze_log(flight.tlog, airframe)
     assert len(result.segments) == (1 if step else 0)
     assert result.verdict == "identified"

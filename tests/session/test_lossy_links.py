@@ -5,17 +5,17 @@ import pytest
 
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.records import Record, Stream
 from gcs_sysid.session.chain import Chain, ChainOptions
-from gcs_sysid.session.rotor_stream import RotorBuffer, wild_rows
-from gcs_sysid.session.timebase import TimeBase
+from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.signals.rotor_speed_stream import RotorBuffer, wild_rows
+from gcs_sysid.signals.time_base import TimeBase
 
 GAP = 0.04
 SECONDS = 15
 
 
 def run(records):
-    chain = Chain(load_airframe("paper"), ChainOptions(course_interval=None))
+    chain = Chain(load_airframe("paper"), ChainOptions(history_interval=None))
     for record in records:
         chain.feed(record)
     return chain, chain.finish()

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.records import Record, Stream
+from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.rotor_input import RotorChooser
-from gcs_sysid.session.sampling import Sampler
+from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
+from gcs_sysid.signals.sampling import Sampler
 
 RPM = 2.0 * math.pi / 60.0
 
@@ -111,7 +111,7 @@ def test_another_vehicle_than_the_logs_own_is_refused(airframe, ulog_file, tmp_p
 
 def test_parameters_are_no_samples():
     airframe = load_airframe("paper")
-    sampler = Sampler(RotorChooser(airframe, Anchor("mass", 1.5)), 4)
+    sampler = Sampler(RotorSourceSelector(airframe, ScaleReference("mass", 1.5)), 4)
     assert sampler.push(Record(Stream.PARAMETER, 0.0, (1.0,), source="FRAME_CLASS")) == ()
     assert sampler.recorded is None
     assert sampler.seen == set()

@@ -2,8 +2,8 @@
 
 import pytest
 
-from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
 from gcs_sysid.telemetry.logs import open_log
@@ -16,10 +16,10 @@ pytestmark = pytest.mark.slow
 MEMS = ("--noise", "mems", "--rate", "250")
 
 
-def analysed(path, airframe, *, windows, mass=None, course=None):
+def analysed(path, airframe, *, windows, mass=None, history=None):
     """The result, the chain, and the share of records that were fed one by one."""
-    anchor = None if mass is None else Anchor("mass", mass)
-    options = ChainOptions(course_interval=course)
+    anchor = None if mass is None else ScaleReference("mass", mass)
+    options = ChainOptions(history_interval=history)
     pipeline = Pipeline(load_airframe(airframe), str(path), None, options, anchor)
     chain, fed, given = pipeline.chain, [], []
     feed, take = chain.feed, chain.take
@@ -108,11 +108,11 @@ def test_a_reset_falls_between_the_same_samples(fly, tmp_path, after):
 
 def test_the_course_in_windows_is_that_of_records(fly):
     flight = fly(*MEMS, *FLIGHTS["a mass step"], "--seed", "4")
-    courses = [
-        analysed(flight.tlog, "paper", windows=windows, course=0.1)[1].course
+    histories = [
+        analysed(flight.tlog, "paper", windows=windows, history=0.1)[1].history
         for windows in (True, False)
     ]
-    now, before = courses
+    now, before = histories
     assert len(now.t) == len(before.t) > 200
     assert now.t == pytest.approx(before.t, abs=1e-9)
     for name in ("Ixx", "Izz", "k_M", "mass"):

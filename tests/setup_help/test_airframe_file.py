@@ -14,7 +14,7 @@ from gcs_sysid.setup_help.airframe_file import (
     checked,
     write_new,
 )
-from gcs_sysid.setup_help.findings import Sign, worst
+from gcs_sysid.setup_help.checks import Sign, worst
 from gcs_sysid.setup_help.layouts import LAYOUTS, layout_rotors, reversed_spins
 
 QUAD = layout_rotors("px4-quad-x", 0.25)

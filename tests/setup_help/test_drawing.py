@@ -3,8 +3,8 @@
 import pytest
 
 from gcs_sysid.model.airframe import Rotor
+from gcs_sysid.setup_help.checks import can_show
 from gcs_sysid.setup_help.drawing import ASCII, UNICODE, UNICODE_SIGNS, draw, legend, rotor_table
-from gcs_sysid.setup_help.findings import can_show
 from gcs_sysid.setup_help.layouts import LAYOUTS, layout_rotors, reversed_spins
 
 QUAD_X = """\

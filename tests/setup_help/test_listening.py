@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.setup_help.findings import Sign
+from gcs_sysid.setup_help.checks import Sign
 from gcs_sysid.setup_help.listening import (
     Ear,
     heard,

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from gcs_sysid.setup_help.findings import Finding, Sign, as_text, worst
+from gcs_sysid.setup_help.checks import Finding, Sign, as_text, worst
 from gcs_sysid.setup_help.machine import (
     check_packages,
     check_python,

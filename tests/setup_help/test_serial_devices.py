@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from gcs_sysid.setup_help import serial_devices
-from gcs_sysid.setup_help.findings import Sign
+from gcs_sysid.setup_help.checks import Sign
 from gcs_sysid.setup_help.serial_devices import check_serial
 from gcs_sysid.telemetry.link import SerialDevice
 from gcs_sysid.telemetry.link import serial_devices as plugged_in

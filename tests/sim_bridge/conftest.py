@@ -11,8 +11,8 @@ from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.cli import main
 from sim_bridge.ensemble import Flight, fly_ensemble
 from sim_bridge.missions import MISSIONS
+from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.simulation import Simulation
-from sim_bridge.vehicle import Vehicle
 from sim_bridge.vehicle_files import load_vehicle
 
 

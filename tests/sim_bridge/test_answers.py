@@ -9,8 +9,8 @@ import pytest
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.missions import MISSIONS
 from sim_bridge.px4 import Px4
+from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.simulation import Simulation
-from sim_bridge.vehicle import Vehicle
 
 CMD = {
     "set": mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,

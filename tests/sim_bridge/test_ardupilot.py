@@ -20,8 +20,8 @@ from sim_bridge.ardupilot import ArduPilot
 from sim_bridge.ardupilot_instruments import LowPass2p
 from sim_bridge.cli import main
 from sim_bridge.missions import MISSIONS
+from sim_bridge.sensor_faults import NO_SENSOR_FAULTS, SensorFaults
 from sim_bridge.simulation import Simulation
-from sim_bridge.traps import NO_TRAPS, Traps
 from sim_bridge.vehicle_files import load_vehicle
 
 Read = Callable[[Path], Any]
@@ -38,7 +38,7 @@ def make_desk(open_desk: Any) -> Callable[..., Any]:
         airframe: str = "ardupilot-quad-x",
         mission: str = "hover",
         noise: str = "none",
-        traps: Traps = NO_TRAPS,
+        sensor_faults: SensorFaults = NO_SENSOR_FAULTS,
     ) -> Any:
         gusts, sensors = np.random.SeedSequence(0).spawn(2)
         simulation = Simulation(
@@ -49,7 +49,7 @@ def make_desk(open_desk: Any) -> Callable[..., Any]:
             step_us=ardupilot.STEP_US,
             control_steps=ardupilot.LOOP_STEPS,
         )
-        return open_desk(simulation, ArduPilot(simulation, noise, 0.02, sensors, traps))
+        return open_desk(simulation, ArduPilot(simulation, noise, 0.02, sensors, sensor_faults))
 
     return make
 
@@ -153,7 +153,7 @@ def test_another_ground_stations_request_resets_the_rates(desk: Any) -> None:
 
 
 def test_before_4_0_there_are_groups_alone(make_desk: Callable[..., Any]) -> None:
-    desk = make_desk(traps=Traps(groups_only=True))
+    desk = make_desk(sensor_faults=SensorFaults(groups_only=True))
     assert desk.command(SET, SERVO, 4000)[0].result == mavlink.MAV_RESULT_UNSUPPORTED
     desk.ask(stream(mavlink.MAV_DATA_STREAM_ALL, 250))
     counts = desk.counts(2.0)
@@ -163,7 +163,7 @@ def test_before_4_0_there_are_groups_alone(make_desk: Callable[..., Any]) -> Non
 
 def test_the_tools_requests_bring_what_it_needs_before_4_0(make_desk: Callable[..., Any]) -> None:
     """Asked by flight time, and given its silence back at the end."""
-    desk = make_desk(traps=Traps(groups_only=True))
+    desk = make_desk(sensor_faults=SensorFaults(groups_only=True))
     intake, sent = Intake(), []
     requests = StreamRequests(Gate(sent.append), 250.0)
     step = 0.2

@@ -10,7 +10,7 @@ from sim_bridge.choices import Kind
 from sim_bridge.cli import main, make_parser
 from sim_bridge.line_faults import KINDS as FAULTS
 from sim_bridge.line_faults import LineFaults
-from sim_bridge.traps import KINDS, Traps
+from sim_bridge.sensor_faults import KINDS, SensorFaults
 
 
 def run(options: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
@@ -139,7 +139,7 @@ def test_an_existing_file_is_replaced_by_force_alone(
 
 
 @pytest.mark.parametrize(
-    ("word", "kinds", "chosen"), [("traps", KINDS, Traps), ("faults", FAULTS, LineFaults)]
+    ("word", "kinds", "chosen"), [("traps", KINDS, SensorFaults), ("faults", FAULTS, LineFaults)]
 )
 def test_help_tells_of_every_trap_and_fault(
     word: str, kinds: dict[str, Kind], chosen: type, capsys: pytest.CaptureFixture[str]

@@ -11,7 +11,7 @@ import pytest
 from sim_bridge.cli import main
 from sim_bridge.ensemble import Flight, fly_ensemble
 from sim_bridge.missions import MISSIONS
-from sim_bridge.vehicle import Vehicle, stack_vehicles
+from sim_bridge.simulated_vehicle import Vehicle, stack_vehicles
 
 FIELDS = ("gyro", "specific_force", "quaternion", "speeds", "commands", "velocity")
 

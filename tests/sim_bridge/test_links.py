@@ -181,9 +181,9 @@ def test_a_signed_link_takes_its_key_and_no_other(start: Start, tmp_path: Path) 
         station.until(lambda m: is_a(m, "HEARTBEAT"))
         ack = station.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 105, 50_000)
         assert ack.result == mavlink.MAV_RESULT_ACCEPTED
-        stranger = peer_station(s)
-        stranger.sign(bytes(32))
-        got = stranger.until(lambda m: is_a(m, "BAD_DATA"))
+        attacker = peer_station(s)
+        attacker.sign(bytes(32))
+        got = attacker.until(lambda m: is_a(m, "BAD_DATA"))
         assert {m.get_type() for m in got} == {"BAD_DATA"}
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim_bridge.ensemble import fly_ensemble
-from sim_bridge.manoeuvres import LEAD, PAUSE, ManoeuvreMission, Swings
+from sim_bridge.swings import LEAD, PAUSE, ManoeuvreMission, Swings
 from sim_bridge.vehicle_files import load_vehicle
 
 D20 = math.radians(20.0)

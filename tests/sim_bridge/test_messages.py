@@ -14,7 +14,7 @@ from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.autopilot import EPOCH_US, Schedule
 from sim_bridge.cli import main
 from sim_bridge.dynamics import rotate_to_body
-from sim_bridge.vehicle import Vehicle
+from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.wire import FrameWriter
 
 Read = Callable[[Path], Any]

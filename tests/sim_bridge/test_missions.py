@@ -7,8 +7,8 @@ import pytest
 
 from sim_bridge.ensemble import Flight, fly_ensemble
 from sim_bridge.missions import MISSIONS, PITCH, ROLL, YAW, Leg
+from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.simulation import mass_step
-from sim_bridge.vehicle import Vehicle
 from sim_bridge.vehicle_files import load_vehicle, vehicle_names
 
 

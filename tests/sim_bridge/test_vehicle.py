@@ -8,7 +8,7 @@ import pytest
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import builtin_names
 from gcs_sysid.model.parameters import PARAMETERS
-from sim_bridge.vehicle import Vehicle, allocation, stack_vehicles
+from sim_bridge.simulated_vehicle import Vehicle, allocation, stack_vehicles
 from sim_bridge.vehicle_files import load_vehicle, vehicle_names
 
 AIRFRAME = """

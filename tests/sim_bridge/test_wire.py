@@ -13,8 +13,8 @@ from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.cli import main, read_key
 from sim_bridge.missions import MISSIONS
 from sim_bridge.px4 import Px4
+from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.simulation import Simulation
-from sim_bridge.vehicle import Vehicle
 from sim_bridge.wire import BASE_LENGTHS, FrameWriter, Signer
 
 KEY = bytes(range(32))

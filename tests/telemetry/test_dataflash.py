@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.records import Record, Stream
+from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry import dataflash_format
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.logs import open_log

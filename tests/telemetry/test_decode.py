@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.model.attitude import from_euler
-from gcs_sysid.records import Record, Stream
+from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.decode import RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 

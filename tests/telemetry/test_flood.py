@@ -30,10 +30,10 @@ class Field:
     def __init__(self):
         self.clock = Clock()
         self.link = UdpLink(LinkUrl("udpin", "udpin:127.0.0.1", "127.0.0.1"), self.clock)
-        self.vehicle, self.stranger, self.other = (
+        self.vehicle, self.attacker, self.other = (
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(3)
         )
-        for each in (self.vehicle, self.stranger, self.other):
+        for each in (self.vehicle, self.attacker, self.other):
             each.bind(("127.0.0.1", 0))
         self.link.answer_to(self.vehicle.getsockname())
 
@@ -42,7 +42,7 @@ class Field:
             who.sendto(word, ("127.0.0.1", self.link.port))
 
     def flood(self, count):
-        self.say(self.stranger, *[b"garbage"] * count)
+        self.say(self.attacker, *[b"garbage"] * count)
 
     def heard(self, who):
         chunks = self.link.receive(0.0)
@@ -50,7 +50,7 @@ class Field:
 
     def close(self):
         self.link.close()
-        for each in (self.vehicle, self.stranger, self.other):
+        for each in (self.vehicle, self.attacker, self.other):
             each.close()
 
 
@@ -107,11 +107,11 @@ def test_what_the_vehicle_sent_before_comes_first(field):
 @linux
 def test_others_are_still_heard_a_few_at_a_time(field):
     set_apart(field)
-    while field.heard(field.stranger):
+    while field.heard(field.attacker):
         pass
-    field.say(field.stranger, b"1", b"2")
-    assert field.heard(field.stranger) == [b"1"]
-    assert field.heard(field.stranger) == [b"2"]
+    field.say(field.attacker, b"1", b"2")
+    assert field.heard(field.attacker) == [b"1"]
+    assert field.heard(field.attacker) == [b"2"]
 
 
 @linux

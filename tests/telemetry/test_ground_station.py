@@ -215,8 +215,8 @@ def test_a_signed_vehicle_is_believed_and_asked_with_signatures(signing, key_fil
 
 def test_with_a_wrong_key_nothing_is_believed_and_that_is_said(signing, key_file):
     talk = Talk(signing_key=key_file)
-    stranger = signing(key=bytes(32))
-    talk.hear(stranger.heartbeat(), stranger.imu(1.0))
+    attacker = signing(key=bytes(32))
+    talk.hear(attacker.heartbeat(), attacker.imu(1.0))
     assert talk.intake.vehicle is None
     assert talk.intake.monitor.received == 0
     assert talk.station.as_dict() == {

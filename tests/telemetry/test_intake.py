@@ -6,7 +6,7 @@ import random
 import numpy as np
 import pytest
 
-from gcs_sysid.records import Stream
+from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import FrameScanner
 from gcs_sysid.telemetry.intake import Intake

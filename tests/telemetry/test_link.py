@@ -114,27 +114,27 @@ def test_datagrams_come_as_they_were_sent_and_answers_go_to_the_vehicle(stream):
     with (
         open_link(parse_url(f"udpin:127.0.0.1:{port}")) as link,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as attacker,
     ):
         vehicle.settimeout(WAIT)
-        stranger.setblocking(False)
-        stranger.bind(("127.0.0.1", 0))
+        attacker.setblocking(False)
+        attacker.bind(("127.0.0.1", 0))
         receiver = Receiver(link)
         receiver.follow((1, 1))
         gate = Gate(link.send)
         gate.heartbeat()  # nobody to send it to yet
         assert link.unsent == 1
         for frame in expected:
-            stranger.sendto(b"\xfd\x20garbage", ("127.0.0.1", port))
+            attacker.sendto(b"\xfd\x20garbage", ("127.0.0.1", port))
             vehicle.sendto(frame.raw, ("127.0.0.1", port))
         assert receive(receiver, len(expected)) == expected
-        stranger.sendto(b"more garbage", ("127.0.0.1", port))
+        attacker.sendto(b"more garbage", ("127.0.0.1", port))
         receiver.poll(WAIT)
         assert receiver.garbage_bytes > 100
         gate.heartbeat()
         assert vehicle.recv(100)[0] == 0xFD
         with pytest.raises(BlockingIOError):
-            stranger.recv(100)
+            attacker.recv(100)
 
 
 def test_a_stranger_who_poses_as_another_system_gets_no_answers(sender, make_sender):

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.records import Stream
+from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.logs import open_log

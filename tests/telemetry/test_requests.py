@@ -6,8 +6,8 @@ from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.messages import message_name, unpack
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.requests import ASKS_AT_MOST, INTRODUCTIONS, StreamRequests
-from gcs_sysid.telemetry.streams import bytes_per_second
 from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.wanted_streams import bytes_per_second
 
 VEHICLE = Vehicle(1, 1, 2, 12)
 ARDUPILOT = Vehicle(1, 1, 2, 3)

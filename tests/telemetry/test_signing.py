@@ -62,10 +62,10 @@ def test_what_we_sign_pymavlink_believes(clock):
     messages = vehicle.parse_buffer(b"".join(sent))
     assert [m.get_type() for m in messages] == ["HEARTBEAT", "COMMAND_LONG", "PARAM_REQUEST_READ"]
     assert all(m.get_signed() for m in messages)
-    stranger = common.MAVLink(None)
-    stranger.signing.secret_key, stranger.signing.timestamp = OTHER, NOW
-    stranger.robust_parsing = True
-    assert {m.get_type() for m in stranger.parse_buffer(b"".join(sent))} == {"BAD_DATA"}
+    attacker = common.MAVLink(None)
+    attacker.signing.secret_key, attacker.signing.timestamp = OTHER, NOW
+    attacker.robust_parsing = True
+    assert {m.get_type() for m in attacker.parse_buffer(b"".join(sent))} == {"BAD_DATA"}
 
 
 def test_version_1_has_no_signatures(clock):
@@ -112,9 +112,9 @@ def test_a_frame_changed_on_the_way_is_not_believed(signing, check, at):
 
 
 def test_another_key_is_refused_and_counted(signing, check):
-    stranger = signing(OTHER)
+    attacker = signing(OTHER)
     for _ in range(5):
-        assert check.take(stranger.heartbeat()) is Refusal.WRONG_KEY
+        assert check.take(attacker.heartbeat()) is Refusal.WRONG_KEY
     assert check.refused == {Refusal.WRONG_KEY: 5}
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.screen import Actions
-from gcs_sysid.screen.replay import ReplayApp
+from gcs_sysid.screen.replay_app import ReplayApp
 from gcs_sysid.screen.scene import Scene
 from gcs_sysid.screen.widgets.transport import Transport
 from gcs_sysid.web.share import Door, RemoteSource, Share
@@ -66,7 +66,7 @@ def test_every_viewer_sees_the_snapshot(share, source, viewer):
     first, second = viewer(), viewer()
     assert until(lambda: first.latest() and second.latest())
     assert first.latest().result.dumps() == source.snapshot.result.dumps()
-    assert first.latest().course.t == pytest.approx(source.snapshot.course.t)
+    assert first.latest().history.t == pytest.approx(source.snapshot.history.t)
     known = first.latest()
     source.snapshot = replace(source.snapshot, t=99.0)
     assert until(lambda: first.latest().t == second.latest().t == 99.0)
@@ -173,9 +173,9 @@ def test_nobody_without_the_key_is_listened_to(share, source, viewer):
     address = ("127.0.0.1", share.door.port)
     with pytest.raises(AuthenticationError):
         Client(address, "AF_INET", authkey=b"another key")
-    with Client(address, "AF_INET") as stranger:  # sends what would end the process
-        stranger.send_bytes(pickle.dumps(Bomb()))
-        assert until(lambda: hung_up(stranger))
+    with Client(address, "AF_INET") as attacker:  # sends what would end the process
+        attacker.send_bytes(pickle.dumps(Bomb()))
+        assert until(lambda: hung_up(attacker))
     # Somebody who says nothing at all keeps nobody waiting.
     with socket.create_connection(address):
         viewer().scene.actions.reset()

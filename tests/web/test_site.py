@@ -8,7 +8,7 @@ import aiohttp
 import pytest
 
 from gcs_sysid.cli.arguments import web_address
-from gcs_sysid.cli.main import run
+from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
 from gcs_sysid.web.share import Door
 from gcs_sysid.web.site import Site, is_loopback, is_own

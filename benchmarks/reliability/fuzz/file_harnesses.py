@@ -14,17 +14,17 @@ from gcs_sysid.cli.output import read_truth
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import builtin_names, load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
-from gcs_sysid.session.result import SCHEMA
-from gcs_sysid.session.result_file import read_result
+from gcs_sysid.results.result import SCHEMA
+from gcs_sysid.results.result_file import read_result
 from gcs_sysid.setup_help.airframe_file import airframe_text, checked
 from gcs_sysid.setup_help.drawing import ASCII
 from gcs_sysid.setup_help.wizard import Given, Wizard
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.signing import KEY_SIZE, LARGEST_TIME, SigningClock, read_key
-from gcs_sysid.telemetry.tracks import Recording
+from gcs_sysid.telemetry.track_collector import Recording
 from gcs_sysid.telemetry.ulog import read_ulog
 from gcs_sysid.telemetry.urls import parse_url
-from sim_bridge.manoeuvres import read_plan
+from sim_bridge.swings import read_plan
 
 _ulg, _bin = Scratch(".ulg"), Scratch(".bin")
 _toml, _json, _key = Scratch(".toml"), Scratch(".json"), Scratch(".key")

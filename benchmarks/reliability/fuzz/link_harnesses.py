@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.reliability.fuzz.harness import Bytes, Scratch, one_line_errors
 from benchmarks.reliability.fuzz.references import checksum, frames_of_log, frames_of_stream
-from gcs_sysid.records import Record
+from gcs_sysid.signals.records import Record
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import (
     CRC_EXTRA,

@@ -4,9 +4,9 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
-from gcs_sysid.cli import coaching
+from gcs_sysid.argument_types import between, not_negative, number, positive, split_prior
+from gcs_sysid.cli import coach_options as coaching
 from gcs_sysid.errors import InputError
-from gcs_sysid.usage import between, not_negative, number, positive, split_prior
 
 ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-difference")
 """Names of `estimation.article.METHODS` (a test compares); not imported, to start fast."""

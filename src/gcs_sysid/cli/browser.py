@@ -3,7 +3,7 @@
 import threading
 
 from gcs_sysid.cli import output
-from gcs_sysid.cli.live import Session, say_until_end
+from gcs_sysid.cli.live_command import Session, say_until_end
 from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.errors import InputError
 from gcs_sysid.screen.scene import Scene

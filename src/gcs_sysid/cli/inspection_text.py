@@ -3,11 +3,11 @@
 import textwrap
 from collections.abc import Iterable, Mapping
 
-from gcs_sysid.records import Stream
-from gcs_sysid.session.inspection.facts import Inspection, RotorSource, StreamFacts, role
-from gcs_sysid.session.inspection.parameters import GROUPS, group_of
-from gcs_sysid.session.inspection.readiness import LITTLE
-from gcs_sysid.telemetry.rotors import RPM
+from gcs_sysid.inspection.facts import Inspection, RotorSource, StreamFacts, role
+from gcs_sysid.inspection.readiness import LITTLE
+from gcs_sysid.inspection.relevant_parameters import GROUPS, group_of
+from gcs_sysid.signals.records import Stream
+from gcs_sysid.telemetry.rotor_messages import RPM
 
 _KINDS = {
     "tlog": "recording of a ground station (.tlog)",

@@ -7,7 +7,7 @@ from typing import TextIO
 
 from gcs_sysid.cli.output import open_output, say
 from gcs_sysid.errors import InputError
-from gcs_sysid.session.result import Result
+from gcs_sysid.results.result import Result
 
 _MOST_WAITING = 64
 """Results that wait for a slow reader; then the oldest goes, which is the one least missed."""

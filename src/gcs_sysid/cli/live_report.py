@@ -83,8 +83,8 @@ def write(job: ReportJob) -> None:
         )
         reporter = Reporter(options, job.airframe, job.truth)
         with reporter as observer:
-            course = ChainOptions(course_interval=reporter.course_interval)
-            found = analyze_log(log, job.airframe, job.vehicle, course, observer=observer)
+            history = ChainOptions(history_interval=reporter.history_interval)
+            found = analyze_log(log, job.airframe, job.vehicle, history, observer=observer)
             reporter.write(replace(found, source=str(job.recording)))
 
 

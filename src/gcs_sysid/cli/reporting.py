@@ -14,12 +14,12 @@ from gcs_sysid import __version__
 from gcs_sysid.cli import output
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target, write_whole
+from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.report.data import Provenance, gather
 from gcs_sysid.report.page import render
 from gcs_sysid.report.recorder import Recorder
-from gcs_sysid.session.inspection.inspector import inspect_log
-from gcs_sysid.session.result import Result
+from gcs_sysid.results.result import Result
 
 
 class Reporter:
@@ -34,8 +34,8 @@ class Reporter:
         InputError: the report cannot be of this, or not be written there.
     """
 
-    course_interval = 0.5
-    """s between the instants of the estimates' course."""
+    history_interval = 0.5
+    """s between the instants of the estimates' history."""
 
     def __init__(
         self, options: argparse.Namespace, airframe: Airframe, truth: Mapping[str, float] | None

@@ -3,15 +3,15 @@
 import argparse
 from collections.abc import Mapping
 
-from gcs_sysid.cli.live import Session
+from gcs_sysid.cli.live_command import Session
 from gcs_sysid.cli.screen_actions import export_result, live_actions, report_session
-from gcs_sysid.exports.targets import TARGETS
+from gcs_sysid.exports.formats import TARGETS
+from gcs_sysid.live.live_session import LiveSession
+from gcs_sysid.live.replay_session import ReplaySession
+from gcs_sysid.results.result import Result
 from gcs_sysid.screen import Actions, Baseline
 from gcs_sysid.screen.scene import Scene
 from gcs_sysid.screen.widgets.transport import Transport
-from gcs_sysid.session.live import LiveSession
-from gcs_sysid.session.replay import ReplaySession
-from gcs_sysid.session.result import Result
 
 
 def scene_of(

@@ -7,13 +7,13 @@ from pathlib import Path
 from gcs_sysid.cli.live_report import ReportJob, have_written
 from gcs_sysid.cli.output import save
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.targets import TARGETS
-from gcs_sysid.exports.vehicle import assemble
+from gcs_sysid.exports.exported_vehicle import assemble
+from gcs_sysid.exports.formats import TARGETS
+from gcs_sysid.live.live_session import LiveSession
+from gcs_sysid.live.replay_session import ReplaySession
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.results.result import Result
 from gcs_sysid.screen import Actions
-from gcs_sysid.session.live import LiveSession
-from gcs_sysid.session.replay import ReplaySession
-from gcs_sysid.session.result import Result
 from gcs_sysid.telemetry.tlog_writer import unused_path
 
 SUFFIXES = {

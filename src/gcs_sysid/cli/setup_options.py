@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
+from gcs_sysid.argument_types import positive
 from gcs_sysid.cli import arguments
-from gcs_sysid.usage import positive
 
 LAYOUTS = (
     "px4-quad-x", "ardupilot-quad-x", "px4-quad-plus", "ardupilot-quad-plus",

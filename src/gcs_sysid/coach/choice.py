@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.coach.information import information
-from gcs_sysid.coach.manoeuvres import Manoeuvre
+from gcs_sysid.coach.interval_targets import excess, is_enough
+from gcs_sysid.coach.manoeuvre_library import Manoeuvre
 from gcs_sysid.coach.motion import Motion, within_reach
-from gcs_sysid.coach.outlook import Outlook
-from gcs_sysid.coach.targets import excess, is_enough
-from gcs_sysid.estimation.basis import LAG
+from gcs_sysid.coach.predicted_information import PredictedInformation
+from gcs_sysid.estimation.actuator_dynamics import LAG
 from gcs_sysid.estimation.online import Fit
 
 Judge = Callable[[Fit], Mapping[str, float | None]]
@@ -60,29 +60,29 @@ class Choice:
 
 
 def choose(
-    outlook: Outlook, library: Iterable[Manoeuvre], judge: Judge, target: float
+    prospect: PredictedInformation, library: Iterable[Manoeuvre], judge: Judge, target: float
 ) -> Choice | None:
     """The manoeuvre that brings the widest intervals nearest to the target; None: none can.
 
     Args:
-        outlook: what is known.
+        prospect: what is known.
         library: to choose from.
         judge: tells the shares of a fit.
         target: share to reach.
     """
-    now = judge(outlook.after())
+    now = judge(prospect.after())
     far = excess(now, _CLOSE * target)
     best: tuple[float, Manoeuvre, Motion, Array] | None = None
     for manoeuvre in library:
-        found = within_reach(manoeuvre, outlook.craft)
+        found = within_reach(manoeuvre, prospect.craft)
         if found is None:
             continue
         reached, motion = found
-        if outlook.fit.rotation is None and not _starts(motion):
+        if prospect.fit.rotation is None and not _starts(motion):
             continue
-        told = information(motion, outlook.craft, outlook.noise, float(outlook.coordinates[LAG]))
+        told = information(motion, prospect.craft, prospect.noise, float(prospect.coordinates[LAG]))
         reached = reached.lasting(USUAL)
-        left = excess(judge(_after(outlook, told, reached)), _CLOSE * target)
+        left = excess(judge(_after(prospect, told, reached)), _CLOSE * target)
         if best is None or left < best[0]:
             best = left, reached, motion, told
     if best is None or not best[0] < far:
@@ -90,10 +90,10 @@ def choose(
     _, chosen, motion, told = best
     for seconds in _LENGTHS:
         tried = chosen.lasting(float(seconds))
-        if is_enough(judge(_after(outlook, told, tried)), _CLOSE * target):
+        if is_enough(judge(_after(prospect, told, tried)), _CLOSE * target):
             chosen = tried
             break
-    after = _after(outlook, told, chosen)
+    after = _after(prospect, told, chosen)
     return Choice(chosen, motion, now, judge(after), after, told)
 
 
@@ -103,5 +103,5 @@ def _starts(motion: Motion) -> bool:
     return bool(min(roll, pitch) > _BOTH * max(roll, pitch))
 
 
-def _after(outlook: Outlook, told: Array, manoeuvre: Manoeuvre) -> Fit:
-    return outlook.after(told, manoeuvre.seconds, manoeuvre.effective_seconds)
+def _after(prospect: PredictedInformation, told: Array, manoeuvre: Manoeuvre) -> Fit:
+    return prospect.after(told, manoeuvre.seconds, manoeuvre.effective_seconds)

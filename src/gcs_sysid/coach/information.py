@@ -15,7 +15,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.coach.motion import Craft, Motion
-from gcs_sysid.estimation.basis import CURVE, DELAY, LAG, N_COORDINATES, ROTOR_COLUMNS
+from gcs_sysid.estimation.actuator_dynamics import CURVE, DELAY, LAG, N_COORDINATES, ROTOR_COLUMNS
 from gcs_sysid.estimation.priors import N_UNKNOWNS
 from gcs_sysid.model import rigid_body as rb
 

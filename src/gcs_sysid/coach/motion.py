@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.coach.manoeuvres import Manoeuvre
+from gcs_sysid.coach.manoeuvre_library import Manoeuvre
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
 
@@ -22,7 +22,7 @@ _SHRUNK = (1.0, 0.7, 0.5, 0.35, 0.25)
 
 @dataclass(frozen=True)
 class Craft:
-    """What is known, or supposed, of the vehicle.
+    """What is known, or assumed, of the vehicle.
 
     Attributes:
         geometry: (3, rotors) x, y, spin.

@@ -15,19 +15,22 @@ than yaw: what matters is the covariance of all rotors.
 import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows
-from gcs_sysid.estimation.basis import BODY, SIGNALS, WIDTH, RotorBasis, motor_filter
+from gcs_sysid.estimation.actuator_dynamics import (
+    BODY,
+    SIGNALS,
+    WIDTH,
+    ActuatorDynamics,
+    motor_filter,
+)
 from gcs_sysid.estimation.input_noise import THIRD_DIFFERENCE, InputNoise
-from gcs_sysid.filters.smoothers import Smoother, leaky
 from gcs_sysid.model import rigid_body
-from gcs_sysid.recursions import lfilter
+from gcs_sysid.signals.recursions import lfilter
+from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
+from gcs_sysid.signals.smoothers import Smoother, leaky
 
 _DOUBT = 0.3
 """Relative, of what is missed, one standard deviation: loops are not all alike, interpolation to
 the IMU's times takes some noise away, and messages are lost."""
-SLOW_COMMANDS = 0.012
-"""s between commands. Those that come more often miss little (6 % of their noise at 100 Hz), and
-what is seen at a quarter of their rate may well be motion: taking that out costs more than it
-brings."""
 _SPACING = 2
 """Samples between those of a difference: it sees most at a quarter of the sample rate."""
 _ENOUGH = 100
@@ -154,7 +157,7 @@ class CommandNoise(InputNoise):
         torques: Array = self._mixer.T @ self.covariance @ self._mixer
         return torques
 
-    def element_moments(self, basis: RotorBasis, smoother: Smoother, memory: float) -> Array:
+    def element_moments(self, basis: ActuatorDynamics, smoother: Smoother, memory: float) -> Array:
         """(width, width) what it adds to the moments of a row of elements.
 
         Args:
@@ -178,7 +181,7 @@ class CommandNoise(InputNoise):
         return out
 
 
-def _overlaps(basis: RotorBasis, smoother: Smoother, dt: float, memory: float) -> Array:
+def _overlaps(basis: ActuatorDynamics, smoother: Smoother, dt: float, memory: float) -> Array:
     """(elements, elements) covariances of what a basis' filters make of white noise."""
     taps = smoother.late_taps
     room = int(np.ceil(_SETTLED * basis.lags[-1] / dt))

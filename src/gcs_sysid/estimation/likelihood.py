@@ -41,9 +41,9 @@ from gcs_sysid.estimation.propagation import (
     Transition,
     impulse_weights,
 )
-from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.uncertainty import sandwich
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.signals.samples import Samples
 
 MIN_RUN = 24
 """Samples; shorter pieces between gaps say little and are left out."""

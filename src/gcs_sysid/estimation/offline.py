@@ -10,9 +10,9 @@ from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.estimation.likelihood import MIN_RUN, LikelihoodFit, maximise_likelihood
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.priors import Prior
-from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.signals.samples import Samples
 
 
 @dataclass(frozen=True)

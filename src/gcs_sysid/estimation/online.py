@@ -1,9 +1,9 @@
 """The online estimator: samples in, relative estimates out, in bounded memory and time.
 
 A running flight is followed by quick fits: a step from an earlier fit of the same record, its
-footing, with the moments of that instant. The footing is renewed whenever a batch of moments has
-begun, about once a second; now and then a full fit chooses leak and delay anew. Quick fits of one
-footing do not depend on one another, so that a block with many of them is one call.
+warm start, with the moments of that instant. The warm start is renewed whenever a batch of moments
+has begun, about once a second; now and then a full fit chooses leak and delay anew. Quick fits of one
+warm start do not depend on one another, so that a block with many of them is one call.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -13,22 +13,22 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import rotation, translation
-from gcs_sysid.estimation.basis import CURVE
-from gcs_sysid.estimation.coupling import PRODUCTS, Coupling, gyroscopic_coupling
+from gcs_sysid.estimation.actuator_dynamics import CURVE
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.record import FlightRecord
-from gcs_sysid.estimation.regression import Samples
+from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.estimation.validation import Validation, validate
 from gcs_sysid.model import rigid_body
+from gcs_sysid.signals.samples import Samples
 
 _SETTLE_GROWTH = 1.5
 _MIN_BATCHES = 10
 """From which their scatter tells how sure a number is."""
 _WELL_KNOWN = 10.0
-"""s of flight from which the search for a footing starts from the one before."""
+"""s of flight from which the search for a warm start starts from the one before."""
 MIN_MOMENTUM_SECONDS = 5.0
 """Flight time from which momentum balance beats the accelerometer's bias."""
 
@@ -51,15 +51,15 @@ class Fit:
     """Only of full fits."""
     accelerometer: TranslationFit | None = None
     """The second source of k_T / m, whichever `translation` is; of full fits, for certain."""
-    coupling: Coupling | None = None
+    rigid_body_test: RigidBodyTest | None = None
     """Whether it moves like a rigid body; None while that cannot be told."""
     running: bool = False
     """Whether it is one of many looks at a running flight, see `uncertainty.watched_factor`."""
 
 
 @dataclass(frozen=True)
-class _Footing:
-    """What a course of quick fits goes on from.
+class _WarmStart:
+    """What a series of quick fits goes on from.
 
     Attributes:
         rotation: fit that is followed.
@@ -109,15 +109,15 @@ class OnlineEstimator:
         self.prior: Prior | None = None
         """What else is known about the rotation; may be set at any time."""
         self.prior_source: PriorSource | None = None
-        """Renews the prior with each footing and full fit."""
+        """Renews the prior with each warm start and full fit."""
         self.accelerometer_gain: translation.Gain | None = None
         """How the accelerometer reads against gravity, from an earlier segment."""
         self._record = FlightRecord(geometry, dt, tuning)
         self._basis = self._record.basis
         self._settle_interval = tuning.settle_interval
-        self._footings: dict[str, _Footing] = {}
-        self._coupling: Coupling | None = None
-        self._coupling_at = 0.0
+        self._warm_starts: dict[str, _WarmStart] = {}
+        self._rigid_body_test: RigidBodyTest | None = None
+        self._rigid_body_test_at = 0.0
 
     @property
     def seconds(self) -> float:
@@ -165,31 +165,31 @@ class OnlineEstimator:
         for _ in self._record.take(samples):
             pass
 
-    def follow(self, samples: Samples, stops: Sequence[int], course: str = "") -> list[Fit]:
+    def follow(self, samples: Samples, stops: Sequence[int], series: str = "") -> list[Fit]:
         """Take a block of samples, with quick fits on the way.
 
         Args:
             samples: n of them.
             stops: rising, 0 to n: a fit after so many of them.
-            course: see `fit`.
+            series: see `fit`.
 
         Returns:
             A fit for each stop, as `update` and `fit` would give them one by one.
         """
-        return self._follow(self._record.take(samples, stops), course)
+        return self._follow(self._record.take(samples, stops), series)
 
-    def fit(self, *, quick: bool = False, course: str = "") -> Fit:
+    def fit(self, *, quick: bool = False, series: str = "") -> Fit:
         """The estimate from everything so far.
 
         Args:
-            quick: go on from the last quick estimate, for the course of a running flight; of
+            quick: go on from the last quick estimate, for a running flight; of
                 the latest samples, up to 0.1 s may be left out. Otherwise the outcome is a
                 function of the data alone.
-            course: name of the course of quick estimates to go on with. One that decides
+            series: name of the series of quick estimates to go on with. One that decides
                 something must not depend on how often others look.
         """
         if quick:
-            return self._follow((None,), course)[0]
+            return self._follow((None,), series)[0]
         record = self._record
         record.flush()
         self._renew_prior()
@@ -205,8 +205,8 @@ class OnlineEstimator:
                 record.noise_gains(),
                 self.prior,
             )
-        coupling = self._coupling_of(rot)
-        if coupling is not None and coupling.contradicted:
+        rigid_body_test = self._rigid_body_test_of(rot)
+        if rigid_body_test is not None and rigid_body_test.contradicted:
             # What rotors turn against remains to be told: inertia in roll and pitch.
             rot = rotation.fit_rotation(
                 self._without_products(),
@@ -216,7 +216,7 @@ class OnlineEstimator:
                 prior=self.prior,
                 doubt=record.noise_doubt,
             )
-        return Fit(rot, trans, self.seconds, validation, accelerometer, coupling)
+        return Fit(rot, trans, self.seconds, validation, accelerometer, rigid_body_test)
 
     def fit_translation(
         self, at: RotationFit | None = None
@@ -234,27 +234,27 @@ class OnlineEstimator:
     def forget_last(self, seconds: float) -> None:
         """Leave out at least the last `seconds` of what was learnt (whole batches)."""
         self._record.forget_last(seconds)
-        self._footings.clear()
+        self._warm_starts.clear()
 
-    def _follow(self, stops: Iterable[None], course: str) -> list[Fit]:
+    def _follow(self, stops: Iterable[None], series: str) -> list[Fit]:
         """Quick fits at stops of what is coming in."""
         fits: list[Fit] = []
         waiting: list[_Instant] = []
         for _ in stops:
-            footing = self._footings.get(course)
-            if footing is None or self.seconds >= footing.settle:
-                if footing is not None:
-                    fits += self._followed(footing, waiting)
+            warm_start = self._warm_starts.get(series)
+            if warm_start is None or self.seconds >= warm_start.settle:
+                if warm_start is not None:
+                    fits += self._followed(warm_start, waiting)
                 waiting = []
-                fits.append(self._settle(course, footing))
+                fits.append(self._settle(series, warm_start))
                 continue
-            waiting.append(self._instant(footing.rotation.leak))
-            if self._is_outdated(footing):
-                fits += self._followed(footing, waiting)
+            waiting.append(self._instant(warm_start.rotation.leak))
+            if self._is_outdated(warm_start):
+                fits += self._followed(warm_start, waiting)
                 waiting = []
-                fits[-1] = self._renewed(course, footing, fits[-1])
+                fits[-1] = self._renewed(series, warm_start, fits[-1])
         if waiting:
-            fits += self._followed(self._footings[course], waiting)
+            fits += self._followed(self._warm_starts[series], waiting)
         return fits
 
     def _instant(self, leak: int) -> _Instant:
@@ -268,15 +268,15 @@ class OnlineEstimator:
             self.seconds,
         )
 
-    def _is_outdated(self, footing: _Footing) -> bool:
+    def _is_outdated(self, warm_start: _WarmStart) -> bool:
         return (
-            footing.thrust is None
-            or footing.batches != self._record.batches
-            or self._is_coupling_due()
+            warm_start.thrust is None
+            or warm_start.batches != self._record.batches
+            or self._is_rigid_body_test_due()
         )
 
-    def _followed(self, footing: _Footing, instants: Sequence[_Instant]) -> list[Fit]:
-        """Quick fits at several instants, from one footing."""
+    def _followed(self, warm_start: _WarmStart, instants: Sequence[_Instant]) -> list[Fit]:
+        """Quick fits at several instants, from one warm start."""
         if not instants:
             return []
         rotations = rotation.follow_rotation(
@@ -284,43 +284,49 @@ class OnlineEstimator:
             np.array([i.rows for i in instants]),
             self._basis,
             np.stack([i.noise for i in instants]),
-            footing.rotation,
+            warm_start.rotation,
             self.prior,
         )
         thrusts: Sequence[TranslationFit | None] = [None] * len(instants)
-        if footing.thrust is not None:
+        if warm_start.thrust is not None:
             weights = [self._basis.thrust_weights(fit.coordinates) for fit in rotations]
             pairs = zip(weights, instants, strict=True)
             thrusts = translation.follow_momentum(
                 np.stack([_mixed(w, i.momentum) for w, i in pairs]),
                 np.array([i.momentum_rows for i in instants]),
-                footing.thrust,
+                warm_start.thrust,
             )
         return [
             Fit(
                 rot,
                 self._with_slope(thrust, rot, i.momentum),
                 i.seconds,
-                coupling=self._coupling,
+                rigid_body_test=self._rigid_body_test,
                 running=True,
             )
             for rot, thrust, i in zip(rotations, thrusts, instants, strict=True)
         ]
 
-    def _renewed(self, course: str, footing: _Footing, fit: Fit) -> Fit:
+    def _renewed(self, series: str, warm_start: _WarmStart, fit: Fit) -> Fit:
         """A quick fit of now with all that is renewed now and then; the next ones go on from it."""
         record, rot = self._record, fit.rotation
         assert rot is not None
         thrust = self._fit_momentum(rot.coordinates)
         trans = thrust or self._fit_accelerometer(rot.coordinates)
-        followed = rot if footing.batches != record.batches else footing.rotation
-        self._footings[course] = _Footing(followed, thrust, record.batches, footing.settle)
+        followed = rot if warm_start.batches != record.batches else warm_start.rotation
+        self._warm_starts[series] = _WarmStart(followed, thrust, record.batches, warm_start.settle)
         self._renew_prior()
-        coupling = self._coupling_of(rot) if self._is_coupling_due() else self._coupling
-        return replace(fit, translation=self._with_slope(trans, rot), coupling=coupling)
+        rigid_body_test = (
+            self._rigid_body_test_of(rot)
+            if self._is_rigid_body_test_due()
+            else self._rigid_body_test
+        )
+        return replace(
+            fit, translation=self._with_slope(trans, rot), rigid_body_test=rigid_body_test
+        )
 
-    def _settle(self, course: str, before: _Footing | None) -> Fit:
-        """A fit that chooses leak and delay, as a footing for those to come."""
+    def _settle(self, series: str, before: _WarmStart | None) -> Fit:
+        """A fit that chooses leak and delay, as a warm start for those to come."""
         self._renew_prior()
         known = before if self.seconds > _WELL_KNOWN else None
         rot = self._fit_rotation(None if known is None else known.rotation)
@@ -329,10 +335,14 @@ class OnlineEstimator:
         trans = thrust or self._fit_accelerometer(where)
         if rot is not None and self._record.article is None:
             settle = max(self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds)
-            self._footings[course] = _Footing(rot, thrust, self._record.batches, settle)
-        coupling = self._coupling_of(rot) if self._is_coupling_due() else self._coupling
+            self._warm_starts[series] = _WarmStart(rot, thrust, self._record.batches, settle)
+        rigid_body_test = (
+            self._rigid_body_test_of(rot)
+            if self._is_rigid_body_test_due()
+            else self._rigid_body_test
+        )
         trans = self._with_slope(trans, rot)
-        return Fit(rot, trans, self.seconds, coupling=coupling, running=True)
+        return Fit(rot, trans, self.seconds, rigid_body_test=rigid_body_test, running=True)
 
     def _renew_prior(self) -> None:
         if self.prior_source is not None:
@@ -401,23 +411,23 @@ class OnlineEstimator:
         change = -fit.kappa * (more - less) / (0.5 * (more + less)) / (2.0 * step[CURVE])
         return replace(fit, curve_slope=float(change))
 
-    def _is_coupling_due(self) -> bool:
+    def _is_rigid_body_test_due(self) -> bool:
         record = self._record
         return (
             record.article is None
             and len(record.rotation.batches) >= _MIN_BATCHES
-            and self.seconds >= self._coupling_at
+            and self.seconds >= self._rigid_body_test_at
         )
 
-    def _coupling_of(self, fit: RotationFit | None) -> Coupling | None:
+    def _rigid_body_test_of(self, fit: RotationFit | None) -> RigidBodyTest | None:
         """Whether the body is rigid; None while that cannot be told."""
         moments = self._record.rotation
         if fit is None or self._record.article or len(moments.batches) < _MIN_BATCHES:
             return None
-        self._coupling_at = _SETTLE_GROWTH * self.seconds
+        self._rigid_body_test_at = _SETTLE_GROWTH * self.seconds
         P = self._basis.map_at(fit.coordinates)
-        self._coupling = gyroscopic_coupling(moments.batches[:, fit.leak], P, fit.theta)
-        return self._coupling
+        self._rigid_body_test = judge_rigid_body(moments.batches[:, fit.leak], P, fit.theta)
+        return self._rigid_body_test
 
     def _without_products(self) -> Array:
         """The moments as if products of rates were zero: of a body without gyroscopic torque."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.basis import N_COORDINATES
+from gcs_sysid.estimation.actuator_dynamics import N_COORDINATES
 from gcs_sysid.model import rigid_body as rb
 
 N_UNKNOWNS = rb.N_THETA + N_COORDINATES

@@ -6,15 +6,16 @@ from itertools import pairwise
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation import article
-from gcs_sysid.estimation.basis import RotorBasis
+from gcs_sysid.estimation import article_estimator as article
+from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.estimation.command_noise import CommandNoise
-from gcs_sysid.estimation.moments import Moments
-from gcs_sysid.estimation.regression import LeakySums, RowMaker, Rows, Samples
-from gcs_sysid.estimation.rotors import RotorPath
+from gcs_sysid.estimation.normal_equations import NormalEquations
+from gcs_sysid.estimation.regression import LeakySums, RowMaker, Rows
+from gcs_sysid.estimation.rotor_signals import RotorPath
 from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.estimation.tuning import Tuning
-from gcs_sysid.filters.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
+from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
 
 _PIECE_TIME = 0.1
 """s of samples that are taken at once."""
@@ -56,7 +57,7 @@ class FlightRecord:
         # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
         piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
         self._held = _Held(piece, geometry.shape[1])
-        self.basis = basis = RotorBasis(
+        self.basis = basis = ActuatorDynamics(
             smoother.delays,
             tuning.lags,
             tuning.curves,
@@ -71,15 +72,15 @@ class FlightRecord:
         self._leaks = LeakySums(self._row_time, tuning.leaks)
         kept = _FEWER_BATCHES if commands else _BATCHES
         bank = (len(tuning.leaks), basis.width, basis.width)
-        self.rotation = Moments(bank, per_batch, kept)
+        self.rotation = NormalEquations(bank, per_batch, kept)
         self.article = (
             None
             if tuning.method == "forward"
             else article.ArticleEstimator(geometry, dt, tuning.method)
         )
         width = len(basis.lags) * basis.sets + 3
-        self.momentum = Moments((3, width, width), per_batch, kept)
-        self.accelerometer = Moments((width, width), per_batch, kept)
+        self.momentum = NormalEquations((3, width, width), per_batch, kept)
+        self.accelerometer = NormalEquations((width, width), per_batch, kept)
 
     def reserve(self) -> None:
         """Have all memory now that a long flight will need."""
@@ -166,7 +167,7 @@ class FlightRecord:
     def noise(self, leak: int) -> Array:
         """What known noise of the inputs adds to the moments of one row.
 
-        (WIDTH, WIDTH) of speeds, (width, width) of commands, see `RotorBasis.noise_at`.
+        (WIDTH, WIDTH) of speeds, (width, width) of commands, see `ActuatorDynamics.noise_at`.
         """
         noise, memory = self._input_noise, self.memories[leak]
         if isinstance(noise, CommandNoise):

@@ -1,62 +1,24 @@
 """From aligned signals to regression rows: products, window, leak.
 
 All signals of both sides pass the same linear filter, so its lag cancels: a smoother
-(`gcs_sysid.filters.smoothers`), and for the rotation then perhaps a leaky sum. The leak
+(`gcs_sysid.signals.smoothers`), and for the rotation then perhaps a leaky sum. The leak
 integrates both sides again: gyro noise, which differentiation made grow with frequency, becomes
 nearly white, which is what least squares weighs best. Where noise of the rotor speeds
 dominates, no leak is better; the estimator carries both and takes the more certain one.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, runs
-from gcs_sysid.estimation.basis import BODY, SIGNALS, RotorBasis
-from gcs_sysid.estimation.rotors import RotorPath
-from gcs_sysid.filters.smoothers import Smoother
+from gcs_sysid.estimation.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics
+from gcs_sysid.estimation.rotor_signals import RotorPath
 from gcs_sysid.model import attitude, rigid_body
 from gcs_sysid.model.parameters import GRAVITY
-
-
-@dataclass(frozen=True)
-class Samples:
-    """Aligned signals on the uniform grid; NaN marks what is missing or must not be used.
-
-    Attributes:
-        gyro: (n, 3) as measured, rad/s.
-        rates: (n, 3) without bias, rad/s.
-        speeds: (n, rotors) rad/s; or commands, 0 to 1, where those are the input.
-        attitude: (n, 4) body to world.
-        force: (n, 3) specific force, m/s^2.
-        velocity: (n, 3) north, east, down, m/s.
-        apart: (n, 1) s between the samples of two streams of commands whose mean `speeds` holds;
-            NaN where there is one, as it is unless told.
-    """
-
-    gyro: Array
-    rates: Array
-    speeds: Array
-    attitude: Array
-    force: Array
-    velocity: Array
-    apart: Array = field(default_factory=lambda: np.empty((0, 1)))
-
-    def __post_init__(self) -> None:
-        if not len(self.apart):
-            object.__setattr__(self, "apart", np.full((len(self.gyro), 1), np.nan))
-
-    @property
-    def signals(self) -> tuple[Array, ...]:
-        """All of them, in order."""
-        return (
-            self.gyro, self.rates, self.speeds, self.attitude, self.force, self.velocity, self.apart
-        )  # fmt: skip
-
-    def part(self, where: slice | Mask) -> "Samples":
-        """Some of the samples."""
-        return Samples(*(signal[where] for signal in self.signals))
+from gcs_sysid.signals.samples import Samples
+from gcs_sysid.signals.smoothers import Smoother
 
 
 @dataclass(frozen=True)
@@ -84,7 +46,7 @@ class RowMaker:
         smoother: the filter on both sides.
     """
 
-    def __init__(self, path: RotorPath, basis: RotorBasis, smoother: Smoother) -> None:
+    def __init__(self, path: RotorPath, basis: ActuatorDynamics, smoother: Smoother) -> None:
         self._path = path
         self._basis = basis
         self._smoother = smoother

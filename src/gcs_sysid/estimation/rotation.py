@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask, by_parts
-from gcs_sysid.estimation import basis as coordinate
-from gcs_sysid.estimation.basis import RotorBasis
+from gcs_sysid.estimation import actuator_dynamics as coordinate
+from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.search import (
     N_X,
@@ -50,7 +50,7 @@ _HALVINGS = 20
 
 
 @dataclass(frozen=True)
-class Footing:
+class WarmStart:
     """From where a later fit of the same, longer record goes on.
 
     Attributes:
@@ -82,7 +82,7 @@ class RotationFit:
             does not tell a parameter.
         full_covariance: (N_UNKNOWNS, N_UNKNOWNS) of theta and the coordinates; zeros where one
             was not estimated.
-        footing: what `follow_rotation` starts from.
+        warm start: what `follow_rotation` starts from.
     """
 
     theta: Array
@@ -95,7 +95,7 @@ class RotationFit:
     leak: int = 0
     data_std: Array = field(default_factory=lambda: np.empty(0))
     full_covariance: Array = field(default_factory=lambda: np.empty((0, 0)))
-    footing: Footing | None = None
+    warm_start: WarmStart | None = None
 
     def __post_init__(self) -> None:
         if not self.data_std.size:
@@ -136,7 +136,7 @@ class RotationFit:
 def fit_rotation(
     batches: Array,
     counts: NDArray[np.int64],
-    basis: RotorBasis,
+    basis: ActuatorDynamics,
     noise: Array,
     start: RotationFit | None = None,
     prior: Prior | None = None,
@@ -149,7 +149,7 @@ def fit_rotation(
         counts: (k,) rows in each.
         basis: of the elements.
         noise: what known noise of the inputs adds to the moments of a row, with each leak, in the
-            form of `RotorBasis.noise_at`.
+            form of `ActuatorDynamics.noise_at`.
         start: an earlier fit: a few steps from there, at every leak, at little cost. None: from
             the data alone, to the minimum.
         prior: what else is known.
@@ -197,7 +197,7 @@ def fit_rotation(
 def follow_rotation(
     totals: Array,
     rows: Array,
-    basis: RotorBasis,
+    basis: ActuatorDynamics,
     noise: Array,
     start: RotationFit,
     prior: Prior | None = None,
@@ -217,11 +217,11 @@ def follow_rotation(
     Returns:
         K fits, each of which depends on `start` and its own instant alone.
     """
-    assert start.footing is not None
+    assert start.warm_start is not None
     noisy = basis.commands and bool(noise.any())
     problem = Problem(totals, rows, basis, prior, noise if noisy else None)
-    unknowns = start.footing.unknowns[None]
-    scatter = start.footing.inflation, start.footing.widening
+    unknowns = start.warm_start.unknowns[None]
+    scatter = start.warm_start.inflation, start.warm_start.widening
     outcome = _Outcome(problem, problem.evaluate(unknowns), noise)
     near = outcome.take_step(_BLIND_STEP)
     fits = outcome.fits(*scatter, [start.converged] * len(rows), [start.leak] * len(rows))
@@ -424,7 +424,7 @@ class _Outcome:
                 leak=leak,
                 data_std=data_std[i, :n],
                 full_covariance=full[i],
-                footing=Footing(self._unknowns[i], spread[i], widening[i]),
+                warm_start=WarmStart(self._unknowns[i], spread[i], widening[i]),
             )
             for i, (reached, leak) in enumerate(zip(converged, leaks, strict=True))
         ]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.basis import PLAIN, WIDTH, RotorBasis
+from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.estimation.priors import COORDINATES, Prior
 from gcs_sysid.model import rigid_body as rb
 
@@ -91,7 +91,7 @@ class Problem:
         self,
         bank: Array,
         rows: Array | int,
-        basis: RotorBasis,
+        basis: ActuatorDynamics,
         prior: Prior | None,
         noise: Array | None = None,
     ) -> None:

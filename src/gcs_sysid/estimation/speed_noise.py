@@ -11,10 +11,10 @@ commands, less of it in the rotors, and folds down to the frequencies of the mot
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.basis import WIDTH
+from gcs_sysid.estimation.actuator_dynamics import WIDTH
 from gcs_sysid.estimation.input_noise import THIRD_DIFFERENCE, InputNoise
-from gcs_sysid.filters.smoothers import Smoother
 from gcs_sysid.model import rigid_body
+from gcs_sysid.signals.smoothers import Smoother
 
 ROUNDING_STD = 2.0 * np.pi / 60.0 / np.sqrt(12.0)
 """rad/s, of a speed sent as a whole number of revolutions a minute."""

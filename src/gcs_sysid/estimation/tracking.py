@@ -17,15 +17,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, runs
+from gcs_sysid.estimation.change_detection import Change, ChangeDetector, ChangeTuning
 from gcs_sysid.estimation.change_kinds import Cause
-from gcs_sysid.estimation.changes import Change, ChangeDetector, ChangeTuning
-from gcs_sysid.estimation.flights import Trial, is_another
+from gcs_sysid.estimation.flight_comparison import Trial, is_another
 from gcs_sysid.estimation.online import Fit, OnlineEstimator, PriorSource
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
-from gcs_sysid.estimation.regression import Samples
 from gcs_sysid.estimation.translation import accelerometer_gain
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.signals.samples import Samples
 
 _ARM_EVERY, _ARM_GROWTH = 1.0, 1.2
 """s between new references of the detector, and growth of the record, whichever is later."""
@@ -89,7 +89,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Point:
-    """Of a course: a quick fit, and the number of segments that had ended before it."""
+    """Of a history: a quick fit, and the number of segments that had ended before it."""
 
     fit: Fit
     segment: int
@@ -183,7 +183,7 @@ class Tracker:
             stops: rising, 0 to n: a quick fit after so many of them.
 
         Returns:
-            A point of the course for each stop.
+            A point of the history for each stop.
         """
         points: list[Point] = []
         for run, aloft in runs(np.ones(len(t), dtype=bool) if flying is None else flying):
@@ -363,11 +363,11 @@ class Tracker:
             self._arm_at = max(
                 self._estimator.seconds + _ARM_EVERY, _ARM_GROWTH * self._estimator.seconds
             )
-            detector.arm(self.fit(quick=True, course="watch"))
+            detector.arm(self.fit(quick=True, series="watch"))
 
-    def fit(self, *, quick: bool = False, course: str = "") -> Fit:
+    def fit(self, *, quick: bool = False, series: str = "") -> Fit:
         """The fit in force; see `OnlineEstimator.fit`."""
-        return self._estimator.fit(quick=quick, course=course)
+        return self._estimator.fit(quick=quick, series=series)
 
     def _learn(self, samples: Samples, stops: Sequence[int]) -> list[Point]:
         if self._keep:

@@ -56,7 +56,7 @@ class Gain:
 
 
 @dataclass(frozen=True)
-class Footing:
+class WarmStart:
     """From where a later fit of the same, longer record goes on.
 
     Attributes:
@@ -78,7 +78,7 @@ class TranslationFit:
         delta: D / m in 1/s; NaN when the source is the accelerometer.
         delta_std: its standard deviation.
         source: what they rest on.
-        footing: what `follow_momentum` starts from.
+        warm start: what `follow_momentum` starts from.
     """
 
     kappa: float
@@ -86,7 +86,7 @@ class TranslationFit:
     delta: float
     delta_std: float
     source: Literal["momentum", "accelerometer"]
-    footing: Footing | None = None
+    warm_start: WarmStart | None = None
     curve_slope: float = 0.0
     """Change of kappa with the thrust curve, where that is estimated."""
     quickness: float = 0.0
@@ -130,10 +130,10 @@ def follow_momentum(totals: Array, rows: Array, start: TranslationFit) -> list[T
     Returns:
         K fits.
     """
-    assert start.footing is not None
+    assert start.warm_start is not None
     balance = _Balance(totals, rows, _MOMENTUM)
-    balance.step(start.footing.weights)
-    return _momentum(balance, start.footing.inflation)
+    balance.step(start.warm_start.weights)
+    return _momentum(balance, start.warm_start.inflation)
 
 
 def _momentum(balance: "_Balance", inflated: Array) -> list[TranslationFit]:
@@ -148,7 +148,7 @@ def _momentum(balance: "_Balance", inflated: Array) -> list[TranslationFit]:
             float(deltas[i]),
             float(delta_stds[i]),
             "momentum",
-            Footing(weights, inflated),
+            WarmStart(weights, inflated),
             quickness=float(balance.quickness[i]),
         )
         for i, weights in enumerate(balance.weights)

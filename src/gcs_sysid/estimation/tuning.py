@@ -3,9 +3,9 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from gcs_sysid.estimation import article
-from gcs_sysid.estimation.command_noise import SLOW_COMMANDS
-from gcs_sysid.estimation.rotors import RotorInput
+from gcs_sysid.estimation import article_estimator as article
+from gcs_sysid.estimation.rotor_signals import RotorInput
+from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Tuning:
         curves: least and greatest thrust curve, for commands; one value is taken as given.
         gyro_cutoff: Hz, low-pass of the autopilot on its gyro; None: there is none.
         loop_cutoff: Hz, low-pass of the gyro on its way into the commands; None: there is none.
-        settle_interval: s, least time between full fits of a running course, which choose
+        settle_interval: s, least time between full fits of a running history, which choose
             leak and delay; later they come when the record has grown by half.
         batch_time: s, length of a batch of moments.
     """

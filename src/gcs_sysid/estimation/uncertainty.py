@@ -107,7 +107,7 @@ def watched_factor(seconds: float) -> float:
 
     An interval that holds at 95 % of instants is left at some instant by every third estimate:
     it drifts as the record grows. The normal mixture of Robbins (1970, Annals of Mathematical
-    Statistics 41, 1397-1409) bounds the whole course of a mean of t seconds, in units of its own
+    Statistics 41, 1397-1409) bounds the whole history of a mean of t seconds, in units of its own
     standard deviation, by
 
         sqrt((1 + 1 / t) (ln(1 + t) - 2 ln 0.05))

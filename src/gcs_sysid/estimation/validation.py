@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtr
 
 from gcs_sysid.arrays import Array, by_parts
-from gcs_sysid.estimation.basis import RotorBasis
+from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotation import fit_rotation
 from gcs_sysid.estimation.search import N_X
@@ -61,7 +61,7 @@ class Validation:
 def validate(
     batches: Array,
     counts: NDArray[np.int64],
-    basis: RotorBasis,
+    basis: ActuatorDynamics,
     noise: Array,
     gains: Array,
     prior: Prior | None = None,
@@ -109,7 +109,7 @@ def validate(
 def _whiteness(
     batches: Array,
     counts: NDArray[np.int64],
-    basis: RotorBasis,
+    basis: ActuatorDynamics,
     noise: Array,
     gains: Array,
     at: Array,

@@ -11,8 +11,8 @@ rotor's axis, torque = -(+1 ccw, -1 cw) momentConstant thrust about it.
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.exports.exported_vehicle import INERTIA, Vehicle
 from gcs_sysid.exports.header import provenance, unplaced_note, weak_note, xml_comment
-from gcs_sysid.exports.vehicle import INERTIA, Vehicle
 from gcs_sysid.exports.xml import inertia_elements, number, numbers
 
 TITLE = "SDF for Gazebo"

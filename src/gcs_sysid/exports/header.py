@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from gcs_sysid import __version__
-from gcs_sysid.exports.vehicle import UNITS, Quantity, Vehicle
+from gcs_sysid.exports.exported_vehicle import UNITS, Quantity, Vehicle
 from gcs_sysid.intervals import Z95
 
 

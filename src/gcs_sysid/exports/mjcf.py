@@ -5,8 +5,8 @@ than on one free joint: drag then damps the slides, and damping the ball, apart 
 Positions and velocities are laid out as those of a free joint.
 """
 
+from gcs_sysid.exports.exported_vehicle import INERTIA, Vehicle
 from gcs_sysid.exports.header import provenance, unplaced_note, weak_note, xml_comment
-from gcs_sysid.exports.vehicle import INERTIA, Vehicle
 from gcs_sysid.exports.xml import ELEMENTS, number, numbers
 
 TITLE = "MJCF of MuJoCo"

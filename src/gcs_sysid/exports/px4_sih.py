@@ -14,8 +14,8 @@ import math
 import numpy as np
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.exports.exported_vehicle import INERTIA, Vehicle
 from gcs_sysid.exports.header import commented, provenance, unplaced_note, weak_note
-from gcs_sysid.exports.vehicle import INERTIA, Vehicle
 
 TITLE = "parameters of PX4's SIH simulator"
 NEEDS = ("mass", *INERTIA, "T_max", "moment_ratio")

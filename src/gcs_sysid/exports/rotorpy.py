@@ -7,8 +7,8 @@ that turns clockwise seen from above: the sign of its torque on the body about t
 import math
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.exports.exported_vehicle import INERTIA, Vehicle
 from gcs_sysid.exports.header import commented, provenance, unplaced_note, weak_note
-from gcs_sysid.exports.vehicle import INERTIA, Vehicle
 from gcs_sysid.exports.xml import number
 from gcs_sysid.model.parameters import GRAVITY
 

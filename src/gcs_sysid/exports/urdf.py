@@ -4,8 +4,8 @@ Axes are forward, left, up (REP 103). ixy is the element [x, y] of the inertia m
 no place for what rotors do.
 """
 
+from gcs_sysid.exports.exported_vehicle import INERTIA, Vehicle
 from gcs_sysid.exports.header import provenance, unplaced_note, weak_note, xml_comment
-from gcs_sysid.exports.vehicle import INERTIA, Vehicle
 from gcs_sysid.exports.xml import inertia_attributes, numbers
 
 TITLE = "URDF"

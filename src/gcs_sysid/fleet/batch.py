@@ -3,10 +3,10 @@
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
+from gcs_sysid.fleet.batch_table import Row, row
 from gcs_sysid.fleet.jobs import Document, Job, Task, make_task
 from gcs_sysid.fleet.pools import Pool, complete, reason
 from gcs_sysid.fleet.store import Store
-from gcs_sysid.fleet.table import Row, row
 
 
 @dataclass

@@ -89,7 +89,7 @@ def analyze(task: Task) -> Document:
     job = task.job
     made: Document
     try:
-        options = ChainOptions(course_interval=None, offline=job.offline)
+        options = ChainOptions(history_interval=None, offline=job.offline)
         made = analyze_log(Path(task.path), job.airframe, job.vehicle, options).as_json()
     except InputError as error:
         if isinstance(error.__cause__, OSError):

@@ -16,10 +16,10 @@ from typing import Any
 
 from scipy.special import ndtri, stdtrit
 
-from gcs_sysid.fleet.table import Row
+from gcs_sysid.fleet.batch_table import Row
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
-from gcs_sysid.session.comparison import LEVEL, Comparison, Difference, compare
-from gcs_sysid.session.result import Estimate, Result, Scale
+from gcs_sysid.results.comparison import LEVEL, Comparison, Difference, compare
+from gcs_sysid.results.result import Estimate, Result, Scale
 
 FEWEST = 4
 """Flights from which their scatter can be told."""

@@ -7,7 +7,7 @@ from gcs_sysid.fleet.trend import Flight, Vehicle, is_sound, mean
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.report.markup import Markup, element
 from gcs_sysid.report.wording import fixed, power_of_ten, times_power, unit_text, value_text
-from gcs_sysid.session.result import Estimate
+from gcs_sysid.results.result import Estimate
 
 _Axis = Callable[[float], float]
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from importlib import resources
 
 from gcs_sysid import __version__
-from gcs_sysid.fleet.table import Row
+from gcs_sysid.fleet.batch_table import Row
 from gcs_sysid.fleet.trend import FEWEST, Change, Flight, Vehicle
 from gcs_sysid.fleet.trend_figure import shown_names, trend_figure
 from gcs_sysid.intervals import Z95
@@ -21,7 +21,7 @@ from gcs_sysid.report.wording import (
     unit_text,
     value_text,
 )
-from gcs_sysid.session.result import Estimate
+from gcs_sysid.results.result import Estimate
 
 _LEGEND = (
     ("identified", "identified, with its 95 % interval"),

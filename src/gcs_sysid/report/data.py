@@ -5,12 +5,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.live.acceleration_prediction import Model
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.report.prediction import Prediction, Spectrum, predict, residual_spectrum
+from gcs_sysid.report.prediction_series import Prediction, Spectrum, predict, residual_spectrum
 from gcs_sysid.report.recorder import Recorder
-from gcs_sysid.session.prediction import Model
-from gcs_sysid.session.result import Result
-from gcs_sysid.session.snapshot import Course, Event
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.snapshot import Event, History
 
 AXES = ("roll", "pitch", "yaw")
 
@@ -41,7 +41,7 @@ class ReportData:
         inspection: as `Inspection.as_json`; empty where there is none.
         airframe: with its anchor.
         provenance: what reproduces it.
-        course: of the estimates.
+        history: of the estimates.
         prediction: None where nothing flew.
         spectrum: of the residual; None where too little of the flight was kept apart.
         truth: true parameters of an emulated vehicle.
@@ -52,7 +52,7 @@ class ReportData:
     inspection: Mapping[str, Any]
     airframe: Airframe
     provenance: Provenance
-    course: Course
+    history: History
     prediction: Prediction | None = None
     spectrum: Spectrum | None = None
     truth: Mapping[str, float] = field(default_factory=dict)
@@ -109,7 +109,7 @@ def gather(
         inspection,
         airframe,
         provenance,
-        recorder.course,
+        recorder.history,
         prediction,
         spectrum,
         dict(truth or {}),

@@ -8,16 +8,16 @@ import numpy as np
 from gcs_sysid.intervals import Z95
 from gcs_sysid.report import wording
 from gcs_sysid.report.data import AXES, ReportData
-from gcs_sysid.report.figures import (
+from gcs_sysid.report.markup import Child, Markup, element
+from gcs_sysid.report.page_figures import (
     Figures,
     add_prediction,
     add_rates,
     add_spectrum,
     add_timeline,
 )
-from gcs_sysid.report.markup import Child, Markup, element
 from gcs_sysid.report.parts import Column, facts, figure, grid, legend, note, section, table
-from gcs_sysid.session.snapshot import Event
+from gcs_sysid.results.snapshot import Event
 
 LITTLE = {"roll": 1.0, "pitch": 1.0, "yaw": 0.25}
 """rad/s^2 rms of `session.inspection.readiness` (a test compares), which needs MAVLink."""

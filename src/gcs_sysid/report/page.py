@@ -5,10 +5,11 @@ import hashlib
 import json
 from importlib import resources
 
-from gcs_sysid.report import evidence, findings
+from gcs_sysid.report import evidence
+from gcs_sysid.report import results_sections as findings
 from gcs_sysid.report.data import ReportData
-from gcs_sysid.report.figures import Figures
 from gcs_sysid.report.markup import Child, Markup, element
+from gcs_sysid.report.page_figures import Figures
 from gcs_sysid.report.parts import Column, facts, section, table
 from gcs_sysid.report.wording import VERDICT_WORDS, fixed, unit_text
 

@@ -6,27 +6,27 @@ from collections.abc import Iterator
 import numpy as np
 
 from gcs_sysid.estimation.validation import Validation
+from gcs_sysid.live.acceleration_prediction import Motion
+from gcs_sysid.results.snapshot import Event, History
 from gcs_sysid.session.chain import Chain
-from gcs_sysid.session.prediction import Motion
-from gcs_sysid.session.sampling import SampleBlock
-from gcs_sysid.session.snapshot import Course, Event
+from gcs_sysid.signals.sampling import SampleBlock
 
 _IN_MEMORY = 64 << 20
 """Bytes of samples kept in memory; more go to a temporary file."""
 _AT_ONCE = 8192
 """Samples read back at once."""
-NO_COURSE = Course(np.empty(0), {}, {})
+NO_COURSE = History(np.empty(0), {}, {})
 
 
 class Recorder:
-    """An observer of `analyze_log`: the samples, the estimate's course and the validation.
+    """An observer of `analyze_log`: the samples, the estimate's history and the validation.
 
     Args:
         rotors: how many the airframe has.
     """
 
     def __init__(self, rotors: int) -> None:
-        self.course = NO_COURSE
+        self.history = NO_COURSE
         self.validation: Validation | None = None
         self.notes: tuple[Event, ...] = ()
         """What the analysis noted on the way."""
@@ -38,7 +38,7 @@ class Recorder:
 
     def begin(self) -> None:
         """A reading of the log begins; one before it does not count."""
-        self.course, self.validation, self.notes = NO_COURSE, None, ()
+        self.history, self.validation, self.notes = NO_COURSE, None, ()
         self._start_anew(None, None)
 
     def take(self, block: SampleBlock) -> None:
@@ -60,7 +60,7 @@ class Recorder:
 
     def end(self, chain: Chain) -> None:
         """All is read, and the estimate final."""
-        self.course, self.validation = chain.course, chain.fit.validation
+        self.history, self.validation = chain.history, chain.fit.validation
         self.notes = chain.events
 
     def samples(self) -> Iterator[Motion]:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from gcs_sysid.estimation.parameters import CORE_OF
+from gcs_sysid.estimation.physical_parameters import CORE_OF
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import PARAMETERS
 

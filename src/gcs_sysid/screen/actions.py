@@ -10,12 +10,12 @@ from textual.worker import Worker, WorkerState
 
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.model.airframe import ANCHORS
+from gcs_sysid.results.comparison import compare
+from gcs_sysid.results.result_file import read_result
+from gcs_sysid.results.snapshot import Snapshot
 from gcs_sysid.screen.dialogs import Choose, Enter
 from gcs_sysid.screen.source import Actions
 from gcs_sysid.screen.view import Baseline
-from gcs_sysid.session.comparison import compare
-from gcs_sysid.session.result_file import read_result
-from gcs_sysid.session.snapshot import Snapshot
 
 
 class ActingApp(App[None]):

@@ -10,18 +10,18 @@ from textual.binding import Binding, BindingType
 from textual.screen import Screen
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.results.comparison import Comparison, compare
+from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.actions import ActingApp
 from gcs_sysid.screen.help import HelpScreen
-from gcs_sysid.screen.main import MainScreen
+from gcs_sysid.screen.main_view import MainScreen
 from gcs_sysid.screen.source import Actions, SnapshotSource
-from gcs_sysid.screen.standing import shares
 from gcs_sysid.screen.themes import DARK, LIGHT
+from gcs_sysid.screen.verdict_summary import shares
 from gcs_sysid.screen.view import Baseline, View
 from gcs_sysid.screen.widgets.pages import PAGES, PageBar
-from gcs_sysid.screen.widgets.parameters import ParameterRows
-from gcs_sysid.session.comparison import Comparison, compare
-from gcs_sysid.session.snapshot import Event, LinkState, Snapshot
+from gcs_sysid.screen.widgets.parameter_table import ParameterRows
 
 POLL_SECONDS = 0.2
 """At most five redraws a second."""
@@ -165,7 +165,7 @@ class SysidApp(ActingApp):
         return [parameter.name for parameter, _ in fmt.rows(self._snapshot.result)]
 
     def _first_choice(self) -> str:
-        """The first parameter that is being identified: a given one has no course to watch."""
+        """The first parameter that is being identified: a given one has no history to watch."""
         if self._snapshot is None:
             return ""
         found = fmt.rows(self._snapshot.result)

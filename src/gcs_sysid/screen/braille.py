@@ -1,7 +1,7 @@
 """Curves as lines of braille: two dots a column, four a line. Pure functions, no Textual.
 
 Drawn here and not by a plotting library: those make a point of every dot of a line, also of the
-part far outside the picture, which is what the beginning of an estimate's course is.
+part far outside the picture, which is what the beginning of an estimate's history is.
 """
 
 import numpy as np

@@ -10,9 +10,9 @@ from collections.abc import Iterable, Mapping
 
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import PARAMETERS, TIMING, Parameter
-from gcs_sysid.session.comparison import Change
-from gcs_sysid.session.result import Estimate, Result, Status, Verdict
-from gcs_sysid.session.snapshot import LinkState
+from gcs_sysid.results.comparison import Change
+from gcs_sysid.results.result import Estimate, Result, Status, Verdict
+from gcs_sysid.results.snapshot import LinkState
 
 UNKNOWN = "?"
 """Written where there is no number."""

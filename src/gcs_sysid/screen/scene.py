@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from gcs_sysid.screen.app import SysidApp
-from gcs_sysid.screen.replay import ReplayApp
+from gcs_sysid.screen.replay_app import ReplayApp
 from gcs_sysid.screen.source import Actions, SnapshotSource
 from gcs_sysid.screen.view import Baseline
 from gcs_sysid.screen.widgets.transport import Transport

@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from gcs_sysid.session.result import Result
-from gcs_sysid.session.snapshot import Snapshot
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.snapshot import Snapshot
 
 
 class SnapshotSource(Protocol):

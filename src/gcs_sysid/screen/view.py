@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from gcs_sysid.model.parameters import Parameter
+from gcs_sysid.results.comparison import Comparison
+from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.screen import formatting
-from gcs_sysid.session.comparison import Comparison
-from gcs_sysid.session.result import Estimate, Result
-from gcs_sysid.session.snapshot import LinkState, Snapshot
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Protocol
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.results.result import Result
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
-from gcs_sysid.session.result import Result
-from gcs_sysid.session.sampling import SampleBlock
+from gcs_sysid.signals.sampling import SampleBlock
 from gcs_sysid.telemetry.logs import open_log
 
 
@@ -38,7 +38,7 @@ def analyze_log(
     wanted: tuple[int, int | None] | None = None,
     options: ChainOptions | None = None,
     progress: Callable[[float], None] | None = None,
-    anchor: Anchor | None = None,
+    anchor: ScaleReference | None = None,
     observer: Observer | None = None,
 ) -> Result:
     """Identify from a recording.
@@ -47,7 +47,7 @@ def analyze_log(
         path: a .tlog, .ulg or .bin file.
         airframe: with a scale anchor.
         wanted: system and perhaps component; None: the first autopilot in the log.
-        options: of the chain; by default the estimate's course is not computed.
+        options: of the chain; by default the estimate's history is not computed.
         progress: called with the share of the log done, 0 to 1, now and then.
         anchor: sets the scale instead of the airframe's.
         observer: looks on.
@@ -55,13 +55,13 @@ def analyze_log(
     Raises:
         InputError: the file cannot be read as a log.
     """
-    options = options or ChainOptions(course_interval=None)
+    options = options or ChainOptions(history_interval=None)
     pipeline = Pipeline(airframe, str(path), wanted, options, anchor)
     _watch(pipeline, observer)
     pipeline.take_log(open_log(path, wanted), progress)
     if pipeline.chain.outdated:
         # A ground station that fetched the parameters after the flight: they held all along.
-        known = replace(options, parameters=dict(pipeline.chain.chooser.parameters))
+        known = replace(options, parameters=dict(pipeline.chain.rotor_selector.parameters))
         pipeline = Pipeline(airframe, str(path), wanted, known, anchor)
         _watch(pipeline, observer)
         pipeline.take_log(open_log(path, wanted), progress)
@@ -98,8 +98,8 @@ def analyze_pair(
     Raises:
         InputError: a file cannot be read, or the flights do not tell the masses apart.
     """
-    unit = Anchor("mass", 1.0)
-    cheap = replace(options or ChainOptions(), course_interval=None, offline=False)
+    unit = ScaleReference("mass", 1.0)
+    cheap = replace(options or ChainOptions(), history_interval=None, offline=False)
     per_mass = [
         analyze_log(path, airframe, wanted, cheap, progress, unit).parameters["k_T"]
         for path in paths
@@ -121,10 +121,10 @@ def analyze_pair(
         wanted,
         options,
         progress,
-        Anchor("added_mass", added_mass, loaded=(heavy, heavy_std)),
+        ScaleReference("added_mass", added_mass, loaded=(heavy, heavy_std)),
     )
     k_T = first.parameters["k_T"]
     assert k_T.value is not None
     assert k_T.std is not None
-    shared = Anchor("k_T", k_T.value, k_T.std, f"two flights, {added_mass:g} kg apart")
+    shared = ScaleReference("k_T", k_T.value, k_T.std, f"two flights, {added_mass:g} kg apart")
     return [first, analyze_log(paths[1], airframe, wanted, options, progress, shared)]

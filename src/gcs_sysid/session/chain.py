@@ -9,25 +9,25 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from gcs_sysid.columns import RecordBlock
 from gcs_sysid.errors import InputError
-from gcs_sysid.estimation.anchors import Anchor, AnchorKind
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
-from gcs_sysid.estimation.parameters import (
+from gcs_sysid.estimation.physical_parameters import (
     Value,
 )
-from gcs_sysid.estimation.rotors import RotorInput
+from gcs_sysid.estimation.rotor_signals import RotorInput
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.records import Record
-from gcs_sysid.session import summary
+from gcs_sysid.model.scale_reference import ScaleKind, ScaleReference
+from gcs_sysid.results import summary
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.snapshot import Event, History
 from gcs_sysid.session.chain_options import ChainOptions
-from gcs_sysid.session.findings import Findings
+from gcs_sysid.session.chain_result import Findings
 from gcs_sysid.session.learner import Cutoffs, Known, Learner
-from gcs_sysid.session.result import Result
-from gcs_sysid.session.rotor_input import RotorChooser
-from gcs_sysid.session.rotor_units import gyro_cutoff, loop_cutoff
-from gcs_sysid.session.sampling import SampleBlock, Sampler
-from gcs_sysid.session.snapshot import Course, Event
+from gcs_sysid.signals.columns import RecordBlock
+from gcs_sysid.signals.records import Record
+from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
+from gcs_sysid.signals.rotor_units import gyro_cutoff, loop_cutoff
+from gcs_sysid.signals.sampling import SampleBlock, Sampler
 
 __all__ = ["WINDOW", "Chain", "ChainOptions"]
 
@@ -56,11 +56,11 @@ class Chain:
         self,
         airframe: Airframe,
         options: ChainOptions | None = None,
-        anchor: Anchor | None = None,
+        anchor: ScaleReference | None = None,
     ) -> None:
         own = airframe.anchor()
         if anchor is None and own is not None:
-            anchor = Anchor(*own)
+            anchor = ScaleReference(*own)
         if anchor is None:
             raise ValueError("the airframe has no scale anchor (mass, k_T or T_max)")
         self.airframe = airframe
@@ -69,10 +69,10 @@ class Chain:
         if options.tuning.method != "forward":
             # The article knows rotor speeds alone.
             airframe = replace(airframe, rotor_input="speed")
-        chooser = RotorChooser(airframe, anchor)
-        chooser.parameters |= options.parameters
+        rotor_selector = RotorSourceSelector(airframe, anchor)
+        rotor_selector.parameters |= options.parameters
         self.sampler = Sampler(
-            chooser,
+            rotor_selector,
             len(airframe.rotors),
             options.tick,
             options.start,
@@ -141,7 +141,7 @@ class Chain:
         self._learner.reset()
         self.note("estimate reset")
 
-    def check_anchor(self, kind: AnchorKind) -> None:
+    def check_anchor(self, kind: ScaleKind) -> None:
         """Make sure that such a fact sets the scale with the rotors' input in use.
 
         Raises:
@@ -152,14 +152,14 @@ class Chain:
         if (used, kind) in (("speed", "T_max"), ("command", "k_T")):
             raise InputError(f"{kind} sets no scale with {used}s as the rotors' input")
 
-    def set_anchor(self, anchor: Anchor) -> None:
-        """Let another fact set the scale, from the start on; the estimate's course begins anew.
+    def set_anchor(self, anchor: ScaleReference) -> None:
+        """Let another fact set the scale, from the start on; the estimate's history begins anew.
 
         Raises:
             InputError: see `check_anchor`.
         """
         self.check_anchor(anchor.kind)
-        self.chooser.anchor = anchor
+        self.rotor_selector.anchor = anchor
         self._learner.set_anchor(anchor)
         scale = summary.scale_of(anchor)
         self.note(f"scale: {scale.anchor} = {scale.value:.6g} {scale.unit}")
@@ -180,9 +180,9 @@ class Chain:
         return self.sampler.t
 
     @property
-    def chooser(self) -> RotorChooser:
+    def rotor_selector(self) -> RotorSourceSelector:
         """Of the rotor stream."""
-        return self.sampler.chooser
+        return self.sampler.rotor_selector
 
     @property
     def rotor_input(self) -> RotorInput:
@@ -205,7 +205,7 @@ class Chain:
         if self._learner.tracker is None:
             return False
         learner = self._learner
-        return self.chooser.outdated or learner.cutoffs != learner.used_of(self._cutoffs())
+        return self.rotor_selector.outdated or learner.cutoffs != learner.used_of(self._cutoffs())
 
     @property
     def fit(self) -> Fit:
@@ -222,7 +222,7 @@ class Chain:
         return self._learner.values(fit, self.anchor)
 
     @property
-    def anchor(self) -> Anchor:
+    def anchor(self) -> ScaleReference:
         """The scale in force."""
         return self._learner.anchors[-1]
 
@@ -242,9 +242,9 @@ class Chain:
         return tuple(self._learner.events)
 
     @property
-    def course(self) -> Course:
+    def history(self) -> History:
         """How the estimates moved so far."""
-        return self._learner.course.course()
+        return self._learner.history.history()
 
     def result(self) -> Result:
         """The latest fit as a result."""
@@ -266,11 +266,11 @@ class Chain:
             bool(base.faults.spikes),
             bool(base.still_speeds),
             self._cutoffs(),
-            self.chooser.refused,
+            self.rotor_selector.refused,
         )
 
     def _cutoffs(self) -> Cutoffs:
         """Of speeds, and of commands, by the parameters that have come."""
-        given, chooser = self.airframe.gyro_filter, self.chooser
-        known = chooser.autopilot, chooser.parameters
+        given, rotor_selector = self.airframe.gyro_filter, self.rotor_selector
+        known = rotor_selector.autopilot, rotor_selector.parameters
         return gyro_cutoff(given, *known), loop_cutoff(*known)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from gcs_sysid.estimation.changes import ChangeTuning
+from gcs_sysid.estimation.change_detection import ChangeTuning
 from gcs_sysid.estimation.tuning import Tuning
 
 
@@ -14,7 +14,7 @@ class ChainOptions:
     Attributes:
         tuning: of the estimator with rotor speeds; with commands it has its own.
         changes: of the change detector; None: changes in flight are not looked for.
-        course_interval: s between refits for the estimate's course; None: only at the end.
+        course_interval: s between refits for the estimate's history; None: only at the end.
         tick: s of vehicle time between blocks; the estimate does not depend on it.
         start: s after the first record; earlier records are not used.
         end: s after the first record; later ones are not used.
@@ -24,7 +24,7 @@ class ChainOptions:
 
     tuning: Tuning = field(default_factory=Tuning)
     changes: ChangeTuning | None = field(default_factory=ChangeTuning)
-    course_interval: float | None = 0.5
+    history_interval: float | None = 0.5
     tick: float = 0.1
     start: float = 0.0
     end: float = float("inf")

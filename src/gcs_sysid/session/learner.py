@@ -11,22 +11,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.anchors import Anchor, relative_prior, resolve_scale
 from gcs_sysid.estimation.online import Fit
-from gcs_sysid.estimation.parameters import Value
+from gcs_sysid.estimation.physical_parameters import Value
 from gcs_sysid.estimation.priors import Prior
-from gcs_sysid.estimation.rotors import RotorInput, low_pass_delay
+from gcs_sysid.estimation.rotor_signals import RotorInput, low_pass_delay
+from gcs_sysid.estimation.scale import relative_prior, resolve_scale
 from gcs_sysid.estimation.tracking import MOST_SEGMENTS, Segment, Tracker
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import COMMANDS, tuning_for_commands
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.plain import one_line
-from gcs_sysid.session import summary
+from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.results import summary
+from gcs_sysid.results.history import HistoryRecorder
+from gcs_sysid.results.snapshot import Event
+from gcs_sysid.sanitize import one_line
 from gcs_sysid.session.chain_options import ChainOptions
-from gcs_sysid.session.course import CourseRecorder
-from gcs_sysid.session.rotor_units import RotorSource
-from gcs_sysid.session.sampling import SampleBlock
-from gcs_sysid.session.snapshot import Event
+from gcs_sysid.signals.rotor_units import RotorSource
+from gcs_sysid.signals.sampling import SampleBlock
 
 _MAX_EVENTS = 300
 
@@ -65,7 +66,7 @@ class Learner:
         options: settings.
     """
 
-    def __init__(self, airframe: Airframe, anchor: Anchor, options: ChainOptions) -> None:
+    def __init__(self, airframe: Airframe, anchor: ScaleReference, options: ChainOptions) -> None:
         self.observers: list[Callable[[SampleBlock], None]] = []
         """Are shown every block of samples before the estimator takes it."""
         self.rotors: RotorSource | None = None
@@ -80,7 +81,7 @@ class Learner:
         """The latest."""
         self.renewals = 0
         """How often it was renewed."""
-        self.course = CourseRecorder()
+        self.history = HistoryRecorder()
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self._airframe = airframe
         self._options = options
@@ -90,7 +91,7 @@ class Learner:
         self._told = 0
         self._usable = True
         self._spiked = self._stood_still = False
-        self._course_number = 0.0
+        self._history_number = 0.0
 
     @property
     def rotor_input(self) -> RotorInput:
@@ -103,7 +104,7 @@ class Learner:
         """Add a line to the event log."""
         self.events.append(Event(t, one_line(text)))
 
-    def values(self, fit: Fit, anchor: Anchor) -> dict[str, Value]:
+    def values(self, fit: Fit, anchor: ScaleReference) -> dict[str, Value]:
         """Physical parameters of a fit, by the rules of this flight."""
         # A prior on the mass is of the vehicle as it took off.
         priors, arm = self._airframe.priors, self._airframe.arm
@@ -117,14 +118,14 @@ class Learner:
         self.anchors = self.anchors[:1]
         self._told = 0
         self.fit = Fit(None, None, 0.0)
-        self.course.clear()
+        self.history.clear()
 
-    def set_anchor(self, anchor: Anchor) -> None:
-        """Let another fact set the scale, from the start on; the course begins anew."""
+    def set_anchor(self, anchor: ScaleReference) -> None:
+        """Let another fact set the scale, from the start on; the history begins anew."""
         self.anchors = [anchor]
         for segment in () if self.tracker is None else self.tracker.segments:
             self._go_on_after(segment)
-        self.course.clear()
+        self.history.clear()
 
     def finish(self, t: float) -> None:
         """Decide what is undecided, because nothing more will come."""
@@ -168,17 +169,17 @@ class Learner:
         for stop, point in zip(stops, points, strict=True):
             self.fit = point.fit
             values = self.values(point.fit, self.anchors[point.segment])
-            self.course.append(float(block.t[stop - 1]), values)
+            self.history.append(float(block.t[stop - 1]), values)
         self.renewals += len(points)
 
     def _stops(self, t: Array) -> list[int]:
         """After how many samples at (n,) times the estimate is renewed."""
-        if self._options.course_interval is None:
+        if self._options.history_interval is None:
             return []
         # Times are rounded; a sample that is early by so little is on time.
-        number = np.floor(t / self._options.course_interval + 1e-3)
-        renewed = np.diff(number, prepend=self._course_number) > 0.0
-        self._course_number = max(float(number[-1]), self._course_number)
+        number = np.floor(t / self._options.history_interval + 1e-3)
+        renewed = np.diff(number, prepend=self._history_number) > 0.0
+        self._history_number = max(float(number[-1]), self._history_number)
         return [int(i) + 1 for i in np.flatnonzero(renewed)]
 
     def _tell_outliers(self, known: Known) -> None:
@@ -216,7 +217,7 @@ class Learner:
             self._tell_input(t, f"{text}: estimate starts anew")
         self.tracker = None
         self.fit = Fit(None, None, 0.0)
-        self.course.clear()
+        self.history.clear()
 
     def _tell_loss(self, name: str, known: Known) -> None:
         """Say that the rotors' input is not sound any more, and nothing else is."""

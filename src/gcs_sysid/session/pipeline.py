@@ -11,13 +11,13 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
-from gcs_sysid.columns import IntakeEvent, RecordBlock
-from gcs_sysid.estimation.anchors import Anchor
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.records import Record
+from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.results.result import Result
 from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
-from gcs_sysid.session.clock_doubt import clock_doubt
-from gcs_sysid.session.result import Result
+from gcs_sysid.session.clock_check import clock_doubt
+from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
+from gcs_sysid.signals.records import Record
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.logs import Log, Telemetry
@@ -44,7 +44,7 @@ class Pipeline:
         source: str,
         wanted: tuple[int, int | None] | None = None,
         options: ChainOptions | None = None,
-        anchor: Anchor | None = None,
+        anchor: ScaleReference | None = None,
     ) -> None:
         self.source = source
         self.intake = Intake(wanted)
@@ -121,7 +121,7 @@ class Pipeline:
             self.chain.note(event.text)
         vehicle = self._telemetry.vehicle
         if event.kind == "vehicle" and vehicle is not None:
-            self.chain.chooser.autopilot = vehicle.key
+            self.chain.rotor_selector.autopilot = vehicle.key
         if event.kind != "vehicle":
             self._events.append({"t": self.chain.t, "kind": event.kind, "text": event.text})
 

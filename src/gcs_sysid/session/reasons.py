@@ -1,11 +1,11 @@
 """Why the data do not tell more: the words of a verdict below `identified`."""
 
-from gcs_sysid.estimation.anchors import Anchor
-from gcs_sysid.estimation.parameters import WEAK_BELOW_R2
-from gcs_sysid.records import Stream
+from gcs_sysid.estimation.physical_parameters import WEAK_BELOW_R2
+from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.session.learner import Learner
-from gcs_sysid.session.rotor_input import RotorChooser
-from gcs_sysid.session.sampling import Sampler
+from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
+from gcs_sysid.signals.sampling import Sampler
 
 _ENOUGH_TO_ANSWER = 10.0
 """s of flight in which roll and pitch are seen to answer the rotors, if they do at all."""
@@ -32,8 +32,8 @@ def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[st
             "no rotor speeds (ESC_STATUS, ESC_TELEMETRY) and no actuator outputs "
             "(ACTUATOR_OUTPUT_STATUS, SERVO_OUTPUT_RAW): the autopilot must be asked for them",
         )
-    if learner.rotors is None and sampler.chooser.judged:
-        return _input_reasons(sampler.chooser, learner.anchors[0])
+    if learner.rotors is None and sampler.rotor_selector.judged:
+        return _input_reasons(sampler.rotor_selector, learner.anchors[0])
     if outdated:
         return (
             "the autopilot's parameters came too late to be used for filters and ranges: "
@@ -57,11 +57,11 @@ def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[st
     return ()
 
 
-def _input_reasons(chooser: RotorChooser, anchor: Anchor) -> tuple[str, ...]:
+def _input_reasons(rotor_selector: RotorSourceSelector, anchor: ScaleReference) -> tuple[str, ...]:
     """Why no rotor stream can be used."""
-    if not chooser.refused:
+    if not rotor_selector.refused:
         return ("no rotor speeds and no commands came while it flew",)
-    reasons = tuple(f"{name} {why}" for name, why in chooser.refused.items())
+    reasons = tuple(f"{name} {why}" for name, why in rotor_selector.refused.items())
     kind = anchor.kind
     if kind == "k_T":
         return (*reasons, "without rotor speeds k_T sets no scale: give --mass or --t-max")

@@ -3,7 +3,7 @@
 import math
 
 from gcs_sysid.model.airframe import ANCHORS, Airframe
-from gcs_sysid.setup_help.findings import Finding, Sign
+from gcs_sysid.setup_help.checks import Finding, Sign
 from gcs_sysid.setup_help.layouts import (
     USUAL_ARM,
     layout_rotors,

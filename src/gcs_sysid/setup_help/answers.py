@@ -3,9 +3,9 @@
 import math
 import re
 
+from gcs_sysid.argument_types import split_prior
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import MOST_ARM, Rotor
-from gcs_sysid.usage import split_prior
 
 _SPINS = {"ccw": 1, "cw": -1}
 

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from gcs_sysid.setup_help.findings import Finding, Sign, can_show
+from gcs_sysid.setup_help.checks import Finding, Sign, can_show
 
 PACKAGE = "gcs-sysid"
 _REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+)(?:\[[^\]]*\])?\s*(?:>=\s*([0-9][0-9.]*))?")

@@ -5,7 +5,7 @@ import platform
 import stat
 from collections.abc import Sequence
 
-from gcs_sysid.setup_help.findings import Finding, Sign
+from gcs_sysid.setup_help.checks import Finding, Sign
 from gcs_sysid.telemetry.link import SerialDevice
 
 _TOPIC = "serial"

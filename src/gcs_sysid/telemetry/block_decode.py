@@ -13,14 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, complete_rows
-from gcs_sysid.records import Stream
-from gcs_sysid.telemetry import rotors
+from gcs_sysid.signals.records import Stream
+from gcs_sysid.telemetry import rotor_messages as rotors
 from gcs_sysid.telemetry.clock import JUMP_AHEAD, JUMP_BACK, UNIX_FROM, WRAP_MS, WRAP_US, may_wrap
 from gcs_sysid.telemetry.decode import MILLI_G, Preference, RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.message_arrays import message_arrays
-from gcs_sysid.telemetry.tracks import TrackCollector
+from gcs_sysid.telemetry.track_collector import TrackCollector
 
 _ESC_TELEMETRY = tuple(rotors.ESC_TELEMETRY)
 _READ = (
@@ -36,7 +36,7 @@ _ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 
 
 @dataclass(frozen=True)
-class Moments:
+class ClockTimes:
     """The vehicle's clock over a block of frames.
 
     Attributes:
@@ -58,7 +58,7 @@ class Taken(NamedTuple):
 
     frames: int
     """How many were read."""
-    moments: Moments
+    moments: ClockTimes
     """The clock over them."""
     imu_times: Array
     """(n,) s, of the IMU's samples as they came."""
@@ -71,7 +71,7 @@ class BlockDecoder(RecordDecoder):
         """Read the messages that come often, as far as nothing unusual happens.
 
         HEARTBEAT, EXTENDED_SYS_STATE, PARAM_VALUE and SYSTEM_TIME are not read; the caller
-        decodes them one by one, with `clock.now` set to what `Moments` says.
+        decodes them one by one, with `clock.now` set to what `ClockTimes` says.
 
         Args:
             frames: the next frames.
@@ -83,7 +83,7 @@ class BlockDecoder(RecordDecoder):
         """
         now = self.clock.now
         if now is None:
-            return Taken(0, Moments(np.empty(0, int), np.array([np.nan])), np.empty(0))
+            return Taken(0, ClockTimes(np.empty(0, int), np.array([np.nan])), np.empty(0))
         messages = message_arrays(frames, _READ, mine)
         self._choose_sensors(messages)
         stop = self._first_surprise(frames, mine, messages)
@@ -131,7 +131,7 @@ class BlockDecoder(RecordDecoder):
 
     def _stamps(
         self, messages: dict[str, Array], now: float, stop: int
-    ) -> tuple[dict[str, Array], Moments, int]:
+    ) -> tuple[dict[str, Array], ClockTimes, int]:
         """Times of the messages that drive the clock, NaN where `decode` gives none.
 
         Returns:
@@ -165,14 +165,14 @@ class BlockDecoder(RecordDecoder):
             first = int(np.argmin(runs_on))
             stop = int(order[first])
             order, running = order[:first], running[: first + 1]
-        moments = Moments(order, running)
+        moments = ClockTimes(order, running)
         if "RAW_IMU" in stamps:
             stop = self._follow_raw_imu(messages["RAW_IMU"], stamps["RAW_IMU"], moments, stop)
             count = int(np.searchsorted(order, stop))
-            moments = Moments(order[:count], running[: count + 1])
+            moments = ClockTimes(order[:count], running[: count + 1])
         return stamps, moments, stop
 
-    def _follow_raw_imu(self, rows: Array, stamps: Array, moments: Moments, stop: int) -> int:
+    def _follow_raw_imu(self, rows: Array, stamps: Array, moments: ClockTimes, stop: int) -> int:
         """Set times as `VehicleClock.stamp_us64_or_32` does; returns where that begins."""
         wraps = (rows["time_usec"] > 0) & (rows["time_usec"] < 2**32)
         if may_wrap(float(moments.now[0])):
@@ -188,7 +188,7 @@ class BlockDecoder(RecordDecoder):
         self,
         messages: dict[str, Array],
         stamps: dict[str, Array],
-        moments: Moments,
+        moments: ClockTimes,
         out: TrackCollector,
     ) -> Array:
         """Returns the times of the IMU's samples, as they came."""
@@ -343,7 +343,7 @@ class BlockDecoder(RecordDecoder):
         self._give_by_width(out, name, rows["_frame"], stamps[name], values, width)
 
     def _read_servo_outputs(
-        self, messages: dict[str, Array], moments: Moments, out: TrackCollector
+        self, messages: dict[str, Array], moments: ClockTimes, out: TrackCollector
     ) -> tuple[Array, Array]:
         """Returns the numbers of the frames that have a time, and their times."""
         name = "SERVO_OUTPUT_RAW"

@@ -19,13 +19,13 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.model.attitude import from_euler
-from gcs_sysid.records import Record, Stream
-from gcs_sysid.telemetry import rotors
+from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.telemetry import rotor_messages as rotors
 from gcs_sysid.telemetry.clock import VehicleClock
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
-from gcs_sysid.telemetry.parameters import read_parameter
+from gcs_sysid.telemetry.parameter_values import read_parameter
 
 MILLI_G = 9.80665e-3
 """m/s^2 per thousandth of standard gravity."""

@@ -7,8 +7,8 @@ is no clock in here either.
 from collections.abc import Mapping
 
 from gcs_sysid.telemetry.outgoing import Gate
-from gcs_sysid.telemetry.streams import ESC_GROUP, GROUPS, fitting_groups
 from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.wanted_streams import ESC_GROUP, GROUPS, fitting_groups
 
 ASK_AGAIN_AFTER = 5.0
 """s between two requests for the same group."""

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.columns import IntakeEvent, RecordBlock
-from gcs_sysid.records import Record, Stream
+from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
+from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.block_decode import BlockDecoder
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.dialect import mavlink
@@ -19,7 +19,7 @@ from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
 from gcs_sysid.telemetry.senders import Contradictions
-from gcs_sysid.telemetry.tracks import TrackCollector
+from gcs_sysid.telemetry.track_collector import TrackCollector
 from gcs_sysid.telemetry.vehicles import Vehicle, VehicleSelector
 
 FATES = ("used", "not needed", "passed over", "dropped", "others")

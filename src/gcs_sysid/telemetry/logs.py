@@ -16,17 +16,17 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from gcs_sysid.columns import IntakeEvent, RecordBlock
 from gcs_sysid.errors import InputError
 from gcs_sysid.reading import check_regular
-from gcs_sysid.records import Record, Stream
+from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
+from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry import dataflash_format, ulog
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.monitor import GAP, GAPS_KEPT
 from gcs_sysid.telemetry.tlog import read_tlog
-from gcs_sysid.telemetry.tracks import Recording
+from gcs_sysid.telemetry.track_collector import Recording
 from gcs_sysid.telemetry.ulog import read_ulog
 from gcs_sysid.telemetry.vehicles import Vehicle
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.records import Record, Stream
+from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, UNKNOWN, counts_of
 from gcs_sysid.telemetry.frames import Frame, Validity
 from gcs_sysid.telemetry.messages import NAMED_IDS, OTHER_TYPES, message_name

@@ -10,7 +10,8 @@ from collections.abc import Collection, Mapping
 from gcs_sysid.telemetry.group_requests import GroupRequests
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import MOST_OF_GROUP, Gate
-from gcs_sysid.telemetry.streams import (
+from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.wanted_streams import (
     IMU,
     NEEDED_RATE,
     USABLE,
@@ -20,7 +21,6 @@ from gcs_sysid.telemetry.streams import (
     rotor_streams,
     too_slow,
 )
-from gcs_sysid.telemetry.vehicles import Vehicle
 
 HEARTBEAT_EVERY = 1.0
 """s."""

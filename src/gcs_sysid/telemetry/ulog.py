@@ -23,10 +23,10 @@ from pyulog.exceptions import ULogException
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.records import Stream
+from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.rotors import RPM
-from gcs_sysid.telemetry.tracks import Recording
+from gcs_sysid.telemetry.rotor_messages import RPM
+from gcs_sysid.telemetry.track_collector import Recording
 
 MAGIC = b"ULog\x01\x12\x35"
 _ENTRY_HEAD = 3

@@ -21,11 +21,11 @@ from multiprocessing.connection import (
 from typing import Any, TypeAlias
 
 from gcs_sysid.errors import GcsSysidError, InputError
+from gcs_sysid.results.snapshot import Snapshot
 from gcs_sysid.screen.scene import Scene
 from gcs_sysid.screen.source import Actions, SnapshotSource
 from gcs_sysid.screen.view import Baseline
 from gcs_sysid.screen.widgets.transport import Transport
-from gcs_sysid.session.snapshot import Snapshot
 
 VARIABLE = "GCS_SYSID_SHARE"
 """Of the environment, in which a viewer finds where to connect."""

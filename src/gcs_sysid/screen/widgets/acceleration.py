@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from gcs_sysid.results.snapshot import Acceleration
 from gcs_sysid.screen import braille
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line
 from gcs_sysid.screen.widgets.rationed import RationedPlot
-from gcs_sysid.session.snapshot import Acceleration
 
 Floats = NDArray[np.float64]
 

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.intervals import Z95
+from gcs_sysid.results.snapshot import History
 from gcs_sysid.screen import braille
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line
 from gcs_sysid.screen.widgets.rationed import RationedPlot
-from gcs_sysid.session.snapshot import Course
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def nice_ticks(low: float, high: float, wanted: int) -> tuple[list[float], list[
 
 @dataclass(frozen=True)
 class Curve:
-    """A course reduced to the columns of a plot: extremes in each, so that no spike is lost."""
+    """A history reduced to the columns of a plot: extremes in each, so that no spike is lost."""
 
     t: Floats
     """(k,) place of each column that holds data: from the very start to the very end."""
@@ -49,14 +49,14 @@ class Curve:
     """(k,) outermost edges of the 95 % band in the column, NaN where there is none."""
 
 
-def reduce_course(course: Course, name: str, columns: int, scale: float = 1.0) -> Curve | None:
+def reduce_course(history: History, name: str, columns: int, scale: float = 1.0) -> Curve | None:
     """Min-max decimation of one parameter to plot columns, or None where it has no values."""
-    if name not in course.value or columns < 1:
+    if name not in history.value or columns < 1:
         return None
-    value = scale * course.value[name]
-    half = scale * Z95 * course.std.get(name, np.full_like(value, np.nan))
+    value = scale * history.value[name]
+    half = scale * Z95 * history.std.get(name, np.full_like(value, np.nan))
     known = np.isfinite(value)
-    t, value, half = course.t[known], value[known], half[known]
+    t, value, half = history.t[known], value[known], half[known]
     if t.size == 0:
         return None
     half[~np.isfinite(half)] = np.nan
@@ -75,7 +75,7 @@ def reduce_course(course: Course, name: str, columns: int, scale: float = 1.0) -
 def value_range(curve: Curve, truth: float | None) -> tuple[float, float]:
     """The range worth looking at: all of the later half, the truth, and a margin.
 
-    The start of a course is far off and its band is wider than the picture; letting it set the
+    The start of a history is far off and its band is wider than the picture; letting it set the
     scale would flatten what matters.
     """
     late = curve.t >= curve.t[0] + 0.5 * (curve.t[-1] - curve.t[0])
@@ -83,7 +83,7 @@ def value_range(curve: Curve, truth: float | None) -> tuple[float, float]:
     edges = np.concatenate([curve.band_low[late], curve.band_high[late]])
     edges = edges[np.isfinite(edges)]
     if edges.size:
-        # A band far wider than the value (nothing known yet) must not hide the value's course.
+        # A band far wider than the value (nothing known yet) must not hide the value's history.
         reach = 3.0 * max(abs(low), abs(high), high - low)
         low = min(low, max(float(edges.min()), low - reach))
         high = max(high, min(float(edges.max()), high + reach))
@@ -129,7 +129,9 @@ class Convergence(RationedPlot):
         old, self.view = self.view, view
         if old is None or (old.selected, old.exponents) != (view.selected, view.exponents):
             self.draw()
-        elif (old.snapshot and old.snapshot.course) is not (view.snapshot and view.snapshot.course):
+        elif (old.snapshot and old.snapshot.history) is not (
+            view.snapshot and view.snapshot.history
+        ):
             self.draw_later()
 
     def headline(self) -> str:
@@ -151,9 +153,9 @@ class Convergence(RationedPlot):
         if view is None or view.snapshot is None or width < MIN_WIDTH or height < MIN_HEIGHT:
             return []
         found = view.estimate(view.selected)
-        course, truth = view.snapshot.course, view.truth.get(view.selected)
+        history, truth = view.snapshot.history, view.truth.get(view.selected)
         scale = 1.0 if found is None else 10.0 ** -view.exponents.get(fmt.exponent_key(found[0]), 0)
-        whole = reduce_course(course, view.selected, braille.DOTS_WIDE * width, scale)
+        whole = reduce_course(history, view.selected, braille.DOTS_WIDE * width, scale)
         if whole is None:
             return [[(f"{fmt.label(view.selected)}: no course to plot yet", "")]]
         truth = None if truth is None else scale * truth
@@ -163,7 +165,7 @@ class Convergence(RationedPlot):
         ticks = nice_ticks(*bounds, lines // 3)
         margin = max(map(len, ticks[1]), default=0) + 1
         columns = width - margin
-        curve = reduce_course(course, view.selected, braille.DOTS_WIDE * columns, scale) or whole
+        curve = reduce_course(history, view.selected, braille.DOTS_WIDE * columns, scale) or whole
         rows = self._rows(curve, bounds, truth, (columns, lines))
         cell = (bounds[1] - bounds[0]) / lines
         at = {int((bounds[1] - tick) / cell): text for tick, text in zip(*ticks, strict=True)}

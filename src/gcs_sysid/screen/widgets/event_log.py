@@ -5,10 +5,10 @@ import textwrap
 from textual.app import ComposeResult
 from textual.containers import VerticalScroll
 
+from gcs_sysid.results.snapshot import Event
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line, Lines
-from gcs_sysid.session.snapshot import Event
 
 
 def event_lines(event: Event, width: int) -> list[Line]:

@@ -14,7 +14,7 @@ from textual.strip import Strip
 from textual.style import Style
 from textual.widget import Widget
 
-from gcs_sysid.plain import printable
+from gcs_sysid.sanitize import printable
 
 Part = tuple[str, str]
 """Text without line ends, and its style as in Textual's markup."""

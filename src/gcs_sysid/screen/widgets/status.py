@@ -3,10 +3,10 @@
 from textual.content import Content
 from textual.widgets import Static
 
+from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line
-from gcs_sysid.session.snapshot import LinkState
 
 
 class StatusLine(Static):

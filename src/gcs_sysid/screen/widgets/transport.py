@@ -8,8 +8,8 @@ from textual.content import Content
 from textual.message import Message
 from textual.widget import Widget
 
+from gcs_sysid.results.snapshot import Playback, speed_text
 from gcs_sysid.screen import formatting as fmt
-from gcs_sysid.session.snapshot import Playback, speed_text
 
 KEYS = "space · ← → 10 s · [ ] speed"
 _LEAST_BAR = 10

@@ -3,12 +3,12 @@
 from textual.content import Content
 from textual.widgets import Static
 
+from gcs_sysid.results.snapshot import LinkState, Snapshot
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.big_letters import HEIGHT, big
-from gcs_sysid.screen.standing import Standing, compared, headline, named, standing_of
+from gcs_sysid.screen.verdict_summary import Standing, compared, headline, named, standing_of
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line
-from gcs_sysid.session.snapshot import LinkState, Snapshot
 
 
 class VerdictPanel(Static):

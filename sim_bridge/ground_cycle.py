@@ -1,0 +1,82 @@
+"""A mission from the ground and back to it, once or several times."""
+
+from dataclasses import dataclass, replace
+
+from sim_bridge.missions import HEIGHT, Mission, Reference, ramp
+
+CLIMB = 6.0
+"""s from the ground to the mission's height, and down again."""
+
+SPIN_UP = 1.5
+"""s armed on the ground, rotors turning, before each climb."""
+
+
+@dataclass(frozen=True)
+class GroundCycle:
+    """Stays on the ground with flights between them.
+
+    Attributes:
+        mission: flown on each flight.
+        ground: s of each stay.
+        flights: how many.
+    """
+
+    mission: Mission
+    ground: float
+    flights: int = 1
+
+    @property
+    def name(self) -> str:
+        """That of the mission."""
+        return self.mission.name
+
+    @property
+    def duration(self) -> float:
+        """All flights and stays, s."""
+        return self.flights * self._cycle + self.ground
+
+    @property
+    def turbulence(self) -> float:
+        """That of the mission."""
+        return self.mission.turbulence
+
+    @property
+    def _cycle(self) -> float:
+        return self.ground + 2.0 * CLIMB + self.mission.duration
+
+    def _place(self, t: float) -> tuple[int, float]:
+        """Number of the flight, and s since its climb began (negative on the ground before)."""
+        flight, at = divmod(t, self._cycle)
+        return int(flight), at - self.ground
+
+    def is_grounded(self, t: float) -> bool:
+        """Whether the vehicle stands on the ground."""
+        flight, at = self._place(t)
+        return at < 0.0 or flight >= self.flights
+
+    def is_armed(self, t: float) -> bool:
+        """Whether the rotors may turn."""
+        flight, at = self._place(t)
+        return flight < self.flights and at >= -SPIN_UP
+
+    def reference(self, t: float) -> Reference:
+        """Set-points t seconds after the start."""
+        flight, at = self._place(t)
+        length = self.mission.duration
+        here = self.mission.reference(min(max(at - CLIMB, 0.0), length))
+        if not CLIMB <= at < CLIMB + length:
+            # Up or down on the spot, where the mission begins or ended.
+            falling = at >= CLIMB
+            u = 1.0 - (at - CLIMB - length) / CLIMB if falling else at / CLIMB
+            share, rate, acceleration = ramp(u)
+            rate = -rate if falling else rate
+            x, y, _ = here.position
+            here = replace(
+                self.mission.reference(0.0),
+                position=(x, y, -HEIGHT * share),
+                velocity=(0.0, 0.0, -HEIGHT / CLIMB * rate),
+                acceleration=(0.0, 0.0, -HEIGHT / CLIMB**2 * acceleration),
+            )
+        north, east, _ = self.mission.reference(length).position
+        x, y, z = here.position
+        return replace(here, position=(x + flight * north, y + flight * east, z))

@@ -1,0 +1,112 @@
+"""`gcs-sysid batch`: identify from many logs."""
+
+import argparse
+import os
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from gcs_sysid.cli import arguments
+from gcs_sysid.cli.signals import on_signals
+from gcs_sysid.errors import InputError
+from gcs_sysid.fleet import batch_table as table
+from gcs_sysid.fleet.batch import Batch, Tally
+from gcs_sysid.fleet.jobs import Job
+from gcs_sysid.fleet.log_files import AIRFRAME_FILE, find_logs, nearest_airframe
+from gcs_sysid.fleet.pools import ClusterPool, LocalPool, Pool
+from gcs_sysid.fleet.store import Store
+from gcs_sysid.model.airframe import Airframe
+
+_INTERRUPTED = 130
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; 1 when no log allows an answer, 2 when none can be read."""
+    table.require()
+    logs = find_logs(map(Path, options.logs))
+    if not logs:
+        raise InputError(f"{', '.join(options.logs)}: no .tlog, .ulg or .bin in there")
+    airframes = _airframes(options, logs)
+    jobs = [Job(log, airframes[log], options.vehicle, options.offline) for log in logs]
+    store = Store(Path(options.output), force=options.force)
+    stop = threading.Event()
+    pool: Pool
+    if options.scheduler is not None:
+        pool = ClusterPool(options.scheduler)
+    else:
+        pool = LocalPool(min(options.workers or os.cpu_count() or 1, len(jobs)))
+    with on_signals(stop.set):
+        try:
+            batch = Batch(jobs, store, pool, _shower(), stop.is_set)
+            rows = batch.run()
+        finally:
+            pool.close()
+        table.write_table(store.table, rows)
+    print(f"gcs-sysid: {_summary(batch.tally)}: {store.table}", file=sys.stderr)
+    if len(rows) < len(jobs):
+        print(
+            f"gcs-sysid: interrupted; the same command does the other {len(jobs) - len(rows)}",
+            file=sys.stderr,
+        )
+        return _INTERRUPTED
+    verdicts = batch.tally.verdicts
+    if verdicts["identified"] or verdicts["partial"]:
+        return 0
+    return 1 if verdicts["refused"] else 2
+
+
+def _airframes(options: argparse.Namespace, logs: list[Path]) -> dict[Path, Airframe]:
+    """Every log's airframe: the one given, or that of the nearest airframe.toml."""
+    files = {log: options.airframe or nearest_airframe(log) for log in logs}
+    missing = [log for log, file in files.items() if file is None]
+    if missing:
+        more = f" (and for {len(missing) - 1} others)" if len(missing) > 1 else ""
+        raise InputError(
+            f"no airframe for {missing[0]}{more}: give --airframe for all, or put an "
+            f"{AIRFRAME_FILE} beside the logs or in a folder above"
+        )
+    known = {}
+    for file in dict.fromkeys(files.values()):
+        single = argparse.Namespace(**{**vars(options), "airframe": str(file)})
+        try:
+            known[file] = arguments.airframe_of(single)
+        except InputError as error:
+            told = "" if options.airframe or str(file) in str(error) else f"{file}: "
+            raise InputError(f"{told}{error}") from error
+    return {log: known[file] for log, file in files.items()}
+
+
+def _summary(tally: Tally) -> str:
+    counts = [f"{count} {word}" for word, count in tally.verdicts.items() if count]
+    kept = f" ({tally.kept} done before)" if tally.kept else ""
+    return f"{len(tally.rows)} of {tally.total} logs{kept}: {', '.join(counts) or 'none done'}"
+
+
+def _shower() -> Callable[[table.Row, Tally], None]:
+    """Tells of failures as they come and, on a terminal, of how far it is."""
+    start, terminal = time.monotonic(), sys.stderr.isatty()
+
+    def show(row: table.Row, tally: Tally) -> None:
+        # Blanks, not an escape sequence: older consoles of Windows print those.
+        clear = f"\r{' ' * (shutil.get_terminal_size().columns - 1)}\r" if terminal else ""
+        if row["verdict"] is None:
+            where = "" if row["path"] in row["error"] else f"{row['path']}: "
+            print(f"{clear}gcs-sysid: {where}{row['error']}", file=sys.stderr)
+        if terminal:
+            left = _left(time.monotonic() - start, tally)
+            print(f"{clear}{_summary(tally)}{left}", end="", file=sys.stderr, flush=True)
+            if len(tally.rows) == tally.total:
+                print(clear, end="", file=sys.stderr)
+
+    return show
+
+
+def _left(seconds: float, tally: Tally) -> str:
+    done = len(tally.rows) - tally.kept
+    if not done:
+        return ""
+    left = seconds / done * (tally.total - len(tally.rows))
+    return f", about {left / 60.0:.0f} min left" if left >= 90.0 else f", about {left:.0f} s left"

@@ -1,0 +1,99 @@
+"""`gcs-sysid compare`: has the vehicle changed?"""
+
+import argparse
+import sys
+import textwrap
+from pathlib import Path
+
+from gcs_sysid.cli import output
+from gcs_sysid.intervals import Z95
+from gcs_sysid.results.comparison import Comparison, Difference, compare
+from gcs_sysid.results.result import Estimate
+from gcs_sysid.results.result_file import read_result
+
+_WORDS = {"changed": "changed", "no_change_seen": "no change seen", "cannot_tell": "cannot tell"}
+_WIDTH = 100
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; 1 when the results do not allow an answer."""
+    comparison = compare(read_result(Path(options.before)), read_result(Path(options.after)))
+    output.write_json(options.json, comparison.as_json(), force=options.force)
+    if options.json != "-":
+        print(report(comparison))
+    if comparison.verdict != "cannot_tell":
+        return 0
+    print("gcs-sysid: cannot compare: no parameter is identified in both", file=sys.stderr)
+    return 1
+
+
+def report(comparison: Comparison) -> str:
+    """The comparison as lines of text."""
+    before, after = comparison.before, comparison.after
+    lines = [
+        f"A {before.verdict}: {before.source}",
+        f"B {after.verdict}: {after.source}",
+        "",
+        f"{'parameter':<19}{'A':>12}{'B':>12}{'B - A':>10}{'± 95 %':>9}{'%':>8}  "
+        f"{'unit':<9}verdict",
+        *map(_row, comparison.differences.values()),
+        "",
+        *_summary(comparison),
+        "",
+    ]
+    for note in (*comparison.notes, *_RULES):
+        lines += textwrap.wrap(
+            note, _WIDTH, initial_indent="- ", subsequent_indent="  ", break_on_hyphens=False
+        )
+    return "\n".join(lines)
+
+
+_RULES = (
+    "verdicts hold for all parameters together: a vehicle that is the same is called changed in "
+    "one comparison of twenty at most (Holm); the intervals are of each parameter alone",
+    "A and B are taken as independent, and each parameter by itself: how the estimates of one "
+    "flight hang together does not count",
+)
+
+
+def _row(found: Difference) -> str:
+    values = [
+        "-" if estimate is None or estimate.value is None else f"{estimate.value:.5g}"
+        for estimate in (found.before, found.after)
+    ]
+    line = f"{found.name:<19}{values[0]:>12}{values[1]:>12}"
+    if found.value is None or found.std is None or found.before is None:
+        line += f"{'-':>10}{'-':>9}{'-':>8}"
+    else:
+        line += f"{found.value:>10.3g}{Z95 * found.std:>9.2g}"
+        line += f"{_percent(found.value, found.before):>8}"
+    why = f": {found.why}" if found.why else ""
+    return f"{line}  {found.unit:<9}{_WORDS[found.verdict]}{why}"
+
+
+def _percent(difference: float, before: Estimate) -> str:
+    """Of the value before, where that is not as good as zero."""
+    low, high = before.ci95 or (0.0, 0.0)
+    if before.value is None or low <= 0.0 <= high:
+        return "-"
+    share = 100.0 * difference / abs(before.value)
+    return f"{share:+.2f}" if abs(share) < 1000.0 else f"{'+-'[share < 0.0]}>999"
+
+
+def _summary(comparison: Comparison) -> list[str]:
+    """The verdict in a sentence or two."""
+    changed = comparison.named("changed")
+    same, unknown = comparison.named("no_change_seen"), comparison.named("cannot_tell")
+    if comparison.verdict == "cannot_tell":
+        return ["Cannot tell whether the vehicle has changed."]
+    if changed:
+        sentences = [f"The vehicle has changed: {', '.join(changed)}."]
+    else:
+        sentences = [f"No change seen in {', '.join(same)}."]
+    if unknown:
+        sentences.append(f"Cannot tell of {', '.join(unknown)}.")
+    return [
+        line
+        for sentence in sentences
+        for line in textwrap.wrap(sentence, _WIDTH, break_on_hyphens=False)
+    ]

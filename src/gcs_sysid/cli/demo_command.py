@@ -1,0 +1,130 @@
+"""`gcs-sysid demo`: fly the bundled emulator and identify it."""
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import TextIO
+
+from gcs_sysid.cli import arguments, output
+from gcs_sysid.cli.coach_options import coach_options
+from gcs_sysid.cli.json_lines import JsonLines
+from gcs_sysid.cli.live_command import baseline_of, follow, refit_interval
+from gcs_sysid.errors import GcsSysidError
+from gcs_sysid.live.live_options import LiveOptions
+from gcs_sysid.live.live_session import LiveSession
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.telemetry.link import TcpLink, UdpLink
+from gcs_sysid.telemetry.urls import LinkUrl
+
+_TRUTH_WAIT = 15.0
+"""s that the emulator may take to start."""
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    _default_mass(options)
+    airframe = arguments.airframe_of(options)
+    baseline = baseline_of(options)
+    # At full speed TCP holds the emulator back where UDP would lose what comes too fast.
+    link: UdpLink | TcpLink
+    if options.speed == "max":
+        link = TcpLink(LinkUrl("tcpin", "tcpin:127.0.0.1", host="127.0.0.1", port=0))
+        target = f"tcp:127.0.0.1:{link.port}"
+    else:
+        link = UdpLink(LinkUrl("udpin", "udpin:127.0.0.1", host="127.0.0.1", port=0))
+        target = f"udpout:127.0.0.1:{link.port}"
+    with tempfile.TemporaryDirectory(prefix="gcs-sysid-") as folder:
+        truth_file = Path(folder) / "truth.json"
+        said = (Path(folder) / "said.txt").open("w+", encoding="utf-8", errors="replace")
+        emulator = subprocess.Popen(
+            [
+                *(sys.executable, "-P", "-m", "sim_bridge"),
+                *("--connect", target, "--truth", str(truth_file), "--until-stdin-closes"),
+                *_emulator_options(options),
+            ],
+            # However this process ends, the pipe closes and the emulator with it.
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=said,
+        )
+        try:
+            truth = _wait_for_truth(emulator, truth_file, said)
+            writer = JsonLines(options.json, force=options.force)
+            session = LiveSession(
+                link,
+                airframe,
+                LiveOptions(
+                    rate=options.rate,
+                    refit_interval=refit_interval(options),
+                    coach=coach_options(options),
+                ),
+                record_to=Path(options.record) if options.record else None,
+                sender_gone=lambda: emulator.poll() is not None,
+                on_result=writer.write,
+            )
+            return follow(
+                session,
+                writer,
+                truth,
+                options,
+                baseline,
+                late_truth=lambda: output.read_truth(str(truth_file)),
+            )
+        finally:
+            link.close()
+            emulator.terminate()
+            emulator.communicate()
+            said.close()
+
+
+def _default_mass(options: argparse.Namespace) -> None:
+    """Where nothing sets the scale, weigh the emulated vehicle as a user would weigh a real one."""
+    if options.mass is not None or options.k_t is not None or options.t_max is not None:
+        return
+    if load_airframe(options.airframe).anchor() is None:
+        with tempfile.TemporaryDirectory(prefix="gcs-sysid-") as folder:
+            log, truth = Path(folder) / "weigh.tlog", Path(folder) / "truth.json"
+            command = [sys.executable, "-P", "-m", "sim_bridge", "--duration", "0.1"]
+            command += ["--airframe", options.airframe, "--tlog", str(log), "--truth", str(truth)]
+            if options.arm is not None:
+                command += ["--arm", str(options.arm)]
+            done = subprocess.run(command, capture_output=True, check=False)
+            if done.returncode == 0:
+                options.mass = output.read_truth(str(truth))["mass"]
+                print(f"weighed: {options.mass:g} kg", file=sys.stderr)
+
+
+def _emulator_options(options: argparse.Namespace) -> list[str]:
+    given = {
+        "--airframe": options.airframe,
+        "--arm": options.arm,
+        "--mission": options.mission,
+        "--noise": options.noise,
+        "--sigma": options.sigma,
+        "--rate": options.rate,
+        "--seed": options.seed,
+        "--speed": options.speed,
+        "--duration": options.duration,
+        "--mass-step": options.mass_step,
+    }
+    return [word for key, value in given.items() if value is not None for word in (key, str(value))]
+
+
+def _wait_for_truth(
+    emulator: "subprocess.Popen[bytes]", file: Path, said: TextIO
+) -> dict[str, float]:
+    """The emulator writes the truth before it flies; its refusal becomes ours."""
+    deadline = time.monotonic() + _TRUTH_WAIT
+    while not file.exists():
+        if emulator.poll() is not None:
+            said.seek(0)
+            lines = said.read().strip().splitlines()
+            why = lines[-1].removeprefix("sim-bridge: error: ") if lines else "no reason given"
+            raise GcsSysidError(f"the emulator did not start: {why}")
+        if time.monotonic() > deadline:
+            raise GcsSysidError("the emulator did not start within 15 s")
+        time.sleep(0.02)
+    return output.read_truth(str(file))

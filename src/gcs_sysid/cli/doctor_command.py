@@ -1,0 +1,66 @@
+"""`gcs-sysid doctor`: is this machine ready, and who speaks?"""
+
+import argparse
+import json
+import sys
+
+from gcs_sysid.cli.output import terminal_width
+from gcs_sysid.errors import InputError
+from gcs_sysid.setup_help.checks import Finding, Sign, as_text, can_show, worst
+from gcs_sysid.setup_help.machine import (
+    check_packages,
+    check_python,
+    check_recordings,
+    check_terminal,
+)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; 1 when there is a problem."""
+    findings = [check_python(), check_packages(), check_terminal(), check_recordings()]
+    try:
+        findings += _links(options)
+    except ImportError as error:
+        # With a package missing, which is told above, links cannot be looked at.
+        findings.append(Finding("links", Sign.PROBLEM, f"cannot be looked at: {error}"))
+    if options.json:
+        report = {"findings": [finding.as_json() for finding in findings]}
+        print(json.dumps(report, indent=2, allow_nan=False))
+    else:
+        print(as_text(findings, terminal_width() or 100, unicode=can_show("✓✗")))
+        print(f"\n{_summary(findings)}")
+    return 1 if worst(findings) is Sign.PROBLEM else 0
+
+
+def _summary(findings: list[Finding]) -> str:
+    problems, warnings = (
+        sum(finding.sign is sign for finding in findings) for sign in (Sign.PROBLEM, Sign.WARNING)
+    )
+    if problems:
+        return f"{problems} to be mended (see ->)"
+    return "ready" + (f"; {warnings} to know of (see ->)" if warnings else "")
+
+
+def _links(options: argparse.Namespace) -> list[Finding]:
+    """Serial devices, ports, and who is heard; its modules need the packages looked at before."""
+    from gcs_sysid.setup_help import listening
+    from gcs_sysid.setup_help.serial_devices import check_serial
+    from gcs_sysid.telemetry.link import serial_devices
+    from gcs_sysid.telemetry.urls import parse_url
+
+    asked = [parse_url(text, options.baud) for text in options.urls]
+    for url in asked:
+        if url.speaks_first:
+            raise InputError(
+                f"{url}: the vehicle there is silent until spoken to, and this listens"
+            )
+    findings = check_serial(serial_devices())
+    usual = listening.usual_urls()
+    extra = [url for url in asked if (url.kind, url.port) not in {(u.kind, u.port) for u in usual}]
+    ears, opened = listening.open_ears([*usual, *extra])
+    findings += opened
+    if sys.stderr.isatty():
+        print(f"listening for {options.duration:g} s ...", file=sys.stderr, flush=True)
+    listening.listen(ears, options.duration)
+    findings += listening.heard(ears, options.duration)
+    return findings

@@ -1,0 +1,277 @@
+"""`gcs-sysid live`: identify a vehicle while it flies."""
+
+import argparse
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Protocol
+
+from gcs_sysid.cli import arguments, output
+from gcs_sysid.cli.coach_options import coach_options
+from gcs_sysid.cli.json_lines import JsonLines
+from gcs_sysid.cli.result_table import result_table
+from gcs_sysid.cli.signals import on_signals
+from gcs_sysid.errors import GcsSysidError, InputError
+from gcs_sysid.garbage import spare_what_stays
+from gcs_sysid.live.live_options import LiveOptions
+from gcs_sysid.live.live_session import LiveSession
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_file import read_result
+from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
+from gcs_sysid.telemetry.link import open_link
+from gcs_sysid.telemetry.reconnect import PersistentLink
+from gcs_sysid.telemetry.tlog_writer import unused_path
+from gcs_sysid.telemetry.urls import parse_url
+
+_SAY_EVERY = 1.0
+"""s between lines of the headless output."""
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    airframe = arguments.airframe_of(options)
+    truth = output.read_truth(options.truth) if options.truth else None
+    baseline = baseline_of(options)
+    if options.record and options.no_record:
+        raise InputError("--record and --no-record exclude each other")
+    link = PersistentLink(open_link(parse_url(options.url, options.baud)))
+    try:
+        session = LiveSession(
+            link,
+            airframe,
+            LiveOptions(
+                rate=options.rate,
+                listen_only=options.listen_only,
+                wanted=options.vehicle,
+                duration=options.duration,
+                refit_interval=refit_interval(options),
+                signing_key=Path(options.signing_key) if options.signing_key else None,
+                coach=coach_options(options),
+                predict=is_watched(options),
+            ),
+            record_to=recording_path(options),
+            on_result=(writer := JsonLines(options.json, force=options.force)).write,
+        )
+    except GcsSysidError:
+        link.close()
+        raise
+    return follow(session, writer, truth, options, baseline)
+
+
+def baseline_of(options: argparse.Namespace) -> Result | None:
+    """The earlier result that the screen compares with.
+
+    Raises:
+        InputError: the file holds none.
+    """
+    return read_result(Path(options.baseline)) if options.baseline else None
+
+
+def refit_interval(options: argparse.Namespace) -> float:
+    """Vehicle time between estimates in s: as often as somebody looks."""
+    return 0.5 if options.headless else 0.2
+
+
+def recording_path(options: argparse.Namespace) -> Path | None:
+    """Where to record: as asked, else a dated file under logs/."""
+    if options.no_record:
+        return None
+    if options.record:
+        return Path(options.record)
+    return unused_path(Path("logs") / f"{datetime.now():%Y-%m-%d_%H-%M-%S}.tlog")
+
+
+class Session(Protocol):
+    """What is shown: a live session or a replay."""
+
+    final: Result | None
+    problem: Exception | None
+
+    def start(self) -> None:
+        """Begin."""
+
+    def latest(self) -> Snapshot | None:
+        """The newest snapshot."""
+
+    def request_stop(self) -> None:
+        """End soon; returns at once."""
+
+    def stop(self) -> None:
+        """End, and wait until it has."""
+
+    def join(self, timeout: float | None = None) -> bool:
+        """Wait for the end; whether it has come."""
+
+    def recordings(self) -> list[str]:
+        """A line for each recording made."""
+
+
+def is_watched(options: argparse.Namespace) -> bool:
+    """Whether there is a screen, on a terminal or in browsers; else lines are printed."""
+    if options.headless and options.web:
+        raise InputError("--headless and --web exclude each other")
+    # Without a terminal there is no screen to draw on.
+    terminal = not options.headless and sys.stdin.isatty() and sys.stdout.isatty()
+    return terminal or options.web is not None
+
+
+def follow(
+    session: Session,
+    writer: JsonLines,
+    truth: Mapping[str, float] | None,
+    options: argparse.Namespace,
+    baseline: Result | None = None,
+    late_truth: Callable[[], Mapping[str, float] | None] | None = None,
+) -> int:
+    """Show a session until it ends, then print its final numbers.
+
+    Args:
+        session: not yet started.
+        writer: gets the final result as its last line.
+        truth: shown beside the estimates.
+        options: of the command line; `headless`: print instead of the screen; `web`: the screen
+            in browsers.
+        baseline: an earlier result that the screen compares with.
+        late_truth: gives the truth in force at the end, when that may have changed.
+
+    Returns:
+        Exit status: 1 when the session ended without an answer.
+
+    Raises:
+        Exception: what went wrong in the session or its screen, once all else is done.
+    """
+    writer.when_gone = session.request_stop
+    spare_what_stays()
+    if is_watched(options):
+        _show(session, truth, options, baseline)
+    else:
+        with on_signals(session.request_stop):
+            session.start()
+            try:
+                say_until_end(session)
+            finally:
+                session.stop()
+    if session.final is None:
+        assert session.problem is not None
+        raise session.problem
+    if late_truth is not None:
+        truth = late_truth() or truth
+    try:
+        writer.write(session.final)
+        writer.close()
+        if not writer.to_stdout:
+            print(result_table(session.final, truth, output.terminal_width()), flush=True)
+    finally:
+        for line in session.recordings():
+            output.say(line)
+    if session.problem is not None:
+        raise session.problem
+    return 1 if session.final.verdict == "refused" else 0
+
+
+def _show(
+    session: Session,
+    truth: Mapping[str, float] | None,
+    options: argparse.Namespace,
+    baseline: Result | None,
+) -> None:
+    """Show a session on a screen until it ends; one that fails costs no flight.
+
+    A defect of the screen becomes the session's problem, where it has none of its own.
+    """
+    from gcs_sysid.cli.scenes import scene_of
+
+    scene = scene_of(session, truth, options, baseline)
+    if options.web:
+        from gcs_sysid.cli.browser import show
+
+        show(session, scene, options.web)
+        return
+    app = scene.app(session)
+    stopped = threading.Event()
+
+    def stop() -> None:
+        stopped.set()
+        app.exit()
+        if app.defect is not None:
+            session.request_stop()
+
+    with on_signals(stop):
+        session.start()
+        try:
+            if not stopped.is_set():
+                app.run()
+            if app.defect is not None and not stopped.is_set():
+                kind = type(app.defect).__name__
+                output.say(
+                    f"the screen has failed ({kind}: {app.defect}); the session goes on without "
+                    "it, until Ctrl-C"
+                )
+                say_until_end(session)
+        finally:
+            session.stop()
+    if app.defect is not None and session.problem is None:
+        session.problem = app.defect
+
+
+def say_until_end(session: Session) -> None:
+    """One line a second on standard error, and one for each event."""
+    said = -_SAY_EVERY
+    last = ""
+    told: Event | None = None
+    advised = ""
+    ended = False
+    while not ended:
+        ended = session.join(0.1)
+        now = time.monotonic()
+        snapshot = session.latest()
+        if snapshot is None:
+            continue
+        for event in events_after(told, snapshot.events):
+            output.say(f"{event.t:7.1f} s  {event.text}")
+            told = event
+        if ended:
+            return
+        if snapshot.advice is not None and snapshot.advice.text != advised:
+            advised = snapshot.advice.text
+            output.say(f"{snapshot.t:7.1f} s  coach: {advised}")
+        if now - said < _SAY_EVERY:
+            continue
+        line = status_line(snapshot)
+        if line != last:
+            output.say(line)
+        said, last = now, line
+
+
+def events_after(last: Event | None, events: Sequence[Event]) -> Sequence[Event]:
+    """The events that came after the last one told; all, when that is long gone."""
+    for i in range(len(events) - 1, -1, -1):
+        if events[i] is last:
+            return events[i + 1 :]
+    return events
+
+
+def status_line(snapshot: Snapshot) -> str:
+    """The state of a session in one line."""
+    link = snapshot.link
+    if link.state is LinkState.WAITING:
+        reasons = snapshot.result.reasons
+        if link.received or len(reasons) > 1:  # somebody speaks, but nobody to listen to
+            return f"listening on {link.url}: {'; '.join(reasons)}"
+        return f"listening on {link.url}: no vehicle has spoken yet"
+    words = [f"{snapshot.t:7.1f} s", link.vehicle or link.url]
+    if link.state is not LinkState.CONNECTED:
+        words.append(str(link.state.value))
+    words.append(snapshot.result.verdict)
+    speeds = snapshot.result.rotor_input == "speed"
+    for name in ("Ixx", "Iyy", "Izz", *(("k_T", "k_M") if speeds else ("T_max", "moment_ratio"))):
+        estimate = snapshot.result.parameters.get(name)
+        if estimate is None or estimate.value is None or estimate.std is None:
+            words.append(f"{name} -")
+        else:
+            share = 196.0 * estimate.std / abs(estimate.value) if estimate.value else 999.0
+            words.append(f"{name} {estimate.value:.4g} ±{min(share, 999.0):.1f}%")
+    return "  ".join(words)

@@ -1,0 +1,195 @@
+"""Parsing, and one place that turns errors into one line and an exit status.
+
+Each command's module is imported only when that command runs, so that `--help` and `--version`
+need neither NumPy nor Textual.
+"""
+
+import argparse
+import errno
+import importlib
+import io
+import os
+import sys
+from collections.abc import Sequence
+
+from gcs_sysid import __version__
+from gcs_sysid.argument_types import OneLineParser
+from gcs_sysid.cli import arguments, setup_options
+from gcs_sysid.errors import GcsSysidError
+from gcs_sysid.sanitize import one_line
+
+PROGRAM = "gcs-sysid"
+DONE, NO_ANSWER, USAGE = 0, 1, 2
+"""Exit statuses: done; the data do not allow an answer; wrong usage, unreadable input or a defect.
+A command that Ctrl-C ended at once has 130; see also `signals.BY_SIGNAL`."""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The whole command line."""
+    parser = OneLineParser(
+        prog=PROGRAM,
+        description="Identify a multirotor's mass properties and rotor coefficients from "
+        "MAVLink: live, or from a recorded flight.",
+        epilog=f"Start with:  {PROGRAM} demo",
+    )
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+
+    demo = commands.add_parser(
+        "demo",
+        help="fly the bundled emulator and identify it",
+        description="Starts the emulator and identifies it live. Ends with estimate, truth and "
+        "error for every parameter.",
+    )
+    arguments.add_demo(demo)
+    live = commands.add_parser(
+        "live",
+        help="identify a vehicle while it flies",
+        description="Identifies live from a MAVLink link, such as udpin:0.0.0.0:14550, "
+        "udpout:HOST:PORT, tcp:HOST:PORT or /dev/ttyUSB0.",
+    )
+    arguments.add_live(live)
+    analyze = commands.add_parser(
+        "analyze",
+        help="identify from recorded flights",
+        description="Identifies from recordings: .tlog of a ground station, .ulg of PX4, .bin of "
+        "ArduPilot.",
+    )
+    arguments.add_analyze(analyze)
+    replay = commands.add_parser(
+        "replay",
+        help="watch a recorded flight",
+        description="Plays a recording (.tlog, .ulg, .bin) on the live screen: at its own pace, "
+        "ten times as fast or as fast as it can, with pause and seek. It ends with the numbers of "
+        "analyze.",
+    )
+    arguments.add_replay(replay)
+    inspect = commands.add_parser(
+        "inspect",
+        help="see what is in a log or on a link",
+        description="Tells what is in a log (.tlog, .ulg, .bin) or comes over a link: systems, "
+        "messages, rates, gaps, clock, rotor input, motion; and whether the vehicle can be "
+        "identified from it. A link is asked for the streams, as by live, and given its rates "
+        "back.",
+    )
+    arguments.add_inspect(inspect)
+    plan = commands.add_parser(
+        "plan",
+        help="see what to fly, before the flight",
+        description="Plans a flight on paper: manoeuvres, how long, and the accuracy to expect. "
+        "Nothing is sent to a vehicle.",
+    )
+    arguments.add_plan(plan)
+    export = commands.add_parser(
+        "export",
+        help="write an identified vehicle for a simulator",
+        description="Writes a result as a file that PX4's SIH, Gazebo, MuJoCo, RotorPy or a "
+        "reader of URDF loads.",
+    )
+    arguments.add_export(export)
+    compare = commands.add_parser(
+        "compare",
+        help="see whether a vehicle has changed",
+        description="Compares two results of one vehicle, parameter by parameter.",
+    )
+    arguments.add_compare(compare)
+    batch = commands.add_parser(
+        "batch",
+        help="identify from many logs",
+        description="Identifies from every log in files and folders, side by side: a result a "
+        "log, and a Parquet table of all. Called again, it does what is not done yet. Without "
+        "--airframe every log takes the nearest airframe.toml, beside it or in a folder above.",
+    )
+    arguments.add_batch(batch)
+    trend = commands.add_parser(
+        "trend",
+        help="see how a fleet's vehicles change from flight to flight",
+        description="Writes an HTML page of a batch: parameters over flights for every vehicle, "
+        "and where a vehicle changed from its earlier flights.",
+    )
+    arguments.add_trend(trend)
+    airframe = commands.add_parser(
+        "airframe",
+        help="describe your vehicle, with a picture",
+        description="Writes the file that tells where a vehicle's rotors are, or checks one.",
+    )
+    setup_options.add_airframe(airframe)
+    doctor = commands.add_parser(
+        "doctor",
+        help="check this machine, and hear who speaks",
+        description="Checks versions, ports, serial devices, terminal and the folder of "
+        "recordings, and listens for vehicles. It sends nothing. Ends with status 1 if there is "
+        "a problem.",
+    )
+    setup_options.add_doctor(doctor)
+    completion = commands.add_parser(
+        "completion",
+        help="complete commands with the tab key",
+        description='Prints a script for the shell. bash: eval "$(gcs-sysid completion bash)" '
+        "in ~/.bashrc; zsh: the same in ~/.zshrc, after compinit; fish: gcs-sysid completion "
+        "fish > ~/.config/fish/completions/gcs-sysid.fish",
+    )
+    setup_options.add_completion(completion)
+    return parser
+
+
+def run(argv: Sequence[str]) -> int:
+    """Parse and run; errors become one line on standard error and a status."""
+    _never_fail_to_print()
+    parser = build_parser()
+    try:
+        options = parser.parse_args(argv)
+    except SystemExit as stop:  # argparse has printed its line
+        return stop.code if isinstance(stop.code, int) else USAGE
+    options.argv = (PROGRAM, *argv)
+    if options.command is None:
+        from gcs_sysid.cli.welcome import welcome
+
+        print(welcome(parser))
+        return DONE
+    try:
+        command = importlib.import_module(f"gcs_sysid.cli.{options.command}_command")
+        status: int = command.run(options)
+        sys.stdout.flush()
+        return status
+    except GcsSysidError as error:
+        print(f"{PROGRAM}: error: {error}", file=sys.stderr)
+        return USAGE
+    except KeyboardInterrupt:
+        return 130
+    except Exception as error:
+        if _reader_has_gone(error):
+            # Keep Python from complaining at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return DONE
+        # A defect. The user gets one line; whoever mends it sets GCS_SYSID_DEBUG.
+        if os.environ.get("GCS_SYSID_DEBUG"):
+            raise
+        if isinstance(error, OSError) and error.filename is not None:
+            # The machine's: a folder that may not be looked into, a name that is too long.
+            said = one_line(f"{error.filename}: {error.strerror}")
+            print(f"{PROGRAM}: error: {said}", file=sys.stderr)
+            return USAGE
+        kind = type(error).__name__
+        print(
+            f"{PROGRAM}: error: internal error ({kind}: {one_line(str(error))}); "
+            "please report it, with GCS_SYSID_DEBUG=1 set",
+            file=sys.stderr,
+        )
+        return USAGE
+
+
+def _reader_has_gone(error: Exception) -> bool:
+    """Whether standard output leads nowhere any more; Windows has another error for it."""
+    if isinstance(error, BrokenPipeError):
+        return True
+    if type(error) is OSError and error.errno == errno.EIO and error.filename is None:
+        return True  # a terminal that was closed
+    return os.name == "nt" and type(error) is OSError and error.errno == errno.EINVAL
+
+
+def _never_fail_to_print() -> None:
+    """A sign that standard output's encoding lacks (cp1252, ASCII) becomes a question mark."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            stream.reconfigure(errors="replace")

@@ -1,0 +1,149 @@
+"""A result as lines of text."""
+
+import math
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from gcs_sysid.intervals import Z95
+from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.results.result import Estimate, Result
+
+
+class _Style(NamedTuple):
+    digits: int
+    gap: int
+    """Spaces between columns."""
+    without: frozenset[str]
+    """Columns left out."""
+
+
+_STYLES = (
+    _Style(6, 2, frozenset()),
+    _Style(6, 2, frozenset({"%"})),
+    _Style(5, 1, frozenset({"%"})),
+    _Style(5, 1, frozenset({"%", "bound 95 %"})),
+    _Style(4, 1, frozenset({"%", "bound 95 %"})),
+)
+"""The roomiest first."""
+_TOLD = ("rotor_input", "senders")
+"""Kinds of events beside changes of the vehicle that bear on what the numbers rest on."""
+
+
+def result_table(
+    result: Result, truth: Mapping[str, float] | None = None, width: int | None = None
+) -> str:
+    """The result as lines of text, with truth and error where truth is known.
+
+    Args:
+        result: to show.
+        truth: name -> true value.
+        width: columns to keep to, from 80 on; what is least needed is left out then. None: no
+            limit.
+    """
+    lines = [f"{result.verdict}: {result.source}", *_scale_lines(result), ""]
+    for style in _STYLES:
+        rows = _rows(result, truth, style)
+        if width is None or max(map(len, rows)) <= width:
+            break
+    lines += rows
+    notes = _notes(result)
+    if notes:
+        lines.append("")
+    for note in notes:
+        wrapped = [note] if width is None else textwrap.wrap(note, width - 2)
+        lines += [f"{'  ' if i else '- '}{line}" for i, line in enumerate(wrapped)]
+    return "\n".join(lines)
+
+
+def _rows(result: Result, truth: Mapping[str, float] | None, style: _Style) -> list[str]:
+    names = list(result.parameters)
+    estimates = list(result.parameters.values())
+    columns: dict[str, list[str]] = {
+        "parameter": names,
+        "value": [_number(e.value if e.std is not None else None, style.digits) for e in estimates],
+        "± 95 %": [_half(e) for e in estimates],
+        "%": [_share(e) for e in estimates],
+        "unit": [PARAMETERS[name].unit for name in names],
+        "status": [e.status for e in estimates],
+    }
+    if any(e.bound is not None for e in estimates):
+        bounds = [Z95 * e.bound if e.bound else None for e in estimates]
+        columns["bound 95 %"] = [_number(bound, 2) for bound in bounds]
+    if truth:
+        true = [truth.get(name) for name in names]
+        columns["truth"] = [_number(value, style.digits) for value in true]
+        columns["error %"] = [_error(e.value, t) for e, t in zip(estimates, true, strict=True)]
+    shown = {head: cells for head, cells in columns.items() if head not in style.without}
+    padded = [_column(head, cells) for head, cells in shown.items()]
+    gap = " " * style.gap
+    return [gap.join(row).rstrip() for row in zip(*padded, strict=True)]
+
+
+def _column(head: str, cells: Sequence[str]) -> list[str]:
+    """Head and cells in one width, words to the left and numbers to the right."""
+    wide = max(map(len, (head, *cells)))
+    side = "<" if head in ("parameter", "unit", "status") else ">"
+    return [f"{cell:{side}{wide}}" for cell in (head, *cells)]
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}g}"
+
+
+def _half(estimate: Estimate) -> str:
+    if estimate.value is None or estimate.std is None:
+        return "-"
+    return "" if estimate.status == "given" else f"{Z95 * estimate.std:.2g}"
+
+
+def _share(estimate: Estimate) -> str:
+    if estimate.value is None or estimate.std is None:
+        return "-"
+    if estimate.status == "given":
+        return ""
+    half = Z95 * estimate.std
+    share = 100.0 * half / abs(estimate.value) if estimate.value else math.inf
+    return f"{share:.2f}" if share < 1000.0 else ">999"
+
+
+def _error(value: float | None, true: float | None) -> str:
+    if value is None or not true:
+        return "-"
+    return f"{100.0 * (value / true - 1.0):.2f}"
+
+
+def _notes(result: Result) -> list[str]:
+    """What is worth knowing beside the numbers, a line each."""
+    leaning: dict[str, list[str]] = {}
+    for name, estimate in result.parameters.items():
+        if estimate.rests_on:
+            leaning.setdefault(estimate.rests_on, []).append(name)
+    notes = [f"{', '.join(names)}: mostly from {what}" for what, names in leaning.items()]
+    notes += [_event_line(event) for event in result.events if "detected" in event]
+    notes += [f"{e['t']:.2f} s: {e['text']}" for e in result.events if e["kind"] in _TOLD]
+    spikes = result.telemetry.get("imu_outliers", {}).get("spikes", 0)
+    if spikes:
+        notes.append(f"{spikes} gyro samples were spikes, replaced by what their neighbours say")
+    return [*notes, *result.reasons]
+
+
+def _scale_lines(result: Result) -> list[str]:
+    """What sets the scale, where it is not simply the mass or k_T given."""
+    scale = result.scale
+    if scale is None or not (scale.origin or scale.anchor == "added_mass"):
+        return []
+    source = f" from {scale.origin}" if scale.origin else ""
+    return [f"scale: {scale.anchor} = {scale.value:.6g} {scale.unit}{source}"]
+
+
+def _event_line(event: Mapping[str, Any]) -> str:
+    """A change in flight in one line."""
+    line = f"{event['t']:.2f} s: {event['kind'].replace('_', ' ')}"
+    if "loss" in event:
+        low, high = (100.0 * v for v in event["loss"]["ci95"])
+        return f"{line}, rotor {event['rotor'] + 1} lost {low:.0f} to {high:.0f} % of its thrust"
+    mass = event.get("parameters", {}).get("mass")
+    if mass:
+        return f"{line}, mass {mass['before']:.4g} -> {mass['after']:.4g} kg"
+    return line

@@ -1,0 +1,29 @@
+"""`gcs-sysid trend`: a fleet's vehicles over their flights, as a page."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.files import check_target, write_whole
+from gcs_sysid.fleet import batch_table as table
+from gcs_sysid.fleet.store import TABLE
+from gcs_sysid.fleet.trend import vehicles_of
+from gcs_sysid.fleet.trend_page import render
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; 1 when no log of the fleet tells anything."""
+    table.require()
+    fleet, target = Path(options.fleet), Path(options.output)
+    file = fleet / TABLE if fleet.is_dir() else fleet
+    if fleet.is_dir() and not file.is_file():
+        raise InputError(f"{fleet}: no {TABLE} in there; gcs-sysid batch writes it when it ends")
+    check_target(target, replace=options.force, sources=(file,))
+    vehicles, unused = vehicles_of(table.read_table(file))
+    name = (fleet if fleet.is_dir() else file).resolve()
+    write_whole(target, render(name.name, vehicles, unused), replace=options.force)
+    if vehicles:
+        return 0
+    print(f"gcs-sysid: {file}: no log in there tells anything of a vehicle", file=sys.stderr)
+    return 1

@@ -1,0 +1,59 @@
+"""How wide an interval is, against what.
+
+A share of the value is what one asks for; but a product of inertia or an offset of the CG may be
+zero. These are measured against themselves or, where they are smaller, against what they matter
+to: a twentieth of the moments that a product couples, a twentieth of the arm.
+"""
+
+import math
+from collections.abc import Mapping
+
+from gcs_sysid.estimation.physical_parameters import CORE_OF, Value
+from gcs_sysid.estimation.rotor_signals import RotorInput
+from gcs_sysid.intervals import Z95
+
+_SMALL = 0.05
+_PRODUCTS = {"Ixy": ("Ixx", "Iyy"), "Iyz": ("Iyy", "Izz"), "Ixz": ("Ixx", "Izz")}
+
+
+def shares(
+    values: Mapping[str, Value], arm: float, rotor_input: RotorInput
+) -> dict[str, float | None]:
+    """Half of each 95 % interval over its yardstick; None where nothing is known.
+
+    Parameters that are given do not count, nor do those that only a vehicle with something beside
+    a rigid body and rotors has (damping, rotor inertia, drag).
+    """
+    out: dict[str, float | None] = {}
+    for name in CORE_OF[rotor_input]:
+        told = values[name]
+        if told.status == "given":
+            continue
+        if told.value is None or told.std is None:
+            out[name] = None
+            continue
+        yardstick = abs(told.value)
+        if name in _PRODUCTS:
+            coupled = [values[moment].value or 0.0 for moment in _PRODUCTS[name]]
+            yardstick = max(yardstick, _SMALL * math.sqrt(abs(coupled[0] * coupled[1])))
+        elif name in ("cg_x", "cg_y"):
+            yardstick = max(yardstick, _SMALL * arm)
+        out[name] = Z95 * told.std / yardstick if yardstick > 0.0 else None
+    return out
+
+
+def is_enough(found: Mapping[str, float | None], target: float) -> bool:
+    """Whether every interval meets the target."""
+    return bool(found) and all(share is not None and share <= target for share in found.values())
+
+
+def excess(found: Mapping[str, float | None], target: float) -> float:
+    """How far intervals are from the target: the sum of ln(share / target) of those beyond."""
+    return sum(
+        math.log(max(_FAR if share is None else min(share, _FAR), target) / target)
+        for share in found.values()
+    )
+
+
+_FAR = 3.0
+"""A share beyond which nothing is known in any case."""

@@ -1,0 +1,69 @@
+"""What a manoeuvre is called by a pilot."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+from gcs_sysid.coach.manoeuvre_library import Manoeuvre
+
+_TOLD = 3
+"""Parameters that a sentence names."""
+
+
+def motion_words(manoeuvre: Manoeuvre) -> str:
+    """What to do, how far and how fast, such as "roll and yaw together, ±20°, about 1 Hz, 10 s"."""
+    return f"{_what(manoeuvre)}, {manoeuvre.seconds:.0f} s"
+
+
+def _what(m: Manoeuvre) -> str:
+    pace = f"about {m.pace:g} Hz"
+    if m.climb:
+        return f"up and down, ±{m.climb:.2g} m, {pace}"
+    if m.roll and m.pitch:
+        return f"stir the stick: roll and pitch in a circle, {_angle(m.roll)}, {pace}"
+    first, angle = ("roll", m.roll) if m.roll else ("pitch", m.pitch)
+    if not m.yaw:
+        return f"{first} to and fro, {_angle(angle)}, {pace}"
+    if not angle:
+        return f"yaw to and fro, {_angle(m.yaw)}, {pace}"
+    if m.yaw_pace != m.pace:
+        return (
+            f"{first} and yaw together: {first} {_angle(angle)}, {pace}, "
+            f"yaw {_angle(m.yaw)}, half as fast"
+        )
+    if m.yaw == angle:
+        return f"{first} and yaw together, {_angle(angle)}, {pace}"
+    return f"{first} and yaw together, {_angle(angle)} and {_angle(m.yaw)}, {pace}"
+
+
+def _angle(angle: float) -> str:
+    return f"±{math.degrees(angle):.0f}°"
+
+
+def gain_words(name: str, now: float | None, expected: float) -> str:
+    """What a parameter gains, such as "Izz from 12 % to about 3 %"."""
+    if now is None or now > 1.0:
+        return f"{name} to about {percent(expected)}"
+    return f"{name} from {percent(now)} to about {percent(expected)}"
+
+
+def sentence(
+    manoeuvre: Manoeuvre,
+    names: Sequence[str],
+    now: Mapping[str, float | None],
+    expected: Mapping[str, float | None],
+) -> str:
+    """All in one sentence, the widest intervals first."""
+    gains = [
+        gain_words(name, now.get(name), share)
+        for name in names[:_TOLD]
+        for share in (expected[name],)
+        if share is not None
+    ]
+    words = motion_words(manoeuvre)
+    return f"{words}: {', '.join(gains)}" if gains else words
+
+
+def percent(share: float) -> str:
+    """A share with two digits that matter."""
+    value = 100.0 * share
+    return f"{value:.0f} %" if value >= 10.0 else f"{value:.1f} %"

@@ -1,0 +1,96 @@
+"""What is assumed of a vehicle before it has flown, and of its sensors."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.coach.information import Noise, speed_noise
+from gcs_sysid.coach.motion import Craft
+from gcs_sysid.estimation.search import COORDINATE_STD
+from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.parameters import GRAVITY
+
+_GYRATION = 0.55
+"""Radius of gyration in roll and pitch over the arm; 0.54 to 0.57 of a Crazyflie, an Iris and the
+default vehicle of PX4's SIH."""
+_FLATNESS = 1.7
+"""Izz over Ixx: near 2 of flat things."""
+_TORQUE_RATIO = 0.07
+"""k_M / k_T over the arm, of usual propellers."""
+_HOVER_SPEED = 500.0
+"""rad/s, of the rotors, where k_T is not known."""
+_HOVER_COMMAND = 0.4
+"""Thrust in hover over the greatest, where T_max is not known."""
+
+GYRO_DENSITY = 0.01 * np.pi / 180.0
+"""rad/s per root hertz, one-sided: a usual MEMS gyro in flight."""
+SPEED_STD = 0.5
+"""rad/s, of one sample of a rotor's speed."""
+RATE = 250.0
+"""Hz, of IMU and rotors."""
+ACCELERATION_DENSITY = 3e-4
+"""rad^2/s^3: with commands, what motors do that their commands do not tell."""
+
+
+class PriorVehicle(NamedTuple):
+    """A vehicle of its size and mass, with wide margins.
+
+    Attributes:
+        craft: to reckon with.
+        std: (N_UNKNOWNS,) of theta and of delay, lag and curve.
+        kappa: thrust over mass, k_T / m or T_max / m.
+    """
+
+    craft: Craft
+    std: Array
+    kappa: float
+
+    def at(self, kappa: float) -> "PriorVehicle":
+        """The same vehicle where flight tells its thrust over mass."""
+        factor = np.full(rb.N_THETA, self.kappa / kappa)
+        factor[[rb.CG_X, rb.CG_Y, rb.MOMENT_RATIO]] = 1.0
+        craft = replace(self.craft, theta=factor * self.craft.theta, thrust=GRAVITY / kappa)
+        std = np.concatenate([factor * self.std[: rb.N_THETA], self.std[rb.N_THETA :]])
+        return PriorVehicle(craft, std, kappa)
+
+
+def prior_vehicle(airframe: Airframe, *, commands: bool = False) -> PriorVehicle:
+    """The vehicle that an airframe file lets one expect; its priors replace rules of thumb."""
+    rotors, arm = len(airframe.rotors), airframe.arm
+    known = {name: value for name, (value, _) in airframe.priors.items()}
+    mass = airframe.mass or known.get("mass") or 1.0
+    weight = mass * GRAVITY
+    if commands:
+        thrust = airframe.T_max or weight / (rotors * _HOVER_COMMAND)
+    else:
+        thrust = airframe.k_T or known.get("k_T") or weight / (rotors * _HOVER_SPEED**2)
+    around = mass * (_GYRATION * arm) ** 2
+    inertia = [around, around, _FLATNESS * around, 0.0, 0.0, 0.0]
+    theta = np.array([*inertia, 0.0, 0.0, _TORQUE_RATIO * arm * thrust, 0.0, 0.0]) / thrust
+    std = (
+        np.array([1.0, 1.0, _FLATNESS, 0.3, 0.3, 0.3, 0.0, 0.0, 0.0, 1.0, 0.002]) * around / thrust
+    )
+    std[[rb.CG_X, rb.CG_Y]] = 0.3 * arm
+    std[rb.MOMENT_RATIO] = _TORQUE_RATIO * arm
+    for i, name in enumerate(rb.THETA):
+        if name in known:
+            relative = name not in ("cg_x", "cg_y", "moment_ratio")
+            theta[i] = known[name] / (thrust if relative else 1.0)
+    if "k_M" in known:
+        theta[rb.MOMENT_RATIO] = known["k_M"] / thrust
+    most = None if airframe.T_max is None else airframe.T_max * rotors / weight
+    craft = Craft(airframe.geometry, theta, weight / thrust, commands, most)
+    coordinates = COORDINATE_STD.copy()
+    return PriorVehicle(craft, np.concatenate([std, coordinates]), thrust / mass)
+
+
+def prior_noise(craft: Craft) -> Noise:
+    """Of usual sensors: see GYRO_DENSITY, SPEED_STD and RATE."""
+    gyro = 0.5 * GYRO_DENSITY**2 * np.eye(3)
+    if craft.commands:
+        return Noise(gyro, ACCELERATION_DENSITY * np.eye(3))
+    std = np.full(craft.geometry.shape[1], SPEED_STD)
+    return Noise(gyro, speed_noise(craft, std, 1.0 / RATE))

@@ -1,0 +1,271 @@
+"""What is not known of the way from the rotors' stream to their thrust.
+
+Three numbers stand between what is telemetered of a rotor and the thrust that acts while the IMU
+measures:
+
+    rotor delay d   s, of the rotors' stamps behind the IMU's
+    motor lag tau   s, of first order, where commands are the input; measured speeds have none
+    thrust curve c  T / T_max = (1 - c) w + c w^2 of the lagged command w; speeds have none
+
+The rotors' signals are filtered with a few pairs of lag and delay, the elements of a basis. What
+any other pair would make of them, exp(i omega d) / (1 + i omega tau), is a sum of the elements
+with weights found by least squares over the frequencies that pass the window, to 2e-4 of the
+signal; sums with weights add up to one, so that a constant stays what it is. The curve mixes the
+signals of w and of w^2. So a row at any delay, lag and curve is a linear map of the row that
+holds all elements, its moments are that map of their moments, derivatives included, and the three
+are unknowns of the fit like any other. Moments made so are those of real rows: residuals have no
+negative power, however small they are.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.signals.windows import cosine_window
+
+DELAY, LAG, CURVE = 0, 1, 2
+"""Indices of the coordinates."""
+N_COORDINATES = 3
+
+WIDTH = rb.N_SIGNALS + 3
+"""Of a row [x, y]."""
+ROTOR_COLUMNS = (0, 1, 2, 3, rb.SIGNALS.index("dH"))
+"""Columns of x that come from the rotors: roll, pitch, thrust, yaw torque, and H'."""
+_BODY_COLUMNS = tuple(i for i in range(WIDTH) if i not in ROTOR_COLUMNS)
+SIGNALS, BODY = len(ROTOR_COLUMNS), len(_BODY_COLUMNS)
+
+_RIDGE = 1e-12
+
+
+def motor_filter(dt: float, lag: float) -> tuple[float, float, float]:
+    """(a, b0, b1) of w_k = a w_{k-1} + b0 u_k + b1 u_{k-1} for a motor of first order.
+
+    Exact for commands that run straight from stamp to stamp, which has no phase of its own;
+    that a command is held until the next one comes is then part of the delay.
+    """
+    if lag == 0.0:
+        return 0.0, 1.0, 0.0
+    a = float(np.exp(-dt / lag))
+    share = lag / dt * (1.0 - a)
+    return a, 1.0 - share, share - a
+
+
+def response(omega: Array, delay: Array, lag: Array) -> Array:
+    """(..., n) of motors with these lags (...), stamps late by (...) put right, at (n,) rad/s."""
+    passed: Array = np.exp(1j * omega * delay[..., None]) / (1.0 + 1j * omega * lag[..., None])
+    return passed
+
+
+class _Span:
+    """Weights of some filters that make up another one.
+
+    Args:
+        half_width: s, of the window that all pass afterwards.
+        delays: (k,) s.
+        lags: (k,) s.
+        dt: s between samples; 0: next to nothing.
+    """
+
+    def __init__(self, half_width: float, delays: Array, lags: Array, dt: float) -> None:
+        self.omega = np.linspace(0.0, 10.0 / half_width, 80)
+        window = cosine_window(100, half_width / 100.0).average
+        places = np.linspace(-half_width, half_width, len(window))
+        # What the window lets pass; commands and their noise grow with frequency.
+        self._passed = np.abs(np.cos(np.outer(self.omega, places)) @ window)
+        self._passed *= 1.0 + (0.5 * half_width * self.omega) ** 2
+        A = self._stacked(self._made(delays, lags, dt)).T
+        # Weighted least squares with the weights' sum given, for all right-hand sides. Filters
+        # resemble each other in a long window: the sum is put right by itself, as rounding in a
+        # bordered system would leave it off by 3e-4, and with it every moment of inertia.
+        system = A.T @ A + _RIDGE * np.eye(len(delays))
+        free, even = np.linalg.solve(system, A.T), np.linalg.solve(system, np.ones(len(delays)))
+        self._of_sum = even / even.sum()
+        self._of_target = free - np.outer(self._of_sum, free.sum(axis=0))
+
+    def weights(self, delay: Array, lag: Array, by: int | None = None) -> Array:
+        """(K, k) for (K,) delays and lags, differentiated by one of them or not."""
+        target, total = response(self.omega, delay, lag), 1.0
+        if by == DELAY:
+            target, total = target * (1j * self.omega), 0.0
+        elif by == LAG:
+            target = target * (-1j * self.omega / (1.0 + 1j * self.omega * lag[:, None]))
+            total = 0.0
+        weights: Array = self._stacked(target) @ self._of_target.T + total * self._of_sum
+        return weights
+
+    def _made(self, delays: Array, lags: Array, dt: float) -> Array:
+        """(k, n) what the filters really pass: those of motors lose some between slow samples."""
+        if not dt:
+            return response(self.omega, delays, lags)
+        late = np.exp(-1j * self.omega * dt)
+        coefficients = np.array([motor_filter(dt, lag) for lag in lags])
+        a, b0, b1 = coefficients.T[:, :, None]
+        moved = np.exp(1j * self.omega * delays[:, None])
+        made: Array = moved * (b0 + b1 * late) / (1.0 - a * late)
+        return made
+
+    def _stacked(self, passed: Array) -> Array:
+        weighed = passed * self._passed
+        return np.concatenate([weighed.real, weighed.imag], axis=-1)
+
+
+@dataclass(frozen=True)
+class Element:
+    """A pair of filters, by index into a basis' lags and delays."""
+
+    lag: int
+    delay: int
+
+
+class ActuatorDynamics:
+    """Elements, and the maps from rows that hold them all to rows [x, y].
+
+    A row of elements is laid out element by element, each with its `sets` (of w and of w^2 where
+    commands are the input) of SIGNALS, then the BODY columns.
+
+    Args:
+        delays: s, rising.
+        lags: s, rising; several where commands are the input.
+        curves: least and greatest thrust curve; one value where it is given. Not for speeds.
+        commands: whether commands are the input.
+        half_width: s, of the window that rows pass.
+        dt: s between samples; 0: so little that motors are filtered as they are.
+    """
+
+    def __init__(
+        self,
+        delays: Sequence[float] | Array,
+        lags: Sequence[float] = (0.0,),
+        curves: Sequence[float] = (1.0,),
+        *,
+        commands: bool = False,
+        half_width: float = 0.1,
+        dt: float = 0.0,
+    ) -> None:
+        self.delays, self.lags = np.asarray(delays, float), np.asarray(lags, float)
+        curve = np.asarray(curves, float)
+        self.commands = commands
+        self.sets = 2 if commands else 1
+        axes = (self.delays, self.lags, curve)
+        self.low = np.array([axis[0] for axis in axes])
+        self.high = np.array([axis[-1] for axis in axes])
+        self.free = tuple(i for i, axis in enumerate(axes) if len(axis) > 1)
+        """The coordinates that are unknown; the others are given."""
+        self.elements = self._chosen()
+        self.width = len(self.elements) * self.sets * SIGNALS + BODY
+        """Of a row of elements."""
+        self._span = _Span(
+            half_width,
+            np.array([self.delays[e.delay] for e in self.elements]),
+            np.array([self.lags[e.lag] for e in self.elements]),
+            dt,
+        )
+        self._lag_span = _Span(half_width, np.zeros_like(self.lags), self.lags, dt)
+        scan = [_thinned(axis, most) for axis, most in zip(axes, _SCANNED, strict=True)]
+        self.nodes = np.array(list(product(*scan)))
+        """(n, 3) coordinates from which a search may start."""
+
+    def _chosen(self) -> tuple[Element, ...]:
+        if len(self.lags) == 1:
+            return tuple(Element(0, j) for j in range(len(self.delays)))
+        middle = len(self.delays) // 2
+        lagged = [Element(i, middle) for i in range(len(self.lags))]
+        moved = [Element(0, j) for j in range(len(self.delays)) if j != middle]
+        return (*lagged, *moved)
+
+    @cached_property
+    def middle(self) -> int:
+        """The node nearest to no delay, and to the middle of lags and curves."""
+        centre = 0.5 * (self.low + self.high)
+        centre[DELAY] = 0.0
+        span = np.where(self.high > self.low, self.high - self.low, 1.0)
+        return int(np.argmin((((self.nodes - centre) / span) ** 2).sum(axis=1)))
+
+    def maps(self, at: Array) -> Array:
+        """(K, 1 + f, WIDTH, width) maps at (K, 3) coordinates.
+
+        The first makes rows [x, y] of rows of elements, the others are its derivatives by the f
+        free coordinates.
+        """
+        K, by = len(at), (None, *self.free)
+        delay, lag = at[:, DELAY], at[:, LAG]
+        filters = np.stack([self._span.weights(delay, lag, i) for i in by], axis=1)
+        mixtures = np.stack([self._mixture(at[:, CURVE], i) for i in by], axis=1)
+        rotors = (filters[..., None] * mixtures[:, :, None]).reshape(K, len(by), -1)
+        maps = np.zeros((K, len(by), WIDTH, self.width))
+        for place, column in enumerate(ROTOR_COLUMNS):
+            maps[:, :, column, place : self.width - BODY : SIGNALS] = rotors
+        maps[:, 0, _BODY_COLUMNS, range(self.width - BODY, self.width)] = 1.0
+        return maps
+
+    def map_at(self, at: Array) -> Array:
+        """(WIDTH, width) that makes rows [x, y] at (3,) coordinates of rows of elements."""
+        P: Array = self.maps(at[None])[0, 0]
+        return P
+
+    def moments_at(self, moments: Array, at: Array) -> Array:
+        """(..., WIDTH, WIDTH) of rows at (3,) coordinates, from (..., width, width)."""
+        P = self.map_at(at)
+        out: Array = P @ moments @ P.T
+        return out
+
+    def noise_at(self, noise: Array, at: Array) -> Array:
+        """(..., WIDTH, WIDTH) of noise of the inputs in the moments of rows at (3,) coordinates.
+
+        That of speeds is the same at all of them, and is given so. That of commands, which motors
+        filter, is given as (..., width, width) of rows of elements.
+        """
+        return self.moments_at(noise, at) if self.commands else noise
+
+    def body_places(self, columns: Sequence[int]) -> list[int]:
+        """Where columns of x that do not come from the rotors lie in a row of elements."""
+        return [self.width - BODY + _BODY_COLUMNS.index(column) for column in columns]
+
+    def thrust_weights(self, at: Array) -> Array:
+        """(lags * sets,) what makes thrust, undelayed, of that of the lags at (3,) coordinates."""
+        if not self.commands:
+            return np.ones(1)
+        weights = self._lag_span.weights(np.zeros(1), at[LAG : LAG + 1])
+        mixture = self._mixture(at[CURVE : CURVE + 1], None)
+        return np.outer(weights, mixture).ravel()
+
+    def _mixture(self, curve: Array, by: int | None) -> Array:
+        """(K, sets) of w and w^2 at (K,) curves, differentiated by a coordinate or none."""
+        one = np.ones_like(curve)
+        if not self.commands:
+            return one[:, None]
+        if by == CURVE:
+            return np.stack([-one, one], axis=1)
+        return np.stack([1.0 - curve, curve], axis=1)
+
+
+_SCANNED = (8, 6, 5)
+"""Most values of each coordinate from which a search starts."""
+
+
+def _thinned(axis: Array, most: int) -> Array:
+    if len(axis) == 1:
+        return axis
+    count = min(max(len(axis), 5), most)
+    return np.linspace(axis[0], axis[-1], count)
+
+
+class _Plain(ActuatorDynamics):
+    """Rows [x, y] as they are: nothing is unknown but theta."""
+
+    def __init__(self) -> None:
+        super().__init__((0.0,))
+        self.width = WIDTH
+
+    def maps(self, at: Array) -> Array:
+        maps: Array = np.broadcast_to(np.eye(WIDTH), (len(at), 1, WIDTH, WIDTH))
+        return maps
+
+
+PLAIN = _Plain()
+"""For rows [x, y] as they are."""

@@ -1,0 +1,123 @@
+"""Several flights in one record: whether the vehicle that takes off is the one that landed.
+
+On the ground anything may be done to it: another battery, a payload, other propellers. So the
+first seconds of each further flight are estimated apart, and held against what was known.
+"""
+
+import numpy as np
+from scipy.special import chdtrc
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.actuator_dynamics import CURVE
+from gcs_sysid.estimation.online import Fit, OnlineEstimator
+from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.signals.samples import Samples
+
+ENOUGH = 10.0
+"""s of a flight from which it is told whether the vehicle is the same."""
+SURE = 0.01
+"""How often two flights of one vehicle may be taken for those of two."""
+
+_COMPARED = range(rb.DAMPING)
+"""Of theta: inertia, CG, torque over thrust. Damping and rotor inertia are too faint to tell."""
+_MODEL_ERROR = 0.01
+"""Share by which fits of one vehicle may differ beyond their intervals: the model's own error,
+with wind, inflow and temperature."""
+_KNOWN_TO = 0.25
+"""A parameter known less well than this share of its size says nothing."""
+
+
+class Trial:
+    """The beginning of a flight, estimated apart, and its samples until the decision.
+
+    Args:
+        estimator: fresh.
+        landed: s, session time at which the flight before ended.
+        start: s, session time of the first sample.
+    """
+
+    def __init__(self, estimator: OnlineEstimator, landed: float, start: float) -> None:
+        self.landed, self.start = landed, start
+        self.end = start
+        """s, session time of the newest sample."""
+        self.parts: list[tuple[Array, Samples] | None] = []
+        """Times and samples in order; None where one part does not join on to the next."""
+        self._estimator = estimator
+        self._needed = round(ENOUGH / estimator.dt)
+
+    @property
+    def room(self) -> int:
+        """Samples to come until there are enough."""
+        return self._needed - sum(len(part[0]) for part in self.parts if part is not None)
+
+    def take(self, t: Array, samples: Samples) -> None:
+        """Add (n,) times and samples."""
+        self.parts.append((t, samples))
+        self._estimator.update(samples)
+        self.end = float(t[-1])
+
+    def restart(self) -> None:
+        """A gap: what comes next does not join on to what came before."""
+        if self.parts and self.parts[-1] is not None:
+            self.parts.append(None)
+        self._estimator.restart()
+
+    def drop_last(self, seconds: float) -> None:
+        """Leave out the last moments: a landing."""
+        self._estimator.forget_last(seconds)
+        kept: list[tuple[Array, Samples] | None] = []
+        for part in self.parts:
+            if part is not None:
+                stay = part[0] <= self.end - seconds
+                part = part[0][stay], part[1].part(stay)
+            kept.append(part)
+        self.parts = kept
+
+    def fit(self) -> Fit:
+        """The fit of this flight alone."""
+        return self._estimator.fit()
+
+
+def is_another(before: Fit, now: Fit, arm: float) -> bool:
+    """Whether two fits of different flights cannot be of one vehicle.
+
+    A chi-square test on what both know: k_T over mass, and what the rotation has relative to k_T.
+
+    Args:
+        before: the one.
+        now: the other.
+        arm: m, mean distance of the rotors, by which a CG is judged.
+    """
+    square, freedom = _thrust(before, now)
+    a, b = before.rotation, now.rotation
+    if a is not None and b is not None:
+        theta = a.theta
+        Ixx, Iyy, Izz = theta[:3]
+        size = np.empty(rb.N_THETA)
+        size[:3] = theta[:3]
+        size[3 : rb.N_INERTIA] = np.sqrt(np.abs([Ixx * Iyy, Iyy * Izz, Ixx * Izz]))
+        size[[rb.CG_X, rb.CG_Y]] = arm
+        size[rb.MOMENT_RATIO] = abs(theta[rb.MOMENT_RATIO])
+        known = [i for i in _COMPARED if max(a.std[i], b.std[i]) < _KNOWN_TO * size[i]]
+        if known:
+            difference = (b.theta - theta)[known]
+            covariance = (a.covariance + b.covariance)[np.ix_(known, known)]
+            covariance += np.diag((_MODEL_ERROR * size[known]) ** 2)
+            square += float(difference @ np.linalg.solve(covariance, difference))
+            freedom += len(known)
+    return freedom > 0 and bool(chdtrc(freedom, square) < SURE)
+
+
+def _thrust(before: Fit, now: Fit) -> tuple[float, int]:
+    """Squared distance and degrees of freedom of k_T over mass."""
+    a, b = before.translation, now.translation
+    if a is not None and b is not None and a.source != b.source:
+        # An accelerometer's bias is in both of its own.
+        a, b = before.accelerometer, now.accelerometer
+    if a is None or b is None or not max(a.kappa_std, b.kappa_std) < _KNOWN_TO * a.kappa:
+        return 0.0, 0
+    variance = a.kappa_std**2 + b.kappa_std**2 + (_MODEL_ERROR * a.kappa) ** 2
+    for thrust, rotation in ((a, before.rotation), (b, now.rotation)):
+        if rotation is not None:  # T_max / m goes with the thrust curve, which is uncertain too
+            variance += (thrust.curve_slope * float(rotation.coordinates_std[CURVE])) ** 2
+    return (b.kappa - a.kappa) ** 2 / variance, 1

@@ -1,0 +1,84 @@
+"""Is the vehicle a rigid body? What the flight says of its gyroscopic torque.
+
+Izz and the rotors' torque share one scale, which only the gyroscopic torque w x J w tells, and
+products of inertia rest on it too. Where a vehicle (or its simulator) does not have that torque,
+the fit bends Izz until there is none, explains nearly all of the motion, and is confidently
+wrong. So the torque that the fit predicts is put to the test: how many times of it is there,
+axis by axis, when everything that rotors and damping could do is left free? A rigid body
+answers 1.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.model import rigid_body as rb
+
+PRODUCTS = [rb.SIGNALS.index(name) for name in ("qr", "rp", "pq", "pp", "qq", "rr")]
+"""Columns of the products of rates, which the gyroscopic torque is made of."""
+_OTHERS = np.setdiff1d(np.arange(rb.N_SIGNALS), PRODUCTS)
+_OFF, _SURE = 0.3, 4.0
+"""By how much, and how many standard deviations, a share must be off before it is believed."""
+_NONE = 1e-8
+"""Share of an axis' acceleration below which there is no gyroscopic torque to speak of."""
+_TINY = 1e-300
+
+
+@dataclass(frozen=True)
+class RigidBodyTest:
+    """Gyroscopic torque found, over that of the rigid body fitted.
+
+    Attributes:
+        share: (3,) per axis; NaN where none is predicted.
+        std: (3,) standard deviations, from the scatter over the batches.
+    """
+
+    share: Array
+    std: Array
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether it is surely not the rigid body's on some axis."""
+        away = np.abs(self.share - 1.0)
+        return bool(np.any((away > _OFF) & (away > _SURE * self.std)))
+
+
+def judge_rigid_body(batches: Array, P: Array, theta: Array) -> RigidBodyTest:
+    """Compare the gyroscopic torque in the data with that of the fit.
+
+    Args:
+        batches: (k, width, width) moments of rows of elements.
+        P: (WIDTH, width) that makes rows [x, y] of these, rotors' signals as fitted.
+        theta: (N_THETA,) of the fit.
+    """
+    n = rb.N_SIGNALS
+    Q = rb.forward_matrix(theta)
+    total = P @ batches.sum(axis=0) @ P.T
+    share, std = np.full(3, np.nan), np.full(3, np.nan)
+    for axis in range(3):
+        predicted, residual = np.zeros(n + 3), np.zeros(n + 3)
+        predicted[PRODUCTS] = Q[axis, PRODUCTS]
+        residual[:n], residual[n + axis] = -Q[axis], 1.0
+        power = predicted @ total @ predicted
+        if not power > _NONE * total[n + axis, n + axis]:
+            continue
+        predicted, residual = (_apart(total, v) for v in (predicted, residual))
+        power = max(float(predicted @ total @ predicted), _TINY)
+        more = float(predicted @ total @ residual) / power
+        # Neighbouring batches share slow noise, as in the sandwich of the fit.
+        scores = (batches @ ((residual - more * predicted) @ P)) @ (predicted @ P)
+        meat = float(scores @ scores + 2.0 * (scores[1:] @ scores[:-1]))
+        share[axis] = 1.0 + more
+        std[axis] = np.sqrt(max(meat, float(scores @ scores))) / power
+    return RigidBodyTest(share, std)
+
+
+def _apart(total: Array, combination: Array) -> Array:
+    """A combination of columns without what all the other inputs explain of it."""
+    moments = total[np.ix_(_OTHERS, _OTHERS)]
+    d = np.sqrt(np.maximum(np.diag(moments), _TINY))
+    scaled = np.linalg.pinv(moments / np.outer(d, d), rcond=1e-10, hermitian=True)
+    out: Array = combination.copy()
+    out[_OTHERS] -= scaled @ (total[_OTHERS] @ combination / d) / d
+    return out

@@ -1,0 +1,112 @@
+"""What sets the scale, and what else was known before the flight.
+
+IMU and rotor speeds tell everything divided by k_T, and k_T / m; with commands the thrust at full
+command, T_max, takes the place of k_T throughout. One more fact makes that absolute: the mass,
+k_T or T_max, or a second flight with a known mass added:
+
+    kappa_1 = k_T / m,  kappa_2 = k_T / (m + added)  =>  m = added kappa_2 / (kappa_1 - kappa_2)
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS, Prior
+from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.scale_reference import Known, ScaleReference
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Mass and thrust with relative standard deviations; None: not known.
+
+    Thrust is k_T with rotor speeds, T_max with commands.
+    """
+
+    mass: float | None
+    mass_share: float
+    thrust: float | None
+    thrust_share: float
+
+
+def resolve_scale(
+    anchor: ScaleReference, translation: TranslationFit | None, known: Mapping[str, Known]
+) -> Scale:
+    """Mass and thrust from the anchor, the flight, and priors on either.
+
+    Args:
+        anchor: in force.
+        translation: thrust / m of the flight; None while there is none.
+        known: priors; those on mass and k_T count here.
+    """
+    kappa, share = math.nan, math.inf
+    if translation is not None and translation.kappa > 0.0:
+        kappa, share = translation.kappa, translation.kappa_std / translation.kappa
+    if not share < 1.0:
+        kappa, share = math.nan, math.inf
+    if anchor.kind == "added_mass":
+        return _added_mass(anchor, kappa, share)
+    own = anchor.std / anchor.value
+    other = math.hypot(own, share)
+    if anchor.kind == "mass":
+        k_T, k_T_share = _combined(anchor.value * kappa, other, known.get("k_T"))
+        return Scale(anchor.value, own, k_T, k_T_share)
+    mass, mass_share = _combined(anchor.value / kappa, other, known.get("mass"))
+    return Scale(mass, mass_share, anchor.value, own)
+
+
+def _added_mass(anchor: ScaleReference, kappa: float, share: float) -> Scale:
+    nothing = Scale(None, math.inf, None, math.inf)
+    if anchor.loaded is None or not math.isfinite(kappa):
+        return nothing
+    loaded, loaded_share = anchor.loaded[0], anchor.loaded[1] / anchor.loaded[0]
+    apart = kappa - loaded
+    if apart <= 0.0:
+        return nothing
+    own = anchor.std / anchor.value
+    # First-order propagation of both flights' errors, which the difference magnifies.
+    k_T_share = math.hypot(loaded / apart * share, kappa / apart * loaded_share, own)
+    mass_share = math.hypot(kappa / apart * share, kappa / apart * loaded_share, own)
+    mass = anchor.value * loaded / apart
+    return Scale(mass, mass_share, mass * kappa, k_T_share)
+
+
+def _combined(value: float, share: float, prior: Known | None) -> tuple[float | None, float]:
+    """A measured value and a prior on it, weighed by their variances."""
+    if prior is not None:
+        if not math.isfinite(value):
+            return prior[0], prior[1] / prior[0]
+        measured, given = 1.0 / (share * value) ** 2, 1.0 / prior[1] ** 2
+        value = (measured * value + given * prior[0]) / (measured + given)
+        return value, math.sqrt(1.0 / (measured + given)) / value
+    return (value, share) if math.isfinite(value) else (None, math.inf)
+
+
+LENGTHS = ("cg_x", "cg_y", "moment_ratio")
+"""Parameters that need no scale."""
+
+
+def relative_prior(known: Mapping[str, Known], scale: Scale) -> Prior | None:
+    """Priors on physical parameters as one on theta, as far as the scale is known."""
+    mean, information = np.zeros(N_UNKNOWNS), np.zeros(N_UNKNOWNS)
+    for name, (value, std) in known.items():
+        if name in ("mass", "k_T"):
+            continue
+        if name == "rotor_delay":
+            index = DELAY
+        else:
+            index = rb.THETA.index("moment_ratio" if name == "k_M" else name)
+        if name not in (*LENGTHS, "rotor_delay"):
+            if scale.thrust is None:
+                continue
+            value, std = value / scale.thrust, std / scale.thrust
+            std = math.hypot(std, value * scale.thrust_share)
+        # Two priors on one unknown (k_M and moment_ratio) add up.
+        weight = 1.0 / std**2
+        total = information[index] + weight
+        mean[index] += weight / total * (value - mean[index])
+        information[index] = total
+    return Prior(mean, np.diag(information)) if information.any() else None

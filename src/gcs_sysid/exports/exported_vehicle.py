@@ -1,0 +1,286 @@
+"""The vehicle to be exported: what a flight told, and what was said beside it.
+
+Nothing is invented here. A parameter is known because the flight told it, because somebody gave
+it, or because it follows from two that are.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.errors import GcsSysidError, InputError
+from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.airframe import ANCHORS, POSITIVE, Airframe, Rotor, parse_airframe
+from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.results.result import Estimate, Result
+
+INERTIA = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz")
+UNITS = {
+    **{name: p.unit for name, p in (PARAMETERS | TIMING).items() if name != "rotor_delay"},
+    "rotor_speed_max": "rad/s",
+}
+"""Everything that a vehicle here may know; `rotor_speed_max` is the speed at full command."""
+
+_ABOVE_ZERO = {*POSITIVE, "T_max", "rotor_speed_max"}
+_NOT_BELOW_ZERO = {"rotational_damping", "rotor_inertia", "linear_drag", "motor_lag"}
+
+_FOLLOWS = {"k_T": ("k_M",), "k_M": ("moment_ratio",), "moment_ratio": ("k_M",)}
+"""What is reckoned anew where a value is given in place of the flight's."""
+_APART = 0.02
+"""Relative difference from which k_T, T_max and rotor_speed_max contradict."""
+
+_FULL_SPEED = ("k_T", "k_M", "T_max", "rotor_speed_max")
+
+FLU = np.diag([1.0, -1.0, -1.0])
+"""From forward, right, down to forward, left, up, and back."""
+
+
+class MissingError(GcsSysidError):
+    """The data do not hold what a file cannot do without (exit status 1)."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One known parameter.
+
+    Attributes:
+        value: SI.
+        std: standard deviation; None where it is not known.
+        origin: the flight's status ("identified", "weak", "given"), else where it comes from.
+    """
+
+    value: float
+    std: float | None
+    origin: str
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """What is known of a vehicle; axes forward, right, down.
+
+    Attributes:
+        name: for the file, made of letters, digits and underscores.
+        rotors: in the autopilot's motor order, seen from the geometric centre.
+        known: parameter name (of `UNITS`) -> value.
+        result: that most of it comes from.
+    """
+
+    name: str
+    rotors: tuple[Rotor, ...]
+    known: Mapping[str, Quantity]
+    result: Result
+
+    def get(self, name: str) -> float | None:
+        """The value of a parameter, None where it is not known.
+
+        What no vehicle has below zero is zero where the flight says less.
+        """
+        if name not in self.known:
+            return None
+        value = self.known[name].value
+        return max(value, 0.0) if name in _NOT_BELOW_ZERO else value
+
+    def __getitem__(self, name: str) -> float:
+        """The value of a parameter that is known, after `need`."""
+        value = self.get(name)
+        if value is None:
+            raise KeyError(name)
+        return value
+
+    def need(self, target: str, names: Iterable[str]) -> None:
+        """Make sure that these are known.
+
+        Raises:
+            MissingError: names all that are not, and what to do.
+        """
+        missing = [name for name in names if name not in self.known]
+        if not missing:
+            return
+        listed = ", ".join(missing)
+        if self.result.scale is None and "mass" in missing:
+            raise MissingError(
+                f"{target} needs {listed}: the result has no scale, weigh the vehicle and "
+                "analyze again with --mass KG"
+            )
+        # k_T, T_max and rotor_speed_max: two tell the third.
+        by_full_speed = [name for name in missing if name in _FULL_SPEED]
+        if ("k_T" in self.known) == ("T_max" in self.known):
+            by_full_speed = []
+        rest = [name for name in missing if name not in by_full_speed]
+        advice = []
+        if rest:
+            again = "" if rest == ["motor_lag"] else "fly again so that it does, or "
+            advice.append(again + "give " + " ".join(f"--set {name}=VALUE" for name in rest))
+        if by_full_speed:
+            advice.append("give --set rotor_speed_max=RAD_S, the rotors' speed at full command")
+        raise MissingError(
+            f"{target} needs {listed}, which this result does not tell: {'; '.join(advice)}"
+        )
+
+    def check_inertia(self) -> None:
+        """Make sure that a rigid body can have this inertia, as simulators do.
+
+        Raises:
+            MissingError: none can.
+        """
+        if not rb.is_physical(np.array([self[name] for name in INERTIA])):
+            raise MissingError(
+                "no rigid body has this inertia (one principal moment exceeds the sum of the "
+                "others): it is too roughly known; fly again, or give some of "
+                + ", ".join(INERTIA)
+                + " with --set NAME=VALUE"
+            )
+
+    @property
+    def inertia(self) -> Array:
+        """(3, 3) matrix about the CG, kg m^2, axes forward, right, down."""
+        return rb.inertia_matrix(np.array([self[name] for name in INERTIA]))
+
+    @property
+    def inertia_flu(self) -> Array:
+        """The same with axes forward, left, up: Ixy and Ixz change sign."""
+        turned: Array = FLU @ self.inertia @ FLU
+        return turned
+
+    @property
+    def cg_flu(self) -> Array:
+        """(3,) CG from the geometric centre, m, forward, left, up; no flight tells its height."""
+        return np.array([self["cg_x"], -self["cg_y"], 0.0])
+
+    @property
+    def rotors_flu(self) -> Array:
+        """(n, 3) rotors from the geometric centre, m, forward, left, up."""
+        return np.array([[r.x, -r.y, 0.0] for r in self.rotors])
+
+
+def assemble(
+    result: Result,
+    airframe: Airframe | None = None,
+    given: Mapping[str, float] = MappingProxyType({}),
+    name: str | None = None,
+) -> Vehicle:
+    """Bring together what is known of a vehicle.
+
+    Args:
+        result: of an identification.
+        airframe: its priors and anchor stand in for what the flight does not tell, its rotors
+            for a result that does not name its own.
+        given: values by name (of `UNITS`); they come before everything else.
+        name: of the vehicle; the airframe's by default.
+
+    Raises:
+        InputError: a value makes no sense, the rotors are not known, or they contradict.
+    """
+    rotors, label = _rotors(result, airframe)
+    known = {n: q for n, e in (result.parameters | result.timing).items() if (q := _told(e))}
+    known.pop("rotor_delay", None)
+    if airframe is not None:
+        for n, quantity in _of_airframe(airframe).items():
+            known.setdefault(n, quantity)
+    for n, value in given.items():
+        known[n] = _checked(n, value)
+        for dependent in _FOLLOWS.get(n, ()):
+            if dependent not in given:
+                known.pop(dependent, None)
+    _complete(known)
+    return Vehicle(_identifier(name or label), rotors, known, result)
+
+
+def _told(estimate: Estimate) -> Quantity | None:
+    if estimate.value is None or estimate.status == "unobservable":
+        return None
+    return Quantity(estimate.value, estimate.std, estimate.status)
+
+
+def _of_airframe(airframe: Airframe) -> dict[str, Quantity]:
+    origin = f"airframe {airframe.name}"
+    out = {
+        name: Quantity(value, std, origin)
+        for name, (value, std) in airframe.priors.items()
+        if name in UNITS
+    }
+    for name in ANCHORS:
+        value = getattr(airframe, name)
+        if value is not None:
+            out[name] = Quantity(value, None, origin)
+    if airframe.command.thrust_curve is not None:
+        out["thrust_curve"] = Quantity(airframe.command.thrust_curve, None, origin)
+    return out
+
+
+def _checked(name: str, value: float) -> Quantity:
+    if name not in UNITS:
+        raise InputError(f"--set: no parameter {name!r}; known are {', '.join(UNITS)}")
+    if not math.isfinite(value):
+        raise InputError(f"--set {name}: must be a finite number")
+    if name in _ABOVE_ZERO and value <= 0.0:
+        raise InputError(f"--set {name}: must be positive, got {value:g}")
+    if name in _NOT_BELOW_ZERO and value < 0.0:
+        raise InputError(f"--set {name}: must not be negative, got {value:g}")
+    return Quantity(value, None, "by hand")
+
+
+def _rotors(result: Result, airframe: Airframe | None) -> tuple[tuple[Rotor, ...], str]:
+    if not result.airframe:
+        if airframe is None:
+            raise InputError(
+                "the result does not say where the rotors are: give the --airframe that it was "
+                "analyzed with"
+            )
+        return airframe.rotors, airframe.name
+    table = {"name": result.airframe.get("name"), "rotor": result.airframe.get("rotors")}
+    own = parse_airframe(table, "the result's airframe")
+    if airframe is not None and not np.array_equal(own.geometry.shape, airframe.geometry.shape):
+        raise InputError(
+            f"the result is of a vehicle with {len(own.rotors)} rotors, --airframe "
+            f"{airframe.name} has {len(airframe.rotors)}"
+        )
+    if airframe is not None and not np.allclose(own.geometry, airframe.geometry, atol=1e-6):
+        raise InputError(
+            f"the rotors of --airframe {airframe.name} are not where the result has them: "
+            "give the airframe (and --arm) that it was analyzed with"
+        )
+    return own.rotors, own.name
+
+
+@dataclass(frozen=True)
+class _Rule:
+    """One parameter by two others."""
+
+    name: str
+    of: tuple[str, str]
+    formula: Callable[[float, float], float]
+
+
+_RULES = (
+    _Rule("k_T", ("T_max", "rotor_speed_max"), lambda thrust, speed: thrust / speed**2),
+    _Rule("T_max", ("k_T", "rotor_speed_max"), lambda k_T, speed: k_T * speed**2),
+    _Rule("rotor_speed_max", ("T_max", "k_T"), lambda thrust, k_T: math.sqrt(thrust / k_T)),
+    _Rule("moment_ratio", ("k_M", "k_T"), lambda k_M, k_T: k_M / k_T),
+    _Rule("k_M", ("moment_ratio", "k_T"), lambda ratio, k_T: ratio * k_T),
+)
+
+
+def _complete(known: dict[str, Quantity]) -> None:
+    """Add what follows from two others."""
+    for rule in _RULES:
+        if rule.name not in known and all(name in known for name in rule.of):
+            value = rule.formula(*(known[name].value for name in rule.of))
+            known[rule.name] = Quantity(value, None, f"from {' and '.join(rule.of)}")
+    if {"k_T", "T_max", "rotor_speed_max"} <= known.keys():
+        k_T, full, speed = (known[n].value for n in ("k_T", "T_max", "rotor_speed_max"))
+        if abs(k_T * speed**2 / full - 1.0) > _APART:
+            raise InputError(
+                f"T_max = {full:.4g} N is not k_T times rotor_speed_max squared "
+                f"({k_T * speed**2:.4g} N): give one of the two"
+            )
+
+
+def _identifier(name: str) -> str:
+    """A name that every format takes."""
+    word = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)
+    return word if word and not word[0].isdigit() else f"_{word}"

@@ -1,1 +1,0 @@
-"""Signal processing: complementary filter, tracking differentiators, windows."""

@@ -1,0 +1,226 @@
+"""What an inspection finds: plain facts, fit for a table and for JSON."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+from gcs_sysid.signals.records import Stream
+from gcs_sysid.telemetry.vehicles import RADIO, Vehicle
+
+SCHEMA = "gcs-sysid-inspect/1"
+AXES = ("roll", "pitch", "yaw")
+ONBOARD = ("ulog", "dataflash")
+"""Kinds of log that the autopilot wrote itself."""
+
+Verdict = Literal["yes", "partly", "no"]
+
+
+@dataclass(frozen=True)
+class StreamFacts:
+    """One stream: in flight, where there is flight, else all of it."""
+
+    stream: Stream
+    message: str
+    """Name of the message or topic that it comes from."""
+    offset: int
+    """Index of its first rotor."""
+    samples: int
+    rate: float | None
+    """Hz between the gaps; None for a single sample."""
+    gaps: int
+    longest_gap: float
+    """s; 0.0 without gaps."""
+    missing_percent: float
+    """Samples skipped one by one, by the stamps: lost or never sent."""
+    repeats_percent: float
+    """Samples that repeat the values of the one before under a later stamp."""
+
+
+@dataclass(frozen=True)
+class RotorFacts:
+    """One rotor of one source."""
+
+    low: float
+    high: float
+    mean: float
+    """rad/s, or the autopilot's own unit of outputs."""
+    zero_percent: float
+
+
+@dataclass(frozen=True)
+class RotorSource:
+    """All rotors that one message tells of."""
+
+    message: str
+    kind: Literal["speed", "command"]
+    rate: float | None
+    """Hz of the slowest of its streams."""
+    repeats_percent: float
+    rotors: tuple[RotorFacts, ...]
+    """In the autopilot's motor order; as many as the vehicle has, where its type tells."""
+
+    @property
+    def dead(self) -> tuple[int, ...]:
+        """Motors, from 1, that tell nothing: zero nearly always, or not a change in flight."""
+        return tuple(
+            motor
+            for motor, rotor in enumerate(self.rotors, 1)
+            if rotor.zero_percent > 95.0 or (self.kind == "command" and rotor.low == rotor.high)
+        )
+
+
+@dataclass(frozen=True)
+class RotorInput:
+    """The source that identification uses, as the chain's own selector decides."""
+
+    chosen: RotorSource | None
+    reasons: tuple[str, ...] = ()
+    """Why not the others, and why this one where that is not plain."""
+    judged: bool = False
+    """Whether there was flight to judge by."""
+    range: tuple[float, float] | None = None
+    """Outputs without thrust and at full thrust, of commands."""
+    range_from: str = ""
+
+
+@dataclass(frozen=True)
+class AxisMotion:
+    """How an axis was moved in flight, without white sensor noise and constant bias."""
+
+    rate_rms: float
+    """rad/s."""
+    acceleration_rms: float
+    """rad/s^2, below about 5 Hz."""
+
+
+@dataclass(frozen=True)
+class ClockFacts:
+    """The vehicle's clock."""
+
+    drift_ppm: float | None
+    """How fast it ran against the computer that recorded; None when not known."""
+    reboots: int
+    wraps: int
+    """Wraps of 32-bit stamps in microseconds (SERVO_OUTPUT_RAW)."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that decides, or that a pilot should know."""
+
+    level: Literal["blocks", "limits", "note"]
+    text: str
+    advice: str = ""
+    """What to do about it."""
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """Everything found. Times are s since the first record, going on over reboots."""
+
+    source: str
+    kind: Literal["tlog", "ulog", "dataflash", "link"]
+    duration: float
+    vehicle: Vehicle | None
+    systems: tuple[Vehicle, ...]
+    flights: tuple[tuple[float, float], ...]
+    flight_told_by: Literal["autopilot", "rotors", "arming", ""]
+    """What says that it flies; "" when nothing does."""
+    streams: tuple[StreamFacts, ...]
+    rotor_sources: tuple[RotorSource, ...]
+    motion: Mapping[str, AxisMotion]
+    """Axis -> motion; empty without flight."""
+    clock: ClockFacts
+    parameters: Mapping[str, float]
+    """Those that matter for identification."""
+    parameter_count: int
+    """How many there are."""
+    rotors: int
+    """How many the airframe has, by its name, by the vehicle's type or as assumed."""
+    rotors_assumed: bool
+    """Whether nothing tells how many."""
+    telemetry: Mapping[str, Any]
+    """As in a result: counts, losses, messages."""
+    rotor_input: RotorInput = field(default_factory=lambda: RotorInput(None))
+    problems: tuple[str, ...] = ()
+    """Why a link brings too little, as far as the link itself tells."""
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def in_air(self) -> float:
+        """Seconds of flight."""
+        return sum(end - start for start, end in self.flights)
+
+    @property
+    def heard(self) -> bool:
+        """Whether anything at all came."""
+        return bool(self.systems)
+
+    @property
+    def vehicle_address(self) -> tuple[int, int] | None:
+        """(sysid, compid) of the vehicle inspected."""
+        return None if self.vehicle is None else self.vehicle.address
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the vehicle can be identified from this."""
+        levels = {finding.level for finding in self.findings}
+        return "no" if "blocks" in levels else "partly" if "limits" in levels else "yes"
+
+    def stream(self, kind: Stream) -> StreamFacts | None:
+        """The stream of a kind, the first where there are several."""
+        return next((s for s in self.streams if s.stream is kind), None)
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "reasons": [asdict(finding) for finding in self.findings],
+            "source": self.source,
+            "kind": self.kind,
+            "duration": self.duration,
+            "vehicle": self.vehicle.as_dict() if self.vehicle else {},
+            "systems": [
+                {**system.as_dict(), "name": str(system), "role": role(system)}
+                for system in self.systems
+            ],
+            "flights": [{"start": start, "end": end} for start, end in self.flights],
+            "in_air": self.in_air,
+            "flight_told_by": self.flight_told_by,
+            "streams": [asdict(stream) for stream in self.streams],
+            "clock": asdict(self.clock),
+            "rotor_input": {
+                "kind": self.rotor_input.chosen.kind if self.rotor_input.chosen else None,
+                "message": self.rotor_input.chosen.message if self.rotor_input.chosen else None,
+                "rotors": self.rotors,
+                "judged": self.rotor_input.judged,
+                "reasons": list(self.rotor_input.reasons),
+                "range": list(self.rotor_input.range) if self.rotor_input.range else None,
+                "range_from": self.rotor_input.range_from or None,
+                "sources": [
+                    {**asdict(source), "unit": unit(source), "dead": list(source.dead)}
+                    for source in self.rotor_sources
+                ],
+            },
+            "excitation": {axis: asdict(motion) for axis, motion in self.motion.items()},
+            "parameters": dict(self.parameters),
+            "parameter_count": self.parameter_count,
+            "telemetry": dict(self.telemetry),
+        }
+
+
+def role(system: Vehicle) -> str:
+    """What a system is: "vehicle", "radio", "gcs", "other"; "unknown" without a heartbeat."""
+    if system.address == RADIO:
+        return "radio"
+    if system.autopilot is None:
+        return "unknown"
+    if system.is_autopilot:
+        return "vehicle"
+    return "gcs" if "ground station" in str(system) else "other"
+
+
+def unit(source: RotorSource) -> str:
+    """Unit of its rotors' values."""
+    return "rad/s" if source.kind == "speed" else "autopilot's output"

@@ -1,0 +1,230 @@
+"""Whether a vehicle can be identified from what was found, in a pilot's words."""
+
+from collections.abc import Iterator
+from typing import Literal
+
+from gcs_sysid.inspection.facts import AXES, ONBOARD, Finding, Inspection, RotorSource
+from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.rotor_source_selector import MIN_RATE
+from gcs_sysid.telemetry.wanted_streams import NEEDED_RATE
+
+COMMANDS_FROM = 100.0
+"""Hz. Commands sampled slower than the autopilot's loop are aliased."""
+NEARLY = 0.9
+"""A nominal rate comes a little slower."""
+ATTITUDE_FROM = 5.0
+"""Hz."""
+SHORT, TOO_SHORT = 15.0, 5.0
+"""s of flight."""
+LITTLE = {"roll": 1.0, "pitch": 1.0, "yaw": 0.25}
+"""rad/s^2 rms. Five times what a hover in light wind shows."""
+LOSS_TOLD, LOSS_HURTS = 2.0, 20.0
+"""Percent of the IMU's samples or of all messages."""
+GARBAGE_TOLD = 1000
+"""Bytes; a few are usual where a recording began or ended."""
+MOST_NAMED = 8
+"""Other vehicles; a hostile sender can make up hundreds."""
+SLOW_FILTER = 40.0
+"""Hz. A gyro filter below this delays by more than 5 ms."""
+
+_TOLD_BY_AXIS = {"roll": "Ixx", "pitch": "Iyy", "yaw": "Izz and k_M"}
+_FASTER = {
+    "ulog": "log more: on PX4 set SDLOG_PROFILE to system identification and high rate",
+    "dataflash": "log more: on ArduPilot add fast attitude and fast IMU to LOG_BITMASK",
+}
+_FASTER_LINK = (
+    "record with gcs-sysid live, which asks for the rates, over a fast link (460800 baud, USB, "
+    "WiFi), or analyze the autopilot's own log"
+)
+
+
+def findings_of(inspection: Inspection) -> tuple[Finding, ...]:
+    """Everything that decides or is worth knowing, the worst first."""
+    order = {"blocks": 0, "limits": 1, "note": 2}
+    return tuple(sorted(_findings(inspection), key=lambda finding: order[finding.level]))
+
+
+def _findings(found: Inspection) -> Iterator[Finding]:
+    for problem in found.problems:
+        yield Finding("limits", problem)
+    if found.vehicle is None:
+        yield _no_vehicle(found)
+        return
+    yield from _imu(found)
+    yield from _rotors(found)
+    yield from _attitude_and_velocity(found)
+    yield from _flight(found)
+    yield from _motion(found)
+    yield from _losses(found)
+    yield from _others(found)
+
+
+def _no_vehicle(found: Inspection) -> Finding:
+    if not found.heard:
+        return Finding("blocks", "nothing was heard", "check the link, its port and its baud rate")
+    names = ", ".join(map(str, found.systems))
+    if any(system.is_autopilot for system in found.systems):
+        text = f"the vehicle wanted was not heard; heard: {names}"
+        return Finding("blocks", text, "name one of these with --vehicle")
+    text = f"no heartbeat of an autopilot was heard; heard: {names}"
+    return Finding("blocks", text, "see whether it is switched on, and sends to this link")
+
+
+def _faster(found: Inspection) -> str:
+    return _FASTER.get(found.kind, _FASTER_LINK)
+
+
+def _imu(found: Inspection) -> Iterator[Finding]:
+    imu = found.stream(Stream.IMU)
+    if imu is None:
+        yield Finding("blocks", "no IMU data (HIGHRES_IMU)", _faster(found))
+        return
+    rate = imu.rate or 0.0
+    if rate < MIN_RATE:
+        text = f"{imu.message} comes at {rate:.1f} Hz; identification needs {NEEDED_RATE:.0f} Hz"
+        yield Finding("blocks", text, _faster(found))
+    elif rate < NEARLY * COMMANDS_FROM:
+        needed = rate >= NEARLY * NEEDED_RATE
+        text = f"{imu.message} at {rate:.0f} Hz is {'' if needed else 'too '}slow for quick motion"
+        yield Finding("note" if needed else "limits", text, _faster(found))
+    # PX4's IMU data come from before its filter.
+    cutoff = found.parameters.get("INS_GYRO_FILTER", 0.0)
+    if 0.0 < cutoff < SLOW_FILTER:
+        yield Finding("note", f"the gyro is low-passed at {cutoff:.0f} Hz (INS_GYRO_FILTER)")
+
+
+def _rotors(found: Inspection) -> Iterator[Finding]:
+    chosen = found.rotor_input.chosen
+    if found.rotors_assumed and found.rotor_sources:
+        text = f"the vehicle's type does not tell how many rotors it has: {found.rotors} assumed"
+        yield Finding("note", text, "give --rotors N, or --airframe")
+    if chosen is None:
+        if not found.rotor_input.judged and any(_is_quick(s) for s in found.rotor_sources):
+            return  # what flight would show; that there was none is told apart
+        why = "; ".join(found.rotor_input.reasons) or "; ".join(
+            f"{source.message} comes at {source.rate or 0.0:.1f} Hz"
+            for source in found.rotor_sources
+        )
+        yield Finding(
+            "blocks",
+            f"no rotor input that can be used: {why}" if why else "no rotor input at all",
+            _faster(found)
+            if why
+            else "let the ESCs send rpm telemetry, or record the "
+            "actuator outputs (gcs-sysid live asks for both)",
+        )
+        return
+    for reason in found.rotor_input.reasons:
+        yield Finding("note", reason)
+    if chosen.kind == "command" and (chosen.rate or 0.0) < NEARLY * COMMANDS_FROM:
+        yield Finding(
+            "limits",
+            f"{chosen.message}'s commands at {chosen.rate:.0f} Hz miss what the autopilot does "
+            "in between",
+            _faster(found),
+        )
+    elif (chosen.rate or 0.0) < NEARLY * NEEDED_RATE:
+        text = f"{chosen.message} at {chosen.rate:.0f} Hz is slow: quick motion goes unused"
+        yield Finding("limits", text, _faster(found))
+
+
+def _is_quick(source: RotorSource) -> bool:
+    return source.rate is not None and source.rate >= MIN_RATE
+
+
+def _attitude_and_velocity(found: Inspection) -> Iterator[Finding]:
+    attitude = found.stream(Stream.ATTITUDE)
+    if attitude is None:
+        yield Finding("blocks", "no attitude (ATTITUDE or ATTITUDE_QUATERNION)", _faster(found))
+    elif (attitude.rate or 0.0) < ATTITUDE_FROM:
+        yield Finding(
+            "limits", f"{attitude.message} at {attitude.rate or 0.0:.1f} Hz is slow", _faster(found)
+        )
+    if found.stream(Stream.VELOCITY) is None:
+        yield Finding("note", "no velocity (LOCAL_POSITION_NED): drag cannot be told")
+
+
+def _flight(found: Inspection) -> Iterator[Finding]:
+    if not found.flight_told_by:
+        yield Finding(
+            "blocks",
+            "nothing tells when it flies",
+            "record EXTENDED_SYS_STATE too (gcs-sysid live asks for it)",
+        )
+    elif found.kind == "link":
+        if not found.flights:
+            text = "not in the air while listening: what depends on flight cannot be seen"
+            yield Finding("blocks", text, "inspect again in flight, or start gcs-sysid live")
+    elif found.in_air < TOO_SHORT:
+        text = f"only {found.in_air:.0f} s in the air" if found.in_air else "never in the air"
+        yield Finding("blocks", text, "fly a minute, with rolls, pitches and yaws")
+    elif found.in_air < SHORT:
+        text = f"only {found.in_air:.0f} s in the air: intervals stay wide"
+        yield Finding("limits", text, "fly a minute or more")
+    if len(found.flights) > 1:
+        text = f"{len(found.flights)} flights: they are joined only where they agree"
+        yield Finding("note", text)
+
+
+def _motion(found: Inspection) -> Iterator[Finding]:
+    little = [a for a in AXES if a in found.motion and _is_little(found, a)]
+    if not little:
+        return
+    told = ", ".join(_TOLD_BY_AXIS[axis] for axis in little)
+    axes = " and ".join(filter(None, [", ".join(little[:-1]), little[-1]]))
+    now = "right now " if found.kind == "link" else ""
+    yield Finding(
+        "limits",
+        f"too little {axes} motion {now}to tell {told} well",
+        f"fly quick {axes} inputs both ways (doublets) for 10 s an axis, in calm air",
+    )
+
+
+def _is_little(found: Inspection, axis: str) -> bool:
+    return found.motion[axis].acceleration_rms < LITTLE[axis]
+
+
+def _losses(found: Inspection) -> Iterator[Finding]:
+    imu = found.stream(Stream.IMU)
+    lost = float(found.telemetry.get("lost_percent", 0.0))
+    skipped = imu.missing_percent if imu else 0.0
+    if lost > LOSS_TOLD:
+        advice = "" if found.kind in ONBOARD else "fly nearer, or ask for less (--rate)"
+        yield Finding(_loss_level(lost), f"{lost:.0f} % of the messages were lost", advice)
+    elif imu and skipped > LOSS_TOLD:
+        text = f"{skipped:.0f} % of {imu.message} was never sent, by its stamps"
+        yield Finding(_loss_level(skipped), text)
+    if imu and imu.gaps:
+        text = f"{imu.gaps} gaps in {imu.message}, the longest {imu.longest_gap:.1f} s"
+        yield Finding("note", text)
+    bad = int(found.telemetry.get("bad_crc", 0))
+    if bad:
+        yield Finding("note", f"{bad} messages of another definition, or damaged, are skipped")
+    torn = int(found.telemetry.get("cut_short", 0))
+    if torn:
+        text = f"the last record is cut short: {torn} bytes (the recording was not ended)"
+        yield Finding("note", text)
+    garbage = int(found.telemetry.get("garbage_bytes", 0))
+    if garbage >= GARBAGE_TOLD or found.telemetry.get("damaged"):
+        text = f"damaged: {garbage} bytes belong to no message" if garbage else "damaged in part"
+        yield Finding("note", text)
+    drops = found.telemetry.get("dropouts", {})
+    if drops.get("count"):
+        text = (
+            f"the autopilot could not write for {drops['seconds']:.1f} s ({drops['count']} times)"
+        )
+        yield Finding("note", text, "use a faster SD card")
+
+
+def _loss_level(percent: float) -> Literal["limits", "note"]:
+    return "limits" if percent > LOSS_HURTS else "note"
+
+
+def _others(found: Inspection) -> Iterator[Finding]:
+    if found.clock.reboots:
+        yield Finding("note", f"the autopilot restarted in between ({found.clock.reboots} x)")
+    others = [s for s in found.systems if s.is_autopilot and s.address != found.vehicle_address]
+    if others:
+        more = [f"{len(others) - MOST_NAMED} more"] * (len(others) > MOST_NAMED)
+        names = ", ".join([*map(str, others[:MOST_NAMED]), *more])
+        yield Finding("note", f"other vehicles speak too: {names}", "choose with --vehicle")

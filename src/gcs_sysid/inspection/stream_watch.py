@@ -1,0 +1,252 @@
+"""Watches streams go by, in bounded memory: rates, gaps, repeats, ranges, motion.
+
+Samples are gathered in chunks and looked at as arrays, because a log has a million of them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.inspection.facts import AxisMotion, RotorFacts
+from gcs_sysid.telemetry.monitor import GAP
+
+CHUNK = 4096
+"""Samples gathered before they are looked at."""
+SKIPPED_FROM = 1.7
+"""Usual steps from which a step has skipped samples: ArduPilot's 250 Hz are steps of 2.5 and
+5 ms, 1.25 times the usual 4 ms."""
+BIN = 0.1
+"""s over which the gyro is averaged for the motion of an axis."""
+_SAMPLES_PER_BIN = 4
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Samples in rising time.
+
+    Attributes:
+        t: (n,) s.
+        values: (n, width); NaN where a sample has fewer values than others.
+    """
+
+    t: Array
+    values: Array
+
+
+@dataclass
+class Tally:
+    """Counts of one stream."""
+
+    samples: int = 0
+    steps: int = 0
+    """Between neighbouring samples, gaps apart."""
+    seconds: float = 0.0
+    """In these steps."""
+    gaps: int = 0
+    longest_gap: float = 0.0
+    missing: int = 0
+    compared: int = 0
+    repeats: int = 0
+
+    @property
+    def rate(self) -> float | None:
+        """Hz between gaps, counting what is missing; None until two samples came."""
+        return self.steps / self.seconds if self.seconds > 0.0 else None
+
+    @property
+    def missing_percent(self) -> float:
+        """Samples skipped, as a part of all that belong between the gaps."""
+        return 100.0 * self.missing / max(self.steps + self.missing, 1)
+
+    @property
+    def repeats_percent(self) -> float:
+        """Samples with the values of the one before."""
+        return 100.0 * self.repeats / max(self.compared, 1)
+
+
+class StreamWatch:
+    """Gathers the samples of one stream.
+
+    Attributes:
+        flight: counts while flying.
+        ground: counts of all other time.
+    """
+
+    def __init__(self) -> None:
+        self.flight = Tally()
+        self.ground = Tally()
+        self._t: list[float] = []
+        self._values: list[tuple[float, ...]] = []
+        self._last: float | None = None
+        self._last_values: Array | None = None
+        self._usual = 0.0
+
+    def add(self, t: float, values: tuple[float, ...]) -> bool:
+        """Add a sample; whether there is enough to look at."""
+        self._t.append(t)
+        self._values.append(values)
+        return len(self._t) >= CHUNK
+
+    @property
+    def usual_step(self) -> float:
+        """Seconds between samples, as they come mostly; 0 before two came."""
+        return self._usual
+
+    @property
+    def tally(self) -> Tally:
+        """The counts that matter: those in flight, where there was flight."""
+        return self.flight if self.flight.samples > 1 else self.ground
+
+    def take(self, *, flying: bool) -> Chunk | None:
+        """Look at what was gathered; the samples that came in rising time, if any."""
+        if not self._t:
+            return None
+        t, values = np.array(self._t), _table(self._values)
+        self._t.clear()
+        self._values.clear()
+        before = -np.inf if self._last is None else self._last
+        newest = np.maximum.accumulate(np.concatenate(([before], t)))
+        fresh = t > newest[:-1]
+        if not fresh.any():
+            return None
+        t, values = t[fresh], values[fresh]
+        tally = self.flight if flying else self.ground
+        tally.samples += len(t)
+        self._count_steps(tally, np.diff(t) if self._last is None else np.diff(t, prepend=before))
+        self._count_repeats(tally, values)
+        self._last = float(t[-1])
+        self._last_values = values[-1].copy()
+        return Chunk(t, values)
+
+    def restart(self) -> None:
+        """The clock was set back: nothing joins on to what came before."""
+        self._last = self._last_values = None
+
+    def _count_steps(self, tally: Tally, steps: Array) -> None:
+        if not len(steps):
+            return
+        median = float(np.median(steps))
+        if len(steps) < 16 and self._usual:
+            median = self._usual
+        near = steps[steps < 2.5 * median]
+        if len(near):
+            self._usual = float(near.mean())
+        gap = steps > max(GAP, 5.0 * self._usual)
+        tally.gaps += int(gap.sum())
+        tally.longest_gap = max(tally.longest_gap, float(steps[gap].max(initial=0.0)))
+        steps = steps[~gap]
+        tally.steps += len(steps)
+        tally.seconds += float(steps.sum())
+        skipped = steps[steps > SKIPPED_FROM * self._usual]
+        tally.missing += int((np.round(skipped / self._usual) - 1.0).sum())
+
+    def _count_repeats(self, tally: Tally, values: Array) -> None:
+        if self._last_values is not None and len(self._last_values) == values.shape[1]:
+            values = np.vstack([self._last_values, values])
+        same = np.all((values[1:] == values[:-1]) | np.isnan(values[1:]), axis=1)
+        tally.compared += len(same)
+        tally.repeats += int(same.sum())
+
+
+def _table(rows: Sequence[tuple[float, ...]]) -> Array:
+    """(n, width) of rows that may differ in length."""
+    width = len(rows[0])
+    if all(len(row) == width for row in rows):
+        return np.array(rows)
+    return np.array(list(zip_longest(*rows, fillvalue=np.nan))).T
+
+
+class RotorWatch:
+    """Range of every rotor that one stream tells of, while flying."""
+
+    def __init__(self) -> None:
+        self._count = np.zeros(0)
+        self._sum = np.zeros(0)
+        self._zeros = np.zeros(0)
+        self._low = np.zeros(0)
+        self._high = np.zeros(0)
+
+    def take(self, values: Array) -> None:
+        """(n, rotors) samples in flight."""
+        more = values.shape[1] - len(self._count)
+        if more > 0:
+            self._count, self._sum, self._zeros = (
+                np.pad(a, (0, more)) for a in (self._count, self._sum, self._zeros)
+            )
+            self._low = np.pad(self._low, (0, more), constant_values=np.inf)
+            self._high = np.pad(self._high, (0, more), constant_values=-np.inf)
+        known = np.isfinite(values)
+        own = slice(0, values.shape[1])
+        self._count[own] += known.sum(axis=0)
+        self._sum[own] += np.where(known, values, 0.0).sum(axis=0)
+        self._zeros[own] += (values == 0.0).sum(axis=0)
+        self._low[own] = np.fmin(self._low[own], np.fmin.reduce(values, axis=0))
+        self._high[own] = np.fmax(self._high[own], np.fmax.reduce(values, axis=0))
+
+    def rotors(self) -> list[RotorFacts]:
+        """One entry for each rotor; none before anything came."""
+        return [
+            RotorFacts(low, high, total / count, 100.0 * zeros / count)
+            for low, high, total, zeros, count in zip(
+                *(a.tolist() for a in (self._low, self._high, self._sum, self._zeros, self._count)),
+                strict=True,
+            )
+            if count
+        ]
+
+
+class MotionWatch:
+    """How the three axes are moved, from a gyro however noisy.
+
+    The gyro is averaged over bins, even and odd samples apart. White noise of the two is
+    independent, so that the mean of their product holds the motion alone.
+    """
+
+    def __init__(self) -> None:
+        self._bins = self._pairs = 0
+        self._sum = np.zeros(3)
+        self._rate_power = np.zeros(3)
+        self._acceleration_power = np.zeros(3)
+
+    def take(self, t: Array, gyro: Array, usual_step: float) -> None:
+        """Take (n,) times in s and (n, 3) rates in rad/s of one stretch of flight."""
+        width = max(BIN, _SAMPLES_PER_BIN * usual_step)
+        place = ((t - t[0]) / width).astype(int)
+        if place[-1] > 10 * len(t):  # a hole of many minutes: empty bins beyond all measure
+            return
+        even = _means(place[::2], gyro[::2], place[-1] + 1)
+        odd = _means(place[1::2], gyro[1::2], place[-1] + 1)
+        there: Mask = np.asarray(np.isfinite(even + odd).all(axis=1))
+        self._bins += int(there.sum())
+        self._sum += 0.5 * (even + odd)[there].sum(axis=0)
+        self._rate_power += (even * odd)[there].sum(axis=0)
+        product = np.diff(even, axis=0) * np.diff(odd, axis=0) / width**2
+        both = there[1:] & there[:-1]
+        self._pairs += int(both.sum())
+        self._acceleration_power += product[both].sum(axis=0)
+
+    def motion(self) -> list[AxisMotion]:
+        """Roll, pitch, yaw; empty when there was too little to say."""
+        if self._pairs < 10:
+            return []
+        rate = self._rate_power / self._bins - (self._sum / self._bins) ** 2
+        acceleration = self._acceleration_power / self._pairs
+        return [
+            AxisMotion(r, a)
+            for r, a in zip(
+                np.sqrt(np.maximum(rate, 0.0)).tolist(),
+                np.sqrt(np.maximum(acceleration, 0.0)).tolist(),
+                strict=True,
+            )
+        ]
+
+
+def _means(place: Array, values: Array, count: int) -> Array:
+    """(count, 3) means of the rows at each place; NaN where there are none."""
+    n = np.bincount(place, minlength=count)
+    sums = [np.bincount(place, weights=column, minlength=count) for column in values.T]
+    means: Array = np.column_stack(sums) / np.where(n, n, np.nan)[:, None]
+    return means

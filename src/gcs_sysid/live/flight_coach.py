@@ -1,0 +1,236 @@
+"""The flight coach beside a running chain: advice for the snapshots.
+
+It only reads: what the chain estimates is the same with a coach and without.
+"""
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.coach.choice import Choice, choose
+from gcs_sysid.coach.information import Noise, speed_noise
+from gcs_sysid.coach.interval_targets import is_enough, shares
+from gcs_sysid.coach.manoeuvre_library import Limits, library
+from gcs_sysid.coach.manoeuvre_words import motion_words, sentence
+from gcs_sysid.coach.predicted_information import PredictedInformation, predicted_information
+from gcs_sysid.coach.prior_vehicle import prior_noise, prior_vehicle
+from gcs_sysid.estimation.online import Fit
+from gcs_sysid.results.snapshot import Advice, Gain
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.signals.sampling import SampleBlock
+
+_EVERY = 1.0
+"""s of vehicle time between looks."""
+_STALE = 10.0
+"""s after which advice that nobody follows is thought over."""
+_AGAIN = 5.0
+"""The same where no manoeuvre was found."""
+_BEGUN = 0.1
+"""Progress from which advice is being followed."""
+_FLOWN = 0.9
+"""Progress at which it has been flown: nobody swings exactly as far as asked."""
+_LEAST_SECONDS = 3.0
+"""s of flight from which its residuals tell the noise, and hover has told the CG."""
+_GROPING = 0.5
+"""Share of an interval of Ixx or Iyy from which a fit is not gone on from."""
+_FIRST = 6.0
+"""s, of the first manoeuvre of a vehicle of which nothing is known."""
+_MATTERS = 0.1
+"""Share of a manoeuvre's motion from which an axis belongs to it."""
+_MOST_GAINS = 4
+
+
+@dataclass(frozen=True)
+class CoachOptions:
+    """What a pilot may set.
+
+    Attributes:
+        target: half of a 95 % interval over the value, which every parameter is to reach.
+        limits: of the manoeuvres.
+    """
+
+    target: float = 0.02
+    limits: Limits = field(default_factory=Limits)
+
+
+class Coach:
+    """Watches a chain and says what to fly next.
+
+    To weigh all manoeuvres takes a tenth of a second: `look` now and then, `think` when there is
+    nothing else to do. `advise` does both.
+
+    Args:
+        chain: fed by somebody else; the coach observes its samples.
+        options: settings.
+    """
+
+    def __init__(self, chain: Chain, options: CoachOptions | None = None) -> None:
+        self.options = options or CoachOptions()
+        self.choice: Choice | None = None
+        """What is advised."""
+        self._chain = chain
+        self._library = library(self.options.limits)
+        self._advice: Advice | None = None
+        self._thought: tuple[Fit, dict[str, float | None]] | None = None
+        self._text = ""
+        self._gains: tuple[str, ...] = ()
+        self._next_look = 0.0
+        self._chosen_at = -np.inf
+        self._seconds = 0.0
+        self._gathered = np.zeros(4)
+        chain.observers.append(self.take)
+
+    def take(self, block: SampleBlock) -> None:
+        """Gather what motion there is in a block."""
+        samples = block.samples.part(block.flying)
+        rates = samples.rates[np.isfinite(samples.rates).all(axis=1)]
+        down = samples.velocity[:, 2]
+        down = down[np.isfinite(down)]
+        self._gathered[:3] += (rates * rates).sum(axis=0) * block.dt
+        if down.size:
+            # Velocity comes more slowly than the samples it is placed on.
+            self._gathered[3] += float(np.mean(down * down)) * len(samples.gyro) * block.dt
+
+    def advise(self) -> Advice | None:
+        """What to fly next; about once a second it is thought over."""
+        self.look()
+        self.think()
+        return self.look()
+
+    def look(self) -> Advice | None:
+        """The same as far as it is thought over."""
+        chain = self._chain
+        if not chain.sampler.flying:
+            self._forget()
+            self._next_look = 0.0
+        elif chain.t >= self._next_look:
+            self._next_look = chain.t + _EVERY
+            self._see()
+        return self._advice
+
+    def think(self) -> None:
+        """Weigh all manoeuvres, if that is due."""
+        thought, self._thought = self._thought, None
+        if thought is not None:
+            self._weigh(*thought)
+
+    def _forget(self) -> None:
+        self.choice = self._advice = self._thought = None
+        self._chosen_at = -np.inf
+
+    def _see(self) -> None:
+        """Look how things stand, and begin to think where that is worth it."""
+        fit = self._chain.fit
+        if fit.seconds < _LEAST_SECONDS:
+            self._forget()
+            return
+        now = self._judge(fit)
+        if is_enough(now, self.options.target):
+            self._forget()
+            self._advice = Advice("", f"enough: {self._met(now)}", progress=1.0, enough=True)
+            return
+        if self._thought is not None:
+            return
+        progress = self._progress()
+        since = self._chain.t - self._chosen_at
+        if (
+            (self.choice is None and since >= _AGAIN)
+            or fit.seconds < self._seconds  # something has changed, or was reset
+            or progress >= _FLOWN
+            or (progress < _BEGUN and since >= _STALE)
+        ):
+            self._begin(fit, now)
+        else:
+            self._advice = self._told(now, progress)
+        self._seconds = fit.seconds
+
+    def _begin(self, fit: Fit, now: dict[str, float | None]) -> None:
+        """Begin to think about what to fly next."""
+        if any((now[name] or 1.0) >= _GROPING for name in ("Ixx", "Iyy")):
+            # What a hover's noise looks like is no vehicle.
+            fit = replace(fit, rotation=None)
+        self._thought = fit, now
+
+    def _weigh(self, fit: Fit, now: dict[str, float | None]) -> None:
+        found = None
+        # Estimates may be anything while a flight begins; no advice is worth a session.
+        with suppress(np.linalg.LinAlgError):
+            prospect = self._prospect(fit)
+            target = self.options.target
+            found = choose(prospect, self._library, self._judge, target)
+        self._settle(found, fit, now)
+
+    def _settle(self, found: Choice | None, fit: Fit, now: dict[str, float | None]) -> None:
+        """Advise what was found."""
+        self._chosen_at = self._chain.t
+        self._gathered[:] = 0.0
+        self._gains = ()
+        self.choice = found
+        if found is not None and fit.rotation is None:
+            # A rule of thumb picks the manoeuvre, but promises nothing.
+            self.choice = replace(found, manoeuvre=found.manoeuvre.lasting(_FIRST))
+            self._text = f"{motion_words(self.choice.manoeuvre)}: first values of everything"
+        elif found is not None:
+            # What is told is against the intervals that the pilot sees.
+            self.choice = found = replace(found, now=now)
+            self._gains = tuple(found.names[:_MOST_GAINS])
+            self._text = sentence(found.manoeuvre, found.names, now, found.expected)
+        self._advice = self._told(now, 0.0)
+
+    def _told(self, now: Mapping[str, float | None], progress: float) -> Advice | None:
+        choice = self.choice
+        if choice is None:
+            return None
+        gains = tuple(
+            Gain(name, now.get(name), share)
+            for name in self._gains
+            for share in (choice.expected[name],)
+            if share is not None
+        )
+        manoeuvre = choice.manoeuvre
+        return Advice(manoeuvre.name, self._text, manoeuvre.seconds, progress, gains)
+
+    def _judge(self, fit: Fit) -> dict[str, float | None]:
+        chain = self._chain
+        return shares(chain.values(fit), chain.airframe.arm, chain.rotor_input)
+
+    def _prospect(self, fit: Fit) -> PredictedInformation:
+        chain = self._chain
+        known = prior_vehicle(chain.airframe, commands=chain.rotor_input == "command")
+        estimator = chain.estimator
+        assert estimator is not None
+        usual = prior_noise(known.craft)
+        prospect = predicted_information(fit, known, usual, estimator.free)
+        gyro, torque = usual.gyro, usual.torque
+        if chain.rotor_input == "speed":
+            torque = speed_noise(prospect.craft, estimator.speed_std, estimator.dt)
+        if fit.rotation is not None:
+            gyro = estimator.gyro_density(fit.rotation, prospect.craft.theta)
+        return replace(prospect, noise=Noise(gyro, torque))
+
+    def _progress(self) -> float:
+        """Share of the advised motion that was flown, on the axis that has least of its own."""
+        if self.choice is None:
+            return 0.0
+        wanted = _motion(self.choice)
+        counts = wanted > _MATTERS * wanted[:3].max() if wanted[:3].any() else wanted > 0.0
+        return float(min((self._gathered[counts] / wanted[counts]).min(), 1.0))
+
+    def _met(self, now: Mapping[str, float | None]) -> str:
+        widest = max((s, n) for n, s in now.items() if s is not None)
+        return (
+            f"every interval is within {100.0 * self.options.target:g} % "
+            f"(widest: {widest[1]}, {100.0 * widest[0]:.1f} %)"
+        )
+
+
+def _motion(choice: Choice) -> Array:
+    """(4,) integrals of squared body rates, and of climb rate, over the manoeuvre."""
+    manoeuvre = choice.manoeuvre
+    climb = 0.5 * (2.0 * np.pi * manoeuvre.pace * manoeuvre.climb) ** 2
+    squares = np.append((choice.motion.rates**2).mean(axis=0), climb)
+    wanted: Array = squares * manoeuvre.effective_seconds
+    return wanted

@@ -1,0 +1,77 @@
+"""The pictures that a live session shows of itself."""
+
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.snapshot import (
+    Acceleration,
+    Advice,
+    HeardVehicle,
+    LinkState,
+    LinkStatus,
+    Snapshot,
+)
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.telemetry.ground_station import GroundStation
+from gcs_sysid.telemetry.intake import Intake
+
+
+def link_status(
+    state: LinkState, url: str, station: GroundStation, intake: Intake, recording: str
+) -> LinkStatus:
+    """Figures of the moment.
+
+    Args:
+        state: of the link.
+        url: of the link.
+        station: that asks.
+        intake: that counts.
+        recording: path; empty when nothing is recorded.
+    """
+    health, monitor = intake.health(), intake.monitor
+    chosen = None if intake.vehicle is None else intake.vehicle.address
+    return LinkStatus(
+        state=state,
+        url=url,
+        vehicle=str(intake.vehicle or ""),
+        rates=health.rates,
+        asked=dict(station.asked),
+        received=health.received,
+        rejected=health.rejected,
+        unknown=health.unknown,
+        lost_percent=health.lost_percent,
+        lost=monitor.lost,
+        gaps=monitor.gap_count,
+        last_gap=monitor.gaps[-1][1] if monitor.gaps else None,
+        clock_ppm=intake.drift.ppm,
+        vehicles=tuple(
+            HeardVehicle(v.address, str(v), v.address == chosen) for v in intake.selector.autopilots
+        ),
+        recording=recording,
+        bytes_per_second=health.bytes_per_second,
+    )
+
+
+def picture(
+    chain: Chain,
+    result: Result,
+    link: LinkStatus,
+    acceleration: Acceleration | None,
+    target: float,
+    advice: Advice | None,
+) -> Snapshot:
+    """How things stand with a chain, with what others say of it."""
+    sampler = chain.sampler
+    return Snapshot(
+        t=chain.t,
+        used_seconds=chain.used_seconds,
+        flying=sampler.flying,
+        result=result,
+        history=chain.history,
+        link=link,
+        attitude=sampler.attitude,
+        rates=sampler.rates,
+        rotor_speeds=sampler.rotor_speeds,
+        acceleration=acceleration,
+        target=target,
+        events=chain.events,
+        advice=advice,
+    )

@@ -1,0 +1,335 @@
+"""The replay: a recorded flight once more, paced by the vehicle's clock, as snapshots.
+
+A log is analysed first: that tells how long it is, which of the autopilot's parameters hold, and
+its final numbers. Then the same windows of it are taken at the pace wanted. How they are cut
+moves the numbers by rounding alone; where the log ends, those of the analysis are shown.
+"""
+
+import math
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from gcs_sysid.live.acceleration_prediction import KEPT, LivePrediction
+from gcs_sysid.live.live_view import picture
+from gcs_sysid.live.log_playback import LogPlayback, Recorded
+from gcs_sysid.live.log_segments import LogSegments
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.snapshot import (
+    HeardVehicle,
+    LinkState,
+    LinkStatus,
+    Playback,
+    Snapshot,
+    speed_text,
+)
+from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.signals.sampling import SampleBlock
+
+SPEEDS = (1.0, 10.0, math.inf)
+"""Seconds of the flight in one second."""
+_PUBLISH_EVERY = 0.2
+"""s between snapshots."""
+_PIECE = 0.1
+"""s between looks at the clock; so much of the flight, times the speed, is taken at once."""
+_LONGEST_SILENCE = 3.0
+"""s of the flight in which nothing was recorded, more is skipped."""
+_SEEN = KEPT + 5.0
+"""s of the flight before where it stops that are seen there, filters' settling included."""
+_LEAST_WAIT = 1e-3
+"""s; rounding would ask for less than any clock tells."""
+_IDLE = 1.0
+"""s to wait where nothing is due; an action wakes."""
+
+
+class ReplaySession:
+    """Plays a log, in a thread of its own.
+
+    Args:
+        recorded: the log, as `survey` knows it.
+        speed: one of `SPEEDS`.
+        course_interval: s of the flight between estimates of the history.
+        target: half the 95 % interval, as a share of its value, that every parameter is to reach.
+        stay: whether to wait at the end of the log for a seek; else the session ends there.
+        clock: s that only grow; tests put their own here.
+        on_result: called in the session's thread, at most once a second of the flight.
+
+    Raises:
+        InputError: the file can no longer be read.
+    """
+
+    def __init__(
+        self,
+        recorded: Recorded,
+        speed: float = 1.0,
+        history_interval: float = 0.2,
+        target: float = 0.02,
+        *,
+        stay: bool = True,
+        clock: Callable[[], float] = time.monotonic,
+        on_result: Callable[[Result], None] | None = None,
+    ) -> None:
+        self.final: Result | None = None
+        """The last result, once the session has ended."""
+        self.problem: Exception | None = None
+        """What ended the session against its will."""
+        self.airframe = recorded.airframe
+        self._recorded = recorded
+        self._target = target
+        self._stay = stay
+        self._clock = clock
+        self._on_result = on_result
+        self._told_result_at = 0.0
+        self._speed = speed
+        self._paused = self._ended = False
+        self._asked_speed, self._asked_paused = speed, False
+        self._goal: float | None = None
+        self._asked_goal: float | None = None
+        self._playback = LogPlayback(recorded, history_interval)
+        self._actions: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._wake, self._stop = threading.Event(), threading.Event()
+        self._latest: Snapshot | None = None
+        self._published = -math.inf
+        self._changed = False
+        self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
+        self._begin()
+
+    # -- the session, as the screen and the command line see it
+
+    def start(self) -> None:
+        """Begin."""
+        self._set_pace(self._speed, self._paused)
+        self._publish()
+        self._thread.start()
+
+    def latest(self) -> Snapshot | None:
+        """The newest snapshot."""
+        return self._latest
+
+    def request_stop(self) -> None:
+        """End the session soon; returns at once."""
+        self._stop.set()
+        self._wake.set()
+
+    def stop(self) -> None:
+        """End the session and wait until it has."""
+        self.request_stop()
+        if self._thread.is_alive() and threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def join(self, timeout: float | None = None) -> bool:
+        """Wait for the end; whether it has come."""
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    def recordings(self) -> list[str]:
+        """None: what is played is recorded already."""
+        return []
+
+    def flushed_recording(self) -> Path:
+        """The log."""
+        return self._recorded.path
+
+    # -- what a user may do; each returns what happens, in words
+
+    def toggle_pause(self) -> str:
+        """Pause, or go on; from the end, begin anew."""
+        if self._ended and self._goal is None:
+            self._asked_paused = False
+            self._do(lambda: self._seek(0.0, paused=False))
+            return "From the beginning."
+        self._asked_paused = paused = not self._asked_paused
+        self._do(lambda: self._set_pace(self._speed, paused))
+        return "Replay paused." if paused else "Replay goes on."
+
+    def change_speed(self, step: int) -> str:
+        """Faster by so many of the `SPEEDS`, or slower."""
+        index = min(max(SPEEDS.index(self._asked_speed) + step, 0), len(SPEEDS) - 1)
+        self._asked_speed = speed = SPEEDS[index]
+        self._do(lambda: self._set_pace(speed, self._paused))
+        return f"Speed: {speed_text(speed)}"
+
+    def seek(self, position: float) -> str:
+        """Go to `position` s of the flight."""
+        self._asked_goal = goal = min(max(position, 0.0), self._duration)
+        self._do(lambda: self._seek(goal, self._paused))
+        return f"To {goal:.0f} s of {self._duration:.0f} s."
+
+    def skip(self, seconds: float) -> str:
+        """Go `seconds` on from here, or from where it is on its way to."""
+        goal = self._asked_goal
+        return self.seek((self._position if goal is None else goal) + seconds)
+
+    def _do(self, action: Callable[[], None]) -> None:
+        self._actions.put(action)
+        self._wake.set()
+
+    # -- the work, in the session's thread
+
+    def _run(self) -> None:
+        try:
+            while not self._stop.is_set() and (self._stay or not self._ended):
+                wait = self.step()
+                if wait > 0.0:
+                    self._wake.wait(wait)
+                    self._wake.clear()
+        except Exception as problem:  # noqa: BLE001 - handed to the main thread, which tells it
+            self.problem = problem
+        finally:
+            try:
+                self.final = self._recorded.result if self._ended else self._pipeline.finish()
+            except Exception as problem:  # noqa: BLE001 - as above
+                self.problem = self.problem or problem
+            self._ended = True
+            self._publish()
+
+    def step(self) -> float:
+        """Do what is due, at most one part of the log; s until something is due again."""
+        while not self._actions.empty():
+            self._actions.get()()
+            self._changed = True
+        wait = self._advance()
+        if self._changed and (wait >= _IDLE or self._is_publishing_due()):
+            self._publish()
+        return wait
+
+    def _advance(self) -> float:
+        playback, goal = self._playback, self._goal
+        if self._ended or (self._paused and goal is None):
+            return _IDLE
+        until, piece = self._due(), _PIECE * self._speed
+        if goal is not None:
+            until, piece = goal, _PIECE
+        end = playback.log_segments.next_end(until, piece)
+        if end is None:
+            self._end()
+            return 0.0
+        if end > until:
+            return self._wait(playback.log_segments, end, until)
+        playback.take()
+        self._changed = True
+        self._tell_result()
+        return 0.0
+
+    def _wait(self, log_segments: LogSegments, end: float, until: float) -> float:
+        """Seconds until the part that ends at `end` is due, when the flight has come to `until`."""
+        if self._goal is not None:
+            self._arrive()
+            return 0.0
+        silence = end - log_segments.position
+        if silence > _LONGEST_SILENCE + _PIECE * self._speed:
+            self._pipeline.chain.note(f"nothing to be seen for {silence:.0f} s: skipped")
+            self._anchor = (self._clock(), end)
+            return 0.0
+        return max((end - until) / self._speed, _LEAST_WAIT)
+
+    def _due(self) -> float:
+        """Seconds of the flight that the clock has reached."""
+        if math.isinf(self._speed):
+            return math.inf
+        began, position = self._anchor
+        return position + (self._clock() - began) * self._speed
+
+    def _set_pace(self, speed: float, paused: bool) -> None:
+        self._speed, self._paused = speed, paused
+        self._anchor = (self._clock(), self._position)
+
+    def _seek(self, goal: float, paused: bool) -> None:
+        to_end = goal >= self._duration
+        if goal < self._position or (self._ended and not to_end):
+            self._playback.go_back(goal)
+            self._begin()
+        self._paused = paused
+        self._goal = None if self._ended else math.inf if to_end else goal
+
+    def _arrive(self) -> None:
+        self._goal = None
+        if self._actions.empty():
+            self._asked_goal = None
+        self._anchor = (self._clock(), self._position)
+        self._changed = True
+
+    def _begin(self) -> None:
+        """Go on from where the playback stands now."""
+        self._ended = False
+        self._prediction = LivePrediction(self._pipeline.chain)
+        self._pipeline.chain.observers[:] = [self._look]
+        self._told_result_at = self._position
+        self._anchor = (self._clock(), self._position)
+
+    def _look(self, block: SampleBlock) -> None:
+        """Predict what will be seen; on the way elsewhere nobody looks, and it costs as much."""
+        until = self._goal if self._goal is not None else self._due()
+        if min(until, self._duration) - block.t[-1] < _SEEN:
+            self._prediction.take(block)
+
+    def _end(self) -> None:
+        self._pipeline.finish()
+        self._ended = True
+        self._arrive()
+
+    @property
+    def _position(self) -> float:
+        return self._playback.log_segments.position
+
+    @property
+    def _duration(self) -> float:
+        return self._recorded.duration
+
+    @property
+    def _pipeline(self) -> Pipeline:
+        return self._playback.pipeline
+
+    # -- what others see
+
+    def _tell_result(self) -> None:
+        if self._on_result is not None and self._position - self._told_result_at >= 1.0:
+            self._told_result_at = self._position
+            self._on_result(self._pipeline.result())
+
+    def _is_publishing_due(self) -> bool:
+        return self._clock() - self._published >= _PUBLISH_EVERY
+
+    def _publish(self) -> None:
+        chain = self._pipeline.chain
+        result = self._recorded.result if self._ended else self._pipeline.result()
+        seen = self._prediction.acceleration()
+        self._latest = replace(
+            picture(chain, self.final or result, self._link(), seen, self._target, None),
+            playback=Playback(
+                position=self._position,
+                duration=self._duration,
+                speed=self._speed,
+                paused=self._paused,
+                seeking=self._goal if self._goal is None else min(self._goal, self._duration),
+                ended=self._ended,
+            ),
+        )
+        self._published = self._clock()
+        self._changed = False
+
+    def _link(self) -> LinkStatus:
+        """Of the log: rates where the replay stands, losses of the whole."""
+        whole = self._recorded.result.telemetry
+        gaps = whole.get("imu_gaps", {})
+        log_segments = self._playback.log_segments
+        vehicle = log_segments.telemetry.vehicle
+        heard = () if vehicle is None else (HeardVehicle(vehicle.address, str(vehicle), True),)
+        return LinkStatus(
+            state=LinkState.ENDED if self._ended else LinkState.REPLAY,
+            url=str(self._recorded.path),
+            vehicle=str(vehicle or ""),
+            rates=log_segments.rates(),
+            received=whole.get("received", 0),
+            rejected=whole.get("bad_crc", 0),
+            unknown=whole.get("unknown", 0),
+            lost_percent=whole.get("lost_percent", 0.0),
+            lost=whole.get("lost", 0),
+            gaps=gaps.get("count", 0),
+            last_gap=gaps["last"][-1]["length"] if gaps.get("last") else None,
+            clock_ppm=whole.get("clock_drift_ppm"),
+            vehicles=heard,
+        )

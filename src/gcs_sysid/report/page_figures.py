@@ -1,0 +1,264 @@
+"""What each figure shows, as plain JSON values that the page's script draws."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, complete_rows, runs
+from gcs_sysid.intervals import Z95
+from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.report.data import AXES, ReportData
+from gcs_sysid.report.series import packed, thinned
+from gcs_sysid.report.wording import event_text, unit_text
+
+MOST_ROWS, MOST_INSTANTS = 6000, 1200
+"""Points of a series of rows, and of the estimates' history."""
+_MOST_SPANS = 400
+_Z = Z95
+SECONDS = {"label": "Time since the first record", "unit": "s"}
+
+
+@dataclass
+class Figures:
+    """The figures of a page, and the arrays that they share.
+
+    Attributes:
+        arrays: name -> base64 of float32.
+        figures: id -> figure.
+    """
+
+    arrays: dict[str, str] = field(default_factory=dict)
+    figures: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def array(self, name: str, values: Array) -> str:
+        """Keep an array; its name."""
+        self.arrays[name] = packed(values)
+        return name
+
+    def as_json(self) -> dict[str, Any]:
+        """As the page's script takes it."""
+        return {"arrays": self.arrays, "figures": self.figures}
+
+
+def events_of(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Events as marks on a time axis, numbered as in their table."""
+    return [
+        {"x": event["t"], "label": str(number), "text": event_text(event)}
+        for number, event in enumerate(result["events"], 1)
+    ]
+
+
+def add_course(figures: Figures, data: ReportData) -> list[str]:
+    """Every parameter's estimate over the flight, with its band; the names that have one."""
+    history, shown = data.history, []
+    if len(history.t) < 2:
+        return []
+    every = max(1, math.ceil(len(history.t) / MOST_INSTANTS))
+    part = slice((len(history.t) - 1) % every, None, every)
+    t = figures.array("course.t", history.t[part])
+    for name, estimate in data.result["parameters"].items():
+        if estimate["value"] is None or estimate["status"] == "given" or name not in history.value:
+            continue
+        value, std = history.value[name][part], history.std[name][part]
+        if np.isfinite(value).sum() < 2:
+            continue
+        half = _Z * std
+        shown.append(name)
+        levels = []
+        if name in data.truth:
+            levels.append({"y": data.truth[name], "text": "truth"})
+        figures.figures[f"course-{name}"] = {
+            "group": "course",
+            "title": f"{name} over the flight",
+            "x": SECONDS,
+            "y": {
+                "unit": unit_text(PARAMETERS[name].unit),
+                "range": _settled_range(value, half, _intervals(data.result, name)),
+            },
+            "bands": [
+                {
+                    "x": t,
+                    "low": figures.array(f"course.{name}.low", value - half),
+                    "high": figures.array(f"course.{name}.high", value + half),
+                }
+            ],
+            "lines": [
+                {
+                    "x": t,
+                    "y": figures.array(f"course.{name}", value),
+                    "class": "estimate",
+                    "name": name,
+                }
+            ],
+            "levels": levels,
+            "marks": events_of(data.result),
+        }
+    return shown
+
+
+def _intervals(result: Mapping[str, Any], name: str) -> list[list[float]]:
+    """The intervals that a parameter had at the end of each segment."""
+    tables = [result["parameters"], *(s["parameters"] for s in result["segments"])]
+    found = [table[name]["ci95"] for table in tables if name in table]
+    return [interval for interval in found if interval is not None]
+
+
+def _settled_range(value: Array, half: Array, ends: list[list[float]]) -> list[float] | None:
+    """A range in which the settled estimate and its bands are seen, not the first guesses.
+
+    Args:
+        value: (n,) over the flight.
+        half: (n,) of its intervals.
+        ends: the intervals of every segment's end.
+    """
+    there = np.isfinite(value) & np.isfinite(half)
+    if not there.any():
+        return None
+    low = float(np.quantile((value - half)[there], 0.25))
+    high = float(np.quantile((value + half)[there], 0.75))
+    low, high = min([low, *(end[0] for end in ends)]), max([high, *(end[1] for end in ends)])
+    room = 0.2 * (high - low) or 0.1 * abs(high) or 1.0
+    return [low - room, high + room]
+
+
+def add_prediction(figures: Figures, data: ReportData) -> bool:
+    """Measured and predicted angular acceleration on what was not fitted; whether there is any."""
+    found = data.prediction
+    if found is None or not found.held_out.any():
+        return False
+    first, last = np.flatnonzero(found.held_out)[[0, -1]]
+    part = slice(first, last + 1)
+    both = np.column_stack([found.measured[part], found.predicted[part]])
+    both[~found.held_out[part]] = np.nan
+    t, both = thinned(found.t[part], both, MOST_ROWS)
+    there = np.isfinite(t)
+    t, both = t[there], both[there]
+    time = figures.array("held.t", t)
+    for axis, name in enumerate(AXES):
+        figures.figures[f"prediction-{name}"] = {
+            "group": "prediction",
+            "title": f"{name.capitalize()}: measured and predicted angular acceleration",
+            "x": SECONDS,
+            "y": {"unit": "rad/s²", "range": None},
+            "lines": [
+                {
+                    "x": time,
+                    "y": figures.array(f"held.{kind}.{name}", both[:, axis + offset]),
+                    "class": kind,
+                    "name": kind,
+                }
+                for kind, offset in (("measured", 0), ("predicted", 3))
+            ],
+            "marks": events_of(data.result),
+        }
+    return True
+
+
+def add_spectrum(figures: Figures, data: ReportData) -> bool:
+    """The residual's spectrum beside that of white sensor noise; whether there is one."""
+    found = data.spectrum
+    if found is None:
+        return False
+    f = figures.array("spectrum.f", found.frequency)
+    for axis, name in enumerate(AXES):
+        figures.figures[f"spectrum-{name}"] = {
+            "group": "spectrum",
+            "title": f"{name.capitalize()}: power density of the residual",
+            "x": {"label": "Frequency", "unit": "Hz", "log": True},
+            "y": {"unit": "(rad/s²)²/Hz", "range": None, "log": True},
+            "lines": [
+                {
+                    "x": f,
+                    "y": figures.array(f"spectrum.{kind}.{name}", values[:, axis]),
+                    "class": kind,
+                    "name": words,
+                }
+                for kind, words, values in (
+                    ("residual", "residual", found.density),
+                    ("white", "white sensor noise", found.white),
+                )
+            ],
+        }
+    return True
+
+
+def add_rates(figures: Figures, data: ReportData) -> bool:
+    """How the axes were moved over the whole flight; whether it flew."""
+    found = data.prediction
+    if found is None:
+        return False
+    t, rates = thinned(found.t, found.rates, MOST_ROWS)
+    there = np.isfinite(t)
+    t, rates = t[there], rates[there]
+    if not np.isfinite(rates).any():
+        return False
+    time = figures.array("flight.t", t)
+    for axis, name in enumerate(AXES):
+        figures.figures[f"rate-{name}"] = {
+            "group": "flight",
+            "title": f"{name.capitalize()} rate over the flight",
+            "x": SECONDS,
+            "y": {"unit": "rad/s", "range": None},
+            "lines": [
+                {
+                    "x": time,
+                    "y": figures.array(f"flight.{name}", rates[:, axis]),
+                    "class": "measured",
+                    "name": f"{name} rate",
+                }
+            ],
+            "marks": events_of(data.result),
+        }
+    return True
+
+
+def add_timeline(figures: Figures, data: ReportData) -> bool:
+    """When it flew, what was used and what was kept apart; whether there is anything to show."""
+    rows = []
+    flights = [[f["start"], f["end"]] for f in data.inspection.get("flights", ())]
+    if flights:
+        rows.append({"name": "in the air", "class": "air", "spans": flights[:_MOST_SPANS]})
+    found = data.prediction
+    if found is not None and len(found.t):
+        usable = complete_rows(found.measured)
+        predicted = complete_rows(found.predicted)
+        fitted = predicted & ~found.held_out
+        for name, kind, mask in (
+            ("usable samples", "usable", usable),
+            ("fitted first", "fitted", fitted),
+            ("then predicted", "held", found.held_out),
+        ):
+            spans = _spans(found.t, mask, found.step)
+            if spans:
+                rows.append({"name": name, "class": kind, "spans": spans})
+    for number, segment in enumerate(data.result["segments"], 1):
+        span = [segment["start"], segment["end"]]
+        rows.append({"name": f"segment {number}", "class": "segment", "spans": [span]})
+    if not rows:
+        return False
+    figures.figures["timeline"] = {
+        "group": "flight",
+        "title": "The flight on the time axis",
+        "x": SECONDS,
+        "rows": rows,
+        "marks": events_of(data.result),
+    }
+    return True
+
+
+def _spans(t: Array, mask: Array, step: float) -> list[list[float]]:
+    """From where to where a mask holds; short breaks are bridged, most spans first."""
+    spans: list[list[float]] = []
+    for run, there in runs(mask & np.isfinite(t)):
+        if not there:
+            continue
+        first, last = float(t[run][0]), float(t[run][-1]) + step
+        if spans and first - spans[-1][1] < 2.0 * step:
+            spans[-1][1] = last
+        else:
+            spans.append([round(first, 3), last])
+    spans = sorted(spans, key=lambda span: span[0] - span[1])[:_MOST_SPANS]
+    return sorted([a, round(b, 3)] for a, b in spans)

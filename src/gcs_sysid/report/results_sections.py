@@ -1,0 +1,264 @@
+"""The sections that tell what was found: verdict, parameters, convergence."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from gcs_sysid.estimation.physical_parameters import CORE_OF
+from gcs_sysid.intervals import Z95
+from gcs_sysid.model.parameters import TIMING
+from gcs_sysid.report import wording
+from gcs_sysid.report.data import ReportData
+from gcs_sysid.report.markup import Child, Markup, element, joined
+from gcs_sysid.report.page_figures import Figures, add_course
+from gcs_sysid.report.parts import Column, facts, figure, grid, legend, note, section, table
+from gcs_sysid.report.vehicle_plan import plan_view
+
+
+def verdict(data: ReportData) -> Markup:
+    """What is known, how well, and what is missing."""
+    word = data.result["verdict"]
+    missing = [
+        element("li", text, element("span", help_, class_="advice") if help_ else None)
+        for text, help_ in wording.advice(data.result, data.inspection)
+    ]
+    text = element(
+        "div",
+        element(
+            "h2",
+            element("span", wording.VERDICT_SIGNS[word], class_="sign", aria_hidden="true"),
+            wording.VERDICT_WORDS[word],
+            id="verdict-title",
+        ),
+        element("p", wording.verdict_sentence(data.result), class_="sentence"),
+        element("h3", "What is missing or limits it") if missing else None,
+        element("ul", *missing, class_="missing") if missing else None,
+    )
+    return element(
+        "section",
+        element("div", text, plan_view(data), class_="columns"),
+        _headline(data),
+        id="verdict",
+        class_=f"verdict {word}",
+        aria_labelledby="verdict-title",
+    )
+
+
+_TILES = {
+    "mass": "Mass",
+    "k_T": "Thrust, k_T",
+    "T_max": "Thrust, T_max",
+    "added_mass": "Added mass",
+}
+
+
+def _headline(data: ReportData) -> Markup:
+    """The few numbers that a pilot looks for first."""
+    result = data.result
+    scale, telemetry = result["scale"], result["telemetry"]
+    tiles: dict[str, Child] = {}
+    if scale is not None:
+        origin = f"from {scale['from']}" if scale.get("from") else "given: it sets the scale"
+        what = _TILES[scale["anchor"]]
+        tiles[what] = _tile(
+            f"{wording.number(scale['value'], 4)} {wording.unit_text(scale['unit'])}", origin
+        )
+    for name, what in _TILES.items():
+        estimate = result["parameters"].get(name)
+        if estimate and estimate["value"] is not None and estimate["status"] == "identified":
+            share = (wording.half_of(estimate) or 0.0) / abs(estimate["value"])
+            unit = wording.unit_text(estimate["unit"])
+            tiles.setdefault(
+                what,
+                _tile(
+                    f"{wording.number(estimate['value'], 4)} {unit}", f"± {wording.percent(share)}"
+                ),
+            )
+    seconds = telemetry.get("used_seconds")
+    if seconds:
+        tiles["Flight used"] = _tile(f"{wording.fixed(seconds, 1)} s", _of_flight(data))
+    found = [v for v in result["validation"].get("r_squared", {}).values() if v is not None]
+    if found:
+        # Cut, not rounded: 0.99996 is not 1.
+        worst = math.floor(1e4 * min(found)) / 1e4
+        tiles["Prediction of data not fitted"] = _tile(
+            f"R² {wording.fixed(worst, 4)}", "the worst of three axes"
+        )
+    return element(
+        "dl",
+        *(element("div", element("dt", name), value) for name, value in tiles.items()),
+        class_="tiles",
+    )
+
+
+def _tile(value: str, more: str) -> Markup:
+    return joined(element("dd", value, class_="value"), element("dd", more, class_="more"))
+
+
+def _of_flight(data: ReportData) -> str:
+    in_air = data.inspection.get("in_air")
+    return f"of {wording.fixed(in_air, 1)} s in the air" if in_air else "in the air"
+
+
+def parameters(data: ReportData) -> Markup:
+    """The table of values, intervals, status and what each rests on."""
+    result = data.result
+    entries: Mapping[str, Any] = result["parameters"]
+    bounded = any("bound" in e for e in entries.values())
+    columns = [
+        Column("Parameter"),
+        Column("Value ± 95 %", numbers=True),
+        Column("95 % interval", numbers=True),
+        Column("Status"),
+        Column("Rests on"),
+    ]
+    columns += [Column("Cramér-Rao bound, 95 %", numbers=True)] if bounded else []
+    columns += [Column("Truth", numbers=True)] if data.truth else []
+    core = CORE_OF[result["rotor_input"]]
+    rows = []
+    for name in sorted(entries, key=lambda n: n not in core):
+        estimate = entries[name]
+        cells = [_name(name), *_numbers(estimate), _status(estimate["status"])]
+        cells.append(wording.told_by(name, estimate, result["scale"]))
+        if bounded:
+            cells.append(_bound(estimate))
+        if data.truth:
+            cells.append(_truth(estimate, data.truth.get(name)))
+        rows.append(cells)
+    shown = dict.fromkeys(e["status"] for e in entries.values())
+    meanings = [
+        element("li", _status(status), " ", wording.STATUS_MEANINGS[status])
+        for status in wording.STATUS_SIGNS
+        if status in shown
+    ]
+    return section(
+        "parameters",
+        "Parameters",
+        table("Parameters with their 95 % intervals, SI units", columns, rows),
+        element("ul", *meanings, class_="meanings"),
+        _timing(result),
+        _segments(result),
+    )
+
+
+def _name(name: str) -> Markup:
+    return joined(
+        element("span", name, class_="symbol"),
+        element("span", wording.meaning(name), class_="meaning"),
+    )
+
+
+def _status(status: str) -> Markup:
+    sign = element("span", wording.STATUS_SIGNS[status], class_="sign", aria_hidden="true")
+    return element("span", sign, wording.STATUS_WORDS[status], class_=f"status {status}")
+
+
+def _numbers(estimate: Mapping[str, Any]) -> list[Child]:
+    """Value with its uncertainty, and the interval."""
+    half = wording.half_of(estimate)
+    value, unit = estimate["value"], wording.unit_text(estimate["unit"])
+    if value is None or half is None:
+        return [wording.NOTHING] * 2
+    text, half_text, power, exponent = wording.value_text(value, half)
+    if estimate["status"] == "given":
+        return [f"{wording.number(value, 6)} {unit}", wording.NOTHING]
+    decimals = wording.decimals_of(half / 10.0**exponent, abs(value) / 10.0**exponent)
+    ends = [wording.fixed(end / 10.0**exponent, decimals) for end in estimate["ci95"] or ()]
+    interval = f"{ends[0]} … {ends[1]}{power}" if ends else wording.NOTHING
+    untold = estimate["status"] == "unobservable"
+    if not half:
+        relative = ""  # not estimated
+    elif half > 0.3 * abs(value):
+        relative = "known to be this small" if estimate["status"] == "identified" else ""
+    else:
+        relative = f"± {wording.percent(half / abs(value))}"
+    both = f"({text} ± {half_text}){power}" if power else f"{text} ± {half_text}"
+    shown = joined(
+        element("span", f"{both} {unit}".rstrip(), class_="untold" if untold else None),
+        element("span", relative, class_="share") if relative and not untold else None,
+    )
+    return [shown, interval]
+
+
+def _bound(estimate: Mapping[str, Any]) -> str:
+    bound = estimate.get("bound")
+    if not bound:
+        return wording.NOTHING
+    return f"± {wording.number(Z95 * bound, 2)}"
+
+
+def _truth(estimate: Mapping[str, Any], true: float | None) -> Child:
+    if true is None:
+        return wording.NOTHING
+    value = estimate["value"]
+    error = None if value is None or not true else value / true - 1.0
+    return joined(
+        wording.number(true, 5),
+        None if error is None
+        else element("span", f"error {wording.percent(error)}", class_="share"),
+    )  # fmt: skip
+
+
+def _timing(result: Mapping[str, Any]) -> Markup | None:
+    entries: dict[str, Child] = {}
+    for name, estimate in result["timing"].items():
+        if estimate["value"] is None:
+            continue
+        half = wording.half_of(estimate)
+        text = wording.measure(1e3 * estimate["value"], 1e3 * half if half else None, "ms")
+        entries[name.replace("_", " ").capitalize()] = joined(
+            text, element("span", TIMING[name].meaning, class_="share")
+        )
+    return facts(entries) if entries else None
+
+
+def _segments(result: Mapping[str, Any]) -> Markup | None:
+    """What held before each change, where the vehicle changed."""
+    segments = result["segments"]
+    if not segments:
+        return None
+    parts = [(f"{s['start']:.1f} to {s['end']:.1f} s", s["parameters"]) for s in segments]
+    parts.append((f"from {segments[-1]['end']:.1f} s, in force", result["parameters"]))
+    columns = [Column("Parameter"), *(Column(title, numbers=True) for title, _ in parts)]
+    rows = [
+        [name, *(_numbers(held[name])[0] if name in held else wording.NOTHING for _, held in parts)]
+        for name in result["parameters"]
+    ]
+    return joined(
+        element("h3", "Before and after the changes"),
+        table("Value ± 95 % in each segment of the flight", columns, rows),
+    )
+
+
+def convergence(data: ReportData, figures: Figures) -> Markup:
+    """How every estimate settled."""
+    names = add_course(figures, data)
+    if not names:
+        return section(
+            "convergence", "Convergence", note("There was too little flight to see any.")
+        )
+    entries = [("estimate", "estimate"), ("band", "95 % band")]
+    if data.truth:
+        entries.append(("level", "truth"))
+    if data.result["events"]:
+        entries.append(("mark", "event, numbered as below"))
+    by_name = data.result["parameters"]
+    return section(
+        "convergence",
+        "Convergence",
+        note(
+            "How each estimate and its 95 % band settled over the flight. The scale is that of "
+            "the settled estimate: first guesses may run out of the picture."
+        ),
+        legend(*entries),
+        grid(
+            "three",
+            (
+                figure(
+                    f"course-{name}", name, wording.STATUS_WORDS[by_name[name]["status"]],
+                    size="small",
+                )
+                for name in names
+            ),
+        ),
+    )  # fmt: skip

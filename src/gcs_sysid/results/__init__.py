@@ -1,0 +1,1 @@
+"""What an identification found: results, their files, snapshots, and comparisons."""

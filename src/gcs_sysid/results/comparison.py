@@ -1,0 +1,280 @@
+"""Has the vehicle changed? Two results, parameter by parameter.
+
+The difference of two estimates has the variance of both together. One interval in twenty misses
+by chance, so many parameters would make a change of nothing: whether any has changed is decided
+for all of them together, by Holm's step-down procedure (1979), which holds however the estimates
+hang together.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.intervals import Z95
+from gcs_sysid.model.airframe import parse_airframe
+from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.results.result import Estimate, Result, Scale
+
+SCHEMA = "gcs-sysid/compare/1"
+Change = Literal["changed", "no_change_seen", "cannot_tell"]
+
+LEVEL = 0.05
+"""Probability that a vehicle which is the same is called changed."""
+_LENGTHS = frozenset({"cg_x", "cg_y", "moment_ratio", "thrust_curve", "motor_lag"})
+"""Parameters that do not depend on the scale."""
+_KNOWN = PARAMETERS | {"motor_lag": TIMING["motor_lag"]}
+_SAME_PLACE = 1e-6
+"""m"""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One parameter in both results.
+
+    Attributes:
+        name: of the parameter.
+        before: in the first result, None where it is not there.
+        after: in the second.
+        value: after - before; None where either has no value.
+        std: of the difference.
+        p: probability of a difference as large by chance; None where it cannot be told.
+        p_holm: the same, reckoning with the number of parameters looked at.
+        verdict: in one word.
+        why: the verdict is no better.
+    """
+
+    name: str
+    before: Estimate | None
+    after: Estimate | None
+    value: float | None
+    std: float | None
+    p: float | None
+    p_holm: float | None
+    verdict: Change
+    why: str = ""
+
+    @property
+    def unit(self) -> str:
+        """SI unit."""
+        return _KNOWN[self.name].unit
+
+    @property
+    def ci95(self) -> tuple[float, float] | None:
+        """The 95 % interval of the difference, of this parameter alone."""
+        if self.value is None or self.std is None:
+            return None
+        return self.value - Z95 * self.std, self.value + Z95 * self.std
+
+    def as_json(self) -> dict[str, Any]:
+        """The difference as `--json` writes it."""
+        return {
+            "before": None if self.before is None else self.before.as_json(),
+            "after": None if self.after is None else self.after.as_json(),
+            "difference": self.value,
+            "ci95": None if self.ci95 is None else list(self.ci95),
+            "unit": self.unit,
+            "p": self.p,
+            "p_holm": self.p_holm,
+            "verdict": self.verdict,
+            "why": self.why,
+        }
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What two results say of one vehicle.
+
+    Attributes:
+        before: the first result.
+        after: the second.
+        differences: by parameter, in the order of tables.
+        verdict: of all together.
+        notes: what it rests on and what it does not tell.
+    """
+
+    before: Result
+    after: Result
+    differences: dict[str, Difference]
+    verdict: Change
+    notes: tuple[str, ...]
+
+    def named(self, verdict: Change) -> list[str]:
+        """Parameters of this verdict."""
+        return [name for name, found in self.differences.items() if found.verdict == verdict]
+
+    def as_json(self) -> dict[str, Any]:
+        """The comparison as `--json` writes it."""
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            **{
+                key: {
+                    "source": result.source,
+                    "verdict": result.verdict,
+                    "vehicle": result.vehicle,
+                    "scale": None if result.scale is None else result.scale.as_json(),
+                }
+                for key, result in (("before", self.before), ("after", self.after))
+            },
+            "parameters": {name: found.as_json() for name, found in self.differences.items()},
+            "notes": list(self.notes),
+        }
+
+
+def compare(before: Result, after: Result) -> Comparison:
+    """Compare two results.
+
+    Raises:
+        InputError: they are of vehicles with another number of rotors.
+    """
+    notes = [*_rotor_notes(before, after), *_flight_notes(before, after)]
+    names = [n for n in _KNOWN if any(_estimate(r, n) is not None for r in (before, after))]
+    found = {name: _difference(name, before, after) for name in names}
+    found = _holm(found)
+    notes += _scale_notes(before, after, found)
+    changed = any(difference.verdict == "changed" for difference in found.values())
+    compared = any(difference.p is not None for difference in found.values())
+    verdict: Change = "changed" if changed else "no_change_seen" if compared else "cannot_tell"
+    return Comparison(before, after, found, verdict, tuple(notes))
+
+
+def _estimate(result: Result, name: str) -> Estimate | None:
+    return (result.parameters | result.timing).get(name)
+
+
+def _difference(name: str, before: Result, after: Result) -> Difference:
+    first, second = _estimate(before, name), _estimate(after, name)
+    values: list[tuple[float, float]] = []
+    for estimate, result, which in ((first, before, "A"), (second, after, "B")):
+        why = ""
+        if estimate is None or estimate.value is None or estimate.std is None:
+            why = f"not in {which}"
+        elif estimate.status == "unobservable":
+            why = f"unobservable in {which}"
+        elif result.scale is None and name not in _LENGTHS:
+            why = f"{which} has no scale"
+        else:
+            values.append((estimate.value, estimate.std))
+        if why:
+            return Difference(name, first, second, None, None, None, None, "cannot_tell", why)
+    value = values[1][0] - values[0][0]
+    std = math.hypot(values[0][1], values[1][1])
+    why = _doubt(first, second) or ("given in both" if std == 0.0 else "")
+    if why:
+        return Difference(name, first, second, value, std, None, None, "cannot_tell", why)
+    p = math.erfc(abs(value) / std / math.sqrt(2.0))
+    return Difference(name, first, second, value, std, p, None, "no_change_seen")
+
+
+def _doubt(first: Estimate | None, second: Estimate | None) -> str:
+    """Why a difference says little of the vehicle, empty where it does say something."""
+    both = {"A": first, "B": second}
+    weak = [which for which, e in both.items() if e is not None and e.status == "weak"]
+    if weak:
+        return f"weak in {' and '.join(weak)}"
+    leaning = [which for which, e in both.items() if e is not None and e.rests_on == "prior"]
+    return f"rests on a prior in {' and '.join(leaning)}" if leaning else ""
+
+
+def _holm(found: Mapping[str, Difference]) -> dict[str, Difference]:
+    """With verdicts for all together."""
+    tested = sorted((d for d in found.values() if d.p is not None), key=lambda d: d.p or 0.0)
+    out, least = dict(found), 0.0
+    for rank, difference in enumerate(tested):
+        assert difference.p is not None
+        least = max(least, min((len(tested) - rank) * difference.p, 1.0))
+        verdict: Change = "changed" if least < LEVEL else "no_change_seen"
+        out[difference.name] = replace(difference, p_holm=least, verdict=verdict)
+    return out
+
+
+def _rotor_notes(before: Result, after: Result) -> Iterable[str]:
+    """Whether the rotors are the same.
+
+    Raises:
+        InputError: there are more or fewer of them.
+    """
+    geometries = []
+    for result in (before, after):
+        if not result.airframe:
+            yield "a result does not name its rotors: that they are the same is taken for granted"
+            return
+        table = {"name": result.airframe.get("name"), "rotor": result.airframe.get("rotors")}
+        geometries.append(parse_airframe(table, "the result's airframe").geometry)
+    first, second = geometries
+    if first.shape != second.shape:
+        raise InputError(
+            f"{before.source or 'A'} has {first.shape[1]} rotors, {after.source or 'B'} has "
+            f"{second.shape[1]}: not the same vehicle"
+        )
+    if abs(first - second).max() > _SAME_PLACE:
+        yield (
+            "A and B were analyzed with other rotor positions or spins: differences of CG, "
+            "inertia and torque may come from that"
+        )
+
+
+def _flight_notes(before: Result, after: Result) -> Iterable[str]:
+    if before.source == after.source:
+        yield f"both come from {before.source or 'one flight'}: they are not independent"
+    if before.vehicle != after.vehicle:
+        yield "another autopilot or system number spoke in B: is it the same vehicle?"
+    if before.rotor_input != after.rotor_input:
+        yield (
+            "one rests on rotor speeds, the other on commands: thrust coefficients cannot be "
+            "compared"
+        )
+    for which, result in (("A", before), ("B", after)):
+        changes = [e for e in result.events if "detected" in e and e.get("kind") != "disturbance"]
+        if changes:
+            yield f"{which} changed in flight: its parameters are those in force at the end"
+
+
+def _scale_notes(before: Result, after: Result, found: Mapping[str, Difference]) -> Iterable[str]:
+    first, second = before.scale, after.scale
+    if first is None or second is None:
+        yield "a result without a scale tells lengths alone"
+        return
+    if first.anchor != second.anchor:
+        yield (
+            f"A rests on {_anchor(first)}, B on {_anchor(second)}: a factor common to mass, "
+            "inertias and coefficients may be the anchors', not the vehicle's"
+        )
+    elif first.value == second.value:
+        yield (
+            f"both rest on {_anchor(first)}: were that not the same in both flights, mass, "
+            "inertias and coefficients would all be off by one factor"
+        )
+    else:
+        yield f"A rests on {_anchor(first)}, B on {_anchor(second)}, as given"
+    if first.std == 0.0 or second.std == 0.0:
+        yield "the error of a weighed or given anchor itself is not in the intervals"
+    if first.anchor == second.anchor == "mass":
+        yield from _suspicion(second.value, found)
+
+
+def _suspicion(mass: float, found: Mapping[str, Difference]) -> Iterable[str]:
+    """Where thrust changed at given masses, the mass that would leave it as it was."""
+    for name in ("k_T", "T_max"):
+        thrust = found.get(name)
+        if thrust is None or thrust.verdict != "changed":
+            continue
+        before, after = _value(thrust.before), _value(thrust.after)
+        if before <= 0.0 or after <= 0.0:
+            continue  # no mass makes up for rotors without thrust
+        ratio = before / after
+        yield (
+            f"{name} changed at the masses given: either rotors, air or battery did, or the mass "
+            f"of B is not {mass:.4g} kg but about {mass * ratio:.4g} kg"
+        )
+
+
+def _value(estimate: Estimate | None) -> float:
+    value = None if estimate is None else estimate.value
+    return math.nan if value is None else value
+
+
+def _anchor(scale: Scale) -> str:
+    return f"{scale.anchor} = {scale.value:.6g} {scale.unit}"

@@ -1,0 +1,173 @@
+"""Results read back from the files that `--json` writes."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NoReturn, cast, get_args
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import ANCHORS
+from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.reading import read_text
+from gcs_sysid.results.result import SCHEMA, Estimate, Result, Scale, Status, Verdict
+from gcs_sysid.sanitize import one_line
+
+MOST_BYTES = 256 * 1024 * 1024
+"""A file beyond this is no result."""
+
+
+def read_result(path: Path) -> Result:
+    """Read one result.
+
+    Args:
+        path: of a file by `analyze --json`, or by `live --json`, whose last line counts.
+
+    Raises:
+        InputError: the file cannot be read, holds several results, or is none.
+    """
+    where = str(path)
+    text = read_text(path, MOST_BYTES, "the result")
+    return parse_result(_last_document(text, where), where)
+
+
+def parse_result(document: object, where: str) -> Result:
+    """Make a result of parsed JSON.
+
+    Args:
+        document: as `Result.as_json` gives it.
+        where: name of the file, for messages.
+
+    Raises:
+        InputError: it is no result of this program.
+    """
+    if isinstance(document, list) and len(document) == 1:
+        document = document[0]
+    if isinstance(document, list):
+        raise InputError(
+            f"{where}: holds {len(document)} results; analyze the logs one by one, "
+            "each with its own --json"
+        )
+    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        raise InputError(f"{where}: not a result of gcs-sysid (no schema {SCHEMA!r} in it)")
+    table = _Table(document, where)
+    rotor_input = table.text("rotor_input")
+    if rotor_input not in ("speed", "command"):
+        table.fail("rotor_input")
+    return Result(
+        verdict=cast(Verdict, table.one_of("verdict", get_args(Verdict))),
+        reasons=tuple(one_line(str(reason)) for reason in table.list("reasons")),
+        source=table.text("source"),
+        vehicle=table.table("vehicle").entries,
+        scale=_scale(table),
+        rotor_input="speed" if rotor_input == "speed" else "command",
+        parameters=_estimates(table.table("parameters"), PARAMETERS),
+        estimator="offline" if document.get("estimator") == "offline" else "online",
+        timing=_estimates(table.table("timing"), TIMING),
+        events=tuple(event for event in table.list("events") if isinstance(event, dict)),
+        segments=tuple(part for part in table.list("segments") if isinstance(part, dict)),
+        validation=table.table("validation").entries,
+        priors=table.table("priors").entries,
+        telemetry=table.table("telemetry").entries,
+        airframe=table.table("airframe").entries,
+    )
+
+
+class _Table:
+    """A JSON object whose entries are checked as they are taken."""
+
+    def __init__(self, entries: dict[str, Any], where: str) -> None:
+        self.entries, self.where = entries, where
+
+    def fail(self, key: str) -> NoReturn:
+        raise InputError(f"{self.where}: not a whole result: {key} is missing or makes no sense")
+
+    def text(self, key: str) -> str:
+        value = self.entries.get(key, "")
+        return one_line(value) if isinstance(value, str) else self.fail(key)
+
+    def one_of(self, key: str, words: tuple[str, ...]) -> str:
+        value = self.text(key)
+        return value if value in words else self.fail(key)
+
+    def list(self, key: str) -> list[Any]:
+        value = self.entries.get(key, [])
+        return value if isinstance(value, list) else self.fail(key)
+
+    def table(self, key: str) -> "_Table":
+        value = self.entries.get(key, {})
+        return _Table(value, self.where) if isinstance(value, dict) else self.fail(key)
+
+    def number(self, key: str) -> float | None:
+        value = self.entries.get(key)
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            self.fail(key)
+        try:
+            number = float(value)
+        except OverflowError:
+            self.fail(key)
+        return number if math.isfinite(number) else self.fail(key)
+
+
+def _estimates(table: _Table, known: Mapping[str, Any]) -> dict[str, Estimate]:
+    """Those that this version knows, in its order."""
+    out = {}
+    for name, parameter in known.items():
+        if name not in table.entries:
+            continue
+        entry = table.table(name)
+        std = entry.number("std")
+        if std is not None and std < 0.0:
+            entry.fail(f"std of {name}")
+        out[name] = Estimate(
+            entry.number("value"),
+            std,
+            parameter.unit,
+            cast(Status, entry.one_of("status", get_args(Status))),
+            entry.number("bound"),
+            entry.text("rests_on") or None,
+        )
+    return out
+
+
+def _scale(table: _Table) -> Scale | None:
+    if table.entries.get("scale") is None:
+        return None
+    scale = table.table("scale")
+    value = scale.number("value")
+    anchor = scale.one_of("anchor", (*ANCHORS, "added_mass"))
+    if value is None or value <= 0.0:
+        scale.fail("value of the scale")
+    return Scale(
+        anchor,  # type: ignore[arg-type]
+        value,
+        scale.text("unit"),
+        scale.number("std") or 0.0,
+        scale.text("from"),
+    )
+
+
+def _last_document(text: str, where: str) -> object:
+    """The JSON of a text: all of it, or its last line where every line is one."""
+
+    def refuse(word: str) -> NoReturn:
+        raise InputError(f"{where}: not strict JSON: {word} in it")
+
+    def finite(digits: str) -> float:
+        number = float(digits)
+        return number if math.isfinite(number) else refuse(f"{digits[:20]}, which is too large,")
+
+    def loads(part: str) -> object:
+        return json.loads(part, parse_constant=refuse, parse_float=finite)
+
+    try:
+        try:
+            return loads(text)
+        except json.JSONDecodeError as error:
+            if not error.msg.startswith("Extra data"):
+                raise
+            return loads(text.rstrip().rpartition("\n")[2])
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{where}: not valid JSON: {error}") from error

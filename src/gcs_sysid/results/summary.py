@@ -1,0 +1,222 @@
+"""From fits, anchors and events to the words and numbers of a result."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.change_kinds import describe
+from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.physical_parameters import Value, physical_parameters, rests_on_prior
+from gcs_sysid.estimation.rotor_signals import RotorInput
+from gcs_sysid.estimation.tracking import Event
+from gcs_sysid.estimation.uncertainty import watched_factor
+from gcs_sysid.intervals import Z95
+from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.model.scale_reference import Known, ScaleKind, ScaleReference
+from gcs_sysid.results.result import Estimate, Scale
+
+_UNITS = {"mass": "kg", "k_T": "N s^2", "T_max": "N", "added_mass": "kg"}
+_AXES = ("roll", "pitch", "yaw")
+MIN_SECONDS = 3.0
+"""Flight time in s below which nothing is claimed, unless an earlier segment tells most of it."""
+
+_WORDS = {
+    "mass_change": "the mass changed",
+    "payload": "a payload changed mass and balance",
+    "cg_shift": "the centre of gravity moved",
+    "inertia_change": "the inertia changed",
+    "rotor_failure": "a rotor lost thrust",
+    "passing": "a disturbance passed",
+    "change": "the vehicle changed",
+}
+
+
+_SPEEDS_ONLY = ("k_T", "k_M", "rotor_inertia")
+"""Priors that mean nothing where commands are the input."""
+
+
+def priors_for(known: Mapping[str, Known], rotor_input: RotorInput) -> Mapping[str, Known]:
+    """Those priors that make sense with this input."""
+    if rotor_input == "speed":
+        return known
+    return {name: value for name, value in known.items() if name not in _SPEEDS_ONLY}
+
+
+def values_of(
+    fit: Fit,
+    anchor: ScaleReference,
+    arm: float,
+    known: Mapping[str, Known],
+    rotor_input: RotorInput = "speed",
+    lateness: float = 0.0,
+) -> dict[str, Value]:
+    """Physical parameters of a fit, or nothing but the anchor while it is too early.
+
+    While the flight goes on, somebody looks at every estimate and believes the one that says
+    `identified`: intervals are then wide enough to hold at all times.
+    """
+    if fit.running:
+        fit = _widened(fit, watched_factor(fit.seconds))
+    early = fit.seconds < MIN_SECONDS and not anchor.origin
+    rotation = None if early else fit.rotation
+    return physical_parameters(
+        anchor, rotation, fit.translation, arm, known, rotor_input, fit.rigid_body_test, lateness
+    )
+
+
+def _widened(fit: Fit, factor: float) -> Fit:
+    """The fit with standard deviations times a factor."""
+    rotation, translation = fit.rotation, fit.translation
+    if rotation is not None:
+        rotation = replace(
+            rotation,
+            covariance=factor**2 * rotation.covariance,
+            full_covariance=factor**2 * rotation.full_covariance,
+        )
+    if translation is not None:
+        translation = replace(
+            translation,
+            kappa_std=factor * translation.kappa_std,
+            delta_std=factor * translation.delta_std,
+        )
+    return replace(fit, rotation=rotation, translation=translation)
+
+
+def estimates_of(
+    values: Mapping[str, Value],
+    fit: Fit,
+    anchor: ScaleReference,
+    bounds: Mapping[str, Value] | None = None,
+) -> dict[str, Estimate]:
+    """Values as a result's estimates.
+
+    Args:
+        values: by name.
+        fit: that they come from.
+        anchor: in force.
+        bounds: parameters whose `std` are the Cramer-Rao bounds, if they were computed.
+    """
+    leaning = rests_on_prior(fit.rotation) if fit.rotation is not None else frozenset()
+    support = anchor.origin or "prior"
+    return {
+        name: Estimate(
+            v.value,
+            v.std,
+            PARAMETERS[name].unit,
+            v.status,
+            bound=bounds[name].std if bounds and name in bounds else None,
+            rests_on=support if name in leaning else None,
+        )
+        for name, v in values.items()
+    }
+
+
+def scale_of(anchor: ScaleReference) -> Scale:
+    """The anchor as a result names it."""
+    return Scale(anchor.kind, anchor.value, _UNITS[anchor.kind], anchor.std, anchor.origin)
+
+
+def next_anchor(
+    anchor: ScaleReference, values: Mapping[str, Value], until: float
+) -> ScaleReference:
+    """The anchor after a change of the body: the rotors are the same, so their thrust stays.
+
+    Args:
+        anchor: in force before.
+        values: parameters before, with k_T (rotor speeds) or T_max (commands).
+        until: s, session time of the change.
+    """
+    kind: ScaleKind = "k_T" if "k_T" in values else "T_max"
+    thrust = values[kind]
+    origin = f"the flight before {until:.1f} s"
+    if anchor.kind == kind:
+        return ScaleReference(kind, anchor.value, anchor.std, origin)
+    if thrust.value is None or thrust.std is None:
+        return anchor
+    return ScaleReference(kind, thrust.value, thrust.std, origin)
+
+
+def validation_of(fit: Fit) -> dict[str, Any]:
+    """The validation as a result's dictionary."""
+    found = fit.validation
+    if found is None:
+        return {}
+
+    def axes(values: Array) -> dict[str, float | None]:
+        return {
+            axis: value if math.isfinite(value) else None
+            for axis, value in zip(_AXES, np.asarray(values).tolist(), strict=True)
+        }
+
+    out = {
+        "fitted_share": found.fitted_share,
+        "r_squared": axes(found.r_squared),
+        "theil": axes(found.theil),
+        "whiteness": axes(found.whiteness),
+        "whiteness_p": axes(found.whiteness_p),
+    }
+    if fit.rigid_body_test is not None:
+        out["gyroscopic"] = {
+            "share": axes(fit.rigid_body_test.share),
+            "std": axes(fit.rigid_body_test.std),
+        }
+    return out
+
+
+def event_of(
+    event: Event, before: Mapping[str, Value], after: Mapping[str, Value] | None
+) -> dict[str, Any]:
+    """A change as a result tells it.
+
+    Args:
+        event: as the tracker found it.
+        before: parameters of the segment before.
+        after: those of the one after; None where there is none.
+    """
+    out: dict[str, Any] = {
+        "t": event.onset,
+        "kind": "change" if event.cause is None else event.cause.kind,
+        "detected": event.detected,
+        "channel": "landing" if event.change is None else event.change.channel,
+    }
+    if out["kind"] == "passing":
+        out["kind"] = "disturbance"
+    if event.cause is not None and event.cause.kind == "rotor_failure":
+        half = Z95 * event.cause.loss_std
+        out["rotor"] = event.cause.rotor
+        out["loss"] = {
+            "value": event.cause.loss,
+            "ci95": [event.cause.loss - half, event.cause.loss + half],
+        }
+    if after is not None:
+        told = describe(
+            {n: (v.value, v.std) for n, v in before.items()},
+            {n: (v.value, v.std) for n, v in after.items()},
+        )
+        if told["kind"] != "change":
+            out["kind"] = told["kind"]
+        out["parameters"] = told["parameters"]
+    return out
+
+
+def note_of(event: Event, rotor_input: RotorInput = "speed") -> str:
+    """A line for the event log."""
+    thrust = "k_T" if rotor_input == "speed" else "T_max"
+    if event.change is None:
+        return (
+            f"the vehicle differs since the landing at {event.onset:.1f} s: "
+            f"{thrust} stays, the rest is identified anew"
+        )
+    cause = event.cause
+    kind = "change" if cause is None else cause.kind
+    text = f"{_WORDS[kind]} at {event.onset:.2f} s"
+    if cause is not None and cause.rotor is not None:
+        return f"{text}: rotor {cause.rotor + 1}, {100.0 * cause.loss:.0f} %; identification stops"
+    if kind == "passing":
+        return f"{text}; the estimate goes on"
+    ratio = "" if cause is None else f" (mass x {cause.mass_ratio:.3f})"
+    return f"{text}{ratio}: {thrust} stays, the rest is identified anew"

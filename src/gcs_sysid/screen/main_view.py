@@ -1,0 +1,182 @@
+"""The main screen: lays the panels out for the terminal's size and passes views on to them."""
+
+from typing import ClassVar
+
+from textual import events
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Container
+from textual.message import Message
+from textual.screen import Screen
+from textual.widget import Widget
+from textual.widgets import Footer
+
+from gcs_sysid.screen.view import Panel, View
+from gcs_sysid.screen.widgets.acceleration import AccelerationPanel
+from gcs_sysid.screen.widgets.attitude_panel import AttitudePanel
+from gcs_sysid.screen.widgets.coach_panel import CoachPanel
+from gcs_sysid.screen.widgets.convergence import Convergence
+from gcs_sysid.screen.widgets.event_log import EventLog
+from gcs_sysid.screen.widgets.link_panel import LinkPanel
+from gcs_sysid.screen.widgets.pages import PAGES, PageBar
+from gcs_sysid.screen.widgets.parameter_table import ParameterTable
+from gcs_sysid.screen.widgets.status import AnswerLine, Banner, StatusLine
+from gcs_sysid.screen.widgets.verdict import VerdictPanel
+
+COLUMNS_WIDTH, COLUMNS_HEIGHT = 118, 34
+"""From this size on, all panels stand side by side; below it, pages."""
+WIDE_WIDTH = 160
+"""From this width on, the right side has two columns of its own."""
+TALL_HEIGHT = 40
+"""From this height on, the first page holds the plot too."""
+
+
+Hiding = Banner | VerdictPanel | CoachPanel
+"""Panels that hide themselves while they have nothing to say."""
+
+
+def layout_classes(width: int, height: int) -> set[str]:
+    """The CSS classes of a terminal size."""
+    classes = set()
+    if width < COLUMNS_WIDTH or height < COLUMNS_HEIGHT:
+        classes.add("-paged")
+        if height >= TALL_HEIGHT:
+            classes.add("-tall")
+    else:
+        classes.add("-wide" if width >= WIDE_WIDTH else "-columns")
+    return classes
+
+
+class MainScreen(Screen[None]):
+    """Verdict, coach, parameters, plots, link, attitude, events."""
+
+    # Nothing here takes the focus, so that every key means the same everywhere.
+    AUTO_FOCUS = None
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("q", "app.quit", "Quit"),
+        Binding("m", "app.mark", "Mark"),
+        Binding("r", "app.reset", "Reset"),
+        Binding("R,ctrl+r", "app.record", "Record", key_display="R"),
+        Binding("p", "app.pause", "Pause"),
+        Binding("e", "app.export", "Export"),
+        Binding("h", "app.report", "Report"),
+        Binding("s", "app.scale", "Scale"),
+        Binding("b", "app.baseline", "Base"),
+        Binding("question_mark", "app.help", "Help", key_display="?"),
+        Binding("v", "app.vehicle", "Vehicle", show=False),
+        Binding("d", "app.toggle_dark", "Dark/light", show=False),
+        Binding("down,j", "app.select(1)", "Select", show=False),
+        Binding("up,k", "app.select(-1)", "Select", show=False),
+        Binding("tab", "app.page(1)", "Page", show=False),
+        Binding("shift+tab", "app.page(-1)", "Page", show=False),
+        Binding("pageup", "app.scroll_events(-1)", "Scroll events", show=False),
+        Binding("pagedown", "app.scroll_events(1)", "Scroll events", show=False),
+        *(
+            Binding(str(n), f"app.go('{page}')", title, show=False)
+            for n, (page, title) in enumerate(PAGES.items(), start=1)
+        ),
+    ]
+
+    class Ready(Message):
+        """All panels stand and can be drawn."""
+
+    def __init__(self, title: str) -> None:
+        super().__init__(classes="page-parameters")
+        self.page = "parameters"
+        self._view: View | None = None
+        # In the order of drawing; a new panel is added here, in compose and in the style sheet.
+        self.ready = False
+        self.answer = AnswerLine()
+        self._pages = PageBar()
+        self._status, self._banner = StatusLine(title), Banner()
+        self.table, self._plot = ParameterTable(), Convergence()
+        self._verdict, self._coach = VerdictPanel(), CoachPanel()
+        # Two places for one panel, of which the size of the terminal shows one at most.
+        self._motion = AccelerationPanel("motion")
+        self._motion_aside = AccelerationPanel("motion-aside")
+        self._link, self._attitude, self.events = LinkPanel(), AttitudePanel(), EventLog()
+        self._panels: list[Panel] = [
+            self._status,
+            self._banner,
+            self._verdict,
+            self._coach,
+            self.table,
+            self._plot,
+            self._motion,
+            self._motion_aside,
+            self._link,
+            self._attitude,
+            self.events,
+        ]
+
+    def compose(self) -> ComposeResult:
+        """The panels; where they stand is up to the style sheet."""
+        yield self._status
+        yield self._banner
+        yield self._verdict
+        yield self._coach
+        yield self._pages
+        with Container(id="body"):
+            with Container(id="left"):
+                yield self.table
+                yield self._plot
+                yield self._motion
+            with Container(id="right"):
+                with Container(id="vehicle"):
+                    yield self._link
+                    yield self._attitude
+                yield self._motion_aside
+                yield self.events
+        yield self.answer
+        yield Footer(compact=True, show_command_palette=False)
+
+    def on_mount(self) -> None:
+        """Choose the layout before the first drawing, then ask for it."""
+        self._lay_out(self.app.size.width, self.app.size.height)
+        self.ready = True
+        self.post_message(self.Ready())
+
+    def on_unmount(self) -> None:
+        """Nothing may be drawn any more."""
+        self.ready = False
+
+    def on_resize(self, event: events.Resize) -> None:
+        """Choose the layout for the new size."""
+        self._lay_out(event.size.width, event.size.height)
+
+    def _lay_out(self, width: int, height: int) -> None:
+        wanted = layout_classes(width, height)
+        for name in ("-paged", "-tall", "-columns", "-wide"):
+            self.set_class(name in wanted, name)
+        self._verdict.large = "-paged" not in wanted
+        self.call_after_refresh(self._show_again)
+
+    @property
+    def pages(self) -> list[str]:
+        """Those that there is a choice of, at this size of the terminal."""
+        if self.has_class("-paged"):
+            return list(PAGES)
+        return ["plot", "motion"] if self.has_class("-columns") else []
+
+    def select_page(self, page: str) -> None:
+        """Show another page (seen only on small terminals, kept for when it shrinks)."""
+        for name in PAGES:
+            self.set_class(name == page, f"page-{name}")
+        self.page = page
+        self._pages.select(page)
+        self._show_again()
+
+    def show(self, view: View) -> None:
+        """Bring everything that is visible up to date; hidden panels cost nothing."""
+        self._view = view
+        for panel in self._panels:
+            if isinstance(panel, Hiding) or _displayed(panel):
+                panel.show(view)
+
+    def _show_again(self) -> None:
+        if self._view is not None:
+            self.show(self._view)
+
+
+def _displayed(panel: Panel) -> bool:
+    return isinstance(panel, Widget) and all(node.display for node in panel.ancestors_with_self)

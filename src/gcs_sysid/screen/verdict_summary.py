@@ -1,0 +1,106 @@
+"""What is known, how well, and what is missing. Pure functions, no Textual."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from gcs_sysid.coach import interval_targets as targets
+from gcs_sysid.estimation.physical_parameters import CORE_OF, NOTHING, Value
+from gcs_sysid.results.comparison import Comparison
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.snapshot import LinkState, Snapshot
+from gcs_sysid.screen import formatting as fmt
+
+Known = tuple[str, float | None]
+"""Label of a parameter, and its share of `shares`."""
+
+
+def shares(result: Result) -> dict[str, float | None]:
+    """Half of each 95 % interval over what it is measured against, see `coach.targets`."""
+    told = result.parameters
+    values = {name: Value(e.value, e.std, e.status) for name, e in told.items()}
+    complete = dict.fromkeys(CORE_OF[result.rotor_input], NOTHING) | values
+    places = [(rotor["x"], rotor["y"]) for rotor in result.airframe.get("rotors", ())]
+    arm = sum(math.hypot(x, y) for x, y in places) / max(len(places), 1)
+    found = targets.shares(complete, arm, result.rotor_input)
+    return {name: share for name, share in found.items() if name in told}
+
+
+@dataclass(frozen=True)
+class Standing:
+    """The parameters of a complete identification, the widest first.
+
+    Attributes:
+        known: those identified.
+        weak: those seen, with a wide interval.
+        missing: those of which this flight says nothing.
+        reached: how many are within the target.
+    """
+
+    known: tuple[Known, ...]
+    weak: tuple[Known, ...]
+    missing: tuple[Known, ...]
+    reached: int
+
+    @property
+    def total(self) -> int:
+        """All that are to be identified."""
+        return len(self.known) + len(self.weak) + len(self.missing)
+
+
+def standing_of(snapshot: Snapshot) -> Standing:
+    """Sort a snapshot's parameters."""
+    groups: dict[str, list[Known]] = {"identified": [], "weak": [], "unobservable": []}
+    reached = 0
+    for name, share in shares(snapshot.result).items():
+        status = snapshot.result.parameters[name].status
+        groups[status].append((fmt.label(name), share))
+        reached += status == "identified" and share is not None and share <= snapshot.target
+    widest_first = {
+        status: tuple(sorted(group, key=lambda known: -(known[1] or 0.0)))
+        for status, group in groups.items()
+    }
+    return Standing(
+        widest_first["identified"], widest_first["weak"], widest_first["unobservable"], reached
+    )
+
+
+def headline(snapshot: Snapshot) -> str:
+    """The verdict in a word or two."""
+    if snapshot.link.state is LinkState.WAITING:
+        return "WAITING"
+    if snapshot.advice is not None and snapshot.advice.enough:
+        return "ENOUGH"
+    if snapshot.result.verdict == "refused":
+        return "NO ANSWER" if snapshot.link.state is LinkState.ENDED else "NOT YET"
+    return snapshot.result.verdict.upper()
+
+
+def named(group: Sequence[Known], room: int, *, shares: bool = True) -> str:
+    """As many names as there is room for, and how many there are besides: `Izz ±8 %, +2`."""
+    words = [
+        f"{name} ±{fmt.rough(share)}" if shares and share is not None else name
+        for name, share in group
+    ]
+    for count in range(len(words), 0, -1):
+        rest = len(words) - count
+        text = ", ".join([*words[:count], *([f"+{rest}"] if rest else [])])
+        if len(text) <= room:
+            return text
+    return f"{len(words)}" if words else "nothing"
+
+
+def compared(comparison: Comparison, room: int) -> tuple[str, str]:
+    """A comparison with the baseline in a sentence, and its sign."""
+    groups = {
+        verdict: [(fmt.label(name), None) for name in comparison.named(verdict)]
+        for verdict in ("changed", "no_change_seen", "cannot_tell")
+    }
+    same, unknown = len(groups["no_change_seen"]), len(groups["cannot_tell"])
+    tail = f"no change seen in {same}" + (f", cannot tell of {unknown}" if unknown else "")
+    if comparison.verdict == "cannot_tell":
+        return "?", "cannot tell yet whether the vehicle has changed"
+    if comparison.verdict == "changed":
+        names = named(groups["changed"], max(8, room - len(tail) - 11), shares=False)
+        return "≠", f"changed: {names}; {tail}"
+    return "=", tail

@@ -1,0 +1,236 @@
+"""The parameter table: value, interval, unit, status, the way to the target, change, error."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from textual import events
+from textual.app import ComposeResult
+from textual.containers import VerticalScroll
+from textual.content import Content
+from textual.geometry import Region
+from textual.message import Message
+from textual.widget import Widget
+from textual.widgets import Static
+
+from gcs_sysid.model.parameters import Parameter
+from gcs_sysid.results.result import Estimate
+from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.view import View
+from gcs_sysid.screen.widgets.lines import Line, Lines
+
+Cell = tuple[str, str]
+"""Text of exactly the column's width, and its style."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: its head, and how to write its cell for a parameter."""
+
+    head: str
+    cell: Callable[[View, Parameter, Estimate], Cell]
+    rank: int = 0
+    """Where there is no room for all columns, those of the highest rank go first."""
+    wanted: Callable[[View], bool] = lambda view: True
+
+
+def _exponent(view: View, parameter: Parameter) -> int:
+    return view.exponents.get(fmt.exponent_key(parameter), 0)
+
+
+def _value(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    value, half = fmt.value_and_half(estimate, _exponent(view, parameter))
+    if estimate.status == "given":
+        return f"{value}   {half}", "bold"
+    return f"{value} ± {half}", fmt.MUTED if estimate.status == "unobservable" else "bold"
+
+
+def _unit(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    return fmt.scaled_unit(parameter.unit, _exponent(view, parameter)).ljust(11), ""
+
+
+def _percent(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    return fmt.percent(fmt.relative_half(estimate)).rjust(6), ""
+
+
+def _status(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    status = estimate.status
+    return f"{fmt.STATUS_SIGN[status]} {status}".ljust(14), fmt.STATUS_STYLE[status]
+
+
+def _converged(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    if estimate.status == "given":
+        done = 1.0
+    elif parameter.name in view.shares and view.snapshot is not None:
+        done = fmt.converged(view.shares[parameter.name], view.snapshot.target)
+    else:
+        return " " * BAR, ""  # nobody asks for it
+    return fmt.bar(done, BAR), f"{fmt.STATUS_STYLE[estimate.status]} on $panel"
+
+
+def _truth(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    if parameter.name not in view.truth:
+        return " " * fmt.NUMBER_WIDTH, ""
+    return fmt.aligned(view.truth[parameter.name] / 10.0 ** _exponent(view, parameter), 3), ""
+
+
+def _error(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    truth = view.truth.get(parameter.name)
+    if not truth or estimate.value is None or estimate.status == "given":
+        return " " * 7, ""
+    return fmt.percent(estimate.value / truth - 1.0, signed=True).rjust(7), ""
+
+
+def _change(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    found = None if view.comparison is None else view.comparison.differences.get(parameter.name)
+    if found is None or estimate.status == "given":
+        return " " * 8, ""
+    share = None
+    if found.value is not None and found.before is not None and found.before.value:
+        share = found.value / abs(found.before.value)
+    text = f"{fmt.CHANGE_SIGN[found.verdict]}{fmt.percent(share, signed=True):>7}"
+    return text, fmt.CHANGE_STYLE[found.verdict]
+
+
+def _has_truth(view: View) -> bool:
+    return bool(view.truth)
+
+
+def _has_baseline(view: View) -> bool:
+    return view.comparison is not None
+
+
+BAR = 7
+COLUMNS = (
+    Column("   value ± 95 %    ", _value),
+    Column("unit       ", _unit),
+    Column("  ± % ", _percent),
+    Column("status        ", _status),
+    Column("target ", _converged, 1),
+    Column(" change ", _change, 2, _has_baseline),
+    Column("   truth", _truth, 4, _has_truth),
+    Column("  error", _error, 3, _has_truth),
+)
+"""In this order from left to right."""
+NAME_HEAD = " name    "
+
+
+def _columns(view: View, width: int) -> list[Column]:
+    wanted = [column for column in COLUMNS if column.wanted(view)]
+    while len(NAME_HEAD) + sum(len(c.head) + 1 for c in wanted) > width:
+        least = max(wanted, key=lambda column: column.rank)
+        if not least.rank:
+            break
+        wanted.remove(least)
+    return wanted
+
+
+def _line(name: Cell, cells: list[Cell]) -> Line:
+    return [name, *(part for cell in cells for part in ((" ", ""), cell))]
+
+
+def _lit(line: Line, width: int) -> Line:
+    """A line on the colour of what is chosen, to the edge of the table."""
+    missing = width - sum(len(text) for text, _ in line)
+    return [
+        (text, style if " on " in style else f"{style} on $primary-muted")
+        for text, style in (*line, (" " * missing, ""))
+    ]
+
+
+class ParameterRows(Lines):
+    """The parameters, one a line."""
+
+    class Chosen(Message):
+        """The user clicked on a parameter."""
+
+        def __init__(self, name: str) -> None:
+            super().__init__()
+            self.parameter_name = name
+
+    def __init__(self) -> None:
+        super().__init__(id="parameter-rows")
+        self.parameters: list[Parameter] = []
+        """From top to bottom."""
+        self._pointed: Parameter | None = None
+
+    def show(self, view: View, columns: list[Column]) -> None:
+        """Write the cells anew."""
+        found = [] if view.snapshot is None else fmt.rows(view.snapshot.result)
+        self.parameters = [parameter for parameter, _ in found]
+        lines = [self._row(view, columns, *pair) for pair in found]
+        self.put(lines or [[(" No estimate yet.", fmt.MUTED)]])
+
+    def _row(
+        self, view: View, columns: list[Column], parameter: Parameter, estimate: Estimate
+    ) -> Line:
+        chosen = view.selected == parameter.name
+        name = ("▸" if chosen else " ") + fmt.label(parameter.name).ljust(8)
+        cells = [column.cell(view, parameter, estimate) for column in columns]
+        line = _line((name, "bold" * chosen), cells)
+        return _lit(line, self.content_size.width) if chosen else line
+
+    def on_click(self, event: events.Click) -> None:
+        """Choose the parameter under the mouse for the plot."""
+        if event.y < len(self.parameters):
+            self.post_message(self.Chosen(self.parameters[event.y].name))
+
+    def on_mouse_move(self, event: events.MouseMove) -> None:
+        """Say what the parameter under the mouse is."""
+        pointed = self.parameters[event.y] if event.y < len(self.parameters) else None
+        if pointed is not self._pointed:
+            self._pointed = pointed
+            self.tooltip = None if pointed is None else f"{pointed.symbol}: {pointed.meaning}"
+
+
+class ParameterTable(Widget):
+    """All parameters of the result, and below them why a verdict is not better."""
+
+    BORDER_TITLE = "Parameters"
+
+    def __init__(self) -> None:
+        super().__init__(id="parameters")
+        self._head = Lines(id="parameters-head")
+        self._holder = VerticalScroll(can_focus=False)
+        self._why = Static(id="reasons")
+        self._rows = ParameterRows()
+        self._view: View | None = None
+        self._columns: list[Column] = []
+        self._reasons = ""
+
+    def compose(self) -> ComposeResult:
+        """Head, rows, reasons."""
+        yield self._head
+        with self._holder:
+            yield self._rows
+        yield self._why
+
+    def on_resize(self, event: events.Resize) -> None:
+        """Choose the columns anew."""
+        if self._view is not None:
+            self.show(self._view)
+
+    def show(self, view: View) -> None:
+        """Bring the table up to date."""
+        self._view = view
+        columns = _columns(view, self.content_size.width)
+        if columns != self._columns:
+            self._columns = columns
+            self._head.put([_line((NAME_HEAD, ""), [(c.head, "") for c in columns])])
+        self._rows.show(view, columns)
+        self._show_reasons(view)
+
+    def _show_reasons(self, view: View) -> None:
+        reasons = "" if view.snapshot is None else fmt.one_line(view.snapshot.result.reasons)
+        if reasons != self._reasons:
+            width = self.content_size.width - 7
+            grown = fmt.wrapped([self._reasons], width) != fmt.wrapped([reasons], width)
+            self._reasons = reasons
+            self._why.display = bool(reasons)
+            self._why.update(Content.assemble(("why  ", "bold"), reasons), layout=grown)
+
+    def reveal(self, name: str) -> None:
+        """Scroll a parameter into view."""
+        names = [parameter.name for parameter in self._rows.parameters]
+        if name in names:
+            line = Region(0, names.index(name), 1, 1)
+            self._holder.scroll_to_region(line, animate=False)

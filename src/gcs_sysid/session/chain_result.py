@@ -1,0 +1,187 @@
+"""What a chain has found so far, as a result."""
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from gcs_sysid.estimation.physical_parameters import (
+    Value,
+    motor_lag,
+    rotor_delay,
+    verdict,
+    with_clock_error,
+)
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.parameters import TIMING
+from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.results import summary
+from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.session.learner import Learner
+from gcs_sysid.session.reasons import data_reasons
+from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
+from gcs_sysid.signals.sampling import Sampler
+
+if TYPE_CHECKING:
+    from gcs_sysid.estimation.offline import OfflineFit
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Where a chain stands.
+
+    Attributes:
+        airframe: of the vehicle.
+        sampler: with what telemetry and rotor streams were like.
+        learner: with the latest fit.
+        offline: the smoothed fit of the whole flight, where there is one.
+        clock_error: share by which the vehicle's clock may be wrong.
+        outdated: whether parameters came too late: what they say is not what the fit rests on.
+    """
+
+    airframe: Airframe
+    sampler: Sampler
+    learner: Learner
+    offline: "OfflineFit | None"
+    clock_error: float
+    outdated: bool
+
+    @property
+    def _anchor(self) -> ScaleReference:
+        return self.learner.anchors[-1]
+
+    def result(self) -> Result:
+        """All of it."""
+        values = self.learner.values(self.learner.fit, self._anchor)
+        word, reasons = verdict(values, self.learner.rotor_input, self.learner.fit.rigid_body_test)
+        first = data_reasons(self.sampler, self.learner, self.outdated)
+        if self.learner.fit.rotation is None:
+            word, reasons = "refused", first or reasons
+        else:
+            reasons = (*first, *reasons)
+        past = self._past_values()
+        return Result(
+            verdict=word,  # type: ignore[arg-type]
+            reasons=reasons if word != "identified" else (),
+            source="",
+            vehicle={},
+            scale=summary.scale_of(self._anchor),
+            rotor_input=self.learner.rotor_input,
+            parameters=summary.estimates_of(
+                with_clock_error(values, self.clock_error),
+                self.learner.fit,
+                self._anchor,
+                self._bounds(),
+            ),
+            estimator="online" if self.offline is None else "offline",
+            timing=self._timing(),
+            events=(*self.learner.input_events, *self._changes([*past, values])),
+            segments=self._segments(past),
+            validation=summary.validation_of(self.learner.fit),
+            priors={
+                name: {"value": value, "std": std}
+                for name, (value, std) in self.airframe.priors.items()
+            },
+            telemetry=self._telemetry(),
+            airframe=self.airframe.as_json(),
+        )
+
+    def _timing(self) -> dict[str, Estimate]:
+        timing = {"rotor_delay": rotor_delay(self.learner.fit.rotation)}
+        if self.learner.rotor_input == "command":
+            timing["motor_lag"] = motor_lag(self.learner.fit.rotation)
+        timing = with_clock_error(timing, self.clock_error)
+        return {
+            name: Estimate(value.value, value.std, TIMING[name].unit, value.status)
+            for name, value in timing.items()
+        }
+
+    def _past_values(self) -> list[dict[str, Value]]:
+        if self.learner.tracker is None:
+            return []
+        return [
+            self.learner.values(segment.fit, anchor)
+            for segment, anchor in zip(
+                self.learner.tracker.segments, self.learner.anchors, strict=False
+            )
+        ]
+
+    def _bounds(self) -> dict[str, Value] | None:
+        if self.offline is None:
+            return None
+        bounds = self.learner.values(self.offline.bounding_fit, self._anchor)
+        # The likelihood is that of the rotation.
+        return {n: v for n, v in bounds.items() if n not in ("mass", "k_T", "T_max", "linear_drag")}
+
+    def _changes(self, values: list[dict[str, Value]]) -> tuple[dict[str, Any], ...]:
+        if self.learner.tracker is None:
+            return ()
+        out = []
+        before = 0
+        for event in self.learner.tracker.events:
+            after = None
+            if event.segment is not None:
+                before, after = event.segment, values[event.segment + 1]
+            out.append(summary.event_of(event, values[before], after))
+            if event.segment is not None:
+                before = event.segment + 1
+        return tuple(out)
+
+    def _segments(self, past: list[dict[str, Value]]) -> tuple[dict[str, Any], ...]:
+        if self.learner.tracker is None:
+            return ()
+        return tuple(
+            {
+                "start": segment.start,
+                "end": segment.end,
+                "scale": summary.scale_of(anchor).as_json(),
+                "parameters": {
+                    name: estimate.as_json()
+                    for name, estimate in summary.estimates_of(
+                        with_clock_error(values, self.clock_error), segment.fit, anchor
+                    ).items()
+                },
+                "validation": summary.validation_of(segment.fit),
+            }
+            for segment, anchor, values in zip(
+                self.learner.tracker.segments, self.learner.anchors, past, strict=False
+            )
+        )
+
+    def _telemetry(self) -> dict[str, Any]:
+        base = self.sampler.time_base
+        return {
+            "grid_rate": 1.0 / base.dt if base.dt else None,
+            "used_seconds": self.learner.fit.seconds,
+            "late": base.late,
+            "repeated": base.repeated,
+            "restarts": base.restarts,
+            "imu_outliers": asdict(base.faults),
+            "rotor_outliers": base.wild_speeds,
+            "rotor_still": base.still_speeds,
+            "rotor_input": self._input_telemetry(),
+        }
+
+    @property
+    def _twin(self) -> str | None:
+        """The other stream of commands that is used."""
+        return (
+            self.sampler.rotor_selector.twin if self.sampler.time_base.dt >= SLOW_COMMANDS else None
+        )
+
+    def _input_telemetry(self) -> dict[str, Any]:
+        """Which rotor stream is used, how it is read, and why not the others."""
+        source = self.learner.rotors
+        if source is None:
+            return {"source": None, "refused": dict(self.sampler.rotor_selector.refused)}
+        out: dict[str, Any] = {
+            "source": source.name,
+            "why": source.why,
+            "refused": dict(source.refused or {}),
+            "with": self._twin,
+            "repeats": self.sampler.rotor_selector.repeats[source.name].as_dict(),
+            "gyro_filter": None if self.learner.tracker is None else self.learner.cutoffs[0],
+            "loop_filter": None if self.learner.tracker is None else self.learner.cutoffs[1],
+        }
+        if source.range is not None:
+            out["range"] = [source.range.low, source.range.high]
+            out["range_from"] = source.range.origin
+        return out

@@ -1,0 +1,1 @@
+"""From records to aligned samples: filters, time base, rotor source, flight detection."""

@@ -1,0 +1,128 @@
+"""Records as columns: whole stretches of streams as arrays, in the order in which they came."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.signals.records import Record, Stream
+
+_ROWS_AT_ONCE = 4096
+
+
+@dataclass(frozen=True)
+class Track:
+    """The samples of one stream.
+
+    Attributes:
+        stream: what the values are.
+        t: (n,) s, vehicle clock; rising, but in a `RecordBlock` as the samples came.
+        values: (n, width), laid out as `Stream` says.
+        offset: as in `Record`.
+        source: as in `Record`.
+        order: (n,) rising, where each sample stands among those of all tracks of a
+            `RecordBlock`: in a .tlog the number of its frame. Empty elsewhere.
+    """
+
+    stream: Stream
+    t: Array
+    values: Array
+    offset: int = 0
+    source: str = ""
+    order: Array = field(default_factory=lambda: np.empty(0, np.int64))
+
+    def records(self) -> Iterator[Record]:
+        """One by one, without holding them all."""
+        for start in range(0, len(self.t), _ROWS_AT_ONCE):
+            rows = slice(start, start + _ROWS_AT_ONCE)
+            for t, values in zip(self.t[rows].tolist(), self.values[rows].tolist(), strict=True):
+                yield Record(self.stream, t, tuple(values), self.offset, self.source)
+
+    def between(self, first: int, stop: int) -> "Track":
+        """The samples with orders from `first` to before `stop`."""
+        rows = slice(*np.searchsorted(self.order, (first, stop)).tolist())
+        return replace(self, t=self.t[rows], values=self.values[rows], order=self.order[rows])
+
+
+@dataclass(frozen=True)
+class IntakeEvent:
+    """Something that happened on the way."""
+
+    t: float
+    """Vehicle time, s; after a reboot in the new count."""
+    kind: str
+    """"vehicle" (chosen), "vehicles" (another one that could be meant), "reboot" or "reset" (the
+    user had the estimate begin anew)."""
+    text: str
+
+
+@dataclass(frozen=True)
+class RecordBlock:
+    """Records that follow each other in a log, as columns.
+
+    Attributes:
+        tracks: the samples, one track for each stream, source, offset and width; their `order`
+            tells how they follow each other. A frame makes at most one sample.
+        parameters: (order, record) of those that were told, rising.
+        events: (order, event), rising; each was known before the sample of the same order.
+    """
+
+    tracks: tuple[Track, ...]
+    parameters: tuple[tuple[int, Record], ...] = ()
+    events: tuple[tuple[int, IntakeEvent], ...] = ()
+
+    def __len__(self) -> int:
+        return sum(len(track.t) for track in self.tracks) + len(self.parameters)
+
+    def records(self) -> Iterator[tuple[int, Record]]:
+        """(order, record) one by one, in order, without holding them all."""
+        told = np.array([number for number, _ in self.parameters], np.int64)
+        orders = [told, *(track.order for track in self.tracks)]
+        rows = [(r for _, r in self.parameters), *(track.records() for track in self.tracks)]
+        order = np.concatenate(orders)
+        sorting = np.argsort(order, kind="stable")
+        owner = np.repeat(np.arange(len(rows)), [len(part) for part in orders])[sorting]
+        for number, index in zip(order[sorting].tolist(), owner.tolist(), strict=True):
+            yield number, next(rows[index])
+
+    def windows(self, imu_samples: int) -> Iterator["RecordBlock"]:
+        """Parts that follow each other, most of them so many IMU samples long.
+
+        Each part ends with an IMU sample, where it can; parameters and events are parts of their
+        own, and come before what follows them.
+        """
+        if not len(self) and not self.events:
+            return
+        cuts, end = {0}, 0
+        for track in self.tracks:
+            end = max(end, int(track.order[-1]) + 1)
+            if track.stream is Stream.IMU:
+                cuts |= set((track.order[imu_samples - 1 :: imu_samples] + 1).tolist())
+                cuts.add(int(track.order[-1]) + 1)
+        for number, _ in self.parameters:
+            cuts |= {number, number + 1}
+        cuts |= {number for number, _ in self.events} | {end}
+        last = max(cuts)
+        for first, stop in pairwise([*sorted(cuts), last + 1]):
+            tracks = (track.between(first, stop) for track in self.tracks)
+            window = RecordBlock(
+                tuple(track for track in tracks if len(track.t)),
+                tuple(told for told in self.parameters if first <= told[0] < stop),
+                tuple(event for event in self.events if first <= event[0] < stop),
+            )
+            if len(window) or window.events:
+                yield window
+
+    @property
+    def imu_samples(self) -> int:
+        """How many samples of the IMU there are."""
+        return sum(len(track.t) for track in self.tracks if track.stream is Stream.IMU)
+
+    @property
+    def ends_with_imu(self) -> bool:
+        """Whether there are samples alone, the last one of the IMU."""
+        if self.parameters or not self.tracks:
+            return False
+        return max(self.tracks, key=lambda track: int(track.order[-1])).stream is Stream.IMU

@@ -1,0 +1,428 @@
+"""Which rotor stream is believed: the soundest of those that come, judged in flight.
+
+A stretch of flight tells. What each source sent in it is kept, then judged: does it cover all
+rotors, often enough, do its numbers live, are measured speeds more than the command repeated, is
+rpm really rpm. Measured speeds are preferred, because they know nothing of batteries and motors.
+The decision depends on the records and their order alone. It is looked after in every further
+stretch: a source that dies is replaced by what is sound then.
+"""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.signals.columns import Track
+from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.signals.redundant_commands import say_the_same, twin_of
+from gcs_sysid.signals.rotor_units import PARAMETER_NAMES, Range, RotorSource, command_range
+
+STRETCH = 2.5
+"""s of flight that a judgement rests on."""
+MIN_RATE = 15.0
+"""Hz. Slower streams do not follow the rotors."""
+_MOST = 2048
+"""Samples of a source kept in a stretch."""
+_MOVES = 0.01
+"""Change in a stretch, relative to the mean, from which a rotor counts as alive."""
+_SAME = 0.02
+"""Error, relative to the change, below which speeds are a function of the command."""
+_RPM = 2.0 * math.pi / 60.0
+_AIR = 1.225
+"""kg/m^3"""
+_MOST_THRUST_COEFFICIENT = 0.15
+"""C_T of T = C_T rho n^2 D^4; that of propellers is 0.05 to 0.13."""
+_BEYOND = 3.0
+"""Times the thrust of the largest rotors that fit, from which speeds cannot be right."""
+
+_ORDER = ("ESC_STATUS", "esc_status", "ESC", "ESC_TELEMETRY", "RPM",
+          "actuator_motors", "ACTUATOR_OUTPUT_STATUS", "SERVO_OUTPUT_RAW", "RCOU")  # fmt: skip
+"""Of equals, the first; others after them."""
+_STREAMS = {Stream.ROTOR_SPEED: "speed", Stream.ROTOR_COMMAND: "command"}
+
+
+def family(source: str) -> str:
+    """Name of a source without the group of rotors that one of its messages is for."""
+    return re.sub(r"_\d+_TO_\d+$", "", source)
+
+
+@dataclass
+class _Group:
+    """What came for some neighbouring rotors: whole pieces, and what came one by one since."""
+
+    count: int = 0
+    pieces: list[tuple[Array, Array]] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
+    values: list[tuple[float, ...]] = field(default_factory=list)
+
+    def __deepcopy__(self, memo: object) -> "_Group":
+        # Pieces are never written to.
+        return _Group(self.count, self.pieces[:], self.times[:], self.values[:])
+
+    def take(self, t: Array, values: Array) -> None:
+        self._gather()
+        self.pieces.append((t, values))
+        self.count += len(t)
+
+    def whole(self) -> tuple[Array, Array]:
+        """(n,) times and (n, rotors) values; rotors that all messages told."""
+        self._gather()
+        width = min(values.shape[1] for _, values in self.pieces)
+        t = np.concatenate([t for t, _ in self.pieces])
+        return t, np.concatenate([values[:, :width] for _, values in self.pieces])
+
+    def _gather(self) -> None:
+        if self.times:
+            width = min(map(len, self.values))
+            values = np.array([row[:width] for row in self.values])
+            self.pieces.append((np.array(self.times), values))
+            self.times, self.values = [], []
+
+
+@dataclass
+class Stretch:
+    """What one source sent over a stretch of flight.
+
+    Attributes:
+        stream: speeds or commands.
+        groups: first rotor -> the messages for that group.
+    """
+
+    stream: Stream
+    groups: dict[int, _Group] = field(default_factory=dict)
+
+    def add(self, record: Record) -> None:
+        """Keep a record, while there is room."""
+        group = self.groups.setdefault(record.offset, _Group())
+        if group.count < _MOST:
+            group.times.append(record.t)
+            group.values.append(record.values)
+            group.count += 1
+
+    def extend(self, track: Track) -> None:
+        """Keep the samples of a track, while there is room."""
+        group = self.groups.setdefault(track.offset, _Group())
+        room = max(_MOST - group.count, 0)
+        if room:
+            group.take(track.t[:room], track.values[:room])
+
+    def rotors(self, count: int) -> list[tuple[Array, Array]]:
+        """Times and values of each rotor that there is, up to `count`, in order."""
+        out: list[tuple[Array, Array]] = []
+        for offset, group in sorted(self.groups.items()):
+            if offset == len(out):
+                t, values = group.whole()
+                out += [(t, column) for column in values.T]
+        return out[:count]
+
+
+@dataclass
+class Repeats:
+    """Messages of one source that repeat the values of the one before under a later stamp."""
+
+    compared: int = 0
+    repeated: int = 0
+    _last: dict[int, tuple[float, tuple[float, ...]]] = field(default_factory=dict)
+
+    def take(self, record: Record) -> None:
+        """Compare a message with the one before for the same rotors."""
+        last = self._last.get(record.offset)
+        if last is not None and record.t > last[0]:
+            self.compared += 1
+            self.repeated += record.values == last[1]
+        self._last[record.offset] = record.t, record.values
+
+    def extend(self, track: Track) -> None:
+        """As `take`, of a track whose times rise."""
+        last = self._last.get(track.offset)
+        if last is not None:
+            self.compared += 1
+            self.repeated += tuple(track.values[0].tolist()) == last[1]
+        self.compared += len(track.t) - 1
+        same = (track.values[1:] == track.values[:-1]).all(axis=1)
+        self.repeated += int(np.count_nonzero(same))
+        self._last[track.offset] = float(track.t[-1]), tuple(track.values[-1].tolist())
+
+    def as_dict(self) -> dict[str, float]:
+        """For the result's `telemetry`."""
+        return {
+            "count": self.repeated,
+            "percent": 100.0 * self.repeated / max(self.compared, 1),
+        }
+
+
+class RotorSourceSelector:
+    """Chooses the source of the rotors' input.
+
+    Args:
+        airframe: that flies.
+        anchor: of the scale; may be replaced. With k_T or T_max only one kind of input makes sense;
+            None while it is not known, and then nobody can tell whether the speeds could carry the
+            vehicle.
+    """
+
+    def __init__(self, airframe: Airframe, anchor: ScaleReference | None) -> None:
+        self.choice: RotorSource | None = None
+        """None until there was a stretch of flight, and while no source is sound."""
+        self.twin: str | None = None
+        """Another source of commands that says what the chosen one says."""
+        self.refused: dict[str, str] = {}
+        """Source -> why it was not chosen, from the latest judgement."""
+        self.autopilot = ""
+        self.parameters: dict[str, float] = {}
+        """Those of the autopilot that matter here."""
+        self.judged = False
+        """Whether there was any judgement yet."""
+        self.repeats: dict[str, Repeats] = {}
+        """Source -> repeats in flight."""
+        self._airframe = airframe
+        self.anchor = anchor
+        self._restart()
+
+    @property
+    def settings(self) -> tuple[object, ...]:
+        """What never changes, and the source in use."""
+        return self._airframe, self.anchor, self.choice
+
+    def push(self, record: Record, *, flying: bool) -> None:
+        """Take a record; those of rotors count in flight only."""
+        if record.stream is Stream.PARAMETER:
+            if record.source.startswith(PARAMETER_NAMES):
+                self.parameters[record.source] = record.values[0]
+        elif flying and record.stream in _STREAMS:
+            name = family(record.source)
+            self._stretches.setdefault(name, Stretch(record.stream)).add(record)
+            self.repeats.setdefault(name, Repeats()).take(record)
+
+    def extend(self, tracks: Sequence[Track]) -> None:
+        """Take the samples of a while of flight; those of rotors count."""
+        for track in tracks:
+            if track.stream in _STREAMS and len(track.t):
+                name = family(track.source)
+                self._stretches.setdefault(name, Stretch(track.stream)).extend(track)
+                self.repeats.setdefault(name, Repeats()).extend(track)
+
+    @property
+    def outdated(self) -> bool:
+        """Whether parameters that came since would have given the commands another range."""
+        used = None if self.choice is None else self.choice.range
+        if used is None or self.choice is None:
+            return False
+        command = self._airframe.command
+        now = command_range(self.choice.name, command, self.autopilot, self.parameters, used.high)
+        return now is not None and (now.low, now.high) != (used.low, used.high)
+
+    def gap(self) -> None:
+        """The clock or the stream started anew: the stretch does too."""
+        self._restart()
+
+    def fly(self, seconds: float) -> bool:
+        """So much flight went by. Returns whether a judgement was made."""
+        self._seconds += seconds
+        if self._seconds < STRETCH:
+            return False
+        self.judge()
+        return True
+
+    def judge(self) -> None:
+        """Judge what came since the last judgement."""
+        if self._seconds <= 0.0:
+            return
+        self.judged = True
+        refused = {}
+        judgements = {}
+        for name, stretch in self._stretches.items():
+            problem = self._unsound(stretch)
+            if problem:
+                refused[name] = problem
+            else:
+                judgements[name] = stretch
+        if self.choice is not None and self.choice.name in judgements:
+            self.twin = self._twin(self.choice, judgements)
+            self._restart()
+            return
+        chosen = self._choose(judgements, refused)
+        gone = ""
+        if self.choice is not None:
+            name = self.choice.name
+            gone = f"{name} died in flight ({refused.get(name, 'nothing comes')}); "
+        if chosen is not None:
+            chosen = replace(chosen, why=gone + chosen.why, refused=refused)
+        self.choice, self.refused = chosen, refused
+        self.twin = None if chosen is None else self._twin(chosen, judgements)
+        self._restart()
+
+    def _restart(self) -> None:
+        self._stretches: dict[str, Stretch] = {}
+        self._seconds = 0.0
+
+    def _unsound(self, stretch: Stretch) -> str:
+        """Why a stretch of a source cannot be used; empty when it can."""
+        count = len(self._airframe.rotors)
+        rotors = stretch.rotors(count)
+        if len(rotors) < count:
+            return f"tells {len(rotors)} of {count} rotors"
+        rotors, seconds = _until_landing(rotors, self._seconds)
+        rate = min(len(t) for t, _ in rotors) / seconds
+        if rate < MIN_RATE:
+            return f"comes at {rate:.1f} Hz, which does not follow the rotors"
+        values = [v for _, v in rotors]
+        if not any(v.any() for v in values):
+            return "reads 0 while the vehicle flies"
+        # Mostly the first rotor tells; to count them all costs time.
+        stale = (_readings(v) < MIN_RATE * seconds for v in values)
+        if stretch.stream is Stream.ROTOR_SPEED and all(stale):
+            fresh = max(map(_readings, values)) / seconds
+            return f"repeats old readings, {fresh:.0f} new ones a second"
+        moves = np.array([np.ptp(v) / max(np.abs(v).mean(), 1e-9) for v in values])
+        still = [i for i, v in enumerate(values) if np.ptp(v) == 0.0]
+        if still and np.median(np.delete(moves, still) if len(still) < count else 0.0) > _MOVES:
+            rotor = still[0]
+            reads = f"reads {values[rotor][0]:.0f}" if values[rotor][0] == 0.0 else "stands still"
+            return f"rotor {rotor + 1} {reads} while the others move"
+        return ""
+
+    def _choose(
+        self, stretches: Mapping[str, Stretch], refused: dict[str, str]
+    ) -> RotorSource | None:
+        wanted = self._airframe.rotor_input
+        if wanted == "auto":
+            kind = "" if self.anchor is None else self.anchor.kind
+            wanted = {"k_T": "speed", "T_max": "command"}.get(kind, "auto")  # type: ignore[assignment]
+        count = len(self._airframe.rotors)
+        commands = self._ranked(stretches, Stream.ROTOR_COMMAND)
+        for name in self._ranked(stretches, Stream.ROTOR_SPEED) if wanted != "command" else ():
+            stretch = stretches[name]
+            copied = next((c for c in commands if self._copies(stretch, stretches[c])), None)
+            if copied is not None:
+                refused[name] = f"is {copied} under another name, not a measurement"
+                continue
+            if self._too_slow(stretch):
+                why = "measured speeds, though in rad/s in a field of rpm, by the thrust needed"
+                return RotorSource("speed", name, why, scale=1.0 / _RPM)
+            return RotorSource("speed", name, "measured speeds")
+        for name in commands if wanted != "speed" else ():
+            range_ = self._range(name, stretches[name])
+            if range_ is None:
+                refused[name] = (
+                    "is in a unit that is not known: give [command] min and max in the airframe "
+                    "file, the outputs without thrust and at full thrust"
+                )
+                continue
+            if all(v.max() <= range_.low for _, v in stretches[name].rotors(count)):
+                refused[name] = "tells stopped rotors while the vehicle flies"
+                continue
+            asked = wanted == "command"
+            why = "commands, as asked for" if asked else "commands: no measured speeds are sound"
+            return RotorSource("command", name, why, range=range_)
+        for name in stretches:
+            refused.setdefault(name, f"{wanted} is wanted")
+        return None
+
+    def _twin(self, choice: RotorSource, stretches: Mapping[str, Stretch]) -> str | None:
+        name = twin_of(choice.name)
+        if name is None or name not in stretches or choice.name not in stretches:
+            return None
+        count = len(self._airframe.rotors)
+        same = say_the_same(stretches[choice.name].rotors(count), stretches[name].rotors(count))
+        return name if same else None
+
+    def _ranked(self, stretches: Mapping[str, Stretch], stream: Stream) -> list[str]:
+        """The sources of a stream, the best first: those near the highest rate, in order."""
+        count = len(self._airframe.rotors)
+        rates = {
+            name: min(len(t) for t, _ in stretch.rotors(count))
+            for name, stretch in stretches.items()
+            if stretch.stream is stream
+        }
+        most = max(rates.values(), default=0)
+
+        def rank(name: str) -> tuple[bool, int, str]:
+            place = _ORDER.index(name) if name in _ORDER else len(_ORDER)
+            return rates[name] < 0.7 * most, place, name
+
+        return sorted(rates, key=rank)
+
+    def _range(self, name: str, stretch: Stretch) -> Range | None:
+        values = [v for _, v in stretch.rotors(len(self._airframe.rotors))]
+        largest = max(float(v.max()) for v in values)
+        command = self._airframe.command
+        return command_range(name, command, self.autopilot, self.parameters, largest)
+
+    def _copies(self, speeds: Stretch, commands: Stretch) -> bool:
+        """Whether the speeds are a function of the commands at the same time."""
+        count = len(self._airframe.rotors)
+        pairs = zip(speeds.rotors(count), commands.rotors(count), strict=True)
+        return all(_is_function(*speed, *command) for speed, command in pairs)
+
+    def _too_slow(self, stretch: Stretch) -> bool:
+        """Whether rotors so slow could not carry the vehicle however large they were."""
+        if self.anchor is None or self.anchor.kind != "mass":
+            return False
+        x, y, _ = self._airframe.geometry
+        apart = np.hypot(x[:, None] - x, y[:, None] - y)
+        diameter = apart[apart > 1e-3].min()
+        power = sum(float(np.mean(v * v)) for _, v in stretch.rotors(len(x)))
+        k_T = _MOST_THRUST_COEFFICIENT * _AIR * diameter**4 / (2.0 * math.pi) ** 2
+        return self.anchor.value * GRAVITY > _BEYOND * float(k_T) * power
+
+
+def _readings(values: Array) -> float:
+    """How many readings there are, repeats apart; infinite where rounding alone may repeat them."""
+    jumps = np.abs(np.diff(values))
+    jumps = jumps[jumps > 0.0]
+    if not len(jumps) or float(np.median(jumps)) <= 2.0 * _step(values):
+        return math.inf
+    return float(len(jumps))
+
+
+def _until_landing(
+    rotors: list[tuple[Array, Array]], seconds: float
+) -> tuple[list[tuple[Array, Array]], float]:
+    """A stretch without the end in which all rotors stand: a landing is told a little late."""
+    share = max(_moving(v) / len(v) for _, v in rotors) or 1.0
+    kept = [math.ceil(share * len(t)) for t, _ in rotors]
+    return [(t[:n], v[:n]) for (t, v), n in zip(rotors, kept, strict=True)], share * seconds
+
+
+def _moving(values: Array) -> int:
+    """How many values there are without the zeros at the end."""
+    moving = np.flatnonzero(values)
+    return int(moving[-1]) + 1 if len(moving) else 0
+
+
+def _is_function(t: Array, speeds: Array, command_t: Array, commands: Array) -> bool:
+    """Whether speeds follow from the commands nearest in time, without lag or noise.
+
+    What rounding to whole numbers leaves is allowed for; where nothing but rounding moves,
+    nothing is told.
+    """
+    right = np.clip(np.searchsorted(command_t, t), 1, len(command_t) - 1)
+    nearest = np.where(command_t[right] - t < t - command_t[right - 1], right, right - 1)
+    near = np.abs(command_t[nearest] - t) < 0.6 * np.median(np.diff(command_t))
+    if near.sum() < 20:
+        return False
+    y, u = speeds[near], commands[nearest[near]]
+    spread = float(np.std(u))
+    if spread == 0.0:
+        return False
+    z = (u - u.mean()) / spread
+    fit = np.polynomial.Polynomial.fit(z, y, 3)
+    slope = float(np.std(fit(z))) / spread
+    rounding = math.hypot(_step(y), slope * _step(u)) / math.sqrt(12.0)
+    changes = float(np.std(y))
+    if changes < 10.0 * rounding:
+        return False
+    return float(np.std(y - fit(z))) < 1.5 * rounding + _SAME * changes
+
+
+def _step(values: Array) -> float:
+    """The least difference between values: what they are rounded to."""
+    steps = np.diff(np.unique(values))
+    return float(steps.min()) if len(steps) else 0.0

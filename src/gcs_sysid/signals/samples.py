@@ -1,0 +1,46 @@
+"""Aligned signals on a uniform grid: what estimators take."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Aligned signals on the uniform grid; NaN marks what is missing or must not be used.
+
+    Attributes:
+        gyro: (n, 3) as measured, rad/s.
+        rates: (n, 3) without bias, rad/s.
+        speeds: (n, rotors) rad/s; or commands, 0 to 1, where those are the input.
+        attitude: (n, 4) body to world.
+        force: (n, 3) specific force, m/s^2.
+        velocity: (n, 3) north, east, down, m/s.
+        apart: (n, 1) s between the samples of two streams of commands whose mean `speeds` holds;
+            NaN where there is one, as it is unless told.
+    """
+
+    gyro: Array
+    rates: Array
+    speeds: Array
+    attitude: Array
+    force: Array
+    velocity: Array
+    apart: Array = field(default_factory=lambda: np.empty((0, 1)))
+
+    def __post_init__(self) -> None:
+        if not len(self.apart):
+            object.__setattr__(self, "apart", np.full((len(self.gyro), 1), np.nan))
+
+    @property
+    def signals(self) -> tuple[Array, ...]:
+        """All of them, in order."""
+        return (
+            self.gyro, self.rates, self.speeds, self.attitude, self.force, self.velocity, self.apart
+        )  # fmt: skip
+
+    def part(self, where: slice | Mask) -> "Samples":
+        """Some of the samples."""
+        return Samples(*(signal[where] for signal in self.signals))

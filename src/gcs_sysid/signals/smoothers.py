@@ -1,0 +1,259 @@
+"""What the regression puts on every signal: averages of one side, derivatives of the other.
+
+A smoother takes blocks of samples and gives rows; both kinds of row come from one linear filter,
+so their lag is the same. Samples may be missing (NaN): rows that they would touch are NaN.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.signals.differentiator import LinearDifferentiator
+from gcs_sysid.signals.windows import cosine_window
+
+_MOST_ROWS = 8
+"""Rows of a block up to which a banded matrix is the fastest way to make them."""
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """Rows of a smoother.
+
+    Attributes:
+        average: (rows, m).
+        derivative: (rows, m), 1/s.
+        late_average: (delays, rows, late), the late signals put right by each delay.
+        late_derivative: (delays, rows, late), 1/s.
+    """
+
+    average: Array
+    derivative: Array
+    late_average: Array
+    late_derivative: Array
+
+
+class Smoother(Protocol):
+    """A filter pair that works block by block."""
+
+    step: int
+    """Samples between rows."""
+    delays: Array
+    """(delays,) s, by which the first signals may be stamped late."""
+
+    @property
+    def late_taps(self) -> Array:
+        """(delays, length) response of the late signals' averages to a single sample."""
+        ...
+
+    def noise_gains(self, memory: float) -> tuple[float, float]:
+        """Variance of an average and of a derivative (1/s^2) over that of white noise on the
+        samples, when rows are then summed with a leak of `memory` s (0: not at all).
+        """
+        ...
+
+    def restart(self) -> None:
+        """What comes next does not join on to what came before."""
+        ...
+
+    def count_after(self, samples: int) -> int:
+        """How many rows so many more samples will complete."""
+        ...
+
+    def update(self, signals: Array, late: int) -> Smoothed:
+        """(n, m) samples to rows; the first `late` signals are taken at every delay too."""
+        ...
+
+
+class WindowSmoother:
+    """The symmetric window: zero phase, finite memory. The default.
+
+    Args:
+        dt: s between samples.
+        half: samples on either side of the centre.
+        delays: s, equally spaced.
+    """
+
+    def __init__(self, dt: float, half: int, delays: Sequence[float] = (0.0,)) -> None:
+        # Four rows in half a window lose next to nothing.
+        self.step = max(1, half // 4)
+        self.delays = np.array(delays)
+        room = half + int(np.ceil(np.max(np.abs(self.delays)) / dt - 1e-9))
+        window = cosine_window(half, dt)
+        self._window = window.delayed(0.0, dt, room) if room > half else window
+        moved = [window.delayed(d, dt, room) if d else self._window for d in delays]
+        self._late_taps = np.stack([w.average for w in moved] + [w.derivative for w in moved]).T
+        self._taps = np.stack([self._window.average, self._window.derivative])
+        self._banded: dict[int, tuple[Array, Array]] = {}
+        self._gains: dict[float, tuple[float, float]] = {}
+        self._pending: Array | None = None
+        self._dt = dt
+
+    @property
+    def late_taps(self) -> Array:
+        """(delays, length) response of the late signals' averages to a single sample."""
+        return self._late_taps.T[: len(self.delays), ::-1]
+
+    def noise_gains(self, memory: float) -> tuple[float, float]:
+        """Variance of an average and of a derivative over that of white sample noise."""
+        if memory not in self._gains:
+            self._gains[memory] = _leaky_power(self._taps, self.step, self._dt, memory)
+        return self._gains[memory]
+
+    def restart(self) -> None:
+        """What comes next does not join on to what came before."""
+        self._pending = None
+
+    def count_after(self, samples: int) -> int:
+        """How many rows so many more samples will complete."""
+        known = 0 if self._pending is None else len(self._pending)
+        return max((known + samples - self._window.length) // self.step + 1, 0)
+
+    def update(self, signals: Array, late: int) -> Smoothed:
+        """(n, m) samples to rows; the first `late` signals are taken at every delay too."""
+        count = self.count_after(len(signals))
+        if self._pending is not None:
+            signals = np.concatenate([self._pending, signals])
+        self._pending = signals[count * self.step :]
+        if count == 0:
+            none = np.empty((len(self.delays), 0, late))
+            return Smoothed(signals[:0], signals[:0], none, none)
+        if count <= _MOST_ROWS and _columns_whole(signals):
+            return self._few_rows(signals, late, count)
+        windows = sliding_window_view(signals, self._window.length, axis=0)[:: self.step]
+        moved = np.moveaxis(windows[:, :late] @ self._late_taps, -1, 0)
+        return Smoothed(
+            windows @ self._window.average,
+            windows @ self._window.derivative,
+            moved[: len(self.delays)],
+            moved[len(self.delays) :],
+        )
+
+    def _few_rows(self, signals: Array, late: int, count: int) -> Smoothed:
+        """All rows of a short block by one product with a banded matrix."""
+        if count not in self._banded:
+            self._banded[count] = (
+                _banded(self._taps, count, self.step),
+                _banded(self._late_taps.T, count, self.step),
+            )
+        banded, late_banded = self._banded[count]
+        signals = signals[: banded.shape[1]]
+        average, derivative = (banded @ signals).reshape(2, count, -1)
+        shape = (2, len(self.delays), count, late)
+        moved = (late_banded @ signals[:, :late]).reshape(shape)
+        return Smoothed(average, derivative, moved[0], moved[1])
+
+
+DAMPING = 2.0
+"""b of the differentiator on both sides: critical."""
+
+
+class DifferentiatorSmoother:
+    """The linear tracking differentiator: z1 averages, z2 differentiates.
+
+    Args:
+        dt: s between samples.
+        bandwidth: R, rad/s.
+    """
+
+    def __init__(self, dt: float, bandwidth: float) -> None:
+        self._filter = LinearDifferentiator(dt, bandwidth, DAMPING)
+        self.step = max(1, round(0.25 / (bandwidth * dt)))
+        self.delays = np.zeros(1)
+        self._dt = dt
+        impulse = np.zeros((self._filter.settling + 2, 1))
+        impulse[1] = 1.0
+        response = LinearDifferentiator(dt, bandwidth, DAMPING).update(impulse)
+        self._taps = np.stack([z[1:, 0] for z in response])
+        self._next_row = 0
+        self._held: Array | None = None
+        self._unsettled: Array = np.zeros(0)
+        self._gains: dict[float, tuple[float, float]] = {}
+
+    @property
+    def late_taps(self) -> Array:
+        """(1, length) response of an average to a single sample."""
+        return self._taps[:1]
+
+    def noise_gains(self, memory: float) -> tuple[float, float]:
+        """Variance of an average and of a derivative over that of white sample noise."""
+        if memory not in self._gains:
+            self._gains[memory] = _leaky_power(self._taps, self.step, self._dt, memory)
+        return self._gains[memory]
+
+    def restart(self) -> None:
+        """What comes next does not join on to what came before."""
+        self._filter.restart()
+        self._held = None
+
+    def count_after(self, samples: int) -> int:
+        """How many rows so many more samples will complete."""
+        return len(range(self._next_row, samples, self.step))
+
+    def update(self, signals: Array, late: int) -> Smoothed:
+        """(n, m) samples to rows."""
+        if len(signals) == 0:
+            none = np.empty((1, 0, late))
+            return Smoothed(signals, signals, none, none)
+        if self._held is None:
+            self._held = np.zeros(signals.shape[1])
+            self._unsettled = np.full(signals.shape[1], self._filter.settling)
+        # A missing sample is held over, and spoils the memory until that has settled again.
+        index = np.arange(len(signals))[:, None]
+        missing = np.isnan(signals)
+        last_there = np.maximum.accumulate(np.where(missing, -1, index))
+        filled = np.where(
+            last_there >= 0, np.take_along_axis(signals, np.maximum(last_there, 0), 0), self._held
+        )
+        self._held = filled[-1]
+        last_missing = np.maximum.accumulate(np.where(missing, index, -1))
+        wait = np.where(
+            last_missing >= 0,
+            self._filter.settling - (index - last_missing),
+            self._unsettled - (index + 1),
+        )
+        self._unsettled = np.maximum(wait[-1], 0)
+        z1, z2 = self._filter.update(filled)
+        rows = slice(self._next_row, None, self.step)
+        self._next_row = (self._next_row - len(signals)) % self.step
+        settled = wait <= 0
+        average = np.where(settled, z1, np.nan)[rows]
+        derivative = np.where(settled, z2, np.nan)[rows]
+        return Smoothed(average, derivative, average[None, :, :late], derivative[None, :, :late])
+
+
+def _columns_whole(signals: Array) -> bool:
+    """Whether every column is there throughout, or missing throughout."""
+    if np.isfinite(signals.sum()):
+        return True
+    there = np.isfinite(signals)
+    return bool((there.all(axis=0) == there.any(axis=0)).all())
+
+
+def _banded(taps: Array, rows: int, step: int) -> Array:
+    """(k rows, n) matrix that applies each of (k, length) taps at every `step`-th sample."""
+    k, length = taps.shape
+    banded = np.zeros((k, rows, (rows - 1) * step + length))
+    for row in range(rows):
+        banded[:, row, row * step : row * step + length] = taps
+    return banded.reshape(k * rows, -1)
+
+
+def leaky(responses: Array, step: int, dt: float, memory: float) -> Array:
+    """(k, longer) of (k, length) responses, after a leaky sum over every `step`-th row."""
+    if memory == 0.0:
+        return responses
+    decay = np.exp(-step * dt / memory)
+    rows = int(np.ceil(12.0 / -np.log(decay)))
+    leak = np.zeros(rows * step)
+    leak[::step] = decay ** np.arange(rows)
+    return np.stack([np.convolve(response, leak) for response in responses])
+
+
+def _leaky_power(taps: Array, step: int, dt: float, memory: float) -> tuple[float, float]:
+    """Sum of squared weights of (2, n) taps, after a leaky sum over every `step`-th row."""
+    average, derivative = (float(t @ t) for t in leaky(taps, step, dt, memory))
+    return average, derivative

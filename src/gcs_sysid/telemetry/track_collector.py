@@ -1,0 +1,207 @@
+"""Logs as records: whole streams as arrays, merged in order.
+
+A log that the autopilot wrote itself (.ulg, .bin) is no row of frames. Its readers turn each of
+its topics into a `Track`; merging those by time gives the same records as a link would have
+given. A ground station's log (.tlog) gives its tracks block by block, in the order of its frames.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.model.attitude import align_signs
+from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track
+from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.telemetry.clock import JUMP_AHEAD
+
+STATE_EVERY = 1.0
+"""s between two reports of a state that is only logged when it changes."""
+STATE_FOR = 86400.0
+"""s for which it is told: what ends later has a damaged time."""
+
+
+class TrackCollector:
+    """Puts a `RecordBlock` together from pieces that follow each other."""
+
+    def __init__(self) -> None:
+        self.parameters: list[tuple[int, Record]] = []
+        self.events: list[tuple[int, IntakeEvent]] = []
+        # (stream, source, offset, width) -> pieces (order, t, values).
+        self._pieces: dict[_Key, list[tuple[Array, Array, Array]]] = {}
+        self._single: dict[_Key, list[tuple[int, Record]]] = {}
+
+    def add(
+        self,
+        stream: Stream,
+        order: Array,
+        t: Array,
+        values: Array,
+        offset: int = 0,
+        source: str = "",
+    ) -> None:
+        """Add samples of one stream that come after those it has; arguments as of `Track`."""
+        if len(order):
+            key = stream, source, offset, values.shape[1]
+            self._settle(key)
+            self._pieces.setdefault(key, []).append((order, t, values))
+
+    def add_record(self, order: int, record: Record) -> None:
+        """Add one record."""
+        if record.stream is Stream.PARAMETER:
+            self.parameters.append((order, record))
+        else:
+            key = record.stream, record.source, record.offset, len(record.values)
+            self._single.setdefault(key, []).append((order, record))
+
+    def orders(self, first: int) -> Array:
+        """(n,) rising, where the records stand that came with `first` or after it."""
+        single = [n for some in (self.parameters, *self._single.values()) for n, _ in some]
+        parts = [order for pieces in self._pieces.values() for order, _, _ in pieces]
+        orders = np.concatenate([np.array(single, np.int64), *parts])
+        made: Array = np.sort(orders[orders >= first])
+        return made
+
+    def block(self) -> RecordBlock:
+        """All of it."""
+        for key in list(self._single):
+            self._settle(key)
+        tracks = []
+        for (stream, source, offset, _), pieces in self._pieces.items():
+            order, t, values = (np.concatenate(column) for column in zip(*pieces, strict=True))
+            if (np.diff(order) < 0).any():  # of several messages
+                by_order = np.argsort(order)
+                order, t, values = order[by_order], t[by_order], values[by_order]
+            tracks.append(Track(stream, t, values, offset, source, order))
+        return RecordBlock(tuple(tracks), tuple(self.parameters), tuple(self.events))
+
+    def _settle(self, key: "_Key") -> None:
+        """Turn the single records of a key into a piece."""
+        single = self._single.pop(key, None)
+        if single:
+            order = np.array([number for number, _ in single])
+            t = np.array([record.t for _, record in single])
+            values = np.array([record.values for _, record in single], dtype=float)
+            self._pieces.setdefault(key, []).append((order, t, values))
+
+
+_Key = tuple[Stream, str, int, int]
+
+
+@dataclass
+class Recording:
+    """What a reader makes of an onboard log.
+
+    Attributes:
+        tracks: the streams.
+        system: MAVLink system id that the vehicle has on a link.
+        component: the same for the component id.
+        vehicle_type: MAV_TYPE.
+        autopilot: MAV_AUTOPILOT.
+        parameters: (t, name, value) as they were set, in the order of t.
+        counts: topic or message name -> entries read.
+        dropped: reason -> samples that make no record: "no time", "not finite".
+        garbage_bytes: bytes that belong to no entry, where the reader counts them.
+        damaged: whether the file is not as it was written.
+        lost: entries that the autopilot knows it could not write.
+        dropouts: (t, length) in s of pauses in the writing.
+    """
+
+    tracks: list[Track]
+    system: int
+    component: int
+    vehicle_type: int
+    autopilot: int
+    parameters: list[tuple[float, str, float]] = field(default_factory=list)
+    counts: Mapping[str, int] = field(default_factory=dict)
+    dropped: dict[str, int] = field(default_factory=dict)
+    garbage_bytes: int = 0
+    damaged: bool = False
+    lost: int = 0
+    dropouts: list[tuple[float, float]] = field(default_factory=list)
+
+    def add(
+        self, stream: Stream, t: Array, values: Array, offset: int = 0, source: str = ""
+    ) -> None:
+        """Add a stream in SI units, in the order of the file; what is unsound is left out.
+
+        Args:
+            stream: what the values are.
+            t: (n,) s, vehicle clock.
+            values: (n, width) or (n,).
+            offset: as in `Record`.
+            source: as in `Record`.
+        """
+        if not len(t):
+            return
+        values = values.astype(float).reshape(len(t), -1)
+        believable = believable_times(t)
+        whole = np.isfinite(values)
+        finite = whole.all(axis=1)
+        if stream is Stream.IMU:
+            # Nearly everything rests on the gyro: one without an accelerometer is of use.
+            finite = whole[:, :3].all(axis=1)
+            values[finite & ~whole.all(axis=1), 3:] = np.nan
+        self._drop("no time", ~believable)
+        self._drop("not finite", believable & ~finite)
+        sound = believable & finite
+        t, values = t[sound], values[sound]
+        order = np.argsort(t, kind="stable")
+        if len(t):
+            self.tracks.append(Track(stream, t[order], values[order], offset, source))
+
+    def add_attitude(self, t: Array, q: Array) -> None:
+        """Add (n, 4) quaternions of any sign and nearly unit length."""
+        norm = np.linalg.norm(q, axis=1, keepdims=True)
+        q = np.where(np.abs(norm - 1.0) < 0.1, q / np.maximum(norm, 0.1), np.nan)
+        sound = np.isfinite(q).all(axis=1)
+        if sound.any():
+            aligned = align_signs(q[sound])
+            q[sound] = aligned * np.copysign(1.0, aligned[0, 0])
+        self.add(Stream.ATTITUDE, t, q)
+
+    def add_state(self, stream: Stream, changes: Mapping[float, bool], end: float) -> None:
+        """Add a state by the times at which it changed, told every second like on a link."""
+        if not changes:
+            return
+        at = np.array(sorted(changes))
+        end = min(max(end, at[0]), at[0] + STATE_FOR)
+        t = np.union1d(at, np.arange(at[0], end, STATE_EVERY))
+        states = np.array([changes[key] for key in at.tolist()])
+        self.add(stream, t, states[np.searchsorted(at, t, side="right") - 1])
+
+    def _drop(self, reason: str, rows: Mask) -> None:
+        if rows.any():
+            self.dropped[reason] = self.dropped.get(reason, 0) + int(rows.sum())
+
+    def block(self) -> RecordBlock:
+        """Everything in the order of time; at the same time, parameters first, then tracks."""
+        told = np.array([t for t, _, _ in self.parameters])
+        times = np.concatenate([told, *(track.t for track in self.tracks)])
+        order = np.empty(len(times), np.int64)
+        order[np.argsort(times, kind="stable")] = np.arange(len(times))
+        ends = np.cumsum([len(told), *(len(track.t) for track in self.tracks)])
+        parameters = [
+            (number, Record(Stream.PARAMETER, t, (value,), source=name))
+            for number, (t, name, value) in zip(
+                order[: len(told)].tolist(), self.parameters, strict=True
+            )
+        ]
+        return RecordBlock(
+            tuple(
+                replace(track, order=order[end - len(track.t) : end])
+                for track, end in zip(self.tracks, ends[1:].tolist(), strict=True)
+            ),
+            tuple(sorted(parameters)),
+        )
+
+
+def believable_times(t: Array) -> Mask:
+    """(n,) whether each time agrees with its neighbours: a damaged stamp may be anything."""
+    if len(t) < 5:
+        return np.isfinite(t)
+    padded = np.pad(t, 2, mode="reflect")
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
+    believable: Mask = np.abs(t - middle) < JUMP_AHEAD
+    return believable

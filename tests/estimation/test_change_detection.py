@@ -1,0 +1,290 @@
+"""Change detection on emulated flights with MEMS noise, against a reference that is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.estimation.change_detection import ChangeDetector
+from gcs_sysid.estimation.change_kinds import Cause, describe
+from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.sequential_tests import Cusum, Level
+from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.signals.samples import Samples
+from sim_bridge.ensemble import fly_ensemble
+from sim_bridge.missions import MISSIONS
+from sim_bridge.simulation import Change, mass_step
+from sim_bridge.vehicle_files import load_vehicle
+
+RATE = 250
+DT = 1.0 / RATE
+AT = 6.0
+"""s, when the vehicle changes."""
+VEHICLE = load_vehicle("paper")
+GEOMETRY = np.array([[r.x, r.y, float(r.spin)] for r in VEHICLE.rotors]).T
+
+
+def with_payload(vehicle):
+    inertia = {n: 1.1 * getattr(vehicle, n) for n in ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz")}
+    shift = 1.0 + 1.0 / 6.0
+    return replace(
+        vehicle,
+        mass=1.2 * vehicle.mass,
+        cg_x=shift * vehicle.cg_x,
+        cg_y=shift * vehicle.cg_y,
+        **inertia,
+    )
+
+
+CHANGES = {
+    "mass": mass_step(AT, 1.2),
+    "payload": Change(AT, "payload", with_payload),
+    "cg": Change(AT, "cg_shift", lambda v: replace(v, cg_x=v.cg_x + 0.015)),
+}
+
+
+def fly(mission, seconds, changes=(), turbulence=None):
+    return fly_ensemble(
+        VEHICLE, MISSIONS[mission], RATE, seconds, turbulence=turbulence, changes=changes
+    )
+
+
+def measured(flight, seed=1):
+    noisy = flight.with_noise("mems", 0.0, [seed])
+    gyro = noisy.gyro[0]
+    return Samples(
+        gyro=gyro,
+        rates=gyro - np.mean(gyro - flight.gyro[0], axis=0),
+        speeds=noisy.speeds[0],
+        attitude=noisy.quaternion[0],
+        force=noisy.specific_force[0],
+        velocity=noisy.velocity[0],
+    )
+
+
+def reference(delay=0.0, r_squared=0.99, kappa_factor=1.0):
+    v = VEHICLE
+    inertia = np.array([v.Ixx, v.Iyy, v.Izz, v.Ixy, v.Iyz, v.Ixz]) / v.k_T
+    theta = np.concatenate([inertia, [v.cg_x, v.cg_y, v.k_M / v.k_T, 0.0, 0.0]])
+    rotation = RotationFit(
+        theta=theta,
+        covariance=np.diag((0.002 * np.abs(theta) + 1e-9) ** 2),
+        residual_covariance=np.eye(3),
+        r_squared=np.full(3, r_squared),
+        rows=1000,
+        converged=True,
+        coordinates=np.array([delay, 0.0, 1.0]),
+    )
+    kappa = kappa_factor * v.k_T / v.mass
+    return Fit(rotation, TranslationFit(kappa, 0.001 * kappa, 0.1, 0.01, "momentum"), 10.0)
+
+
+def watch(samples, fit=None, block=25, detector=None):
+    detector = detector or ChangeDetector(GEOMETRY, DT)
+    detector.arm(fit or reference())
+    found = []
+    for k in range(0, len(samples.gyro), block):
+        found += detector.update(samples.part(slice(k, k + block)))
+    return found, detector
+
+
+@pytest.fixture(scope="module")
+def quiet_flight():
+    return fly("all-axes", 12.0)
+
+
+@pytest.fixture(scope="module")
+def changed():
+    return {name: fly("all-axes", AT + 1.0, [change]) for name, change in CHANGES.items()}
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_mass_step_is_seen_within_three_samples(changed, seed):
+    (change,), detector = watch(measured(changed["mass"], seed))
+    assert change.channel == "thrust"
+    assert AT <= change.detected <= AT + 3 * DT
+    assert abs(change.onset - AT) <= DT
+    assert change.size == pytest.approx(9.8 * (1.0 - 1.0 / 1.2), rel=0.1)
+    assert detector.cause.kind == "mass_change"
+    assert detector.cause.mass_ratio == pytest.approx(1.2, abs=0.003)
+
+
+def test_payload_is_told_from_a_mass_alone(changed):
+    (change,), detector = watch(measured(changed["payload"]))
+    assert AT <= change.detected <= AT + 0.02
+    assert detector.cause.kind == "payload"
+    assert detector.cause.cg_shift == pytest.approx((0.1 / 6.0, 0.05 / 6.0), abs=0.002)
+
+
+def test_cg_shift_alone_shows_in_the_rotation(changed):
+    (change,), detector = watch(measured(changed["cg"]))
+    assert change.channel == "pitch"
+    assert AT <= change.detected <= AT + 0.02
+    assert detector.cause.kind == "cg_shift"
+    assert detector.cause.cg_shift == pytest.approx((0.015, 0.0), abs=0.001)
+
+
+@pytest.mark.parametrize("rotor", [0, 3])
+def test_weak_rotor_is_named_with_its_loss(quiet_flight, rotor):
+    samples = measured(quiet_flight)
+    # To make the same thrust with 15 % less of it, this rotor must have turned faster.
+    samples.speeds[round(AT / DT) :, rotor] /= np.sqrt(0.85)
+    (change,), detector = watch(samples)
+    assert AT <= change.detected <= AT + 0.03
+    assert detector.cause.kind == "rotor_failure"
+    assert detector.cause.rotor == rotor
+    assert detector.cause.loss == pytest.approx(0.15, abs=0.01)
+
+
+def test_small_mass_step_is_found_by_the_slow_test(quiet_flight):
+    samples = measured(quiet_flight)
+    samples.force[round(AT / DT) :] /= 1.015
+    (change,), _ = watch(samples)
+    assert (change.channel, change.scale) == ("thrust", "slow")
+    assert AT + 0.2 < change.detected < AT + 1.5
+    assert abs(change.onset - AT) < 0.3
+
+
+def test_no_alarm_without_a_change(quiet_flight):
+    for seed in range(1, 6):
+        found, detector = watch(measured(quiet_flight, seed))
+        assert found == []
+        assert detector.armed
+
+
+def test_no_alarm_in_gusts():
+    for flight in (fly("hover", 10.0), fly("all-axes", 10.0, turbulence=0.02)):
+        assert watch(measured(flight))[0] == []
+
+
+def test_no_alarm_from_spikes_and_gaps(quiet_flight):
+    samples = measured(quiet_flight)
+    samples.gyro[1500] += 3.0
+    samples.force[1700:1702] += 20.0
+    samples.speeds[1900, 1] = 0.0
+    samples.gyro[2000:2100] = np.nan
+    samples.rates[2000:2100] = np.nan
+    samples.speeds[2200:2230] = np.nan
+    samples.force[2300:2500] = np.nan
+    found, detector = watch(samples)
+    assert found == []
+    assert detector.armed
+
+
+def test_rotor_delay_of_the_fit_is_made_up_for(quiet_flight, changed):
+    late = 5
+    for flight, count in ((quiet_flight, 0), (changed["mass"], 1)):
+        samples = measured(flight)
+        samples.speeds[late:] = samples.speeds[:-late].copy()
+        found, _ = watch(samples, reference(delay=late * DT))
+        assert len(found) == count
+    assert AT <= found[0].detected <= AT + 0.02 + late * DT
+
+
+@pytest.mark.parametrize("name", ["mass", "cg"])
+def test_grouping_of_samples_does_not_matter(changed, name):
+    samples = measured(changed[name])
+    whole, one = watch(samples, block=len(samples.gyro))
+    for block in (1, 7, 100):
+        parts, other = watch(samples, block=block)
+        assert len(parts) == len(whole) == 1
+        for f in ("detected", "onset", "channel", "scale"):
+            assert getattr(parts[0], f) == getattr(whole[0], f)
+        assert parts[0].size == pytest.approx(whole[0].size, rel=1e-9)
+        assert other.cause.kind == one.cause.kind
+        assert other.cause.mass_ratio == pytest.approx(one.cause.mass_ratio, rel=1e-9)
+
+
+def test_a_renewed_reference_is_no_change(quiet_flight):
+    samples = measured(quiet_flight)
+    cut = 2000
+    _, detector = watch(samples.part(slice(0, cut)))
+    # 3 % in kappa is 0.3 m/s^2: six noise levels, if it were taken for a jump.
+    fit = reference(kappa_factor=1.03)
+    found, detector = watch(samples.part(slice(cut, None)), fit, detector=detector)
+    assert found == []
+
+
+def test_silent_after_a_detection_until_armed_anew(changed):
+    samples = measured(changed["mass"])
+    found, detector = watch(samples)
+    assert len(found) == 1
+    assert not detector.armed
+    assert detector.update(samples.part(slice(0, 500))) == []
+    detector.arm(reference())
+    assert detector.armed
+
+
+def test_a_poor_fit_is_not_armed():
+    detector = ChangeDetector(GEOMETRY, DT)
+    assert not detector.arm(Fit(None, None, 1.0))
+    fit = reference(r_squared=0.5)
+    assert not detector.arm(replace(fit, translation=None))
+    assert detector.arm(fit)  # on its thrust alone
+
+
+def test_memory_is_bounded(quiet_flight):
+    samples = measured(quiet_flight)
+    _, detector = watch(samples, block=10)
+    assert len(detector._table) < 50
+
+
+def test_cusum_waits_for_a_third_sample_and_forgets_outliers():
+    z = np.zeros((20, 1))
+    z[3] = z[9] = z[10] = 1e6
+    test = Cusum(1, allowance=4.0, clip=9.0, threshold=11.0)
+    assert test.update(z, 0) is None
+    z = np.zeros((20, 1))
+    z[5:] = -30.0
+    row, channel, began = test.update(z, 100)
+    assert (row, channel, began) == (7, 0, 105)
+
+
+def test_level_learns_mean_and_noise_and_shrugs_off_an_outlier():
+    random = np.random.default_rng(0)
+    level = Level(1, 0.05)
+    for _ in range(200):
+        frame = 3.0 + 0.5 * random.standard_normal((50, 1))
+        frame[7] = 1e3
+        level.update(frame, np.full(1, 0.01))
+    assert level.mean[0] == pytest.approx(3.0, abs=0.1)
+    assert level.std(np.full(1, 0.01))[0] == pytest.approx(0.5, rel=0.25)
+
+
+BEFORE = {
+    "mass": (1.5, 0.001),
+    "Ixx": (0.0165, 2e-5),
+    "cg_x": (0.1, 1e-4),
+    "k_T": (2.05e-4, 0.0),
+    "Ixy": (None, None),
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind"),
+    [
+        ({"mass": (1.8, 0.002)}, "mass_change"),
+        ({"mass": (1.8, 0.002), "cg_x": (0.115, 2e-4)}, "payload"),
+        ({"mass": (1.8, 0.002), "Ixx": (0.0182, 1e-4)}, "payload"),
+        ({"cg_x": (0.115, 2e-4)}, "cg_shift"),
+        ({"Ixx": (0.0182, 1e-4)}, "inertia_change"),
+        ({"Ixx": (0.0182, 1e-3)}, "change"),
+    ],
+)
+def test_fits_before_and_after_name_the_kind(changes, kind):
+    event = describe(BEFORE, {**BEFORE, **changes})
+    assert event["kind"] == kind
+    assert "Ixy" not in event["parameters"]
+    for name, (value, _) in changes.items():
+        entry = event["parameters"][name]
+        assert entry["difference"] == pytest.approx(value - BEFORE[name][0])
+        assert entry["ci95"][0] < entry["difference"] < entry["ci95"][1]
+
+
+def test_a_failing_rotor_is_named_in_the_event():
+    cause = Cause("rotor_failure", 2, 0.15, 0.01, 1.0, (0.0, 0.0), 0.99)
+    event = describe(BEFORE, {**BEFORE, "mass": (1.56, 0.002)}, cause)
+    assert event["kind"] == "rotor_failure"
+    assert event["rotor"] == 2
+    assert event["loss"]["ci95"] == pytest.approx([0.1304, 0.1696], abs=1e-4)

@@ -1,0 +1,223 @@
+"""From relative fits to physical parameters, statuses and verdict."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.estimation.physical_parameters import (
+    CORE,
+    NOTHING,
+    Value,
+    motor_lag,
+    physical_parameters,
+    verdict,
+)
+from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.scale_reference import ScaleReference
+
+MASS, K_T, ARM = 1.5, 2.05e-4, 0.35
+TRUE = {
+    "mass": MASS, "Ixx": 0.0165, "Iyy": 0.0167, "Izz": 0.0294,
+    "Ixy": 0.00135, "Iyz": 0.00254, "Ixz": -0.00166,
+    "cg_x": 0.1, "cg_y": 0.05, "k_T": K_T, "k_M": 6.14e-6,
+    "moment_ratio": 6.14e-6 / K_T, "rotational_damping": 0.004, "rotor_inertia": 6e-5,
+    "linear_drag": 0.25,
+}  # fmt: skip
+THETA = np.array(
+    [TRUE[n] / K_T for n in rb.THETA[: rb.N_INERTIA]]
+    + [TRUE[n] for n in ("cg_x", "cg_y", "moment_ratio")]
+    + [TRUE[n] / K_T for n in ("rotational_damping", "rotor_inertia")]
+)
+COVARIANCE = np.diag((0.003 * THETA) ** 2)
+ROTATION = RotationFit(THETA, COVARIANCE, np.eye(3), np.full(3, 0.99), 1000, True)
+KAPPA, DELTA = K_T / MASS, TRUE["linear_drag"] / MASS
+TRANSLATION = TranslationFit(KAPPA, 0.002 * KAPPA, DELTA, 0.01 * DELTA, "momentum")
+
+
+def spread(share, **r2):
+    return replace(ROTATION, covariance=np.diag((share * THETA) ** 2), **r2)
+
+
+@pytest.mark.parametrize("anchor", [("mass", MASS), ("k_T", K_T)])
+def test_either_true_anchor_gives_the_truth(anchor):
+    values = physical_parameters(ScaleReference(*anchor), ROTATION, TRANSLATION, ARM)
+    assert {n: v.value for n, v in values.items()} == pytest.approx(TRUE, rel=1e-12)
+    assert values[anchor[0]] == Value(anchor[1], 0.0, "given")
+    assert verdict(values) == ("identified", ())
+
+
+@pytest.mark.parametrize(("kind", "known"), [("mass", MASS), ("k_T", K_T)])
+def test_a_wrong_anchor_scales_all_masses_and_moments_alike(kind, known):
+    right = physical_parameters(ScaleReference(kind, known), ROTATION, TRANSLATION, ARM)
+    wrong = physical_parameters(ScaleReference(kind, 3.0 * known), ROTATION, TRANSLATION, ARM)
+    lengths = {"cg_x", "cg_y", "moment_ratio"}
+    for name, value in right.items():
+        factor = 1.0 if name in lengths else 3.0
+        assert wrong[name].value == pytest.approx(factor * value.value, rel=1e-12)
+        assert wrong[name].std == pytest.approx(factor * value.std, rel=1e-12)
+        assert wrong[name].status == value.status
+
+
+def test_the_scales_uncertainty_is_carried():
+    by_mass = physical_parameters(ScaleReference("mass", MASS), ROTATION, TRANSLATION, ARM)
+    by_k_T = physical_parameters(ScaleReference("k_T", K_T), ROTATION, TRANSLATION, ARM)
+    assert by_mass["k_T"].std == pytest.approx(0.002 * K_T)
+    assert by_k_T["mass"].std == pytest.approx(0.002 * MASS)
+    # With the mass as the anchor, inertia hangs on k_T, which is estimated; else it does not.
+    ixx = TRUE["Ixx"]
+    assert by_mass["Ixx"].std == pytest.approx(ixx * np.hypot(0.003, 0.002))
+    assert by_k_T["Ixx"].std == pytest.approx(ixx * 0.003)
+    # Lengths need no scale.
+    assert by_mass["cg_x"].std == by_k_T["cg_x"].std
+    assert by_mass["cg_x"].std == pytest.approx(0.003 * TRUE["cg_x"], rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("share", "status"),
+    [(0.049, "identified"), (0.051, "weak"), (0.49, "weak"), (0.51, "unobservable")],
+)
+def test_status_follows_the_relative_std(share, status):
+    values = physical_parameters(ScaleReference("k_T", K_T), spread(share), TRANSLATION, ARM)
+    for name in ("Ixx", "Iyy", "Izz", "k_M", "moment_ratio"):
+        assert values[name].status == status
+        assert values[name].value == pytest.approx(TRUE[name])
+
+
+@pytest.mark.parametrize(
+    ("r_squared", "lowered"),
+    [
+        ((0.99, 0.99, 0.99), {}),
+        ((0.7, 0.99, 0.99), {"Ixx": "weak", "Ixy": "weak", "Ixz": "weak"}),
+        ((0.99, 0.99, 0.7), {"Izz": "weak", "k_M": "weak", "Iyz": "weak", "Ixz": "weak"}),
+        ((0.99, 0.99, 0.3), {"Izz": "unobservable", "k_M": "unobservable"}),
+    ],
+)
+def test_status_falls_where_the_model_explains_too_little(r_squared, lowered):
+    fit = replace(ROTATION, r_squared=np.array(r_squared))
+    values = physical_parameters(ScaleReference("mass", MASS), fit, TRANSLATION, ARM)
+    for name, status in lowered.items():
+        assert values[name].status == status
+    # The CG and the scale rest on mean torque and thrust.
+    assert {values[n].status for n in ("cg_x", "cg_y", "k_T")} == {"identified"}
+    if r_squared[0] > 0.8:
+        assert values["Ixx"].status == "identified"
+
+
+def test_doubt_never_raises_a_status():
+    fit = replace(spread(1.0), r_squared=np.full(3, 0.7))
+    values = physical_parameters(ScaleReference("mass", MASS), fit, TRANSLATION, ARM)
+    assert values["Izz"].status == "unobservable"
+
+
+def test_without_rotation_or_translation():
+    nothing = physical_parameters(ScaleReference("mass", MASS), None, None, ARM)
+    assert nothing.pop("mass") == Value(MASS, 0.0, "given")
+    assert set(nothing.values()) == {NOTHING}
+    lengths = physical_parameters(ScaleReference("mass", MASS), ROTATION, None, ARM)
+    assert lengths["cg_x"].value == pytest.approx(0.1)
+    assert lengths["Ixx"] == NOTHING
+    thrust = physical_parameters(ScaleReference("mass", MASS), None, TRANSLATION, ARM)
+    assert thrust["k_T"].value == pytest.approx(K_T)
+    assert thrust["Ixx"] == NOTHING
+
+
+@pytest.mark.parametrize("kappa", [-KAPPA, 0.0, np.nan])
+def test_a_thrust_that_makes_no_sense_gives_no_scale(kappa):
+    bad = TranslationFit(kappa, 1e-6, DELTA, 0.1, "momentum")
+    values = physical_parameters(ScaleReference("mass", MASS), ROTATION, bad, ARM)
+    assert values["k_T"] == values["Ixx"] == NOTHING
+
+
+def test_numbers_that_are_none_are_not_shown():
+    fit = replace(ROTATION, theta=np.full(rb.N_THETA, np.nan))
+    values = physical_parameters(ScaleReference("mass", MASS), fit, TRANSLATION, ARM)
+    assert values["Ixx"] == NOTHING
+    word, reasons = verdict(values)
+    assert word == "partial"  # k_T is there
+    assert "Ixx" in reasons[0]
+
+
+def test_accelerometer_gives_no_drag():
+    source = TranslationFit(KAPPA, 0.002 * KAPPA, np.nan, np.nan, "accelerometer")
+    values = physical_parameters(ScaleReference("mass", MASS), ROTATION, source, ARM)
+    assert values["linear_drag"] == NOTHING
+    assert verdict(values)[0] == "identified"
+
+
+@pytest.mark.parametrize("told", ["gyro's low-pass", "rotors ahead of the IMU"])
+def test_drag_is_doubted_where_the_attitude_is_late(told):
+    tau, quickness, sharp = 0.011, 7.0, spread(0.003)
+    source = replace(TRANSLATION, quickness=quickness)
+    lateness = tau
+    if told == "rotors ahead of the IMU":
+        lateness, sharp = 0.0, replace(sharp, coordinates=np.array([-tau, 0.0, 0.0]))
+    values = physical_parameters(
+        ScaleReference("mass", MASS), sharp, source, ARM, lateness=lateness
+    )
+    std = MASS * np.hypot(TRANSLATION.delta_std, tau * quickness)
+    assert values["linear_drag"].std == pytest.approx(std)
+    on_time = physical_parameters(ScaleReference("mass", MASS), ROTATION, source, ARM)
+    assert on_time["linear_drag"].std == pytest.approx(MASS * TRANSLATION.delta_std)
+
+
+def parameters(**statuses):
+    given = dict.fromkeys(CORE, "identified") | {"mass": "given"} | statuses
+    return {n: Value(1.0, 0.1, s) for n, s in given.items()}
+
+
+@pytest.mark.parametrize(
+    ("statuses", "word", "said"),
+    [
+        ({}, "identified", []),
+        ({"Ixy": "weak"}, "partial", ["only roughly known: Ixy"]),
+        ({"Ixy": "unobservable"}, "partial", ["do not tell Ixy"]),
+        ({"Izz": "weak", "k_M": "weak"}, "partial", ["Izz, k_M", "one scale"]),
+        ({"Izz": "weak", "k_M": "unobservable"}, "partial", ["k_M", "Izz", "one scale"]),
+        (
+            dict.fromkeys(CORE[1:], "unobservable"),
+            "refused",
+            ["do not tell Ixx, Iyy", "one scale"],
+        ),
+    ],
+)
+def test_verdict_and_its_reasons(statuses, word, said):
+    found, reasons = verdict(parameters(**statuses))
+    assert found == word
+    assert len(reasons) >= len(said) - 1
+    for text in said:
+        assert any(text in reason for reason in reasons)
+    assert bool(reasons) is bool(said)
+
+
+def test_commands_name_their_own_parameters():
+    anchor = ScaleReference("mass", MASS)
+    for translation in (TRANSLATION, None):
+        values = physical_parameters(anchor, ROTATION, translation, ARM, rotor_input="command")
+        assert not {"k_T", "k_M"} & values.keys()
+        assert {"T_max", "thrust_curve", "moment_ratio"} <= values.keys()
+        assert values["rotor_inertia"] == NOTHING
+    assert physical_parameters(anchor, ROTATION, TRANSLATION, ARM, rotor_input="command")[
+        "T_max"
+    ].value == pytest.approx(K_T)
+
+
+def test_a_motors_form_is_doubted_the_more_the_slower_it_is():
+    """However well commands fit, a lag of the speed is not one of the command."""
+    known = np.diag(np.append((1e-5 * THETA) ** 2, [1e-10, 1e-10, 1e-8]))
+    sure = replace(TRANSLATION, kappa_std=1e-5 * KAPPA)
+    stds = []
+    for lag in (0.01, 0.03, 0.06):
+        at = np.array([0.0, lag, 0.5])
+        fit = replace(spread(1e-5), full_covariance=known, coordinates=at)
+        found = physical_parameters(
+            ScaleReference("mass", MASS), fit, sure, ARM, rotor_input="command"
+        )
+        stds.append([found[name].std for name in ("thrust_curve", "T_max", "cg_x")])
+        assert motor_lag(fit).std == pytest.approx(0.02 * lag, rel=0.02)
+    quick, usual, slow = np.array(stds)
+    np.testing.assert_allclose(usual, quick)
+    np.testing.assert_allclose(slow, 2.0 * usual, rtol=0.01)
+    assert usual[0] == pytest.approx(0.0015, rel=0.01)

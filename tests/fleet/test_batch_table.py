@@ -1,0 +1,71 @@
+"""The table as others read it."""
+
+import re
+from datetime import datetime
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pyarrow", reason="needs the extra fleet")
+
+from pyarrow import parquet
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.fleet.batch_table import ESTIMATES, read_table
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "batch.md"
+
+
+@pytest.fixture
+def fleet(batch, logs, tmp_path):
+    batch(logs, "-o", tmp_path / "fleet", "--airframe", "paper", "--workers", "2")
+    return tmp_path / "fleet" / "fleet.parquet"
+
+
+def test_columns_are_those_of_the_document(fleet):
+    found = parquet.read_schema(fleet).names
+    listed = DOCUMENT.read_text(encoding="utf-8").partition("## The table")[2].partition("```")[0]
+    rows = [line.split("|")[1] for line in listed.splitlines() if line.startswith("| `")]
+    told = [name for row in rows[:-1] for name in re.findall(r"`(\w+)`", row)]
+    assert [name for name in found if name not in ESTIMATES] == told
+    assert found[len(told) :] == list(ESTIMATES)
+    first, last, *rest = (rows[-1].split(" ... ")[0], rows[-1].split(" ... ")[1])
+    assert re.findall(r"`(\w+)`", first) == list(ESTIMATES)[:2]
+    assert re.findall(r"`(\w+)`", last) == list(ESTIMATES)[-3:]
+    assert not rest
+
+
+def test_duckdb_answers_the_queries_of_the_document(fleet, monkeypatch):
+    duckdb = pytest.importorskip("duckdb")
+    monkeypatch.chdir(fleet.parent.parent)
+    connection = duckdb.connect()
+    blocks = re.findall(r"```sql\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
+    over_time, nothing, scatter = (
+        connection.execute(query).fetchall()
+        for block in blocks
+        for query in filter(str.strip, block.split(";\n"))
+    )
+    assert len(over_time) == 4
+    vehicle, recorded, value, half, unit = over_time[0]
+    assert (vehicle, unit) == ("paper 1:1", "kg m^2")
+    assert recorded == datetime(2025, 1, 1)
+    assert abs(value - 0.0165) < 5.0 * half
+    ((path, why),) = nothing
+    assert path.endswith("broken.ulg")
+    assert "not a .tlog" in why
+    assert {row[1] for row in scatter} == {"Ixx", "Iyy", "Izz", "k_T"}
+    assert all(row[2] == 4 for row in scatter)
+
+
+def test_what_is_no_table_is_a_line(tmp_path):
+    file = tmp_path / "other.parquet"
+    file.write_bytes(b"PAR1")
+    with pytest.raises(InputError, match=r"other.parquet: cannot read the table"):
+        read_table(file)
+    import pyarrow as pa
+
+    parquet.write_table(pa.table({"path": ["a"]}), file)
+    with pytest.raises(InputError, match=r"not a table of gcs-sysid batch"):
+        read_table(file)
+    with pytest.raises(InputError, match=r"gone.parquet: cannot read the table"):
+        read_table(tmp_path / "gone.parquet")

@@ -1,0 +1,450 @@
+"""What an inspection finds: facts of streams, flights, clocks and rotors, and what they mean."""
+
+import functools
+import json
+import math
+
+import numpy as np
+import pytest
+
+from gcs_sysid.inspection.assumptions import assumed_airframe
+from gcs_sysid.inspection.inspector import Inspector, inspect_link, inspect_log
+from gcs_sysid.inspection.relevant_parameters import that_matter
+from gcs_sysid.inspection.stream_watch import CHUNK, MotionWatch, RotorWatch, StreamWatch
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.telemetry.intake import Intake
+from gcs_sysid.telemetry.link import Chunk, Link
+from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.urls import parse_url
+from gcs_sysid.telemetry.vehicles import Vehicle
+
+FLIGHT = ("--mission", "all-axes", "--rate", "100", "--duration", "16", "--seed", "3")
+
+
+@pytest.fixture(scope="module")
+def recording(fly):
+    """Flies the emulator with some options, once with each; the recording's path."""
+    return functools.cache(lambda *options: fly(*FLIGHT, *options).tlog)
+
+
+@pytest.fixture(scope="module")
+def inspect(recording):
+    """Inspects such a recording."""
+    return lambda *options: inspect_log(recording(*options))
+
+
+def texts(found, *levels):
+    return " | ".join(f.text for f in found.findings if not levels or f.level in levels)
+
+
+def watched(t, values=None):
+    """A watch that has seen samples in flight."""
+    watch = StreamWatch()
+    for i, now in enumerate(t):
+        if watch.add(now, (float(i),) if values is None else values[i]):
+            watch.take(flying=True)
+    watch.take(flying=True)
+    return watch
+
+
+# Streams.
+
+
+@pytest.mark.parametrize("count", [300, CHUNK + 10])
+def test_a_regular_stream_has_a_rate_and_nothing_else(count):
+    tally = watched(np.arange(count) * 0.004).flight
+    assert tally.rate == pytest.approx(250.0)
+    assert (tally.samples, tally.gaps, tally.missing, tally.repeats) == (count, 0, 0, 0)
+
+
+def test_ardupilots_uneven_steps_are_not_missing_samples():
+    t = np.cumsum(np.tile([0.0025, 0.005, 0.005, 0.0025, 0.005], 200))
+    tally = watched(t).flight
+    assert tally.rate == pytest.approx(250.0, rel=0.01)
+    assert tally.missing == 0
+
+
+def test_skipped_samples_are_missing_and_a_pause_is_a_gap():
+    t = np.arange(1000) * 0.004
+    t[500:] += 0.3
+    t = np.delete(t, [100, 101, 700])
+    tally = watched(t).flight
+    assert tally.missing == 3
+    assert tally.gaps == 1
+    assert tally.longest_gap == pytest.approx(0.304)
+    assert tally.missing_percent == pytest.approx(0.3, abs=0.01)
+    # The rate counts what came, and not the pause.
+    assert tally.rate == pytest.approx(250.0 * 997 / 1000, rel=1e-3)
+
+
+def test_repeats_under_fresh_stamps_are_counted_also_from_chunk_to_chunk():
+    count = CHUNK + 101
+    values = [(float(i // 2), 7.0) for i in range(count)]
+    tally = watched(np.arange(count) * 0.004, values).flight
+    assert tally.repeats == count // 2
+    assert tally.repeats_percent == pytest.approx(50.0, abs=0.1)
+
+
+def test_what_comes_twice_or_late_is_no_sample():
+    tally = watched([0.0, 0.01, 0.01, 0.02, 0.015, 0.03]).flight
+    assert tally.samples == 4
+    assert tally.rate == pytest.approx(100.0)
+
+
+def test_rows_of_different_length_are_padded():
+    watch = RotorWatch()
+    stream = StreamWatch()
+    for i, row in enumerate([(1.0, 2.0), (3.0, 4.0, 5.0)]):
+        stream.add(0.01 * i, row)
+    watch.take(stream.take(flying=True).values)
+    assert [(r.low, r.high) for r in watch.rotors()] == [(1.0, 3.0), (2.0, 4.0), (5.0, 5.0)]
+
+
+# Motion.
+
+
+def test_motion_is_found_under_noise_larger_than_itself():
+    rng = np.random.default_rng(1)
+    t = np.arange(60 * 250) * 0.004
+    amplitude, w = 0.4, 2.0 * math.pi * 0.8
+    gyro = amplitude * np.sin(w * t)[:, None] * [1.0, 0.5, 0.0] + [0.3, 0.0, -0.2]
+    gyro += rng.normal(0.0, 0.3, gyro.shape)
+    watch = MotionWatch()
+    for start in range(0, len(t), 1000):
+        rows = slice(start, start + 1000)
+        watch.take(t[rows], gyro[rows], 0.004)
+    roll, pitch, yaw = watch.motion()
+    rms = amplitude / math.sqrt(2.0)
+    assert roll.rate_rms == pytest.approx(rms, rel=0.03)
+    assert roll.acceleration_rms == pytest.approx(rms * w, rel=0.05)
+    assert pitch.acceleration_rms == pytest.approx(0.5 * rms * w, rel=0.1)
+    # Without the split of even and odd samples this would be 0.85 rad/s^2.
+    assert yaw.acceleration_rms < 0.25
+    assert yaw.rate_rms < 0.05
+
+
+def test_too_little_flight_tells_no_motion():
+    watch = MotionWatch()
+    watch.take(np.arange(20) * 0.004, np.zeros((20, 3)), 0.004)
+    assert watch.motion() == []
+
+
+# Rotor input: what the chain decides.
+
+DECISIONS = {
+    "sound": (),
+    "all zero": ("--trap", "rpm-zero"),
+    "one dead": ("--trap", "rpm-dead=2"),
+    "commands sold as speeds": ("--trap", "rpm-command"),
+    "rad/s": ("--trap", "rpm-rad"),
+    "few readings": ("--trap", "rpm-repeats=0.95"),
+    "commands alone": ("--rotor-input", "command"),
+    "ArduPilot": ("--autopilot", "ardupilot"),
+}
+SHOWN_BY_ANALYSES = {"all zero", "rad/s", "few readings", "one dead"}
+"""As far as the analysis is concerned, other tests show these too."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param(
+            options, id=name, marks=[pytest.mark.thorough] if name in SHOWN_BY_ANALYSES else []
+        )
+        for name, options in DECISIONS.items()
+    ],
+)
+def test_inspect_and_analyze_use_the_same_rotor_input(recording, options):
+    path = recording(*options)
+    airframe = load_airframe("paper")
+    analyzed = analyze_log(path, airframe).telemetry["rotor_input"]
+    found = inspect_log(path, airframe=airframe).rotor_input
+    assert found.judged
+    assert found.chosen.message == analyzed["source"]
+    assert (list(found.range) if found.range else None) == analyzed.get("range")
+    for name, why in analyzed["refused"].items():
+        assert f"{name} {why}" in found.reasons
+
+
+@pytest.mark.slow
+def test_without_an_airframe_the_vehicles_type_tells_how_many_rotors(fly):
+    flight = (*FLIGHT, "--autopilot", "ardupilot", "--airframe", "ardupilot-hexa-x")
+    path = fly(*flight).tlog
+    found = inspect_log(path)
+    assert (found.rotors, found.rotors_assumed) == (6, False)
+    assert len(found.rotor_input.chosen.rotors) == 6
+    eight = inspect_log(path, airframe=assumed_airframe(8))
+    assert eight.rotor_input.chosen is None
+    assert any("of 8 rotors" in reason for reason in eight.rotor_input.reasons)
+
+
+def flown(*speeds, vehicle_type):
+    """Inspects 12 s of flight with these rotor speeds, varied a little."""
+    intake = Intake()
+    intake.selector.chosen = Vehicle(1, 1, vehicle_type, 12)
+    inspector = Inspector(intake)
+    for i in range(1200):
+        t = 1.0 + 0.01 * i
+        if i % 50 == 0:
+            inspector.take(Record(Stream.IN_AIR, t, (1.0,)))
+        inspector.take(Record(Stream.IMU, t, (0.001 * math.sin(i),) + (0.0,) * 4 + (-9.8,)))
+        values = tuple(v + v / 50.0 * math.sin(i * (k + 1)) for k, v in enumerate(speeds))
+        inspector.take(Record(Stream.ROTOR_SPEED, t, values, 0, "ESC_STATUS"))
+    return inspector.finish("made", "tlog")
+
+
+def test_a_type_that_tells_no_number_is_said():
+    found = flown(500.0, 500.0, 500.0, 500.0, vehicle_type=0)
+    assert (found.rotors, found.rotors_assumed) == (4, True)
+    assert found.rotor_input.chosen.message == "ESC_STATUS"
+    assert "does not tell how many rotors it has: 4 assumed" in texts(found, "note")
+
+
+def test_a_dead_rotor_is_refused_as_by_analyze():
+    found = flown(500.0, 500.0, 0.0, 500.0, vehicle_type=2)
+    assert not found.rotors_assumed
+    assert found.rotor_input.chosen is None
+    assert "rotor 3 reads 0 while the others move" in texts(found, "blocks")
+
+
+# Whole recordings of the emulator.
+
+
+def test_a_sound_flight(inspect):
+    found = inspect()
+    assert found.verdict == "yes"
+    assert found.findings == ()
+    assert found.kind == "tlog"
+    assert found.flight_told_by == "autopilot"
+    assert found.in_air == pytest.approx(16.0, abs=0.1)
+    assert found.stream(Stream.IMU).rate == pytest.approx(100.0)
+    assert found.rotor_input.chosen.message == "ESC_STATUS"
+    assert len(found.rotor_input.chosen.rotors) == 4
+    assert found.motion["roll"].acceleration_rms > 3.0
+    json.dumps(found.as_json(), allow_nan=False)
+
+
+TRAPS = {
+    "rpm-zero": "ESC_STATUS reads 0 while the vehicle flies",
+    "rpm-dead=2": "rotor 2 reads 0 while the others move",
+    "skips=0.05": "never sent",
+    "forwarded": "other vehicles speak too: PX4 quadrotor 2:1",
+    "reboot=8": "restarted",
+    "never-sent=HIGHRES_IMU": "no IMU data",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("trap", "told"), TRAPS.items(), ids=TRAPS.keys())
+def test_traps_are_told(inspect, trap, told):
+    assert told in texts(inspect("--trap", trap))
+
+
+def test_unsound_rotor_speeds_give_way_to_commands(inspect):
+    found = inspect("--trap", "rpm-dead=2")
+    assert found.rotor_input.chosen.kind == "command"
+    speeds = next(s for s in found.rotor_sources if s.kind == "speed")
+    assert speeds.dead == (2,)
+
+
+@pytest.mark.slow
+def test_repeats_under_fresh_stamps_show(inspect):
+    found = inspect("--trap", "rpm-repeats=0.4")
+    assert found.stream(Stream.ROTOR_SPEED).repeats_percent == pytest.approx(40.0, abs=4.0)
+    assert found.stream(Stream.IMU).repeats_percent < 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("trap", "wraps"), [("wrap-us=8", 1), ("disorder", 0)])
+def test_wraps_of_short_stamps_are_counted_and_leave_no_gap(inspect, trap, wraps):
+    found = inspect("--trap", trap)
+    assert found.clock.wraps == wraps
+    assert found.clock.reboots == 0
+    assert all(stream.gaps == 0 for stream in found.streams)
+
+
+def test_a_reboot_parts_the_flights_and_time_goes_on(inspect):
+    found = inspect("--trap", "reboot=8")
+    assert found.clock.reboots == 1
+    (_, first_end), (second_start, second_end) = found.flights
+    assert first_end == pytest.approx(8.0, abs=0.5)
+    assert first_end <= second_start < second_end <= found.duration + 1e-9
+    assert found.stream(Stream.IMU).gaps == 0
+
+
+def test_several_flights_and_the_ground_between():
+    inspector = Inspector(Intake())
+    for i in range(6000):
+        t = 0.01 * i
+        if i % 50 == 0:
+            inspector.take(Record(Stream.IN_AIR, t, (float(500 <= i % 3000 < 2500),)))
+        if not 3000 <= i < 3300:  # a gap on the ground is none in flight
+            inspector.take(Record(Stream.IMU, t, (0.0,) * 5 + (-9.8,)))
+    found = inspector.finish("made", "tlog")
+    assert found.flights == (pytest.approx((5.0, 25.0)), pytest.approx((35.0, 55.0)))
+    assert found.stream(Stream.IMU).gaps == 0
+    assert found.stream(Stream.IMU).samples == 4000
+
+
+@pytest.mark.slow
+def test_clock_drift_is_told(inspect):
+    found = inspect("--duration", "30", "--trap", "clock-drift=8000")
+    assert found.clock.drift_ppm == pytest.approx(8000.0, rel=0.02)
+    assert any("clock runs 0.80 % fast" in finding.text for finding in found.findings)
+
+
+@pytest.mark.slow
+def test_a_radio_is_no_vehicle(inspect):
+    found = inspect("--trap", "radio")
+    roles = {system["role"] for system in found.as_json()["systems"]}
+    assert roles == {"vehicle", "radio"}
+    assert found.verdict == "yes"
+
+
+@pytest.mark.slow
+def test_hover_is_named_axis_by_axis(fly):
+    found = inspect_log(fly("--mission", "hover", "--rate", "100", "--duration", "16").tlog)
+    assert found.verdict == "partly"
+    assert "too little roll, pitch and yaw motion to tell Ixx, Iyy, Izz" in texts(found, "limits")
+
+
+@pytest.mark.slow
+def test_commands_alone_will_do_but_not_slow_ones(fly):
+    flight = ("--mission", "all-axes", "--duration", "16", "--rotor-input", "command")
+    found = inspect_log(fly(*flight, "--rate", "100").tlog)
+    assert found.verdict == "yes"
+    assert "commands: no measured speeds are sound" in texts(found, "note")
+    slow = inspect_log(fly(*flight, "--rate", "50").tlog)
+    assert slow.verdict == "partly"
+    assert "commands at 50 Hz miss" in texts(slow, "limits")
+
+
+@pytest.mark.slow
+def test_a_narrow_link_is_refused_with_what_to_do(fly):
+    found = inspect_log(fly("--mission", "all-axes", "--rate", "4", "--duration", "16").tlog)
+    assert found.verdict == "no"
+    assert "HIGHRES_IMU comes at 4.0 Hz" in texts(found, "blocks")
+    assert any("faster" in f.advice or "fast link" in f.advice for f in found.findings)
+
+
+def test_a_vehicle_that_is_not_there(paper_flight):
+    found = inspect_log(paper_flight.tlog, (9, None))
+    assert found.verdict == "no"
+    assert "heard: PX4 quadrotor 1:1" in texts(found)
+
+
+@pytest.mark.slow
+def test_eight_rotors_are_one_source(inspect):
+    found = inspect("--autopilot", "ardupilot", "--airframe", "ardupilot-octo-x")
+    chosen = found.rotor_input.chosen
+    assert chosen.message == "ESC_TELEMETRY"
+    assert len(chosen.rotors) == 8
+    assert chosen.dead == ()
+
+
+# Flight without a word of the autopilot.
+
+
+def test_flight_by_armed_and_turning_rotors():
+    inspector = Inspector(Intake())
+    for i in range(4000):
+        t = 0.01 * i
+        if i % 100 == 0:
+            inspector.take(Record(Stream.ARMED, t, (float(500 <= i < 3000),)))
+        inspector.take(Record(Stream.IMU, t, (0.0,) * 3 + (0.0, 0.0, -9.8)))
+        speed = 500.0 + i % 7 if 500 <= i < 3000 else 0.0
+        inspector.take(Record(Stream.ROTOR_SPEED, t, (speed, speed, speed, 0.0), 0, "ESC_STATUS"))
+    found = inspector.finish("made", "tlog")
+    assert found.flight_told_by == "rotors"
+    assert found.flights == (pytest.approx((5.0, 30.0), abs=0.02),)
+
+
+# Links.
+
+
+class ScriptedLink(Link):
+    """Plays a recording, 50 ms of it with each call; its clock is the recording's."""
+
+    datagrams = True
+
+    def __init__(self, path=None):
+        super().__init__(parse_url("udpin:127.0.0.1:14550"))
+        self.frames = [] if path is None else [(us * 1e-6, f.raw) for us, f in read_tlog(path)]
+        self.now = self.frames[0][0] if self.frames else 0.0
+        self.sent = []
+        self.closed = False
+
+    def receive(self, timeout):
+        self.now += timeout
+        due = 0
+        while due < len(self.frames) and self.frames[due][0] <= self.now:
+            due += 1
+        chunks = [Chunk(raw, ("127.0.0.1", 5)) for _, raw in self.frames[:due]]
+        del self.frames[:due]
+        return chunks
+
+    def send(self, data):
+        self.sent.append(data)
+
+    def close(self):
+        self.closed = True
+
+
+def listen(link, **options):
+    return inspect_link(link, 5.0, rate=100.0, clock=lambda: link.now, **options)
+
+
+def test_a_link_is_listened_to_for_the_time_asked(recording):
+    link = ScriptedLink(recording())
+    began = link.now
+    found = listen(link, listen_only=True)
+    assert link.now - began == pytest.approx(5.0, abs=0.2)
+    assert link.closed
+    assert link.sent == []
+    assert found.kind == "link"
+    assert found.verdict == "yes"
+    assert found.stream(Stream.IMU).samples == pytest.approx(500, abs=10)
+
+
+def test_a_link_is_asked_for_streams_and_given_its_rates_back(recording):
+    link = ScriptedLink(recording())
+    found = listen(link)
+    ids = {data[7] | data[8] << 8 for data in link.sent}
+    assert ids == {0, 20, 76}  # HEARTBEAT, PARAM_REQUEST_READ, COMMAND_LONG
+    # What came before the answer to the requests does not count.
+    assert found.stream(Stream.IMU).samples == pytest.approx(300, abs=10)
+    assert found.stream(Stream.VELOCITY).message == "LOCAL_POSITION_NED"
+
+
+def test_silence_is_told():
+    link = ScriptedLink()
+    found = listen(link)
+    assert not found.heard
+    assert link.closed
+    assert found.verdict == "no"
+    assert "nothing was heard" in texts(found)
+
+
+def test_a_link_on_the_ground_says_what_it_cannot_see(recording):
+    link = ScriptedLink(recording("--trap", "ground=8"))
+    found = listen(link, listen_only=True)
+    assert found.verdict == "no"
+    assert "not in the air while listening" in texts(found, "blocks")
+    assert not found.rotor_input.judged
+    assert "rotor" not in texts(found)
+
+
+def test_it_ends_early_when_told_to(recording):
+    link = ScriptedLink(recording())
+    began = link.now
+    listen(link, stop=lambda: link.now > began + 1.0)
+    assert link.now - began == pytest.approx(1.1, abs=0.1)
+    assert link.closed
+
+
+def test_only_parameters_that_matter_are_shown():
+    named = {"ZZZ": 1.0, "INS_GYRO_FILTER": 20.0, "FRAME_CLASS": 1.0, "INS_GYRO_FILTERX": 2.0}
+    assert that_matter(named) == {"FRAME_CLASS": 1.0, "INS_GYRO_FILTER": 20.0}

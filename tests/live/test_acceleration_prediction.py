@@ -1,0 +1,107 @@
+"""What a live session shows of measured and predicted acceleration."""
+
+import numpy as np
+import pytest
+
+from gcs_sysid.live.acceleration_prediction import KEPT, LivePrediction, Model, Motion, Predictor
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.session.chain import Chain, ChainOptions
+
+
+@pytest.fixture
+def watched():
+    chain = Chain(load_airframe("paper"), ChainOptions(history_interval=0.2))
+    prediction = LivePrediction(chain)
+    chain.observers.append(prediction.take)
+    return chain, prediction
+
+
+def test_the_last_seconds_are_foretold(watched, paper_records):
+    chain, prediction = watched
+    assert prediction.acceleration() is None
+    for record in paper_records:
+        chain.feed(record)
+    found = prediction.acceleration()
+    step = np.diff(found.t)
+    assert chain.t - 1.5 < found.t[-1] < chain.t
+    assert KEPT - 1.0 < found.t[-1] - found.t[0] <= KEPT + 0.5
+    assert step.min() > 0.5 * np.median(step)
+    assert step.max() < 1.6 * np.median(step)
+    assert np.isfinite(found.measured).all()
+    assert found.r_squared.min() > 0.9
+
+
+def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, paper_records):
+    """With a fit frozen beforehand, the rows are those of the same model over the whole flight."""
+    chain, prediction = watched
+    half = len(paper_records) // 2
+    for record in paper_records[:half]:
+        chain.feed(record)
+    blocks = []
+    fit = chain.fit
+    since = chain.t
+
+    def take(block):
+        blocks.append(block)
+        chain._learner.fit = fit
+        prediction.take(block)
+
+    chain.observers[:] = [take]
+    for record in paper_records[half:]:
+        chain.feed(record)
+    found = prediction.acceleration()
+    rotation = fit.rotation
+    model = Model(rotation.theta, rotation.coordinates, chain.airframe.geometry, "speed")
+    whole = Predictor(blocks[0].dt, model).rows(
+        Motion(
+            np.concatenate([b.t for b in blocks]),
+            np.concatenate([b.samples.gyro for b in blocks]),
+            np.concatenate([b.samples.rates for b in blocks]),
+            np.concatenate([b.samples.speeds for b in blocks]),
+        )
+    )
+    later = found.t > since + 1.0
+    known = np.isfinite(whole.predicted[:, 0])
+    for name in ("measured", "predicted"):
+        rows = getattr(found, name)[later]
+        for axis in range(3):
+            expected = np.interp(
+                found.t[later], whole.t[known], getattr(whole, name)[known][:, axis]
+            )
+            tight = 0.02 * np.abs(rows[:, axis]).max() + 0.05
+            np.testing.assert_allclose(rows[:, axis], expected, atol=8.0 * tight)
+            assert np.median(np.abs(rows[:, axis] - expected)) < tight
+
+
+def test_what_was_given_out_does_not_change(watched, paper_records):
+    chain, prediction = watched
+    half = len(paper_records) // 2
+    for record in paper_records[:half]:
+        chain.feed(record)
+    found = prediction.acceleration()
+    before = found.measured.copy(), found.predicted.copy()
+    for record in paper_records[half:]:
+        chain.feed(record)
+    np.testing.assert_array_equal(found.measured, before[0])
+    np.testing.assert_array_equal(found.predicted, before[1])
+
+
+def test_the_estimate_does_not_depend_on_being_watched(watched, paper_records):
+    chain, _ = watched
+    alone = Chain(load_airframe("paper"), ChainOptions(history_interval=0.2))
+    for record in paper_records:
+        chain.feed(record)
+        alone.feed(record)
+    assert chain.finish() == alone.finish()
+
+
+def test_after_a_reset_only_what_is_new_is_shown(watched, paper_records):
+    chain, prediction = watched
+    half = len(paper_records) // 2
+    for record in paper_records[:half]:
+        chain.feed(record)
+    last = prediction.acceleration().t[-1]
+    chain.reset()
+    for record in paper_records[half:]:
+        chain.feed(record)
+    assert prediction.acceleration().t[-1] > last

@@ -1,0 +1,617 @@
+"""Live sessions over real sockets, and their recordings."""
+
+import dataclasses
+import hashlib
+import io
+import os
+import socket
+import subprocess
+import sys
+import threading
+
+import pytest
+from fastcrc import crc16
+from pymavlink import mavutil
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.live.live_options import LiveOptions
+from gcs_sysid.live.live_session import LiveSession
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.results.snapshot import LinkState
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.telemetry import tlog_writer
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.frames import FrameScanner
+from gcs_sysid.telemetry.link import SerialLink, TcpLink, UdpLink
+from gcs_sysid.telemetry.messages import message_name, unpack
+from gcs_sysid.telemetry.reconnect import PersistentLink
+from gcs_sysid.telemetry.signing import Signer, SigningClock
+from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.urls import LinkUrl
+
+LISTEN = LiveOptions(listen_only=True, refit_interval=1.0)
+"""Sends nothing, and refits seldom, which the final numbers do not depend on."""
+LONGEST = 120.0
+"""s; a session that has not ended by then never will."""
+
+
+@pytest.fixture(scope="module")
+def airframe():
+    return load_airframe("paper")
+
+
+@pytest.fixture
+def udp():
+    link = UdpLink(LinkUrl("udpin", "udpin:127.0.0.1", host="127.0.0.1", port=0))
+    yield link
+    link.close()
+
+
+@pytest.fixture
+def tcp():
+    link = TcpLink(LinkUrl("tcpin", "tcpin:127.0.0.1", host="127.0.0.1", port=0))
+    yield link
+    link.close()
+
+
+@pytest.fixture
+def emulator():
+    """Starts the emulator as a program; ends it with the test."""
+    started = []
+
+    def start(*options):
+        process = subprocess.Popen(
+            [sys.executable, "-m", "sim_bridge", "--airframe", "paper", *options],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.terminate()
+        process.communicate(timeout=20)
+
+
+def finish(session):
+    """Wait for a session's own end."""
+    ended = session.join(LONGEST)
+    session.stop()
+    assert ended
+    assert session.problem is None
+    return session.final
+
+
+def assert_same_numbers(a, b):
+    """Every value of two results equal within 1e-9 relative; all else exactly."""
+    assert a.verdict == b.verdict
+    assert a.reasons == b.reasons
+    assert a.parameters.keys() == b.parameters.keys()
+    for name, first in a.parameters.items():
+        second = b.parameters[name]
+        assert first.status == second.status
+        for x, y in ((first.value, second.value), (first.std, second.std)):
+            assert x == (None if y is None else pytest.approx(y, rel=1e-7, abs=0.0)), name
+    assert a.vehicle == b.vehicle
+    assert a.telemetry["used_seconds"] == b.telemetry["used_seconds"]
+    assert a.telemetry["messages"] == b.telemetry["messages"]
+
+
+@pytest.mark.slow
+def test_udp_session_and_its_recording_give_the_same_numbers(udp, emulator, airframe, tmp_path):
+    target = f"udpout:127.0.0.1:{udp.port}"
+    flight = ("--mission", "all-axes", "--rate", "100", "--seed", "1")
+    process = emulator("--connect", target, *flight, "--speed", "4", "--duration", "30")
+    path = tmp_path / "live.tlog"
+    gone = lambda: process.poll() is not None  # noqa: E731
+    session = LiveSession(udp, airframe, LiveOptions(rate=100.0), path, sender_gone=gone)
+    session.start()
+    final = finish(session)
+    assert process.returncode == 0
+    # 3 s of ground, start of the grid and windows are less than half of it.
+    assert final.telemetry["used_seconds"] > 15.0
+    assert final.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.05)
+    assert_same_numbers(final, analyze_log(path, airframe))
+    latest = session.latest()
+    assert latest.result == final
+    assert latest.link.state is LinkState.ENDED
+    assert latest.link.vehicle.endswith("1:1")
+    assert latest.link.received == sum(1 for _ in read_tlog(path))
+
+
+@pytest.mark.slow
+def test_whole_flight_over_tcp_at_full_speed(tcp, emulator, airframe, tmp_path):
+    """TCP holds the emulator back: nothing is lost, and the result is that of a file."""
+    path, truth = tmp_path / "live.tlog", tmp_path / "truth.json"
+    told = []
+    noise = ("--noise", "paper", "--sigma", "0.02", "--rate", "20", "--seed", "1")
+    target = ("--connect", f"tcp:127.0.0.1:{tcp.port}", "--truth", str(truth))
+    process = emulator("--mission", "paper", *noise, "--speed", "max", *target)
+    gone = lambda: process.poll() is not None  # noqa: E731
+    session = LiveSession(tcp, airframe, LISTEN, path, gone, told.append)
+    session.start()
+    final = finish(session)
+    assert process.wait(20) == 0
+    assert final.verdict == "identified"
+    assert final.telemetry["lost"] == 0
+    assert_same_numbers(final, analyze_log(path, airframe))
+    assert len(told) > 3  # once a second of flight at most; at full speed less often
+    assert told[-1].parameters["Ixx"].value == pytest.approx(0.0165, rel=0.02)
+
+
+def replay(path, port, address="127.0.0.1"):
+    """Send a recording's frames as datagrams, at a pace that a receive buffer holds."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for _, frame in read_tlog(path):
+            sender.sendto(frame.raw, (address, port))
+
+
+def test_replayed_recording_gives_the_same_numbers(udp, airframe, paper_flight, tmp_path):
+    path = tmp_path / "again.tlog"
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, path, sender_gone=sent.is_set)
+    session.start()
+    replay(paper_flight.tlog, udp.port)
+    sent.set()
+    final = finish(session)
+    again = analyze_log(path, airframe)
+    assert_same_numbers(final, again)
+    # The loopback and 4 MB of buffer lose nothing of 0.5 MB: it is the flight itself.
+    assert final.telemetry["lost"] == 0
+    assert_same_numbers(final, analyze_log(paper_flight.tlog, airframe))
+
+
+def test_a_silent_link_is_said_to_be_silent_until_it_speaks(udp, airframe, paper_flight):
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set)
+    assert session.latest() is None
+    session.start()
+    first = session.latest()
+    assert first.link.state is LinkState.WAITING
+    assert first.link.vehicle == ""
+    assert first.result.verdict == "refused"
+    assert not session.join(0.3)  # it goes on listening
+    assert session.latest().link.state is LinkState.WAITING
+    replay(paper_flight.tlog, udp.port)
+    sent.set()
+    assert finish(session).verdict == "identified"
+
+
+def test_duration_ends_a_session_that_hears_nobody(udp, airframe):
+    session = LiveSession(udp, airframe, LiveOptions(duration=0.2))
+    session.start()
+    final = finish(session)
+    assert final.verdict == "refused"
+    assert "no heartbeat" in final.reasons[0]
+    assert session.latest().link.state is LinkState.ENDED
+
+
+def test_stop_ends_a_session(udp, airframe):
+    session = LiveSession(udp, airframe, LiveOptions())
+    session.start()
+    session.request_stop()
+    assert finish(session).verdict == "refused"
+    session.stop()  # again does no harm
+
+
+def test_marks_and_reset_reach_the_event_log(udp, airframe, paper_flight, tmp_path):
+    session = LiveSession(udp, airframe, LISTEN)
+    session.mark("gust")
+    session.reset()
+    session.start()
+    session.request_stop()
+    finish(session)
+    # Asked before the start, done in the session's first round, or never if it ended first.
+    assert [e.text for e in session.latest().events] in (["gust", "estimate reset"], [])
+
+
+def test_a_reset_is_in_the_recording_and_its_analysis(udp, airframe, paper_flight, tmp_path):
+    path = tmp_path / "live.tlog"
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, path, sender_gone=sent.is_set)
+    session.start()
+    raws = [frame.raw for _, frame in read_tlog(paper_flight.tlog)]
+    half = len(raws) // 2
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for raw in raws[:half]:
+            sender.sendto(raw, ("127.0.0.1", udp.port))
+        for _ in range(round(LONGEST / 0.1)):
+            if session.latest().link.received == half or session.join(0.1):
+                break
+        session.reset()
+        for raw in raws[half:]:
+            sender.sendto(raw, ("127.0.0.1", udp.port))
+    sent.set()
+    final = finish(session)
+    again = analyze_log(path, airframe)
+    assert_same_numbers(final, again)
+    assert [event["kind"] for event in final.events] == ["reset"]
+    assert final.events == again.events
+    # Neither is it a message that was received.
+    assert final.telemetry["received"] == again.telemetry["received"] == len(raws)
+    # Seen as the whole flight, the estimate rests on more of it.
+    whole = analyze_log(paper_flight.tlog, airframe)
+    assert final.telemetry["used_seconds"] < 0.7 * whole.telemetry["used_seconds"]
+    # Other readers see a line of text of this tool's own address.
+    reader = mavutil.mavlink_connection(str(path), dialect="common")
+    text = reader.recv_match(type="STATUSTEXT", condition="STATUSTEXT.get_srcSystem() == 245")
+    assert text.text == "gcs-sysid: estimate reset"
+    reader.close()
+
+
+def test_actions_are_done_while_it_runs(udp, airframe, tmp_path):
+    session = LiveSession(udp, airframe, LiveOptions(listen_only=True, duration=1.0))
+    session._recording._stem = tmp_path / "toggled.tlog"
+    session.start()
+    session.mark("gust")
+    said = session.toggle_recording()
+    finish(session)
+    texts = [e.text for e in session.latest().events]
+    assert texts == ["gust", said]
+    assert said == f"recording to {tmp_path / 'toggled.tlog'}"
+    assert session.recordings() == [f"nothing was heard: {tmp_path / 'toggled.tlog'} is not kept"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_that_cannot_be_made_is_a_note(udp, airframe, paper_flight, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    path = tmp_path / "file" / "below.tlog"
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, path, sender_gone=sent.is_set)
+    session.start()
+    replay(paper_flight.tlog, udp.port)
+    sent.set()
+    assert finish(session).verdict == "identified"
+    latest = session.latest()
+    assert latest.link.recording == ""
+    assert any("not recording" in e.text and str(path) in e.text for e in latest.events)
+
+
+def test_a_disk_that_fails_in_flight_is_a_note(udp, airframe, paper_flight, tmp_path, monkeypatch):
+    class Full(io.BytesIO):
+        def write(self, data):
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(tlog_writer, "open_file", lambda *_: Full())
+    monkeypatch.setattr(tlog_writer, "SYNC_EVERY", 3600.0)
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, tmp_path / "a.tlog", sender_gone=sent.is_set)
+    session.start()
+    replay(paper_flight.tlog, udp.port)
+    sent.set()
+    final = finish(session)
+    assert final.verdict == "identified"
+    count = sum(1 for _ in read_tlog(paper_flight.tlog))
+    assert final.telemetry["recording"] == {"missing": count}
+    assert any("No space left" in e.text for e in session.latest().events)
+    assert "No space left" in session.recordings()[0]
+
+
+def test_what_goes_wrong_with_a_listener_is_handed_over(udp, airframe, paper_flight):
+    told = []
+
+    def broken(result):
+        told.append(result)
+        raise ZeroDivisionError("a defect")
+
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set, on_result=broken)
+    session.start()
+    replay(paper_flight.tlog, udp.port)
+    sent.set()
+    assert session.join(LONGEST)
+    assert len(told) == 1
+    assert isinstance(session.problem, ZeroDivisionError)
+    assert session.final.verdict == "identified"
+    told = [event.text for event in session.latest().events]
+    assert "internal error (ZeroDivisionError: a defect): results are passed on no more" in told
+    assert session.latest().link.state is LinkState.ENDED
+
+
+def test_snapshots_do_not_change(udp, airframe, paper_flight):
+    sent = threading.Event()
+    seen = []
+    session = LiveSession(
+        udp,
+        airframe,
+        LISTEN,
+        sender_gone=sent.is_set,
+        on_result=lambda _: seen.append((session.latest(), repr(session.latest()))),
+    )
+    session.start()
+    replay(paper_flight.tlog, udp.port)
+    sent.set()
+    finish(session)
+    assert len(seen) > 5
+    assert all(repr(snapshot) == before for snapshot, before in seen)
+    last = session.latest()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        last.t = 0.0
+    assert last.link.url == f"udpin:127.0.0.1:{udp.url.port}"
+    assert udp.url.port > 0
+    assert last.link.rates["HIGHRES_IMU"] == pytest.approx(20.0, rel=0.05)
+    assert last.link.rejected == last.link.unknown == 0
+    assert last.link.lost_percent == 0.0
+    assert last.link.bytes_per_second > 1000.0
+    assert len(last.attitude) == len(last.rates) == 3
+    assert len(last.rotor_speeds) == 4
+    assert last.used_seconds > 55.0
+    assert last.history.t[-1] <= last.t
+
+
+def drain(sock):
+    """Frames that a socket has received until nothing comes for a while."""
+    scanner, frames = FrameScanner(), []
+    sock.settimeout(0.5)
+    try:
+        while data := sock.recv(65536):
+            frames += scanner.scan(data) if sock.type == socket.SOCK_DGRAM else scanner.feed(data)
+    except TimeoutError:
+        pass
+    return frames
+
+
+def intervals(frames):
+    """Message name -> us last asked for."""
+    commands = [unpack(76, f.payload) for f in frames if f.message_id == 76]
+    return {message_name(int(c["param1"])): c["param2"] for c in commands if c["command"] == 511}
+
+
+def test_the_vehicles_rates_are_given_back_even_after_trouble(udp, airframe, paper_flight):
+    """Nothing of what was asked for stays, when the session dies of an exception."""
+
+    def broken(*_now):
+        raise ZeroDivisionError
+
+    session = LiveSession(udp, airframe, LiveOptions())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        vehicle.bind(("127.0.0.1", 0))
+        port = udp.port
+        vehicle.settimeout(LONGEST)
+        session.start()
+        asked = {}
+        for _, frame in read_tlog(paper_flight.tlog):
+            vehicle.sendto(frame.raw, ("127.0.0.1", port))
+            while not asked and frame.message_id == 0:  # first it shall ask
+                asked = intervals(FrameScanner().scan(vehicle.recv(1000)))
+        session._ended = broken
+        assert session.join(LONGEST)
+        asked = intervals(drain(vehicle))
+    assert isinstance(session.problem, ZeroDivisionError)
+    assert asked.keys() >= {"HIGHRES_IMU", "ESC_STATUS", "ATTITUDE"}
+    assert set(asked.values()) == {0.0}
+
+
+def test_a_vehicle_of_version_1_is_asked_in_version_1(udp, airframe):
+    session = LiveSession(udp, airframe, LiveOptions(duration=1.0))
+    packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    beat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3).pack(packer, force_mavlink1=True)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        vehicle.bind(("127.0.0.1", 0))
+        port = udp.port
+        session.start()
+        vehicle.sendto(bytes(beat), ("127.0.0.1", port))
+        finish(session)
+        frames = drain(vehicle)
+    assert {frame.version for frame in frames if frame.message_id != 0} == {1}
+    asked = intervals(frames)
+    assert "SERVO_OUTPUT_RAW" in asked
+    assert "ESC_STATUS" not in asked
+
+
+def test_a_tcp_connection_that_breaks_costs_nothing_that_arrived(airframe, paper_flight, tmp_path):
+    """The estimate goes on, and the recording is one file."""
+    path = tmp_path / "live.tlog"
+    raws = [frame.raw for _, frame in read_tlog(paper_flight.tlog)]
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = LinkUrl("tcp", "tcp:127.0.0.1", host="127.0.0.1", port=server.getsockname()[1])
+        session = LiveSession(PersistentLink(TcpLink(url)), airframe, LISTEN, path)
+        session.start()
+        for part in (raws[: len(raws) // 2], raws[len(raws) // 2 :]):
+            vehicle, _ = server.accept()
+            with vehicle:
+                vehicle.sendall(b"".join(part))
+        for _ in range(round(LONGEST / 0.1)):
+            if session.latest().link.received == len(raws) or session.join(0.1):
+                break
+        session.request_stop()
+        final = finish(session)
+    assert final.telemetry["lost"] == 0
+    assert final.telemetry["garbage_bytes"] == 0
+    assert_same_numbers(final, analyze_log(path, airframe))
+    assert_same_numbers(final, analyze_log(paper_flight.tlog, airframe))
+    assert list(tmp_path.iterdir()) == [path]
+    told = [event.text for event in session.latest().events]
+    assert any("waiting for it to come back" in text for text in told)
+    assert any(text.startswith("link back after") for text in told)
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo terminals here")
+def test_a_serial_port_gives_the_same_numbers(airframe, paper_flight, tmp_path):
+    path = tmp_path / "live.tlog"
+    vehicle, port = os.openpty()
+    name = os.ttyname(port)
+    link = PersistentLink(SerialLink(LinkUrl("serial", name, device=name, baud=921600)))
+    os.close(port)
+    sent = threading.Event()
+    session = LiveSession(link, airframe, LISTEN, path, sender_gone=sent.is_set)
+    session.start()
+    for _, frame in read_tlog(paper_flight.tlog):
+        os.write(vehicle, frame.raw)  # blocks while the session has not read
+    sent.set()
+    final = finish(session)
+    os.close(vehicle)
+    assert final.telemetry["lost"] == 0
+    assert_same_numbers(final, analyze_log(paper_flight.tlog, airframe))
+    assert_same_numbers(final, analyze_log(path, airframe))
+
+
+PASSPHRASE = "correct horse"
+CRC_EXTRA = {i: message.crc_extra for i, message in mavlink.mavlink_map.items()}
+
+
+def signed_replay(path, port, passphrase):
+    """Send a recording's frames with a signature each."""
+    signer = Signer(hashlib.sha256(passphrase.encode()).digest(), SigningClock())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for _, frame in read_tlog(path):
+            raw = signer.sign(frame.raw, CRC_EXTRA[frame.message_id])
+            sender.sendto(raw, ("127.0.0.1", port))
+
+
+def test_a_signed_flight_gives_the_same_numbers(udp, airframe, paper_flight, tmp_path):
+    """Live, and in the recording, whose frames are 13 bytes longer."""
+    key, path = tmp_path / "key", tmp_path / "live.tlog"
+    key.write_text(PASSPHRASE + "\n", encoding="ascii")
+    sent = threading.Event()
+    options = dataclasses.replace(LISTEN, signing_key=key)
+    session = LiveSession(udp, airframe, options, path, sender_gone=sent.is_set)
+    session.start()
+    replay(paper_flight.tlog, udp.port)  # the same without signatures: nobody believes it
+    signed_replay(paper_flight.tlog, udp.port, PASSPHRASE)
+    sent.set()
+    final = finish(session)
+    count = sum(1 for _ in read_tlog(paper_flight.tlog))
+    signing = final.telemetry["signing"]
+    assert signing["accepted"] == count
+    assert signing["refused"] == {"unsigned": count, "wrong key": 0, "replayed": 0, "too old": 0}
+    assert final.telemetry["lost"] == 0
+    assert_same_numbers(final, analyze_log(path, airframe))
+    assert_same_numbers(final, analyze_log(paper_flight.tlog, airframe))
+    assert all(frame.signed for _, frame in read_tlog(path))
+
+
+def test_a_flight_signed_with_another_key_is_refused_with_the_reason(
+    udp, airframe, paper_flight, tmp_path
+):
+    key, path = tmp_path / "key", tmp_path / "live.tlog"
+    key.write_text("battery staple\n", encoding="ascii")
+    sent = threading.Event()
+    options = dataclasses.replace(LISTEN, signing_key=key)
+    session = LiveSession(udp, airframe, options, path, sender_gone=sent.is_set)
+    session.start()
+    signed_replay(paper_flight.tlog, udp.port, PASSPHRASE)
+    sent.set()
+    final = finish(session)
+    assert final.verdict == "refused"
+    count = sum(1 for _ in read_tlog(paper_flight.tlog))
+    assert f"no frame has the signature of this key; refused: {count} wrong key" in final.reasons
+    assert not path.exists()
+    assert session.recordings() == [f"nothing was heard: {path} is not kept"]
+
+
+def settled(session, until, longest=LONGEST):
+    """Wait until a session says so."""
+    for _ in range(round(longest / 0.05)):
+        if until(session.latest()) or session.join(0.05):
+            break
+    assert until(session.latest())
+
+
+def test_another_anchor_changes_the_scale_and_nothing_else(udp, airframe, paper_flight):
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set)
+    session.start()
+    replay(paper_flight.tlog, udp.port)
+    settled(session, lambda s: s.result.parameters["Ixx"].status == "identified")
+    said = session.set_anchor("mass", 3.0)
+    assert said == "scale from mass = 3 kg"
+    settled(session, lambda s: s.result.scale.value == 3.0)
+    assert session.airframe.mass == 3.0
+    sent.set()
+    final = finish(session)
+    heavy = airframe.with_anchor("mass", 3.0)
+    assert_same_numbers(final, analyze_log(paper_flight.tlog, heavy))
+    assert "scale: mass = 3 kg" in [e.text for e in session.latest().events]
+
+
+def test_k_t_as_the_scale_leaves_the_mass_to_the_flight(udp, airframe, paper_flight):
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set)
+    session.start()
+    session.set_anchor("k_T", 2.05e-4)
+    replay(paper_flight.tlog, udp.port)
+    sent.set()
+    final = finish(session)
+    assert final.parameters["mass"].status == "identified"
+    assert final.parameters["mass"].value == pytest.approx(1.5, rel=0.02)
+    assert_same_numbers(final, analyze_log(paper_flight.tlog, airframe.with_anchor("k_T", 2.05e-4)))
+
+
+def test_an_anchor_that_makes_no_sense_is_refused_at_once(udp, airframe, paper_flight):
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set)
+    session.start()
+    replay(paper_flight.tlog, udp.port)
+    settled(session, lambda s: s.flying and s.used_seconds > 1.0)
+    for kind, value, why in (
+        ("weight", 1.0, "one of mass, k_T, T_max"),
+        ("mass", -1.0, "positive"),
+        ("mass", float("nan"), "positive"),
+        ("T_max", 7.0, "sets no scale with speeds"),
+    ):
+        with pytest.raises(InputError, match=why):
+            session.set_anchor(kind, value)
+    sent.set()
+    assert finish(session).scale.value == 1.5
+
+
+def as_system(raw, system):
+    """A frame of MAVLink 2 as if another system had sent it."""
+    frame = bytearray(raw)
+    frame[5] = system
+    extra = mavlink.mavlink_map[int.from_bytes(frame[7:10], "little")].crc_extra
+    frame[-2:] = crc16.mcrf4xx(bytes(frame[1:-2]) + bytes([extra])).to_bytes(2, "little")
+    return bytes(frame)
+
+
+def test_another_vehicle_begins_anew_in_a_recording_of_its_own(
+    udp, airframe, paper_flight, tmp_path
+):
+    """Two vehicles on one link: the second recording's analysis ends with the session's numbers."""
+    path = tmp_path / "two.tlog"
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, path, sender_gone=sent.is_set)
+    session.start()
+    with pytest.raises(InputError, match="no vehicle 2:1"):
+        session.choose_vehicle((2, 1))
+    frames = [frame.raw for _, frame in read_tlog(paper_flight.tlog)]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for raw in frames[: len(frames) // 4]:
+            sender.sendto(raw, ("127.0.0.1", udp.port))
+            sender.sendto(as_system(raw, 2), ("127.0.0.1", udp.port))
+        settled(session, lambda s: len(s.link.vehicles) == 2)
+        assert [v.chosen for v in session.latest().link.vehicles] == [True, False]
+        assert session.choose_vehicle((2, 1)).startswith("starting anew on")
+        settled(session, lambda s: s.link.recording.endswith("two-2.tlog"))
+        for raw in frames:
+            sender.sendto(as_system(raw, 2), ("127.0.0.1", udp.port))
+    sent.set()
+    final = finish(session)
+    assert final.vehicle["sysid"] == 2
+    assert final.verdict == "identified"
+    chosen = [v.address for v in session.latest().link.vehicles if v.chosen]
+    assert chosen == [(2, 1)]
+    assert_same_numbers(final, analyze_log(tmp_path / "two-2.tlog", airframe, (2, 1)))
+    assert session.recordings() == [f"recorded to {path}", f"recorded to {tmp_path / 'two-2.tlog'}"]
+    assert session.flushed_recording() == tmp_path / "two-2.tlog"
+
+
+def test_a_recording_is_whole_up_to_the_moment_of_asking(udp, airframe, paper_flight, tmp_path):
+    path = tmp_path / "live.tlog"
+    sent = threading.Event()
+    session = LiveSession(udp, airframe, LISTEN, path, sender_gone=sent.is_set)
+    assert LiveSession(udp, airframe, LISTEN).flushed_recording() is None
+    session.start()
+    replay(paper_flight.tlog, udp.port)
+    count = sum(1 for _ in read_tlog(paper_flight.tlog))
+    settled(session, lambda s: s.link.received == count)
+    assert session.flushed_recording() == path
+    assert sum(1 for _ in read_tlog(path)) == count
+    session.toggle_recording()
+    settled(session, lambda s: not s.link.recording)
+    assert session.flushed_recording() == path  # the latest there was
+    sent.set()
+    finish(session)

@@ -1,0 +1,289 @@
+"""Live over UDP, TCP and serial: recorded flights sent again, and the emulator as it flies.
+
+The sender is held back by what the session has taken, not by a clock.
+"""
+
+import contextlib
+import math
+import os
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import sim_bridge.links
+from gcs_sysid.live.live_options import LiveOptions
+from gcs_sysid.live.live_session import LiveSession
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.telemetry.link import SerialLink, TcpLink, UdpLink
+from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.urls import LinkUrl
+from sim_bridge import ardupilot
+from sim_bridge.ardupilot import ArduPilot
+from sim_bridge.missions import MISSIONS
+from sim_bridge.playback import play
+from sim_bridge.px4 import Px4
+from sim_bridge.server import TruthFile, fly
+from sim_bridge.simulation import Simulation
+from sim_bridge.vehicle_files import load_vehicle
+
+LISTEN = LiveOptions(listen_only=True, refit_interval=10.0)
+LONGEST = 300.0
+"""s; a session that has not ended by then never will."""
+IN_FLIGHT = 100
+"""Datagrams sent and not yet taken: what the smallest receive buffer holds."""
+
+
+class Counted(UdpLink):
+    """Tells how many datagrams were taken off it."""
+
+    def __init__(self):
+        super().__init__(LinkUrl("udpin", "udpin:127.0.0.1", host="127.0.0.1", port=0))
+        self.taken = 0
+        self.more = threading.Condition()
+
+    def receive(self, timeout):
+        chunks = super().receive(timeout)
+        with self.more:
+            self.taken += len(chunks)
+            self.more.notify_all()
+        return chunks
+
+
+class CountedOut(sim_bridge.links.UdpLink):
+    """Tells how many datagrams were sent."""
+
+    sent = 0
+
+    def _send(self, data):
+        self.sent += 1
+        super()._send(data)
+
+
+class AsTaken:
+    """Waits for the other side instead of the clock; notes the times asked for."""
+
+    def __init__(self, link, out):
+        self.link, self.out = link, out
+        self.times = []
+
+    def wait(self, flown):
+        self.times.append(flown)
+        with self.link.more:
+            there = self.link.more.wait_for(
+                lambda: self.out.sent - self.link.taken < IN_FLIGHT, LONGEST
+            )
+        assert there, "datagrams were lost"
+
+
+class AtOnce:
+    """Never waits: a stream of bytes holds its sender back by itself."""
+
+    def wait(self, flown):
+        pass
+
+
+@dataclass(frozen=True)
+class Wire:
+    """The session's end of a link, the sender's, and what paces it."""
+
+    link: object
+    out: object
+    pace: object
+
+
+def udp():
+    link = Counted()
+    out = CountedOut("127.0.0.1", link.port, listen=False)
+    yield Wire(link, out, AsTaken(link, out))
+
+
+def tcp():
+    link = TcpLink(LinkUrl("tcpin", "tcpin:127.0.0.1", host="127.0.0.1", port=0))
+    yield Wire(link, sim_bridge.links.TcpLink("127.0.0.1", link.port, listen=False), AtOnce())
+
+
+def serial():
+    """Two serial ports, joined by a wire each way."""
+    if not hasattr(os, "openpty"):
+        pytest.skip("no pseudo terminals here")
+    (one, port_one), (two, port_two) = os.openpty(), os.openpty()
+    name = os.ttyname(port_two)
+    link = SerialLink(LinkUrl("serial", name, device=name, baud=921600))
+    out = sim_bridge.links.SerialLink(os.ttyname(port_one), 921600)
+    os.close(port_one)
+    os.close(port_two)
+
+    def carry(source, target):
+        with contextlib.suppress(OSError):  # one of the ports is closed
+            while data := os.read(source, 4096):
+                while data:
+                    data = data[os.write(target, data) :]
+
+    wires = [
+        threading.Thread(target=carry, args=ends, daemon=True) for ends in ((one, two), (two, one))
+    ]
+    for wire in wires:
+        wire.start()
+    yield Wire(link, out, AtOnce())
+    link.close()
+    out.close()
+    for wire in wires:
+        wire.join(LONGEST)
+    os.close(one)
+    os.close(two)
+
+
+@pytest.fixture(params=[udp, tcp, serial], ids=["udp", "tcp", "serial"])
+def wire(request):
+    """A link of each kind."""
+    made = request.param()
+    ends = next(made)
+    yield ends
+    ends.link.close()
+    ends.out.close()
+    assert next(made, None) is None
+
+
+def live(wire, airframe, send, options=LISTEN, path=None):
+    """A live session while something is sent; its final result."""
+    sent = threading.Event()
+    session = LiveSession(wire.link, airframe, options, path, sender_gone=sent.is_set)
+    session.start()
+    send()
+    sent.set()
+    ended = session.join(LONGEST)
+    session.stop()
+    assert ended
+    assert session.problem is None
+    return session.final
+
+
+def played(wire, recording, airframe, path=None):
+    """Play a recording to a live session that only listens; its final result."""
+    return live(wire, airframe, lambda: play(read_tlog(recording), wire.out, wire.pace), path=path)
+
+
+def numbers(value, name=""):
+    """All numbers in a result's JSON by where they stand."""
+    if isinstance(value, dict):
+        parts = [(f"{name}.{key}", inner) for key, inner in value.items()]
+    elif isinstance(value, list):
+        parts = [(f"{name}[{i}]", inner) for i, inner in enumerate(value)]
+    else:
+        return {name: value}
+    return {k: v for at, inner in parts for k, v in numbers(inner, at).items()}
+
+
+ONLY_THERE = {".source", ".telemetry.clock_drift_ppm", ".telemetry.recorded"}
+"""The one differs by its nature, the other is told by the recording's own times alone."""
+
+
+def assert_same(first, second):
+    a, b = numbers(first.as_json()), numbers(second.as_json())
+    assert a.keys() - ONLY_THERE == b.keys() - ONLY_THERE
+    for name in a.keys() - ONLY_THERE:
+        x, y = a[name], b[name]
+        if isinstance(x, float) and isinstance(y, float):
+            assert math.isclose(x, y, rel_tol=1e-6, abs_tol=1e-12), (name, x, y)
+        else:
+            assert x == y, name
+
+
+def test_a_recording_played_over_any_link_gives_the_same_numbers(wire, paper_flight, tmp_path):
+    airframe, path = load_airframe("paper"), tmp_path / "again.tlog"
+    final = played(wire, paper_flight.tlog, airframe, path)
+    assert final.verdict == "identified"
+    assert_same(final, analyze_log(paper_flight.tlog, airframe))
+    assert_same(final, analyze_log(path, airframe))
+    before, after = ([f.raw for _, f in read_tlog(p)] for p in (paper_flight.tlog, path))
+    assert before == after
+
+
+RECORDED = {
+    "px4-sih-default.tlog": ("px4-sih", 1.0),
+    "ardupilot-sitl.tlog": ("ardupilot-quad-x", 1.6),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wire", [udp], indirect=True, ids=["udp"])
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", RECORDED)
+def test_recorded_flights_of_real_autopilots_give_live_what_analyze_gives(wire, name, shared_logs):
+    vehicle, mass = RECORDED[name]
+    airframe = load_airframe(vehicle).with_anchor("mass", mass)
+    final = played(wire, shared_logs / name, airframe)
+    assert final.telemetry["used_seconds"] > 100.0
+    assert_same(final, analyze_log(shared_logs / name, airframe))
+    span = [time_us for time_us, _ in read_tlog(shared_logs / name)]
+    assert wire.pace.times[-1] == pytest.approx(1e-6 * (span[-1] - span[0]), abs=1e-3)
+
+
+class CountsFrames:
+    """The sender's end of a link, counting the frames that leave on it."""
+
+    def __init__(self, out):
+        self.out = out
+        self.frames = 0
+
+    def send(self, frames, time_us):
+        self.frames += len(frames)
+        self.out.send(frames, time_us)
+
+    def receive(self):
+        return self.out.receive()
+
+
+def emulated(autopilot):
+    """A flight of 20 s as one of the two autopilots; its simulation and what speaks."""
+    gusts, sensors = np.random.SeedSequence(4).spawn(2)
+    mission = MISSIONS["all-axes"]
+    if autopilot == "px4":
+        simulation = Simulation(load_vehicle("paper"), mission, gusts)
+        return simulation, Px4(simulation, "mems", 0.02, 250.0, sensors)
+    steps = {"step_us": ardupilot.STEP_US, "control_steps": ardupilot.LOOP_STEPS}
+    simulation = Simulation(load_vehicle("paper"), mission, gusts, **steps)
+    return simulation, ArduPilot(simulation, "mems", 0.02, sensors)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("wire", "autopilot"),
+    [
+        (udp, "px4"),
+        (udp, "ardupilot"),
+        (tcp, "px4"),
+        (serial, "ardupilot"),
+        pytest.param(tcp, "ardupilot", marks=pytest.mark.thorough),
+        pytest.param(serial, "px4", marks=pytest.mark.thorough),
+    ],
+    indirect=["wire"],
+)
+def test_every_message_of_the_emulator_is_used_or_accounted_for(wire, autopilot):
+    """At 250 Hz, asked for by the session itself."""
+    airframe = load_airframe("paper")
+    simulation, speaks = emulated(autopilot)
+    out = CountsFrames(wire.out)
+    truth = TruthFile(None, simulation, speaks)
+    options = LiveOptions(rate=250.0, refit_interval=10.0)
+    final = live(
+        wire, airframe, lambda: fly(simulation, speaks, [out], 20.0, wire.pace, truth), options
+    )
+    told = final.telemetry
+    assert told["received"] == out.frames
+    assert sum(told["fates"].values()) == told["received"]
+    assert told["fates"]["dropped"] == 0
+    assert told["fates"]["others"] < 20  # those before its first heartbeat
+    assert told["lost"] == told["bad_crc"] == told["unknown"] == told["garbage_bytes"] == 0
+    counted = sum(entry["count"] for entry in told["messages"].values())
+    assert counted == told["received"] - told["fates"]["others"]
+    for name in ("HIGHRES_IMU", told["rotor_input"]["source"]):
+        rates = [e["rate"] for n, e in told["messages"].items() if n.startswith(name)]
+        assert rates == pytest.approx([250.0], rel=0.05)
+    assert final.vehicle["autopilot"] == autopilot
+    assert told["late"] == 0
+    assert told["used_seconds"] > 12.0
+    assert final.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.03)

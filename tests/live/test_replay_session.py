@@ -1,0 +1,328 @@
+"""A replay paced by a clock that the test moves; at the end it has the numbers of the analysis."""
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.recorded import airframe_of
+from gcs_sysid.errors import InputError
+from gcs_sysid.live.log_playback import Recorded, survey
+from gcs_sysid.live.replay_session import ReplaySession
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.results.snapshot import LinkState
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.telemetry.dialect import gcs_sysid_dialect as mavlink
+from gcs_sysid.telemetry.frames import read_frame
+from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.tlog_writer import TlogWriter
+
+pytestmark = pytest.mark.slow
+
+
+def write(path, frames):
+    """A .tlog of (time in us, frame)."""
+    with TlogWriter(path) as writer:
+        for time_us, frame in frames:
+            writer.write(time_us, [frame])
+
+
+class Stage:
+    """A replay without its thread, and a clock that moves only as far as the replay waits."""
+
+    def __init__(self, path, airframe=None, speed=1.0, **options):
+        self.now = 100.0
+        airframe = airframe or load_airframe("paper")
+        recorded = path if isinstance(path, Recorded) else survey(path, airframe)
+        self.session = ReplaySession(recorded, speed, clock=lambda: self.now, **options)
+        self.published = []
+
+    @property
+    def snapshot(self):
+        return self.session.latest()
+
+    @property
+    def playback(self):
+        return self.snapshot.playback
+
+    def step(self):
+        wait = self.session.step()
+        if not self.published or self.published[-1] is not self.snapshot:
+            self.published.append(self.snapshot)
+        return wait
+
+    def play(self, seconds):
+        """Let so much time go by."""
+        until = self.now + seconds
+        while self.now < until:
+            self.now += min(self.step(), until - self.now)
+        self.step()
+
+    def settle(self):
+        """Until nothing is due at this instant."""
+        while self.step() == 0.0:
+            pass
+        self.now += 0.25
+        self.step()
+
+    def run_to_end(self):
+        self.session.change_speed(2)
+        while not (self.snapshot and self.playback.ended):
+            self.step()
+            self.now += 0.01
+
+
+@pytest.fixture(scope="module")
+def flight(fly):
+    """All axes at 100 Hz for 50 s, with ground before and after."""
+    return fly("--mission", "all-axes", "--rate", "100", "--duration", "40", "--seed", "5")
+
+
+@pytest.fixture(scope="module")
+def recorded(flight):
+    return survey(flight.tlog, load_airframe("paper"))
+
+
+@pytest.fixture(scope="module")
+def analysed(flight):
+    return analyze_log(flight.tlog, load_airframe("paper"))
+
+
+def near(result, expected, share=1e-6):
+    """The same but for rounding."""
+    assert result.verdict == expected.verdict
+    assert len(result.segments) == len(expected.segments)
+    for name, estimate in expected.parameters.items():
+        found = result.parameters[name]
+        assert found.status == estimate.status, name
+        if estimate.value is not None:
+            assert abs(found.value - estimate.value) <= share * (estimate.std or 0.0), name
+
+
+def own(stage):
+    """What the replay's own chain says, where its snapshots show the analysis."""
+    return stage.session._playback.pipeline.result()
+
+
+MORE_LOGS = [
+    *("px4-sih-default.ulg", "px4-esc-cg.tlog", "ardupilot-sitl.tlog"),
+    *("public/real-quad-mavlink1.tlog", "public/real-quad-copter33.bin"),
+]
+LOGS = [
+    *("px4-sih-default.tlog", "ardupilot-sitl.bin", "public/px4-sitl.ulg"),
+    *(pytest.param(name, marks=pytest.mark.thorough) for name in MORE_LOGS),
+]
+
+
+@pytest.mark.parametrize("log", LOGS)
+def test_at_full_speed_it_ends_with_exactly_the_numbers_of_the_analysis(shared_logs, log):
+    path = shared_logs / log
+    airframe = airframe_of(path) if "public" not in log else load_airframe("ardupilot-quad-x")
+    airframe = airframe.with_anchor("mass", 1.5)
+    stage = Stage(path, airframe, math.inf)
+    while not (stage.snapshot and stage.playback.ended):
+        stage.step()
+    result = analyze_log(path, airframe)
+    assert stage.snapshot.result.dumps() == result.dumps()
+    near(own(stage), result)
+    assert stage.playback.position == pytest.approx(stage.playback.duration, abs=0.01)
+
+
+def test_the_thread_ends_with_the_numbers_of_the_analysis(recorded, analysed):
+    told = []
+    session = ReplaySession(recorded, math.inf, stay=False, on_result=told.append)
+    session.start()
+    assert session.join(60.0)
+    assert session.problem is None
+    assert session.final.dumps() == analysed.dumps()
+    assert session.latest().result is session.final
+    assert session.latest().link.state is LinkState.ENDED
+    assert 1 < len(told) < 60
+
+
+def test_it_keeps_the_pace_of_the_vehicles_clock(recorded):
+    stage = Stage(recorded)
+    stage.play(10.0)
+    assert 9.7 < stage.playback.position <= 10.0
+    assert stage.snapshot.t == pytest.approx(stage.playback.position, abs=0.4)
+    stage.session.change_speed(1)
+    stage.play(1.5)
+    assert 22.0 < stage.playback.position <= 25.0
+    positions = [snapshot.playback.position for snapshot in stage.published if snapshot]
+    assert positions == sorted(positions)
+    # Five pictures a second, no more.
+    assert 40 <= len(positions) <= 62
+
+
+def test_at_its_own_pace_it_ends_with_the_numbers_of_the_analysis_too(recorded, analysed):
+    stage = Stage(recorded)
+    stage.play(20.0)
+    assert stage.snapshot.link.state is LinkState.REPLAY
+    stage.session.change_speed(1)
+    stage.play(10.0)
+    assert stage.playback.ended
+    assert stage.snapshot.result.dumps() == analysed.dumps()
+    near(own(stage), analysed)
+
+
+def test_a_pause_stops_it_and_nothing_is_lost(recorded):
+    stage, other = Stage(recorded), Stage(recorded)
+    stage.play(5.0)
+    assert stage.session.toggle_pause() == "Replay paused."
+    stage.play(100.0)
+    assert stage.playback.paused
+    assert stage.playback.position <= 5.0
+    assert stage.session.toggle_pause() == "Replay goes on."
+    stage.play(10.0)
+    other.play(15.0)
+    assert stage.playback.position == pytest.approx(other.playback.position, abs=0.25)
+    assert not stage.playback.paused
+
+
+def same_course(stage, other):
+    """Up to where the shorter one ends: they may stand a part of the log from each other."""
+    a, b = stage.snapshot.history, other.snapshot.history
+    n = min(len(a.t), len(b.t))
+    assert n > 30
+    assert abs(len(a.t) - len(b.t)) <= 1
+    assert a.t[:n] == pytest.approx(b.t[:n], abs=1e-9)
+    for name in ("Ixx", "k_T"):
+        assert a.value[name][:n] == pytest.approx(b.value[name][:n], rel=1e-6, nan_ok=True)
+
+
+def test_a_seek_goes_there_by_all_that_lies_between(recorded):
+    stage, other = Stage(recorded), Stage(recorded)
+    assert stage.session.seek(30.0) == f"To 30 s of {stage.session._duration:.0f} s."
+    stage.settle()
+    other.play(30.0)
+    assert 29.5 < stage.playback.position <= 30.2
+    same_course(stage, other)
+    assert stage.playback.seeking is None
+    assert np.isfinite(stage.snapshot.acceleration.predicted).all()
+    stage.play(2.0)
+    assert 31.5 < stage.playback.position <= 32.5
+
+
+def test_a_seek_back_forgets_what_came_later(recorded, analysed):
+    stage, other = Stage(recorded), Stage(recorded)
+    stage.run_to_end()
+    stage.session.change_speed(-2)
+    stage.session.toggle_pause()  # from the beginning
+    stage.settle()
+    assert stage.playback.position < 0.5
+    assert not stage.playback.ended
+    stage.session.seek(28.0)
+    stage.settle()
+    other.session.seek(28.0)
+    other.settle()
+    same_course(stage, other)
+    assert stage.snapshot.used_seconds == pytest.approx(other.snapshot.used_seconds)
+    assert [e.text for e in stage.snapshot.events] == [e.text for e in other.snapshot.events]
+    stage.run_to_end()
+    assert stage.snapshot.result.dumps() == analysed.dumps()
+    near(own(stage), analysed)
+
+
+def test_it_goes_back_from_a_state_it_kept(recorded):
+    stage = Stage(recorded, speed=math.inf)
+    stage.run_to_end()
+    playback = stage.session._playback
+    kept = [state.position for state in playback._checkpoints]
+    assert kept
+    assert all(b - a >= 10.0 for a, b in zip([0.0, *kept], kept, strict=False))
+    playback.go_back(kept[-1] + 2.0)
+    assert playback.log_segments.position == pytest.approx(kept[-1])
+    assert playback.pipeline.chain.t == pytest.approx(kept[-1], abs=0.4)
+    playback.go_back(kept[0] - 1.0)
+    assert playback.log_segments.position == playback.pipeline.chain.t == 0.0
+
+
+def test_steps_follow_each_other_before_the_first_has_arrived(recorded):
+    stage = Stage(recorded)
+    stage.session.toggle_pause()
+    for _ in range(3):
+        stage.session.skip(10.0)
+    stage.settle()
+    assert 29.5 < stage.playback.position <= 30.2
+    assert stage.playback.paused
+    stage.session.skip(-10.0)
+    stage.settle()
+    assert 19.5 < stage.playback.position <= 20.2
+    stage.session.skip(-100.0)
+    stage.settle()
+    assert stage.playback.position < 0.5
+    stage.session.skip(1e4)
+    stage.settle()
+    assert stage.playback.ended
+
+
+def test_rates_are_those_of_the_last_seconds(recorded):
+    stage = Stage(recorded)
+    stage.play(20.0)
+    assert stage.snapshot.link.rates["imu"] == pytest.approx(100.0, rel=0.05)
+    assert stage.snapshot.link.vehicle.startswith("PX4")
+    assert [v.chosen for v in stage.snapshot.link.vehicles] == [True]
+
+
+def test_it_goes_on_over_a_reboot(fly):
+    flight = fly(
+        *("--mission", "all-axes", "--rate", "100", "--duration", "30", "--seed", "5"),
+        *("--trap", "reboot=12"),
+    )
+    stage = Stage(flight.tlog)
+    stage.play(20.0)
+    assert 19.0 < stage.playback.position <= 20.0
+    assert any(
+        "reboot" in event["text"] for event in stage.snapshot.result.events if "text" in event
+    )
+    stage.run_to_end()
+    near(own(stage), analyze_log(flight.tlog, load_airframe("paper")))
+
+
+def test_a_long_silence_is_skipped(flight, tmp_path):
+    """The frames of 10 s are missing; nobody watches that."""
+    path = tmp_path / "silent.tlog"
+    frames = list(read_tlog(flight.tlog))
+    start = frames[0][0]
+    write(path, [f for f in frames if not 15.0 < 1e-6 * (f[0] - start) < 25.0])
+    stage = Stage(path)
+    stage.play(17.0)
+    assert stage.playback.position > 25.0
+    assert any("skipped" in event.text for event in stage.snapshot.events)
+
+
+def test_what_is_no_log_is_refused(tmp_path):
+    path = tmp_path / "none.tlog"
+    path.write_text("not a log")
+    with pytest.raises(InputError, match=r"not a \.tlog"):
+        survey(path, load_airframe("paper"))
+
+
+def test_one_that_is_left_has_the_numbers_up_to_there(recorded, analysed):
+    session = ReplaySession(recorded)
+    session.start()
+    session.seek(20.0)
+    session.stop()
+    assert session.problem is None
+    assert session.final.dumps() != analysed.dumps()
+    session.stop()
+
+
+def test_parameters_that_came_late_hold_from_the_start(fly, tmp_path):
+    """Fetched after the flight, as many ground stations do: the analysis goes over it again."""
+    flight = fly(
+        *("--mission", "all-axes", "--rate", "100", "--duration", "30", "--seed", "5"),
+        *("--autopilot", "ardupilot"),
+    )
+    frames = list(read_tlog(flight.tlog))
+    sender = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    answer = mavlink.MAVLink_param_value_message(b"INS_GYRO_FILTER", 40.0, 9, 1, 0).pack(sender)
+    path = tmp_path / "late.tlog"
+    write(path, [*frames, (frames[-1][0], read_frame(answer))])
+    result = analyze_log(path, load_airframe("paper"))
+    stage = Stage(path)
+    stage.play(20.0)
+    assert stage.session._playback.pipeline.chain.gyro_cutoff == 40.0
+    stage.run_to_end()
+    assert stage.snapshot.result.dumps() == result.dumps()
+    near(own(stage), result)

@@ -1,0 +1,121 @@
+"""The report's own prediction agrees with the estimator's validation, and its noise is noise."""
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gcs_sysid.live.acceleration_prediction import Model, Motion
+from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.report.data import AXES, Provenance, gather
+from gcs_sysid.report.prediction_series import agreement, predict, residual_spectrum
+from gcs_sysid.report.recorder import Recorder
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.chain import ChainOptions
+
+MADE = Provenance(("gcs-sysid",), {}, 0, "")
+
+
+def analysed(path, airframe):
+    recorder = Recorder(len(airframe.rotors))
+    result = analyze_log(Path(path), airframe, options=ChainOptions(), observer=recorder)
+    data = gather(result, recorder, {}, airframe, MADE)
+    recorder.close()
+    return data
+
+
+@pytest.mark.parametrize(
+    "flight",
+    [
+        ("--mission", "paper", "--noise", "paper", "--sigma", "0.02", "--rate", "20"),
+        ("--mission", "all-axes", "--noise", "mems", "--rate", "100", "--duration", "40"),
+    ],
+)
+def test_agrees_with_the_validation(fly, flight):
+    data = analysed(fly(*flight, "--seed", "1").tlog, load_airframe("paper"))
+    r_squared, theil = agreement(data.prediction)
+    for axis, name in enumerate(AXES):
+        told = data.result["validation"]
+        assert r_squared[axis] == pytest.approx(told["r_squared"][name], abs=5e-4)
+        assert theil[axis] == pytest.approx(told["theil"][name], rel=0.02)
+    share = data.prediction.held_out.sum() / np.isfinite(data.prediction.predicted[:, 0]).sum()
+    assert share == pytest.approx(1.0 - told["fitted_share"], abs=2e-3)
+
+
+@pytest.mark.slow
+def test_agrees_with_commands_and_behind_a_gyro_filter(shared_logs):
+    px4 = load_airframe("px4-quad-x").with_arm(0.25 * 2**0.5).with_anchor("mass", 1.0)
+    copter = load_airframe("ardupilot-quad-x").with_arm(0.24).with_anchor("mass", 1.6)
+    for log, airframe in (("px4-sih-default.tlog", px4), ("ardupilot-sitl.tlog", copter)):
+        data = analysed(shared_logs / log, airframe)
+        told = data.result["validation"]["r_squared"]
+        assert agreement(data.prediction)[0] == pytest.approx(list(told.values()), abs=5e-4)
+
+
+@pytest.mark.slow
+def test_after_a_change_the_segment_in_force_is_predicted(fly):
+    flight = ("--mission", "all-axes", "--noise", "mems", "--rate", "100")
+    log = fly(*flight, "--seed", "1", "--mass-step", "30:1.2").tlog
+    data = analysed(log, load_airframe("paper"))
+    (segment,) = data.result["segments"]
+    there = np.isfinite(data.prediction.predicted[:, 0])
+    assert data.prediction.t[there].min() >= segment["end"]
+    told = data.result["validation"]["r_squared"]
+    assert agreement(data.prediction)[0] == pytest.approx(list(told.values()), abs=2e-3)
+
+
+def still(n, dt, rotors=4, gyro_std=0.01, seed=1):
+    """A vehicle that hangs still, with a white gyro."""
+    gyro = np.random.default_rng(seed).normal(0.0, gyro_std, (n, 3))
+    return Motion(dt * np.arange(n), gyro, np.zeros((n, 3)), np.full((n, rotors), 100.0))
+
+
+@pytest.fixture
+def model():
+    theta = np.zeros(rb.N_THETA)
+    theta[:3] = 80.0, 85.0, 140.0
+    theta[rb.MOMENT_RATIO] = 0.03
+    return Model(theta, np.array([0.0, 0.0, 1.0]), load_airframe("paper").geometry, "speed")
+
+
+def test_white_noise_has_the_spectrum_expected_of_it(model):
+    dt = 0.004
+    found = predict([still(60_000, dt)], dt, model, -np.inf, np.inf, 0.0)
+    found = replace(found, speed_noise=np.zeros(3))  # these speeds have none
+    spectrum = residual_spectrum(found, dt, "speed")
+    ratio = spectrum.density / spectrum.white
+    strong = spectrum.white > 0.01 * spectrum.white.max(axis=0)
+    assert np.mean(ratio[strong]) == pytest.approx(1.0, abs=0.1)
+    assert np.abs(np.log(ratio[strong])).max() < 1.0
+    # Parseval: the density holds the residual's power.
+    step = spectrum.frequency[1] - spectrum.frequency[0]
+    power = np.nanvar(found.measured - found.predicted, axis=0)
+    np.testing.assert_allclose(spectrum.density.sum(axis=0) * step, power, rtol=0.1)
+
+
+def test_pieces_do_not_matter_and_gaps_are_left_out(model):
+    dt = 0.004
+    whole = still(5000, dt)
+    whole.gyro[2000:2010] = np.nan
+    edges = [0, 17, 1999, 2600, 5000]
+    parts = [
+        Motion(*(getattr(whole, name)[a:b] for name in ("t", "gyro", "rates", "rotors")))
+        for a, b in pairwise(edges)
+    ]
+    one, many = (predict(p, dt, model, -np.inf, np.inf, 0.6) for p in ([whole], parts))
+    np.testing.assert_allclose(many.measured, one.measured, rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(many.held_out, one.held_out)
+    missing = np.isnan(one.predicted[:, 0]) & np.isfinite(one.t)
+    assert missing.any()
+    assert np.all(np.abs(one.t[missing] - 2005 * dt) < 0.15)
+
+
+def test_without_a_model_the_rates_are_there(model):
+    found = predict([still(2000, 0.004)], 0.004, None, -np.inf, np.inf, 0.0)
+    assert np.isfinite(found.rates).all()
+    assert not found.held_out.any()
+    assert residual_spectrum(found, 0.004, "speed") is None
+    assert np.isnan(agreement(found)[0]).all()

@@ -1,0 +1,164 @@
+"""Changed, no change seen, cannot tell: one parameter and all of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.results.comparison import compare
+from gcs_sysid.results.result import Estimate, Result, Scale
+
+STD = 0.01
+MASS = Scale("mass", 1.5, "kg")
+QUAD = load_airframe("px4-quad-x")
+
+
+def result(source="a.tlog", scale=MASS, airframe=QUAD, statuses=None, **values):
+    """Parameters of these values, all with the same standard deviation."""
+    statuses = statuses or {}
+    parameters = {
+        name: Estimate(v, STD, PARAMETERS[name].unit, statuses.get(name, "identified"))
+        for name, v in values.items()
+    }
+    vehicle = {"sysid": 1, "compid": 1, "autopilot": "px4"}
+    return Result(
+        "identified", (), source, vehicle, scale, "speed", parameters, airframe=airframe.as_json()
+    )
+
+
+def test_difference_and_interval():
+    found = compare(result(Ixx=1.0), result(Ixx=1.1, source="b")).differences["Ixx"]
+    assert found.value == pytest.approx(0.1)
+    half = 1.959964 * STD * np.sqrt(2.0)
+    assert found.ci95 == pytest.approx((0.1 - half, 0.1 + half))
+    assert found.verdict == "changed"
+    assert found.p == pytest.approx(1.54e-12, rel=0.01)
+
+
+def test_the_same_vehicle():
+    comparison = compare(result(Ixx=1.0, Iyy=2.0), result(Ixx=1.01, Iyy=1.99, source="b"))
+    assert comparison.verdict == "no_change_seen"
+    assert comparison.named("no_change_seen") == ["Ixx", "Iyy"]
+
+
+def test_one_interval_that_misses_among_many_is_no_change():
+    names = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M")
+    before = dict.fromkeys(names, 1.0)
+    off = 2.3 * STD * np.sqrt(2.0)
+    alone = compare(result(Ixx=1.0), result(Ixx=1.0 + off, source="b"))
+    assert alone.verdict == "changed"
+    among = compare(result(**before), result(**before | {"Ixx": 1.0 + off}, source="b"))
+    found = among.differences["Ixx"]
+    assert found.ci95[0] > 0.0
+    assert found.p < 0.05 < found.p_holm
+    assert found.verdict == "no_change_seen"
+    assert among.verdict == "no_change_seen"
+
+
+def test_a_vehicle_that_is_the_same_is_rarely_called_changed():
+    names = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M")
+    draw = np.random.default_rng(5)
+    trials, wrong = 2000, 0
+    for _ in range(trials):
+        a, b = (dict(zip(names, draw.normal(1.0, STD, 10), strict=True)) for _ in range(2))
+        wrong += compare(result(**a), result(**b, source="b")).verdict == "changed"
+    assert 0.03 < wrong / trials < 0.065
+
+
+def test_holm_is_less_strict_once_some_have_changed():
+    off = 2.1 * STD * np.sqrt(2.0)
+    before = {"Ixx": 1.0, "Iyy": 1.0}
+    both = compare(result(**before), result(Ixx=2.0, Iyy=1.0 + off, source="b"))
+    assert both.named("changed") == ["Ixx", "Iyy"]
+    one = compare(result(**before), result(Ixx=1.0, Iyy=1.0 + off, source="b"))
+    assert one.verdict == "no_change_seen"
+
+
+@pytest.mark.parametrize(
+    ("status", "why"), [("unobservable", "unobservable in B"), ("weak", "weak in B")]
+)
+def test_what_is_not_identified_in_both_cannot_be_told(status, why):
+    after = result(Ixx=9.0, Iyy=1.0, statuses={"Ixx": status}, source="b")
+    comparison = compare(result(Ixx=1.0, Iyy=1.0), after)
+    found = comparison.differences["Ixx"]
+    assert (found.verdict, found.why) == ("cannot_tell", why)
+    assert comparison.verdict == "no_change_seen"
+
+
+def test_nothing_in_common_is_no_answer():
+    comparison = compare(result(Ixx=1.0), result(Iyy=1.0, source="b"))
+    assert comparison.verdict == "cannot_tell"
+    assert comparison.differences["Ixx"].why == "not in B"
+    assert comparison.differences["Iyy"].why == "not in A"
+
+
+def test_a_given_mass_is_not_compared():
+    given = {"mass": Estimate(1.5, 0.0, "kg", "given")}
+    a, b = (replace(r, parameters=r.parameters | given) for r in (result(Ixx=1.0),) * 2)
+    found = compare(a, b).differences["mass"]
+    assert (found.verdict, found.why) == ("cannot_tell", "given in both")
+
+
+def test_what_rests_on_a_prior_says_nothing_of_the_vehicle():
+    leaning = {"Izz": Estimate(1.0, STD, "kg m^2", "identified", rests_on="prior")}
+    a = replace(result(), parameters=leaning)
+    found = compare(a, result(Izz=1.0, source="b")).differences["Izz"]
+    assert (found.verdict, found.why) == ("cannot_tell", "rests on a prior in A")
+
+
+def test_without_a_scale_only_lengths_compare():
+    comparison = compare(result(Ixx=1.0, cg_x=0.1, scale=None), result(Ixx=1.0, cg_x=0.9))
+    assert comparison.differences["Ixx"].why == "A has no scale"
+    assert comparison.differences["cg_x"].verdict == "changed"
+    assert any("without a scale" in note for note in comparison.notes)
+
+
+def test_anchors_are_told():
+    def notes(first, second, **after):
+        return "\n".join(compare(result(scale=first, k_T=1.0), result(scale=second, **after)).notes)
+
+    assert "both rest on mass = 1.5 kg" in notes(MASS, MASS, k_T=1.0)
+    assert "A rests on mass = 1.5 kg, B on mass = 1.8 kg" in notes(
+        MASS, Scale("mass", 1.8, "kg"), k_T=1.0
+    )
+    other = notes(MASS, Scale("k_T", 2e-4, "N s^2"), k_T=1.0)
+    assert "A rests on mass = 1.5 kg, B on k_T = 0.0002 N s^2" in other
+    assert "may be the anchors'" in other
+
+
+def test_a_payload_nobody_weighed_is_suspected():
+    """k_T falls by a fifth at the mass given: rotors do not, so the mass must be more."""
+    comparison = compare(result(k_T=1.0), result(k_T=0.8, source="b"))
+    assert any("is not 1.5 kg but about 1.875 kg" in note for note in comparison.notes)
+
+
+@pytest.mark.parametrize("values", [(1.0, 0.0), (0.0, 1.0)])
+def test_rotors_without_thrust_suggest_no_mass_that_divides_by_it(values):
+    before, after = values
+    comparison = compare(result(k_T=before), result(k_T=after, source="b"))
+    assert comparison.differences["k_T"].verdict == "changed"
+    assert not any("about 0 kg" in note or "nan" in note for note in comparison.notes)
+
+
+def test_other_rotors_are_another_vehicle():
+    hexa = result(airframe=load_airframe("px4-hexa-x"), source="b.tlog")
+    with pytest.raises(InputError, match=r"a\.tlog has 4 rotors, b\.tlog has 6"):
+        compare(result(), hexa)
+
+
+def test_what_else_differs_is_told():
+    wide = result(airframe=QUAD.with_arm(0.3), Ixx=1.0)
+    notes = "\n".join(compare(result(Ixx=1.0), wide).notes)
+    assert "other rotor positions" in notes
+    assert "both come from a.tlog" in notes
+    command = replace(result(Ixx=1.0, source="b"), rotor_input="command", vehicle={"sysid": 2})
+    notes = "\n".join(compare(result(Ixx=1.0), command).notes)
+    assert "rotor speeds, the other on commands" in notes
+    assert "is it the same vehicle?" in notes
+    bare = replace(result(Ixx=1.0, source="b"), airframe={})
+    assert "taken for granted" in "\n".join(compare(result(Ixx=1.0), bare).notes)
+    moved = replace(result(source="b"), events=({"t": 9.0, "kind": "payload", "detected": 9.1},))
+    assert "B changed in flight" in "\n".join(compare(result(), moved).notes)

@@ -1,0 +1,53 @@
+"""What a fit comes to while a flight goes on, and at its end."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.physical_parameters import Value
+from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.translation import TranslationFit
+from gcs_sysid.estimation.uncertainty import watched_factor
+from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.results.summary import next_anchor, values_of
+
+SHARE = 0.04
+THETA = np.array([80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3])
+ROTATION = RotationFit(
+    THETA, np.diag((SHARE * THETA) ** 2), np.eye(3), np.full(3, 0.99), 1000, converged=True
+)
+FIT = Fit(ROTATION, TranslationFit(1.4e-4, 1e-6, 0.2, 0.001, "momentum"), 20.0)
+MASS = ScaleReference("mass", 1.5)
+
+
+def test_intervals_of_a_running_flight_hold_at_all_times():
+    final = values_of(FIT, MASS, 0.35, {})
+    running = values_of(replace(FIT, running=True), MASS, 0.35, {})
+    assert running["mass"] == final["mass"]
+    for name in ("Ixx", "Ixy", "cg_x", "k_T", "k_M", "moment_ratio", "linear_drag"):
+        assert running[name].value == final[name].value
+        assert running[name].std == pytest.approx(watched_factor(20.0) * final[name].std, rel=1e-3)
+    # What is called identified is so by the interval shown.
+    assert final["Ixx"].status == "identified"
+    assert running["Ixx"].status == "weak"
+
+
+def test_nothing_but_the_anchor_at_first():
+    early = values_of(replace(FIT, seconds=2.9, running=True), MASS, 0.35, {})
+    assert early["mass"].status == "given"
+    assert early["Ixx"].value is None
+
+
+@pytest.mark.parametrize(("thrust", "other"), [("k_T", "T_max"), ("T_max", "k_T")])
+def test_the_scale_carries_over_a_change_with_speeds_and_with_commands(thrust, other):
+    values = {"mass": Value(1.5, 0.0, "given"), thrust: Value(8.2, 0.02, "identified")}
+    after = next_anchor(MASS, values, 31.2)
+    assert (after.kind, after.value, after.std) == (thrust, 8.2, 0.02)
+    assert after.origin
+    given = ScaleReference(thrust, 8.0)
+    assert next_anchor(given, values, 31.2).value == 8.0
+    unknown = {**values, thrust: Value(None, None, "unobservable")}
+    assert next_anchor(MASS, unknown, 31.2) is MASS
+    assert other not in values

@@ -1,0 +1,140 @@
+"""Two clocks that drift apart: when it is doubted, and what the doubt costs."""
+
+import struct
+
+import pytest
+
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.clock_check import clock_doubt, is_simulated
+from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.telemetry.clock import ClockDrift
+from gcs_sysid.telemetry.logs import open_log
+from gcs_sysid.telemetry.tlog import read_tlog
+
+
+@pytest.fixture(scope="module")
+def airframe():
+    return load_airframe("paper")
+
+
+@pytest.fixture(scope="module")
+def received(paper_flight, tmp_path_factory):
+    """The article's flight, received by a computer against whose clock the vehicle's is fast."""
+
+    def received(ppm):
+        frames = list(read_tlog(paper_flight.tlog))
+        first = frames[0][0]
+        path = tmp_path_factory.mktemp("drift") / "flight.tlog"
+        with open(path, "wb") as file:
+            for time_us, frame in frames:
+                stamp = first + round((time_us - first) / (1.0 + 1e-6 * ppm))
+                file.write(struct.pack(">Q", stamp) + frame.raw)
+        return path
+
+    return received
+
+
+@pytest.fixture(scope="module")
+def undisturbed(received, airframe):
+    return analyze_log(received(0.0), airframe)
+
+
+@pytest.fixture(scope="module")
+def fast(received, airframe):
+    return analyze_log(received(8000.0), airframe)
+
+
+def comparable(result):
+    told = result.as_json()
+    del told["source"], told["telemetry"]["clock_drift_ppm"]
+    return told
+
+
+def test_what_good_clocks_do_changes_nothing(received, airframe, undisturbed):
+    result = analyze_log(received(400.0), airframe)
+    assert result.telemetry["clock_drift_ppm"] == pytest.approx(400.0, abs=1.0)
+    assert comparable(result) == comparable(undisturbed)
+
+
+def test_a_clock_that_may_be_wrong_is_told_and_reckoned_with(fast, undisturbed):
+    assert undisturbed.verdict == "identified"
+    assert fast.verdict == "partial"
+    (reason,) = fast.reasons
+    assert "0.80 % fast" in reason
+    assert fast.telemetry["clock_doubt"] == pytest.approx(0.008, rel=1e-3)
+    for name in ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "k_M"):
+        now, before = fast.parameters[name], undisturbed.parameters[name]
+        assert now.value == before.value
+        assert now.std**2 - before.std**2 == pytest.approx((0.008 * before.value) ** 2, rel=0.01)
+    # Those rest on geometry and gravity, which need no clock, or hardly any.
+    for name in ("cg_x", "cg_y"):
+        assert fast.parameters[name] == undisturbed.parameters[name]
+    k_T = fast.parameters["k_T"]
+    assert k_T.std < 5e-4 * k_T.value
+    assert fast.parameters["mass"] == undisturbed.parameters["mass"]  # given
+
+
+def test_frame_by_frame_the_doubt_is_that_of_the_recording(received, airframe, fast):
+    pipeline = Pipeline(airframe, "", None, ChainOptions(history_interval=None))
+    for time_us, frame in read_tlog(received(8000.0)):
+        pipeline.take([frame], time_us * 1e-6)
+    live = pipeline.finish()
+    assert (live.verdict, live.reasons) == (fast.verdict, fast.reasons)
+    assert live.telemetry["clock_doubt"] == fast.telemetry["clock_doubt"]
+    for name, value in live.parameters.items():
+        assert value.std == (value.std and pytest.approx(fast.parameters[name].std, rel=1e-4))
+
+
+def drift_of(ppm, seconds=40):
+    drift = ClockDrift()
+    for i in range(seconds):
+        drift.take(i * (1.0 + 1e-6 * ppm), 1.75e9 + i)
+    return drift
+
+
+@pytest.mark.parametrize(
+    ("ppm", "doubted"),
+    [
+        (100.0, False),
+        (-490.0, False),
+        (510.0, True),
+        (-8000.0, True),
+        (29_000.0, True),
+        (-100_000.0, False),  # a simulator at 0.9 of real time
+        (9e6, False),  # at ten times that
+    ],
+)
+def test_what_no_clock_does_is_no_clock(ppm, doubted):
+    doubt = clock_doubt(drift_of(ppm), {})
+    assert (doubt is not None) is doubted
+    if doubt is not None:
+        assert doubt.share == pytest.approx(1e-6 * ppm)
+        assert ("the link falls behind" in doubt.reason) is (ppm < 0.0)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "simulated"),
+    [
+        ({}, False),
+        ({"SYS_AUTOSTART": 4001.0, "SYS_HITL": 0.0}, False),
+        ({"SIM_SPEEDUP": 1.0}, True),
+        ({"SIM_BAT_DRAIN": 60.0}, True),
+        ({"SIH_MASS": 1.0, "SYS_AUTOSTART": 10040.0}, True),
+        ({"SIH_MASS": 1.0, "SYS_AUTOSTART": 1100.0, "SYS_HITL": 2.0}, True),
+        ({"SIH_MASS": 1.0, "SYS_AUTOSTART": 4001.0, "SYS_HITL": 0.0}, False),
+    ],
+)
+def test_a_simulator_may_keep_its_own_time(parameters, simulated):
+    assert is_simulated(parameters) is simulated
+    assert (clock_doubt(drift_of(8000.0), parameters) is None) is simulated
+
+
+@pytest.mark.parametrize("name", ["px4-esc-cg.tlog", "px4-sih-default.tlog", "ardupilot-sitl.tlog"])
+def test_recorded_simulators_are_not_doubted(name, shared_logs):
+    log = open_log(shared_logs / name)
+    for _ in log.blocks():
+        pass
+    assert log.drift.bounds is not None
+    assert clock_doubt(log.drift, log.parameters) is None

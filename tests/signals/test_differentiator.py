@@ -1,0 +1,182 @@
+"""Tracking differentiators against analysis, and the article's misprint."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lsim
+
+from gcs_sysid.signals.differentiator import (
+    ARTICLE_A,
+    ARTICLE_B,
+    LinearDifferentiator,
+    backward_difference,
+    central_difference,
+    damping_of,
+    nonlinear_differentiator,
+)
+
+
+@pytest.mark.parametrize(("R", "b"), [(10.0, 2.0), (40.0, 2.0), (10.0, 0.6), (25.0, 4.0)])
+@pytest.mark.parametrize("hertz", [0.3, 1.0, 3.0])
+def test_linear_one_has_the_analytic_frequency_response(R, b, hertz):
+    dt = 0.001
+    w = 2 * np.pi * hertz
+    t = np.arange(round(20.0 / dt)) * dt
+    v = np.column_stack([np.cos(w * t), np.sin(w * t)])
+    z1, z2 = LinearDifferentiator(dt, R, b).update(v)
+    H = R**2 / ((1j * w) ** 2 + R * b * 1j * w + R**2)
+    turning = np.exp(1j * w * t[-5000:])
+    # A sine drawn straight between samples is too small by (w dt)^2 / 12.
+    bar = 1e-9 + (w * dt) ** 2 / 6
+    assert np.abs(z1[-5000:] @ [1, 1j] - H * turning).max() < bar * abs(H)
+    assert np.abs(z2[-5000:] @ [1, 1j] - 1j * w * H * turning).max() < bar * abs(w * H)
+
+
+@pytest.mark.parametrize(("dt", "R", "b"), [(0.05, 10.0, 2.0), (0.004, 10.0, 2.0), (0.02, 60, 0.5)])
+def test_linear_one_is_exact_for_straight_pieces(dt, R, b):
+    rng = np.random.default_rng(1)
+    v = rng.normal(size=(300, 1)) + 5.0
+    system = ([[0.0, 1.0], [-R * R, -R * b]], [[0.0], [R * R]], np.eye(2), np.zeros((2, 1)))
+    _, expected, _ = lsim(system, v, np.arange(300) * dt, X0=[v[0, 0], 0.0])
+    z1, z2 = LinearDifferentiator(dt, R, b).update(v)
+    # Both are exact: rounding over 300 steps.
+    np.testing.assert_allclose(z1, expected[:, :1], rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(z2, expected[:, 1:], rtol=0.0, atol=1e-10 * R)
+
+
+def test_its_lag_is_the_same_on_both_sides():
+    dt = 0.004
+    t = np.arange(5000)[:, None] * dt
+    filter_ = LinearDifferentiator(dt, 10.0)
+    w, w_dot = np.sin(3 * t) + 0.3 * np.cos(11 * t), 3 * np.cos(3 * t) - 3.3 * np.sin(11 * t)
+    _, derivative = filter_.update(w)
+    average, _ = LinearDifferentiator(dt, 10.0).update(w_dot)
+    settled = slice(filter_.settling, None)
+    # Straight pieces between samples: (11 dt)^2 / 12 = 2e-4 of 3.3, and the transient's 1e-4.
+    assert np.abs(derivative - average)[settled].max() < 1e-3
+    assert np.abs(derivative - w_dot)[settled].max() > 1.0  # while the lag itself is large
+
+
+@pytest.mark.parametrize("b", [0.8, 2.0**0.5, 2.0, 3.0])
+def test_settling_is_long_enough(b):
+    filter_ = LinearDifferentiator(0.01, 10.0, b)
+    filter_.update(np.zeros((1, 1)))
+    z1, _ = filter_.update(np.ones((1000, 1)))
+    assert np.abs(z1[filter_.settling :] - 1.0).max() < 1e-4
+    # And not much longer: halfway it still moves.
+    assert np.abs(z1[filter_.settling // 2 :] - 1.0).max() > 1e-3
+
+
+@pytest.mark.parametrize(("R", "b"), [(40.0, 2.0**0.5), (10.0, 2.0)])
+def test_slow_signals_come_late_by_its_lag(R, b):
+    dt = 0.01
+    t = np.arange(400)[:, None] * dt
+    filter_ = LinearDifferentiator(dt, R, b)
+    _, z2 = filter_.update(t**2)
+    # A parabola's derivative is straight, and that passes with the lag alone.
+    np.testing.assert_allclose(z2[-50:], 2.0 * (t - filter_.lag)[-50:], rtol=0.0, atol=1e-3)
+    z1, _ = LinearDifferentiator(dt, R, b).update(t)
+    np.testing.assert_allclose(z1[-50:], (t - filter_.lag)[-50:], rtol=0.0, atol=1e-6)
+
+
+@settings(max_examples=40, deadline=None)
+@given(cuts=st.lists(st.integers(0, 120), max_size=8))
+def test_linear_one_does_not_see_how_samples_are_grouped(cuts):
+    v = np.random.default_rng(2).normal([0.0, 10.0, -3.0], size=(120, 3))
+    whole = LinearDifferentiator(0.02, 12.0).update(v)
+    filter_ = LinearDifferentiator(0.02, 12.0)
+    edges = [0, *sorted(cuts), 120]
+    parts = [filter_.update(v[a:b]) for a, b in pairwise(edges)]
+    for k in (0, 1):
+        joined = np.concatenate([p[k] for p in parts])
+        np.testing.assert_allclose(joined, whole[k], rtol=1e-12, atol=1e-12)
+
+
+def test_restart_forgets():
+    v = np.random.default_rng(3).normal(size=(50, 1))
+    filter_ = LinearDifferentiator(0.02, 12.0)
+    first = filter_.update(v)
+    again = filter_.update(v)
+    assert np.abs(first[0] - again[0]).max() > 1e-3
+    filter_.restart()
+    np.testing.assert_array_equal(filter_.update(v)[0], first[0])
+    z1, z2 = first
+    assert z1[0, 0] == pytest.approx(v[0, 0], rel=1e-12)
+    assert abs(z2[0, 0]) < 1e-9
+
+
+def test_nonlinear_one_with_exponent_one_is_the_linear_one():
+    t = np.arange(200)[:, None] * 0.05
+    v = np.sin(np.pi * t) + 0.5 * np.sin(10.7 * t + 1.0)
+    exact = LinearDifferentiator(0.05, 10.0, 2.0).update(v)
+    errors = []
+    for substeps in (50, 100, 200):
+        z = nonlinear_differentiator(v, 0.05, R=10.0, a=1.0, b=2.0, substeps=substeps)
+        errors.append([np.abs(z[k] - exact[k]).max() for k in (0, 1)])
+    # Semi-implicit Euler is of first order: half the step, half the error (measured 0.50).
+    np.testing.assert_allclose(np.divide(errors[1:], errors[:-1]), 0.5, atol=0.02)
+    assert errors[-1][0] < 2e-3
+    assert errors[-1][1] < 1e-2
+
+
+def test_nonlinear_one_starts_where_it_is_told():
+    v = np.linspace(0.0, 1.0, 60)[:, None]
+    whole = nonlinear_differentiator(v, 0.05, R=20.0)
+    first = nonlinear_differentiator(v[:30], 0.05, R=20.0)
+    start = (first[0][-1], first[1][-1])
+    second = nonlinear_differentiator(v[29:], 0.05, R=20.0, start=start)
+    for k in (0, 1):
+        np.testing.assert_array_equal(np.concatenate([first[k], second[k][1:]]), whole[k])
+
+
+def test_damping_of_the_article():
+    # 3.1 (1.75 - 0.5) + 1.17 = 5.045, as printed.
+    assert damping_of(ARTICLE_A) == pytest.approx(ARTICLE_B, abs=1e-12)
+
+
+@pytest.mark.parametrize("amplitude", [0.1, 1.0])
+def test_printed_form_is_almost_undamped(amplitude):
+    """A step still swings between 0 and twice its height after 4 s; the usual form is at rest."""
+    v = np.full((2001, 1), amplitude)
+    v[0] = 0.0
+    last = slice(-500, None)
+    # Steps of 0.1 ms: a hundred in a swing.
+    z1, _ = nonlinear_differentiator(v, 0.002, form="printed", substeps=20)
+    assert np.ptp(z1[last]) > 1.5 * amplitude
+    z1, _ = nonlinear_differentiator(v, 0.002, R=200.0, form="usual", substeps=20)
+    assert np.abs(z1[last] - amplitude).max() < 0.02 * amplitude
+
+
+@pytest.mark.parametrize("substeps", [5, 20, 100])
+def test_printed_form_does_not_differentiate_at_the_articles_rate(substeps):
+    t = np.arange(0.0, 20.0, 0.05)[:, None]
+    v = np.sin(np.pi * t) + 0.5 * np.sin(10.7 * t + 1.0)
+    v_dot = np.pi * np.cos(np.pi * t) + 5.35 * np.cos(10.7 * t + 1.0)
+
+    def error(z2):
+        return np.std((z2 - v_dot)[100:]) / np.std(v_dot)
+
+    # No better than to say that the derivative is zero, give or take; finer substeps do not help.
+    _, printed = nonlinear_differentiator(v, 0.05, form="printed", substeps=substeps)
+    assert error(printed) > 0.8
+    _, usual = nonlinear_differentiator(v, 0.05, R=200.0, substeps=100)
+    assert error(usual) < 0.3
+    assert error(central_difference(v, 0.05)) < 0.1
+
+
+def test_where_it_diverges_it_stays_finite():
+    v = np.random.default_rng(4).normal(size=(400, 2)) * 1e3
+    z1, z2 = nonlinear_differentiator(v, 0.5, form="usual", substeps=1)
+    assert np.isfinite(z1).all()
+    assert np.isfinite(z2).all()
+
+
+def test_differences():
+    t = np.arange(20)[:, None] * 0.1
+    v = 3.0 * t**2
+    np.testing.assert_allclose(central_difference(v, 0.1)[1:-1], 6 * t[1:-1], rtol=1e-10)
+    np.testing.assert_allclose(backward_difference(v, 0.1)[1:], 6 * (t[1:] - 0.05), rtol=1e-10)
+    assert backward_difference(v, 0.1).shape == v.shape

@@ -1,0 +1,65 @@
+"""Our recursive filters do what SciPy's do, and spare every command what those take to load."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from gcs_sysid.estimation.rotor_signals import _butterworth
+from gcs_sysid.signals.recursions import lfilter
+
+FILTERS = {
+    "first order": ([1.0], [1.0, -0.9]),
+    "a step late": ([0.0, 0.1], [1.0, -0.9]),
+    "second order": ([0.2, 0.3, 0.1], [1.0, -1.2, 0.5]),
+    "short numerator": ([0.1], [1.0, -1.2, 0.5]),
+    "third order": ([0.1, 0.0, 0.0, 0.2], [1.0, -0.5, 0.2, -0.1]),
+}
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 7, 500])
+@pytest.mark.parametrize(("b", "a"), FILTERS.values(), ids=FILTERS.keys())
+def test_values_and_states_are_those_of_scipy(b, a, n):
+    rng = np.random.default_rng(1)
+    x, zi = rng.standard_normal((n, 3, 2)), rng.standard_normal((len(a) - 1, 3, 2))
+    for state in (zi, None):
+        y, after = lfilter(b, a, x, state)
+        rest = np.zeros_like(zi) if state is None else state
+        wanted, wanted_after = signal.lfilter(b, a, x, axis=0, zi=rest)
+        np.testing.assert_allclose(y, wanted, rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(after, wanted_after, rtol=1e-12, atol=1e-13)
+
+
+def test_parts_give_what_the_whole_gives():
+    b, a = FILTERS["second order"]
+    x = np.random.default_rng(2).standard_normal((40, 2))
+    whole, end = lfilter(b, a, x)
+    parts, state = [], None
+    for part in np.split(x, [1, 2, 3, 10, 10, 39]):
+        y, state = lfilter(b, a, part, state)
+        parts.append(y)
+    np.testing.assert_allclose(np.concatenate(parts), whole, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(state, end, rtol=1e-12, atol=1e-13)
+
+
+def test_the_input_is_left_alone():
+    x = np.ones((5, 2))
+    lfilter([1.0], [1.0, -0.5], x, np.ones((1, 2)))
+    assert (x == 1.0).all()
+
+
+@pytest.mark.parametrize("cutoff", [0.02, 0.1, 0.4])
+def test_the_gyros_low_pass_is_butterworths(cutoff):
+    np.testing.assert_allclose(_butterworth(cutoff), signal.butter(2, 2.0 * cutoff), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "module", ["gcs_sysid.live.live_session", "gcs_sysid.cli.program", "sim_bridge.cli"]
+)
+def test_nothing_loads_scipys_signal_at_its_start(module):
+    heavy = "{'scipy.signal', 'scipy.stats', 'scipy.interpolate', 'scipy.optimize'}"
+    code = f"import sys, {module}; print({heavy} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"

@@ -1,0 +1,333 @@
+"""Which rotor stream is believed."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.model.airframe import CommandRange, load_airframe
+from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.signals.redundant_commands import mean_of
+from gcs_sysid.signals.rotor_source_selector import STRETCH, RotorSourceSelector
+from gcs_sysid.signals.rotor_units import (
+    Range,
+    RotorSource,
+    command_range,
+    gyro_cutoff,
+    normalised,
+)
+
+RATE = 100.0
+RPM = 2.0 * math.pi / 60.0
+MASS = ScaleReference("mass", 1.5)
+PAPER = load_airframe("paper")
+
+
+def signals(rotors=4, seconds=STRETCH, lag=0.03, rate=RATE, seed=1):
+    """Times, commands of 0..1, and the speeds (rad/s) of the paper's rotors that follow them."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds * rate)) / rate
+    wander = np.cumsum(rng.normal(size=(len(t), rotors)), axis=0) / math.sqrt(rate)
+    u = 0.5 + 0.05 * np.tanh(wander) + 0.02 * rng.normal(size=(len(t), rotors))
+    follows = u.copy()
+    decay = math.exp(-1.0 / (rate * lag)) if lag else 0.0
+    for k in range(1, len(t)):
+        follows[k] = decay * follows[k - 1] + (1.0 - decay) * u[k]
+    return t, u, 190.0 * np.sqrt(follows)
+
+
+def records(stream, source, t, values, offset=0):
+    return [
+        Record(stream, x, tuple(row), offset, source)
+        for x, row in zip(t.tolist(), values.tolist(), strict=True)
+    ]
+
+
+def speeds(values, t, source="ESC_STATUS", offset=0):
+    return records(Stream.ROTOR_SPEED, source, t, np.round(values / RPM) * RPM, offset)
+
+
+def commands(u, t, source="ACTUATOR_OUTPUT_STATUS"):
+    return records(Stream.ROTOR_COMMAND, source, t, np.round(1000.0 + 1000.0 * u))
+
+
+def judged(*streams, airframe=PAPER, anchor=MASS, rotor_selector=None):
+    rotor_selector = rotor_selector or RotorSourceSelector(airframe, anchor)
+    for record in sorted((r for s in streams for r in s), key=lambda r: r.t):
+        rotor_selector.push(record, flying=True)
+    assert rotor_selector.fly(STRETCH)
+    return rotor_selector
+
+
+def test_measured_speeds_are_preferred():
+    t, u, v = signals()
+    rotor_selector = judged(commands(u, t), speeds(v, t))
+    assert rotor_selector.choice.name == "ESC_STATUS"
+    assert rotor_selector.choice.kind == "speed"
+    assert rotor_selector.choice.scale == 1.0
+    assert rotor_selector.refused == {}
+
+
+def test_no_decision_before_enough_flight_and_none_from_the_ground():
+    t, _u, v = signals()
+    rotor_selector = RotorSourceSelector(PAPER, MASS)
+    for record in speeds(v, t):
+        rotor_selector.push(record, flying=False)
+    assert not rotor_selector.fly(0.9 * STRETCH)
+    assert not rotor_selector.judged
+    assert rotor_selector.fly(0.2 * STRETCH)
+    assert rotor_selector.choice is None
+
+
+def dead(v):
+    v[:, 2] = 0.0
+
+
+def frozen(v):
+    v[:, 1] = v[0, 1]
+
+
+def silent(v):
+    v[:] = 0.0
+
+
+@pytest.mark.parametrize(
+    ("spoil", "why"),
+    [
+        (silent, "reads 0 while the vehicle flies"),
+        (dead, "rotor 3 reads 0 while the others move"),
+        (frozen, "rotor 2 stands still while the others move"),
+    ],
+)
+def test_unsound_speeds_give_way_to_commands(spoil, why):
+    t, u, v = signals()
+    spoil(v)
+    rotor_selector = judged(commands(u, t), speeds(v, t))
+    assert rotor_selector.choice.kind == "command"
+    assert rotor_selector.choice.name == "ACTUATOR_OUTPUT_STATUS"
+    assert rotor_selector.choice.refused == {"ESC_STATUS": why}
+    alone = judged(speeds(v, t))
+    assert alone.choice is None
+    assert alone.refused == {"ESC_STATUS": why}
+
+
+@pytest.mark.parametrize("rate", [4.0, 20.0])
+def test_slow_speeds_do_not_follow_the_rotors(rate):
+    t, u, v = signals()
+    every = round(RATE / rate)
+    rotor_selector = judged(commands(u, t), speeds(v[::every], t[::every]))
+    assert rotor_selector.choice.kind == ("command" if rate < 15.0 else "speed")
+
+
+@pytest.mark.parametrize("unit", [1.0, RPM])
+def test_commands_sold_as_measured_speeds_are_commands(unit):
+    t, u, v = signals(lag=0.0)
+    rotor_selector = judged(commands(u, t), speeds(unit * v, t))
+    assert rotor_selector.choice.kind == "command"
+    assert "ACTUATOR_OUTPUT_STATUS under another name" in rotor_selector.refused["ESC_STATUS"]
+
+
+def test_quick_motors_are_still_measured():
+    t, u, v = signals(lag=0.005, rate=250.0)
+    assert judged(commands(u, t), speeds(v, t)).choice.kind == "speed"
+
+
+def test_motionless_hover_is_no_reason_to_refuse():
+    t, u, v = signals()
+    still = np.full_like(v, 100.0)
+    assert judged(commands(u, t), speeds(still, t)).choice.kind == "speed"
+
+
+def test_rad_per_second_in_a_field_of_rpm_shows_by_the_thrust():
+    t, _u, v = signals()
+    right, wrong = judged(speeds(v, t)), judged(speeds(RPM * v, t))
+    assert right.choice.scale == 1.0
+    assert wrong.choice.scale == pytest.approx(1.0 / RPM)
+    assert "rad/s" in wrong.choice.why
+    read = wrong.choice.read(RPM * v)
+    np.testing.assert_allclose(read, v)
+
+
+def test_groups_of_one_kind_are_one_source():
+    t, _u, v = signals(rotors=6)
+    airframe = load_airframe("ardupilot-hexa-x")
+    first = speeds(v[:, :4], t, "ESC_TELEMETRY_1_TO_4")
+    second = speeds(v[:, 4:], t, "ESC_TELEMETRY_5_TO_8", offset=4)
+    assert judged(first, second, airframe=airframe).choice.name == "ESC_TELEMETRY"
+    half = judged(first, airframe=airframe)
+    assert half.choice is None
+    assert half.refused == {"ESC_TELEMETRY": "tells 4 of 6 rotors"}
+
+
+@pytest.mark.parametrize(
+    ("anchor", "wanted", "kind"),
+    [
+        (ScaleReference("k_T", 2e-4), "auto", "speed"),
+        (ScaleReference("T_max", 7.0), "auto", "command"),
+        (MASS, "command", "command"),
+        (MASS, "speed", "speed"),
+    ],
+)
+def test_scale_and_airframe_decide_between_sound_sources(anchor, wanted, kind):
+    t, u, v = signals()
+    airframe = replace(PAPER, rotor_input=wanted)
+    assert (
+        judged(commands(u, t), speeds(v, t), airframe=airframe, anchor=anchor).choice.kind == kind
+    )
+
+
+def test_without_what_the_scale_needs_nothing_is_chosen():
+    t, u, _v = signals()
+    rotor_selector = judged(commands(u, t), anchor=ScaleReference("k_T", 2e-4))
+    assert rotor_selector.choice is None
+    assert rotor_selector.refused == {"ACTUATOR_OUTPUT_STATUS": "speed is wanted"}
+
+
+@pytest.mark.parametrize(
+    ("late", "above", "every", "source", "together"),
+    [
+        (0.0, 0.0, 1, "SERVO_OUTPUT_RAW", True),
+        (0.5, 0.0, 1, "SERVO_OUTPUT_RAW", False),
+        (0.0, 0.1, 1, "SERVO_OUTPUT_RAW", False),
+        (0.0, 0.0, 2, "SERVO_OUTPUT_RAW", False),
+        (0.0, 0.0, 1, "RCOU", False),
+    ],
+)
+def test_streams_that_tell_the_same_commands_are_used_together(
+    late, above, every, source, together
+):
+    """And not what comes late, is about something else, or comes more seldom."""
+    t, u, _ = signals(rate=2.0 * RATE)
+    first, second = slice(None, None, 2), slice(1, None, 2 * every)
+    one = commands(u[first], t[first])
+    other = commands(u[second] + above, t[second] + late, source)
+    rotor_selector = judged(one, other)
+    assert rotor_selector.choice.name == "ACTUATOR_OUTPUT_STATUS"
+    assert rotor_selector.twin == (source if together else None)
+
+
+def test_two_streams_make_one_of_what_each_has():
+    one = np.array([[1.0, 1.0], [np.nan, 1.0], [2.0, np.nan]])
+    other = np.array([[2.0, 3.0], [4.0, np.nan], [6.0, np.nan]])
+    np.testing.assert_array_equal(mean_of(one, other), [[1.5, 2.0], [4.0, 1.0], [4.0, np.nan]])
+
+
+def test_a_source_that_dies_in_flight_is_replaced():
+    t, u, v = signals()
+    rotor_selector = judged(commands(u, t), speeds(v, t))
+    later = t + STRETCH
+    judged(commands(u, later), speeds(v, later), rotor_selector=rotor_selector)
+    assert rotor_selector.choice.kind == "speed"
+    judged(commands(u, later), speeds(0.0 * v, later), rotor_selector=rotor_selector)
+    assert rotor_selector.choice.kind == "command"
+    assert rotor_selector.choice.why.startswith("ESC_STATUS died in flight")
+    # It does not come back: segments with different inputs cannot be one.
+    judged(commands(u, later), speeds(v, later), rotor_selector=rotor_selector)
+    assert rotor_selector.choice.kind == "command"
+
+
+def test_stopped_outputs_are_no_input():
+    t, u, _v = signals()
+    rotor_selector = judged(commands(0.0 * u - 0.1, t))
+    assert rotor_selector.choice is None
+    assert "stopped" in rotor_selector.refused["ACTUATOR_OUTPUT_STATUS"]
+
+
+USUAL = CommandRange()
+SPIN = {"MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0, "MOT_SPIN_MIN": 0.1, "MOT_SPIN_MAX": 0.9}
+GAZEBO = {"SIM_GZ_EC_FUNC1": 101.0, "SIM_GZ_EC_MIN1": 0.0, "SIM_GZ_EC_MAX1": 1000.0}
+BOARD = {"PWM_MAIN_FUNC3": 101.0, "PWM_MAIN_MIN3": 1100.0, "PWM_MAIN_MAX3": 1900.0}
+
+
+@pytest.mark.parametrize(
+    ("source", "given", "autopilot", "parameters", "largest", "expected"),
+    [
+        ("actuator_motors", CommandRange(900, 2100, given=True), "px4", {}, 0.7, (0, 1)),
+        ("RCOU", CommandRange(900, 2100, given=True), "ardupilot", SPIN, 1500, (900, 2100)),
+        ("RCOU", USUAL, "ardupilot", SPIN, 1500, (1180, 1820)),
+        ("SERVO_OUTPUT_RAW", USUAL, "ardupilot", {}, 1500, (1150, 1950)),
+        ("SERVO_OUTPUT_RAW", USUAL, "px4", {}, 1500, (1000, 2000)),
+        ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", BOARD, 1500, (1100, 1900)),
+        ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", GAZEBO, 640, (0, 1000)),
+        ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", {}, 0.6, (0, 1)),
+        ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", {}, 640, None),
+        ("ACTUATOR_OUTPUT_STATUS", USUAL, "px4", {}, 5000, None),
+    ],
+)
+def test_range_of_commands(source, given, autopilot, parameters, largest, expected):
+    found = command_range(source, given, autopilot, parameters, largest)
+    assert (found and (found.low, found.high)) == (expected and pytest.approx(expected))
+
+
+def test_stopped_is_zero():
+    u = normalised(np.array([[900.0, 600.0, 0.0, 1000.0, 1500.0, 2000.0]]), Range(1000, 2000, ""))
+    np.testing.assert_array_equal(u, [[0.0, 0.0, 0.0, 0.0, 0.5, 1.0]])
+    # Curves between samples pass a little below and above.
+    between = normalised(np.array([990.0, 2010.0]), Range(1000, 2000, ""))
+    np.testing.assert_allclose(between, [-0.01, 1.01])
+
+
+def test_an_esc_that_does_not_answer_is_missing():
+    source = RotorSource("speed", "ESC_STATUS", "")
+    read = source.read(np.array([[500.0, 0.0, 510.0, 505.0], [0.0, 0.0, 0.0, 0.0]]))
+    assert np.isnan(read).tolist() == [[False, True, False, False], [True] * 4]
+
+
+@pytest.mark.parametrize(
+    ("given", "autopilot", "parameters", "expected"),
+    [
+        (None, "px4", {"IMU_GYRO_CUTOFF": 40.0}, None),
+        (None, "ardupilot", {}, 20.0),
+        (None, "ardupilot", {"INS_GYRO_FILTER": 40.0}, 40.0),
+        (None, "ardupilot", {"INS_GYRO_FILTER": 0.0}, None),
+        (30.0, "ardupilot", {"INS_GYRO_FILTER": 40.0}, 30.0),
+        (0.0, "ardupilot", {}, None),
+    ],
+)
+def test_filter_of_the_gyro(given, autopilot, parameters, expected):
+    assert gyro_cutoff(given, autopilot, parameters) == expected
+
+
+def repeating(v, every):
+    """Speeds of which only every so many-th is read anew."""
+    return v[np.arange(len(v)) // every * every]
+
+
+def test_speeds_that_repeat_old_readings_give_way():
+    t, u, v = signals()
+    rotor_selector = judged(commands(u, t), speeds(repeating(v, 20), t))
+    assert rotor_selector.choice.kind == "command"
+    assert rotor_selector.choice.refused == {
+        "ESC_STATUS": "repeats old readings, 5 new ones a second"
+    }
+
+
+def test_a_few_repeats_are_counted_and_forgiven():
+    t, u, v = signals()
+    rotor_selector = judged(commands(u, t), speeds(repeating(v, 2), t))
+    assert rotor_selector.choice.name == "ESC_STATUS"
+    repeats = rotor_selector.repeats["ESC_STATUS"].as_dict()
+    assert repeats["percent"] == pytest.approx(50.0, abs=1.0)
+    assert repeats["count"] == len(t) // 2
+    assert rotor_selector.repeats["ACTUATOR_OUTPUT_STATUS"].repeated < 5
+
+
+def test_what_rounding_repeats_in_calm_air_is_no_old_reading():
+    t, _u, v = signals()
+    calm = 400.0 + 0.3 * RPM * (v - v.mean(axis=0)) / v.std(axis=0)
+    slow = repeating(calm, 10)  # a change of one rpm now and then
+    assert judged(speeds(slow, t)).choice.name == "ESC_STATUS"
+
+
+def test_groups_of_rotors_repeat_on_their_own():
+    rotor_selector = RotorSourceSelector(PAPER, MASS)
+    for i in range(50):
+        for offset in (0, 4):
+            values = (float(i),) * 4 if offset else (1.0,) * 4
+            source = f"ESC_TELEMETRY_{offset + 1}_TO_{offset + 4}"
+            rotor_selector.push(
+                Record(Stream.ROTOR_SPEED, 0.01 * i, values, offset, source), flying=True
+            )
+    assert rotor_selector.repeats["ESC_TELEMETRY"].as_dict() == {"count": 49, "percent": 50.0}

@@ -1,0 +1,76 @@
+"""Which messages are needed, and at which rates they fit."""
+
+import pytest
+
+from gcs_sysid.telemetry.messages import LAYOUTS, MESSAGE_IDS
+from gcs_sysid.telemetry.wanted_streams import (
+    bytes_per_second,
+    default_rates,
+    fitting_rates,
+    interval_us,
+    rotor_streams,
+)
+
+PX4 = ("ESC_STATUS", "ACTUATOR_OUTPUT_STATUS")
+
+
+def test_slow_rates_lower_what_need_not_be_faster():
+    assert default_rates(PX4, 20.0)["ATTITUDE"] == 20.0
+    assert default_rates(PX4, 250.0)["ATTITUDE"] == 100.0
+    assert default_rates(PX4, 250.0)["LOCAL_POSITION_NED"] == 50.0
+    assert default_rates(PX4, 1.0)["EXTENDED_SYS_STATE"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("rotors", "groups"), [(3, 1), (4, 1), (6, 2), (8, 2), (12, 3), (16, 4), (20, 4)]
+)
+def test_ardupilot_reports_speeds_in_groups_of_four(rotors, groups):
+    speeds, commands = rotor_streams("ardupilot", rotors)
+    assert len(speeds) == groups
+    assert commands == "SERVO_OUTPUT_RAW"
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot", "generic", ""])
+def test_version_1_is_asked_for_nothing_that_it_cannot_number(autopilot):
+    speeds, commands = rotor_streams(autopilot, 8, version=1)
+    assert all(MESSAGE_IDS[name] < 256 for name in (*speeds, commands))
+
+
+@pytest.mark.parametrize("capacity", [700.0, 1200.0, 5184.0, 10368.0, 41472.0, 60000.0])
+@pytest.mark.parametrize("rotors", [4, 8])
+@pytest.mark.parametrize("signed", [False, True])
+def test_what_is_asked_for_fits_and_uses_the_room(capacity, rotors, signed):
+    rates = fitting_rates(PX4, 250.0, rotors, capacity, signed)
+    used = bytes_per_second(rates, rotors, signed)
+    assert used <= capacity
+    more = default_rates(PX4, rates["HIGHRES_IMU"] + 3.0)
+    assert rates["HIGHRES_IMU"] == 250.0 or bytes_per_second(more, rotors, signed) > capacity
+
+
+def test_a_link_for_nothing_is_still_asked_for_something():
+    assert fitting_rates(PX4, 250.0, 4, 10.0)["HIGHRES_IMU"] == 1.0
+
+
+def test_no_limit_changes_nothing():
+    assert fitting_rates(PX4, 250.0, 4, None) == default_rates(PX4, 250.0)
+
+
+def test_sizes_are_at_most_what_the_definitions_allow():
+    for name in default_rates((*PX4, "SERVO_OUTPUT_RAW", "ESC_TELEMETRY_1_TO_4"), 1.0):
+        size = bytes_per_second({name: 1.0}, 4)
+        assert 12 < size <= LAYOUTS[MESSAGE_IDS[name]].size + 12
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "hertz", "interval"),
+    [
+        ("px4", 250.0, 4000),
+        ("px4", 300.0, 3333),
+        ("ardupilot", 250.0, 4000),
+        ("ardupilot", 300.0, 3000),
+        ("ardupilot", 60.0, 17000),
+        ("ardupilot", 1000.0, 3000),
+    ],
+)
+def test_intervals_suit_the_autopilot(autopilot, hertz, interval):
+    assert interval_us(autopilot, hertz) == interval
