@@ -266,7 +266,7 @@ def broken(*_arguments, **_named):
 @pytest.mark.parametrize(
     ("where", "name", "watched"),
     [
-        ("chain", "admit", True),
+        ("chain", "feed", True),
         ("chain", "result", True),
         ("intake", "frame", False),
         ("intake", "health", False),

@@ -1,9 +1,9 @@
 """The online estimator: samples in, relative estimates out, in bounded memory and time.
 
 A running flight is followed by quick fits: a step from an earlier fit of the same record, its
-warm start, with the moments of that instant. The warm start is renewed whenever a batch of moments
-has begun, about once a second; now and then a full fit chooses leak and delay anew. Quick fits of one
-warm start do not depend on one another, so that a block with many of them is one call.
+warm start, with the moments of that instant. The warm start is renewed whenever a batch of
+moments has begun, about once a second; now and then a full fit chooses leak and delay anew. Quick
+fits of one warm start do not depend on one another, so that a block with many of them is one call.
 """
 
 from collections.abc import Callable, Iterable, Sequence
