@@ -15,7 +15,7 @@ import numpy as np
 from gcs_sysid import __version__
 from gcs_sysid.argument_types import OneLineParser, between, not_negative, number, positive
 from gcs_sysid.errors import GcsSysidError, InputError
-from gcs_sysid.reading import read_bytes
+from gcs_sysid.files import read_bytes
 from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge import ardupilot
 from sim_bridge.answering import AnsweringAutopilot

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.reading import read_text
+from gcs_sysid.files import read_text
 from sim_bridge.controller import multiply
 from sim_bridge.missions import HEIGHT, Reference, Triple, ramp
 

@@ -13,9 +13,8 @@ import gcs_sysid
 import sim_bridge
 from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import write_whole
+from gcs_sysid.files import read_text, write_whole
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.reading import read_text
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.sanitize import LONGEST_LINE, one_line
 from gcs_sysid.telemetry.link import UdpLink

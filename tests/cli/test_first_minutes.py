@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.cli import setup_options
+from gcs_sysid.cli import option_groups
 from gcs_sysid.cli.program import build_parser, run
 from gcs_sysid.cli.welcome import commands_of
 from gcs_sysid.model.airframe import load_airframe
@@ -54,7 +54,7 @@ def test_the_commands_to_begin_with_are_understood(capsys):
 
 
 def test_layouts_of_the_command_line_are_the_wizards():
-    assert list(LAYOUTS) == list(setup_options.LAYOUTS)
+    assert list(LAYOUTS) == list(option_groups.LAYOUTS)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gcs_sysid.cli.screen_actions import SUFFIXES, export_result, report_session
+from gcs_sysid.cli.screens import SUFFIXES, export_result, report_session
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import MissingError
 from gcs_sysid.exports.formats import TARGETS

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from gcs_sysid.inspection.assumptions import assumed_airframe
+from gcs_sysid.inspection.derived_facts import assumed_airframe
+from gcs_sysid.inspection.facts import that_matter
 from gcs_sysid.inspection.inspector import Inspector, inspect_link, inspect_log
-from gcs_sysid.inspection.relevant_parameters import that_matter
 from gcs_sysid.inspection.stream_watch import CHUNK, MotionWatch, RotorWatch, StreamWatch
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log

@@ -6,12 +6,14 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Rotor, load_airframe
-from gcs_sysid.setup_help.airframe_check import arm_doubt, check_airframe, scale_doubt
 from gcs_sysid.setup_help.airframe_file import (
     AirframeAnswers,
     airframe_text,
+    arm_doubt,
+    check_airframe,
     check_new,
     checked,
+    scale_doubt,
     write_new,
 )
 from gcs_sysid.setup_help.checks import Sign, worst

@@ -4,8 +4,17 @@ import pytest
 
 from gcs_sysid.model.airframe import Rotor
 from gcs_sysid.setup_help.checks import can_show
-from gcs_sysid.setup_help.drawing import ASCII, UNICODE, UNICODE_SIGNS, draw, legend, rotor_table
-from gcs_sysid.setup_help.layouts import LAYOUTS, layout_rotors, reversed_spins
+from gcs_sysid.setup_help.layouts import (
+    ASCII,
+    LAYOUTS,
+    UNICODE,
+    UNICODE_SIGNS,
+    draw,
+    layout_rotors,
+    legend,
+    reversed_spins,
+    rotor_table,
+)
 
 QUAD_X = """\
              ▲ front

@@ -5,13 +5,16 @@ import sys
 
 import pytest
 
-from gcs_sysid.setup_help.checks import Finding, Sign, as_text, worst
-from gcs_sysid.setup_help.machine import (
+from gcs_sysid.setup_help.checks import (
+    Finding,
+    Sign,
+    as_text,
     check_packages,
     check_python,
     check_recordings,
     check_terminal,
     quoted,
+    worst,
 )
 
 

@@ -5,9 +5,7 @@ import sys
 
 import pytest
 
-from gcs_sysid.setup_help import serial_devices
-from gcs_sysid.setup_help.checks import Sign
-from gcs_sysid.setup_help.serial_devices import check_serial
+from gcs_sysid.setup_help.checks import Sign, check_serial, missing_group
 from gcs_sysid.telemetry.link import SerialDevice
 from gcs_sysid.telemetry.link import serial_devices as plugged_in
 
@@ -97,7 +95,7 @@ def test_windows_and_macos_have_their_own_words(system, name, said):
 def test_without_groups_there_is_none_to_join(monkeypatch):
     monkeypatch.setitem(sys.modules, "grp", None)
     monkeypatch.setitem(sys.modules, "pwd", None)
-    assert serial_devices.missing_group("dialout") is None
+    assert missing_group("dialout") is None
     (finding,) = check_serial([], "Linux")
     assert finding.sign is Sign.OK
 

@@ -7,8 +7,7 @@ import pytest
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Rotor
 from gcs_sysid.setup_help import answers as say
-from gcs_sysid.setup_help.drawing import ASCII
-from gcs_sysid.setup_help.layouts import layout_rotors, reversed_spins
+from gcs_sysid.setup_help.layouts import ASCII, layout_rotors, reversed_spins
 from gcs_sysid.setup_help.wizard import Given, Wizard, given_answers
 
 

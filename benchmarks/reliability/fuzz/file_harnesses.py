@@ -17,7 +17,7 @@ from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results.result import SCHEMA
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.setup_help.airframe_file import airframe_text, checked
-from gcs_sysid.setup_help.drawing import ASCII
+from gcs_sysid.setup_help.layouts import ASCII
 from gcs_sysid.setup_help.wizard import Given, Wizard
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.signing import KEY_SIZE, LARGEST_TIME, SigningClock, read_key

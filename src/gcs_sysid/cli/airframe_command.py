@@ -9,17 +9,17 @@ from pathlib import Path
 from gcs_sysid.cli.output import print_file, terminal_width
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe, AnchorName, load_airframe
-from gcs_sysid.setup_help.airframe_check import check_airframe
 from gcs_sysid.setup_help.airframe_file import (
     AirframeAnswers,
     airframe_text,
+    check_airframe,
     check_new,
     checked,
     write_new,
 )
 from gcs_sysid.setup_help.answers import arm_lengths, imu_position, plain_name, rotor
-from gcs_sysid.setup_help.checks import Finding, Sign, as_text, can_show, worst
-from gcs_sysid.setup_help.drawing import (
+from gcs_sysid.setup_help.checks import Finding, Sign, as_text, can_show, quoted, worst
+from gcs_sysid.setup_help.layouts import (
     ASCII,
     UNICODE,
     UNICODE_SIGNS,
@@ -28,7 +28,6 @@ from gcs_sysid.setup_help.drawing import (
     legend,
     rotor_table,
 )
-from gcs_sysid.setup_help.machine import quoted
 from gcs_sysid.setup_help.wizard import Given, Wizard, given_answers
 
 

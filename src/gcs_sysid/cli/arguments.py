@@ -5,7 +5,7 @@ import math
 from typing import TYPE_CHECKING
 
 from gcs_sysid.argument_types import between, not_negative, number, positive, split_prior
-from gcs_sysid.cli import coach_options as coaching
+from gcs_sysid.cli import option_groups
 from gcs_sysid.errors import InputError
 
 ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-difference")
@@ -150,7 +150,7 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mass-step", metavar="T:FACTOR", help="change the mass in flight")
     parser.add_argument("--record", metavar="FILE", help="record the flight to a .tlog")
     _add_display(parser)
-    coaching.add_options(parser)
+    option_groups.add_options(parser)
 
 
 def _add_vehicle_choice(parser: argparse.ArgumentParser) -> None:
@@ -189,7 +189,7 @@ def add_live(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
     parser.add_argument("--truth", metavar="FILE", help="true parameters, to show beside")
     _add_display(parser)
-    coaching.add_options(parser)
+    option_groups.add_options(parser)
 
 
 def add_replay(parser: argparse.ArgumentParser) -> None:
@@ -201,7 +201,7 @@ def add_replay(parser: argparse.ArgumentParser) -> None:
         "--speed", choices=("1", "10", "max"), default="1", help="to begin with (default 1)"
     )
     parser.add_argument("--truth", metavar="FILE", help="true parameters, to show beside")
-    coaching.add_target(parser)
+    option_groups.add_target(parser)
     _add_display(parser)
 
 
@@ -271,7 +271,7 @@ def add_inspect(parser: argparse.ArgumentParser) -> None:
 def add_plan(parser: argparse.ArgumentParser) -> None:
     """Options of `plan`."""
     _add_airframe(parser)
-    coaching.add_plan(parser)
+    option_groups.add_plan(parser)
 
 
 def add_export(parser: argparse.ArgumentParser) -> None:

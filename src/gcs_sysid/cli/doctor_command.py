@@ -6,12 +6,16 @@ import sys
 
 from gcs_sysid.cli.output import terminal_width
 from gcs_sysid.errors import InputError
-from gcs_sysid.setup_help.checks import Finding, Sign, as_text, can_show, worst
-from gcs_sysid.setup_help.machine import (
+from gcs_sysid.setup_help.checks import (
+    Finding,
+    Sign,
+    as_text,
+    can_show,
     check_packages,
     check_python,
     check_recordings,
     check_terminal,
+    worst,
 )
 
 
@@ -44,7 +48,7 @@ def _summary(findings: list[Finding]) -> str:
 def _links(options: argparse.Namespace) -> list[Finding]:
     """Serial devices, ports, and who is heard; its modules need the packages looked at before."""
     from gcs_sysid.setup_help import listening
-    from gcs_sysid.setup_help.serial_devices import check_serial
+    from gcs_sysid.setup_help.checks import check_serial
     from gcs_sysid.telemetry.link import serial_devices
     from gcs_sysid.telemetry.urls import parse_url
 

@@ -9,7 +9,7 @@ from gcs_sysid.cli import arguments, output
 from gcs_sysid.cli.inspection_text import report
 from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.errors import InputError
-from gcs_sysid.inspection.assumptions import assumed_airframe
+from gcs_sysid.inspection.derived_facts import assumed_airframe
 from gcs_sysid.inspection.facts import Inspection
 from gcs_sysid.inspection.inspector import inspect_link, inspect_log
 from gcs_sysid.model.airframe import Airframe

@@ -3,9 +3,8 @@
 import textwrap
 from collections.abc import Iterable, Mapping
 
-from gcs_sysid.inspection.facts import Inspection, RotorSource, StreamFacts, role
+from gcs_sysid.inspection.facts import GROUPS, Inspection, RotorSource, StreamFacts, group_of, role
 from gcs_sysid.inspection.readiness import LITTLE
-from gcs_sysid.inspection.relevant_parameters import GROUPS, group_of
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.rotor_messages import RPM
 

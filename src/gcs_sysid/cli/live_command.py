@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Protocol
 
 from gcs_sysid.cli import arguments, output
-from gcs_sysid.cli.coach_options import coach_options
 from gcs_sysid.cli.json_lines import JsonLines
+from gcs_sysid.cli.option_groups import coach_options
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.errors import GcsSysidError, InputError
@@ -182,11 +182,11 @@ def _show(
 
     A defect of the screen becomes the session's problem, where it has none of its own.
     """
-    from gcs_sysid.cli.scenes import scene_of
+    from gcs_sysid.cli.screens import scene_of
 
     scene = scene_of(session, truth, options, baseline)
     if options.web:
-        from gcs_sysid.cli.browser import show
+        from gcs_sysid.cli.screens import show
 
         show(session, scene, options.web)
         return

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TextIO
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import check_target, write_whole
-from gcs_sysid.reading import read_text
+from gcs_sysid.files import check_target, read_text, write_whole
 
 _MAX_TRUTH_BYTES = 1_000_000
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.cli import arguments
-from gcs_sysid.cli.coach_options import limits_of
+from gcs_sysid.cli.option_groups import limits_of
 from gcs_sysid.cli.output import print_file, save
 from gcs_sysid.coach.flight_plan import make_plan
 from gcs_sysid.coach.interval_targets import shares

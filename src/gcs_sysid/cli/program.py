@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 from gcs_sysid import __version__
 from gcs_sysid.argument_types import OneLineParser
-from gcs_sysid.cli import arguments, setup_options
+from gcs_sysid.cli import arguments, option_groups
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.sanitize import one_line
 
@@ -113,7 +113,7 @@ def build_parser() -> argparse.ArgumentParser:
         help="describe your vehicle, with a picture",
         description="Writes the file that tells where a vehicle's rotors are, or checks one.",
     )
-    setup_options.add_airframe(airframe)
+    option_groups.add_airframe(airframe)
     doctor = commands.add_parser(
         "doctor",
         help="check this machine, and hear who speaks",
@@ -121,7 +121,7 @@ def build_parser() -> argparse.ArgumentParser:
         "recordings, and listens for vehicles. It sends nothing. Ends with status 1 if there is "
         "a problem.",
     )
-    setup_options.add_doctor(doctor)
+    option_groups.add_doctor(doctor)
     completion = commands.add_parser(
         "completion",
         help="complete commands with the tab key",
@@ -129,7 +129,7 @@ def build_parser() -> argparse.ArgumentParser:
         "in ~/.bashrc; zsh: the same in ~/.zshrc, after compinit; fish: gcs-sysid completion "
         "fish > ~/.config/fish/completions/gcs-sysid.fish",
     )
-    setup_options.add_completion(completion)
+    option_groups.add_completion(completion)
     return parser
 
 

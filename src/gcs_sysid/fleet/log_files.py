@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.reading import check_regular
+from gcs_sysid.files import check_regular
 from gcs_sysid.telemetry import dataflash_format, ulog
 from gcs_sysid.telemetry.frames import Validity, read_frame
 from gcs_sysid.telemetry.tlog_scan import STAMP

@@ -5,9 +5,8 @@ import re
 from pathlib import Path
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import write_whole
+from gcs_sysid.files import read_text, write_whole
 from gcs_sysid.fleet.jobs import FAILURE, Document, Task
-from gcs_sysid.reading import read_text
 from gcs_sysid.results.result import SCHEMA
 from gcs_sysid.results.result_file import MOST_BYTES
 

@@ -6,7 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.inspection.assumptions import USUAL, assumed_airframe, rotor_count
+from gcs_sysid.inspection.derived_facts import (
+    USUAL,
+    FlightWatch,
+    RotorJudge,
+    assumed_airframe,
+    rotor_count,
+)
 from gcs_sysid.inspection.facts import (
     AXES,
     ClockFacts,
@@ -15,11 +21,9 @@ from gcs_sysid.inspection.facts import (
     RotorInput,
     RotorSource,
     StreamFacts,
+    that_matter,
 )
-from gcs_sysid.inspection.flight_times import FlightWatch
 from gcs_sysid.inspection.readiness import findings_of
-from gcs_sysid.inspection.relevant_parameters import that_matter
-from gcs_sysid.inspection.rotor_source import RotorJudge
 from gcs_sysid.inspection.stream_watch import MotionWatch, RotorWatch, StreamWatch
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.clock_check import clock_doubt

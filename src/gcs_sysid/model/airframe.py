@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.reading import read_text
+from gcs_sysid.files import read_text
 
 RotorInput = Literal["auto", "speed", "command"]
 AnchorName = Literal["mass", "k_T", "T_max"]

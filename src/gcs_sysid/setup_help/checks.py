@@ -1,11 +1,22 @@
-"""What a check has found: how it stands, and what to do about it."""
+"""Is this machine ready: versions, terminal, serial devices, the folder of recordings."""
 
 import enum
+import importlib.metadata
+import os
+import platform
+import re
+import shutil
+import stat
 import sys
+import tempfile
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # the doctor starts without the packages that it looks for
+    from gcs_sysid.telemetry.link import SerialDevice
 
 
 class Sign(enum.StrEnum):
@@ -83,3 +94,277 @@ def as_text(findings: Iterable[Finding], width: int, *, unicode: bool) -> str:
         )
         lines += [*said, *(f"{'':{len(head)}}-> {line}" for line in finding.advice)]
     return "\n".join(lines)
+
+
+PACKAGE = "gcs-sysid"
+_REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+)(?:\[[^\]]*\])?\s*(?:>=\s*([0-9][0-9.]*))?")
+_SMALLEST = (80, 24)
+"""Columns and lines that the live screen needs."""
+_FREE_BYTES = 500 * 2**20
+"""A recording at 250 Hz takes some 100 MB an hour."""
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    """The leading numbers of a version, without trailing zeros: "2.10.0rc1" -> (2, 10)."""
+    found = [int(n) for n in re.findall(r"\d+", re.split(r"[^0-9.]", version, maxsplit=1)[0])]
+    while found and found[-1] == 0:
+        found.pop()
+    return tuple(found)
+
+
+def check_python(version: str = platform.python_version(), requires: str | None = None) -> Finding:
+    """Python against what the package asks for.
+
+    Args:
+        version: of Python.
+        requires: such as ">=3.11"; None: as installed.
+    """
+    if requires is None:
+        try:
+            requires = importlib.metadata.metadata(PACKAGE)["Requires-Python"] or ""
+        except importlib.metadata.PackageNotFoundError:
+            requires = ""
+    least = requires.removeprefix(">=").strip()
+    text = f"{version} on {platform.system()} {platform.machine()}"
+    if _numbers(version) < _numbers(least):
+        return Finding(
+            "Python", Sign.PROBLEM, f"{text}; {least} or newer is needed",
+            ["install it from python.org, and gcs-sysid again with it"],
+        )  # fmt: skip
+    return Finding("Python", Sign.OK, text)
+
+
+def _installed_version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def check_packages(
+    requirements: Sequence[str] | None = None,
+    installed: Callable[[str], str | None] = _installed_version,
+) -> Finding:
+    """The packages against what this one asks for.
+
+    Args:
+        requirements: such as "numpy>=1.26"; None: as installed. Extras are left out.
+        installed: the version of a package, None where there is none.
+    """
+    if requirements is None:
+        try:
+            requirements = importlib.metadata.requires(PACKAGE) or []
+        except importlib.metadata.PackageNotFoundError:
+            return Finding(
+                "packages", Sign.WARNING, "gcs-sysid runs from its source, without being installed",
+                ["python -m pip install ."],
+            )  # fmt: skip
+    good, lacking = [], []
+    for requirement in requirements:
+        match = _REQUIREMENT.match(requirement)
+        if match is None or "extra ==" in requirement:
+            continue
+        name, least = match.groups()
+        version = installed(name)
+        if version is None:
+            lacking.append((name, least, "is not installed"))
+        elif least and _numbers(version) < _numbers(least):
+            lacking.append((name, least, f"is {version}, {least} or newer is needed"))
+        else:
+            good.append(f"{name} {version}")
+    if lacking:
+        asked = " ".join(f'"{name}>={least}"' if least else name for name, least, _ in lacking)
+        text = "; ".join(f"{name} {what}" for name, _, what in lacking)
+        return Finding(
+            "packages", Sign.PROBLEM, text, [f"{python_command()} -m pip install {asked}"]
+        )
+    return Finding("packages", Sign.OK, ", ".join(good))
+
+
+def python_command() -> str:
+    """The Python that runs, as one types it."""
+    return quoted(sys.executable or "python")
+
+
+def quoted(path: str) -> str:
+    """A path as one types it, in a POSIX shell as in those of Windows."""
+    return f'"{path}"' if " " in path else path
+
+
+def check_terminal(
+    *,
+    is_terminal: bool | None = None,
+    size: tuple[int, int] | None = None,
+    encoding: str | None = None,
+    environment: Mapping[str, str] = os.environ,
+) -> Finding:
+    """Whether the live screen can be shown here. None: see for yourself."""
+    if is_terminal is None:
+        is_terminal = sys.stdout.isatty() and sys.stdin.isatty()
+    if not is_terminal:
+        return Finding(
+            "terminal", Sign.WARNING, "this is none (a pipe or a file): live and demo print lines",
+            ["run it in a terminal window to see the screen"],
+        )  # fmt: skip
+    columns, lines = size or shutil.get_terminal_size(_SMALLEST)
+    encoding = encoding or sys.stdout.encoding or "ascii"
+    term = environment.get("TERM", "")
+    words = [f"{columns}x{lines}", encoding.upper(), _colours(environment)]
+    advice = []
+    if columns < _SMALLEST[0] or lines < _SMALLEST[1]:
+        advice.append("make the window larger: the screen needs 80 columns and 24 lines")
+    if not can_show("±▲┼█", encoding):
+        advice.append(_unicode_advice())
+    if term == "dumb":
+        words.append("TERM=dumb")
+        advice.append("use another terminal, or --headless: this one cannot place text")
+    return Finding("terminal", Sign.WARNING if advice else Sign.OK, ", ".join(words), advice)
+
+
+def _unicode_advice() -> str:
+    if os.name == "nt":
+        return "use Windows Terminal, or first, in PowerShell: $env:PYTHONUTF8=1"
+    return "lines and bars become question marks; first: export LC_ALL=C.UTF-8"
+
+
+def _colours(environment: Mapping[str, str]) -> str:
+    if environment.get("NO_COLOR"):
+        return "no colours (NO_COLOR is set)"
+    if environment.get("COLORTERM") in ("truecolor", "24bit") or environment.get("WT_SESSION"):
+        return "16 million colours"
+    if "256" in environment.get("TERM", ""):
+        return "256 colours"
+    return "colours unknown"
+
+
+def check_recordings(folder: Path = Path("logs")) -> Finding:
+    """Whether a recording can be written where `live` puts it."""
+    place = folder if folder.exists() else folder.parent
+    full = folder.resolve()
+    try:
+        # os.access says yes on Windows where writing then fails.
+        with tempfile.TemporaryFile(dir=place):
+            pass
+        free = shutil.disk_usage(place).free
+    except OSError as error:
+        why = error.strerror or "no folder"
+        advice = [
+            "change to a folder of your own, or name a place: --record FILE.tlog",
+            "or leave the recording out: --no-record",
+        ]
+        return Finding("recordings", Sign.PROBLEM, f"cannot write to {full}: {why}", advice)
+    text = f"{full}, {free / 2**30:.1f} GiB free"
+    if free < _FREE_BYTES:
+        advice = ["make room, or name another place: --record FILE.tlog"]
+        return Finding("recordings", Sign.WARNING, f"{text}; an hour takes 0.1 GiB", advice)
+    return Finding("recordings", Sign.OK, text)
+
+
+_TOPIC = "serial"
+_GROUPS = ("dialout", "uucp")
+"""Who owns serial ports: Debian and most others; Arch."""
+
+
+def check_serial(
+    devices: "Sequence[SerialDevice]", system: str = platform.system()
+) -> list[Finding]:
+    """One finding for each device, or one for there being none.
+
+    Args:
+        devices: that are plugged in.
+        system: "Linux", "Darwin" or "Windows".
+    """
+    if not devices:
+        text = "no serial device is plugged in (a network needs none)"
+        missing = missing_group(_usual_group()) if system == "Linux" else None
+        advice = _permission_lines(missing) if missing else [_how_named(system)]
+        return [Finding(_TOPIC, Sign.WARNING if missing else Sign.OK, text, advice)]
+    return [_judge(device, system) for device in devices]
+
+
+def _judge(device: "SerialDevice", system: str) -> Finding:
+    kind = device.description or ("USB" if device.usb else "a port of the board")
+    topic = f"{_TOPIC} {device.name}"
+    start = _start_command(device.name)
+    if system != "Linux":
+        # Nothing to be allowed there: a port that cannot be opened is taken.
+        return Finding(topic, Sign.OK, kind, [start, _how_named(system)])
+    if os.access(device.name, os.R_OK | os.W_OK):
+        return Finding(topic, Sign.OK, f"{kind}, may be opened", [start])
+    sign = Sign.PROBLEM if device.usb else Sign.WARNING
+    advice = _permission_lines(_owning_group(device.name))
+    return Finding(topic, sign, f"{kind}, no permission to open it", advice)
+
+
+def _start_command(name: str) -> str:
+    """An autopilot's own USB port takes any rate; telemetry radios have 57600 as they come."""
+    own = "ttyACM" in name or "usbmodem" in name
+    return f"gcs-sysid live {name}{'' if own else ' --baud 57600'} --airframe FILE.toml"
+
+
+def _how_named(system: str) -> str:
+    if system == "Windows":
+        return "ports are COM3 and so on (Device Manager); access denied: another has it"
+    if system == "Darwin":
+        return "take the name with /dev/cu., not /dev/tty.; close other programs"
+    return "/dev/ttyACM0 would be an autopilot's USB port, /dev/ttyUSB0 a radio"
+
+
+def _permission_lines(group: str | None) -> list[str]:
+    if group is None:
+        return ["ask the administrator of this machine for access to serial ports"]
+    if _in_group_since_login(group):
+        return [f"you joined the group {group} since you logged in: log out and in again"]
+    return [f"sudo usermod -aG {group} $USER", "then log out and in again"]
+
+
+def _owning_group(device: str) -> str | None:
+    """The group whose members may open a device; None where that is nobody to join."""
+    try:
+        import grp
+
+        mode = os.stat(device)
+        if not mode.st_mode & stat.S_IRGRP:
+            return _usual_group()
+        name = grp.getgrgid(mode.st_gid).gr_name
+    except (ImportError, OSError, KeyError):
+        return _usual_group()
+    return _usual_group() if name in ("root", "nogroup") else name
+
+
+def _usual_group() -> str | None:
+    """The group that this system has for serial ports."""
+    try:
+        import grp
+    except ImportError:  # Windows
+        return None
+    for name in _GROUPS:
+        try:
+            return grp.getgrnam(name).gr_name
+        except KeyError:
+            continue
+    return None
+
+
+def missing_group(group: str | None) -> str | None:
+    """The group, if this user should join it to open serial ports; else None."""
+    try:
+        import grp
+
+        if group is None or os.geteuid() == 0:
+            return None
+        return None if grp.getgrnam(group).gr_gid in (os.getegid(), *os.getgroups()) else group
+    except (ImportError, AttributeError, KeyError):
+        return None
+
+
+def _in_group_since_login(group: str) -> bool:
+    """Whether the user has joined a group that this session does not know of yet."""
+    try:
+        import grp
+        import pwd
+
+        me = pwd.getpwuid(os.getuid()).pw_name
+        return me in grp.getgrnam(group).gr_mem and missing_group(group) is not None
+    except (ImportError, KeyError):
+        return False

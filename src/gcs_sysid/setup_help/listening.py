@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gcs_sysid.errors import LinkError
-from gcs_sysid.inspection.assumptions import rotor_count
-from gcs_sysid.setup_help.checks import Finding, Sign
-from gcs_sysid.setup_help.machine import quoted
+from gcs_sysid.inspection.derived_facts import rotor_count
+from gcs_sysid.setup_help.checks import Finding, Sign, quoted
 from gcs_sysid.telemetry.frames import Validity
 from gcs_sysid.telemetry.link import Link, open_link
 from gcs_sysid.telemetry.receiver import Receiver

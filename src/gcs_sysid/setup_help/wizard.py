@@ -9,8 +9,14 @@ from typing import TypeVar
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName, Rotor
-from gcs_sysid.setup_help.airframe_check import arm_doubt, scale_doubt
-from gcs_sysid.setup_help.airframe_file import AirframeAnswers, airframe_text, check_new, checked
+from gcs_sysid.setup_help.airframe_file import (
+    AirframeAnswers,
+    airframe_text,
+    arm_doubt,
+    check_new,
+    checked,
+    scale_doubt,
+)
 from gcs_sysid.setup_help.answers import (
     arm_lengths,
     imu_position,
@@ -20,8 +26,16 @@ from gcs_sysid.setup_help.answers import (
     rotor,
     spins,
 )
-from gcs_sysid.setup_help.drawing import Pen, draw, legend, rotor_table
-from gcs_sysid.setup_help.layouts import LAYOUTS, TWO_LENGTHS, layout_rotors, reversed_spins
+from gcs_sysid.setup_help.layouts import (
+    LAYOUTS,
+    TWO_LENGTHS,
+    Pen,
+    draw,
+    layout_rotors,
+    legend,
+    reversed_spins,
+    rotor_table,
+)
 
 T = TypeVar("T")
 

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.reading import check_regular
+from gcs_sysid.files import check_regular
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry import dataflash_format, ulog

@@ -20,7 +20,7 @@ from pathlib import Path
 from fastcrc import crc16
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.reading import read_bytes, read_text
+from gcs_sysid.files import read_bytes, read_text
 from gcs_sysid.telemetry.frames import CHECKSUM, FLAG_SIGNED, SIGNATURE, Frame, Validity
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 

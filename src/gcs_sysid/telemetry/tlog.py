@@ -10,7 +10,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.reading import check_regular
+from gcs_sysid.files import check_regular
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame, find_frame
 from gcs_sysid.telemetry.message_arrays import message_arrays

@@ -1,11 +1,15 @@
-"""What the live screen can do, put together of session, exports and report."""
+"""What the screen of each kind of session shows and can do, on a terminal or in browsers."""
 
 import argparse
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 
+from gcs_sysid.cli import output
+from gcs_sysid.cli.live_command import Session, say_until_end
 from gcs_sysid.cli.live_report import ReportJob, have_written
 from gcs_sysid.cli.output import save
+from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import assemble
 from gcs_sysid.exports.formats import TARGETS
@@ -13,8 +17,45 @@ from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.live.replay_session import ReplaySession
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
-from gcs_sysid.screen import Actions
+from gcs_sysid.screen import Actions, Baseline
+from gcs_sysid.screen.scene import Scene
+from gcs_sysid.screen.widgets.transport import Transport
 from gcs_sysid.telemetry.tlog_writer import unused_path
+from gcs_sysid.web.share import Share
+from gcs_sysid.web.site import Site, is_loopback
+
+
+def scene_of(
+    session: Session,
+    truth: Mapping[str, float] | None,
+    options: argparse.Namespace,
+    baseline: Result | None,
+) -> Scene:
+    """The scene of a live session or a replay."""
+    known = None if baseline is None else Baseline(options.baseline, baseline)
+    if isinstance(session, ReplaySession):
+        actions, transport = replay_actions(session, truth, options), transport_of(session)
+        return Scene(truth or {}, actions, transport, known)
+    assert isinstance(session, LiveSession)
+    return Scene(truth or {}, live_actions(session, truth, options), None, known)
+
+
+def transport_of(session: ReplaySession) -> Transport:
+    """What moves a replay."""
+    return Transport(session.toggle_pause, session.change_speed, session.seek, session.skip)
+
+
+def replay_actions(
+    session: ReplaySession, truth: Mapping[str, float] | None, options: argparse.Namespace
+) -> Actions:
+    """What can be done with a recorded flight: nothing that would change its numbers."""
+    return Actions(
+        export=export_result,
+        export_targets=tuple(TARGETS),
+        report=lambda: report_session(session, truth, options),
+        absent="in a replay",
+    )
+
 
 SUFFIXES = {
     "px4-sih": ".params",
@@ -102,3 +143,52 @@ def live_actions(
         export_targets=tuple(TARGETS),
         report=lambda: report_session(session, truth, options),
     )
+
+
+_LOOK_EVERY = 0.5
+"""s; Windows tells of Ctrl-C between two looks alone."""
+
+
+def show(session: Session, scene: Scene, address: tuple[str, int]) -> None:
+    """Serve a session until Ctrl-C; the terminal says what it says without a screen.
+
+    Args:
+        session: not yet started; ends with the serving.
+        scene: what the pages show and offer.
+        address: host and port to serve on.
+
+    Raises:
+        InputError: there is no serving there.
+    """
+    host, port = address
+    stopped = threading.Event()
+
+    def stop() -> None:
+        stopped.set()
+        session.request_stop()
+
+    share = Share(session, scene)
+    site = Site(host, port, share.door)
+    try:
+        url = site.start()
+    except InputError:
+        # Nothing of the session may stay: its link, an empty recording.
+        session.request_stop()
+        session.start()
+        session.join()
+        raise
+    share.start()
+    try:
+        with on_signals(stop):
+            far = "" if is_loopback(host) else "; whoever reaches it can press every key"
+            output.say(f"open {url} in a browser (Ctrl-C ends){far}")
+            session.start()
+            say_until_end(session)
+            if not stopped.is_set():
+                output.say("ended; the page stays until Ctrl-C")
+            while not stopped.wait(_LOOK_EVERY):
+                pass
+    finally:
+        session.stop()
+        share.close()
+        site.stop()
