@@ -10,16 +10,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.inspection import readiness
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.report.data import AXES, Provenance, ReportData
-from gcs_sysid.report.evidence import LITTLE, NEEDED
 from gcs_sysid.report.page import render
 from gcs_sysid.report.prediction_series import Prediction, Spectrum
 from gcs_sysid.report.wording import STATUS_WORDS
 from gcs_sysid.results.snapshot import Event, History
-from gcs_sysid.telemetry.wanted_streams import NEEDED_RATE
 
 from .reading import Page
 
@@ -174,16 +171,6 @@ def test_settings_reproduce_it(page, paper_flight, report):
     assert "mass = 1.5 kg" in text
     for name in ("NumPy", "SciPy", "Python"):
         assert name in text
-
-
-def test_what_is_needed_is_what_an_inspection_asks():
-    assert LITTLE == readiness.LITTLE
-    assert NEEDED == {
-        "imu": NEEDED_RATE,
-        "rotor_speed": NEEDED_RATE,
-        "rotor_command": readiness.COMMANDS_FROM,
-        "attitude": readiness.ATTITUDE_FROM,
-    }
 
 
 # Made up, to reach what flights do not ----------------------------------------------------------

@@ -4,7 +4,7 @@ import textwrap
 from collections.abc import Iterable, Mapping
 
 from gcs_sysid.inspection.facts import GROUPS, Inspection, RotorSource, StreamFacts, group_of, role
-from gcs_sysid.inspection.readiness import LITTLE
+from gcs_sysid.inspection.thresholds import THRESHOLDS
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.rotor_messages import RPM
 
@@ -218,7 +218,7 @@ def _motion(found: Inspection) -> list[str]:
         return []
     lines = [f"{'Motion':<{_NAME}}{'rate rms':>12}{'acceleration rms':>22}"]
     for axis, motion in found.motion.items():
-        little = "  too little" if motion.acceleration_rms < LITTLE[axis] else ""
+        little = "  too little" if motion.acceleration_rms < THRESHOLDS.acceleration[axis] else ""
         lines.append(
             f"  {axis:<{_NAME - 2}}{motion.rate_rms:>6.2f} rad/s"
             f"{motion.acceleration_rms:>14.2f} rad/s^2{little}"

@@ -4,28 +4,9 @@ from collections.abc import Iterator
 from typing import Literal
 
 from gcs_sysid.inspection.facts import AXES, ONBOARD, Finding, Inspection, RotorSource
+from gcs_sysid.inspection.thresholds import THRESHOLDS as LIMITS
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import MIN_RATE
-from gcs_sysid.telemetry.wanted_streams import NEEDED_RATE
-
-COMMANDS_FROM = 100.0
-"""Hz. Commands sampled slower than the autopilot's loop are aliased."""
-NEARLY = 0.9
-"""A nominal rate comes a little slower."""
-ATTITUDE_FROM = 5.0
-"""Hz."""
-SHORT, TOO_SHORT = 15.0, 5.0
-"""s of flight."""
-LITTLE = {"roll": 1.0, "pitch": 1.0, "yaw": 0.25}
-"""rad/s^2 rms. Five times what a hover in light wind shows."""
-LOSS_TOLD, LOSS_HURTS = 2.0, 20.0
-"""Percent of the IMU's samples or of all messages."""
-GARBAGE_TOLD = 1000
-"""Bytes; a few are usual where a recording began or ended."""
-MOST_NAMED = 8
-"""Other vehicles; a hostile sender can make up hundreds."""
-SLOW_FILTER = 40.0
-"""Hz. A gyro filter below this delays by more than 5 ms."""
 
 _TOLD_BY_AXIS = {"roll": "Ixx", "pitch": "Iyy", "yaw": "Izz and k_M"}
 _FASTER = {
@@ -81,15 +62,17 @@ def _imu(found: Inspection) -> Iterator[Finding]:
         return
     rate = imu.rate or 0.0
     if rate < MIN_RATE:
-        text = f"{imu.message} comes at {rate:.1f} Hz; identification needs {NEEDED_RATE:.0f} Hz"
+        text = (
+            f"{imu.message} comes at {rate:.1f} Hz; identification needs {LIMITS.imu_rate:.0f} Hz"
+        )
         yield Finding("blocks", text, _faster(found))
-    elif rate < NEARLY * COMMANDS_FROM:
-        needed = rate >= NEARLY * NEEDED_RATE
+    elif rate < LIMITS.nearly * LIMITS.command_rate:
+        needed = rate >= LIMITS.nearly * LIMITS.imu_rate
         text = f"{imu.message} at {rate:.0f} Hz is {'' if needed else 'too '}slow for quick motion"
         yield Finding("note" if needed else "limits", text, _faster(found))
     # PX4's IMU data come from before its filter.
     cutoff = found.parameters.get("INS_GYRO_FILTER", 0.0)
-    if 0.0 < cutoff < SLOW_FILTER:
+    if 0.0 < cutoff < LIMITS.slow_gyro_filter:
         yield Finding("note", f"the gyro is low-passed at {cutoff:.0f} Hz (INS_GYRO_FILTER)")
 
 
@@ -116,14 +99,14 @@ def _rotors(found: Inspection) -> Iterator[Finding]:
         return
     for reason in found.rotor_input.reasons:
         yield Finding("note", reason)
-    if chosen.kind == "command" and (chosen.rate or 0.0) < NEARLY * COMMANDS_FROM:
+    if chosen.kind == "command" and (chosen.rate or 0.0) < LIMITS.nearly * LIMITS.command_rate:
         yield Finding(
             "limits",
             f"{chosen.message}'s commands at {chosen.rate:.0f} Hz miss what the autopilot does "
             "in between",
             _faster(found),
         )
-    elif (chosen.rate or 0.0) < NEARLY * NEEDED_RATE:
+    elif (chosen.rate or 0.0) < LIMITS.nearly * LIMITS.imu_rate:
         text = f"{chosen.message} at {chosen.rate:.0f} Hz is slow: quick motion goes unused"
         yield Finding("limits", text, _faster(found))
 
@@ -136,7 +119,7 @@ def _attitude_and_velocity(found: Inspection) -> Iterator[Finding]:
     attitude = found.stream(Stream.ATTITUDE)
     if attitude is None:
         yield Finding("blocks", "no attitude (ATTITUDE or ATTITUDE_QUATERNION)", _faster(found))
-    elif (attitude.rate or 0.0) < ATTITUDE_FROM:
+    elif (attitude.rate or 0.0) < LIMITS.attitude_rate:
         yield Finding(
             "limits", f"{attitude.message} at {attitude.rate or 0.0:.1f} Hz is slow", _faster(found)
         )
@@ -155,10 +138,10 @@ def _flight(found: Inspection) -> Iterator[Finding]:
         if not found.flights:
             text = "not in the air while listening: what depends on flight cannot be seen"
             yield Finding("blocks", text, "inspect again in flight, or start gcs-sysid live")
-    elif found.in_air < TOO_SHORT:
+    elif found.in_air < LIMITS.too_short:
         text = f"only {found.in_air:.0f} s in the air" if found.in_air else "never in the air"
         yield Finding("blocks", text, "fly a minute, with rolls, pitches and yaws")
-    elif found.in_air < SHORT:
+    elif found.in_air < LIMITS.short:
         text = f"only {found.in_air:.0f} s in the air: intervals stay wide"
         yield Finding("limits", text, "fly a minute or more")
     if len(found.flights) > 1:
@@ -181,17 +164,17 @@ def _motion(found: Inspection) -> Iterator[Finding]:
 
 
 def _is_little(found: Inspection, axis: str) -> bool:
-    return found.motion[axis].acceleration_rms < LITTLE[axis]
+    return found.motion[axis].acceleration_rms < LIMITS.acceleration[axis]
 
 
 def _losses(found: Inspection) -> Iterator[Finding]:
     imu = found.stream(Stream.IMU)
     lost = float(found.telemetry.get("lost_percent", 0.0))
     skipped = imu.missing_percent if imu else 0.0
-    if lost > LOSS_TOLD:
+    if lost > LIMITS.loss_named:
         advice = "" if found.kind in ONBOARD else "fly nearer, or ask for less (--rate)"
         yield Finding(_loss_level(lost), f"{lost:.0f} % of the messages were lost", advice)
-    elif imu and skipped > LOSS_TOLD:
+    elif imu and skipped > LIMITS.loss_named:
         text = f"{skipped:.0f} % of {imu.message} was never sent, by its stamps"
         yield Finding(_loss_level(skipped), text)
     if imu and imu.gaps:
@@ -205,7 +188,7 @@ def _losses(found: Inspection) -> Iterator[Finding]:
         text = f"the last record is cut short: {torn} bytes (the recording was not ended)"
         yield Finding("note", text)
     garbage = int(found.telemetry.get("garbage_bytes", 0))
-    if garbage >= GARBAGE_TOLD or found.telemetry.get("damaged"):
+    if garbage >= LIMITS.garbage or found.telemetry.get("damaged"):
         text = f"damaged: {garbage} bytes belong to no message" if garbage else "damaged in part"
         yield Finding("note", text)
     drops = found.telemetry.get("dropouts", {})
@@ -217,7 +200,7 @@ def _losses(found: Inspection) -> Iterator[Finding]:
 
 
 def _loss_level(percent: float) -> Literal["limits", "note"]:
-    return "limits" if percent > LOSS_HURTS else "note"
+    return "limits" if percent > LIMITS.loss_hurts else "note"
 
 
 def _others(found: Inspection) -> Iterator[Finding]:
@@ -225,6 +208,8 @@ def _others(found: Inspection) -> Iterator[Finding]:
         yield Finding("note", f"the autopilot restarted in between ({found.clock.reboots} x)")
     others = [s for s in found.systems if s.is_autopilot and s.address != found.vehicle_address]
     if others:
-        more = [f"{len(others) - MOST_NAMED} more"] * (len(others) > MOST_NAMED)
-        names = ", ".join([*map(str, others[:MOST_NAMED]), *more])
+        more = [f"{len(others) - LIMITS.vehicles_named} more"] * (
+            len(others) > LIMITS.vehicles_named
+        )
+        names = ", ".join([*map(str, others[: LIMITS.vehicles_named]), *more])
         yield Finding("note", f"other vehicles speak too: {names}", "choose with --vehicle")

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from gcs_sysid.inspection.thresholds import THRESHOLDS
 from gcs_sysid.intervals import Z95
 from gcs_sysid.report import wording
 from gcs_sysid.report.data import AXES, ReportData
@@ -19,10 +20,13 @@ from gcs_sysid.report.page_figures import (
 from gcs_sysid.report.parts import Column, facts, figure, grid, legend, note, section, table
 from gcs_sysid.results.snapshot import Event
 
-LITTLE = {"roll": 1.0, "pitch": 1.0, "yaw": 0.25}
-"""rad/s^2 rms of `session.inspection.readiness` (a test compares), which needs MAVLink."""
-NEEDED = {"imu": 50.0, "rotor_speed": 50.0, "rotor_command": 100.0, "attitude": 5.0}
-"""Hz of the same."""
+_NEEDED = {
+    "imu": THRESHOLDS.imu_rate,
+    "rotor_speed": THRESHOLDS.imu_rate,
+    "rotor_command": THRESHOLDS.command_rate,
+    "attitude": THRESHOLDS.attitude_rate,
+}
+"""Hz."""
 _STREAMS = {
     "imu": "IMU",
     "attitude": "attitude",
@@ -179,9 +183,9 @@ def excitation(data: ReportData, figures: Figures) -> Markup:
 
 
 def _enough(axis: str, acceleration: float) -> Markup:
-    good = acceleration >= LITTLE[axis]
+    good = acceleration >= THRESHOLDS.acceleration[axis]
     sign = element("span", "●" if good else "○", class_="sign", aria_hidden="true")
-    word = "yes" if good else f"too little: below {LITTLE[axis]:g} rad/s²"
+    word = "yes" if good else f"too little: below {THRESHOLDS.acceleration[axis]:g} rad/s²"
     return element("span", sign, word, class_=f"status {'identified' if good else 'weak'}")
 
 
@@ -241,7 +245,7 @@ def telemetry(data: ReportData) -> Markup:
 
 def _stream(stream: Mapping[str, Any]) -> list[Child]:
     kind = stream["stream"]
-    rate, needed = stream["rate"], NEEDED.get(kind)
+    rate, needed = stream["rate"], _NEEDED.get(kind)
     got: Child = wording.NOTHING if rate is None else f"{wording.fixed(rate, 1)} Hz"
     if needed and (rate is None or rate < 0.9 * needed):
         sign = element("span", "○", class_="sign", aria_hidden="true")

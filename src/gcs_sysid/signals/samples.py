@@ -6,6 +6,9 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 
+NEEDED_RATE = 50.0
+"""Hz of IMU and rotor data below which identification is not to be had from real flights."""
+
 
 @dataclass(frozen=True)
 class Samples:

@@ -7,13 +7,13 @@ caller says what time it is.
 
 from collections.abc import Collection, Mapping
 
+from gcs_sysid.signals.samples import NEEDED_RATE
 from gcs_sysid.telemetry.group_requests import GroupRequests
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import MOST_OF_GROUP, Gate
 from gcs_sysid.telemetry.vehicles import Vehicle
 from gcs_sysid.telemetry.wanted_streams import (
     IMU,
-    NEEDED_RATE,
     USABLE,
     bytes_per_second,
     fitting_rates,

@@ -3,12 +3,11 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from gcs_sysid.signals.samples import NEEDED_RATE
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import MOST_OF_GROUP
 
-NEEDED_RATE = 50.0
-"""Hz of IMU and rotor data below which identification is not to be had from real flights."""
 USABLE = 0.92
 """Part of a serial link's bytes to plan with; the rest is for what the vehicle sends unasked."""
 SPEEDS = {

@@ -1,0 +1,43 @@
+"""What an inspection judges a flight by, in one place."""
+
+from dataclasses import dataclass, field
+
+from gcs_sysid.signals.samples import NEEDED_RATE
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Of a flight that can be identified from.
+
+    Attributes:
+        imu_rate: Hz, of the IMU and of measured rotor speeds.
+        command_rate: Hz. Commands sampled slower than the autopilot's loop are aliased.
+        attitude_rate: Hz.
+        nearly: share of a nominal rate that does; autopilots send a little slower than asked.
+        short: s of flight, below which little can be had.
+        too_short: s of flight, below which nothing can.
+        acceleration: rad/s^2 rms of each axis, five times what a hover in light wind shows.
+        loss_named: percent of the IMU's samples, or of all messages, from which losses are named.
+        loss_hurts: percent from which they limit the estimate.
+        garbage: bytes; a few are usual where a recording began or ended.
+        vehicles_named: other vehicles that are named; a hostile sender can make up hundreds.
+        slow_gyro_filter: Hz; a filter below it delays the gyro by more than 5 ms.
+    """
+
+    imu_rate: float = NEEDED_RATE
+    command_rate: float = 100.0
+    attitude_rate: float = 5.0
+    nearly: float = 0.9
+    short: float = 15.0
+    too_short: float = 5.0
+    acceleration: dict[str, float] = field(
+        default_factory=lambda: {"roll": 1.0, "pitch": 1.0, "yaw": 0.25}
+    )
+    loss_named: float = 2.0
+    loss_hurts: float = 20.0
+    garbage: int = 1000
+    vehicles_named: int = 8
+    slow_gyro_filter: float = 40.0
+
+
+THRESHOLDS = Thresholds()
