@@ -20,7 +20,7 @@ ROOT_PAGES = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.m
 EXPECTED_PAGES = ("coach.md",)
 """Pages that the navigation names already, written or not."""
 
-FORMULA_PAGES = ("method.md", "errata.md")
+FORMULA_PAGES = ("method.md", "errata.md", "glossary.md")
 """Pages whose text is full of symbols."""
 _CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
 _SYMBOL = re.compile(r"(?<![\w/])([A-Za-zΩω])_(cg|max|[a-zA-Z]{1,2}|\d)(?![A-Za-z0-9_])")
