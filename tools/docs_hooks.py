@@ -71,6 +71,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages from the project's root; their links are seen from there."""
     root = Path(config.docs_dir).parent
     for name, page in ROOT_PAGES.items():
-        text = (root / name).read_text(encoding="utf-8")
-        files.append(File.generated(config, page, content=re.sub(r"\]\(docs/", "](", text)))
+        text = re.sub(r"\]\(docs/", "](", (root / name).read_text(encoding="utf-8"))
+        for other, its_page in ROOT_PAGES.items():
+            text = text.replace(f"]({other}", f"]({its_page}")
+        files.append(File.generated(config, page, content=text))
     return files
