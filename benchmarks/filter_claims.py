@@ -74,7 +74,7 @@ def attitude_table(outcomes: Sequence[Outcome]) -> list[str]:
             [less(f["printed"]) for f in found],
         ),
         ("article's filter, best k_p", [f"{less(f['best'])} ({f['k_p']:g})" for f in found]),
-        (f"the tool's, by default (k_p = {DEFAULT_K_P:g})", [less(f["tool"]) for f in found]),
+        (f"the tool's default (k_p = {DEFAULT_K_P:g})", [less(f["tool"]) for f in found]),
         (f"the same from {SETTLED:g} s on", [less(f["late"]) for f in found]),
     )
     return markdown("% less variance", rows)
@@ -111,14 +111,14 @@ def acceleration_tables(outcomes: Sequence[Outcome]) -> list[str]:
             texts.append("diverges" if root(late) == "diverges" else " / ".join(shares))
         relative.append((name, texts))
     return [
-        f"Error of the angular acceleration in rad/s² rms, which itself is {power**0.5:.1f}: as it "
-        "comes / with the lag taken out (one figure where there is no lag).",
+        f"Rms error of the angular acceleration in rad/s²; its own rms value is {power**0.5:.1f}. "
+        "Raw / with the lag removed (one figure if there is no lag).",
         "",
         *markdown("rms error", absolute),
         "",
-        "Mean squared error, lag taken out, in % less than that of: backward differences as they "
-        "come / those with their half sample of lag taken out / central differences. "
-        "Negative: more.",
+        "Reduction of the mean squared error with the lag removed, in %, relative to backward "
+        "differences / these with their half sample of lag removed / central differences. "
+        "Negative: larger.",
         "",
         *markdown("% less squared error", relative),
     ]
@@ -151,24 +151,24 @@ def tables(outcomes: Sequence[Outcome]) -> list[str]:
     return [
         "### Complementary filter",
         "",
-        f"Squared error of the attitude against the truth, in % less than that of the measured "
-        f"attitude: {many} seeds at 20 Hz, {few} at 250 Hz, σ = {SIGMA:g}. The filters start with "
-        f"the record, 2 s before the flight modes; from there on every sample counts, the time in "
-        f"which the gyro's bias is found included. (The article: over 50 %.)",
+        f"Reduction of the squared attitude error relative to the measured attitude, in %: {many} "
+        f"seeds at 20 Hz, {few} at 250 Hz, σ = {SIGMA:g}. The filters start with the record, 2 s "
+        f"before the flight modes; every sample from the modes on counts, including the time in "
+        f"which the gyro bias is found. (The article claims over 50 %.)",
         "",
         *attitude_table(outcomes),
         "",
-        "The article's noise has no gyro bias; MEMS sensors have (0.01 rad/s), and the article's "
-        "filter passes it on as bias / k_p. The tool's filter finds it, from nothing, within some "
-        "15 s; that time is all of the loss in its last column.",
+        "The article's noise has no gyro bias. MEMS sensors do (0.01 rad/s), and the article's "
+        "filter passes it on as bias / k_p. The tool's filter finds it from scratch within about "
+        "15 s, which accounts for the entire loss in its last column.",
         "",
         "### Tracking differentiator",
         "",
         *acceleration_tables(outcomes),
         "",
-        "(The article: 30 % less.) The estimator's own filters are slower than a good "
-        "differentiator on purpose: they smooth both sides of the equation alike, so that what "
-        "they take off the motion cancels and only their noise counts.",
+        "(The article claims 30 % less.) The estimator's own filters are deliberately slower than "
+        "a good differentiator: they smooth both sides of the equation alike, so the motion they "
+        "remove cancels and only their noise counts.",
     ]
 
 

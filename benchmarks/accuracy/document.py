@@ -64,7 +64,7 @@ def run_table(data: Data) -> list[str]:
     minutes = sum(case["seconds"] for case in data.values()) / 60.0
     workers = max((case["workers"] for case in data.values()), default=0)
     return [
-        f"Seeds are 1 to the number given. All of it took {minutes:.0f} min on {workers} cores.",
+        f"Seeds run from 1 to the number given. The run took {minutes:.0f} min on {workers} cores.",
         "",
-        *table(["case", "seeds", "to prepare, core s", "to run, core s", "elapsed, s"], rows),
+        *table(["case", "seeds", "setup, core s", "run, core s", "elapsed, s"], rows),
     ]

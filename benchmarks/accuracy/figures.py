@@ -137,7 +137,7 @@ FIGURES: dict[str, tuple[tuple[str, ...], str, Callable[[Data], Any]]] = {
         convergence,
     ),
     "mass-step": (("changes",), "Mass and moments of inertia after the step", mass_step),
-    "peers": (("peers",), "RMS error of each parameter", peers),
+    "peers": (("peers",), "Rms error of each parameter", peers),
 }
 """File to the cases that it needs, what it shows, and who draws it."""
 

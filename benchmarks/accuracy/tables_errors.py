@@ -96,8 +96,8 @@ def noise_sweep(data: Data) -> Section:
     lines = [
         f"{data['sweep']['seeds']} seeds; {data['baseline']['seeds']} at 0.02 and "
         f"{data['noisiest']['seeds']} at 0.05. Error in %: median of the mean, 95th percentile of "
-        "the largest; the article's are of one run. The bounds are the least that errors as small "
-        "as Cramér-Rao allows can come to: all ten in step, and the worst parameter alone.",
+        "the largest; the article reports one run. The bounds are the smallest values compatible "
+        "with Cramér-Rao: all ten errors fully correlated, and the worst parameter alone.",
         "",
         *table(
             [
@@ -132,15 +132,14 @@ def efficiency(data: Data) -> Section:
             worst[name, label] = ratio
     ratio = worst["offline", "white, exact"]
     lowest = NAMES[int(np.nanargmin(ratio))]
-    verdict = at_least(
-        f"Cramér-Rao std / RMS error, least of nine ({lowest})", float(np.nanmin(ratio)), 0.85, ""
-    )
+    what = f"Cramér-Rao std / rms error, smallest of nine ({lowest})"
+    verdict = at_least(what, float(np.nanmin(ratio)), 0.85, "")
     count = data["white"]["seeds"]
     slack = 100.0 / math.sqrt(2.0 * count)
     lines = [
-        f"{count} seeds in white noise, {data['baseline']['seeds']} in the article's; so many tell "
-        f"a ratio to ± {slack:.0f} % (one std). Cramér-Rao std / RMS error (k_T rests on the "
-        "translation, of which this bound says nothing):",
+        f"{count} seeds in white noise, {data['baseline']['seeds']} in the article's, which "
+        f"determine a ratio to ± {slack:.0f} % (one std). Cramér-Rao std / rms error (k_T comes "
+        "from the translation, which this bound does not cover):",
         "",
         *table(["", *NAMES], rows),
     ]
@@ -186,12 +185,12 @@ def coverage(data: Data) -> Section:
             lowest = f"{label}: lowest ({NAMES[int(shares.argmin())]})"
             judged.append(within(f"{label}: all together", float(shares.mean()), low, high))
             judged.append(at_least(lowest, float(shares.min()), floor))
-        verdicts += of("95 % intervals hold", case["seeds"], judged)
+        verdicts += of("coverage of the 95 % intervals", case["seeds"], judged)
     count = base["seeds"]
     lines = [
-        f"{count} seeds at 20 Hz, {mems['seeds']} at 250 Hz: {count} tell the share of one "
+        f"{count} seeds at 20 Hz, {mems['seeds']} at 250 Hz: {count} determine the share of one "
         f"parameter to ± {100.0 * math.sqrt(0.95 * 0.05 / count):.1f} % (one std). Share of the "
-        "95 % intervals that hold the truth, in %:",
+        "95 % intervals that contain the truth, in %:",
         "",
         *table(["", *NAMES, "all"], rows),
     ]

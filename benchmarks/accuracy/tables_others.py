@@ -30,9 +30,9 @@ def comparison(data: Data) -> Section:
             setting = f" ({chosen[peer]:g})" if peer in chosen else ""
             rows.append([peer + setting, *map(number, rms), number(rms.mean()), holds])
         lines += [
-            f"{label}, {case['seeds']} seeds: RMS error in %.",
+            f"{label}, {case['seeds']} seeds: rms error in %.",
             "",
-            *table(["", *NAMES, "mean", "intervals hold, %"], rows),
+            *table(["", *NAMES, "mean", "coverage, %"], rows),
         ]
     return Section([], lines)
 
@@ -42,25 +42,25 @@ def filters(data: Data) -> Section:
     attitude, derivative = [], []
     for case in filter_errors.CASES:
         less = 100.0 * (1.0 - filter_claims.attitude_left(outcomes, case)["tool"])
-        if case.noise != "mems":  # the bar speaks of white and coloured noise
-            attitude.append(at_least(f"{case}: variance less than the reference's", less, 80.0))
+        if case.noise != "mems":  # the limit is for white and colored noise
+            attitude.append(at_least(f"{case}: variance below the reference's", less, 80.0))
         left = filter_claims.acceleration_left(outcomes, case)
         ours = left[filter_errors.DEFAULT.name][1]
         as_they_come, half_sample_out = left[filter_errors.BACKWARD.name]
         less, harder = (100.0 * (1.0 - ours / base) for base in (as_they_come, half_sample_out))
-        verdict = at_least(f"{case}: squared error less than backward differences'", less, 60.0)
+        verdict = at_least(f"{case}: squared error below backward differences'", less, 60.0)
         ratio = ours / left[filter_errors.CENTRAL.name][0]
         derivative += [
             replace(
-                verdict, measured=f"{verdict.measured} ({number(harder)} % if their lag is out)"
+                verdict, measured=f"{verdict.measured} ({number(harder)} % with their lag removed)"
             ),
-            at_most(f"{case}: squared error over central differences'", ratio, 1.0, ""),
+            at_most(f"{case}: squared error relative to central differences", ratio, 1.0, ""),
         ]
     fewest = min(sum(o[str(case)]["seeds"] for o in outcomes) for case in filter_errors.CASES)
     return Section(
         [
             *of("complementary filter, default", fewest, attitude),
-            *of("differentiator, default, its lag out", fewest, derivative),
+            *of("differentiator, default, lag removed", fewest, derivative),
         ],
         filter_claims.tables(outcomes),
     )
@@ -76,10 +76,10 @@ def cost(data: Data) -> Section:
         at_least("sample by sample", single, 3000.0, "samples/s"),
     ]
     lines = [
-        f"Complementary filter, online estimator and a refit each 0.1 s at 250 Hz, one core: "
-        f"{block:.0f} samples a second in blocks of 10 s, {ticks:.0f} in blocks of 0.1 s, "
-        f"{single:.0f} sample by sample (median of {len(outcomes)} flights, while the other core "
-        "flew another). `make bench` measures the whole chain, from decoded messages on.",
+        f"Complementary filter and online estimator with a refit every 0.1 s at 250 Hz, one core: "
+        f"{block:.0f} samples per second in blocks of 10 s, {ticks:.0f} in blocks of 0.1 s, "
+        f"{single:.0f} sample by sample (median of {len(outcomes)} flights, with the other core "
+        "equally busy). `make bench` measures the whole chain from decoded messages on.",
     ]
     return Section(of("cost, refit at 10 Hz", len(outcomes), verdicts), lines)
 
@@ -95,7 +95,7 @@ def whole_path(data: Data) -> Section:
         identified = sum(o[name]["verdict"] == "identified" for o in case["outcomes"])
         share = f"{held(errors, std).mean():.0f} %"
         rows.append([name, *cells, share, f"{identified} of {case['seeds']}"])
-    head = ["flight", *NAMES, "largest", "intervals hold", "identified"]
+    head = ["flight", *NAMES, "largest of ten", "interval coverage", "identified"]
     lines = [
         f"Error in %, median / largest of {case['seeds']} seeds.",
         "",

@@ -27,7 +27,7 @@ def convergence(data: Data) -> Section:
     identified = over_runs("identified refits").sum(axis=0)
     share = 100.0 * over_runs("wrong refits").sum(axis=0) / np.maximum(identified, 1)
     judged = [
-        at_most(f"{name} stay within 5 %, median", float(times[which].max()), bar, "s")
+        at_most(f"{name} settle within 5 %, median", float(times[which].max()), bar, "s")
         for name, which, bar in (
             ("Ixx, Iyy", [0, 1], 4.0),
             ("Izz, k_M", [2, 9], 8.0),
@@ -42,18 +42,18 @@ def convergence(data: Data) -> Section:
     any_ever = 100.0 * over_runs("any wrong at any refit").mean()
     any_share = 100.0 * over_runs("wrong refits").sum() / max(int(identified.sum()), 1)
     rows = [
-        ["within 5 %, median, s", *(number(float(v)) for v in times), ""],
+        ["settled within 5 %, median, s", *(number(float(v)) for v in times), ""],
         ["wrong at the end, % of runs", *(f"{v:.0f}" for v in at_end), f"{any_end:.0f}"],
         ["wrong at any refit, % of runs", *(f"{v:.0f}" for v in ever), f"{any_ever:.0f}"],
-        ["wrong, % of its identified refits", *(f"{v:.1f}" for v in share), f"{any_share:.1f}"],
+        ["wrong, % of `identified` refits", *(f"{v:.1f}" for v in share), f"{any_share:.1f}"],
     ]
     ideal = 100.0 * (1.0 - 0.95 ** len(NAMES))
     lines = [
-        f"{case['seeds']} seeds, a refit each 0.1 s. The article says {CONVERGENCE:g} s for all. "
-        "“Wrong” counts a parameter with the status `identified` whose 95 % interval misses the "
-        "truth; `weak` and `unobservable` do not count. Intervals of a running flight are meant to "
-        "hold at all refits together, the last one is a single look; ten independent ones "
-        f"miss somewhere in {ideal:.0f} % of runs.",
+        f"{case['seeds']} seeds, a refit every 0.1 s. The article claims {CONVERGENCE:g} s for all "
+        "parameters. “Wrong” is a parameter with status `identified` whose 95 % interval misses "
+        "the truth; `weak` and `unobservable` do not count. Intervals in flight are meant to hold "
+        "at all refits jointly; the last one is a single look, and ten independent ones include a "
+        f"miss in {ideal:.0f} % of runs.",
         "",
         *table(["", *NAMES, "any"], rows),
     ]
@@ -76,11 +76,11 @@ def changes(data: Data) -> Section:
         back = np.median(settled(t, errors), axis=0)
         rows.append([name, said, str(again), *(number(float(b)) for b in back)])
     lines = [
-        f"{case['seeds']} seeds. What the change was called, further alarms after it in all runs "
-        "together, and the median time in s from which each estimate stays within 5 %:",
+        f"{case['seeds']} seeds. Event reported, later alarms in all runs together, and median "
+        "time in s until each estimate stays within 5 %:",
         "",
         *table(
-            ["", "called", "alarms later", "mass", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz"], rows
+            ["", "event", "later alarms", "mass", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz"], rows
         ),
     ]
     return Section(verdicts, lines)
@@ -120,7 +120,7 @@ def _mass(case: dict[str, Any]) -> list[Verdict]:
             "°",
         ),
         at_most(
-            "vehicle stays stable: vertical speed of the last 5 s, against that before",
+            "vehicle stays stable: vertical speed of the last 5 s, relative to before",
             motion["vertical speed"][1] / max(motion["vertical speed"][0], 1e-9),
             1.0,
             "times",
@@ -134,8 +134,8 @@ def _payload(case: dict[str, Any]) -> list[Verdict]:
     back = np.median(settled(t, errors[:, :, 1:]), axis=0)
     return [
         _detection(outcomes, 50.0),
-        at_most("Ixx, Iyy stay within 5 %, median", float(back[:2].max()), 5.0, "s"),
-        at_most("all six stay within 5 %, median", float(back.max()), 20.0, "s"),
+        at_most("Ixx, Iyy settle within 5 %, median", float(back[:2].max()), 5.0, "s"),
+        at_most("all six settle within 5 %, median", float(back.max()), 20.0, "s"),
     ]
 
 
@@ -172,7 +172,7 @@ def late(data: Data) -> Section:
         judged += [
             at_most(f"{rate} Hz: error of the delay, 95th percentile, worst", off_most, 0.2, "ms"),
             at_most(
-                f"{rate} Hz: mean error of the ten over that without a delay",
+                f"{rate} Hz: mean error of the ten, relative to no delay",
                 float(np.mean(list(sizes.values()))) / plain,
                 1.15,
                 "times",
@@ -182,7 +182,11 @@ def late(data: Data) -> Section:
         f"{case['seeds']} seeds, speeds in whole rpm.",
         "",
         *table(
-            ["", "delay", "off, median ms", "off, p95 ms", "mean error %", "largest, p95 %"], rows
+            [
+                *("", "delay", "delay error, median ms", "95th percentile, ms"),
+                *("mean error %", "largest, 95th percentile, %"),
+            ],
+            rows,
         ),
     ]
     return Section(of("delay of 10–40 ms", case["seeds"], judged), lines)

@@ -33,7 +33,7 @@ class Verdict:
     def cells(self) -> list[str]:
         """Its row."""
         said = self.outcome if self.outcome == "met" else f"**{self.outcome}**"
-        said = said.replace("below", "bar below")
+        said = said.replace("below", "limit below")
         said += f" ({self.why})" if self.why and self.outcome != "met" else ""
         seeds = str(self.seeds) if self.seeds else ""
         return [self.case, self.quantity, self.bar, self.measured, seeds, said]
@@ -94,11 +94,11 @@ def verdict_table(verdicts: Sequence[Verdict]) -> list[str]:
         rows.append([verdict.case if verdict.case != last else "", *verdict.cells()[1:]])
         last = verdict.case
     return [
-        f"Of {len(verdicts)} bars {count['met']} are met, {count['below the bound']} lie below "
-        "what any unbiased estimator can reach on this flight (“bar below the bound”), "
-        f"{count['not met']} are not met.",
+        f"{count['met']} of {len(verdicts)} met, {count['not met']} not met, "
+        f"{count['below the bound']} below what any unbiased estimator can reach on this flight "
+        "(“limit below the bound”).",
         "",
-        *table(["case", "quantity", "bar", "measured", "seeds", ""], rows),
+        *table(["case", "quantity", "limit", "measured", "seeds", "outcome"], rows),
     ]
 
 

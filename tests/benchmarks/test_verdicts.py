@@ -51,8 +51,7 @@ def test_the_table_counts_outcomes_and_names_a_case_once():
     verdicts = of("a case", 7, [at_most("x", 1.0, 2.0), at_most("y", 3.0, 2.0)])
     verdicts += of("another", 0, [at_most("z", 3.0, 2.0, bound=2.5)])
     text = "\n".join(verdict_table(verdicts))
-    assert "Of 3 bars 1 are met, 1 lie below" in text
-    assert "1 are not met." in text
+    assert "1 of 3 met, 1 not met, 1 below" in text
     assert text.count("a case") == 1
     assert "| a case | x | ≤ 2 % | 1 % | 7 | met |" in text
     assert "|  | y | ≤ 2 % | 3 % | 7 | **not met** |" in text
