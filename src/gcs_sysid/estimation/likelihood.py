@@ -406,7 +406,12 @@ def _alike(one: Noise, other: Noise) -> bool:
     """Whether two noise models weigh alike."""
 
     def numbers(noise: Noise) -> Array:
-        return np.array([[n.white_std, n.process_std, n.corner or 1.0, n.zero] for n in noise])
+        return np.array(
+            [
+                [n.white_std, n.process_std, n.corner or 1.0, n.zero, n.moment_std, n.moment_tau]
+                for n in noise
+            ]
+        )
 
     a, b = numbers(one), numbers(other)
     same = all((m.corner is None) == (n.corner is None) for m, n in zip(one, other, strict=True))
