@@ -173,7 +173,7 @@ def cramer_rao_bound(
     if record.rows == 0:
         raise ValueError(f"no {MIN_RUN} samples without a gap")
     point = _linearise(record, theta, record.rates)
-    information = _weigh(record, point, noise).information
+    information = _weigh(record, point, noise, record.speed_process(theta)).information
     bound: Array = np.sqrt(np.diag(_inverse(information)))
     return bound
 
@@ -274,8 +274,16 @@ class _Weighed:
     log_determinant: float
 
 
-def _weigh(record: _Record, point: _Point, noise: Noise) -> _Weighed:
-    known = record.speed_process(point.theta)
+def _weigh(record: _Record, point: _Point, noise: Noise, known: Array) -> _Weighed:
+    """Weigh a linearised model.
+
+    Args:
+        record: of the flight.
+        point: where it is linearised.
+        noise: of the axes.
+        known: (3, 3) covariance of what noise of the speeds does. Held while theta is searched
+            for: the gradient is that of the squares at fixed weights.
+    """
     rate_std = initial_std(noise, known, record.dt)
     whiteners, residuals, sensitivities = [], [], []
     gradient, scatter = np.zeros(rb.N_THETA), np.zeros((rb.N_THETA, rb.N_THETA))
@@ -357,13 +365,15 @@ def _search(record: _Record, start: Array, prior: Prior | None) -> LikelihoodFit
 
     point = _linearise(record, start, record.rates)
     noise = rough_noise(_defects(record, point), record.dt)
+    known = record.speed_process(start)
     weighed: _Weighed | None = None
     damping, converged, refits = 0.0, False, 0
     for iteration in range(_MAX_ITERATIONS):
         if 0 < iteration < _NOISE_REFITS:
             noise, weighed = _fit_noise(record, point), None
+            known = record.speed_process(point.theta)
         if weighed is None:
-            weighed = _weigh(record, point, noise)
+            weighed = _weigh(record, point, noise, known)
         cost = cost_of(weighed, point.theta)
         gradient = weighed.gradient + weight @ (point.theta - mean)
         information = weighed.information + weight
@@ -380,8 +390,9 @@ def _search(record: _Record, start: Array, prior: Prior | None) -> LikelihoodFit
                     # The cost changes by less than its linearisation's error.
                     found = candidate
                     continue
-                after = _weigh(record, candidate, noise)
-                if cost_of(after, candidate.theta) < cost + _SMALL**2:
+                after = _weigh(record, candidate, noise, known)
+                pulled = float(weighed.excess @ step)
+                if cost_of(after, candidate.theta) < cost + pulled + _SMALL**2:
                     found = candidate
                     continue
             damping = max(10.0 * damping, 1e-3)
@@ -396,9 +407,10 @@ def _search(record: _Record, start: Array, prior: Prior | None) -> LikelihoodFit
                 converged = True
                 break
             noise, weighed = latest, None
+            known = record.speed_process(point.theta)
         damping = 0.1 * damping if damping > 1e-6 else 0.0
     if weighed is None:
-        weighed = _weigh(record, point, noise)
+        weighed = _weigh(record, point, noise, known)
     return _conclude(record, point, noise, weighed, weight, converged)
 
 
