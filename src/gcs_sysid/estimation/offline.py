@@ -29,7 +29,7 @@ class OfflineFit:
     likelihood: LikelihoodFit
 
 
-def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | None:
+def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | str:
     """Maximise the likelihood of the samples that the tracker kept.
 
     Args:
@@ -37,11 +37,11 @@ def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | None:
         online: its last fit.
 
     Returns:
-        None where there is no online fit to start from, or too little gapless flight.
+        The fit, or why there is none.
     """
     rotation = online.rotation
     if rotation is None or not tracker.kept:
-        return None
+        return "there is no online estimate to start from"
     found = maximise_likelihood(
         join(tracker.kept),
         tracker.geometry,
@@ -51,8 +51,10 @@ def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | None:
         prior=_on_theta(tracker.estimator.prior),
         delay=rotation.delay,
     )
-    if found is None or not found.converged:
-        return None
+    if found is None:
+        return "no stretch of flight without a gap is long enough"
+    if not found.converged:
+        return "the search for the maximum of the likelihood did not converge"
     n = rb.N_THETA
     full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     full[: n + 1, : n + 1] = found.covariance
