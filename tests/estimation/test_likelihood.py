@@ -10,7 +10,11 @@ from scipy.signal import lfilter
 
 from gcs_sysid.estimation.innovations import BIAS_STD, AxisNoise
 from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximise_likelihood
+from gcs_sysid.estimation.offline import fit_offline
+from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.propagation import SPLINE_END
+from gcs_sysid.estimation.tracking import Tracker
+from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 
 SIZE = np.array([80.0, 80.0, 140.0, 7.0, 12.0, 8.0, 0.1, 0.05, 0.03, 20.0, 0.3])
@@ -215,3 +219,8 @@ def test_nothing_to_fit(truth, slow, start):
     noise = AxisNoise(0.02, None, 0.0, 0.0)
     with pytest.raises(ValueError, match="without a gap"):
         cramer_rao_bound(samples.part(slice(20)), truth.geometry, dt, start, (noise, noise, noise))
+
+
+def test_why_there_is_no_offline_estimate_is_said(truth):
+    tracker = Tracker(truth.geometry, 0.005, Tuning(), keep=True)
+    assert "online estimate to start from" in fit_offline(tracker, Fit(None, None, 0.0))

@@ -3,18 +3,24 @@
 For each axis, with z^-1 the delay by one sample of dt,
 
     gyro = w + b + n,    n = (1 - c z^-1) / (1 - a z^-1) g,    g white, a = exp(-corner dt)
-    w at the next sample = model(w) + u - dt ((1 - f) e + f e at the next sample)
+    w at the next sample = model(w) + dt d + u - dt ((1 - f) e + f e at the next sample)
+    d at the next sample = exp(-dt / tau) d + white noise
 
 n is white for c = a, and white noise through a high-pass s / (s + corner) for c = 1. e is what
-noise of the rotor speeds, known beforehand, does to the angular acceleration; u is white: wind
-and all that the model leaves out. A spline through noisy speeds, integrated over one interval,
-passes noise of low frequency by 1 - (omega dt)^2 / 12; so does f (1 - f) = 1/12.
+noise of the rotor speeds, known beforehand, does to the angular acceleration. u is white: torque
+noise, under which the rate walks. d, an Ornstein-Uhlenbeck process, is the angular acceleration
+of slow moments that the model leaves out: gusts, aerodynamics, a swinging load. The rate loop
+answers it, so that rotor torque and d are correlated; as a state it is followed by the filter,
+and what is left, the innovations, is uncorrelated with torques of the past. A spline through
+noisy speeds, integrated over one interval, passes noise of low frequency by
+1 - (omega dt)^2 / 12; so does f (1 - f) = 1/12.
 
 The likelihood follows from the innovations of the Kalman filter for this model (Schweppe 1965;
 Jategaonkar, Flight Vehicle System Identification, ch. 5).
 """
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.linalg.lapack import dposv
@@ -22,10 +28,12 @@ from scipy.linalg.lapack import dposv
 from gcs_sysid.arrays import Array
 
 _N = 9
-"""States: w, the noise's slow part, the bias; three each."""
-_RATE, _SLOW, _BIAS = slice(0, 3), slice(3, 6), slice(6, 9)
+"""States: w, the noise's slow part, the bias; three each. Where there is a moment, d follows."""
+_RATE, _SLOW, _BIAS, _MOMENT = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 _NEXT = 0.5 - np.sqrt(0.25 - 1.0 / 12.0)
 """f above."""
+_TAU = (0.05, 10.0)
+"""s, least and greatest time constant of a moment: faster is torque noise, slower a trim."""
 BIAS_STD = 0.02
 """rad/s, prior of the gyro's bias around the complementary filter's."""
 _DIFFUSE = 100.0
@@ -50,12 +58,16 @@ class AxisNoise:
         corner: rad/s, corner of the colouring; None for white noise.
         zero: c, between a and 1; 1 for a high-pass.
         process_std: rad/s^2, of the unmodelled angular acceleration of one sample.
+        moment_std: rad/s^2, of the Ornstein-Uhlenbeck moment over inertia; 0: there is none.
+        moment_tau: s, its time constant.
     """
 
     white_std: float
     corner: float | None
     zero: float
     process_std: float
+    moment_std: float = 0.0
+    moment_tau: float = 1.0
 
     def pole(self, dt: float) -> float:
         """a; without colour both zero and pole are 0."""
@@ -64,7 +76,10 @@ class AxisNoise:
     def scaled(self, factor: float) -> "AxisNoise":
         """All levels times a factor."""
         return replace(
-            self, white_std=factor * self.white_std, process_std=factor * self.process_std
+            self,
+            white_std=factor * self.white_std,
+            process_std=factor * self.process_std,
+            moment_std=factor * self.moment_std,
         )
 
 
@@ -131,14 +146,13 @@ def _fit_axis(frequency: Array, power: Array, known: float, floor: float, dt: fl
     # Gyro noise that is stronger at low frequency is not offered: it would pass for any motion
     # that the model misses, which is process noise.
     best, best_score = AxisNoise(MIN_STD, None, 0.0, 0.0), np.inf
-    for colour in (0, 1, 2):
-        for process in (False, True):
-            spectrum = _Spectrum(one, cos, fixed, dt, colour, process)
-            values = spectrum.start(float(level))
-            misfit, values = _maximise(spectrum, power, values)
-            score = misfit + 0.5 * len(values) * np.log(len(power))
-            if score < best_score:
-                best, best_score = spectrum.noise(values), score
+    for colour, process, moment in product((0, 1, 2), (False, True), (False, True)):
+        spectrum = _Spectrum(one, cos, fixed, dt, colour, process, moment)
+        values = spectrum.start(float(level))
+        misfit, values = _maximise(spectrum, power, values)
+        score = misfit + 0.5 * len(values) * np.log(len(power))
+        if score < best_score:
+            best, best_score = spectrum.noise(values), score
     return replace(
         best,
         white_std=float(np.hypot(best.white_std, MIN_STD)),
@@ -151,7 +165,8 @@ class _Spectrum:
     """A family of spectra of gyro increments, over (3, k) frequencies: bins with neighbours.
 
     Unknowns, in this order: log white_std; from colour 1 on log corner; with colour 2 the logit
-    of where c lies between a and 1; with process noise log of process_std dt.
+    of where c lies between a and 1; with process noise log of process_std dt; with a moment log of
+    moment_std dt and log of tau.
     """
 
     one: Array
@@ -160,11 +175,19 @@ class _Spectrum:
     dt: float
     colour: int
     process: bool
+    moment: bool = False
+
+    @property
+    def _process(self) -> int:
+        """Place of the process noise's level."""
+        return 1 + self.colour
 
     def start(self, level: float) -> Array:
         """A first guess."""
         colours = ([], [np.log(5.0)], [np.log(5.0), 1.0])[self.colour]
-        return np.array([level, *colours, *([level - 1.5] if self.process else [])])
+        process = [level - 1.5] if self.process else []
+        moment = [level - 1.0, 0.0] if self.moment else []
+        return np.array([level, *colours, *process, *moment])
 
     def limits(self, values: Array) -> Array:
         """Unknowns kept where they mean something."""
@@ -175,19 +198,24 @@ class _Spectrum:
         if self.colour == 2:
             values[2] = np.clip(values[2], -4.0, 8.0)
         if self.process:
-            values[-1] = np.clip(values[-1], values[0] - 10.0, values[0] + 10.0)
+            at = self._process
+            values[at] = np.clip(values[at], values[0] - 10.0, values[0] + 10.0)
+        if self.moment:
+            values[-2] = np.clip(values[-2], values[0] - 10.0, values[0] + 10.0)
+            values[-1] = np.clip(values[-1], *np.log(_TAU))
         return values
 
     def noise(self, values: Array) -> AxisNoise:
         """What the unknowns mean."""
         white = float(np.exp(values[0]))
-        u = float(np.exp(values[-1])) / self.dt if self.process else 0.0
+        u = float(np.exp(values[self._process])) / self.dt if self.process else 0.0
+        d = (float(np.exp(values[-2])) / self.dt, float(np.exp(values[-1]))) if self.moment else ()
         if self.colour == 0:
-            return AxisNoise(white, None, 0.0, u)
+            return AxisNoise(white, None, 0.0, u, *d)
         corner = float(np.exp(values[1]))
         a = float(np.exp(-corner * self.dt))
         c = 1.0 if self.colour == 1 else a + (1.0 - a) / (1.0 + float(np.exp(-values[2])))
-        return AxisNoise(white, corner, c, u)
+        return AxisNoise(white, corner, c, u, *d)
 
     def __call__(self, values: Array) -> tuple[Array, Array]:
         """(k,) expected power and (k, unknowns) its derivatives."""
@@ -211,6 +239,14 @@ class _Spectrum:
             u = np.full_like(model, (noise.process_std * self.dt) ** 2)
             model = model + u
             slopes.append(2.0 * u)
+        if self.moment:
+            # dt^2 sigma^2 (1 - k^2) / |1 - k z^-1|^2 with k = exp(-dt / tau).
+            k = float(np.exp(-self.dt / noise.moment_tau))
+            around = 1.0 + k * k - 2.0 * k * self.cos
+            d = (noise.moment_std * self.dt) ** 2 * (1.0 - k * k) / around
+            by_k = d * (-2.0 * k / (1.0 - k * k) - 2.0 * (k - self.cos) / around)
+            model = model + d
+            slopes += [2.0 * d, by_k * k * self.dt / noise.moment_tau]
         mean: Array = np.tensordot(_HANN, model, 1)
         return mean, np.stack([np.tensordot(_HANN, slope, 1) for slope in slopes], axis=1)
 
@@ -281,10 +317,10 @@ class Whitener:
         """
         v, states = self._innovations(measured[..., None], steps[..., None])
         weighted = np.swapaxes(self.roots, 1, 2) @ (self.roots @ v)
-        adjoint = np.empty((len(v), _N, 1))
-        later = np.zeros((_N, 1))
+        adjoint = np.empty((len(v), self._loops.shape[1], 1))
+        later = np.zeros(adjoint.shape[1:])
         back = np.swapaxes(self._loops, 1, 2)
-        into = _observe_adjoint(weighted)
+        into = _observe_adjoint(weighted, adjoint.shape[1])
         for k in range(len(v) - 1, -1, -1):
             later = into[k] + back[k] @ later
             adjoint[k] = later
@@ -295,7 +331,7 @@ class Whitener:
         n, _, m = measured.shape
         inputs = self._gains @ measured
         inputs[:-1, _RATE] += steps
-        states = np.zeros((n, _N, m))
+        states = np.zeros((n, self._loops.shape[1], m))
         state = states[0]
         loops = self._loops
         for k in range(n - 1):
@@ -325,24 +361,33 @@ def make_whitener(
 
     # With w* = w + f dt e as the state, noise of the rotor speeds is white; it is then in the
     # measurement too.
+    moment = np.array([axis.moment_std for axis in noise])
+    kept = np.exp(-dt / np.array([axis.moment_tau for axis in noise]))
+    states = _N + 3 * bool(moment.any())
     R = np.diag(white) + (_NEXT * dt) ** 2 * known
-    Q = np.zeros((_N, _N))
+    Q = np.zeros((states, states))
     Q[_RATE, _RATE] = np.diag(unmodelled) + dt * dt * known
     Q[_SLOW, _SLOW] = np.diag(slow * slow * white)
-    C = np.zeros((_N, 3))
+    C = np.zeros((states, 3))
     C[_RATE] = _NEXT * dt * dt * known
     C[_SLOW] = np.diag(slow * white)
-    P = np.zeros((_N, _N))
+    P = np.zeros((states, states))
     P[_RATE, _RATE] = np.diag(rate_std**2)
     P[_SLOW, _SLOW] = np.diag(slow * slow * white / (1.0 - pole * pole))
     P[_BIAS, _BIAS] = np.eye(3) * BIAS_STD**2
-    F = np.zeros((n, _N, _N))
+    F = np.zeros((n, states, states))
     F[:-1, _RATE, _RATE] = by_rate
     F[-1, _RATE, _RATE] = np.eye(3)
     F[:, _SLOW, _SLOW] = np.diag(pole)
     F[:, _BIAS, _BIAS] = np.eye(3)
 
-    covariances, gains = np.empty((n, _N, _N)), np.empty((n, _N, 3))
+    if states > _N:
+        P[_MOMENT, _MOMENT] = np.diag(moment**2)
+        Q[_MOMENT, _MOMENT] = np.diag(moment**2 * (1.0 - kept**2))
+        F[:, _MOMENT, _MOMENT] = np.diag(kept)
+        F[:-1, _RATE, _MOMENT] = dt * np.eye(3)
+
+    covariances, gains = np.empty((n, states, states)), np.empty((n, states, 3))
     S_all = np.empty((n, 3, 3))
     for k in range(n):
         F_k = F[k]
@@ -356,7 +401,8 @@ def make_whitener(
     factors = np.linalg.cholesky(0.5 * (S_all + np.swapaxes(S_all, 1, 2)))
     diagonal = np.diagonal(factors, axis1=1, axis2=2)
     # F - K H
-    loops = F - np.concatenate([gains, -gains, gains], axis=-1)
+    loops = F.copy()
+    loops[..., :_N] -= np.concatenate([gains, -gains, gains], axis=-1)
     return Whitener(
         np.linalg.inv(factors), 2.0 * float(np.log(diagonal).sum()), loops, gains, covariances
     )
@@ -375,6 +421,7 @@ def _observe(states: Array) -> Array:
     return shown
 
 
-def _observe_adjoint(values: Array) -> Array:
-    """(..., 9, m) from (..., 3, m): the transpose of `_observe`."""
-    return np.concatenate([values, -values, values], axis=-2)
+def _observe_adjoint(values: Array, states: int) -> Array:
+    """(..., states, m) from (..., 3, m): the transpose of `_observe`."""
+    unseen = np.zeros((*values.shape[:-2], states - _N, values.shape[-1]))
+    return np.concatenate([values, -values, values, unseen], axis=-2)

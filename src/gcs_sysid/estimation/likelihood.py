@@ -25,28 +25,27 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc
 
-from gcs_sysid.arrays import Array, complete_rows, runs
+from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.innovations import (
     AxisNoise,
     Noise,
-    Whitener,
     fit_noise,
-    initial_std,
-    make_whitener,
     rough_noise,
 )
-from gcs_sysid.estimation.propagation import (
-    SPLINE_END,
-    Propagator,
-    Transition,
-    impulse_weights,
+from gcs_sysid.estimation.offline_record import (
+    DELAY,
+    MIN_RUN,
+    N_UNKNOWNS,
+    Linearisation,
+    OfflineRecord,
+    Weighed,
+    linearise,
+    weigh,
 )
 from gcs_sysid.estimation.uncertainty import sandwich
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 
-MIN_RUN = 24
-"""Samples; shorter pieces between gaps say little and are left out."""
 MODEL_PRECISION = 1e-4
 """Share of the angular acceleration that no model explains. Rotors that follow held commands
 (250 Hz, 30 ms lag) leave about that between any samples of their speeds. A third of it would
@@ -58,10 +57,15 @@ _MAX_REFITS = 6
 _ALIKE = 0.05
 """Relative change of the noise's levels that moves no estimate."""
 _MAX_DAMPING = 1e9
+_FIXED = 1e-9
+"""s, of a delay that is not estimated."""
 _SMALL = 0.3
 """Standard deviations; a smaller step is taken unseen."""
 _SETTLED = 0.02
 """Standard deviations; a smaller step ends the search."""
+DELAY_STD = 0.003
+"""s, prior of the delay around the online estimate's: that leans on the window, and is off by
+1.5 ms where moments that nobody models act."""
 _WHITE = 0.01
 """Residuals whiter than this p-value pass as white."""
 _LAGS = 20
@@ -79,8 +83,9 @@ class LikelihoodFit:
 
     Attributes:
         theta: (N_THETA,) estimate.
-        covariance: (N_THETA, N_THETA); from the scatter of the score where residuals are not
-            white.
+        delay: s, of the rotor speeds.
+        covariance: (N_UNKNOWNS, N_UNKNOWNS) of theta and delay; from the scatter of the score
+            where residuals are not white.
         bound: (N_THETA,) Cramer-Rao standard deviations of this flight with the fitted noise;
             first rates, gyro biases and the prior, if any, included.
         noise: of each axis, as fitted.
@@ -96,6 +101,7 @@ class LikelihoodFit:
     """
 
     theta: Array
+    delay: float
     covariance: Array
     bound: Array
     noise: tuple[AxisNoise, AxisNoise, AxisNoise]
@@ -109,8 +115,8 @@ class LikelihoodFit:
 
     @property
     def std(self) -> Array:
-        """(N_THETA,) standard deviations."""
-        std: Array = np.sqrt(np.diag(self.covariance))
+        """(N_THETA,) standard deviations of theta."""
+        std: Array = np.sqrt(np.diag(self.covariance))[: rb.N_THETA]
         return std
 
 
@@ -121,6 +127,7 @@ def maximise_likelihood(
     start: Array,
     speed_std: float | Array | None = None,
     prior: Prior | None = None,
+    delay: float | None = None,
 ) -> LikelihoodFit | None:
     """Fit theta, noise levels and noise colours to a whole record.
 
@@ -132,6 +139,8 @@ def maximise_likelihood(
         speed_std: rad/s, white noise of the rotor speeds, one value or (rotors,). None: what
             of it shows is taken as unmodelled acceleration.
         prior: on theta.
+        delay: s, of the speeds' stamps behind the gyro's, as known from the online estimate; it is
+            estimated too, within 3 DELAY_STD of that. None: there is none.
 
     Returns:
         The fit, or None if there is no piece of MIN_RUN samples without a gap, or fewer samples
@@ -142,7 +151,8 @@ def maximise_likelihood(
     """
     if not rb.is_physical(start):
         raise ValueError("the starting point has an inertia that no rigid body has")
-    record = _Record(samples, geometry, dt, speed_std)
+    reach = 0.0 if delay is None else 3.0 * DELAY_STD
+    record = OfflineRecord(samples, geometry, dt, speed_std, delay or 0.0, reach)
     if record.rows < 2 * rb.N_THETA:
         return None
     return _search(record, start, prior)
@@ -169,221 +179,74 @@ def cramer_rao_bound(
     Raises:
         ValueError: there is no piece of MIN_RUN samples without a gap.
     """
-    record = _Record(samples, geometry, dt, speed_std)
+    record = OfflineRecord(samples, geometry, dt, speed_std)
     if record.rows == 0:
         raise ValueError(f"no {MIN_RUN} samples without a gap")
-    point = _linearise(record, theta, record.rates)
-    information = _weigh(record, point, noise).information
+    point = linearise(record, theta, record.rates)
+    n = rb.N_THETA
+    information = weigh(record, point, noise, record.speed_process(theta)).information[:n, :n]
     bound: Array = np.sqrt(np.diag(_inverse(information)))
     return bound
-
-
-# ---- the record ------------------------------------------------------------------------------
-
-
-class _Record:
-    """Gapless runs of a record, ready to be integrated.
-
-    Attributes:
-        gyro: of each run, (n, 3) less the complementary filter's mean bias, rad/s.
-        rates: of each run, (n, 3) rad/s.
-        speed_variance: (rotors,) (rad/s)^2; zeros if not given.
-    """
-
-    def __init__(
-        self, samples: Samples, geometry: Array, dt: float, speed_std: float | Array | None
-    ) -> None:
-        self.dt = dt
-        self.geometry = geometry
-        there = complete_rows(np.hstack([samples.gyro, samples.rates, samples.speeds]))
-        parts = [part for part, ok in runs(there) if ok and part.stop - part.start >= MIN_RUN]
-        self.gyro: list[Array] = []
-        self.rates: list[Array] = []
-        for part in parts:
-            inner = slice(part.start + SPLINE_END, part.stop - SPLINE_END)
-            gyro, rates = samples.gyro[inner], samples.rates[inner]
-            self.gyro.append(gyro - np.mean(gyro - rates, axis=0))
-            self.rates.append(rates)
-        self.propagators = [Propagator(geometry, samples.speeds[part], dt) for part in parts]
-        self.rows = sum(len(part) for part in self.gyro)
-        rotors = geometry.shape[1]
-        level = 0.0 if speed_std is None else np.asarray(speed_std, dtype=float)
-        self.speed_variance: Array = np.broadcast_to(level, (rotors,)) ** 2
-        squares = sum(np.sum(samples.speeds[part] ** 2, axis=0) for part in parts)
-        self._mean_square = np.zeros(rotors) + squares / max(self.rows, 1)
-
-    def speed_inputs(self) -> Array:
-        """(rotors, N_SIGNALS) what one standard deviation of each speed's noise does to the
-        signals of one sample, rms over the record; the derivative of H left out.
-        """
-        x, y, s = self.geometry
-        inputs = np.zeros((len(x), rb.N_SIGNALS))
-        size = 2.0 * np.sqrt(self._mean_square * self.speed_variance)
-        inputs[:, :4] = np.stack([-y, x, np.ones_like(x), s], axis=1) * size[:, None]
-        return inputs
-
-    def speed_process(self, theta: Array) -> Array:
-        """(3, 3) covariance of the angular acceleration that noise of the speeds makes."""
-        effect = self.speed_inputs() @ rb.forward_matrix(theta).T
-        covariance: Array = effect.T @ effect
-        return covariance
-
-
-@dataclass(frozen=True)
-class _Point:
-    """Where the model is linearised."""
-
-    theta: Array
-    rates: list[Array]
-    transitions: list[Transition]
-
-
-def _linearise(record: _Record, theta: Array, rates: list[Array]) -> _Point:
-    transitions = [
-        propagator(theta, w) for propagator, w in zip(record.propagators, rates, strict=True)
-    ]
-    return _Point(theta, rates, transitions)
-
-
-@dataclass(frozen=True)
-class _Weighed:
-    """A linearised model, weighed by a noise model.
-
-    Attributes:
-        whiteners: of each run.
-        residuals: of each run, (n, 3), white and of unit variance if all is right.
-        sensitivities: of each run, (n, 3, N_THETA), their derivatives by theta.
-        excess: (N_THETA,) expected gradient at the truth, from noise of the speeds.
-        gradient: (N_THETA,) of half the sum of squared residuals, corrected.
-        scatter: (N_THETA, N_THETA) covariance of the gradient.
-        information: (N_THETA, N_THETA) expected slope of the gradient.
-        squares: half the sum of squared residuals, what the gradient belongs to. Without the
-            determinant: noise of the speeds makes that change with theta, and the profile over
-            the true speeds has none.
-        log_determinant: of the innovations' covariances.
-    """
-
-    whiteners: list[Whitener]
-    residuals: list[Array]
-    sensitivities: list[Array]
-    excess: Array
-    gradient: Array
-    scatter: Array
-    information: Array
-    squares: float
-    log_determinant: float
-
-
-def _weigh(record: _Record, point: _Point, noise: Noise) -> _Weighed:
-    known = record.speed_process(point.theta)
-    rate_std = initial_std(noise, known, record.dt)
-    whiteners, residuals, sensitivities = [], [], []
-    gradient, scatter = np.zeros(rb.N_THETA), np.zeros((rb.N_THETA, rb.N_THETA))
-    squares = log_determinant = 0.0
-    for gyro, rates, by in zip(record.gyro, point.rates, point.transitions, strict=True):
-        whitener = make_whitener(noise, known, by.by_rate, rate_std, record.dt)
-        steps = np.concatenate([(by.rates - rates[1:])[..., None], by.by_theta], axis=2)
-        measured = np.zeros((len(gyro), *steps.shape[1:]))
-        measured[..., 0] = gyro - rates
-        white = whitener.whiten(measured, steps)
-        v, V = white[..., 0], white[..., 1:]
-        columns = V.reshape(-1, rb.N_THETA)
-        gradient += columns.T @ v.ravel()
-        scatter += columns.T @ columns
-        squares += 0.5 * float(np.sum(v * v))
-        log_determinant += whitener.log_determinant
-        whiteners.append(whitener)
-        residuals.append(v)
-        sensitivities.append(V)
-    information, excess = scatter, np.zeros(rb.N_THETA)
-    if record.speed_variance.any():
-        excess, surplus = _speed_noise_terms(record, point, whiteners)
-        information = scatter - surplus
-    return _Weighed(
-        whiteners,
-        residuals,
-        sensitivities,
-        excess,
-        gradient - excess,
-        scatter,
-        information,
-        squares,
-        log_determinant,
-    )
-
-
-def _speed_noise_terms(
-    record: _Record, point: _Point, whiteners: list[Whitener]
-) -> tuple[Array, Array]:
-    """What noise of the rotor speeds adds to gradient and information, by expectation.
-
-    The response to one sample's noise, taken in the middle of the longest run, stands for all.
-    """
-    longest = max(range(len(whiteners)), key=lambda i: len(point.rates[i]))
-    n = len(point.rates[longest])
-    steps = np.zeros((n - 1, 3, 6))
-    # Torque noise acts in the intervals around the sample; that of the change of H adds in one
-    # what it takes in the next.
-    weights = impulse_weights(record.dt)
-    reach = min(len(weights) // 2, n // 2)
-    for k in range(-reach, reach - 1):
-        steps[n // 2 + k, :, :3] = weights[len(weights) // 2 + k] * record.dt * np.eye(3)
-    steps[n // 2 - 1, :, 3:] = np.eye(3)
-    steps[n // 2, :, 3:] = -np.eye(3)
-    white = whiteners[longest].whiten(np.zeros((n, 3, 6)), steps)
-    energy = np.einsum("nik,nil->kl", white, white)
-    Q, G = rb.forward_jacobian(point.theta)
-    torque = record.speed_inputs()
-    change = np.sqrt(record.speed_variance.sum())
-    dH = rb.SIGNALS.index("dH")
-    by_torque = np.einsum("kis,rs->kri", G, torque)
-    by_change = change * G[:, :, dH]
-    excess = np.einsum("kri,ij,rj->k", by_torque, energy[:3, :3], torque @ Q.T)
-    excess += by_change @ energy[3:, 3:] @ (change * Q[:, dH])
-    surplus = np.einsum("kri,ij,lrj->kl", by_torque, energy[:3, :3], by_torque)
-    surplus += by_change @ energy[3:, 3:] @ by_change.T
-    return record.rows * excess, record.rows * surplus
 
 
 # ---- the search ------------------------------------------------------------------------------
 
 
-def _search(record: _Record, start: Array, prior: Prior | None) -> LikelihoodFit:
-    mean, weight = prior or (start, np.zeros((rb.N_THETA, rb.N_THETA)))
+def _search(record: OfflineRecord, start: Array, prior: Prior | None) -> LikelihoodFit:
+    mean, weight = np.append(start, record.delay), np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+    if prior is not None:
+        mean[: rb.N_THETA], weight[: rb.N_THETA, : rb.N_THETA] = prior
+    free = record.delay_bounds[1] > record.delay_bounds[0]
+    # Next to a fixed delay's weight nothing counts.
+    weight[DELAY, DELAY] = 1.0 / (DELAY_STD if free else _FIXED) ** 2
 
-    def cost_of(weighed: _Weighed, theta: Array) -> float:
-        off = theta - mean
+    def cost_of(weighed: Weighed, unknowns: Array) -> float:
+        off = unknowns - mean
         return weighed.squares + 0.5 * float(off @ weight @ off)
 
-    point = _linearise(record, start, record.rates)
+    point = linearise(record, start, record.rates)
     noise = rough_noise(_defects(record, point), record.dt)
-    weighed: _Weighed | None = None
+    known = record.speed_process(start)
+    weighed: Weighed | None = None
     damping, converged, refits = 0.0, False, 0
+    before, weighed_anew = 0.0, True
     for iteration in range(_MAX_ITERATIONS):
         if 0 < iteration < _NOISE_REFITS:
-            noise, weighed = _fit_noise(record, point), None
+            noise, weighed, weighed_anew = _fit_noise(record, point), None, True
+            known = record.speed_process(point.theta)
         if weighed is None:
-            weighed = _weigh(record, point, noise)
-        cost = cost_of(weighed, point.theta)
-        gradient = weighed.gradient + weight @ (point.theta - mean)
+            weighed = weigh(record, point, noise, known)
+        unknowns = np.append(point.theta, record.delay)
+        cost = cost_of(weighed, unknowns)
+        gradient = weighed.gradient + weight @ (unknowns - mean)
         information = weighed.information + weight
         scatter = weighed.scatter + weight
-        found: _Point | None = None
-        after: _Weighed | None = None
+        # Fast changes of the speeds, noise among them, make more of the delay's information than
+        # there is: steps fall short by one share, which two of them show (Aitken).
+        wanted = -float((_inverse(information) @ gradient)[DELAY])
+        short = 0.0 if not before or weighed_anew else wanted / before
+        ahead = 1.0 / (1.0 - short) if 0.2 < short < 0.9 else 1.0
+        before, weighed_anew = (0.0 if ahead > 1.0 else wanted), False
+        found: Linearisation | None = None
+        after: Weighed | None = None
         while found is None and damping < _MAX_DAMPING:
             step = -_inverse(information, damping) @ gradient
+            to = np.clip(unknowns[DELAY] + ahead * step[DELAY], *record.delay_bounds)
+            step[DELAY] = to - unknowns[DELAY]
             # In standard deviations, squared.
             size = float(step @ scatter @ step)
-            if rb.is_physical(point.theta + step):
+            if rb.is_physical(point.theta + step[:DELAY]):
                 candidate = _moved(record, point, weighed, step)
                 if size < _SMALL**2:
                     # The cost changes by less than its linearisation's error.
                     found = candidate
                     continue
-                after = _weigh(record, candidate, noise)
-                if cost_of(after, candidate.theta) < cost + _SMALL**2:
+                after = weigh(record, candidate, noise, known)
+                pulled = float(weighed.excess @ step)
+                if cost_of(after, unknowns + step) < cost + pulled + _SMALL**2:
                     found = candidate
                     continue
+                record.align(unknowns[DELAY])
             damping = max(10.0 * damping, 1e-3)
         if found is None:
             break
@@ -395,10 +258,11 @@ def _search(record: _Record, start: Array, prior: Prior | None) -> LikelihoodFit
             if _alike(noise, latest):
                 converged = True
                 break
-            noise, weighed = latest, None
+            noise, weighed, weighed_anew = latest, None, True
+            known = record.speed_process(point.theta)
         damping = 0.1 * damping if damping > 1e-6 else 0.0
     if weighed is None:
-        weighed = _weigh(record, point, noise)
+        weighed = weigh(record, point, noise, known)
     return _conclude(record, point, noise, weighed, weight, converged)
 
 
@@ -406,21 +270,26 @@ def _alike(one: Noise, other: Noise) -> bool:
     """Whether two noise models weigh alike."""
 
     def numbers(noise: Noise) -> Array:
-        return np.array([[n.white_std, n.process_std, n.corner or 1.0, n.zero] for n in noise])
+        return np.array(
+            [
+                [n.white_std, n.process_std, n.corner or 1.0, n.zero, n.moment_std, n.moment_tau]
+                for n in noise
+            ]
+        )
 
     a, b = numbers(one), numbers(other)
     same = all((m.corner is None) == (n.corner is None) for m, n in zip(one, other, strict=True))
     return same and bool(np.all(np.abs(a - b) <= _ALIKE * np.maximum(np.abs(a), np.abs(b))))
 
 
-def _fit_noise(record: _Record, point: _Point) -> Noise:
+def _fit_noise(record: OfflineRecord, point: Linearisation) -> Noise:
     known = np.diag(record.speed_process(point.theta))
     changes = np.concatenate([np.diff(rates, axis=0) for rates in point.rates]) / record.dt
     floor = MODEL_PRECISION * np.sqrt(np.mean(changes * changes, axis=0))
     return fit_noise(_defects(record, point), known, floor, record.dt)
 
 
-def _defects(record: _Record, point: _Point) -> list[Array]:
+def _defects(record: OfflineRecord, point: Linearisation) -> list[Array]:
     """Of each run (n - 1, 3) increments of the gyro less those of the model, rad/s."""
     return [
         np.diff(gyro, axis=0) - (by.rates - rates[:-1])
@@ -428,21 +297,25 @@ def _defects(record: _Record, point: _Point) -> list[Array]:
     ]
 
 
-def _moved(record: _Record, point: _Point, weighed: _Weighed, step: Array) -> _Point:
-    """The point a step of theta away, with the rates that are likeliest there."""
+def _moved(
+    record: OfflineRecord, point: Linearisation, weighed: Weighed, step: Array
+) -> Linearisation:
+    """The point a step away, with the rates that are likeliest there; the record is aligned."""
     rates = []
     for whitener, gyro, w, by in zip(
         weighed.whiteners, record.gyro, point.rates, point.transitions, strict=True
     ):
-        rates.append(w + whitener.smooth(gyro - w, by.rates - w[1:] + by.by_theta @ step))
-    return _linearise(record, point.theta + step, rates)
+        moved = by.by_theta @ step[:DELAY] + by.by_delay * step[DELAY]
+        rates.append(w + whitener.smooth(gyro - w, by.rates - w[1:] + moved))
+    record.align(record.delay + step[DELAY])
+    return linearise(record, point.theta + step[:DELAY], rates)
 
 
 def _conclude(
-    record: _Record,
-    point: _Point,
+    record: OfflineRecord,
+    point: Linearisation,
     noise: Noise,
-    weighed: _Weighed,
+    weighed: Weighed,
     weight: Array,
     converged: bool,
 ) -> LikelihoodFit:
@@ -450,7 +323,7 @@ def _conclude(
     # The noise's overall level once more, now with what the fit took counted.
     level = float(np.sum(v * v)) / (v.size - rb.N_THETA)
     bread = _inverse(weighed.information / level + weight)
-    bound = np.sqrt(np.diag(bread))
+    bound = np.sqrt(np.diag(bread))[: rb.N_THETA]
     covariance = bread @ (weighed.scatter / level + weight) @ bread
     autocorrelation = _autocorrelation(weighed.residuals, _LAGS)
     whiteness = _ljung_box(autocorrelation, len(v))
@@ -462,6 +335,7 @@ def _conclude(
     x, y, z = (axis.scaled(float(np.sqrt(level))) for axis in noise)
     return LikelihoodFit(
         theta=point.theta,
+        delay=record.delay,
         covariance=covariance,
         bound=bound,
         noise=(x, y, z),
@@ -476,7 +350,7 @@ def _conclude(
     )
 
 
-def _batch_scores(record: _Record, weighed: _Weighed) -> Array:
+def _batch_scores(record: OfflineRecord, weighed: Weighed) -> Array:
     length = max(1, round(_BATCH_TIME / record.dt))
     parts = []
     for v, V in zip(weighed.residuals, weighed.sensitivities, strict=True):

@@ -4,12 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
-from gcs_sysid.arrays import Array, complete_rows, runs
-from gcs_sysid.estimation.likelihood import MIN_RUN, LikelihoodFit, maximise_likelihood
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.likelihood import LikelihoodFit, maximise_likelihood
 from gcs_sysid.estimation.online import Fit
-from gcs_sysid.estimation.priors import Prior
+from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
@@ -30,7 +29,7 @@ class OfflineFit:
     likelihood: LikelihoodFit
 
 
-def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | None:
+def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | str:
     """Maximise the likelihood of the samples that the tracker kept.
 
     Args:
@@ -38,30 +37,35 @@ def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | None:
         online: its last fit.
 
     Returns:
-        None where there is no online fit to start from, or too little gapless flight.
+        The fit, or why there is none.
     """
     rotation = online.rotation
     if rotation is None or not tracker.kept:
-        return None
-    samples = aligned(join(tracker.kept), rotation.delay, tracker.dt)
+        return "there is no online estimate to start from"
     found = maximise_likelihood(
-        samples,
+        join(tracker.kept),
         tracker.geometry,
         tracker.dt,
         rotation.theta,
         speed_std=tracker.estimator.speed_std,
         prior=_on_theta(tracker.estimator.prior),
+        delay=rotation.delay,
     )
-    if found is None or not found.converged:
-        return None
+    if found is None:
+        return "no stretch of flight without a gap is long enough"
+    if not found.converged:
+        return "the search for the maximum of the likelihood did not converge"
+    n = rb.N_THETA
+    full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+    full[: n + 1, : n + 1] = found.covariance
     fit = replace(
         rotation,
         theta=found.theta,
-        covariance=found.covariance,
+        covariance=found.covariance[:n, :n],
+        full_covariance=full,
+        coordinates=np.array([found.delay, *rotation.coordinates[1:]]),
         # Without a prior the data tell all there is, and more than they told online.
-        data_std=rotation.data_std
-        if tracker.estimator.prior is not None
-        else np.sqrt(np.diag(found.covariance)),
+        data_std=rotation.data_std if tracker.estimator.prior is not None else found.std,
     )
     bounding = replace(fit, covariance=np.diag(found.bound**2))
     return OfflineFit(replace(online, rotation=fit), replace(online, rotation=bounding), found)
@@ -75,23 +79,6 @@ def join(parts: Sequence[Samples]) -> Samples:
             for f in fields(Samples)
         }
     )
-
-
-def aligned(samples: Samples, delay: float, dt: float) -> Samples:
-    """The samples with rotor speeds that are stamped `delay` s late moved to where they belong.
-
-    Where the spline has no samples around it the speeds are missing.
-    """
-    speeds = np.full_like(samples.speeds, np.nan)
-    for run, there in runs(complete_rows(samples.speeds)):
-        n = run.stop - run.start
-        if there and n >= MIN_RUN:
-            k = np.arange(n)
-            at = k + delay / dt
-            moved: Array = CubicSpline(k, samples.speeds[run])(at)
-            moved[(at < 0) | (at > n - 1)] = np.nan
-            speeds[run] = moved
-    return replace(samples, speeds=speeds)
 
 
 def _on_theta(prior: Prior | None) -> tuple[Array, Array] | None:

@@ -35,11 +35,13 @@ class Transition:
         rates: (n - 1, 3) reached at the end of each interval, rad/s.
         by_rate: (n - 1, 3, 3) their derivative by the rates at its start.
         by_theta: (n - 1, 3, N_THETA) their derivative by theta.
+        by_delay: (n - 1, 3) their derivative by the delay of the rotor speeds, rad/s^2.
     """
 
     rates: Array
     by_rate: Array
     by_theta: Array
+    by_delay: Array
 
 
 class Propagator:
@@ -47,14 +49,23 @@ class Propagator:
 
     Args:
         geometry: (3, rotors) of the airframe.
-        speeds: (n + 2 SPLINE_END, rotors) rad/s: some more at either end than rates.
+        speeds: (n + 2 margin, rotors) rad/s: some more at either end than rates.
         dt: s between samples.
+        margin: samples more at either end, SPLINE_END and as many as the delay may reach.
+        delay: s, of the speeds' stamps behind the rates'.
     """
 
-    def __init__(self, geometry: Array, speeds: Array, dt: float) -> None:
+    def __init__(
+        self,
+        geometry: Array,
+        speeds: Array,
+        dt: float,
+        margin: int = SPLINE_END,
+        delay: float = 0.0,
+    ) -> None:
         steps = _steps(dt)
         self._step = dt / steps
-        at, slope = (v[:, SPLINE_END:-SPLINE_END] for v in _interpolate(speeds, steps))
+        at, slope = (v[:, margin:-margin] for v in _interpolate(speeds, steps, delay / dt))
         slope = slope / dt
         self._rotors, self._H = rb.rotor_signals(geometry, at)
         self._dH = slope @ geometry[2]
@@ -75,7 +86,10 @@ class Propagator:
             k4, K4 = self._change(stage + 2, Q, G_flat, w + h * k3, W + h * K3)
             w = w + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
             W = W + h / 6.0 * (K1 + 2.0 * (K2 + K3) + K4)
-        return Transition(w, W[:, :, :3], W[:, :, 3:])
+        # d/d(delay) of the integral of Q x over an interval: Q times the change of x in it.
+        change = (self._rotors[-1] - self._rotors[0]) @ Q[:, :_N_ROTOR_SIGNALS].T
+        change += np.outer(self._dH[-1] - self._dH[0], Q[:, _COLUMN["dH"]])
+        return Transition(w, W[:, :, :3], W[:, :, 3:], change)
 
     def _change(
         self, stage: int, Q: Array, G_flat: Array, w: Array, W: Array
@@ -113,10 +127,14 @@ def _steps(dt: float) -> int:
     return max(1, math.ceil(dt / _MAX_STEP - 1e-9))
 
 
-def _interpolate(values: Array, steps: int) -> tuple[Array, Array]:
-    """Values and slopes a sample, (2 steps + 1, n - 1, m): from start to end of each interval."""
+def _interpolate(values: Array, steps: int, shift: float = 0.0) -> tuple[Array, Array]:
+    """Values and slopes a sample, (2 steps + 1, n - 1, m): from start to end of each interval.
+
+    Those of `shift` samples later; at the ends, where there are none, the last.
+    """
     n = len(values)
     times = np.arange(n - 1)[None, :] + np.linspace(0.0, 1.0, 2 * steps + 1)[:, None]
+    times = np.clip(times + shift, 0.0, n - 1.0)
     spline = make_interp_spline(np.arange(n, dtype=float), values, k=_DEGREE)
     return spline(times), spline(times, 1)
 

@@ -81,7 +81,7 @@ class Chain:
         )
         self.clock_error = 0.0
         """Share by which the vehicle's clock may be wrong, as the owner tells; of results alone."""
-        self._offline: OfflineFit | None = None
+        self._offline: OfflineFit | str | None = None
 
     def feed(self, record: Record) -> bool:
         """Take one record. Returns whether the estimate was renewed."""
@@ -123,16 +123,23 @@ class Chain:
         self._learn(self.sampler.finish())
         self._learner.finish(self.t)
         result = self.refit()
-        speeds = self.rotor_input == "speed"
-        if self.options.offline and self._learner.tracker is not None and speeds:
-            # Splines and likelihoods take a while to load, and few ask for them.
-            from gcs_sysid.estimation.offline import fit_offline
-
-            self._offline = fit_offline(self._learner.tracker, self._learner.fit)
-            if self._offline is not None:
+        if self.options.offline:
+            self._offline = self._fit_offline()
+            if not isinstance(self._offline, str):
                 self._learner.fit = self._offline.fit
             result = self.result()
         return result
+
+    def _fit_offline(self) -> "OfflineFit | str":
+        """The offline estimate, or why there is none."""
+        if self._learner.tracker is None:
+            return "nothing was learnt from this flight"
+        if self.rotor_input != "speed":
+            return "it needs measured rotor speeds, and this one rests on commands"
+        # Splines and likelihoods take a while to load, and few ask for them.
+        from gcs_sysid.estimation.offline import fit_offline
+
+        return fit_offline(self._learner.tracker, self._learner.fit)
 
     def reset(self) -> None:
         """Forget the estimate; go on with the next samples."""

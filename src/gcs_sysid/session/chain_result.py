@@ -32,7 +32,7 @@ class Findings:
         airframe: of the vehicle.
         sampler: with what telemetry and rotor streams were like.
         learner: with the latest fit.
-        offline: the smoothed fit of the whole flight, where there is one.
+        offline: the offline estimate where it was asked for, or why there is none.
         clock_error: share by which the vehicle's clock may be wrong.
         outdated: whether parameters came too late: what they say is not what the fit rests on.
     """
@@ -40,7 +40,7 @@ class Findings:
     airframe: Airframe
     sampler: Sampler
     learner: Learner
-    offline: "OfflineFit | None"
+    offline: "OfflineFit | str | None"
     clock_error: float
     outdated: bool
 
@@ -58,9 +58,12 @@ class Findings:
         else:
             reasons = (*first, *reasons)
         past = self._past_values()
+        reasons = reasons if word != "identified" else ()
+        if isinstance(self.offline, str):
+            reasons = (f"this is the online estimate: {self.offline}", *reasons)
         return Result(
             verdict=word,  # type: ignore[arg-type]
-            reasons=reasons if word != "identified" else (),
+            reasons=reasons,
             source="",
             vehicle={},
             scale=summary.scale_of(self._anchor),
@@ -71,7 +74,7 @@ class Findings:
                 self._anchor,
                 self._bounds(),
             ),
-            estimator="online" if self.offline is None else "offline",
+            estimator="online" if isinstance(self.offline, str | None) else "offline",
             timing=self._timing(),
             events=(*self.learner.input_events, *self._changes([*past, values])),
             segments=self._segments(past),
@@ -105,7 +108,7 @@ class Findings:
         ]
 
     def _bounds(self) -> dict[str, Value] | None:
-        if self.offline is None:
+        if isinstance(self.offline, str | None):
             return None
         bounds = self.learner.values(self.offline.bounding_fit, self._anchor)
         # The likelihood is that of the rotation.
