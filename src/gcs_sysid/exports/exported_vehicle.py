@@ -14,7 +14,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.airframe import ANCHORS, POSITIVE, Airframe, Rotor, parse_airframe
+from gcs_sysid.model.airframe import ANCHORS, Airframe, Rotor, parse_airframe
 from gcs_sysid.model.parameters import PARAMETERS, TIMING
 from gcs_sysid.results.result import Estimate, Result
 
@@ -25,7 +25,7 @@ UNITS = {
 }
 """Everything that a vehicle here may know; `rotor_speed_max` is the speed at full command."""
 
-_ABOVE_ZERO = {*POSITIVE, "T_max", "rotor_speed_max"}
+_ABOVE_ZERO = {"rotor_speed_max"}
 _NOT_BELOW_ZERO = {"rotational_damping", "rotor_inertia", "linear_drag", "motor_lag"}
 
 _FOLLOWS = {"k_T": ("k_M",), "k_M": ("moment_ratio",), "moment_ratio": ("k_M",)}

@@ -4,9 +4,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from gcs_sysid.estimation.physical_parameters import CORE_OF
 from gcs_sysid.intervals import Z95
-from gcs_sysid.model.parameters import TIMING
+from gcs_sysid.model.parameters import CORE_OF, TIMING
 from gcs_sysid.report import wording
 from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.markup import Child, Markup, element, joined

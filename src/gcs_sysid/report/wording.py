@@ -4,9 +4,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from gcs_sysid.estimation.physical_parameters import CORE_OF
 from gcs_sysid.intervals import Z95
-from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.model.parameters import CORE_OF, PARAMETERS
 
 TIE = "\N{NO-BREAK SPACE}"
 """A space at which lines do not break."""

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from gcs_sysid.estimation.status import Status
 from gcs_sysid.files import write_whole
 from gcs_sysid.intervals import Z95
 
 SCHEMA = "gcs-sysid/1"
 
-Status = Literal["identified", "given", "weak", "unobservable"]
 Verdict = Literal["identified", "partial", "refused"]
 
 

@@ -8,10 +8,11 @@ them and is held while it reads well, so that numbers do not jump as they conver
 import math
 from collections.abc import Iterable, Mapping
 
+from gcs_sysid.estimation.status import Status
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import PARAMETERS, TIMING, Parameter
 from gcs_sysid.results.comparison import Change
-from gcs_sysid.results.result import Estimate, Result, Status, Verdict
+from gcs_sysid.results.result import Estimate, Result, Verdict
 from gcs_sysid.results.snapshot import LinkState
 
 UNKNOWN = "?"

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gcs_sysid.coach import interval_targets as targets
-from gcs_sysid.estimation.physical_parameters import CORE_OF, NOTHING, Value
+from gcs_sysid.estimation.status import NOTHING, Value
+from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.results.comparison import Comparison
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import LinkState, Snapshot
