@@ -103,8 +103,7 @@ class Flight:
         chain, truth = self.pipeline.chain, self.vehicle.truth()
         values = chain.values(chain.fit)
         return {
-            name: 100.0 * abs((values[name].value or np.nan) / truth[name] - 1.0)
-            for name in CORE
+            name: 100.0 * abs((values[name].value or np.nan) / truth[name] - 1.0) for name in CORE
         }
 
     def shares(self) -> dict[str, float | None]:
@@ -130,10 +129,7 @@ def modes(seed: int, airframe: str) -> Flown:
         values = values_of(fit, ScaleReference("mass", vehicle.mass), known.arm, {})
         if is_enough(shares(values, known.arm, "speed"), TARGET):
             truth = vehicle.truth()
-            errors = {
-                n: 100.0 * abs((values[n].value or np.nan) / truth[n] - 1.0)
-                for n in CORE
-            }
+            errors = {n: 100.0 * abs((values[n].value or np.nan) / truth[n] - 1.0) for n in CORE}
             return Flown((start + each) / RATE, errors)
     return Flown()
 
