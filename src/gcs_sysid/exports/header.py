@@ -42,7 +42,7 @@ class Format:
 
     def notes(self, vehicle: Vehicle) -> list[str]:
         """On what is only roughly known, and on what is known but has no place here."""
-        taken = (*self.needs, *self.uses)
+        taken = dict.fromkeys((*self.needs, *self.uses))
         weak = [n for n in taken if n in vehicle.known and vehicle.known[n].origin == "weak"]
         lost = [
             f"{name} ({vehicle[name]:.3g} {p.unit})"
