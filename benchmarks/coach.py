@@ -20,10 +20,10 @@ from benchmarks.accuracy.flights import measure
 from gcs_sysid.coach.interval_targets import is_enough, shares
 from gcs_sysid.coach.manoeuvre_library import Limits
 from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.physical_parameters import CORE
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
 from gcs_sysid.model.airframe import Airframe, load_airframe
+from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import values_of
 from gcs_sysid.session.chain import ChainOptions
@@ -38,6 +38,7 @@ from sim_bridge.simulation import Simulation
 from sim_bridge.swings import ManoeuvreMission, Swings
 from sim_bridge.vehicle_files import load_vehicle
 
+CORE = CORE_OF["speed"]
 TARGET = 0.02
 AGREES = 1.5
 WANTED = 0.6

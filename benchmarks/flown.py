@@ -49,9 +49,7 @@ def craft_of(name: str) -> tuple[Craft, Array]:
     """An emulated vehicle as it is, and (N_UNKNOWNS,) margins of what one could have assumed."""
     vehicle, expected = load_vehicle(name), prior_vehicle(load_airframe(name))
     true = vehicle.truth()
-    theta = np.array([true[parameter] for parameter in rb.THETA], dtype=float)
-    relative = [parameter not in ("cg_x", "cg_y", "moment_ratio") for parameter in rb.THETA]
-    theta[relative] /= true["k_T"]
+    theta = rb.theta_of(true, true["k_T"])
     expected = expected.at(true["k_T"] / true["mass"])
     return replace(expected.craft, theta=theta), expected.std
 

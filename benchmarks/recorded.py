@@ -17,16 +17,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
+from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.tlog import read_tlog
 
 SUFFIXES = (".tlog", ".ulg", ".bin")
-NAMES = (
-    "mass", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "T_max",
-    "thrust_curve", "moment_ratio", "rotational_damping", "linear_drag", "motor_lag",
-)  # fmt: skip
+NAMES = tuple(name for name, parameter in REGISTRY.items() if parameter.of_vehicle)
 _FAST = {"HIGHRES_IMU": 5, "ESC_STATUS": 5, "ACTUATOR_OUTPUT_STATUS": 5, "SERVO_OUTPUT_RAW": 5}
 _KEPT = ("HEARTBEAT", "EXTENDED_SYS_STATE", "PARAM_VALUE")
 

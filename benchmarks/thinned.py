@@ -73,12 +73,7 @@ class Watched:
 
 def true_theta(truth: dict[str, float]) -> Array:
     """(N_THETA,) relative to T_max."""
-    T_max = truth["T_max"]
-    inertia = [truth[name] / T_max for name in rb.THETA[: rb.N_INERTIA]]
-    cg = [truth["cg_x"], truth["cg_y"]]
-    return np.array(
-        [*inertia, *cg, truth["moment_ratio"], truth["rotational_damping"] / T_max, 0.0]
-    )
+    return rb.theta_of({**truth, "rotor_inertia": 0.0}, truth["T_max"])
 
 
 def acceleration(

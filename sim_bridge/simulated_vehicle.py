@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.model.airframe import CommandRange, Rotor
-from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.model.parameters import GRAVITY, REGISTRY
 
 Value = Any
 """A float, or a float array of shape (N,): the physics is written once for both."""
@@ -71,25 +71,18 @@ class Vehicle:
         The place of the IMU is in it where it is not at the CG.
         """
         return {
-            "mass": self.mass,
-            **{name: getattr(self, name) for name in ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz")},
-            "cg_x": self.cg_x,
-            "cg_y": self.cg_y,
-            "k_T": self.k_T,
-            "k_M": self.k_M,
-            "T_max": self.T_max,
-            "thrust_curve": self.thrust_curve,
-            "moment_ratio": self.k_M / self.k_T,
-            "rotational_damping": self.rotational_damping,
-            "rotor_inertia": self.rotor_inertia,
-            "linear_drag": self.linear_drag,
-            "motor_lag": self.motor_lag,
+            **{n: getattr(self, n) for n, p in REGISTRY.items() if p.of_vehicle},
             **{
                 name: getattr(self, name)
                 for name in ("imu_x", "imu_y", "imu_z")
                 if np.any(getattr(self, name))
             },
         }
+
+    @property
+    def moment_ratio(self) -> Value:
+        """k_M / k_T, m."""
+        return self.k_M / self.k_T
 
     def with_mass_factor(self, factor: float) -> "Vehicle":
         """The same vehicle with its mass multiplied; inertia and CG stay."""
@@ -138,8 +131,7 @@ def allocation(vehicle: Vehicle) -> list[list[Value]]:
     of least squared thrust for more.
     """
     v = vehicle
-    moment_ratio = np.asarray(v.k_M / v.k_T, dtype=float)
-    cg_x, cg_y, moment_ratio = np.broadcast_arrays(v.cg_x, v.cg_y, moment_ratio)
+    cg_x, cg_y, moment_ratio = np.broadcast_arrays(v.cg_x, v.cg_y, v.moment_ratio)
     effect = np.stack(
         [
             np.stack(

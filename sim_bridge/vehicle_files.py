@@ -15,12 +15,12 @@ from gcs_sysid.model.airframe import (
     parse_airframe,
     read_airframe_table,
 )
+from gcs_sysid.model.parameters import REGISTRY
 from sim_bridge.simulated_vehicle import Vehicle, hover_thrusts
 
-_POSITIVE = ("mass", "Ixx", "Iyy", "Izz", "k_T", "k_M", "T_max")
-_NOT_NEGATIVE = ("motor_lag", "rotational_damping", "rotor_inertia", "linear_drag")
-_ANY_SIGN = ("Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "imu_x", "imu_y", "imu_z", "thrust_curve")
-_REQUIRED = ("mass", "Ixx", "Iyy", "Izz", "k_T", "k_M", "T_max")
+_KNOWN = tuple(name for name in REGISTRY if name in Vehicle.__dataclass_fields__)
+_REQUIRED = tuple(name for name in _KNOWN if REGISTRY[name].sign == "positive")
+_IMU = ("imu_x", "imu_y", "imu_z")
 
 
 def vehicle_names() -> list[str]:
@@ -76,7 +76,7 @@ def make_vehicle(airframe: Airframe, parameters: object, where: str) -> Vehicle:
     lag_of = values.pop("lag_of", "speed")
     if lag_of not in ("speed", "command"):
         raise InputError(f"{where}: lag_of must be 'speed' or 'command', got {lag_of!r}")
-    known = {*_POSITIVE, *_NOT_NEGATIVE, *_ANY_SIGN, "lag_of"}
+    known = {*_KNOWN, *_IMU, "lag_of"}
     for key in values:
         if key not in known:
             raise InputError(f"{where}: unknown key {key!r}; known are {', '.join(sorted(known))}")
@@ -110,9 +110,10 @@ def make_vehicle(airframe: Airframe, parameters: object, where: str) -> Vehicle:
 def _check_value(key: str, value: object, where: str) -> None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise InputError(f"{where} must be a number, got {value!r}")
-    if key in _POSITIVE and value <= 0:
+    sign = REGISTRY[key].sign if key in _KNOWN else "any"
+    if sign == "positive" and value <= 0:
         raise InputError(f"{where} must be positive, got {value:g}")
-    if key in _NOT_NEGATIVE and value < 0:
+    if sign == "not negative" and value < 0:
         raise InputError(f"{where} must not be negative, got {value:g}")
     if key == "thrust_curve" and not 0.0 <= value <= 1.0:
         raise InputError(f"{where} must lie in 0..1, got {value:g}")

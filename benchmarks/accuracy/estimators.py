@@ -10,8 +10,8 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.innovations import AxisNoise, Noise
 from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximise_likelihood
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
-from gcs_sysid.estimation.physical_parameters import Value
 from gcs_sysid.estimation.speed_noise import ROUNDING_STD
+from gcs_sysid.estimation.status import Value
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.scale_reference import ScaleReference
@@ -25,10 +25,7 @@ Outcome = dict[str, list[float]]
 
 def true_theta() -> Array:
     """(N_THETA,) of the vehicle flown."""
-    v = VEHICLE
-    inertia = [v.Ixx, v.Iyy, v.Izz, v.Ixy, v.Iyz, v.Ixz]
-    scaled = np.array([*inertia, v.k_M, v.rotational_damping, v.rotor_inertia]) / v.k_T
-    return np.concatenate([scaled[:6], [v.cg_x, v.cg_y], scaled[6:]])
+    return rb.theta_of(VEHICLE.truth(), VEHICLE.k_T)
 
 
 def online(samples: Samples, dt: float, tuning: Tuning | None = None) -> Fit:

@@ -104,9 +104,11 @@ def test_table_shows_truth_and_error(analyze, paper_flight):
     table = {row.split()[0]: row.split() for row in rows if row}
     assert set(table) == {n for n in PARAMETERS if n not in ("T_max", "thrust_curve")}
     for name in ("Ixx", "Izz", "k_M"):
-        value, truth, error = (float(table[name][k]) for k in (1, -2, -1))
+        value, half, truth, error = (float(table[name][k]) for k in (1, 2, -2, -1))
         assert truth == pytest.approx(paper_flight.truth[name], rel=1e-5)
-        assert error == pytest.approx(100 * (value / truth - 1), abs=0.01)
+        # The value is rounded to two digits of its interval, the error to two decimals.
+        rounding = 0.005 + 100 * 0.05 * half / value
+        assert error == pytest.approx(100 * (value / truth - 1), abs=rounding)
     assert max(map(len, out.splitlines())) < 110
 
 
@@ -114,7 +116,7 @@ def test_table_shows_truth_and_error(analyze, paper_flight):
 def test_the_table_fits_a_terminal_of_80_columns(with_truth, with_bounds):
     bound = 1.2e-6 if with_bounds else None
     estimates = {
-        name: Estimate(-1.23456e-4, 3.4e-6, p.unit, "identified", bound)
+        name: Estimate(-1.23456e-4, 3.4e-10, p.unit, "identified", bound)
         for name, p in PARAMETERS.items()
     }
     estimates["mass"] = Estimate(1.5, 0.0, "kg", "given")

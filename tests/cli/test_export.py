@@ -158,7 +158,8 @@ def test_a_changed_vehicle(capsys):
     out, _ = capsys.readouterr()
     assert "\nThe vehicle has changed: cg_x.\n" in out
     row = next(line for line in out.splitlines() if line.startswith("cg_x"))
-    assert row.split() == ["cg_x", "0.01", "0.02", "0.01", "4.4e-05", "+100.00", "m", "changed"]
+    numbers = ["0.010000", "0.020000", "0.0100", "4.4e-05", "+100"]
+    assert row.split() == ["cg_x", *numbers, "m", "changed"]
 
 
 def test_nothing_to_compare_is_status_1(capsys):

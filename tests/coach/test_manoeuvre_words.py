@@ -7,7 +7,8 @@ import pytest
 from gcs_sysid.coach.interval_targets import excess, is_enough, shares
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre
 from gcs_sysid.coach.manoeuvre_words import sentence
-from gcs_sysid.estimation.physical_parameters import CORE, NOTHING, Value
+from gcs_sysid.estimation.status import NOTHING, Value
+from gcs_sysid.model.parameters import CORE_OF
 
 D20, D45 = math.radians(20.0), math.radians(45.0)
 
@@ -49,7 +50,7 @@ def test_gains_name_the_widest_first():
 
 
 def values(**changed):
-    usual = dict.fromkeys(CORE, Value(1.0, 0.01, "identified"))
+    usual = dict.fromkeys(CORE_OF["speed"], Value(1.0, 0.01, "identified"))
     return usual | {"mass": Value(1.0, 0.0, "given")} | changed
 
 

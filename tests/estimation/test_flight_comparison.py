@@ -13,7 +13,18 @@ from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.model import rigid_body as rb
 
-THETA = np.array([3.6e-3, 2.9e-3, 5.6e-3, 1e-4, 2.6e-4, -1.5e-4, 0.0, 0.0, 0.0134, 2.7e-3, 0.0])
+THETA = rb.theta_of(
+    {
+        "Ixx": 3.6e-3,
+        "Iyy": 2.9e-3,
+        "Izz": 5.6e-3,
+        "Ixy": 1e-4,
+        "Iyz": 2.6e-4,
+        "Ixz": -1.5e-4,
+        "moment_ratio": 0.0134,
+        "rotational_damping": 2.7e-3,
+    }
+)
 
 
 def on_commands(kappa, curve_std):

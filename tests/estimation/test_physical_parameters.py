@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.physical_parameters import (
-    CORE,
-    NOTHING,
-    Value,
-    motor_lag,
     physical_parameters,
+    timing_values,
     verdict,
 )
 from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.status import NOTHING, Value
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.model.scale_reference import ScaleReference
+
+CORE = CORE_OF["speed"]
 
 MASS, K_T, ARM = 1.5, 2.05e-4, 0.35
 TRUE = {
@@ -26,11 +27,7 @@ TRUE = {
     "moment_ratio": 6.14e-6 / K_T, "rotational_damping": 0.004, "rotor_inertia": 6e-5,
     "linear_drag": 0.25,
 }  # fmt: skip
-THETA = np.array(
-    [TRUE[n] / K_T for n in rb.THETA[: rb.N_INERTIA]]
-    + [TRUE[n] for n in ("cg_x", "cg_y", "moment_ratio")]
-    + [TRUE[n] / K_T for n in ("rotational_damping", "rotor_inertia")]
-)
+THETA = rb.theta_of(TRUE, K_T)
 COVARIANCE = np.diag((0.003 * THETA) ** 2)
 ROTATION = RotationFit(THETA, COVARIANCE, np.eye(3), np.full(3, 0.99), 1000, True)
 KAPPA, DELTA = K_T / MASS, TRUE["linear_drag"] / MASS
@@ -216,7 +213,7 @@ def test_a_motors_form_is_doubted_the_more_the_slower_it_is():
             ScaleReference("mass", MASS), fit, sure, ARM, rotor_input="command"
         )
         stds.append([found[name].std for name in ("thrust_curve", "T_max", "cg_x")])
-        assert motor_lag(fit).std == pytest.approx(0.02 * lag, rel=0.02)
+        assert timing_values(fit, "command")["motor_lag"].std == pytest.approx(0.02 * lag, rel=0.02)
     quick, usual, slow = np.array(stds)
     np.testing.assert_allclose(usual, quick)
     np.testing.assert_allclose(slow, 2.0 * usual, rtol=0.01)

@@ -14,7 +14,21 @@ from gcs_sysid.model import rigid_body as rb
 
 IZZ, RATIO = 2, rb.MOMENT_RATIO
 ROWS, PER_BATCH = 4000, 40  # a hundred batches: their scatter is known well
-THETA = np.array([80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3])
+THETA = rb.theta_of(
+    {
+        "Ixx": 80.0,
+        "Iyy": 81.0,
+        "Izz": 143.0,
+        "Ixy": 6.6,
+        "Iyz": 12.4,
+        "Ixz": -8.1,
+        "cg_x": 0.1,
+        "cg_y": 0.05,
+        "moment_ratio": 0.03,
+        "rotational_damping": 20.0,
+        "rotor_inertia": 0.3,
+    }
+)
 
 
 def inputs(rng, tumbling):

@@ -6,7 +6,20 @@ import pytest
 from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.model import rigid_body as rb
 
-THETA = np.array([80.0, 110.0, 170.0, 6.0, -4.0, 5.0, 0.01, -0.02, 0.02, 60.0, 0.0])
+THETA = rb.theta_of(
+    {
+        "Ixx": 80.0,
+        "Iyy": 110.0,
+        "Izz": 170.0,
+        "Ixy": 6.0,
+        "Iyz": -4.0,
+        "Ixz": 5.0,
+        "cg_x": 0.01,
+        "cg_y": -0.02,
+        "moment_ratio": 0.02,
+        "rotational_damping": 60.0,
+    }
+)
 
 PLAIN = np.eye(rb.N_SIGNALS + 3)
 """Of moments of rows as they are."""

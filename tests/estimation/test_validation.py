@@ -13,7 +13,19 @@ from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.estimation.validation import validate
 from gcs_sysid.model import rigid_body as rb
 
-THETA = np.array([80.0, 82.0, 143.0, 6.0, 12.0, -8.0, 0.1, 0.05, 0.03, 0.0, 0.0])
+THETA = rb.theta_of(
+    {
+        "Ixx": 80.0,
+        "Iyy": 82.0,
+        "Izz": 143.0,
+        "Ixy": 6.0,
+        "Iyz": 12.0,
+        "Ixz": -8.0,
+        "cg_x": 0.1,
+        "cg_y": 0.05,
+        "moment_ratio": 0.03,
+    }
+)
 BATCHES, ROWS = 30, 40
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.parameters import INERTIA
 
 STATES = 50
 """Random vehicles and states a case; each has its own rotors, CG, inertia and motion."""
@@ -46,8 +47,14 @@ class Vehicle:
     def theta(self):
         J = self.J
         elements = [J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[1, 2], J[0, 2]]
-        relative = [*elements, self.cg[0] * self.k_T, self.cg[1] * self.k_T]
-        return np.array([*relative, self.k_M, self.d, self.J_r]) / self.k_T
+        values = dict(zip(INERTIA, elements, strict=True)) | {
+            "cg_x": self.cg[0],
+            "cg_y": self.cg[1],
+            "moment_ratio": self.k_M / self.k_T,
+            "rotational_damping": self.d,
+            "rotor_inertia": self.J_r,
+        }
+        return rb.theta_of(values, self.k_T)
 
     @property
     def geometry(self):

@@ -15,8 +15,8 @@ from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.report.data import AXES, Provenance, ReportData
 from gcs_sysid.report.page import render
 from gcs_sysid.report.prediction_series import Prediction, Spectrum
-from gcs_sysid.report.wording import STATUS_WORDS
 from gcs_sysid.results.snapshot import Event, History
+from gcs_sysid.results.words import STATUS
 
 from .reading import Page
 
@@ -121,7 +121,7 @@ def test_parameters_are_those_of_the_result(page, report):
     assert by_name.keys() == report.result["parameters"].keys()
     for name, estimate in report.result["parameters"].items():
         _, value, interval, status, *_ = by_name[name]
-        assert STATUS_WORDS[estimate["status"]] in status
+        assert status == STATUS[estimate["status"]].sign + estimate["status"]
         if estimate["status"] == "given":
             assert value == "1.50000 kg"
             continue

@@ -8,42 +8,6 @@ from gcs_sysid.screen import formatting as fmt
 from . import fake
 
 
-@pytest.mark.parametrize(
-    ("unit", "exponent", "text"),
-    [
-        ("kg m^2", 0, "kg m²"),
-        ("kg m^2", -3, "10⁻³ kg m²"),
-        ("N m s^2", -6, "10⁻⁶ N m s²"),
-        ("m", -3, "mm"),
-        ("s", -3, "ms"),
-        ("m", 0, "m"),
-        ("1", 0, ""),
-        ("1", -3, "10⁻³"),
-        ("N s/m", 0, "N s/m"),
-    ],
-)
-def test_unit_with_its_power(unit, exponent, text):
-    assert fmt.scaled_unit(unit, exponent) == text
-
-
-@pytest.mark.parametrize(
-    ("magnitude", "previous", "exponent"),
-    [
-        (0.0294, None, -3),
-        (2.05e-4, None, -6),
-        (6.14e-6, None, -6),
-        (1.5, None, 0),
-        (0.7e-3, -3, -3),  # held, though 700e-6 would do
-        (0.4e-3, -3, -6),
-        (1.2, -3, 0),
-        (0.0, None, 0),
-        (math.inf, -3, -3),
-    ],
-)
-def test_power_is_engineering_and_held(magnitude, previous, exponent):
-    assert fmt.engineering_exponent(magnitude, previous) == exponent
-
-
 def test_one_power_for_all_parameters_of_a_unit():
     chosen = fmt.choose_exponents(fake.result(), fake.TRUTH, {})
     assert chosen["kg m^2"] == -3
@@ -82,26 +46,6 @@ def test_decimal_points_stand_in_one_column():
     assert {value.index(".") for value in values} == {fmt.WHOLE_WIDTH}
 
 
-@pytest.mark.parametrize(
-    ("fraction", "signed", "text"),
-    [
-        (0.00487, False, "0.49 %"),
-        (0.0999, False, "9.99 %"),
-        (0.1234, False, "12.3 %"),
-        (1.9, False, "190 %"),
-        (12.0, False, ">999 %"),
-        (math.inf, False, ">999 %"),
-        (None, False, ""),
-        (-0.0029, True, "-0.29 %"),
-        (0.024, True, "+2.40 %"),
-        (-50.0, True, "<-999 %"),
-    ],
-)
-def test_percent(fraction, signed, text):
-    assert fmt.percent(fraction, signed) == text
-    assert len(text) <= 7
-
-
 def test_bar_fills_in_eighths_and_keeps_its_width():
     assert fmt.bar(0.0, 4) == "    "
     assert fmt.bar(1.7, 4) == "████"
@@ -120,19 +64,3 @@ def test_times():
     assert fmt.clock_tenths(59.96) == "01:00.0"
     assert fmt.duration(125.4) == "2 min 5 s"
     assert fmt.duration(4.9) == "4 s"
-
-
-def test_every_status_has_its_own_sign():
-    assert len(set(fmt.STATUS_SIGN.values())) == len(fmt.STATUS_SIGN)
-
-
-def test_labels_fit_their_column():
-    assert all(len(fmt.label(name)) <= 8 for name in (*fmt.PARAMETERS, *fmt.TIMING))
-
-
-@pytest.mark.parametrize(
-    ("fraction", "text"),
-    [(0.02, "2 %"), (0.118, "12 %"), (0.0049, "0.49 %"), (3.17, "320 %"), (12.0, ">999 %")],
-)
-def test_rough_has_two_digits(fraction, text):
-    assert fmt.rough(fraction) == text

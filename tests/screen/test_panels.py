@@ -207,9 +207,9 @@ def test_the_coach_says_what_to_fly_how_far_it_is_and_what_it_brings():
     first, second = written(fake.advice())
     assert first == "▶ FLY  roll and yaw together, ±20°, about 1 Hz, 10 s"
     assert second.startswith("████████  ")
-    assert "40 %  6 s left   k_M ? → 5 %   Iyz 10 % → 4 %" in second
+    assert "40 %  6 s left   k_M ? → 5.0 %   Iyz 10 % → 4.0 %" in second
     assert len(second) <= 78
-    assert "Izz 7.9 % → 3 %" in written(fake.advice(), 118)[1]
+    assert "Izz 7.9 % → 3.0 %" in written(fake.advice(), 118)[1]
 
 
 def test_the_coach_has_enough():

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.physical_parameters import Value
+from gcs_sysid.estimation.status import Value
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import PARAMETERS

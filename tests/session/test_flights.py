@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.physical_parameters import CORE
 from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
@@ -31,7 +31,7 @@ def errors(result, truth):
     """Relative errors of the core parameters that are not given."""
     return {
         n: abs(result.parameters[n].value / truth[n] - 1.0)
-        for n in CORE
+        for n in CORE_OF["speed"]
         if result.parameters[n].status != "given"
     }
 

@@ -12,7 +12,7 @@ ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-d
 """Names of `estimation.article.METHODS` (a test compares); not imported, to start fast."""
 
 EXPORT_TARGETS = ("px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy")
-"""Names of `exports.targets.TARGETS` (a test compares); not imported either."""
+"""Names of `exports.formats.TARGETS` (a test compares); not imported either."""
 
 _Group = argparse._ArgumentGroup
 

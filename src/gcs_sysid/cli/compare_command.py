@@ -8,10 +8,11 @@ from pathlib import Path
 from gcs_sysid.cli import output
 from gcs_sysid.intervals import Z95
 from gcs_sysid.results.comparison import Comparison, Difference, compare
+from gcs_sysid.results.number_format import percent_column, rounded, significant
 from gcs_sysid.results.result import Estimate
 from gcs_sysid.results.result_file import read_result
+from gcs_sysid.results.words import CHANGE
 
-_WORDS = {"changed": "changed", "no_change_seen": "no change seen", "cannot_tell": "cannot tell"}
 _WIDTH = 100
 
 
@@ -58,17 +59,18 @@ _RULES = (
 
 def _row(found: Difference) -> str:
     values = [
-        "-" if estimate is None or estimate.value is None else f"{estimate.value:.5g}"
+        "-" if estimate is None else rounded(estimate.value, estimate.half, 5)
         for estimate in (found.before, found.after)
     ]
     line = f"{found.name:<19}{values[0]:>12}{values[1]:>12}"
     if found.value is None or found.std is None or found.before is None:
         line += f"{'-':>10}{'-':>9}{'-':>8}"
     else:
-        line += f"{found.value:>10.3g}{Z95 * found.std:>9.2g}"
+        half = Z95 * found.std
+        line += f"{rounded(found.value, half, 3):>10}{significant(half, 2) if half else '0':>9}"
         line += f"{_percent(found.value, found.before):>8}"
     why = f": {found.why}" if found.why else ""
-    return f"{line}  {found.unit:<9}{_WORDS[found.verdict]}{why}"
+    return f"{line}  {found.unit:<9}{CHANGE[found.verdict].meaning}{why}"
 
 
 def _percent(difference: float, before: Estimate) -> str:
@@ -76,8 +78,7 @@ def _percent(difference: float, before: Estimate) -> str:
     low, high = before.ci95 or (0.0, 0.0)
     if before.value is None or low <= 0.0 <= high:
         return "-"
-    share = 100.0 * difference / abs(before.value)
-    return f"{share:+.2f}" if abs(share) < 1000.0 else f"{'+-'[share < 0.0]}>999"
+    return percent_column(difference / abs(before.value), signed=True).removesuffix(" %")
 
 
 def _summary(comparison: Comparison) -> list[str]:

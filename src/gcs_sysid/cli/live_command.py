@@ -18,6 +18,8 @@ from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.garbage import spare_what_stays
 from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
+from gcs_sysid.model.parameters import CORE_OF, REGISTRY
+from gcs_sysid.results.number_format import PLAIN, rounded
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
@@ -266,12 +268,13 @@ def status_line(snapshot: Snapshot) -> str:
     if link.state is not LinkState.CONNECTED:
         words.append(str(link.state.value))
     words.append(snapshot.result.verdict)
-    speeds = snapshot.result.rotor_input == "speed"
-    for name in ("Ixx", "Iyy", "Izz", *(("k_T", "k_M") if speeds else ("T_max", "moment_ratio"))):
+    for name in CORE_OF[snapshot.result.rotor_input]:
         estimate = snapshot.result.parameters.get(name)
-        if estimate is None or estimate.value is None or estimate.std is None:
+        if REGISTRY[name].sign != "positive" or (estimate and estimate.status == "given"):
+            continue
+        if estimate is None or estimate.half is None:
             words.append(f"{name} -")
         else:
-            share = 196.0 * estimate.std / abs(estimate.value) if estimate.value else 999.0
-            words.append(f"{name} {estimate.value:.4g} ±{min(share, 999.0):.1f}%")
+            value = rounded(estimate.value, estimate.half, 4)
+            words.append(f"{name} {value} ±{PLAIN.percent(estimate.relative_half)}")
     return "  ".join(words)

@@ -1,13 +1,14 @@
 """A result as lines of text."""
 
-import math
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.results.number_format import PLAIN, percent_column, rounded, significant
 from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.results.words import event_text
 
 
 class _Style(NamedTuple):
@@ -61,7 +62,9 @@ def _rows(result: Result, truth: Mapping[str, float] | None, style: _Style) -> l
     estimates = list(result.parameters.values())
     columns: dict[str, list[str]] = {
         "parameter": names,
-        "value": [_number(e.value if e.std is not None else None, style.digits) for e in estimates],
+        "value": [
+            rounded(e.value if e.std is not None else None, e.half, style.digits) for e in estimates
+        ],
         "± 95 %": [_half(e) for e in estimates],
         "%": [_share(e) for e in estimates],
         "unit": [PARAMETERS[name].unit for name in names],
@@ -69,10 +72,10 @@ def _rows(result: Result, truth: Mapping[str, float] | None, style: _Style) -> l
     }
     if any(e.bound is not None for e in estimates):
         bounds = [Z95 * e.bound if e.bound else None for e in estimates]
-        columns["bound 95 %"] = [_number(bound, 2) for bound in bounds]
+        columns["bound 95 %"] = [PLAIN.number(bound, 2) for bound in bounds]
     if truth:
         true = [truth.get(name) for name in names]
-        columns["truth"] = [_number(value, style.digits) for value in true]
+        columns["truth"] = [rounded(value, None, style.digits) for value in true]
         columns["error %"] = [_error(e.value, t) for e, t in zip(estimates, true, strict=True)]
     shown = {head: cells for head, cells in columns.items() if head not in style.without}
     padded = [_column(head, cells) for head, cells in shown.items()]
@@ -87,30 +90,22 @@ def _column(head: str, cells: Sequence[str]) -> list[str]:
     return [f"{cell:{side}{wide}}" for cell in (head, *cells)]
 
 
-def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}g}"
-
-
 def _half(estimate: Estimate) -> str:
     if estimate.value is None or estimate.std is None:
         return "-"
-    return "" if estimate.status == "given" else f"{Z95 * estimate.std:.2g}"
+    return "" if estimate.half is None else significant(estimate.half, 2)
 
 
 def _share(estimate: Estimate) -> str:
     if estimate.value is None or estimate.std is None:
         return "-"
-    if estimate.status == "given":
-        return ""
-    half = Z95 * estimate.std
-    share = 100.0 * half / abs(estimate.value) if estimate.value else math.inf
-    return f"{share:.2f}" if share < 1000.0 else ">999"
+    return percent_column(estimate.relative_half).removesuffix(" %")
 
 
 def _error(value: float | None, true: float | None) -> str:
     if value is None or not true:
         return "-"
-    return f"{100.0 * (value / true - 1.0):.2f}"
+    return percent_column(value / true - 1.0, signed=True).removesuffix(" %")
 
 
 def _notes(result: Result) -> list[str]:
@@ -120,8 +115,8 @@ def _notes(result: Result) -> list[str]:
         if estimate.rests_on:
             leaning.setdefault(estimate.rests_on, []).append(name)
     notes = [f"{', '.join(names)}: mostly from {what}" for what, names in leaning.items()]
-    notes += [_event_line(event) for event in result.events if "detected" in event]
-    notes += [f"{e['t']:.2f} s: {e['text']}" for e in result.events if e["kind"] in _TOLD]
+    told = (e for e in result.events if "detected" in e or e["kind"] in _TOLD)
+    notes += [f"{event['t']:.2f} s: {event_text(event)}" for event in told]
     spikes = result.telemetry.get("imu_outliers", {}).get("spikes", 0)
     if spikes:
         notes.append(f"{spikes} gyro samples were spikes, replaced by what their neighbours say")
@@ -135,15 +130,3 @@ def _scale_lines(result: Result) -> list[str]:
         return []
     source = f" from {scale.origin}" if scale.origin else ""
     return [f"scale: {scale.anchor} = {scale.value:.6g} {scale.unit}{source}"]
-
-
-def _event_line(event: Mapping[str, Any]) -> str:
-    """A change in flight in one line."""
-    line = f"{event['t']:.2f} s: {event['kind'].replace('_', ' ')}"
-    if "loss" in event:
-        low, high = (100.0 * v for v in event["loss"]["ci95"])
-        return f"{line}, rotor {event['rotor'] + 1} lost {low:.0f} to {high:.0f} % of its thrust"
-    mass = event.get("parameters", {}).get("mass")
-    if mass:
-        return f"{line}, mass {mass['before']:.4g} -> {mass['after']:.4g} kg"
-    return line

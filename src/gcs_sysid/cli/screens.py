@@ -57,13 +57,6 @@ def replay_actions(
     )
 
 
-SUFFIXES = {
-    "px4-sih": ".params",
-    "gazebo-sdf": ".sdf",
-    "urdf": ".urdf",
-    "mjcf": ".xml",
-    "rotorpy": ".py",
-}
 _SCALE_OPTIONS = {"mass": "--mass", "k_T": "--k-t", "T_max": "--t-max"}
 
 
@@ -79,7 +72,7 @@ def export_result(target: str, result: Result) -> str:
     """
     vehicle = assemble(result)
     text = TARGETS[target].write(vehicle)
-    path = unused_path(Path(f"{vehicle.name}{SUFFIXES[target]}"))
+    path = unused_path(Path(f"{vehicle.name}{TARGETS[target].form.suffix}"))
     save(path, text, force=False)
     missing = "; what it lacks is said in the file" if TARGETS[target].notes(vehicle) else ""
     return f"Exported to {path}{missing}"

@@ -8,12 +8,11 @@ to: a twentieth of the moments that a product couples, a twentieth of the arm.
 import math
 from collections.abc import Mapping
 
-from gcs_sysid.estimation.physical_parameters import CORE_OF, Value
-from gcs_sysid.estimation.rotor_signals import RotorInput
+from gcs_sysid.estimation.status import Value
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.parameters import ARM, CORE_OF, REGISTRY, RotorInput
 
 _SMALL = 0.05
-_PRODUCTS = {"Ixy": ("Ixx", "Iyy"), "Iyz": ("Iyy", "Izz"), "Ixz": ("Ixx", "Izz")}
 
 
 def shares(
@@ -24,6 +23,7 @@ def shares(
     Parameters that are given do not count, nor do those that only a vehicle with something beside
     a rigid body and rotors has (damping, rotor inertia, drag).
     """
+    sizes = {name: told.value or 0.0 for name, told in values.items()} | {ARM: arm}
     out: dict[str, float | None] = {}
     for name in CORE_OF[rotor_input]:
         told = values[name]
@@ -32,12 +32,7 @@ def shares(
         if told.value is None or told.std is None:
             out[name] = None
             continue
-        yardstick = abs(told.value)
-        if name in _PRODUCTS:
-            coupled = [values[moment].value or 0.0 for moment in _PRODUCTS[name]]
-            yardstick = max(yardstick, _SMALL * math.sqrt(abs(coupled[0] * coupled[1])))
-        elif name in ("cg_x", "cg_y"):
-            yardstick = max(yardstick, _SMALL * arm)
+        yardstick = max(abs(told.value), _SMALL * REGISTRY[name].yardstick.counterpart(sizes))
         out[name] = Z95 * told.std / yardstick if yardstick > 0.0 else None
     return out
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre
+from gcs_sysid.results.number_format import PLAIN
 
 _TOLD = 3
 """Parameters that a sentence names."""
@@ -42,8 +43,8 @@ def _angle(angle: float) -> str:
 def gain_words(name: str, now: float | None, expected: float) -> str:
     """What a parameter gains, such as "Izz from 12 % to about 3 %"."""
     if now is None or now > 1.0:
-        return f"{name} to about {percent(expected)}"
-    return f"{name} from {percent(now)} to about {percent(expected)}"
+        return f"{name} to about {PLAIN.percent(expected, 1)}"
+    return f"{name} from {PLAIN.percent(now, 1)} to about {PLAIN.percent(expected, 1)}"
 
 
 def sentence(
@@ -61,9 +62,3 @@ def sentence(
     ]
     words = motion_words(manoeuvre)
     return f"{words}: {', '.join(gains)}" if gains else words
-
-
-def percent(share: float) -> str:
-    """A share with two digits that matter."""
-    value = 100.0 * share
-    return f"{value:.0f} %" if value >= 10.0 else f"{value:.1f} %"

@@ -11,7 +11,8 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.coach.flight_plan import HOVER, Plan, Step
 from gcs_sysid.coach.manoeuvre_library import RAMP, Manoeuvre
-from gcs_sysid.coach.manoeuvre_words import gain_words, motion_words, percent
+from gcs_sysid.coach.manoeuvre_words import gain_words, motion_words
+from gcs_sysid.results.number_format import PLAIN
 
 _BLOCKS, _PLAIN = "▁▂▃▄▅▆▇█", "_.,-~=*#"
 _COLUMNS = 32
@@ -73,10 +74,7 @@ def _gains(step: Step) -> str:
 
 
 def _widths(plan: Plan) -> str:
-    return ", ".join(
-        f"{name} {'-' if share is None else percent(share)}"
-        for name, share in plan.expected.items()
-    )
+    return ", ".join(f"{name} {PLAIN.percent(share, 1)}" for name, share in plan.expected.items())
 
 
 def _waves(manoeuvre: Manoeuvre) -> Iterator[tuple[str, Array]]:

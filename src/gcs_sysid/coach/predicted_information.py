@@ -15,17 +15,19 @@ from gcs_sysid.coach.motion import Craft
 from gcs_sysid.coach.prior_vehicle import PriorVehicle
 from gcs_sysid.estimation.actuator_dynamics import CURVE, LAG
 from gcs_sysid.estimation.online import MIN_MOMENTUM_SECONDS, Fit
-from gcs_sysid.estimation.physical_parameters import UNOBSERVABLE_BELOW_R2
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import COORDINATE_MEAN
+from gcs_sysid.estimation.status import RULES
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.uncertainty import bartlett
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.model.parameters import GRAVITY, REGISTRY
 
-_OF_AXIS = ((0, 3, 5, rb.CG_Y), (1, 3, 4, rb.CG_X), (2, 4, 5, rb.MOMENT_RATIO, rb.ROTOR_INERTIA))
+_OF_AXIS = tuple(
+    [i for i, name in enumerate(rb.THETA) if axis in REGISTRY[name].axes] for axis in range(3)
+)
 """Of theta: what an axis' equation tells."""
 _THRUST_SHARE = 1.2e-3
 """Relative standard deviation of k_T / m after MIN_MOMENTUM_SECONDS of flight: measured on flights
@@ -179,9 +181,9 @@ def _told(rotation: RotationFit, prior_vehicle: PriorVehicle, free: Array) -> tu
         freedom[free] = np.interp(rotation.warm_start.widening, _FACTORS[::-1], _FREEDOMS[::-1])
     covariance = rotation.full_covariance / np.outer(widening, widening)
     for axis, told_by in enumerate(_OF_AXIS):
-        if rotation.r_squared[axis] < UNOBSERVABLE_BELOW_R2:
+        if rotation.r_squared[axis] < RULES.unobservable_below_r2:
             # Where gusts turn the vehicle more than its rotors do, the scatter is deceptive.
-            covariance[told_by, told_by] += (10.0 * prior_vehicle.std[list(told_by)]) ** 2
+            covariance[told_by, told_by] += (10.0 * prior_vehicle.std[told_by]) ** 2
     information = np.zeros_like(covariance)
     there = free[np.diag(covariance)[free] > 0.0]
     part = covariance[np.ix_(there, there)]

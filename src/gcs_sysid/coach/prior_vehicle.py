@@ -11,15 +11,11 @@ from gcs_sysid.coach.motion import Craft
 from gcs_sysid.estimation.search import COORDINATE_STD
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.model.parameters import GRAVITY, REGISTRY
 
 _GYRATION = 0.55
 """Radius of gyration in roll and pitch over the arm; 0.54 to 0.57 of a Crazyflie, an Iris and the
 default vehicle of PX4's SIH."""
-_FLATNESS = 1.7
-"""Izz over Ixx: near 2 of flat things."""
-_TORQUE_RATIO = 0.07
-"""k_M / k_T over the arm, of usual propellers."""
 _HOVER_SPEED = 500.0
 """rad/s, of the rotors, where k_T is not known."""
 _HOVER_COMMAND = 0.4
@@ -51,7 +47,7 @@ class PriorVehicle(NamedTuple):
     def at(self, kappa: float) -> "PriorVehicle":
         """The same vehicle where flight tells its thrust over mass."""
         factor = np.full(rb.N_THETA, self.kappa / kappa)
-        factor[[rb.CG_X, rb.CG_Y, rb.MOMENT_RATIO]] = 1.0
+        factor[~rb.RELATIVE] = 1.0
         craft = replace(self.craft, theta=factor * self.craft.theta, thrust=GRAVITY / kappa)
         std = np.concatenate([factor * self.std[: rb.N_THETA], self.std[rb.N_THETA :]])
         return PriorVehicle(craft, std, kappa)
@@ -68,19 +64,13 @@ def prior_vehicle(airframe: Airframe, *, commands: bool = False) -> PriorVehicle
     else:
         thrust = airframe.k_T or known.get("k_T") or weight / (rotors * _HOVER_SPEED**2)
     around = mass * (_GYRATION * arm) ** 2
-    inertia = [around, around, _FLATNESS * around, 0.0, 0.0, 0.0]
-    theta = np.array([*inertia, 0.0, 0.0, _TORQUE_RATIO * arm * thrust, 0.0, 0.0]) / thrust
-    std = (
-        np.array([1.0, 1.0, _FLATNESS, 0.3, 0.3, 0.3, 0.0, 0.0, 0.0, 1.0, 0.002]) * around / thrust
-    )
-    std[[rb.CG_X, rb.CG_Y]] = 0.3 * arm
-    std[rb.MOMENT_RATIO] = _TORQUE_RATIO * arm
-    for i, name in enumerate(rb.THETA):
-        if name in known:
-            relative = name not in ("cg_x", "cg_y", "moment_ratio")
-            theta[i] = known[name] / (thrust if relative else 1.0)
-    if "k_M" in known:
-        theta[rb.MOMENT_RATIO] = known["k_M"] / thrust
+    usual = np.array([REGISTRY[name].usual for name in rb.THETA])
+    theta, std = np.where(rb.RELATIVE, around / thrust, arm) * usual.T
+    for name, value in known.items():
+        parameter = REGISTRY[name]
+        if parameter.theta:
+            relative = parameter.scale == "thrust"
+            theta[rb.THETA.index(parameter.theta)] = value / (thrust if relative else 1.0)
     most = None if airframe.T_max is None else airframe.T_max * rotors / weight
     craft = Craft(airframe.geometry, theta, weight / thrust, commands, most)
     coordinates = COORDINATE_STD.copy()

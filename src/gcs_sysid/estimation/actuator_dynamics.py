@@ -28,9 +28,11 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.windows import cosine_window
 
-DELAY, LAG, CURVE = 0, 1, 2
-"""Indices of the coordinates."""
-N_COORDINATES = 3
+COORDINATE_NAMES = ("rotor_delay", "motor_lag", "thrust_curve")
+"""Of the coordinates d, tau, c, as in `model.parameters`."""
+N_COORDINATES = len(COORDINATE_NAMES)
+DELAY, LAG, CURVE = range(N_COORDINATES)
+"""Their indices."""
 
 WIDTH = rb.N_SIGNALS + 3
 """Of a row [x, y]."""

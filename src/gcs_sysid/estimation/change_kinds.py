@@ -14,14 +14,13 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.parameters import INERTIA, grouped
 
 Kind = Literal["mass_change", "payload", "cg_shift", "inertia_change", "rotor_failure", "change"]
 CauseKind = Literal[
     "mass_change", "payload", "cg_shift", "inertia_change", "rotor_failure", "passing", "change"
 ]
 
-_INERTIAS = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz")
-_CG = ("cg_x", "cg_y")
 _Z95 = 1.959964
 _SURE = 3.0
 """Standard deviations of a difference that names the kind."""
@@ -178,7 +177,9 @@ def describe(
         if abs(difference) > max(_SURE * std, 0.01 * abs(old)):
             changed.add(name)
     kind: str = _kind_of(
-        "mass" in changed, bool(changed & set(_CG)), bool(changed & set(_INERTIAS))
+        "mass" in changed,
+        not changed.isdisjoint(grouped("balance point")),
+        not changed.isdisjoint(INERTIA),
     )
     event: dict[str, Any] = {"kind": kind, "parameters": parameters}
     if cause is not None and cause.kind == "rotor_failure":

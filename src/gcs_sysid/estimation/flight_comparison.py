@@ -92,12 +92,7 @@ def is_another(before: Fit, now: Fit, arm: float) -> bool:
     a, b = before.rotation, now.rotation
     if a is not None and b is not None:
         theta = a.theta
-        Ixx, Iyy, Izz = theta[:3]
-        size = np.empty(rb.N_THETA)
-        size[:3] = theta[:3]
-        size[3 : rb.N_INERTIA] = np.sqrt(np.abs([Ixx * Iyy, Iyy * Izz, Ixx * Izz]))
-        size[[rb.CG_X, rb.CG_Y]] = arm
-        size[rb.MOMENT_RATIO] = abs(theta[rb.MOMENT_RATIO])
+        size = rb.counterparts(theta, arm)
         known = [i for i in _COMPARED if max(a.std[i], b.std[i]) < _KNOWN_TO * size[i]]
         if known:
             difference = (b.theta - theta)[known]

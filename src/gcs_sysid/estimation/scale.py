@@ -13,9 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS, Prior
+from gcs_sysid.estimation.actuator_dynamics import COORDINATE_NAMES
+from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.translation import TranslationFit
-from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.parameters import REGISTRY, THETA
 from gcs_sysid.model.scale_reference import Known, ScaleReference
 
 
@@ -85,21 +86,18 @@ def _combined(value: float, share: float, prior: Known | None) -> tuple[float | 
     return (value, share) if math.isfinite(value) else (None, math.inf)
 
 
-LENGTHS = ("cg_x", "cg_y", "moment_ratio")
-"""Parameters that need no scale."""
+_UNKNOWNS = (*THETA, *COORDINATE_NAMES)
 
 
 def relative_prior(known: Mapping[str, Known], scale: Scale) -> Prior | None:
     """Priors on physical parameters as one on theta, as far as the scale is known."""
     mean, information = np.zeros(N_UNKNOWNS), np.zeros(N_UNKNOWNS)
     for name, (value, std) in known.items():
-        if name in ("mass", "k_T"):
+        parameter = REGISTRY[name]
+        if parameter.fit == "scale":
             continue
-        if name == "rotor_delay":
-            index = DELAY
-        else:
-            index = rb.THETA.index("moment_ratio" if name == "k_M" else name)
-        if name not in (*LENGTHS, "rotor_delay"):
+        index = _UNKNOWNS.index(parameter.theta or name)
+        if parameter.scale == "thrust":
             if scale.thrust is None:
                 continue
             value, std = value / scale.thrust, std / scale.thrust

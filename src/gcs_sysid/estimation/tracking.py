@@ -444,13 +444,12 @@ def _after_change(before: Fit, geometry: Array) -> Prior | None:
     """
     if before.rotation is None:
         return None
-    theta = before.rotation.theta
-    moments = theta[:3]
-    spread = np.zeros(N_UNKNOWNS)
-    spread[:3] = _INERTIA_MOVES * moments
-    pairs = ((0, 1), (1, 2), (0, 2))
-    spread[3 : rb.N_INERTIA] = [_INERTIA_MOVES * np.sqrt(moments[i] * moments[j]) for i, j in pairs]
-    spread[[rb.CG_X, rb.CG_Y]] = _CG_MOVES * np.mean(np.hypot(geometry[0], geometry[1]))
+    size = rb.counterparts(
+        before.rotation.theta, float(np.mean(np.hypot(geometry[0], geometry[1])))
+    )
+    spread, places = np.zeros(N_UNKNOWNS), [rb.CG_X, rb.CG_Y]
+    spread[rb.ELEMENTS] = _INERTIA_MOVES * size[rb.ELEMENTS]
+    spread[places] = _CG_MOVES * size[places]
     covariance = before.rotation.full_covariance + np.diag(spread**2)
     known = np.flatnonzero(np.diag(covariance) > 0.0)
     covariance = covariance[np.ix_(known, known)]

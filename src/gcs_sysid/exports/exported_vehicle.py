@@ -14,19 +14,14 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.model import rigid_body as rb
-from gcs_sysid.model.airframe import ANCHORS, POSITIVE, Airframe, Rotor, parse_airframe
-from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.model.airframe import ANCHORS, Airframe, Rotor, parse_airframe
+from gcs_sysid.model.parameters import INERTIA, REGISTRY, Sign
 from gcs_sysid.results.result import Estimate, Result
 
-INERTIA = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz")
-UNITS = {
-    **{name: p.unit for name, p in (PARAMETERS | TIMING).items() if name != "rotor_delay"},
-    "rotor_speed_max": "rad/s",
+UNITS = {name: p.unit for name, p in REGISTRY.items() if p.of_vehicle} | {
+    "rotor_speed_max": "rad/s"
 }
 """Everything that a vehicle here may know; `rotor_speed_max` is the speed at full command."""
-
-_ABOVE_ZERO = {*POSITIVE, "T_max", "rotor_speed_max"}
-_NOT_BELOW_ZERO = {"rotational_damping", "rotor_inertia", "linear_drag", "motor_lag"}
 
 _FOLLOWS = {"k_T": ("k_M",), "k_M": ("moment_ratio",), "moment_ratio": ("k_M",)}
 """What is reckoned anew where a value is given in place of the flight's."""
@@ -37,6 +32,10 @@ _FULL_SPEED = ("k_T", "k_M", "T_max", "rotor_speed_max")
 
 FLU = np.diag([1.0, -1.0, -1.0])
 """From forward, right, down to forward, left, up, and back."""
+
+
+def _sign(name: str) -> Sign:
+    return "positive" if name == "rotor_speed_max" else REGISTRY[name].sign
 
 
 class MissingError(GcsSysidError):
@@ -82,7 +81,7 @@ class Vehicle:
         if name not in self.known:
             return None
         value = self.known[name].value
-        return max(value, 0.0) if name in _NOT_BELOW_ZERO else value
+        return max(value, 0.0) if _sign(name) == "not negative" else value
 
     def __getitem__(self, name: str) -> float:
         """The value of a parameter that is known, after `need`."""
@@ -217,9 +216,9 @@ def _checked(name: str, value: float) -> Quantity:
         raise InputError(f"--set: no parameter {name!r}; known are {', '.join(UNITS)}")
     if not math.isfinite(value):
         raise InputError(f"--set {name}: must be a finite number")
-    if name in _ABOVE_ZERO and value <= 0.0:
+    if _sign(name) == "positive" and value <= 0.0:
         raise InputError(f"--set {name}: must be positive, got {value:g}")
-    if name in _NOT_BELOW_ZERO and value < 0.0:
+    if _sign(name) == "not negative" and value < 0.0:
         raise InputError(f"--set {name}: must not be negative, got {value:g}")
     return Quantity(value, None, "by hand")
 

@@ -11,12 +11,19 @@ rotor's axis, torque = -(+1 ccw, -1 cw) momentConstant thrust about it.
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.exports.exported_vehicle import INERTIA, Vehicle
-from gcs_sysid.exports.header import provenance, unplaced_note, weak_note, xml_comment
+from gcs_sysid.exports.exported_vehicle import Vehicle
+from gcs_sysid.exports.header import Format, provenance, xml_comment
 from gcs_sysid.exports.xml import inertia_elements, number, numbers
+from gcs_sysid.model.parameters import INERTIA
 
-TITLE = "SDF for Gazebo"
-NEEDS = ("mass", *INERTIA, "cg_x", "cg_y", "k_T", "moment_ratio", "rotor_speed_max")
+FORMAT = Format(
+    "gazebo-sdf",
+    "SDF for Gazebo",
+    ".sdf",
+    "Gazebo's motor model has",
+    needs=("mass", *INERTIA, "cg_x", "cg_y", "k_T", "moment_ratio", "rotor_speed_max"),
+    uses=("motor_lag", "rotor_inertia"),
+)
 _TOKEN_MASS = 1e-3
 """Of the vehicle's mass, of one rotor's link."""
 _TOKEN_INERTIA = 1e-4
@@ -27,8 +34,7 @@ _FLAT = 0.6
 
 def notes(vehicle: Vehicle) -> list[str]:
     """What the user should know."""
-    out = weak_note(vehicle, (*NEEDS, "motor_lag", "rotor_inertia"))
-    out += unplaced_note(vehicle, ("linear_drag", "rotational_damping"), "Gazebo's motor model has")
+    out = FORMAT.notes(vehicle)
     if not vehicle.get("motor_lag"):
         out.append("motor_lag is not known: Gazebo's own time constants are in force")
     out.append("rotor links weigh a token, taken from base_link: all links together are right")
@@ -43,8 +49,7 @@ def write(vehicle: Vehicle) -> str:
     Raises:
         MissingError: a parameter that the motor model cannot do without is not known.
     """
-    vehicle.need("gazebo-sdf", NEEDS)
-    vehicle.check_inertia()
+    FORMAT.check(vehicle)
     places = vehicle.rotors_flu
     rotor_mass = _TOKEN_MASS * vehicle["mass"]
     axial = max(vehicle.get("rotor_inertia") or 0.0, _TOKEN_INERTIA * vehicle["Izz"])
@@ -67,7 +72,7 @@ def write(vehicle: Vehicle) -> str:
         plugins += _motor(vehicle, i, "ccw" if rotor.spin > 0 else "cw")
     return (
         '<?xml version="1.0"?>\n'
-        + xml_comment(provenance(vehicle, TITLE, notes(vehicle)))
+        + xml_comment(provenance(vehicle, FORMAT, notes(vehicle)))
         + f'<sdf version="1.9">\n  <model name="{vehicle.name}">\n'
         + links
         + plugins

@@ -1,24 +1,72 @@
 """What an exported file says of itself: where it comes from, how certain, what it leaves out."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 from gcs_sysid import __version__
 from gcs_sysid.exports.exported_vehicle import UNITS, Quantity, Vehicle
 from gcs_sysid.intervals import Z95
+from gcs_sysid.model.parameters import REGISTRY
 
 
-def provenance(vehicle: Vehicle, target: str, notes: Iterable[str]) -> list[str]:
+@dataclass(frozen=True)
+class Format:
+    """A file format, and which parameters it takes.
+
+    Attributes:
+        name: on the command line.
+        title: in words.
+        suffix: of files.
+        owner: what has no place for a parameter, such as "SIH has".
+        needs: what it cannot do without.
+        uses: what it has a place for beside these.
+        lacks: what it has no place for, beside what changes the flight of any simulator.
+    """
+
+    name: str
+    title: str
+    suffix: str
+    owner: str
+    needs: tuple[str, ...]
+    uses: tuple[str, ...] = ()
+    lacks: tuple[str, ...] = ()
+
+    def check(self, vehicle: Vehicle) -> None:
+        """Make sure that all it needs is known.
+
+        Raises:
+            MissingError: it is not, or no body has this inertia.
+        """
+        vehicle.need(self.name, self.needs)
+        vehicle.check_inertia()
+
+    def notes(self, vehicle: Vehicle) -> list[str]:
+        """On what is only roughly known, and on what is known but has no place here."""
+        taken = dict.fromkeys((*self.needs, *self.uses))
+        weak = [n for n in taken if n in vehicle.known and vehicle.known[n].origin == "weak"]
+        lost = [
+            f"{name} ({vehicle[name]:.3g} {p.unit})"
+            for name, p in REGISTRY.items()
+            if (p.in_flight or name in self.lacks)
+            and name not in taken
+            and _is_there(vehicle, name)
+        ]
+        out = [f"only roughly known: {', '.join(weak)}"] if weak else []
+        return [*out, f"{self.owner} no place for {', '.join(lost)}"] if lost else out
+
+
+def provenance(vehicle: Vehicle, target: Format, notes: Iterable[str]) -> list[str]:
     """The head of a file as lines without comment marks.
 
     Args:
         vehicle: exported.
-        target: the format in words.
+        target: the format.
         notes: what a reader of the file should know.
     """
     result = vehicle.result
     scale = result.scale
     lines = [
-        f"{vehicle.name}: {target}, written by gcs-sysid {__version__}",
+        f"{vehicle.name}: {target.title}, written by gcs-sysid {__version__}",
         f"Flight: {_plain(result.source) or 'not named'}{_recorded(result.telemetry)}",
         f"Verdict: {result.verdict}"
         + ("" if not result.reasons else f" ({_plain('; '.join(result.reasons))})"),
@@ -45,19 +93,6 @@ def xml_comment(lines: Iterable[str]) -> str:
     while "--" in text:
         text = text.replace("--", "- -")
     return f"<!--\n{text}\n-->\n"
-
-
-def weak_note(vehicle: Vehicle, names: Iterable[str]) -> list[str]:
-    """A note on those of the parameters used that are only roughly known."""
-    weak = [n for n in names if n in vehicle.known and vehicle.known[n].origin == "weak"]
-    return [f"only roughly known: {', '.join(weak)}"] if weak else []
-
-
-def unplaced_note(vehicle: Vehicle, names: Iterable[str], where: str) -> list[str]:
-    """A note on what is known, but has no place in the format."""
-    lost = [name for name in names if _is_there(vehicle, name)]
-    told = ", ".join(f"{name} ({vehicle[name]:.3g} {UNITS[name]})" for name in lost)
-    return [f"{where} no place for {told}"] if lost else []
 
 
 def _is_there(vehicle: Vehicle, name: str) -> bool:

@@ -5,25 +5,30 @@ than on one free joint: drag then damps the slides, and damping the ball, apart 
 Positions and velocities are laid out as those of a free joint.
 """
 
-from gcs_sysid.exports.exported_vehicle import INERTIA, Vehicle
-from gcs_sysid.exports.header import provenance, unplaced_note, weak_note, xml_comment
+from gcs_sysid.exports.exported_vehicle import Vehicle
+from gcs_sysid.exports.header import Format, provenance, xml_comment
 from gcs_sysid.exports.xml import ELEMENTS, number, numbers
+from gcs_sysid.model.parameters import INERTIA
 
-TITLE = "MJCF of MuJoCo"
-NEEDS = ("mass", *INERTIA, "cg_x", "cg_y", "moment_ratio")
-_USED = (*NEEDS, "T_max", "motor_lag", "linear_drag", "rotational_damping")
 _ABSENT = {
     "T_max": "without T_max controls have no upper limit",
     "motor_lag": "without motor_lag thrust follows its control at once",
     "linear_drag": "without linear_drag the air does not brake it",
     "rotational_damping": "without rotational_damping the air does not damp its rotation",
 }
+FORMAT = Format(
+    "mjcf",
+    "MJCF of MuJoCo",
+    ".xml",
+    "this body has",
+    needs=("mass", *INERTIA, "cg_x", "cg_y", "moment_ratio"),
+    uses=tuple(_ABSENT),
+)
 
 
 def notes(vehicle: Vehicle) -> list[str]:
     """What the user should know."""
-    out = weak_note(vehicle, _USED)
-    out += unplaced_note(vehicle, ("rotor_inertia",), "this body has")
+    out = FORMAT.notes(vehicle)
     out += [text for name, text in _ABSENT.items() if vehicle.get(name) is None]
     out.append("CG and rotors are at one height: no flight tells the difference")
     out.append("shapes are for the eye alone and touch nothing")
@@ -36,8 +41,7 @@ def write(vehicle: Vehicle) -> str:
     Raises:
         MissingError: a parameter that MuJoCo cannot do without is not known.
     """
-    vehicle.need("mjcf", NEEDS)
-    vehicle.check_inertia()
+    FORMAT.check(vehicle)
     inertia = numbers(vehicle.inertia_flu[at] for at in ELEMENTS.values())
     cg = numbers(vehicle.cg_flu)
     drag = _damping(vehicle.get("linear_drag"))
@@ -62,7 +66,7 @@ def write(vehicle: Vehicle) -> str:
             f"{limits}{filtered}/>\n"
         )
     return (
-        xml_comment(provenance(vehicle, TITLE, notes(vehicle)))
+        xml_comment(provenance(vehicle, FORMAT, notes(vehicle)))
         + f'<mujoco model="{vehicle.name}">\n'
         '  <default>\n    <default class="shape">\n'
         '      <geom contype="0" conaffinity="0" group="1" rgba="0.3 0.3 0.35 1"/>\n'

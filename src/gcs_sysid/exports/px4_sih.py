@@ -14,16 +14,23 @@ import math
 import numpy as np
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.exported_vehicle import INERTIA, Vehicle
-from gcs_sysid.exports.header import commented, provenance, unplaced_note, weak_note
+from gcs_sysid.exports.exported_vehicle import Vehicle
+from gcs_sysid.exports.header import Format, commented, provenance
+from gcs_sysid.model.parameters import INERTIA
 
-TITLE = "parameters of PX4's SIH simulator"
-NEEDS = ("mass", *INERTIA, "T_max", "moment_ratio")
 OPTIONAL = {
     "SIH_KDV": "linear_drag",
     "SIH_KDW": "rotational_damping",
     "SIH_T_TAU": "motor_lag",
 }
+FORMAT = Format(
+    "px4-sih",
+    "parameters of PX4's SIH simulator",
+    ".params",
+    "SIH has",
+    needs=("mass", *INERTIA, "T_max", "moment_ratio"),
+    uses=tuple(OPTIONAL.values()),
+)
 _HALF, _FRONT = 0.5, math.sqrt(3.0) / 2.0
 _LAYOUTS = {
     0: ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1)),
@@ -42,8 +49,7 @@ _LITTLE_CURVE = 0.05
 
 def notes(vehicle: Vehicle) -> list[str]:
     """What the user should know."""
-    out = weak_note(vehicle, (*NEEDS, *OPTIONAL.values()))
-    out += unplaced_note(vehicle, ("cg_x", "cg_y", "rotor_inertia"), "SIH has")
+    out = FORMAT.notes(vehicle)
     kept = [f"{sih} ({name})" for sih, name in OPTIONAL.items() if vehicle.get(name) is None]
     if kept:
         out.append(f"not known, so left as they are: {', '.join(kept)}")
@@ -61,8 +67,7 @@ def write(vehicle: Vehicle) -> str:
         MissingError: a parameter that SIH cannot do without is not known.
         InputError: SIH has no such layout of rotors.
     """
-    vehicle.need("px4-sih", NEEDS)
-    vehicle.check_inertia()
+    FORMAT.check(vehicle)
     kind, roll_arm, pitch_arm = _layout(vehicle)
     values = {
         "SIH_MASS": vehicle["mass"],
@@ -77,7 +82,7 @@ def write(vehicle: Vehicle) -> str:
         if value is not None:
             values[sih] = value
     head = [
-        *provenance(vehicle, TITLE, notes(vehicle)),
+        *provenance(vehicle, FORMAT, notes(vehicle)),
         "",
         "Vehicle-Id Component-Id Name Value Type",
     ]

@@ -7,21 +7,26 @@ that turns clockwise seen from above: the sign of its torque on the body about t
 import math
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.exports.exported_vehicle import INERTIA, Vehicle
-from gcs_sysid.exports.header import commented, provenance, unplaced_note, weak_note
+from gcs_sysid.exports.exported_vehicle import Vehicle
+from gcs_sysid.exports.header import Format, commented, provenance
 from gcs_sysid.exports.xml import number
-from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.model.parameters import GRAVITY, INERTIA
 
-TITLE = "parameters of RotorPy"
-NEEDS = ("mass", *INERTIA, "cg_x", "cg_y", "k_T", "k_M", "motor_lag", "rotor_speed_max")
+FORMAT = Format(
+    "rotorpy",
+    "parameters of RotorPy",
+    ".py",
+    "RotorPy has",
+    needs=("mass", *INERTIA, "cg_x", "cg_y", "k_T", "k_M", "motor_lag", "rotor_speed_max"),
+    uses=("linear_drag",),
+)
 _ROTORS = 4
 """RotorPy inverts its allocation, which is square for four."""
 
 
 def notes(vehicle: Vehicle) -> list[str]:
     """What the user should know."""
-    out = weak_note(vehicle, (*NEEDS, "linear_drag"))
-    out += unplaced_note(vehicle, ("rotational_damping", "rotor_inertia"), "RotorPy has")
+    out = FORMAT.notes(vehicle)
     if vehicle.get("linear_drag"):
         out.append(
             "RotorPy's drag grows with rotor speed: k_d and k_z make it linear_drag in hover"
@@ -43,8 +48,7 @@ def write(vehicle: Vehicle) -> str:
     """
     if len(vehicle.rotors) != _ROTORS:
         raise InputError(f"rotorpy: RotorPy flies four rotors, this has {len(vehicle.rotors)}")
-    vehicle.need("rotorpy", NEEDS)
-    vehicle.check_inertia()
+    FORMAT.check(vehicle)
     if not vehicle["motor_lag"] > 0.0:
         raise InputError("rotorpy: RotorPy divides by motor_lag: give --set motor_lag=SECONDS")
     J = vehicle.inertia_flu
@@ -58,7 +62,7 @@ def write(vehicle: Vehicle) -> str:
         ("num_rotors", str(_ROTORS), "in the autopilot's motor order"),
     ]
     return (
-        commented(provenance(vehicle, TITLE, notes(vehicle)), "#")
+        commented(provenance(vehicle, FORMAT, notes(vehicle)), "#")
         + "import numpy as np\n\nquad_params = {\n"
         + "".join(_row(*row) for row in rows)
         + '    "rotor_pos": {  # m from the CG: forward, left, up\n'

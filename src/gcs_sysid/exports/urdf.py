@@ -4,23 +4,25 @@ Axes are forward, left, up (REP 103). ixy is the element [x, y] of the inertia m
 no place for what rotors do.
 """
 
-from gcs_sysid.exports.exported_vehicle import INERTIA, Vehicle
-from gcs_sysid.exports.header import provenance, unplaced_note, weak_note, xml_comment
+from gcs_sysid.exports.exported_vehicle import Vehicle
+from gcs_sysid.exports.header import Format, provenance, xml_comment
 from gcs_sysid.exports.xml import inertia_attributes, numbers
+from gcs_sysid.model.parameters import INERTIA
 
-TITLE = "URDF"
-NEEDS = ("mass", *INERTIA, "cg_x", "cg_y")
-_NO_PLACE = (
-    "k_T", "k_M", "T_max", "moment_ratio", "rotational_damping", "rotor_inertia", "linear_drag",
-    "motor_lag",
-)  # fmt: skip
+FORMAT = Format(
+    "urdf",
+    "URDF",
+    ".urdf",
+    "URDF has",
+    needs=("mass", *INERTIA, "cg_x", "cg_y"),
+    lacks=("k_T", "k_M", "T_max", "moment_ratio"),
+)
 
 
 def notes(vehicle: Vehicle) -> list[str]:
     """What the user should know."""
     return [
-        *weak_note(vehicle, NEEDS),
-        *unplaced_note(vehicle, _NO_PLACE, "URDF has"),
+        *FORMAT.notes(vehicle),
         "CG and rotors are drawn at one height: no flight tells the difference",
     ]
 
@@ -31,8 +33,7 @@ def write(vehicle: Vehicle) -> str:
     Raises:
         MissingError: a parameter that URDF cannot do without is not known.
     """
-    vehicle.need("urdf", NEEDS)
-    vehicle.check_inertia()
+    FORMAT.check(vehicle)
     rotors = "".join(
         f'  <link name="rotor_{i}"/>\n'
         f'  <joint name="rotor_{i}_mount" type="fixed">\n'
@@ -44,7 +45,7 @@ def write(vehicle: Vehicle) -> str:
     )
     return (
         '<?xml version="1.0"?>\n'
-        + xml_comment(provenance(vehicle, TITLE, notes(vehicle)))
+        + xml_comment(provenance(vehicle, FORMAT, notes(vehicle)))
         + f'<robot name="{vehicle.name}">\n'
         '  <link name="base_link">\n'
         "    <inertial>\n"

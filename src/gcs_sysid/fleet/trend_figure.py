@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from gcs_sysid.fleet.trend import Flight, Vehicle, is_sound, mean
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.report.markup import Markup, element
-from gcs_sysid.report.wording import fixed, power_of_ten, times_power, unit_text, value_text
+from gcs_sysid.results.number_format import PAGE, power_of_ten, times_power
 from gcs_sysid.results.result import Estimate
 
 _Axis = Callable[[float], float]
@@ -57,11 +57,11 @@ def trend_figure(vehicle: Vehicle, name: str) -> Markup:
         at = y(value * 10.0**power)
         parts += [
             element("line", x1=_LEFT, x2=_RIGHT, y1=_at(at), y2=_at(at), class_="gridline"),
-            _text(fixed(value, decimals), _LEFT - 6, at + 4, "end"),
+            _text(PAGE.fixed(value, decimals), _LEFT - 6, at + 4, "end"),
         ]
     every = max(1, math.ceil(count / 8))
     parts += [_text(str(n), x(n), HEIGHT - 10, "middle") for n in range(1, count + 1, every)]
-    unit = " ".join(filter(None, [times_power(power).strip(), unit_text(PARAMETERS[name].unit)]))
+    unit = " ".join(filter(None, [times_power(power).strip(), PAGE.unit(PARAMETERS[name].unit)]))
     parts.append(_text(unit, _LEFT, 11, ""))
     for era in vehicle.eras:
         parts += _mean_line(era, name, vehicle.scatter.get(name, 0.0), x, y)
@@ -117,11 +117,11 @@ def _mean_line(
 
 def _point(flight: Flight, estimate: Estimate, x: float, y: _Axis, name: str) -> Markup:
     low, high = estimate.ci95 or (0.0, 0.0)
-    value, half, power, _ = value_text(estimate.value or 0.0, 0.5 * (high - low))
+    value, half, power, _ = PAGE.value_and_half(estimate.value or 0.0, 0.5 * (high - low))
     change = flight.change
     changed = change is not None and name in {d.name for d in change.differences}
     kind = f"{estimate.status}{' changed' if changed else ''}"
-    unit = unit_text(PARAMETERS[name].unit)
+    unit = PAGE.unit(PARAMETERS[name].unit)
     words = f"flight {flight.number}: ({value} ± {half}){power} {unit}, {kind.replace(' ', ', ')}"
     return element(
         "g",

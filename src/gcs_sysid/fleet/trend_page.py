@@ -12,16 +12,10 @@ from gcs_sysid.fleet.trend_figure import shown_names, trend_figure
 from gcs_sysid.intervals import Z95
 from gcs_sysid.report.markup import Child, Markup, element
 from gcs_sysid.report.parts import Column, grid, legend, note, section, table
-from gcs_sysid.report.wording import (
-    NOTHING,
-    VERDICT_WORDS,
-    fixed,
-    names_text,
-    number,
-    unit_text,
-    value_text,
-)
+from gcs_sysid.report.wording import names_text
+from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.result import Estimate
+from gcs_sysid.results.words import VERDICT
 
 _LEGEND = (
     ("identified", "identified, with its 95 % interval"),
@@ -131,7 +125,7 @@ def _changes_text(vehicle: Vehicle) -> str:
         f"flight {flight.number}: {names_text([d.name for d in flight.change.differences])}"
         for flight in vehicle.changed
         if flight.change is not None
-    ) or ("no change seen" if len(vehicle.flights) > 1 else NOTHING)
+    ) or ("no change seen" if len(vehicle.flights) > 1 else PAGE.nothing)
 
 
 def _vehicle(place: int, vehicle: Vehicle) -> Markup:
@@ -174,7 +168,7 @@ def _change_rows(flight: Flight) -> list[list[Child]]:
         assert found.value is not None
         assert found.std is not None
         expected = None if found.before is None else found.before.value
-        share = f" ({fixed(100.0 * found.value / abs(expected), 1)} %)" if expected else ""
+        share = f" ({PAGE.fixed(100.0 * found.value / abs(expected), 1)} %)" if expected else ""
         out.append(
             [
                 str(flight.number),
@@ -196,29 +190,29 @@ def _span(change: Change) -> str:
 
 def _value(estimate: Estimate | None) -> str:
     if estimate is None or estimate.value is None or estimate.std is None:
-        return NOTHING
+        return PAGE.nothing
     return _interval(estimate.value, estimate.std, estimate.unit)
 
 
 def _interval(value: float, std: float, unit: str) -> str:
-    told, half, power, _ = value_text(value, Z95 * std)
-    return f"({told} ± {half}){power} {unit_text(unit)}".rstrip()
+    told, half, power, _ = PAGE.value_and_half(value, Z95 * std)
+    return f"({told} ± {half}){power} {PAGE.unit(unit)}".rstrip()
 
 
 def _flights(vehicle: Vehicle) -> Markup:
     rows: list[list[Child]] = []
     for flight in vehicle.flights:
         row, scale = flight.row, flight.result.scale
-        words = VERDICT_WORDS[flight.result.verdict]
+        words = VERDICT[flight.result.verdict].meaning
         rows.append(
             [
                 str(flight.number),
                 _date(row),
                 row["path"],
                 f"{words}; changed in flight" if row["changes"] else words,
-                NOTHING
+                PAGE.nothing
                 if scale is None
-                else f"{scale.anchor} {number(scale.value, 4)} {unit_text(scale.unit)}",
+                else f"{scale.anchor} {PAGE.number(scale.value, 4)} {PAGE.unit(scale.unit)}",
             ]
         )
     columns = [
@@ -245,7 +239,7 @@ def _unused(rows: Sequence[Row]) -> Markup:
 
 def _date(row: Row) -> str:
     recorded = row["recorded"]
-    return f"{recorded:%Y-%m-%d %H:%M}" if recorded else NOTHING
+    return f"{recorded:%Y-%m-%d %H:%M}" if recorded else PAGE.nothing
 
 
 def _count(count: int, word: str) -> str:

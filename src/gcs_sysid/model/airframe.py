@@ -7,25 +7,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import read_text
+from gcs_sysid.model.parameters import REGISTRY
 
 RotorInput = Literal["auto", "speed", "command"]
 AnchorName = Literal["mass", "k_T", "T_max"]
-ANCHORS: dict[AnchorName, str] = {"mass": "kg", "k_T": "N s^2", "T_max": "N"}
+ANCHORS: dict[AnchorName, str] = {name: REGISTRY[name].unit for name in get_args(AnchorName)}
 """The values that can set the scale, with their units."""
 
-POSITIVE = ("mass", "Ixx", "Iyy", "Izz", "k_T", "k_M", "moment_ratio")
-"""Parameters that no vehicle has at zero or below."""
-PRIORS = (
-    *POSITIVE, "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "rotational_damping", "rotor_inertia",
-    "rotor_delay",
-)  # fmt: skip
+PRIORS = tuple(name for name, parameter in REGISTRY.items() if parameter.prior)
 """Parameters that may be known beforehand."""
 
 _MOST_BYTES = 1_000_000
@@ -283,7 +279,7 @@ def _check_prior(name: str, value: float, std: float, where: str) -> None:
         raise InputError(f"{where}: no prior on {name!r}; known are {', '.join(PRIORS)}")
     if not (math.isfinite(value) and math.isfinite(std) and std > 0.0):
         raise InputError(f"{where}: the standard deviation of {name} must be positive")
-    if name in POSITIVE and value <= 0.0:
+    if REGISTRY[name].sign == "positive" and value <= 0.0:
         raise InputError(f"{where}: {name} must be positive, got {value:g}")
 
 

@@ -1,53 +1,268 @@
-"""Names, units and meaning of every parameter that can be identified.
+"""Every parameter that can be identified, declared once.
 
-The order here is the order of tables, screens and files.
+The rows of the fits, the status and the verdict, results, screen, report, coach, comparison, fleet
+table, exports and the emulator's files all go through `REGISTRY`. The order here is that of theta,
+tables, screens and files. What a coefficient does to the motion stands in `model.rigid_body`.
 """
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 GRAVITY = 9.80665
 """Standard gravity in m/s^2."""
 
+RotorInput = Literal["speed", "command"]
+INPUTS: tuple[RotorInput, ...] = ("speed", "command")
+Sign = Literal["positive", "not negative", "any"]
+ARM = "arm"
+"""Stands among yardsticks for the mean distance of the rotors from the geometric centre, in m."""
+
+
+@dataclass(frozen=True)
+class Yardstick:
+    """What a standard deviation is held against to give a parameter its status.
+
+    Attributes:
+        of: parameters (or `ARM`) that it matters to, by their geometric mean; none: the value.
+        share: of that mean.
+        or_value: whether the value itself takes its place where it is larger.
+        fixed: in the parameter's unit, in place of all that; 0: none.
+    """
+
+    of: tuple[str, ...] = ()
+    share: float = 1.0
+    or_value: bool = False
+    fixed: float = 0.0
+
+    def size(self, value: float, others: Mapping[str, float]) -> float:
+        """Of this value, beside the values of others and the arm."""
+        if self.fixed:
+            return self.fixed
+        if not self.of:
+            return abs(value)
+        size = self.share * self.counterpart(others)
+        return max(size, abs(value)) if self.or_value else size
+
+    def counterpart(self, others: Mapping[str, float]) -> float:
+        """Geometric mean of the magnitudes of what it matters to; 0 where it is its own."""
+        product = math.prod(abs(others[name]) for name in self.of)
+        return product ** (1.0 / len(self.of)) if self.of else 0.0
+
+
+@dataclass(frozen=True)
+class ClockError:
+    """What a parameter is off by for each share by which the vehicle's clock is fast.
+
+    Rates and thrust need no clock, angular acceleration does: inertia in roll and pitch, where
+    torque is known, is off by all of it. Gyroscopic torques do not scale, and keep Izz (0.6 to
+    1.2), products (0.6 to 1.2) and k_M (-0.5 to 0.2) from following. Thrust is held against
+    gravity, and no clock tells its mean (0.01 to 0.04). Damping takes up a part of what does not
+    fit: 0.1/s times Ixx. Drag: 0.3 to 0.6 /s times the mass.
+
+    Attributes:
+        power: relative error per share; 1/s where it is of another parameter.
+        of: the parameter whose size counts; empty: its own.
+    """
+
+    power: float = 0.0
+    of: str = ""
+
+
+_STEADY, _FULL, _SLIGHT = ClockError(), ClockError(1.0), ClockError(0.05)
+
 
 @dataclass(frozen=True)
 class Parameter:
-    """One physical parameter: its name in results, symbol in text, SI unit and meaning."""
+    """One parameter of the vehicle or of its telemetry.
+
+    Attributes:
+        name: in results (JSON).
+        symbol: in text, as in docs/method.md.
+        unit: SI.
+        meaning: in words.
+        told_by: what in a flight tells it.
+        label: for narrow columns, eight letters at most; empty: the name.
+        group: words that it shares with those told of together.
+        fit: "scale": mass or thrust, of which one fact must be known; "rotation": read off theta;
+            "translation": of the equations of force; "actuator": a coordinate between a rotor's
+            telemetry and its thrust (`estimation.actuator_dynamics`).
+        theta: entry of theta that it is read off; its own name makes it one.
+        scale: what its relative value is multiplied by: "thrust" (k_T, T_max), "mass" or "none".
+        inputs: kinds of the rotors' input that tell it.
+        core: kinds of input with which a complete identification needs it.
+        section: of the result: "parameters" or "timing".
+        sign: physical bound.
+        prior: whether a value and standard deviation may be given before a flight.
+        axes: roll 0, pitch 1, yaw 2: whose fit it rests on.
+        mean_torque: whether the mean torque there tells it, however little else the fit explains.
+        rigid_body: whether it rests on the gyroscopic torque of a rigid body.
+        yardstick: of its status.
+        clock: error by a wrong clock.
+        usual: value and standard deviation to expect of a multirotor, relative ones over Ixx of
+            its size and mass, lengths over the arm.
+        in_flight: whether a simulator that has no place for it flies differently.
+        of_vehicle: False for what belongs to the telemetry, which no two flights share.
+    """
 
     name: str
     symbol: str
     unit: str
     meaning: str
+    told_by: str
+    label: str = ""
+    group: str = ""
+    fit: Literal["scale", "rotation", "translation", "actuator"] = "rotation"
+    theta: str = ""
+    scale: Literal["thrust", "mass", "none"] = "thrust"
+    inputs: tuple[RotorInput, ...] = INPUTS
+    core: tuple[RotorInput, ...] = ()
+    section: Literal["parameters", "timing"] = "parameters"
+    sign: Sign = "any"
+    prior: bool = False
+    axes: tuple[int, ...] = ()
+    mean_torque: bool = False
+    rigid_body: bool = False
+    yardstick: Yardstick = Yardstick()
+    clock: ClockError = _STEADY
+    usual: tuple[float, float] = (0.0, 1.0)
+    in_flight: bool = False
+    of_vehicle: bool = True
+
+    def in_result(self, rotor_input: RotorInput) -> bool:
+        """Whether a result with this rotor input has it, be it as one that cannot be told."""
+        return rotor_input in self.inputs or self.theta == self.name
 
 
-PARAMETERS: dict[str, Parameter] = {
-    p.name: p
-    for p in (
-        Parameter("mass", "m", "kg", "mass of the whole vehicle"),
-        Parameter("Ixx", "Ixx", "kg m^2", "moment of inertia about the body x axis"),
-        Parameter("Iyy", "Iyy", "kg m^2", "moment of inertia about the body y axis"),
-        Parameter("Izz", "Izz", "kg m^2", "moment of inertia about the body z axis"),
-        Parameter("Ixy", "Ixy", "kg m^2", "inertia matrix element [x, y]"),
-        Parameter("Iyz", "Iyz", "kg m^2", "inertia matrix element [y, z]"),
-        Parameter("Ixz", "Ixz", "kg m^2", "inertia matrix element [x, z]"),
-        Parameter("cg_x", "α", "m", "CG from the geometric centre, forward"),
-        Parameter("cg_y", "β", "m", "CG from the geometric centre, to the right"),
-        Parameter("k_T", "k_T", "N s^2", "thrust of a rotor over its speed squared"),
-        Parameter("k_M", "k_M", "N m s^2", "torque of a rotor over its speed squared"),
-        Parameter("T_max", "T_max", "N", "thrust of a rotor at full command"),
-        Parameter("thrust_curve", "c", "1", "T/T_max = (1-c) u + c u^2"),
-        Parameter("moment_ratio", "k_M/k_T", "m", "rotor torque over rotor thrust"),
-        Parameter("rotational_damping", "d", "N m s", "damping torque over body rate"),
-        Parameter("rotor_inertia", "J_r", "kg m^2", "inertia of one rotor about its axis"),
-        Parameter("linear_drag", "D", "N s/m", "drag force over velocity"),
-    )
+def _moment(axis: int, told_by: str, usual: float) -> Parameter:
+    letter = "xyz"[axis]
+    name = f"I{letter}{letter}"
+    return Parameter(
+        name, name, "kg m^2", f"moment of inertia about the body {letter} axis", told_by,
+        group="moments of inertia", theta=name, core=INPUTS, sign="positive", prior=True,
+        axes=(axis,), rigid_body=axis == 2, clock=_FULL, usual=(usual, usual),
+    )  # fmt: skip
+
+
+def _product(first: int, second: int) -> Parameter:
+    a, b, axes = "xyz"[first], "xyz"[second], ("roll", "pitch", "yaw")
+    name = f"I{a}{b}"
+    # A product matters against the moments it couples.
+    moments = Yardstick((f"I{a}{a}", f"I{b}{b}"), 0.3)
+    return Parameter(
+        name, name, "kg m^2", f"inertia matrix element [{a}, {b}]",
+        f"coupling of {axes[first]} and {axes[second]}", group="products of inertia", theta=name,
+        core=INPUTS, prior=True, axes=(first, second), rigid_body=True, yardstick=moments,
+        clock=_FULL, usual=(0.0, 0.3),
+    )  # fmt: skip
+
+
+def _offset(name: str, symbol: str, way: str, axis: int) -> Parameter:
+    return Parameter(
+        name, symbol, "m", f"CG from the geometric centre, {way}",
+        f"mean {('roll', 'pitch')[axis]} torque of the rotors", group="balance point", theta=name,
+        scale="none", core=INPUTS, prior=True, axes=(axis,), mean_torque=True,
+        yardstick=Yardstick((ARM,), 0.2), usual=(0.0, 0.3), in_flight=True,
+    )  # fmt: skip
+
+
+_AGAINST_GRAVITY = "climbing and sinking against gravity"
+_GYROSCOPIC = "yaw and gyroscopic torque"
+
+# Izz over Ixx is near 2 of flat things, 1.7 of multirotors.
+_DECLARED = (
+    Parameter(
+        "mass", "m", "kg", "mass of the whole vehicle", _AGAINST_GRAVITY, group="mass",
+        fit="scale", scale="mass", core=INPUTS, sign="positive", prior=True, clock=_SLIGHT,
+    ),
+    _moment(0, "roll", 1.0),
+    _moment(1, "pitch", 1.0),
+    _moment(2, _GYROSCOPIC, 1.7),
+    _product(0, 1),
+    _product(1, 2),
+    _product(0, 2),
+    _offset("cg_x", "α", "forward", 1),
+    _offset("cg_y", "β", "to the right", 0),
+    Parameter(
+        "k_T", "k_T", "N s^2", "thrust of a rotor over its speed squared", _AGAINST_GRAVITY,
+        group="thrust", fit="scale", inputs=("speed",), core=("speed",), sign="positive",
+        prior=True, clock=_SLIGHT,
+    ),
+    Parameter(
+        "k_M", "k_M", "N m s^2", "torque of a rotor over its speed squared", _GYROSCOPIC,
+        group="rotor torque", theta="moment_ratio", inputs=("speed",), core=("speed",),
+        sign="positive", prior=True, axes=(2,), rigid_body=True, clock=_FULL,
+    ),
+    Parameter(
+        "T_max", "T_max", "N", "thrust of a rotor at full command", _AGAINST_GRAVITY,
+        group="thrust", fit="scale", inputs=("command",), core=("command",), sign="positive",
+        clock=_SLIGHT,
+    ),
+    Parameter(
+        "thrust_curve", "c", "1", "T/T_max = (1-c) u + c u^2", "torque at low and at high command",
+        label="curve c", fit="actuator", scale="none", inputs=("command",),
+        yardstick=Yardstick(fixed=1.0),
+    ),
+    # Of usual propellers k_M / k_T is 0.07 of the arm.
+    Parameter(
+        "moment_ratio", "k_M/k_T", "m", "rotor torque over rotor thrust", _GYROSCOPIC,
+        label="k_M/k_T", group="rotor torque", theta="moment_ratio", scale="none",
+        core=("command",), sign="positive", prior=True, axes=(2,), rigid_body=True, clock=_FULL,
+        usual=(0.07, 0.07),
+    ),
+    # Damping matters against inertia at 1 rad/s, a rotor against a five-hundredth of the body.
+    Parameter(
+        "rotational_damping", "d", "N m s", "damping torque over body rate", "decay of turning",
+        label="damping", theta="rotational_damping", sign="not negative", prior=True,
+        axes=(0, 1, 2), rigid_body=True, yardstick=Yardstick(("Ixx",), or_value=True),
+        clock=ClockError(0.1, "Ixx"), in_flight=True,
+    ),
+    Parameter(
+        "rotor_inertia", "J_r", "kg m^2", "inertia of one rotor about its axis",
+        "rotors speeding up", label="J_rotor", theta="rotor_inertia", inputs=("speed",),
+        sign="not negative", prior=True, axes=(0, 1, 2), rigid_body=True,
+        yardstick=Yardstick(("Izz",), 0.002, or_value=True), clock=_FULL, usual=(0.0, 0.002),
+        in_flight=True,
+    ),
+    Parameter(
+        "linear_drag", "D", "N s/m", "drag force over velocity", "horizontal speed", label="drag",
+        fit="translation", scale="mass", sign="not negative",
+        yardstick=Yardstick(("mass",), 0.05, or_value=True), clock=ClockError(0.5, "mass"),
+        in_flight=True,
+    ),
+    # 10 ms of delay cost 30 % on Izz.
+    Parameter(
+        "rotor_delay", "τ_r", "s", "rotor stream behind the IMU stream", "sharp turns",
+        label="delay", fit="actuator", scale="none", section="timing", prior=True,
+        yardstick=Yardstick(fixed=0.02), clock=_FULL, of_vehicle=False,
+    ),
+    Parameter(
+        "motor_lag", "τ_m", "s", "first-order lag from command to rotor speed", "sharp turns",
+        label="lag", fit="actuator", scale="none", inputs=("command",), section="timing",
+        sign="not negative", yardstick=Yardstick(fixed=0.05), clock=_FULL, in_flight=True,
+    ),
+)  # fmt: skip
+
+REGISTRY: dict[str, Parameter] = {p.name: p for p in _DECLARED}
+"""Every parameter and timing value, by name."""
+PARAMETERS = {n: p for n, p in REGISTRY.items() if p.section == "parameters"}
+"""Those under `parameters` of a result."""
+TIMING = {n: p for n, p in REGISTRY.items() if p.section == "timing"}
+"""Those under `timing`."""
+
+THETA = tuple(n for n, p in REGISTRY.items() if p.theta == n)
+"""Names of theta's entries, relative to k_T (commands: T_max), except lengths."""
+INERTIA = tuple(n for n, p in REGISTRY.items() if p.group.endswith("of inertia"))
+"""The elements of the inertia matrix."""
+CORE_OF: dict[RotorInput, tuple[str, ...]] = {
+    kind: tuple(n for n, p in REGISTRY.items() if kind in p.core) for kind in INPUTS
 }
-"""Every parameter of a result, by name (units and names as in the result's JSON)."""
+"""What a complete identification consists of, by what the rotors' input is."""
+THRUST_OF: dict[RotorInput, Literal["k_T", "T_max"]] = {"speed": "k_T", "command": "T_max"}
+"""The thrust coefficient that everything is relative to."""
 
-TIMING: dict[str, Parameter] = {
-    p.name: p
-    for p in (
-        Parameter("rotor_delay", "τ_r", "s", "rotor stream behind the IMU stream"),
-        Parameter("motor_lag", "τ_m", "s", "first-order lag from command to rotor speed"),
-    )
-}
-"""Timing values of a result, by name."""
+
+def grouped(name: str) -> tuple[str, ...]:
+    """Parameters of a group, such as "balance point"."""
+    return tuple(n for n, p in REGISTRY.items() if p.group == name)

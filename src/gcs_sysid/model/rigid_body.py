@@ -8,7 +8,7 @@ from above. J holds matrix elements, so products of inertia carry no minus sign.
 
 One common factor on J, k_T, k_M, damping and J_r changes no signal. Everything here is
 therefore *relative*: divided by the thrust coefficient k_T (with commands as the input, by
-T_max). `theta` is
+T_max). `theta` is, in the order of `model.parameters`,
 
     [Ixx, Iyy, Izz, Ixy, Iyz, Ixz] / k_T,  cg_x, cg_y,  k_M/k_T,  damping / k_T,  J_r / k_T
 
@@ -17,19 +17,25 @@ linear in theta: the noisy derivative is the output, known signals are the input
 The **direct form** (the article's) moves everything known to the right-hand side.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-
-THETA = (
-    "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz",
-    "cg_x", "cg_y", "moment_ratio", "rotational_damping", "rotor_inertia",
-)  # fmt: skip
-"""Names of theta's entries (relative to k_T, except lengths)."""
+from gcs_sysid.model.parameters import ARM, INERTIA, REGISTRY
+from gcs_sysid.model.parameters import THETA as THETA
 
 N_THETA = len(THETA)
-N_INERTIA = 6
-CG_X, CG_Y, MOMENT_RATIO, DAMPING, ROTOR_INERTIA = range(N_INERTIA, N_THETA)
+N_INERTIA = len(INERTIA)
+CG_X, CG_Y, MOMENT_RATIO, DAMPING, ROTOR_INERTIA = map(
+    THETA.index, ("cg_x", "cg_y", "moment_ratio", "rotational_damping", "rotor_inertia")
+)
+MOMENTS = slice(0, 3)
+"""Ixx, Iyy, Izz among theta's entries."""
+ELEMENTS = slice(0, N_INERTIA)
+"""All of the inertia matrix."""
+RELATIVE = np.array([REGISTRY[name].scale != "none" for name in THETA])
+"""(N_THETA,) which entries are relative to k_T (T_max); the others are lengths."""
 
 SIGNALS = (
     "roll", "pitch", "thrust", "yaw",  # -sum y O, sum x O, sum O, sum s O, with O = Omega^2
@@ -55,40 +61,39 @@ def _input_basis() -> tuple[Array, Array]:
     constant = np.zeros((3, N_SIGNALS))
     slope = np.zeros((N_THETA, 3, N_SIGNALS))
 
-    def put(k: int, row: int, signal: str, value: float) -> None:
-        slope[k, row, _COLUMN[signal]] += value
+    def put(name: str, row: int, signal: str, value: float) -> None:
+        slope[THETA.index(name), row, _COLUMN[signal]] += value
 
     constant[0, _COLUMN["roll"]] = 1.0
     constant[1, _COLUMN["pitch"]] = 1.0
     # -(w x J w), term by term.
-    ixx, iyy, izz, ixy, iyz, ixz = range(N_INERTIA)
-    put(iyy, 0, "qr", 1.0)
-    put(izz, 0, "qr", -1.0)
-    put(ixy, 0, "rp", 1.0)
-    put(ixz, 0, "pq", -1.0)
-    put(iyz, 0, "qq", -1.0)
-    put(iyz, 0, "rr", 1.0)
-    put(izz, 1, "rp", 1.0)
-    put(ixx, 1, "rp", -1.0)
-    put(ixy, 1, "qr", -1.0)
-    put(iyz, 1, "pq", 1.0)
-    put(ixz, 1, "pp", 1.0)
-    put(ixz, 1, "rr", -1.0)
-    put(ixx, 2, "pq", 1.0)
-    put(iyy, 2, "pq", -1.0)
-    put(ixz, 2, "qr", 1.0)
-    put(iyz, 2, "rp", -1.0)
-    put(ixy, 2, "pp", -1.0)
-    put(ixy, 2, "qq", 1.0)
+    put("Iyy", 0, "qr", 1.0)
+    put("Izz", 0, "qr", -1.0)
+    put("Ixy", 0, "rp", 1.0)
+    put("Ixz", 0, "pq", -1.0)
+    put("Iyz", 0, "qq", -1.0)
+    put("Iyz", 0, "rr", 1.0)
+    put("Izz", 1, "rp", 1.0)
+    put("Ixx", 1, "rp", -1.0)
+    put("Ixy", 1, "qr", -1.0)
+    put("Iyz", 1, "pq", 1.0)
+    put("Ixz", 1, "pp", 1.0)
+    put("Ixz", 1, "rr", -1.0)
+    put("Ixx", 2, "pq", 1.0)
+    put("Iyy", 2, "pq", -1.0)
+    put("Ixz", 2, "qr", 1.0)
+    put("Iyz", 2, "rp", -1.0)
+    put("Ixy", 2, "pp", -1.0)
+    put("Ixy", 2, "qq", 1.0)
     # Thrust acts at the geometric centre, the CG is (cg_x, cg_y) from it.
-    put(CG_Y, 0, "thrust", 1.0)
-    put(CG_X, 1, "thrust", -1.0)
-    put(MOMENT_RATIO, 2, "yaw", 1.0)
+    put("cg_y", 0, "thrust", 1.0)
+    put("cg_x", 1, "thrust", -1.0)
+    put("moment_ratio", 2, "yaw", 1.0)
     for row, rate in enumerate("pqr"):
-        put(DAMPING, row, rate, -1.0)
-    put(ROTOR_INERTIA, 0, "qH", 1.0)
-    put(ROTOR_INERTIA, 1, "pH", -1.0)
-    put(ROTOR_INERTIA, 2, "dH", 1.0)
+        put("rotational_damping", row, rate, -1.0)
+    put("rotor_inertia", 0, "qH", 1.0)
+    put("rotor_inertia", 1, "pH", -1.0)
+    put("rotor_inertia", 2, "dH", 1.0)
     return constant, slope
 
 
@@ -96,6 +101,30 @@ INERTIA_BASIS = _inertia_basis()
 """(6, 3, 3): J = sum theta_k basis[k]."""
 INPUT_CONSTANT, INPUT_SLOPE = _input_basis()
 _FLAT_SLOPE = INPUT_SLOPE.reshape(N_THETA, -1)
+
+
+def theta_of(values: Mapping[str, float], thrust: float = 1.0) -> Array:
+    """(N_THETA,) of parameters by name; what is left out is zero.
+
+    Args:
+        values: SI.
+        thrust: k_T or T_max, which theta is relative to.
+    """
+    theta = np.array([values.get(name, 0.0) for name in THETA], dtype=float)
+    return np.where(RELATIVE, theta / thrust, theta)
+
+
+def counterparts(theta: Array, arm: float) -> Array:
+    """(N_THETA,) what each entry matters to: itself, or what its yardstick is made of.
+
+    Args:
+        theta: (N_THETA,).
+        arm: m, mean distance of the rotors.
+    """
+    values = dict(zip(THETA, theta.tolist(), strict=True)) | {ARM: arm}
+    return np.array(
+        [REGISTRY[name].yardstick.counterpart(values) or abs(values[name]) for name in THETA]
+    )
 
 
 _ELEMENT = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])

@@ -7,7 +7,6 @@ import numpy as np
 
 from gcs_sysid.inspection.thresholds import THRESHOLDS
 from gcs_sysid.intervals import Z95
-from gcs_sysid.report import wording
 from gcs_sysid.report.data import AXES, ReportData
 from gcs_sysid.report.markup import Child, Markup, element
 from gcs_sysid.report.page_figures import (
@@ -18,7 +17,9 @@ from gcs_sysid.report.page_figures import (
     add_timeline,
 )
 from gcs_sysid.report.parts import Column, facts, figure, grid, legend, note, section, table
+from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.snapshot import Event
+from gcs_sysid.results.words import event_text
 
 _NEEDED = {
     "imu": THRESHOLDS.imu_rate,
@@ -45,7 +46,7 @@ def prediction(data: ReportData, figures: Figures) -> Markup:
     if not found:
         text = "The flight is too short, or says too little, to keep a part of it apart."
         return section("prediction", "Prediction of data not fitted", note(text))
-    share = wording.percent(found["fitted_share"])
+    share = PAGE.percent(found["fitted_share"])
     rows = [
         ["R² (1 is perfect)", *(_number(found["r_squared"][axis], 4) for axis in AXES)],
         ["Theil (0 is perfect)", *(_number(found["theil"][axis], 3) for axis in AXES)],
@@ -85,7 +86,7 @@ def _agreement(found: Mapping[str, Any], axis: str) -> str:
 
 
 def _number(value: float | None, digits: int) -> str:
-    return wording.NOTHING if value is None else wording.fixed(value, digits)
+    return PAGE.nothing if value is None else PAGE.fixed(value, digits)
 
 
 def residual(data: ReportData, figures: Figures) -> Markup | None:
@@ -124,13 +125,13 @@ def residual(data: ReportData, figures: Figures) -> Markup | None:
 
 
 def _half(std: float | None) -> str:
-    return wording.NOTHING if std is None else wording.fixed(Z95 * std, 2)
+    return PAGE.nothing if std is None else PAGE.fixed(Z95 * std, 2)
 
 
 def _probability(p: float | None) -> str:
     if p is None:
-        return wording.NOTHING
-    return "< 0.001" if p < 0.001 else wording.fixed(p, 3)
+        return PAGE.nothing
+    return "< 0.001" if p < 0.001 else PAGE.fixed(p, 3)
 
 
 def _colour(whiteness: float | None, p: float | None) -> str:
@@ -155,7 +156,7 @@ def excitation(data: ReportData, figures: Figures) -> Markup:
             rows.append(
                 [
                     "Largest rate of what was used, rad/s",
-                    *(wording.number(v) for v in peak.tolist()),
+                    *(PAGE.number(v) for v in peak.tolist()),
                 ]
             )
     if motion:
@@ -163,7 +164,7 @@ def excitation(data: ReportData, figures: Figures) -> Markup:
             ("rate_rms", "Rate, rms, rad/s, of the whole recording"),
             ("acceleration_rms", "Angular acceleration, rms, rad/s², the same"),
         ):
-            rows.append([words, *(wording.number(motion[axis][key]) for axis in AXES)])
+            rows.append([words, *(PAGE.number(motion[axis][key]) for axis in AXES)])
         rows.append(
             [
                 "Enough to tell?",
@@ -194,7 +195,7 @@ def events(data: ReportData, figures: Figures) -> Markup:
     shown = add_timeline(figures, data)
     listed = data.result["events"]
     rows = [
-        [str(number), f"{wording.fixed(event['t'], 2)} s", wording.event_text(event)]
+        [str(number), f"{PAGE.fixed(event['t'], 2)} s", event_text(event, PAGE)]
         for number, event in enumerate(listed, 1)
     ]
     columns = [Column("No."), Column("Time", numbers=True), Column("What")]
@@ -209,7 +210,7 @@ def events(data: ReportData, figures: Figures) -> Markup:
 
 def _notes(notes: Iterable[Event]) -> Markup | None:
     """What the analysis itself noted."""
-    rows = [[f"{wording.fixed(event.t, 2)} s", event.text] for event in notes]
+    rows = [[f"{PAGE.fixed(event.t, 2)} s", event.text] for event in notes]
     columns = [Column("Time"), Column("Note")]
     return table("Notes of the analysis", columns, rows, layout="axes") if rows else None
 
@@ -246,7 +247,7 @@ def telemetry(data: ReportData) -> Markup:
 def _stream(stream: Mapping[str, Any]) -> list[Child]:
     kind = stream["stream"]
     rate, needed = stream["rate"], _NEEDED.get(kind)
-    got: Child = wording.NOTHING if rate is None else f"{wording.fixed(rate, 1)} Hz"
+    got: Child = PAGE.nothing if rate is None else f"{PAGE.fixed(rate, 1)} Hz"
     if needed and (rate is None or rate < 0.9 * needed):
         sign = element("span", "○", class_="sign", aria_hidden="true")
         got = element("span", sign, f"{got}, slow", class_="status weak")
@@ -254,12 +255,12 @@ def _stream(stream: Mapping[str, Any]) -> list[Child]:
     return [
         _STREAMS.get(kind, kind) + offset,
         stream["message"],
-        f"{needed:g} Hz" if needed else wording.NOTHING,
+        f"{needed:g} Hz" if needed else PAGE.nothing,
         got,
         str(stream["gaps"]),
-        f"{wording.fixed(stream['longest_gap'], 2)} s" if stream["gaps"] else wording.NOTHING,
-        f"{wording.fixed(stream['missing_percent'], 1)} %",
-        f"{wording.fixed(stream['repeats_percent'], 1)} %",
+        f"{PAGE.fixed(stream['longest_gap'], 2)} s" if stream["gaps"] else PAGE.nothing,
+        f"{PAGE.fixed(stream['missing_percent'], 1)} %",
+        f"{PAGE.fixed(stream['repeats_percent'], 1)} %",
     ]
 
 
@@ -268,7 +269,7 @@ def _link_facts(data: ReportData, counts: Mapping[str, Any]) -> dict[str, Child]
     out: dict[str, Child] = {}
     if "received" in counts:
         lost, share = counts.get("lost", 0), counts.get("lost_percent", 0.0)
-        out["Messages"] = f"{counts['received']}, lost {lost} ({wording.fixed(share, 2)} %)"
+        out["Messages"] = f"{counts['received']}, lost {lost} ({PAGE.fixed(share, 2)} %)"
     damaged = [
         f"{counts[key]} {words}"
         for key, words in (
@@ -292,14 +293,12 @@ def _link_facts(data: ReportData, counts: Mapping[str, Any]) -> dict[str, Child]
     drift = counts.get("clock_drift_ppm")
     boots = counts.get("reboots", 0)
     pace = (
-        "drift not known"
-        if drift is None
-        else f"{wording.fixed(drift, 0)} ppm against the recorder"
+        "drift not known" if drift is None else f"{PAGE.fixed(drift, 0)} ppm against the recorder"
     )
     out["Vehicle's clock"] = pace + (f", {boots} reboot{'s' * (boots > 1)}" if boots else "")
     rate = counts.get("grid_rate")
     if rate:
-        out["Common time base"] = f"{wording.fixed(rate, 1)} Hz"
+        out["Common time base"] = f"{PAGE.fixed(rate, 1)} Hz"
     gaps = counts.get("imu_gaps", {}).get("count")
     if gaps is not None:
         out["Gaps of the IMU"] = str(gaps)

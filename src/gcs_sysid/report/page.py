@@ -11,7 +11,8 @@ from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.markup import Child, Markup, element
 from gcs_sysid.report.page_figures import Figures
 from gcs_sysid.report.parts import Column, facts, section, table
-from gcs_sysid.report.wording import VERDICT_WORDS, fixed, unit_text
+from gcs_sysid.results.number_format import PAGE
+from gcs_sysid.results.words import VERDICT
 
 _CONTENTS = (
     ("verdict", "Verdict"),
@@ -53,7 +54,7 @@ def render(data: ReportData) -> str:
         element("meta", name="viewport", content="width=device-width, initial-scale=1"),
         element("meta", name="color-scheme", content="light dark"),
         element("meta", name="referrer", content="no-referrer"),
-        element("title", f"{name}: {VERDICT_WORDS[data.result['verdict']].lower()} (gcs-sysid)"),
+        element("title", f"{name}: {VERDICT[data.result['verdict']].meaning.lower()} (gcs-sysid)"),
         element("style", Markup(style)),
     )
     contents = element(
@@ -94,7 +95,7 @@ def _heading(data: ReportData, name: str) -> Markup:
         about.insert(0, named or f"{vehicle['autopilot']} {address}")
     duration = data.inspection.get("duration")
     if duration:
-        about.append(f"{fixed(duration, 1)} s recorded")
+        about.append(f"{PAGE.fixed(duration, 1)} s recorded")
     return element(
         "div",
         element("p", "Identification report", class_="kind"),
@@ -116,12 +117,12 @@ def _settings(data: ReportData) -> Markup:
         "Rotors' input": {"speed": "measured speeds", "command": "commands"}[result["rotor_input"]],
     }
     if anchor is not None:
-        entries["Scale"] = f"{anchor['anchor']} = {anchor['value']:.9g} {unit_text(anchor['unit'])}"
+        entries["Scale"] = f"{anchor['anchor']} = {anchor['value']:.9g} {PAGE.unit(anchor['unit'])}"
     for name, prior in result["priors"].items():
         entries[f"Prior on {name}"] = f"{prior['value']:.6g} ± {prior['std']:.3g}"
     entries["Airframe"] = f"{airframe.name}, {len(airframe.rotors)} rotors"
     if airframe.imu_position is not None:
-        place = ", ".join(f"{fixed(v, 4)} m" for v in airframe.imu_position)
+        place = ", ".join(f"{PAGE.fixed(v, 4)} m" for v in airframe.imu_position)
         entries["IMU, forward, right, down"] = place
     if airframe.gyro_filter is not None:
         entries["Gyro filter given"] = f"{airframe.gyro_filter:g} Hz"
@@ -129,8 +130,8 @@ def _settings(data: ReportData) -> Markup:
     rotors = [
         [
             str(i),
-            f"{fixed(r.x, 4)} m",
-            f"{fixed(r.y, 4)} m",
+            f"{PAGE.fixed(r.x, 4)} m",
+            f"{PAGE.fixed(r.y, 4)} m",
             "counter-clockwise" if r.spin > 0 else "clockwise",
         ]
         for i, r in enumerate(airframe.rotors, 1)

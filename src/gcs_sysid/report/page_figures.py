@@ -12,7 +12,8 @@ from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.report.data import AXES, ReportData
 from gcs_sysid.report.series import packed, thinned
-from gcs_sysid.report.wording import event_text, unit_text
+from gcs_sysid.results.number_format import PAGE
+from gcs_sysid.results.words import event_text
 
 MOST_ROWS, MOST_INSTANTS = 6000, 1200
 """Points of a series of rows, and of the estimates' history."""
@@ -75,7 +76,7 @@ def add_course(figures: Figures, data: ReportData) -> list[str]:
             "title": f"{name} over the flight",
             "x": SECONDS,
             "y": {
-                "unit": unit_text(PARAMETERS[name].unit),
+                "unit": PAGE.unit(PARAMETERS[name].unit),
                 "range": _settled_range(value, half, _intervals(data.result, name)),
             },
             "bands": [

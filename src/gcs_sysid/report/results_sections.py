@@ -4,15 +4,17 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from gcs_sysid.estimation.physical_parameters import CORE_OF
+from gcs_sysid.estimation.status import Status
 from gcs_sysid.intervals import Z95
-from gcs_sysid.model.parameters import TIMING
+from gcs_sysid.model.parameters import CORE_OF, PARAMETERS, REGISTRY, TIMING
 from gcs_sysid.report import wording
 from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.markup import Child, Markup, element, joined
 from gcs_sysid.report.page_figures import Figures, add_course
 from gcs_sysid.report.parts import Column, facts, figure, grid, legend, note, section, table
 from gcs_sysid.report.vehicle_plan import plan_view
+from gcs_sysid.results import words
+from gcs_sysid.results.number_format import PAGE, decimals_for
 
 
 def verdict(data: ReportData) -> Markup:
@@ -26,8 +28,8 @@ def verdict(data: ReportData) -> Markup:
         "div",
         element(
             "h2",
-            element("span", wording.VERDICT_SIGNS[word], class_="sign", aria_hidden="true"),
-            wording.VERDICT_WORDS[word],
+            element("span", words.VERDICT[word].sign, class_="sign", aria_hidden="true"),
+            words.VERDICT[word].meaning,
             id="verdict-title",
         ),
         element("p", wording.verdict_sentence(data.result), class_="sentence"),
@@ -45,11 +47,10 @@ def verdict(data: ReportData) -> Markup:
 
 
 _TILES = {
-    "mass": "Mass",
-    "k_T": "Thrust, k_T",
-    "T_max": "Thrust, T_max",
-    "added_mass": "Added mass",
-}
+    name: p.group.capitalize() + (f", {name}" if name != p.group else "")
+    for name, p in REGISTRY.items()
+    if p.fit == "scale"
+} | {"added_mass": "Added mass"}
 
 
 def _headline(data: ReportData) -> Markup:
@@ -60,29 +61,25 @@ def _headline(data: ReportData) -> Markup:
     if scale is not None:
         origin = f"from {scale['from']}" if scale.get("from") else "given: it sets the scale"
         what = _TILES[scale["anchor"]]
-        tiles[what] = _tile(
-            f"{wording.number(scale['value'], 4)} {wording.unit_text(scale['unit'])}", origin
-        )
+        tiles[what] = _tile(f"{PAGE.number(scale['value'], 4)} {PAGE.unit(scale['unit'])}", origin)
     for name, what in _TILES.items():
         estimate = result["parameters"].get(name)
         if estimate and estimate["value"] is not None and estimate["status"] == "identified":
             share = (wording.half_of(estimate) or 0.0) / abs(estimate["value"])
-            unit = wording.unit_text(estimate["unit"])
+            unit = PAGE.unit(estimate["unit"])
             tiles.setdefault(
                 what,
-                _tile(
-                    f"{wording.number(estimate['value'], 4)} {unit}", f"± {wording.percent(share)}"
-                ),
+                _tile(f"{PAGE.number(estimate['value'], 4)} {unit}", f"± {PAGE.percent(share)}"),
             )
     seconds = telemetry.get("used_seconds")
     if seconds:
-        tiles["Flight used"] = _tile(f"{wording.fixed(seconds, 1)} s", _of_flight(data))
+        tiles["Flight used"] = _tile(f"{PAGE.fixed(seconds, 1)} s", _of_flight(data))
     found = [v for v in result["validation"].get("r_squared", {}).values() if v is not None]
     if found:
         # Cut, not rounded: 0.99996 is not 1.
         worst = math.floor(1e4 * min(found)) / 1e4
         tiles["Prediction of data not fitted"] = _tile(
-            f"R² {wording.fixed(worst, 4)}", "the worst of three axes"
+            f"R² {PAGE.fixed(worst, 4)}", "the worst of three axes"
         )
     return element(
         "dl",
@@ -97,7 +94,7 @@ def _tile(value: str, more: str) -> Markup:
 
 def _of_flight(data: ReportData) -> str:
     in_air = data.inspection.get("in_air")
-    return f"of {wording.fixed(in_air, 1)} s in the air" if in_air else "in the air"
+    return f"of {PAGE.fixed(in_air, 1)} s in the air" if in_air else "in the air"
 
 
 def parameters(data: ReportData) -> Markup:
@@ -118,8 +115,9 @@ def parameters(data: ReportData) -> Markup:
     rows = []
     for name in sorted(entries, key=lambda n: n not in core):
         estimate = entries[name]
-        cells = [_name(name), *_numbers(estimate), _status(estimate["status"])]
-        cells.append(wording.told_by(name, estimate, result["scale"]))
+        status: Status = estimate["status"]
+        cells = [_name(name), *_numbers(estimate), _status(status, words.STATUS[status])]
+        cells.append(words.told_by(name, estimate, result["scale"]))
         if bounded:
             cells.append(_bound(estimate))
         if data.truth:
@@ -127,8 +125,8 @@ def parameters(data: ReportData) -> Markup:
         rows.append(cells)
     shown = dict.fromkeys(e["status"] for e in entries.values())
     meanings = [
-        element("li", _status(status), " ", wording.STATUS_MEANINGS[status])
-        for status in wording.STATUS_SIGNS
+        element("li", _status(status, word), " ", word.meaning)
+        for status, word in words.STATUS.items()
         if status in shown
     ]
     return section(
@@ -144,34 +142,34 @@ def parameters(data: ReportData) -> Markup:
 def _name(name: str) -> Markup:
     return joined(
         element("span", name, class_="symbol"),
-        element("span", wording.meaning(name), class_="meaning"),
+        element("span", PARAMETERS[name].meaning, class_="meaning"),
     )
 
 
-def _status(status: str) -> Markup:
-    sign = element("span", wording.STATUS_SIGNS[status], class_="sign", aria_hidden="true")
-    return element("span", sign, wording.STATUS_WORDS[status], class_=f"status {status}")
+def _status(status: Status, word: words.Word) -> Markup:
+    sign = element("span", word.sign, class_="sign", aria_hidden="true")
+    return element("span", sign, status, class_=f"status {status}")
 
 
 def _numbers(estimate: Mapping[str, Any]) -> list[Child]:
     """Value with its uncertainty, and the interval."""
     half = wording.half_of(estimate)
-    value, unit = estimate["value"], wording.unit_text(estimate["unit"])
+    value, unit = estimate["value"], PAGE.unit(estimate["unit"])
     if value is None or half is None:
-        return [wording.NOTHING] * 2
-    text, half_text, power, exponent = wording.value_text(value, half)
+        return [PAGE.nothing] * 2
+    text, half_text, power, exponent = PAGE.value_and_half(value, half)
     if estimate["status"] == "given":
-        return [f"{wording.number(value, 6)} {unit}", wording.NOTHING]
-    decimals = wording.decimals_of(half / 10.0**exponent, abs(value) / 10.0**exponent)
-    ends = [wording.fixed(end / 10.0**exponent, decimals) for end in estimate["ci95"] or ()]
-    interval = f"{ends[0]} … {ends[1]}{power}" if ends else wording.NOTHING
+        return [f"{PAGE.number(value, 6)} {unit}", PAGE.nothing]
+    decimals = decimals_for(half / 10.0**exponent, abs(value) / 10.0**exponent)
+    ends = [PAGE.fixed(end / 10.0**exponent, decimals) for end in estimate["ci95"] or ()]
+    interval = f"{ends[0]} … {ends[1]}{power}" if ends else PAGE.nothing
     untold = estimate["status"] == "unobservable"
     if not half:
         relative = ""  # not estimated
     elif half > 0.3 * abs(value):
         relative = "known to be this small" if estimate["status"] == "identified" else ""
     else:
-        relative = f"± {wording.percent(half / abs(value))}"
+        relative = f"± {PAGE.percent(half / abs(value))}"
     both = f"({text} ± {half_text}){power}" if power else f"{text} ± {half_text}"
     shown = joined(
         element("span", f"{both} {unit}".rstrip(), class_="untold" if untold else None),
@@ -183,19 +181,19 @@ def _numbers(estimate: Mapping[str, Any]) -> list[Child]:
 def _bound(estimate: Mapping[str, Any]) -> str:
     bound = estimate.get("bound")
     if not bound:
-        return wording.NOTHING
-    return f"± {wording.number(Z95 * bound, 2)}"
+        return PAGE.nothing
+    return f"± {PAGE.number(Z95 * bound, 2)}"
 
 
 def _truth(estimate: Mapping[str, Any], true: float | None) -> Child:
     if true is None:
-        return wording.NOTHING
+        return PAGE.nothing
     value = estimate["value"]
     error = None if value is None or not true else value / true - 1.0
     return joined(
-        wording.number(true, 5),
+        PAGE.number(true, 5),
         None if error is None
-        else element("span", f"error {wording.percent(error)}", class_="share"),
+        else element("span", f"error {PAGE.percent(error)}", class_="share"),
     )  # fmt: skip
 
 
@@ -205,7 +203,7 @@ def _timing(result: Mapping[str, Any]) -> Markup | None:
         if estimate["value"] is None:
             continue
         half = wording.half_of(estimate)
-        text = wording.measure(1e3 * estimate["value"], 1e3 * half if half else None, "ms")
+        text = PAGE.measure(1e3 * estimate["value"], 1e3 * half if half else None, "ms")
         entries[name.replace("_", " ").capitalize()] = joined(
             text, element("span", TIMING[name].meaning, class_="share")
         )
@@ -221,7 +219,7 @@ def _segments(result: Mapping[str, Any]) -> Markup | None:
     parts.append((f"from {segments[-1]['end']:.1f} s, in force", result["parameters"]))
     columns = [Column("Parameter"), *(Column(title, numbers=True) for title, _ in parts)]
     rows = [
-        [name, *(_numbers(held[name])[0] if name in held else wording.NOTHING for _, held in parts)]
+        [name, *(_numbers(held[name])[0] if name in held else PAGE.nothing for _, held in parts)]
         for name in result["parameters"]
     ]
     return joined(
@@ -255,7 +253,7 @@ def convergence(data: ReportData, figures: Figures) -> Markup:
             "three",
             (
                 figure(
-                    f"course-{name}", name, wording.STATUS_WORDS[by_name[name]["status"]],
+                    f"course-{name}", name, by_name[name]["status"],
                     size="small",
                 )
                 for name in names

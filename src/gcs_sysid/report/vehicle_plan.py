@@ -6,7 +6,8 @@ import numpy as np
 
 from gcs_sysid.report.data import ReportData
 from gcs_sysid.report.markup import Markup, element
-from gcs_sysid.report.wording import fixed, half_of
+from gcs_sysid.report.wording import half_of
+from gcs_sysid.results.number_format import PAGE
 
 _SIZE = 300.0
 _MARGIN = 46.0
@@ -77,8 +78,8 @@ def plan_view(data: ReportData) -> Markup | None:
 def cg_text(cg: list[Any]) -> str:
     """Where the centre of gravity is, in words."""
     forward, right = (1e3 * float(e["value"]) for e in cg)
-    along = f"{fixed(abs(forward), 1)} mm {'ahead' if forward >= 0.0 else 'behind'}"
-    across = f"{fixed(abs(right), 1)} mm {'right' if right >= 0.0 else 'left'}"
+    along = f"{PAGE.fixed(abs(forward), 1)} mm {'ahead' if forward >= 0.0 else 'behind'}"
+    across = f"{PAGE.fixed(abs(right), 1)} mm {'right' if right >= 0.0 else 'left'}"
     return f"The centre of gravity (⊕) is {along} and {across} of the geometric centre."
 
 

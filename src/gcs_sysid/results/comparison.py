@@ -14,7 +14,7 @@ from typing import Any, Literal
 from gcs_sysid.errors import InputError
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import parse_airframe
-from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.model.parameters import REGISTRY, THRUST_OF
 from gcs_sysid.results.result import Estimate, Result, Scale
 
 SCHEMA = "gcs-sysid/compare/1"
@@ -22,9 +22,7 @@ Change = Literal["changed", "no_change_seen", "cannot_tell"]
 
 LEVEL = 0.05
 """Probability that a vehicle which is the same is called changed."""
-_LENGTHS = frozenset({"cg_x", "cg_y", "moment_ratio", "thrust_curve", "motor_lag"})
-"""Parameters that do not depend on the scale."""
-_KNOWN = PARAMETERS | {"motor_lag": TIMING["motor_lag"]}
+_KNOWN = {name: parameter for name, parameter in REGISTRY.items() if parameter.of_vehicle}
 _SAME_PLACE = 1e-6
 """m"""
 
@@ -153,7 +151,7 @@ def _difference(name: str, before: Result, after: Result) -> Difference:
             why = f"not in {which}"
         elif estimate.status == "unobservable":
             why = f"unobservable in {which}"
-        elif result.scale is None and name not in _LENGTHS:
+        elif result.scale is None and _KNOWN[name].scale != "none":
             why = f"{which} has no scale"
         else:
             values.append((estimate.value, estimate.std))
@@ -257,7 +255,7 @@ def _scale_notes(before: Result, after: Result, found: Mapping[str, Difference])
 
 def _suspicion(mass: float, found: Mapping[str, Difference]) -> Iterable[str]:
     """Where thrust changed at given masses, the mass that would leave it as it was."""
-    for name in ("k_T", "T_max"):
+    for name in THRUST_OF.values():
         thrust = found.get(name)
         if thrust is None or thrust.verdict != "changed":
             continue

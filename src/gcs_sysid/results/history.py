@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.physical_parameters import NOTHING, Value
+from gcs_sysid.estimation.status import NOTHING, Value
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results.snapshot import History
 

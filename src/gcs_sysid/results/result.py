@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from gcs_sysid.estimation.status import Status
 from gcs_sysid.files import write_whole
 from gcs_sysid.intervals import Z95
 
 SCHEMA = "gcs-sysid/1"
 
-Status = Literal["identified", "given", "weak", "unobservable"]
 Verdict = Literal["identified", "partial", "refused"]
 
 
@@ -38,6 +38,22 @@ class Estimate:
             return None
         half = Z95 * self.std
         return (self.value - half, self.value + half)
+
+    @property
+    def half(self) -> float | None:
+        """Half the width of the 95 % interval; None where there is none, or nothing to say."""
+        if self.value is None or self.std is None or self.status == "given":
+            return None
+        half = Z95 * self.std
+        return half if math.isfinite(half) else None
+
+    @property
+    def relative_half(self) -> float | None:
+        """The same over the value."""
+        half = self.half
+        if half is None or not self.value or not math.isfinite(self.value):
+            return None
+        return half / abs(self.value)
 
     def as_json(self) -> dict[str, Any]:
         """The estimate as the result file writes it."""

@@ -10,16 +10,15 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.change_kinds import describe
 from gcs_sysid.estimation.online import Fit
-from gcs_sysid.estimation.physical_parameters import Value, physical_parameters, rests_on_prior
-from gcs_sysid.estimation.rotor_signals import RotorInput
+from gcs_sysid.estimation.physical_parameters import physical_parameters, rests_on_prior
+from gcs_sysid.estimation.status import Value
 from gcs_sysid.estimation.tracking import Event
 from gcs_sysid.estimation.uncertainty import watched_factor
 from gcs_sysid.intervals import Z95
-from gcs_sysid.model.parameters import PARAMETERS
-from gcs_sysid.model.scale_reference import Known, ScaleKind, ScaleReference
+from gcs_sysid.model.parameters import REGISTRY, THRUST_OF, RotorInput
+from gcs_sysid.model.scale_reference import Known, ScaleReference
 from gcs_sysid.results.result import Estimate, Scale
 
-_UNITS = {"mass": "kg", "k_T": "N s^2", "T_max": "N", "added_mass": "kg"}
 _AXES = ("roll", "pitch", "yaw")
 MIN_SECONDS = 3.0
 """Flight time in s below which nothing is claimed, unless an earlier segment tells most of it."""
@@ -35,15 +34,9 @@ _WORDS = {
 }
 
 
-_SPEEDS_ONLY = ("k_T", "k_M", "rotor_inertia")
-"""Priors that mean nothing where commands are the input."""
-
-
 def priors_for(known: Mapping[str, Known], rotor_input: RotorInput) -> Mapping[str, Known]:
     """Those priors that make sense with this input."""
-    if rotor_input == "speed":
-        return known
-    return {name: value for name, value in known.items() if name not in _SPEEDS_ONLY}
+    return {name: value for name, value in known.items() if rotor_input in REGISTRY[name].inputs}
 
 
 def values_of(
@@ -106,7 +99,7 @@ def estimates_of(
         name: Estimate(
             v.value,
             v.std,
-            PARAMETERS[name].unit,
+            REGISTRY[name].unit,
             v.status,
             bound=bounds[name].std if bounds and name in bounds else None,
             rests_on=support if name in leaning else None,
@@ -117,7 +110,8 @@ def estimates_of(
 
 def scale_of(anchor: ScaleReference) -> Scale:
     """The anchor as a result names it."""
-    return Scale(anchor.kind, anchor.value, _UNITS[anchor.kind], anchor.std, anchor.origin)
+    unit = REGISTRY["mass" if anchor.kind == "added_mass" else anchor.kind].unit
+    return Scale(anchor.kind, anchor.value, unit, anchor.std, anchor.origin)
 
 
 def next_anchor(
@@ -130,7 +124,7 @@ def next_anchor(
         values: parameters before, with k_T (rotor speeds) or T_max (commands).
         until: s, session time of the change.
     """
-    kind: ScaleKind = "k_T" if "k_T" in values else "T_max"
+    kind = THRUST_OF["speed" if "k_T" in values else "command"]
     thrust = values[kind]
     origin = f"the flight before {until:.1f} s"
     if anchor.kind == kind:
@@ -205,7 +199,7 @@ def event_of(
 
 def note_of(event: Event, rotor_input: RotorInput = "speed") -> str:
     """A line for the event log."""
-    thrust = "k_T" if rotor_input == "speed" else "T_max"
+    thrust = THRUST_OF[rotor_input]
     if event.change is None:
         return (
             f"the vehicle differs since the landing at {event.onset:.1f} s: "

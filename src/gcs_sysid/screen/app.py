@@ -10,6 +10,7 @@ from textual.binding import Binding, BindingType
 from textual.screen import Screen
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.results import words
 from gcs_sysid.results.comparison import Comparison, compare
 from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
 from gcs_sysid.screen import formatting as fmt
@@ -162,13 +163,13 @@ class SysidApp(ActingApp):
     def _names(self) -> list[str]:
         if self._snapshot is None:
             return []
-        return [parameter.name for parameter, _ in fmt.rows(self._snapshot.result)]
+        return [parameter.name for parameter, _ in words.rows(self._snapshot.result)]
 
     def _first_choice(self) -> str:
         """The first parameter that is being identified: a given one has no history to watch."""
         if self._snapshot is None:
             return ""
-        found = fmt.rows(self._snapshot.result)
+        found = words.rows(self._snapshot.result)
         free = [p.name for p, estimate in found if estimate.status != "given"]
         return (free or self._names() or [""])[0]
 
@@ -203,7 +204,7 @@ class SysidApp(ActingApp):
         self.selected = name
         self.draw()
         self._main.table.reveal(name)
-        self.say(f"Plot: {fmt.label(name)}")
+        self.say(f"Plot: {words.label(name)}")
 
     def action_pause(self) -> None:
         """Freeze the display, or let it go on."""
@@ -274,7 +275,7 @@ class SysidApp(ActingApp):
             )
         for name in self._names():
             yield SystemCommand(
-                f"Plot {fmt.label(name)}",
+                f"Plot {words.label(name)}",
                 "Show its convergence",
                 lambda name=name: self._select(name),
             )

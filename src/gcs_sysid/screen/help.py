@@ -10,6 +10,7 @@ from textual.content import Content
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
+from gcs_sysid.results.words import CHANGE, STATUS
 from gcs_sysid.screen import formatting as fmt
 
 KEYS = (
@@ -29,13 +30,6 @@ KEYS = (
     ("ctrl+p  ? q", "command palette, this help, quit"),
 )
 
-STATUSES = (
-    ("identified", "the data determine it; the interval says how well"),
-    ("given", "put in by you (the scale), not identified"),
-    ("weak", "seen, but the interval is wide: fly more of its motion"),
-    ("unobservable", "this flight says nothing about it; ignore the number"),
-)
-
 
 def help_text(keys: Sequence[tuple[str, str]] = KEYS) -> Content:
     """The whole help."""
@@ -43,11 +37,12 @@ def help_text(keys: Sequence[tuple[str, str]] = KEYS) -> Content:
     for key, meaning in keys:
         parts += [(f"{key:<11}", "bold $text-primary"), f" {meaning}\n"]
     parts.append(("Status\n", "bold underline"))
-    for status, meaning in STATUSES:
-        sign, style = fmt.STATUS_SIGN[status], fmt.STATUS_STYLE[status]  # type: ignore[index]
-        parts += [(f"{sign} {status:<13}", f"bold {style}"), f" {meaning}\n"]
+    for status, word in STATUS.items():
+        style = fmt.STATUS_STYLE[status]
+        parts += [(f"{word.sign} {status:<13}", f"bold {style}"), f" {word.meaning}\n"]
     parts.append("± is half the 95 % interval; the bar is full at the target.\n")
-    parts.append("Change: ≠ changed, = no change seen, ? cannot tell.")
+    changes = ", ".join(f"{word.sign} {word.meaning}" for word in CHANGE.values())
+    parts.append(f"Change: {changes}.")
     return Content.assemble(*parts)
 
 

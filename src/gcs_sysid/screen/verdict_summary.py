@@ -5,11 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gcs_sysid.coach import interval_targets as targets
-from gcs_sysid.estimation.physical_parameters import CORE_OF, NOTHING, Value
+from gcs_sysid.estimation.status import NOTHING, Value
+from gcs_sysid.model.parameters import CORE_OF
+from gcs_sysid.results import words
 from gcs_sysid.results.comparison import Comparison
+from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import LinkState, Snapshot
-from gcs_sysid.screen import formatting as fmt
 
 Known = tuple[str, float | None]
 """Label of a parameter, and its share of `shares`."""
@@ -54,7 +56,7 @@ def standing_of(snapshot: Snapshot) -> Standing:
     reached = 0
     for name, share in shares(snapshot.result).items():
         status = snapshot.result.parameters[name].status
-        groups[status].append((fmt.label(name), share))
+        groups[status].append((words.label(name), share))
         reached += status == "identified" and share is not None and share <= snapshot.target
     widest_first = {
         status: tuple(sorted(group, key=lambda known: -(known[1] or 0.0)))
@@ -79,7 +81,7 @@ def headline(snapshot: Snapshot) -> str:
 def named(group: Sequence[Known], room: int, *, shares: bool = True) -> str:
     """As many names as there is room for, and how many there are besides: `Izz ±8 %, +2`."""
     words = [
-        f"{name} ±{fmt.rough(share)}" if shares and share is not None else name
+        f"{name} ±{PLAIN.percent(share)}" if shares and share is not None else name
         for name, share in group
     ]
     for count in range(len(words), 0, -1):
@@ -93,7 +95,7 @@ def named(group: Sequence[Known], room: int, *, shares: bool = True) -> str:
 def compared(comparison: Comparison, room: int) -> tuple[str, str]:
     """A comparison with the baseline in a sentence, and its sign."""
     groups = {
-        verdict: [(fmt.label(name), None) for name in comparison.named(verdict)]
+        verdict: [(words.label(name), None) for name in comparison.named(verdict)]
         for verdict in ("changed", "no_change_seen", "cannot_tell")
     }
     same, unknown = len(groups["no_change_seen"]), len(groups["cannot_tell"])

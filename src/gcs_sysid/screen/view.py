@@ -8,6 +8,7 @@ from gcs_sysid.model.parameters import Parameter
 from gcs_sysid.results.comparison import Comparison
 from gcs_sysid.results.result import Estimate, Result
 from gcs_sysid.results.snapshot import LinkState, Snapshot
+from gcs_sysid.results.words import rows
 from gcs_sysid.screen import formatting
 
 
@@ -47,7 +48,7 @@ class View:
         """A parameter of the result by name."""
         if self.snapshot is None:
             return None
-        for parameter, estimate in formatting.rows(self.snapshot.result):
+        for parameter, estimate in rows(self.snapshot.result):
             if parameter.name == name:
                 return parameter, estimate
         return None

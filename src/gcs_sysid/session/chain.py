@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
-from gcs_sysid.estimation.physical_parameters import (
-    Value,
-)
 from gcs_sysid.estimation.rotor_signals import RotorInput
+from gcs_sysid.estimation.status import Value
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.scale_reference import ScaleKind, ScaleReference
 from gcs_sysid.results import summary

@@ -4,14 +4,13 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from gcs_sysid.estimation.physical_parameters import (
-    Value,
-    motor_lag,
-    rotor_delay,
+    timing_values,
     verdict,
     with_clock_error,
 )
+from gcs_sysid.estimation.status import Value
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.model.parameters import TIMING
+from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results import summary
 from gcs_sysid.results.result import Estimate, Result
@@ -88,13 +87,10 @@ class Findings:
         )
 
     def _timing(self) -> dict[str, Estimate]:
-        timing = {"rotor_delay": rotor_delay(self.learner.fit.rotation)}
-        if self.learner.rotor_input == "command":
-            timing["motor_lag"] = motor_lag(self.learner.fit.rotation)
-        timing = with_clock_error(timing, self.clock_error)
+        timing = timing_values(self.learner.fit.rotation, self.learner.rotor_input)
         return {
-            name: Estimate(value.value, value.std, TIMING[name].unit, value.status)
-            for name, value in timing.items()
+            name: Estimate(value.value, value.std, REGISTRY[name].unit, value.status)
+            for name, value in with_clock_error(timing, self.clock_error).items()
         }
 
     def _past_values(self) -> list[dict[str, Value]]:
@@ -112,7 +108,7 @@ class Findings:
             return None
         bounds = self.learner.values(self.offline.bounding_fit, self._anchor)
         # The likelihood is that of the rotation.
-        return {n: v for n, v in bounds.items() if n not in ("mass", "k_T", "T_max", "linear_drag")}
+        return {n: v for n, v in bounds.items() if REGISTRY[n].fit in ("rotation", "actuator")}
 
     def _changes(self, values: list[dict[str, Value]]) -> tuple[dict[str, Any], ...]:
         if self.learner.tracker is None:

@@ -12,10 +12,10 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.online import Fit
-from gcs_sysid.estimation.physical_parameters import Value
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotor_signals import RotorInput, low_pass_delay
 from gcs_sysid.estimation.scale import relative_prior, resolve_scale
+from gcs_sysid.estimation.status import Value
 from gcs_sysid.estimation.tracking import MOST_SEGMENTS, Segment, Tracker
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import COMMANDS, tuning_for_commands

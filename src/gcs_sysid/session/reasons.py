@@ -1,6 +1,6 @@
 """Why the data do not tell more: the words of a verdict below `identified`."""
 
-from gcs_sysid.estimation.physical_parameters import WEAK_BELOW_R2
+from gcs_sysid.estimation.status import RULES
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.session.learner import Learner
 from gcs_sysid.signals.records import Stream
@@ -48,7 +48,7 @@ def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[st
                 "order and rotor positions in the airframe file, and fly roll and pitch",
             )
         return ("too little flight in which all the needed data came together",)
-    if learner.fit.rotation.r_squared.min() < WEAK_BELOW_R2:
+    if learner.fit.rotation.r_squared.min() < RULES.weak_below_r2:
         share = max(100.0 * learner.fit.rotation.r_squared.min(), 0.0)
         return (
             f"the rotors explain only {share:.0f} % of the motion on one axis: "

@@ -3,6 +3,8 @@
 from textual.content import Content
 from textual.widgets import Static
 
+from gcs_sysid.results import words
+from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.snapshot import Advice, Gain
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
@@ -13,8 +15,8 @@ BAR = 20
 
 def gain_text(gain: Gain) -> str:
     """What a manoeuvre does to one parameter: `Izz 12 % → 3 %`."""
-    now = "?" if gain.now is None else fmt.rough(gain.now)
-    return f"{fmt.label(gain.name)} {now} → {fmt.rough(gain.expected)}"
+    now = "?" if gain.now is None else PLAIN.percent(gain.now, 1)
+    return f"{words.label(gain.name)} {now} → {PLAIN.percent(gain.expected, 1)}"
 
 
 def advice_lines(advice: Advice, width: int) -> list[Line]:

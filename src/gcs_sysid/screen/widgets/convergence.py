@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.intervals import Z95
+from gcs_sysid.results import words
+from gcs_sysid.results.number_format import scaled_unit
 from gcs_sysid.results.snapshot import History
 from gcs_sysid.screen import braille
 from gcs_sysid.screen import formatting as fmt
@@ -140,11 +142,11 @@ class Convergence(RationedPlot):
         if self.view is None or found is None:
             return ""
         parameter, estimate = found
-        exponent = self.view.exponents.get(fmt.exponent_key(parameter), 0)
+        exponent = self.view.exponents.get(words.exponent_key(parameter), 0)
         value, half = (text.strip() for text in fmt.value_and_half(estimate, exponent))
         sign = "" if estimate.status == "given" else "± "
-        unit = fmt.scaled_unit(parameter.unit, exponent)
-        return f"{fmt.label(parameter.name)} = {value} {sign}{half} {unit}".rstrip()
+        unit = scaled_unit(parameter.unit, exponent)
+        return f"{words.label(parameter.name)} = {value} {sign}{half} {unit}".rstrip()
 
     def drawing(self) -> list[Line]:
         """The picture between its headline and its axis."""
@@ -154,10 +156,11 @@ class Convergence(RationedPlot):
             return []
         found = view.estimate(view.selected)
         history, truth = view.snapshot.history, view.truth.get(view.selected)
-        scale = 1.0 if found is None else 10.0 ** -view.exponents.get(fmt.exponent_key(found[0]), 0)
+        key = "" if found is None else words.exponent_key(found[0])
+        scale = 10.0 ** -view.exponents.get(key, 0)
         whole = reduce_course(history, view.selected, braille.DOTS_WIDE * width, scale)
         if whole is None:
-            return [[(f"{fmt.label(view.selected)}: no course to plot yet", "")]]
+            return [[(f"{words.label(view.selected)}: no course to plot yet", "")]]
         truth = None if truth is None else scale * truth
         bounds = value_range(whole, truth)
         # Headline, time axis with its numbers, and legend take four lines.

@@ -13,6 +13,8 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from gcs_sysid.model.parameters import Parameter
+from gcs_sysid.results import words
+from gcs_sysid.results.number_format import percent_column, scaled_unit
 from gcs_sysid.results.result import Estimate
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
@@ -34,7 +36,7 @@ class Column:
 
 
 def _exponent(view: View, parameter: Parameter) -> int:
-    return view.exponents.get(fmt.exponent_key(parameter), 0)
+    return view.exponents.get(words.exponent_key(parameter), 0)
 
 
 def _value(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
@@ -45,16 +47,16 @@ def _value(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
 
 
 def _unit(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
-    return fmt.scaled_unit(parameter.unit, _exponent(view, parameter)).ljust(11), ""
+    return scaled_unit(parameter.unit, _exponent(view, parameter)).ljust(11), ""
 
 
 def _percent(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
-    return fmt.percent(fmt.relative_half(estimate)).rjust(6), ""
+    return percent_column(estimate.relative_half).rjust(6), ""
 
 
 def _status(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
     status = estimate.status
-    return f"{fmt.STATUS_SIGN[status]} {status}".ljust(14), fmt.STATUS_STYLE[status]
+    return f"{words.STATUS[status].sign} {status}".ljust(14), fmt.STATUS_STYLE[status]
 
 
 def _converged(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
@@ -77,7 +79,7 @@ def _error(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
     truth = view.truth.get(parameter.name)
     if not truth or estimate.value is None or estimate.status == "given":
         return " " * 7, ""
-    return fmt.percent(estimate.value / truth - 1.0, signed=True).rjust(7), ""
+    return percent_column(estimate.value / truth - 1.0, signed=True).rjust(7), ""
 
 
 def _change(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
@@ -87,7 +89,7 @@ def _change(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
     share = None
     if found.value is not None and found.before is not None and found.before.value:
         share = found.value / abs(found.before.value)
-    text = f"{fmt.CHANGE_SIGN[found.verdict]}{fmt.percent(share, signed=True):>7}"
+    text = f"{words.CHANGE[found.verdict].sign}{percent_column(share, signed=True):>7}"
     return text, fmt.CHANGE_STYLE[found.verdict]
 
 
@@ -155,7 +157,7 @@ class ParameterRows(Lines):
 
     def show(self, view: View, columns: list[Column]) -> None:
         """Write the cells anew."""
-        found = [] if view.snapshot is None else fmt.rows(view.snapshot.result)
+        found = [] if view.snapshot is None else words.rows(view.snapshot.result)
         self.parameters = [parameter for parameter, _ in found]
         lines = [self._row(view, columns, *pair) for pair in found]
         self.put(lines or [[(" No estimate yet.", fmt.MUTED)]])
@@ -164,7 +166,7 @@ class ParameterRows(Lines):
         self, view: View, columns: list[Column], parameter: Parameter, estimate: Estimate
     ) -> Line:
         chosen = view.selected == parameter.name
-        name = ("▸" if chosen else " ") + fmt.label(parameter.name).ljust(8)
+        name = ("▸" if chosen else " ") + words.label(parameter.name).ljust(8)
         cells = [column.cell(view, parameter, estimate) for column in columns]
         line = _line((name, "bold" * chosen), cells)
         return _lit(line, self.content_size.width) if chosen else line

@@ -3,6 +3,7 @@
 from textual.content import Content
 from textual.widgets import Static
 
+from gcs_sysid.results.number_format import pretty_unit
 from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
@@ -41,7 +42,7 @@ class StatusLine(Static):
         ]
         if result.scale is not None:
             scale = result.scale
-            parts.append((f"by {scale.anchor} {scale.value:.4g} {fmt.pretty_unit(scale.unit)}", ""))
+            parts.append((f"by {scale.anchor} {scale.value:.4g} {pretty_unit(scale.unit)}", ""))
         if len(link.vehicles) > 1:
             parts.append((f"v: {len(link.vehicles)} vehicles", "bold $text-warning"))
         if link.recording:

@@ -3,8 +3,8 @@
 from textual.content import Content
 from textual.widgets import Static
 
+from gcs_sysid.results import words
 from gcs_sysid.results.snapshot import LinkState, Snapshot
-from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.big_letters import HEIGHT, big
 from gcs_sysid.screen.verdict_summary import Standing, compared, headline, named, standing_of
 from gcs_sysid.screen.view import View
@@ -52,7 +52,7 @@ class VerdictPanel(Static):
             self.show(self._view)
 
     def _small(self, snapshot: Snapshot, standing: Standing, width: int) -> list[Line]:
-        sign = fmt.VERDICT_SIGN[snapshot.result.verdict]
+        sign = words.VERDICT[snapshot.result.verdict].sign
         head = f"{sign} {headline(snapshot)} {len(standing.known)}/{standing.total}"
         parts: Line = [(head, "bold")]
         room = width - len(head)
@@ -70,7 +70,7 @@ class VerdictPanel(Static):
     def _large(self, snapshot: Snapshot, standing: Standing, width: int) -> list[Line]:
         letters = big(f"{headline(snapshot)} {len(standing.known)}/{standing.total}")
         room = width - len(letters[0]) - 3
-        within = f"{standing.reached} within ±{fmt.rough(snapshot.target)}"
+        within = f"{standing.reached} within ±{100.0 * snapshot.target:g} %"
         known = f"{within}, widest {named(standing.known[:1], room)}" if standing.known else within
         beside = (
             ("✓ known", len(standing.known), known),

@@ -1,0 +1,68 @@
+"""How well a value is known, in one word, and what becomes of that where the model is in doubt."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from gcs_sysid.model.parameters import Parameter
+
+Status = Literal["identified", "given", "weak", "unobservable"]
+
+
+@dataclass(frozen=True)
+class StatusRules:
+    """Where one status ends and the next begins.
+
+    Where gusts or unmodelled torques move the vehicle more than its rotors do, the controller's
+    reaction to them is mistaken for the vehicle's response, and intervals are confidently wrong:
+    hence the rules on R², the share of an axis' angular acceleration that is explained.
+    """
+
+    identified_below: float = 0.05
+    """Standard deviation over yardstick."""
+    unobservable_above: float = 0.5
+    """The same, above which the data say nothing useful."""
+    weak_below_r2: float = 0.8
+    """R² below which nothing on that axis is identified."""
+    unobservable_below_r2: float = 0.5
+    """R² below which it is not even weak."""
+
+
+RULES = StatusRules()
+
+
+@dataclass(frozen=True)
+class Value:
+    """A parameter's value, standard deviation and status; None where there is nothing."""
+
+    value: float | None
+    std: float | None
+    status: Status
+
+
+NOTHING = Value(None, None, "unobservable")
+
+
+def judged(value: float, std: float, yardstick: float) -> Value:
+    """A value with the status that its standard deviation gives it."""
+    if not (math.isfinite(value) and math.isfinite(std)):
+        return NOTHING
+    ratio = std / yardstick if yardstick > 0.0 else math.inf
+    if ratio < RULES.identified_below:
+        return Value(value, std, "identified")
+    return Value(value, std, "weak" if ratio < RULES.unobservable_above else "unobservable")
+
+
+def doubted(value: Value, parameter: Parameter, r_squared: tuple[float, ...]) -> Value:
+    """The value, its status lowered where the model explains too little on one of its axes.
+
+    Args:
+        value: of the parameter.
+        parameter: which.
+        r_squared: of roll, pitch and yaw.
+    """
+    axes = () if parameter.mean_torque else parameter.axes
+    worst = min((r_squared[axis] for axis in axes), default=1.0)
+    if value.status in ("given", "unobservable") or worst >= RULES.weak_below_r2:
+        return value
+    return replace(value, status="weak" if worst >= RULES.unobservable_below_r2 else "unobservable")

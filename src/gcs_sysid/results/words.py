@@ -1,0 +1,94 @@
+"""One vocabulary for terminal, screen, report and fleet page.
+
+Parameters have the names of the JSON everywhere; what they are and what tells them is in
+`model.parameters`. Statuses and verdicts are the words of the JSON, each with one sign.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from gcs_sysid.estimation.status import RULES, Status
+from gcs_sysid.model.parameters import INERTIA, PARAMETERS, REGISTRY, Parameter
+from gcs_sysid.results.comparison import Change
+from gcs_sysid.results.number_format import PLAIN, Notation
+from gcs_sysid.results.result import Estimate, Result, Verdict
+
+
+@dataclass(frozen=True)
+class Word:
+    """A state as people meet it: its sign, since colour is never the only one, and its meaning."""
+
+    sign: str
+    meaning: str
+
+
+STATUS: dict[Status, Word] = {
+    "identified": Word(
+        "✓", f"known: deviation below {100.0 * RULES.identified_below:g} % of its yardstick"
+    ),
+    "given": Word("•", "put in by you (the scale), not identified"),
+    "weak": Word(
+        "~", f"a rough number, below {100.0 * RULES.unobservable_above:g} %: fly more of its motion"
+    ),
+    "unobservable": Word("✗", "this flight does not tell it: do not use the number"),
+}
+VERDICT: dict[Verdict, Word] = {
+    "identified": Word("✓", "Identified"),
+    "partial": Word("~", "Partly identified"),
+    "refused": Word("✗", "Not identified"),
+}
+CHANGE: dict[Change, Word] = {
+    "changed": Word("≠", "changed"),
+    "no_change_seen": Word("=", "no change seen"),
+    "cannot_tell": Word("?", "cannot tell"),
+}
+
+
+def label(name: str) -> str:
+    """A parameter's name in at most eight letters: the result's own name where it fits."""
+    return REGISTRY[name].label or name if name in REGISTRY else name
+
+
+def rows(result: Result) -> list[tuple[Parameter, Estimate]]:
+    """The parameters and timing values of a result, in the order of all tables."""
+    there = result.parameters | result.timing
+    return [(p, there[name]) for name, p in REGISTRY.items() if name in there]
+
+
+def exponent_key(parameter: Parameter) -> str:
+    """What shares one power of ten: a unit; a rotor's inertia is too small for the body's."""
+    body = INERTIA if parameter.unit == REGISTRY["Ixx"].unit else ()
+    return parameter.name if body and parameter.name not in body else parameter.unit
+
+
+def told_by(name: str, estimate: Mapping[str, Any], scale: Mapping[str, Any] | None) -> str:
+    """What a parameter's knowledge rests on, from its entry in a result's JSON."""
+    if estimate["status"] == "given":
+        return "given: it sets the scale"
+    if estimate.get("rests_on"):
+        return f"mostly from {estimate['rests_on']}"
+    if estimate["status"] == "unobservable":
+        return f"would need: {PARAMETERS[name].told_by}"
+    if scale and name == scale["anchor"] and scale.get("from"):
+        return f"from {scale['from']}"
+    return PARAMETERS[name].told_by
+
+
+def event_text(event: Mapping[str, Any], notation: Notation = PLAIN) -> str:
+    """What happened, in one line: of a change all parameters that surely changed with it."""
+    if event.get("text"):
+        return str(event["text"])
+    text = str(event["kind"]).replace("_", " ")
+    if "loss" in event:
+        low, high = (100.0 * v for v in event["loss"]["ci95"])
+        return f"{text}: rotor {event['rotor'] + 1} lost {low:.0f} to {high:.0f} % of its thrust"
+    told = []
+    for name, change in event.get("parameters", {}).items():
+        before, after, ci95 = (change.get(key) for key in ("before", "after", "ci95"))
+        if before is None or after is None or ci95 is None or ci95[0] <= 0.0 <= ci95[1]:
+            continue
+        unit = notation.unit(PARAMETERS[name].unit) if name in PARAMETERS else ""
+        first, second = (notation.number(value, 4) for value in (before, after))
+        told.append(f"{name} {first} {notation.arrow} {second} {unit}".rstrip())
+    return f"{text}: {', '.join(told)}" if told else text
