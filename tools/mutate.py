@@ -77,6 +77,10 @@ _OPERATORS: dict[type, tuple[type, ...]] = {
 }  # fmt: skip
 
 
+Place = tuple[ast.AST, str, int | None]
+"""Node, field and index (None: the field is no list) of what is replaced."""
+
+
 @dataclass(frozen=True)
 class Mutant:
     """A module with one change.
@@ -85,14 +89,14 @@ class Mutant:
         key: what tells it from others of its module, whatever the line.
         line: where it is.
         tree: of the whole module; the change is not in it yet.
-        place: node, field and index (None: the field is no list) of what is replaced.
+        place: of what is replaced.
         new: what replaces it.
     """
 
     key: str
     line: int
     tree: ast.Module
-    place: tuple[ast.AST, str, int | None]
+    place: Place
     new: Any
 
     def code(self, path: Path) -> Any:
@@ -122,14 +126,14 @@ def mutants(source: str) -> list[Mutant]:
     found: list[Mutant] = []
     seen: dict[str, int] = {}
 
-    def add(scope: str, shown: ast.AST, place: tuple[ast.AST, str, int | None], new: Any) -> None:
+    def add(scope: str, line: int, shown: ast.AST, place: Place, new: Any) -> None:
         before = ast.unparse(shown)
         with _replaced(*place, new):
             after = "pass" if isinstance(new, ast.Pass) else ast.unparse(shown)
         key = f"{scope}: {' '.join(before.split())} -> {' '.join(after.split())}"
         seen[key] = seen.get(key, 0) + 1
         key += f" #{seen[key]}" if seen[key] > 1 else ""
-        found.append(Mutant(key, shown.lineno, tree, place, new))  # type: ignore[attr-defined]
+        found.append(Mutant(key, line, tree, place, new))
 
     def visit(node: ast.AST, scope: str, around: ast.AST) -> None:
         """`around`: what is shown of a change, an expression or a statement."""
@@ -137,10 +141,12 @@ def mutants(source: str) -> list[Mutant]:
             inner, shown = scope, around
             if isinstance(child, ast.FunctionDef | ast.ClassDef):
                 inner = child.name if scope == "module" else f"{scope}.{child.name}"
+                shown = child.args if isinstance(child, ast.FunctionDef) else child
             elif isinstance(child, ast.expr | ast.stmt) and not isinstance(child, _ATOMS):
                 shown = child
             for new, at in _changes(child, place):
-                add(inner, shown, at, new)
+                line = getattr(child, "lineno", getattr(shown, "lineno", 0))
+                add(inner, line, shown, at, new)
             visit(child, inner, shown)
 
     visit(tree, "module", tree)
@@ -150,7 +156,7 @@ def mutants(source: str) -> list[Mutant]:
 _ATOMS = (ast.Constant, ast.Name, ast.Tuple, ast.Slice, ast.UnaryOp, ast.Attribute)
 
 
-def _children(node: ast.AST) -> Iterator[tuple[tuple[ast.AST, str, int | None], ast.AST]]:
+def _children(node: ast.AST) -> Iterator[tuple[Place, ast.AST]]:
     """What may be mutated: no annotations, decorators, assertions, or messages of errors."""
     for field, value in ast.iter_fields(node):
         if field in ("annotation", "returns", "decorator_list", "type_params"):
@@ -161,9 +167,7 @@ def _children(node: ast.AST) -> Iterator[tuple[tuple[ast.AST, str, int | None], 
                 yield (node, field, i if isinstance(value, list) else None), child
 
 
-def _changes(
-    node: ast.AST, place: tuple[ast.AST, str, int | None]
-) -> Iterator[tuple[Any, tuple[ast.AST, str, int | None]]]:
+def _changes(node: ast.AST, place: Place) -> Iterator[tuple[Any, Place]]:
     """What a node may be replaced by, and where."""
     if isinstance(node, ast.operator | ast.cmpop | ast.boolop):
         for new in _OPERATORS.get(type(node), ()):

@@ -29,6 +29,8 @@ class Truth:
     damping: float = 0.004
     rotor_inertia: float = 6e-5
     drag: float = 0.25
+    gyroscopic: float = 1.0
+    """Times the torque w x J w of a rigid body; that of its rotors, w x h, stays."""
     wind: tuple = (3.0, -2.0, 0.0)
     x: tuple = (0.25, -0.25, 0.25, -0.25)
     y: tuple = (0.25, -0.25, -0.25, 0.25)
@@ -77,7 +79,7 @@ def simulate(truth, seconds, dt):
         command = np.sqrt(np.maximum(mixer[:, :3] @ wanted + mixer[:, 3] * thrust, 1e3))
         Omega_dot = (command - Omega) / 0.03
         p, qq, rr = w.tolist()
-        a, b, c = (J @ w).tolist()
+        a, b, c = (truth.gyroscopic * (J @ w)).tolist()
         c -= truth.rotor_inertia * float(s @ Omega)
         gyroscopic = np.array([qq * c - rr * b, rr * a - p * c, p * b - qq * a])
         M = (Omega * Omega) @ torque - truth.damping * w - gyroscopic
@@ -124,3 +126,9 @@ def flight(truth):
 def plain_flight(truth):
     """The same by the article's model: without damping and rotor inertia."""
     return simulate(replace(truth, damping=0.0, rotor_inertia=0.0), 30.0, 0.005)
+
+
+@pytest.fixture(scope="session")
+def untwisted_flight(truth):
+    """The same of what is no rigid body: without its gyroscopic torque."""
+    return simulate(replace(truth, gyroscopic=0.0), 30.0, 0.005)
