@@ -80,6 +80,20 @@ def test_thrust_over_mass_tells_by_the_same_rule(direction, moved, another):
     assert is_another(before, now, ARM) is another
 
 
+@pytest.mark.parametrize(("moved", "another"), [(0.55, False), (0.57, True)])
+def test_the_curves_part_adds_to_the_variance_of_thrust(moved, another):
+    # Slope 3 times 0.05 in both flights is 0.212; with 0.02 of the model and 0.04 twice, 0.219.
+    full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+    full[rb.N_THETA + CURVE, rb.N_THETA + CURVE] = 0.05**2
+    fits = [
+        Fit(
+            replace(turning(), full_covariance=full), replace(lifting(kappa), curve_slope=3.0), 20.0
+        )
+        for kappa in (KAPPA, KAPPA + moved)
+    ]
+    assert is_another(*fits, ARM) is another
+
+
 def test_small_differences_of_many_add_up():
     # Two of 2.3 deviations are no chance in 1 of 100 (chi-square of two: 9.21), one is.
     one, both = [0], [0, 1]
