@@ -64,7 +64,7 @@ PYTEST = [
     "-x", "-q", "--assert=plain", "-p", "no:cacheprovider", "-p", "no:unraisableexception",
     "-p", "pytest_asyncio.plugin", "-m", "not slow and not thorough",
 ]  # fmt: skip
-"""Without what takes longer than the tests: rewritten assertions, other plugins, collected rubbish."""
+"""Without what takes longer than the tests: rewritten assertions, other plugins, collections."""
 
 _OPERATORS: dict[type, tuple[type, ...]] = {
     ast.Add: (ast.Sub,), ast.Sub: (ast.Add,), ast.Mult: (ast.Div,), ast.Div: (ast.Mult,),
@@ -186,9 +186,10 @@ def _changes(node: ast.AST, place: Place) -> Iterator[tuple[Any, Place]]:
     elif isinstance(node, ast.Return) and node.value is not None:
         if not (isinstance(node.value, ast.Constant) and node.value.value is None):
             yield ast.Constant(None), (node, "value", None)
-    elif isinstance(node, ast.If | ast.While | ast.IfExp):
-        if isinstance(node.test, ast.Name | ast.Attribute | ast.Call):
-            yield ast.UnaryOp(ast.Not(), node.test), (node, "test", None)
+    elif isinstance(node, ast.If | ast.While | ast.IfExp) and isinstance(
+        node.test, ast.Name | ast.Attribute | ast.Call
+    ):
+        yield ast.UnaryOp(ast.Not(), node.test), (node, "test", None)
 
 
 class _Swap:
@@ -268,8 +269,7 @@ def _warm_up() -> None:
     import scipy.signal
     import scipy.spatial.transform  # noqa: F401
 
-    import gcs_sysid.telemetry.intake
-    import gcs_sysid.telemetry.tlog
+    import gcs_sysid.telemetry.intake  # noqa: F401
     import sim_bridge.cli  # noqa: F401
 
     phases = [hypothesis.Phase.explicit, hypothesis.Phase.generate]
