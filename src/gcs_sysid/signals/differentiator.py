@@ -45,9 +45,9 @@ class LinearDifferentiator:
     Example:
         A ramp of 3 a second, late by 2 / 40 s:
 
-        >>> t = np.arange(0.0, 2.0, 0.01)
-        >>> z1, z2 = LinearDifferentiator(0.01, bandwidth=40.0, damping=2.0).update(3.0 * t[:, None])
-        >>> round(float(z1[-1, 0] - 3.0 * t[-1]), 6), round(float(z2[-1, 0]), 6)
+        >>> v = 3.0 * np.arange(0.0, 2.0, 0.01)[:, None]
+        >>> z1, z2 = LinearDifferentiator(0.01, bandwidth=40.0, damping=2.0).update(v)
+        >>> round(float((z1 - v)[-1, 0]), 6), round(float(z2[-1, 0]), 6)
         (-0.15, 3.0)
     """
 
