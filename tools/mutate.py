@@ -33,7 +33,7 @@ SURVIVORS = ROOT / "tests" / "mutation_survivors.txt"
 
 NEAREST: dict[str, str] = {
     "estimation/actuator_dynamics.py": "",
-    "estimation/command_noise.py": "test_commands",
+    "estimation/command_noise.py": "test_input_noise test_commands",
     "estimation/flight_comparison.py": "",
     "estimation/normal_equations.py": "",
     "estimation/priors.py": "",
@@ -42,7 +42,7 @@ NEAREST: dict[str, str] = {
     "estimation/scale.py": "test_physical_parameters",
     "estimation/search.py": "test_rotation test_priors",
     "estimation/sequential_tests.py": "",
-    "estimation/speed_noise.py": "",
+    "estimation/speed_noise.py": "test_input_noise",
     "estimation/translation.py": "",
     "estimation/uncertainty.py": "",
     "signals/complementary.py": "",

@@ -135,7 +135,11 @@ def test_two_priors_on_one_unknown_add_up():
 def test_without_a_scale_lengths_alone_are_known():
     nothing = Scale(None, math.inf, None, math.inf)
     assert relative_prior({"Izz": (0.04, 0.001), "k_M": (0.06, 0.01)}, nothing) is None
-    for name, index in (("cg_y", rb.CG_Y), ("moment_ratio", rb.MOMENT_RATIO), ("rotor_delay", DELAY)):
+    for name, index in (
+        ("cg_y", rb.CG_Y),
+        ("moment_ratio", rb.MOMENT_RATIO),
+        ("rotor_delay", DELAY),
+    ):
         prior = relative_prior({"Izz": (0.04, 0.001), name: (0.2, 0.5)}, nothing)
         np.testing.assert_array_equal(np.flatnonzero(prior.known), [index])
         assert prior.mean[index] == 0.2

@@ -148,9 +148,7 @@ def test_a_fit_that_follows_is_the_fit():
 
 def test_a_total_that_is_known_is_taken():
     batches, counts = moments(momentum_rows())
-    summed, told = (
-        fit_momentum(batches, counts, total) for total in (None, batches.sum(axis=0))
-    )
+    summed, told = (fit_momentum(batches, counts, total) for total in (None, batches.sum(axis=0)))
     assert (told.kappa, told.kappa_std) == (summed.kappa, summed.kappa_std)
     other = moments(momentum_rows(2))[0].sum(axis=0)
     assert fit_momentum(batches, counts, other).kappa != summed.kappa
