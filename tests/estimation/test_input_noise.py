@@ -92,9 +92,9 @@ def test_rows_show_noise_of_speeds_as_told(memory):
     smoother = WindowSmoother(dt, 10)
     said = found.moments(smoother, memory)
     mixer = rb.mixer(GEOMETRY)
-    O = speeds**2
+    squares = speeds**2
     H = speeds @ GEOMETRY[2]
-    rows = smoother.update(np.column_stack([O @ mixer, H]), 0)
+    rows = smoother.update(np.column_stack([squares @ mixer, H]), 0)
     summed = np.column_stack([rows.average[:, :4], rows.derivative[:, 4]])
     summed = summed - summed.mean(axis=0)
     if memory:
