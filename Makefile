@@ -8,7 +8,7 @@ BENCH_INSTALLED := $(VENV)/.installed-bench
 SPEED_INSTALLED := $(VENV)/.installed-speed
 SIMULATORS_INSTALLED := $(VENV)/.installed-simulators
 
-.PHONY: help demo test test-all quick check bench bench-accuracy bench-speed fuzz soak soak-short \
+.PHONY: help demo test test-all quick mutate check bench bench-accuracy bench-speed fuzz soak soak-short \
   docs pictures sample clean
 .DEFAULT_GOAL := help
 
@@ -38,7 +38,7 @@ $(SIMULATORS_INSTALLED): $(INSTALLED)
 	@touch $@
 
 # One thread a process: more would only wait for each other.
-test test-all quick soak soak-short: export OMP_NUM_THREADS = 1
+test test-all quick mutate soak soak-short: export OMP_NUM_THREADS = 1
 
 test: $(SIMULATORS_INSTALLED) ## the tests
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
@@ -48,6 +48,12 @@ test-all: $(SIMULATORS_INSTALLED) ## those too that repeat on more flights what 
 
 quick: $(SIMULATORS_INSTALLED) ## the tests without whole flights
 	$(BIN)/python -m pytest -m "not slow and not thorough"
+
+# Not on Windows: mutants are loaded in forked processes. MODULES="signals/windows.py ..." SAMPLE=0
+# for all mutants of some modules.
+SAMPLE ?= 20
+mutate: $(INSTALLED) ## the tests against SAMPLE mutants of each module of the core (15 min)
+	$(BIN)/python tools/mutate.py --sample $(SAMPLE) $(MODULES)
 
 check: $(INSTALLED) ## lint, format, types, import contracts, known vulnerabilities
 	$(BIN)/ruff check .

@@ -165,6 +165,12 @@ def load_airframe(
 
     Raises:
         InputError: there is no such airframe, several scales are given, or none.
+
+    Example:
+        >>> import gcs_sysid
+        >>> airframe = gcs_sysid.load_airframe("paper", mass=1.62, arm=0.3)
+        >>> airframe.anchor(), round(airframe.arm, 6)
+        (('mass', 1.62), 0.3)
     """
     unknown = known.keys() - Known.__annotations__.keys()
     if unknown:
@@ -211,6 +217,15 @@ def analyze(
 
     Raises:
         InputError: the log or the airframe cannot be used.
+
+    Example:
+        >>> import gcs_sysid
+        >>> result = gcs_sysid.analyze("logs/sample.tlog", "paper", mass=1.5)
+        >>> result.verdict, result.parameters["Izz"].status
+        ('identified', 'identified')
+        >>> low, high = result.parameters["Izz"].ci95
+        >>> low < 0.0294 < high  # kg m^2, see logs/sample.truth.json
+        True
     """
     options = ChainOptions(history_interval=None, start=start, end=end, offline=offline)
     return analyze_log(Path(log), load_airframe(airframe, **known), vehicle, options)
@@ -233,6 +248,24 @@ def identify(
 
     Raises:
         InputError: arrays do not fit, or the airframe cannot be used.
+
+    Example:
+        A hover, in which nothing turns, tells thrust over mass and no inertia:
+
+        >>> import numpy as np
+        >>> import gcs_sysid
+        >>> t, rng = np.arange(0.0, 20.0, 0.02), np.random.default_rng(1)
+        >>> noise = rng.normal(size=(len(t), 3))
+        >>> signals = gcs_sysid.Signals(
+        ...     t=t,
+        ...     gyro=0.01 * noise,
+        ...     force=[0.0, 0.0, -9.81] + 0.1 * noise,
+        ...     attitude=np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1)),
+        ...     speeds=134.0 + rng.normal(size=(len(t), 4)),
+        ... )
+        >>> result = gcs_sysid.identify(signals, "paper", mass=1.5)
+        >>> result.verdict, result.parameters["k_T"].status, result.parameters["Ixx"].status
+        ('refused', 'identified', 'unobservable')
     """
     whole = load_airframe(airframe, **known)
     chain = Chain(whole, ChainOptions(history_interval=None, offline=offline))

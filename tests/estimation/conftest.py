@@ -1,11 +1,11 @@
 """A flight from a small simulator of its own: rigid body, motors, drag and wind by solve_ivp."""
 
 from dataclasses import dataclass, replace
+from math import cos, sin
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.spatial.transform import Rotation
 
 from gcs_sysid.model import attitude
 from gcs_sysid.signals.samples import Samples
@@ -29,6 +29,8 @@ class Truth:
     damping: float = 0.004
     rotor_inertia: float = 6e-5
     drag: float = 0.25
+    gyroscopic: float = 1.0
+    """Times the torque w x J w of a rigid body; that of its rotors, w x h, stays."""
     wind: tuple = (3.0, -2.0, 0.0)
     x: tuple = (0.25, -0.25, 0.25, -0.25)
     y: tuple = (0.25, -0.25, -0.25, 0.25)
@@ -53,9 +55,9 @@ def rates_wanted(t):
     """Smooth, incommensurate, on all axes at once."""
     return np.array(
         [
-            0.9 * np.sin(2.6 * t) + 0.5 * np.sin(9.1 * t + 1.0) * np.sin(1.1 * t),
-            0.9 * np.sin(3.7 * t + 2.0) + 0.5 * np.cos(7.3 * t),
-            0.7 * np.sin(1.9 * t + 0.5) + 0.4 * np.sin(5.9 * t),
+            0.9 * sin(2.6 * t) + 0.5 * sin(9.1 * t + 1.0) * sin(1.1 * t),
+            0.9 * sin(3.7 * t + 2.0) + 0.5 * cos(7.3 * t),
+            0.7 * sin(1.9 * t + 0.5) + 0.4 * sin(5.9 * t),
         ]
     )
 
@@ -63,6 +65,7 @@ def rates_wanted(t):
 def simulate(truth, seconds, dt):
     """(Samples, specific force at the CG) on a grid of dt."""
     J, z = np.array(truth.J), np.array([0.0, 0.0, 1.0])
+    inverse = np.linalg.inv(J)
     r = np.column_stack([truth.x, truth.y, np.zeros(4)]) - [*truth.cg, 0.0]
     s = np.array(truth.spin, dtype=float)
     torque = np.cross(r, -truth.k_T * z) + np.outer(truth.k_M * s, z)  # (4, 3) a rotor, over O
@@ -72,22 +75,28 @@ def simulate(truth, seconds, dt):
     def change(t, state):
         w, Omega, q, v = state[:3], state[3:7], state[7:11], state[11:]
         wanted = J @ (8.0 * (rates_wanted(t) - w))
-        thrust = truth.m * G * (1.0 + 0.2 * np.sin(1.3 * t))
-        command = np.sqrt(np.maximum(mixer @ np.append(wanted, thrust), 1e3))
+        thrust = truth.m * G * (1.0 + 0.2 * sin(1.3 * t))
+        command = np.sqrt(np.maximum(mixer[:, :3] @ wanted + mixer[:, 3] * thrust, 1e3))
         Omega_dot = (command - Omega) / 0.03
-        h = -truth.rotor_inertia * (s @ Omega) * z
-        h_dot = -truth.rotor_inertia * (s @ Omega_dot) * z
-        M = Omega**2 @ torque - truth.damping * w
-        w_dot = np.linalg.solve(J, M - np.cross(w, J @ w + h) - h_dot)
-        p, qq, rr = w
-        q_dot = (
-            0.5
-            * np.array([[0, -p, -qq, -rr], [p, 0, rr, -qq], [qq, -rr, 0, p], [rr, qq, -p, 0]])
-            @ q
-        )
-        down = Rotation.from_quat(np.roll(q, -1)).apply(z)
+        p, qq, rr = w.tolist()
+        a, b, c = (truth.gyroscopic * (J @ w)).tolist()
+        c -= truth.rotor_inertia * float(s @ Omega)
+        gyroscopic = np.array([qq * c - rr * b, rr * a - p * c, p * b - qq * a])
+        M = (Omega * Omega) @ torque - truth.damping * w - gyroscopic
+        M[2] += truth.rotor_inertia * float(s @ Omega_dot)
+        # Quaternions drift off unit length by rounding alone; only their direction counts.
+        q0, q1, q2, q3 = q.tolist()
+        q_dot = [
+            0.5 * (-p * q1 - qq * q2 - rr * q3),
+            0.5 * (p * q0 + rr * q2 - qq * q3),
+            0.5 * (qq * q0 - rr * q1 + p * q3),
+            0.5 * (rr * q0 + qq * q1 - p * q2),
+        ]
+        size = q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3
+        down = np.array([2.0 * (q1 * q3 + q0 * q2), 2.0 * (q2 * q3 - q0 * q1),
+                         q0 * q0 - q1 * q1 - q2 * q2 + q3 * q3]) / size  # fmt: skip
         force = -truth.k_T * (Omega @ Omega) * down - truth.drag * (v - wind)
-        return np.concatenate([w_dot, Omega_dot, q_dot, G * z + force / truth.m])
+        return np.concatenate([inverse @ M, Omega_dot, q_dot, G * z + force / truth.m])
 
     t = np.arange(round(seconds / dt)) * dt
     hover = np.sqrt(mixer @ [0, 0, 0, truth.m * G])
@@ -117,3 +126,9 @@ def flight(truth):
 def plain_flight(truth):
     """The same by the article's model: without damping and rotor inertia."""
     return simulate(replace(truth, damping=0.0, rotor_inertia=0.0), 30.0, 0.005)
+
+
+@pytest.fixture(scope="session")
+def untwisted_flight(truth):
+    """The same of what is no rigid body: without its gyroscopic torque."""
+    return simulate(replace(truth, gyroscopic=0.0), 30.0, 0.005)

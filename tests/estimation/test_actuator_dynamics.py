@@ -4,8 +4,19 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics, motor_filter, response
+from gcs_sysid.estimation.actuator_dynamics import (
+    BODY,
+    PLAIN,
+    ROTOR_COLUMNS,
+    SIGNALS,
+    WIDTH,
+    ActuatorDynamics,
+    Element,
+    motor_filter,
+    response,
+)
 from gcs_sysid.estimation.tuning import COMMANDS, Tuning
+from gcs_sysid.model import rigid_body as rb
 
 SLOW = 2.0 * np.pi * np.array([0.3, 1.0, 2.0, 2.7])
 """rad/s, where vehicles are excited."""
@@ -63,3 +74,126 @@ def test_motors_between_slow_samples_pass_what_motors_pass():
 
     assert abs(made(dt) / wanted - 1.0) < 1e-3
     assert abs(made(0.0) / wanted - 1.0) > 3e-3
+
+
+def test_a_motor_follows_straight_commands_exactly():
+    """w + tau w' = u on a ramp of slope one: w = t - tau (1 - exp(-t / tau))."""
+    dt, lag = 0.02, 0.05
+    a, b0, b1 = motor_filter(dt, lag)
+    t = dt * np.arange(30)
+    w = lfilter([b0, b1], [1.0, -a], t)
+    np.testing.assert_allclose(w, t - lag * (1.0 - np.exp(-t / lag)), atol=1e-12)
+    assert (b0 + b1) / (1.0 - a) == pytest.approx(1.0)
+    assert motor_filter(dt, 0.0) == (0.0, 1.0, 0.0)
+
+
+def test_coordinates_with_one_value_are_given():
+    speeds_, commands_ = speeds(0.1), commands(0.2)
+    assert speeds_.free == (0,)
+    assert commands_.free == (0, 1, 2)
+    assert ActuatorDynamics((0.01,), (0.0, 0.05), (0.5,), commands=True).free == (1,)
+    np.testing.assert_allclose(commands_.low, [-0.015, 0.0, -0.2])
+    np.testing.assert_allclose(commands_.high, [0.03, 0.13, 1.2])
+
+
+def test_elements_are_the_lags_at_the_middle_delay_and_the_delays_without_lag():
+    assert ActuatorDynamics((-0.01, 0.0, 0.01)).elements == tuple(Element(0, j) for j in range(3))
+    both = ActuatorDynamics((-0.01, 0.0, 0.01, 0.02), (0.0, 0.05, 0.1), commands=True)
+    assert both.elements == (
+        Element(0, 2), Element(1, 2), Element(2, 2), Element(0, 0), Element(0, 1), Element(0, 3),
+    )  # fmt: skip
+    assert both.width == 6 * 2 * SIGNALS + BODY
+    two = ActuatorDynamics((-0.01, 0.01), (0.0, 0.05), commands=True)
+    assert two.elements == (Element(0, 1), Element(1, 1), Element(0, 0))
+
+
+def test_searches_start_from_nodes_over_the_whole_range():
+    dynamics = ActuatorDynamics(
+        (-0.02, 0.0, 0.06), np.linspace(0.0, 0.1, 9), (-0.2, 1.2), commands=True
+    )
+    delays, lags, curves = (np.unique(dynamics.nodes[:, i]) for i in range(3))
+    # No fewer than five of each, no more than eight delays, six lags and five curves.
+    np.testing.assert_allclose(delays, np.linspace(-0.02, 0.06, 5))
+    np.testing.assert_allclose(lags, np.linspace(0.0, 0.1, 6))
+    np.testing.assert_allclose(curves, np.linspace(-0.2, 1.2, 5))
+    assert len(dynamics.nodes) == 5 * 6 * 5
+    # Nearest to no delay, half of the lag, half of the curve.
+    at = dynamics.nodes[dynamics.middle]
+    np.testing.assert_allclose(at[[0, 2]], [0.0, 0.5])
+    assert at[1] in (pytest.approx(0.04), pytest.approx(0.06))
+    assert len(np.unique(ActuatorDynamics(np.linspace(0.0, 0.11, 12)).nodes[:, 0])) == 8
+    assert ActuatorDynamics(np.linspace(0.0, 0.07, 8)).nodes.shape == (8, 3)
+    np.testing.assert_allclose(
+        ActuatorDynamics((0.01,), (0.02,), (0.3,)).nodes, [[0.01, 0.02, 0.3]]
+    )
+    # Whatever the units: a lag of 0.1 s off weighs as much as the whole range of curves.
+    wide = ActuatorDynamics((-0.05, 0.01), (0.0, 0.001), (0.0, 100.0), commands=True)
+    np.testing.assert_allclose(wide.nodes[wide.middle], [-0.005, 0.0005, 50.0])
+
+
+def test_rows_hold_rotors_and_body_in_their_places():
+    dynamics = commands(0.2)
+    row = np.arange(1.0, dynamics.width + 1)
+    x = dynamics.map_at(np.array([0.0, 0.0, 0.0])) @ row
+    body = [i for i in range(WIDTH) if i not in ROTOR_COLUMNS]
+    np.testing.assert_array_equal(x[body], row[-BODY:])
+    # Curve 0: the first set, of w; the first element is no lag at the middle delay, here 7.5 ms.
+    at = np.array([0.0075, 0.0, 0.0])
+    np.testing.assert_allclose(
+        dynamics.map_at(at)[ROTOR_COLUMNS, :][:, : dynamics.width - BODY] @ row[:-BODY],
+        row[:SIGNALS],
+        atol=0.01,
+    )
+    # Curve 1: the second, of w^2.
+    at = np.array([0.0075, 0.0, 1.0])
+    np.testing.assert_allclose(
+        dynamics.map_at(at)[ROTOR_COLUMNS, :][:, : dynamics.width - BODY] @ row[:-BODY],
+        row[SIGNALS : 2 * SIGNALS],
+        atol=0.01,
+    )
+    products = [rb.SIGNALS.index(name) for name in ("qr", "rr")]
+    places = dynamics.body_places(products)
+    np.testing.assert_array_equal(row[places], x[products])
+
+
+def test_moments_and_noise_of_commands_are_mapped_alike():
+    dynamics = commands(0.2)
+    rows = np.random.default_rng(1).normal(size=(50, dynamics.width))
+    at = np.array([0.01, 0.05, 0.4])
+    mapped = rows @ dynamics.map_at(at).T
+    np.testing.assert_allclose(dynamics.moments_at(rows.T @ rows, at), mapped.T @ mapped)
+    np.testing.assert_allclose(dynamics.noise_at(rows.T @ rows, at), mapped.T @ mapped)
+    given = np.eye(WIDTH)
+    assert speeds(0.1).noise_at(given, at) is given
+
+
+def test_thrust_is_mixed_of_lags_and_sets_without_delay():
+    dynamics = commands(0.2)
+    assert speeds(0.1).thrust_weights(np.zeros(3)).tolist() == [1.0]
+    at = np.array([0.03, 0.05, 0.4])
+    weights = dynamics.thrust_weights(at).reshape(len(dynamics.lags), 2)
+    np.testing.assert_allclose(weights.sum(axis=0), [0.6, 0.4])
+    own = response(SLOW, np.zeros_like(dynamics.lags), dynamics.lags)
+    wanted = response(SLOW, np.zeros(1), np.array([0.05]))[0]
+    np.testing.assert_allclose(weights.sum(axis=1) @ own, wanted, atol=1e-3)
+
+
+@pytest.mark.parametrize("free", [0, 1, 2])
+def test_maps_come_with_their_derivatives(free):
+    dynamics = commands(0.2)
+    at = np.array([[0.008, 0.04, 0.4], [0.0, 0.1, 1.0]])
+    step = np.zeros(3)
+    step[free] = 1e-5
+    ahead, behind = (dynamics.maps(at + s * step)[:, 0] for s in (1.0, -1.0))
+    np.testing.assert_allclose(
+        dynamics.maps(at)[:, 1 + free], (ahead - behind) / 2e-5, atol=1e-4, rtol=1e-4
+    )
+
+
+def test_plain_rows_are_rows_as_they_are():
+    assert PLAIN.width == WIDTH
+    assert PLAIN.free == ()
+    maps = PLAIN.maps(np.zeros((3, 3)))
+    assert maps.shape == (3, 1, WIDTH, WIDTH)
+    np.testing.assert_array_equal(maps[2, 0], np.eye(WIDTH))
+    np.testing.assert_array_equal(PLAIN.nodes, [[0.0, 0.0, 1.0]])

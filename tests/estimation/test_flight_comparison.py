@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.actuator_dynamics import CURVE
-from gcs_sysid.estimation.flight_comparison import is_another
+from gcs_sysid.estimation.flight_comparison import ENOUGH, Trial, is_another
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.priors import N_UNKNOWNS
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.signals.samples import Samples
 
 THETA = rb.theta_of(
     {
@@ -45,3 +46,182 @@ def test_an_uncertain_thrust_curve_is_in_the_comparison(curve_std, another):
     # The figures of an unchanged PX4 vehicle: 4.313 +- .006 against 5.946 +- .042 N/kg.
     before, now = on_commands(4.313, curve_std), on_commands(5.946, curve_std)
     assert is_another(before, now, 0.28) is another
+
+
+ARM, KAPPA = 0.25, 2.0
+SIZE = np.append(
+    np.array([3.6, 2.9, 5.6, *np.sqrt([3.6 * 2.9, 2.9 * 5.6, 3.6 * 5.6])]) * 1e-3,
+    [ARM, ARM, 0.0134, 0.0, 0.0],
+)
+"""What an error of theta is measured by: an inertia by moments, a CG by the arm."""
+COMPARED = range(rb.DAMPING)
+
+
+def turning(known=(), share=0.02, moved=0.0, sign=1.0):
+    """A fit that knows some of theta to a share of its size; the rest is anything."""
+    std = np.full(rb.N_THETA, 1e6)
+    theta = THETA * np.where(np.arange(rb.N_THETA) == rb.MOMENT_RATIO, sign, 1.0)
+    for i in known:
+        std[i] = share * SIZE[i]
+        theta[i] += moved * SIZE[i]
+    return RotationFit(theta, np.diag(std**2), np.eye(3), np.full(3, 0.99), 1000, True)
+
+
+def lifting(kappa=KAPPA, share=0.02, source="momentum"):
+    return TranslationFit(kappa, share * KAPPA, 0.2, 0.001, source)
+
+
+# One unknown, each known to 2 %, and 1 % of the model's own: 3 % together. Once in a hundred
+# times a flight of the same vehicle is 2.58 of these off.
+@pytest.mark.parametrize(("moved", "another"), [(0.0755, False), (0.0785, True)])
+@pytest.mark.parametrize("index", COMPARED)
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_each_parameter_tells_once_its_difference_is_beyond_chance(
+    index, direction, moved, another
+):
+    before, now = (Fit(turning([index], moved=m), None, 20.0) for m in (0.0, direction * moved))
+    assert is_another(before, now, ARM) is another
+
+
+@pytest.mark.parametrize(("moved", "another"), [(0.0755, False), (0.0785, True)])
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_thrust_over_mass_tells_by_the_same_rule(direction, moved, another):
+    kappas = KAPPA, KAPPA * (1.0 + direction * moved)
+    before, now = (Fit(None, lifting(kappa), 20.0) for kappa in kappas)
+    assert is_another(before, now, ARM) is another
+
+
+@pytest.mark.parametrize(("moved", "another"), [(0.55, False), (0.57, True)])
+def test_the_curves_part_adds_to_the_variance_of_thrust(moved, another):
+    # Slope 3 times 0.05 in both flights is 0.212; with 0.02 of the model and 0.04 twice, 0.219.
+    full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+    full[rb.N_THETA + CURVE, rb.N_THETA + CURVE] = 0.05**2
+    fits = [
+        Fit(
+            replace(turning(), full_covariance=full), replace(lifting(kappa), curve_slope=3.0), 20.0
+        )
+        for kappa in (KAPPA, KAPPA + moved)
+    ]
+    assert is_another(*fits, ARM) is another
+
+
+def test_small_differences_of_many_add_up():
+    # Two of 2.3 deviations are no chance in 1 of 100 (chi-square of two: 9.21), one is.
+    one, both = [0], [0, 1]
+    for known, another in ((one, False), (both, True)):
+        before, now = (Fit(turning(known, moved=m), None, 20.0) for m in (0.0, 0.069))
+        assert is_another(before, now, ARM) is another
+    before, now = (
+        Fit(turning(one, moved=m), lifting(KAPPA * (1.0 + m)), 20.0) for m in (0.0, 0.069)
+    )
+    assert is_another(before, now, ARM)
+
+
+@pytest.mark.parametrize(("share", "another"), [(0.24, True), (0.26, False)])
+@pytest.mark.parametrize("poor", ["before", "now"])
+@pytest.mark.parametrize("what", ["rotation", "thrust"])
+def test_what_is_known_to_no_quarter_of_its_size_says_nothing(what, poor, share, another):
+    shares = (share, 0.02) if poor == "before" else (0.02, share)
+    if what == "rotation":
+        fits = [Fit(turning([0], s, m), None, 20.0) for s, m in zip(shares, (0.0, 0.9))]  # noqa: B905
+    else:
+        kappas = zip(shares, (KAPPA, 1.9 * KAPPA))  # noqa: B905
+        fits = [Fit(None, lifting(kappa, s), 20.0) for s, kappa in kappas]
+    assert is_another(*fits, ARM) is another
+
+
+def test_damping_and_rotor_inertia_are_too_faint_to_tell():
+    fits = []
+    for factor in (1.0, 9.0):
+        fit = turning()
+        theta = fit.theta.copy()
+        theta[rb.DAMPING :] = 0.01 * factor
+        covariance = fit.covariance.copy()
+        covariance[-2:, -2:] = 1e-12 * np.eye(2)
+        fits.append(Fit(replace(fit, theta=theta, covariance=covariance), None, 20.0))
+    assert not is_another(*fits, ARM)
+
+
+def test_a_ratio_of_the_other_sign_is_judged_by_its_size():
+    fits = [Fit(turning([rb.MOMENT_RATIO], moved=m, sign=-1.0), None, 20.0) for m in (0.0, 0.5)]
+    assert is_another(*fits, ARM)
+
+
+def test_nothing_known_is_nothing_else():
+    nothing = Fit(None, None, 0.0)
+    known = Fit(turning(COMPARED), lifting(), 20.0)
+    for fits in ((nothing, nothing), (nothing, known), (known, nothing)):
+        assert not is_another(*fits, ARM)
+    assert not is_another(Fit(turning(), None, 1.0), Fit(turning(), None, 1.0), ARM)
+
+
+def test_thrust_from_two_sources_is_compared_by_the_accelerometers():
+    own = lifting(source="accelerometer")
+    before = Fit(None, lifting(2.0 * KAPPA), 20.0, accelerometer=own)
+    now = Fit(None, own, 20.0, accelerometer=own)
+    assert not is_another(before, now, ARM)
+    assert is_another(before, replace(now, accelerometer=lifting(2.0 * KAPPA)), ARM)
+    assert not is_another(before, replace(now, accelerometer=None), ARM)
+    # One source in both: the accelerometers are not asked.
+    same = replace(before, accelerometer=lifting(5.0 * KAPPA))
+    assert not is_another(before, same, ARM)
+
+
+class Learner:
+    """What a trial asks of an estimator."""
+
+    dt = 0.5
+
+    def __init__(self):
+        self.calls = []
+
+    def update(self, samples):
+        self.calls.append(len(samples.gyro))
+
+    def restart(self):
+        self.calls.append("restart")
+
+    def forget_last(self, seconds):
+        self.calls.append(("forget", seconds))
+
+    def fit(self):
+        return "the fit"
+
+
+def samples_of(n):
+    return Samples(*(np.arange(float(n * width)).reshape(n, width) for width in (3, 3, 4, 4, 3, 3)))
+
+
+def test_a_trial_keeps_what_it_is_told_until_there_is_enough():
+    learner = Learner()
+    trial = Trial(learner, landed=90.0, start=100.0)
+    assert (trial.landed, trial.start, trial.end) == (90.0, 100.0, 100.0)
+    assert trial.room == ENOUGH / 0.5 == 20
+    trial.restart()  # before any sample there is nothing to break off
+    t = 100.0 + 0.5 * np.arange(16)
+    trial.take(t[:6], samples_of(6))
+    trial.restart()
+    trial.restart()
+    trial.take(t[6:], samples_of(10))
+    assert trial.room == 4
+    assert trial.end == 107.5
+    assert [None if part is None else len(part[0]) for part in trial.parts] == [6, None, 10]
+    assert learner.calls == ["restart", 6, "restart", "restart", 10]
+    assert trial.fit() == "the fit"
+
+
+def test_a_trial_without_its_landing():
+    learner = Learner()
+    trial = Trial(learner, 90.0, 100.0)
+    trial.take(100.0 + 0.5 * np.arange(6), samples_of(6))
+    trial.restart()
+    trial.take(103.0 + 0.5 * np.arange(4), samples_of(4))
+    trial.drop_last(1.0)
+    # The last was at 104.5: what is later than 103.5 is gone, times and samples alike.
+    (first, between, last) = trial.parts
+    assert between is None
+    assert len(first[0]) == len(first[1].gyro) == 6
+    np.testing.assert_array_equal(last[0], [103.0, 103.5])
+    np.testing.assert_array_equal(last[1].gyro, samples_of(4).gyro[:2])
+    assert learner.calls[-1] == ("forget", 1.0)
+    assert trial.room == 12

@@ -1,5 +1,7 @@
 """Sums of products in bounded memory, and leaky sums of rows."""
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -79,6 +81,47 @@ def test_the_newest_batches_can_be_forgotten():
     close(moments.total, z.T @ z)
     moments.drop_last(1000)
     assert moments.rows == 0
+
+
+@pytest.mark.parametrize(("rows_dropped", "left"), [(5, 90), (6, 80), (15, 80), (16, 70)])
+def test_whole_batches_are_forgotten_and_as_few_as_will_do(rows_dropped, left):
+    z = rows(110)
+    moments = NormalEquations((4, 4), 10, max_batches=32)
+    moments.add(z[:95])
+    moments.drop_last(rows_dropped)
+    assert moments.rows == left
+    # What comes next falls into batches that hold nothing of what is forgotten.
+    moments.add(z[left:])
+    assert moments.counts.tolist() == [10] * 11
+    for k, batch in enumerate(moments.batches):
+        close(batch, z[10 * k : 10 * k + 10].T @ z[10 * k : 10 * k + 10])
+
+
+@pytest.mark.parametrize("begun", [0, 25])
+def test_reserved_memory_is_zero_and_what_was_there_stays(begun):
+    z = rows(400)
+    reserved, plain = (NormalEquations((4, 4), 10, max_batches=6000) for _ in range(2))
+    reserved.add(z[:begun])
+    reserved.reserve()
+    reserved.add(z[begun:])
+    plain.add(z)
+    np.testing.assert_array_equal(reserved.counts, plain.counts)
+    close(reserved.batches, plain.batches)
+    assert not reserved._batches[len(reserved.batches) :].any()
+
+
+def test_a_copy_goes_its_own_way():
+    z = rows(75)
+    moments = NormalEquations((4, 4), 10, max_batches=16)
+    moments.add(z[:35])
+    other = deepcopy(moments)
+    other.add(z[35:])
+    assert (moments.rows, other.rows) == (35, 75)
+    close(moments.total, z[:35].T @ z[:35])
+    close(other.total, z.T @ z)
+    assert moments.counts.tolist() == [10, 10, 10, 5]
+    close(other.batches[3], z[30:40].T @ z[30:40])
+    close(moments.batches[3], z[30:35].T @ z[30:35])
 
 
 def test_leaky_sum_is_the_recursion():

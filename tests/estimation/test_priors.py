@@ -55,6 +55,25 @@ def fit(seed, prior=None, tumbling=True, colour=1, theta=THETA, sigma=1.0):
     return rotation.fit_rotation(moments.batches, moments.counts, PLAIN, none, prior=prior)
 
 
+def test_a_prior_is_a_paraboloid():
+    known = prior_of({IZZ: (140.0, 5.0), DELAY: (0.01, 0.002)})
+    assert np.flatnonzero(known.known).tolist() == [IZZ, DELAY]
+    at = np.zeros((2, N_UNKNOWNS))
+    at[0, [IZZ, DELAY]] = 150.0, 0.01  # two deviations
+    at[1, [IZZ, DELAY, RATIO]] = 135.0, 0.016, 9.0  # one and three
+    np.testing.assert_allclose(known.cost(at), [4.0, 10.0])
+    assert known.cost(at[0]) == pytest.approx(4.0)
+    assert known.cost(at[None]).shape == (1, 2)
+    # Downhill of half the cost: towards the mean.
+    pull = known.pull(at)
+    np.testing.assert_allclose(pull[:, IZZ], [-0.4, 0.2])
+    np.testing.assert_allclose(pull[:, DELAY], [0.0, -1500.0])
+    assert np.count_nonzero(pull) == 3
+    # However vague, it is known; and by how much is in nothing else.
+    assert prior_of({IZZ: (1.0, 1e4)}).known[IZZ]
+    assert not Prior(np.ones(N_UNKNOWNS), np.zeros((N_UNKNOWNS, N_UNKNOWNS))).known.any()
+
+
 def test_a_known_moment_ratio_makes_the_yaw_inertia_known():
     """Yaw alone tells their quotient and nothing else."""
     alone = fit(1, tumbling=False)

@@ -66,3 +66,58 @@ def test_no_coupling_is_no_contradiction():
 def test_what_is_small_or_unsure_is_not_held_against_it(share, std, contradicted):
     found = RigidBodyTest(np.array([1.0, share, np.nan]), np.array([0.1, std, np.nan]))
     assert found.contradicted == contradicted
+
+
+def coloured(seed=7, count=24, rows=50):
+    """Inputs that hang together, and outputs whose noise changes slowly from batch to batch."""
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=(count * rows, rb.N_SIGNALS))
+    x[:, PRODUCTS] += 0.4 * x[:, :6]
+    slow = np.repeat(np.cumsum(rng.normal(size=(count, 3)), axis=0), rows, axis=0)
+    y = x @ rb.forward_matrix(THETA).T + 0.02 * slow * x[:, PRODUCTS[:3]]
+    return x, y + 0.05 * rng.normal(size=y.shape), rows
+
+
+def test_share_and_deviation_are_those_of_a_regression():
+    """Rows written out: residual on predicted torque, both freed of all other inputs."""
+    x, y, rows = coloured()
+    z = np.column_stack([x, y]).reshape(-1, rows, x.shape[1] + 3)
+    found = judge_rigid_body(np.swapaxes(z, 1, 2) @ z, PLAIN, THETA)
+    Q = rb.forward_matrix(THETA)
+    others = np.delete(x, PRODUCTS, axis=1)
+    for axis in range(3):
+        pair = np.column_stack([x[:, PRODUCTS] @ Q[axis, PRODUCTS], y[:, axis] - x @ Q[axis]])
+        pair -= others @ np.linalg.lstsq(others, pair, rcond=None)[0]
+        predicted, residual = pair.T
+        more = predicted @ residual / (predicted @ predicted)
+        scores = (predicted * (residual - more * predicted)).reshape(-1, rows).sum(axis=1)
+        meat = max(scores @ scores + 2.0 * scores[1:] @ scores[:-1], scores @ scores)
+        assert found.share[axis] == pytest.approx(1.0 + more, rel=1e-9)
+        assert found.std[axis] == pytest.approx(np.sqrt(meat) / (predicted @ predicted), rel=1e-6)
+    # It tells apart what it must: slow noise makes some axis less sure by more than a tenth.
+    assert np.all(found.std > 0.0)
+
+
+@pytest.mark.parametrize(("power", "told"), [(2e-8, True), (0.5e-8, False)])
+def test_a_share_of_next_to_nothing_is_not_told(power, told):
+    """Of an axis' squared acceleration, a hundred millionth is no gyroscopic torque."""
+    x, y, rows = coloured()
+    Q = rb.forward_matrix(THETA)
+    x[:, PRODUCTS] = 0.0
+    # One product alone, as large as that share of what the axis does.
+    strength = np.sqrt(power * (y**2).sum(axis=0) / len(x)) / np.abs(Q[:, PRODUCTS[0]])
+    x[:, PRODUCTS[0]] = strength[0] * np.sign(x[:, 0])
+    z = np.column_stack([x, y]).reshape(-1, rows, x.shape[1] + 3)
+    found = judge_rigid_body(np.swapaxes(z, 1, 2) @ z, PLAIN, THETA)
+    assert bool(np.isfinite(found.share[0])) is told
+
+
+@pytest.mark.parametrize(("off", "contradicted"), [(0.29, False), (0.31, True)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_third_off_and_four_deviations_contradict(off, contradicted, sign):
+    assert (
+        RigidBodyTest(np.array([1.0 + sign * off]), np.array([0.01])).contradicted is contradicted
+    )
+    # The same bar in deviations: 0.4 off is 4.2 or 3.8 of them.
+    for std, sure in ((0.095, True), (0.105, False)):
+        assert RigidBodyTest(np.array([1.0 + sign * 0.4]), np.array([std])).contradicted is sure

@@ -164,3 +164,23 @@ def test_kept_samples_are_those_of_the_segment_in_force(flights):
     )
     kept = sum(len(part.gyro) for part in tracker.kept)
     assert kept == pytest.approx((END - AT) / DT, abs=10)
+
+
+def test_a_change_takes_the_third_of_a_second_before_it_along(truth, flight):
+    """The onset is an estimate, and what led up to it is not the vehicle as it was."""
+    rng = np.random.default_rng(1)
+    gyro = flight.gyro + 0.005 * rng.standard_normal(flight.gyro.shape)
+    force = flight.force + 0.05 * rng.standard_normal(flight.force.shape)
+    dt, at = 0.005, 15.0
+    # The same motion with a fifth more thrust: all of the vehicle is a fifth heavier.
+    speeds = flight.speeds.copy()
+    speeds[round(at / dt) :] *= np.sqrt(1.2)
+    samples = replace(flight, gyro=gyro, rates=gyro, force=force, speeds=speeds)
+    # Batches, of which whole ones are forgotten, as short as two rows.
+    tracker = Tracker(truth.geometry, dt, Tuning(batch_time=0.05), ChangeTuning())
+    tracker.update(np.arange(len(gyro)) * dt, samples)
+    (event,), (segment,) = tracker.events, tracker.segments
+    assert segment.end == event.onset == at
+    # Rows are 25 ms apart, and the first ends 0.31 s from the start: window, and room for delays.
+    newest = 0.31 + segment.fit.seconds - 0.025
+    assert at - 0.3 - 0.1 < newest <= at - 0.3

@@ -9,7 +9,12 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from gcs_sysid.model import attitude
-from gcs_sysid.signals.complementary import DEFAULT_K_P, ComplementaryFilter, complementary
+from gcs_sysid.signals.complementary import (
+    DEFAULT_K_I,
+    DEFAULT_K_P,
+    ComplementaryFilter,
+    complementary,
+)
 
 CORNER = 5.0
 """rad/s, of the article's noise."""
@@ -215,3 +220,49 @@ def test_grouping_of_samples_does_not_matter_with_bias():
     assert np.abs(whole.bias).max() > 0.01
     np.testing.assert_allclose(parts.bias, whole.bias, rtol=1e-12)
     np.testing.assert_allclose(np.concatenate(joined), out, rtol=0.0, atol=1e-13)
+
+
+def test_the_filter_starts_at_the_reference_without_error():
+    assert complementary(np.full(3, 7.0), np.full(3, 2.0), 0.01, 1.0)[0] == 2.0
+
+
+@pytest.mark.parametrize(("dt", "samples"), [(0.02, 5), (0.004, 25), (0.25, 1)])
+def test_the_bias_is_renewed_ten_times_a_second(dt, samples):
+    """By the integral of the error since; never less often than each sample."""
+    bias, k_p, k_i = 0.01, 0.7, 0.05
+    filter_ = ComplementaryFilter(dt, k_p, k_i)
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (samples, 1))
+    rates = np.tile([bias, 0.0, 0.0], (samples, 1))
+    filter_.update(rates[:-1], level[:-1])
+    assert not filter_.bias.any()
+    filter_.update(rates[-1:], level[-1:])
+    # From the second sample on the gyro turns away; what is there fades by exp(-k_p dt).
+    error = bias * dt * np.cumsum(np.exp(-k_p * dt * np.arange(samples - 1)))
+    assert filter_.bias[0] == pytest.approx(k_i * dt * error.sum(), rel=1e-9, abs=1e-18)
+    assert not filter_.biases.any()
+    before = filter_.bias.copy()
+    filter_.update(rates, level)
+    np.testing.assert_array_equal(filter_.biases, np.tile(np.zeros(3) + before, (samples, 1)))
+
+
+def test_gains_that_are_not_given_are_those_measured():
+    filter_ = ComplementaryFilter(0.01)
+    assert (filter_.k_p, filter_.k_i) == (DEFAULT_K_P, DEFAULT_K_I) == (0.7, 0.05)
+
+
+def test_fast_turns_are_followed_by_a_parabola():
+    """At 20 Hz the mean rate between samples is exact for rates of second degree."""
+    dt, n = 0.05, 40
+    t = np.arange(n) * dt
+    rate = 1.0 + 2.0 * t - 1.5 * t**2
+    angle = t + t**2 - 0.5 * t**3
+    rates = np.column_stack([rate, 0 * t, 0 * t])
+    half = 0.5 * angle
+    q = np.column_stack([np.cos(half), np.sin(half), 0 * t, 0 * t])
+    filter_ = ComplementaryFilter(dt, 0.7, 0.0)
+    found = filter_.update(rates, q)
+    off = attitude.to_rotation_vector(attitude.multiply(found, attitude.conjugate(q)))
+    # The first interval has no sample before it, where the rate is taken as it was: that fades.
+    assert off[1, 0] == pytest.approx(dt * (5.0 * rate[1] + 7.0 * rate[0]) / 12.0 - angle[1])
+    faded = off[1, 0] * np.exp(-0.7 * dt * np.arange(n - 1))
+    np.testing.assert_allclose(off[1:, 0], faded, atol=1e-12)

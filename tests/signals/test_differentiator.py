@@ -11,6 +11,9 @@ from scipy.signal import lsim
 from gcs_sysid.signals.differentiator import (
     ARTICLE_A,
     ARTICLE_B,
+    ARTICLE_R,
+    DEFAULT_BANDWIDTH,
+    DEFAULT_DAMPING,
     LinearDifferentiator,
     backward_difference,
     central_difference,
@@ -180,3 +183,51 @@ def test_differences():
     np.testing.assert_allclose(central_difference(v, 0.1)[1:-1], 6 * t[1:-1], rtol=1e-10)
     np.testing.assert_allclose(backward_difference(v, 0.1)[1:], 6 * (t[1:] - 0.05), rtol=1e-10)
     assert backward_difference(v, 0.1).shape == v.shape
+
+
+def test_defaults_are_those_that_were_measured_and_the_articles():
+    assert DEFAULT_BANDWIDTH == 40.0
+    assert pytest.approx(1.41421356) == DEFAULT_DAMPING
+    assert LinearDifferentiator(0.01).lag == pytest.approx(1.41421356 / 40.0)
+    assert (ARTICLE_A, ARTICLE_B, ARTICLE_R) == (1.75, 5.045, 50000.0)
+
+
+def test_the_nonlinear_one_step_by_step():
+    """One sample of two substeps, written out; the input is straight in between."""
+    R, a, b, dt = 10.0, 1.5, 2.0, 0.1
+    v = np.array([[1.0, -1.0], [3.0, 0.5]])
+    z1, z2 = np.array([1.5, -1.2]), np.array([2.0, -0.5])
+    for form, gain in (("usual", R * R), ("printed", R)):
+        x1, x2 = z1.copy(), z2.copy()
+        for wanted in (0.5 * (v[0] + v[1]), v[1]):
+            error, speed = x1 - wanted, x2 / R
+            force = np.abs(error) ** a * np.sign(error) + b * np.abs(speed) ** a * np.sign(speed)
+            x2 = x2 - 0.05 * gain * force
+            x1 = x1 + 0.05 * x2
+        out1, out2 = nonlinear_differentiator(v, dt, R, a, b, form=form, substeps=2, start=(z1, z2))
+        np.testing.assert_allclose(out1, [z1, x1])
+        np.testing.assert_allclose(out2, [z2, x2])
+
+
+def test_the_nonlinear_one_rests_at_its_first_sample():
+    v = np.full((3, 1), 4.0)
+    z1, z2 = nonlinear_differentiator(v, 0.1)
+    np.testing.assert_array_equal(z1, v)
+    np.testing.assert_array_equal(z2, 0.0 * v)
+    # Twenty substeps and the usual form, unless told otherwise.
+    v = np.array([[0.0], [1.0]])
+    told = nonlinear_differentiator(v, 1e-3, R=50.0, substeps=20, form="usual")
+    np.testing.assert_array_equal(nonlinear_differentiator(v, 1e-3, R=50.0), told)
+
+
+def test_the_first_backward_difference_is_the_second():
+    v = np.array([[0.0], [1.0], [4.0]])
+    np.testing.assert_allclose(backward_difference(v, 0.5)[:, 0], [2.0, 2.0, 6.0])
+
+
+def test_settling_takes_twelve_time_constants_of_the_slowest_mode():
+    assert LinearDifferentiator(0.01, 10.0, 2.0).settling == 120
+    # b = 4: 10 (4 - sqrt(12)) / 2 = 2.68 rad/s.
+    assert LinearDifferentiator(0.01, 10.0, 4.0).settling == 448
+    # Under-damped: half of R b.
+    assert LinearDifferentiator(0.01, 10.0, 1.0).settling == 240

@@ -76,3 +76,27 @@ def test_size_of_blocks_does_not_matter(block):
         {"armed": between(8.0, 25.0), "speed": between(9.0, 24.0, 500.0), "height": height},
     ):
         np.testing.assert_array_equal(flown(**streams, block=block), flown(**streams))
+
+
+@pytest.mark.parametrize(("height", "flies"), [(0.29, False), (0.31, True)])
+def test_a_third_of_a_metre_above_the_ground_is_flight(height, flies):
+    heights = 12.0 + between(12.0, 20.0, height)
+    found = flown(height=heights, armed=between(8.0, 25.0), speed=between(9.0, 24.0, 500.0))
+    assert bool(len(found)) is flies
+
+
+def test_commands_of_hardly_anything_are_rotors_that_turn():
+    spans(flown(speed=between(10.0, 20.0, 0.05)), 11.0, 20.0)
+
+
+def test_a_single_rotor_that_stands_is_no_landing_and_no_flight():
+    detector = FlightDetector()
+    speeds = np.full((len(T), 4), 500.0)
+    speeds[:, 2] = 0.0
+    unknown = np.full((len(T), 3), np.nan)
+    assert not detector.update(T, UNKNOWN, UNKNOWN, speeds, unknown).any()
+    assert FlightDetector().update(T, 0.0 * T + 1.0, UNKNOWN, speeds, unknown).all()
+
+
+def test_take_off_is_a_second():
+    assert TAKE_OFF == 1.0

@@ -63,3 +63,17 @@ def test_nothing_loads_scipys_signal_at_its_start(module):
     code = f"import sys, {module}; print({heavy} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
+
+
+def test_a_signal_as_short_as_the_filter_or_shorter():
+    """States hand on what a single sample, or none, leaves of them."""
+    b, a = [0.2, 0.3, 0.1], [1.0, -0.5, 0.25]
+    x = np.array([1.0, -2.0, 0.5, 3.0])
+    whole, end = lfilter(b, a, x)
+    for size in (1, 2, 3):
+        state, parts = np.zeros(2), []
+        for k in range(0, len(x), size):
+            part, state = lfilter(b, a, x[k : k + size], state)
+            parts.append(part)
+        np.testing.assert_allclose(np.concatenate(parts), whole, atol=1e-12)
+        np.testing.assert_allclose(state, end, atol=1e-12)

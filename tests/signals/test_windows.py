@@ -111,3 +111,53 @@ def test_a_delay_needs_room():
 def test_refuses_what_is_no_window(half, dt):
     with pytest.raises(ValueError, match="a window needs"):
         cosine_window(half, dt)
+
+
+@pytest.mark.parametrize("shift", [-3, 2, 5])
+@pytest.mark.parametrize(("half", "dt"), [(6, 0.05), (20, 0.005)])
+def test_a_window_delayed_by_whole_samples_is_the_window_there(half, dt, shift):
+    """Its shape is the cos^4 bell itself, not only something that fits polynomials."""
+    plain, room = cosine_window(half, dt), half + 6
+    moved = plain.delayed(shift * dt, dt, room)
+    for name in ("average", "derivative"):
+        expected = np.zeros(2 * room + 1)
+        expected[room - half + shift : room + half + 1 + shift] = getattr(plain, name)
+        weights = getattr(moved, name)
+        # Corrected from another start: to a thousandth of the largest weight.
+        np.testing.assert_allclose(weights, expected, atol=1e-3 * np.abs(expected).max())
+        assert np.abs(weights[expected == 0.0]).max() < 1e-9 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("shift", [0.25, -0.5, 2.75])
+def test_between_samples_the_bell_moves_as_it_is(shift):
+    half, dt, room = 20, 0.005, 23
+    moved = cosine_window(half, dt).delayed(shift * dt, dt, room)
+    s = (np.arange(-room, room + 1) - shift) / (half + 1)
+    inside = np.abs(s) < 1.0
+    c = np.where(inside, np.cos(0.5 * np.pi * s), 0.0)
+    bell = c**4 / (c**4).sum()
+    slope = c**3 * np.sin(0.5 * np.pi * s)
+    slope /= slope @ s * (half + 1) * dt
+    np.testing.assert_allclose(moved.average, bell, atol=2e-3 * bell.max())
+    np.testing.assert_allclose(moved.derivative, slope, atol=2e-3 * slope.max())
+    assert not moved.average[~inside].any()
+
+
+def test_polynomials_up_to_the_ninth_degree_are_exact_and_no_more():
+    window = cosine_window(20, 0.005)
+    t = times(20, 0.005) / 0.1
+    assert window.derivative @ t**11 != pytest.approx(window.average @ (11 * t**10) / 0.1, abs=1e-9)
+    moved = window.delayed(0.0123, 0.005, 23)
+    wide = (np.arange(-23, 24) * 0.005 - 0.0123) / 0.1
+    assert moved.average @ wide**9 == pytest.approx(window.average @ t**9, abs=1e-9)
+    assert moved.average @ wide**10 != pytest.approx(window.average @ t**10, abs=1e-9)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_delay_that_just_fits_is_taken(sign):
+    window = cosine_window(4, 0.05)
+    assert window.delayed(sign * 2 * 0.05, 0.05, 6).length == 13
+    # What rounding adds to it does not count, a thousandth of a sample does.
+    window.delayed(sign * 2.0000005 * 0.05, 0.05, 6)
+    with pytest.raises(ValueError, match="more than 2 samples"):
+        window.delayed(sign * 2.001 * 0.05, 0.05, 6)

@@ -2,11 +2,19 @@
 
 import random
 
+import numpy as np
 import pytest
 
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import read_frame
-from gcs_sysid.telemetry.messages import LAYOUTS, message_name, picker, unpack
+from gcs_sysid.telemetry.messages import (
+    LAYOUTS,
+    NAMED_IDS,
+    OTHER_TYPES,
+    message_name,
+    picker,
+    unpack,
+)
 from gcs_sysid.telemetry.tlog import read_tlog
 
 MESSAGES = list(mavlink.mavlink_map.values())
@@ -64,3 +72,30 @@ def test_recorded_flights_read_as_by_pymavlink(shared_logs, name):
         assert frame[:3] == (header.srcSystem, header.srcComponent, header.seq)
         compared += 1
     assert compared > 5000
+
+
+def test_types_that_are_not_told_apart_have_one_name():
+    # Message ids have 24 bits.
+    assert OTHER_TYPES == 16_777_216
+    assert message_name(OTHER_TYPES) == "UNKNOWN"
+    assert message_name(OTHER_TYPES - 1) == "UNKNOWN_16777215"
+
+
+def test_ids_with_a_name_rise():
+    assert (np.diff(NAMED_IDS) > 0).all()
+    assert {0, 30, 62, 105, 291} <= set(NAMED_IDS.tolist())
+
+
+def test_one_field_is_a_tuple_of_one(sender):
+    pick = picker("HIGHRES_IMU", "time_usec")
+    assert pick(sender.imu(3.0).payload) == (3_000_000,)
+    # Cut zeros are put back, and what a newer definition adds is not read.
+    assert pick(sender.imu(3.0).payload.ljust(90, b"\7")) == (3_000_000,)
+    assert pick(b"") == (0,)
+
+
+def test_text_ends_at_its_first_zero():
+    message_id = next(i for i, layout in LAYOUTS.items() if layout.name == "STATUSTEXT")
+    payload = b"\6" + b"one\0two\0three".ljust(50, b"x")
+    assert unpack(message_id, payload)["text"] == "one"
+    assert unpack(message_id, b"\6\xff")["text"] == "\ufffd"

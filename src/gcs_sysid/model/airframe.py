@@ -129,6 +129,10 @@ class Airframe:
 
         Raises:
             InputError: the value is not a positive number.
+
+        Example:
+            >>> load_airframe("paper").with_anchor("k_T", 2.05e-4).anchor()
+            ('k_T', 0.000205)
         """
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"{name} must be a positive number ({ANCHORS[name]}), got {value}")
@@ -158,6 +162,10 @@ class Airframe:
 
         Raises:
             InputError: there can be no prior of that name, or the numbers make no sense.
+
+        Example:
+            >>> load_airframe("paper").with_prior("Izz", 0.03, 0.002).priors
+            {'Izz': (0.03, 0.002)}
         """
         _check_prior(name, value, std, "prior")
         return replace(self, priors={**self.priors, name: (value, std)})
@@ -167,6 +175,10 @@ class Airframe:
 
         Raises:
             InputError: the length is not a positive number.
+
+        Example:
+            >>> round(load_airframe("paper").with_arm(0.2).arm, 6)
+            0.2
         """
         if not 0 < metres <= MOST_ARM:
             raise InputError(

@@ -126,6 +126,15 @@ def compare(before: Result, after: Result) -> Comparison:
 
     Raises:
         InputError: they are of vehicles with another number of rotors.
+
+    Example:
+        >>> import gcs_sysid
+        >>> first, second = (
+        ...     gcs_sysid.analyze("logs/sample.tlog", "paper", start=start, end=start + 20.0)
+        ...     for start in (0.0, 20.0)
+        ... )
+        >>> compare(first, second).verdict
+        'no_change_seen'
     """
     notes = [*_rotor_notes(before, after), *_flight_notes(before, after)]
     names = [n for n in _KNOWN if any(_estimate(r, n) is not None for r in (before, after))]

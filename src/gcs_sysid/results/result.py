@@ -20,6 +20,12 @@ class Estimate:
     """One parameter's value with its uncertainty.
 
     `value` and `std` are None where the data say nothing at all; `std` is 0 for a given value.
+
+    Example:
+        >>> from gcs_sysid import Estimate
+        >>> low, high = Estimate(0.0294, 0.0003, "kg m^2", "identified").ci95
+        >>> round(low, 4), round(high, 4)
+        (0.0288, 0.03)
     """
 
     value: float | None
@@ -94,7 +100,16 @@ class Scale:
 
 @dataclass(frozen=True)
 class Result:
-    """Everything an identification says, at one instant."""
+    """Everything an identification says, at one instant.
+
+    Example:
+        >>> import gcs_sysid
+        >>> result = gcs_sysid.analyze("logs/sample.tlog", "paper")
+        >>> [name for name, e in result.parameters.items() if e.status == "weak"]
+        ['linear_drag']
+        >>> result.scale.anchor, result.as_json()["parameters"]["mass"]["unit"]
+        ('mass', 'kg')
+    """
 
     verdict: Verdict
     reasons: tuple[str, ...]

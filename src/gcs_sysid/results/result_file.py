@@ -26,6 +26,17 @@ def read_result(path: Path) -> Result:
 
     Raises:
         InputError: the file cannot be read, holds several results, or is none.
+
+    Example:
+        >>> import tempfile
+        >>> import gcs_sysid
+        >>> result = gcs_sysid.analyze("logs/sample.tlog", "paper")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder, "flight.json")
+        ...     result.write(file)
+        ...     again = gcs_sysid.read_result(file)
+        >>> again.parameters["Ixx"] == result.parameters["Ixx"]
+        True
     """
     where = str(path)
     text = read_text(path, MOST_BYTES, "the result")

@@ -27,6 +27,12 @@ def lfilter(
 
     Returns:
         (n, ...) y, and the state after the last sample.
+
+    Example:
+        A sum that forgets half in each step:
+
+        >>> lfilter([1.0], [1.0, -0.5], np.array([1.0, 0.0, 0.0, 1.0]))[0]
+        array([1.   , 0.5  , 0.25 , 1.125])
     """
     order, n = len(a) - 1, len(x)
     flat = np.asarray(x, dtype=float).reshape(n, math.prod(x.shape[1:]))

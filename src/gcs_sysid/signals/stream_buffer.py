@@ -304,6 +304,11 @@ def interpolate(t: Array, v: Array, grid: Array, gap: float, among: int = 2) -> 
     Returns:
         (n, width), NaN outside the samples and inside gaps. Next to a gap or an end the two
         neighbours alone are used.
+
+    Example:
+        >>> t = np.array([0.0, 1.0, 2.0, 3.0, 9.0])
+        >>> interpolate(t, t[:, None] ** 3, np.array([1.5, 3.0, 5.0]), gap=2.0)[:, 0]
+        array([ 3.375, 27.   ,    nan])
     """
     n, m = len(grid), len(t)
     if m < 2:

@@ -81,6 +81,14 @@ def cosine_window(half: int, dt: float) -> Window:
 
     Raises:
         ValueError: fewer than two samples on a side, or a step that is not positive.
+
+    Example:
+        The derivative of t^2 is that of the average, 2 t, with nothing differentiated:
+
+        >>> window = cosine_window(20, 0.005)
+        >>> t = 3.0 + 0.005 * np.arange(-20, 21)
+        >>> round(float(window.derivative @ t**2), 9), round(float(window.average @ (2.0 * t)), 9)
+        (6.0, 6.0)
     """
     if half < 2 or not dt > 0:
         raise ValueError(f"a window needs half >= 2 and dt > 0, got {half} and {dt}")

@@ -1,0 +1,39 @@
+"""Examples in docstrings run, and every public function has one."""
+
+import doctest
+import inspect
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import gcs_sysid
+
+ROOT = Path(__file__).resolve().parents[2]
+MODULES = [
+    "api",
+    "model.airframe",
+    "results.comparison",
+    "results.result",
+    "results.result_file",
+    "signals.differentiator",
+    "signals.recursions",
+    "signals.stream_buffer",
+    "signals.windows",
+]
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_examples_give_what_they_say(name, monkeypatch):
+    monkeypatch.chdir(ROOT)  # for logs/sample.tlog
+    failed, tried = doctest.testmod(import_module(f"gcs_sysid.{name}"))
+    assert tried > 0
+    assert failed == 0
+
+
+def test_every_public_function_has_an_example():
+    public = [getattr(gcs_sysid, name) for name in gcs_sysid.__all__]
+    functions = [each for each in public if inspect.isfunction(each)]
+    assert len(functions) == 4
+    for function in functions:
+        assert ">>>" in (function.__doc__ or ""), function.__name__

@@ -1,0 +1,192 @@
+"""Noise of rotor speeds and of commands: how large, and what rows see of it."""
+
+import numpy as np
+import pytest
+
+from gcs_sysid.estimation.command_noise import CommandNoise, missed_and_seen
+from gcs_sysid.estimation.speed_noise import ROUNDING_STD, SpeedNoise
+from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.signals.smoothers import WindowSmoother
+
+GEOMETRY = np.array([[0.25, -0.25, 0.25, -0.25], [0.25, -0.25, -0.25, 0.25], [1, 1, -1, -1]])
+LEVEL = 130.0
+STD = np.array([0.5, 1.0, 2.0, 4.0])
+
+
+def followed(noise_of, dt, std=STD, n=20_000, motion=True, common=0.0):
+    rng = np.random.default_rng(1)
+    t = np.arange(n)[:, None] * dt
+    slow = 20.0 * np.sin(2.0 * np.pi * 0.5 * t) if motion else 0.0
+    white = rng.standard_normal((n, 4)) * std + common * rng.standard_normal((n, 1))
+    found = noise_of(GEOMETRY, dt)
+    found.update(LEVEL + slow + white)
+    return found
+
+
+def test_noise_of_speeds_is_what_a_parabola_leaves():
+    # 20 000 third differences, of which neighbours share most, tell a deviation to 1 %.
+    np.testing.assert_allclose(followed(SpeedNoise, 0.004).std, STD, rtol=0.03)
+
+
+def test_rounding_is_the_least():
+    # A uniform error of one turn a minute: 2 pi / 60 / sqrt(12).
+    assert pytest.approx(0.0302, rel=2e-3) == ROUNDING_STD
+    std = followed(SpeedNoise, 0.004, std=np.array([0.0, 0.01, 0.0302, 1.0]), motion=False).std
+    np.testing.assert_allclose(std, [ROUNDING_STD, ROUNDING_STD, 0.0304, 1.0], rtol=0.03)
+    np.testing.assert_allclose(SpeedNoise(GEOMETRY, 0.004).std, ROUNDING_STD)
+
+
+@pytest.mark.parametrize(
+    ("dt", "share", "doubt"),
+    [
+        (0.004, 1.0, 0.0),
+        (0.012, 1.0, 0.0),
+        (0.013, 0.25, 0.5),
+        (0.025, 0.25, 0.5),
+        (0.026, 0.0, 0.0),
+    ],
+)
+def test_how_much_is_missed_follows_the_sample_time(dt, share, doubt):
+    found = followed(SpeedNoise, dt, common=1.0, motion=False)
+    assert found.doubt == doubt
+    diagonal = np.maximum(share * (STD**2 + 1.0), ROUNDING_STD**2)
+    np.testing.assert_allclose(np.diag(found.covariance), diagonal, rtol=0.06)
+    # Sensors err one by one; what slow samples miss, the loop does to all rotors at once.
+    together = share if share < 1.0 else 0.0
+    assert found.covariance[0, 1] == pytest.approx(together, rel=0.15, abs=1e-9)
+
+
+@pytest.mark.parametrize(("n", "told"), [(102, False), (103, True)])
+def test_a_hundred_differences_are_enough(n, told):
+    """Of n samples there are n - 3."""
+    assert bool(followed(SpeedNoise, 0.004, n=n).std[3] > 1.0) is told
+
+
+def test_what_is_missing_breaks_the_row():
+    rng = np.random.default_rng(2)
+    whole, broken = SpeedNoise(GEOMETRY, 0.004), SpeedNoise(GEOMETRY, 0.004)
+    values = LEVEL + rng.standard_normal((4000, 4))
+    values[2000:] += 500.0  # another level after the gap
+    holed = np.insert(values, 2000, np.nan, axis=0)
+    for start in range(0, 4001, 7):
+        broken.update(holed[start : start + 7])
+    np.testing.assert_allclose(broken.std, 1.0, rtol=0.06)
+    whole.update(values)
+    assert whole.std[0] > 3.0
+    again = SpeedNoise(GEOMETRY, 0.004)
+    again.update(values[:2000])
+    again.restart()
+    again.update(values[2000:])
+    np.testing.assert_allclose(again.std, broken.std)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.3])
+def test_rows_show_noise_of_speeds_as_told(memory):
+    """Moments of rows of noise alone: torques by 2 Omega, H' by the derivative."""
+    dt, n = 0.01, 60_000
+    rng = np.random.default_rng(3)
+    speeds = LEVEL * np.array([1.0, 1.1, 0.9, 1.0]) + STD * rng.standard_normal((n, 4))
+    found = SpeedNoise(GEOMETRY, dt)
+    assert not found.moments(WindowSmoother(dt, 10), memory).any()
+    found.update(speeds)
+    smoother = WindowSmoother(dt, 10)
+    said = found.moments(smoother, memory)
+    mixer = rb.mixer(GEOMETRY)
+    squares = speeds**2
+    H = speeds @ GEOMETRY[2]
+    rows = smoother.update(np.column_stack([squares @ mixer, H]), 0)
+    summed = np.column_stack([rows.average[:, :4], rows.derivative[:, 4]])
+    summed = summed - summed.mean(axis=0)
+    if memory:
+        keep = np.exp(-smoother.step * dt / memory)
+        for k in range(1, len(summed)):
+            summed[k] += keep * summed[k - 1]
+    seen = summed[200:].T @ summed[200:] / len(summed[200:])
+    dH = rb.SIGNALS.index("dH")
+    at = [0, 1, 2, 3, dH]
+    scale = np.sqrt(np.diag(seen))
+    np.testing.assert_allclose(
+        said[np.ix_(at, at)] / np.outer(scale, scale),
+        seen / np.outer(scale, scale),
+        atol=0.13 if memory else 0.06,
+    )
+    rest = np.delete(np.arange(len(said)), at)
+    assert not said[rest].any()
+    assert not said[:, rest].any()
+    # Averages and derivatives of a symmetric window do not hang together.
+    assert not said[:4, dH].any()
+
+
+def test_all_of_white_noise_is_missed_without_a_low_pass():
+    np.testing.assert_array_equal(missed_and_seen(0.02, None), [1.0, 1.0])
+
+
+@pytest.mark.parametrize("apart", [None, 0.005])
+def test_folding_by_an_integral(apart):
+    """Noise behind |H|^2 = 1 / (1 + (f / fc)^4), sampled: sums over the aliases, written out."""
+    dt, cutoff = 0.02, 30.0
+    missed, seen = missed_and_seen(dt, cutoff, apart)
+
+    def power(f, k):
+        turned = 1.0 if apart is None else np.cos(np.pi * k * apart / dt) ** 2
+        return turned / (1.0 + ((f + k / dt) / cutoff) ** 4)
+
+    folds = range(-200, 201)
+    assert missed == pytest.approx(sum(power(0.0, k) for k in folds) - 1.0, rel=1e-3)
+    f = np.linspace(0.0, 0.5 / dt, 2001)
+    weight = np.sin(2.0 * np.pi * f * dt) ** 6
+    total = sum(power(f, k) for k in folds)
+    assert seen == pytest.approx((weight * total).sum() / weight.sum(), rel=2e-3)
+
+
+def test_fast_commands_miss_nothing():
+    found = followed(CommandNoise, 0.005, std=0.01 * np.ones(4))
+    assert not found.covariance.any()
+    assert found.doubt == 0.3
+
+
+@pytest.mark.parametrize(("n", "told"), [(105, False), (106, True)])
+def test_a_hundred_differences_of_commands_are_enough(n, told):
+    """Three times two samples go before the first."""
+    found = CommandNoise(GEOMETRY, 0.02)
+    found.update(0.5 + 0.01 * np.random.default_rng(1).standard_normal((n, 4)))
+    assert bool(found.covariance.any()) is told
+
+
+def test_noise_of_commands_is_told_with_what_rotors_share():
+    found = followed(CommandNoise, 0.02, std=0.01 * np.ones(4), common=0.02, motion=False)
+    expected = 0.01**2 * np.eye(4) + 0.02**2
+    np.testing.assert_allclose(found.covariance, expected, rtol=0.07)
+    np.testing.assert_allclose(found.std, np.sqrt(np.diag(found.covariance)))
+    # Slow motion hardly shows in a difference over six samples.
+    assert followed(CommandNoise, 0.02, std=np.full(4, 1.0)).std == pytest.approx(1.0, rel=0.06)
+
+
+def test_where_a_second_stream_lies_is_counted_sample_by_sample():
+    """Half of the samples with another stream a quarter of the time later, half alone."""
+    dt, cutoff, n = 0.02, 30.0, 8000
+    rng = np.random.default_rng(1)
+    values = 0.5 + 0.01 * rng.standard_normal((n, 4))
+    apart = np.where(np.arange(n) < n // 2, 0.25 * dt, np.nan)
+    found = CommandNoise(GEOMETRY, dt, cutoff)
+    found.update(values, apart)
+    mixed = 0.5 * (missed_and_seen(dt, cutoff, 0.25 * dt) + missed_and_seen(dt, cutoff))
+    plain = CommandNoise(GEOMETRY, dt)
+    plain.update(values)
+    np.testing.assert_allclose(found.covariance, mixed[0] / mixed[1] * plain.covariance)
+    # A whole sample apart is none.
+    whole = CommandNoise(GEOMETRY, dt, cutoff)
+    whole.update(values, np.full(n, dt))
+    together = missed_and_seen(dt, cutoff, 0.0)
+    np.testing.assert_allclose(whole.covariance, together[0] / together[1] * plain.covariance)
+
+
+def test_torques_of_noise_of_commands_are_in_rows_of_motors_without_lag():
+    found = followed(CommandNoise, 0.02, std=0.01 * np.ones(4), motion=False)
+    smoother = WindowSmoother(0.02, 10)
+    said = found.moments(smoother, 0.3)
+    mixer = rb.mixer(GEOMETRY)
+    average, _ = smoother.noise_gains(0.3)
+    np.testing.assert_allclose(said[:4, :4], average * mixer.T @ found.covariance @ mixer)
+    assert not said[4:].any()
+    assert not said[:, 4:].any()

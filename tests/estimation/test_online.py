@@ -1,0 +1,76 @@
+"""What the online estimator makes of its fits: the thrust curve's part, the rigid body's test."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.estimation.online import OnlineEstimator
+from gcs_sysid.estimation.tuning import Tuning
+
+DT = 0.005
+CURVES = Tuning(rotor_input="command", delays=(0.0,), curves=(-0.2, 1.2))
+"""Commands whose thrust curve alone is unknown; motors are measured here, and have no lag."""
+
+
+def on_commands(flight, *, velocity=True):
+    """The flight with commands in proportion to thrust, c = 0, and a little noise."""
+    noise = 0.002 * np.random.default_rng(5).standard_normal(flight.gyro.shape)
+    gyro = flight.gyro + noise
+    w = (flight.speeds / (1.2 * flight.speeds.max())) ** 2
+    v = flight.velocity if velocity else np.full_like(flight.velocity, np.nan)
+    return replace(flight, gyro=gyro, rates=gyro, speeds=w, velocity=v)
+
+
+def estimator_of(truth, samples, tuning):
+    estimator = OnlineEstimator(truth.geometry, DT, tuning)
+    estimator.update(samples)
+    return estimator
+
+
+@pytest.mark.parametrize("source", ["momentum", "accelerometer"])
+def test_how_thrust_over_mass_goes_with_the_thrust_curve_is_told(truth, flight, source):
+    samples = on_commands(flight, velocity=source == "momentum").part(slice(0, 3000))
+    free = estimator_of(truth, samples, CURVES)
+    found = free.fit().translation
+    assert found.source == source
+    # What two fits with given curves differ by.
+    kappas = [
+        estimator_of(truth, samples, replace(CURVES, curves=(c,))).fit().translation.kappa
+        for c in (-0.05, 0.05)
+    ]
+    expected = (kappas[1] - kappas[0]) / 0.1
+    # Gravity over the mean share of thrust, to first order: within 5 % here.
+    assert found.curve_slope == pytest.approx(expected, rel=0.05)
+    assert abs(found.curve_slope) > 0.1 * found.kappa
+    quick = free.fit(quick=True)
+    assert quick.translation.curve_slope == pytest.approx(expected, rel=0.05)
+
+
+def test_a_given_thrust_curve_moves_nothing(truth, flight):
+    samples = on_commands(flight).part(slice(0, 2000))
+    given = estimator_of(truth, samples, replace(CURVES, curves=(0.0,)))
+    assert given.fit().translation.curve_slope == 0.0
+
+
+def noisy(samples):
+    noise = 0.01 * np.random.default_rng(3).standard_normal(samples.gyro.shape)
+    return replace(samples, gyro=samples.gyro + noise, rates=samples.rates + noise)
+
+
+def test_inertia_is_right_though_there_is_no_gyroscopic_torque(truth, untwisted_flight):
+    fit = estimator_of(truth, noisy(untwisted_flight), Tuning()).fit()
+    assert fit.rigid_body_test.contradicted
+    np.testing.assert_allclose(fit.rigid_body_test.share, 0.0, atol=0.1)
+    # Held to that torque, the fit would bend Izz by 44 %, with an interval of 2 %. Without it the
+    # rotors' own torques, on all axes, tell it to 0.2 %.
+    off = np.abs(fit.rotation.theta - truth.theta)
+    assert np.all(off < 4.0 * fit.rotation.std)
+    assert np.all(off[:3] < 0.01 * truth.theta[:3])
+
+
+def test_a_rigid_body_is_held_against_nothing(truth, flight):
+    fit = estimator_of(truth, noisy(flight), Tuning()).fit()
+    assert not fit.rigid_body_test.contradicted
+    assert fit.rotation.std[2] < 0.05 * truth.theta[2]
+    assert abs(fit.rotation.theta - truth.theta)[2] < 3.0 * fit.rotation.std[2]

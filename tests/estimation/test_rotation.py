@@ -1,0 +1,229 @@
+"""The rotational fit's own corrections, on rows whose truth is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from gcs_sysid.estimation import rotation
+from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH
+from gcs_sysid.estimation.normal_equations import NormalEquations
+from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior, prior_of
+from gcs_sysid.estimation.rotation import RotationFit, fit_rotation, follow_rotation
+from gcs_sysid.model import rigid_body as rb
+
+ROWS = 4000
+THETA = np.array([80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3])
+TORQUES = (0, 1, 3)
+"""Columns of roll, pitch and yaw torque."""
+
+
+def inputs(rng):
+    """(ROWS, N_SIGNALS) of a vehicle that turns about all axes."""
+    slow = lfilter([0.3], [1.0, -0.95], rng.standard_normal((ROWS, 8)), axis=0)
+    rotors = slow[:, 3:7] * [60.0, 60.0, 2e3, 1e4] + [3.0, 7.0, 7e4, 0.0]
+    H = 20.0 * slow[:, 7]
+    rates = slow[:, :3]
+    gyroscopic = np.column_stack([rates[:, 1] * H, rates[:, 0] * H, 10.0 * np.gradient(H)])
+    return np.column_stack([rotors, rb.rate_products(rates), rates, gyroscopic])
+
+
+def moments_of(seed=1, rows_per_batch=40, input_noise=0.0, sigma=1.0):
+    """Batches and counts of rows, and the moments that noise of the torques adds to a row.
+
+    Args:
+        seed: of all that is drawn.
+        rows_per_batch: rows in a batch.
+        input_noise: standard deviation on the torques, in shares of theirs.
+        sigma: of the outputs' white noise.
+    """
+    rng = np.random.default_rng(seed)
+    x = inputs(rng)
+    y = x @ rb.forward_matrix(THETA).T + sigma * rng.standard_normal((ROWS, 3))
+    std = np.zeros(rb.N_SIGNALS)
+    std[list(TORQUES)] = input_noise * x[:, TORQUES].std(axis=0)
+    seen = x + std * rng.standard_normal(x.shape)
+    moments = NormalEquations((1, WIDTH, WIDTH), rows_per_batch)
+    moments.add(np.column_stack([seen, y])[None])
+    noise = np.zeros((1, WIDTH, WIDTH))
+    noise[0, : rb.N_SIGNALS, : rb.N_SIGNALS] = np.diag(std**2)
+    return moments.batches, moments.counts, noise
+
+
+NONE = np.zeros((1, WIDTH, WIDTH))
+SLIGHT = prior_of({i: (THETA[i], 10.0 * abs(THETA[i])) for i in range(rb.N_THETA)})
+"""Says next to nothing, and takes the way of a prior."""
+
+
+@pytest.mark.parametrize("prior", [None, SLIGHT], ids=["data alone", "with a prior"])
+def test_known_noise_of_the_inputs_is_taken_out_to_first_order(prior):
+    # Noise of a tenth makes least squares underrate torques by 1 %, inertia is that much too large.
+    batches, counts, noise = moments_of(input_noise=0.1, sigma=0.01)
+    raw = fit_rotation(batches, counts, PLAIN, NONE, prior=prior)
+    told = fit_rotation(batches, counts, PLAIN, noise, prior=prior)
+    off = {name: fit.theta[:3] / THETA[:3] - 1.0 for name, fit in (("raw", raw), ("told", told))}
+    assert np.all(off["raw"] > 0.005)
+    # Second order is a hundredth of it; the noise as drawn is off by 1 / sqrt(2000).
+    assert np.all(np.abs(off["told"]) < 0.15 * off["raw"])
+
+
+@pytest.mark.parametrize("prior", [None, SLIGHT], ids=["data alone", "with a prior"])
+def test_a_fit_that_follows_takes_that_noise_out_too(prior):
+    batches, counts, noise = moments_of(input_noise=0.1, sigma=0.01)
+    start = fit_rotation(batches, counts, PLAIN, noise, prior=prior)
+    (fit,) = follow_rotation(
+        batches.sum(axis=0), np.array([ROWS]), PLAIN, noise, start, prior=prior
+    )
+    np.testing.assert_allclose(fit.theta, start.theta, atol=1e-3 * start.std.min())
+    np.testing.assert_allclose(fit.std, start.std, rtol=1e-6)
+
+
+def test_doubt_of_the_noise_widens_by_what_the_correction_moved():
+    batches, counts, noise = moments_of(input_noise=0.1, sigma=0.01)
+    sure = fit_rotation(batches, counts, PLAIN, noise)
+    doubted = fit_rotation(batches, counts, PLAIN, noise, doubt=0.5)
+    moved = sure.theta - fit_rotation(batches, counts, PLAIN, NONE).theta
+    np.testing.assert_allclose(doubted.theta, sure.theta)
+    # One standard deviation of the noise is half of it: so is that of what it moves, times
+    # Student's factor, which for a hundred batches of equal weight is 1.05.
+    added = np.sqrt(np.diag(doubted.covariance) - np.diag(sure.covariance))
+    widening = sure.warm_start.widening
+    np.testing.assert_allclose(added[:3], 0.5 * np.abs(moved * widening)[:3], rtol=0.02)
+
+
+def moved_fit(fit, sigmas, index=0):
+    """As if the search had ended so many standard deviations away in one unknown."""
+    assert fit.warm_start is not None
+    unknowns = fit.warm_start.unknowns.copy()
+    unknowns[index] += sigmas * fit.std[index]
+    return replace(fit, warm_start=replace(fit.warm_start, unknowns=unknowns))
+
+
+@pytest.mark.parametrize("prior", [None, SLIGHT], ids=["data alone", "with a prior"])
+def test_a_long_step_is_searched_not_taken_blindly(prior):
+    # Inertia a tenth off: one step leaves 0.1^2 of it and more, 1.2 %; the search's two, a third.
+    batches, counts, _ = moments_of(sigma=0.3)
+    fit = fit_rotation(batches, counts, PLAIN, NONE, prior=prior)
+    far = 0.1 * fit.theta[0] / fit.std[0]
+    assert far > 10.0
+    (found,) = follow_rotation(
+        batches.sum(axis=0), np.array([ROWS]), PLAIN, NONE, moved_fit(fit, far), prior=prior
+    )
+    assert np.abs(found.theta - fit.theta)[0] < 6e-3 * fit.theta[0]
+
+
+@pytest.mark.parametrize(("sigmas", "searched"), [(2.3, False), (3.7, True)])
+def test_a_step_of_up_to_three_deviations_is_taken_without_a_search(monkeypatch, sigmas, searched):
+    # The deviations are the likelihood's, those of the fit are up to 1.2 times as wide.
+    batches, counts, _ = moments_of(rows_per_batch=20, sigma=0.1)
+    fit = fit_rotation(batches, counts, PLAIN, NONE)
+    searches, minimise = [], rotation.minimise
+    monkeypatch.setattr(
+        rotation, "minimise", lambda *args: searches.append(args) or minimise(*args)
+    )
+    # Along the ridge, where a move of one unknown's deviations is as many of the likelihood's.
+    unknowns = fit.warm_start.unknowns.copy()
+    unknowns[: rb.N_THETA] += sigmas * fit.covariance[0] / fit.std[0]
+    start = replace(fit, warm_start=replace(fit.warm_start, unknowns=unknowns))
+    (found,) = follow_rotation(batches.sum(axis=0), np.array([ROWS]), PLAIN, NONE, start)
+    assert bool(searches) is searched
+    assert np.all(np.abs(found.theta - fit.theta) < 0.25 * fit.std)
+
+
+def test_intervals_of_few_batches_are_students():
+    # Eight batches of equal weight: 64 / 15.6 = 4.1 degrees of freedom, 2.74 for 1.96.
+    few = fit_rotation(*moments_of(rows_per_batch=ROWS // 8)[:2], PLAIN, NONE)
+    many = fit_rotation(*moments_of(rows_per_batch=ROWS // 400)[:2], PLAIN, NONE)
+    assert few.warm_start.widening[:3] == pytest.approx(1.40, abs=0.15)
+    assert many.warm_start.widening[:3] == pytest.approx(1.02, abs=0.02)
+    # It is on the standard deviations, once.
+    batches = moments_of(rows_per_batch=ROWS // 8)[0]
+    plain = replace(few.warm_start, widening=np.ones_like(few.warm_start.widening))
+    (narrow,) = follow_rotation(
+        batches.sum(axis=0), np.array([ROWS]), PLAIN, NONE, replace(few, warm_start=plain)
+    )
+    np.testing.assert_allclose(few.std, narrow.std * few.warm_start.widening, rtol=1e-3)
+
+
+def fit_of(std):
+    """A fit with these relative standard deviations of what makes up the core parameters."""
+    covariance = np.diag(np.append(np.full(rb.DAMPING, std), [9.0, 9.0]) ** 2)
+    return RotationFit(THETA, covariance, np.eye(3), np.ones(3), 100, True)
+
+
+@pytest.mark.parametrize(
+    ("stds", "chosen"),
+    [
+        # 5 % less is chance, 15 % is not: the bar is 0.1 of the logarithm.
+        ([1.0, 0.95, 0.96], 0),
+        ([1.0, 0.85, 0.84], 1),
+        ([1.0, 0.85, 0.70], 2),
+        ([0.7, 0.85, 1.0], 0),
+    ],
+)
+def test_the_shortest_memory_of_those_alike_is_taken(stds, chosen):
+    fits = [fit_of(std) for std in stds]
+    assert rotation.most_certain(fits) is fits[chosen]
+
+
+def test_damping_and_rotor_inertia_do_not_choose_the_memory():
+    sharp = replace(fit_of(1.0), covariance=np.diag(np.append(np.ones(rb.DAMPING), [1e-6, 1e-6])))
+    assert rotation.uncertainty(sharp) == pytest.approx(0.0)
+    assert rotation.uncertainty(fit_of(np.e)) == pytest.approx(1.0)
+
+
+def test_too_few_rows_give_no_fit():
+    batches, _, _ = moments_of(rows_per_batch=1)
+    enough = 3 * rb.N_THETA  # three outputs a row: nine numbers for each unknown
+    for rows, there in ((enough - 1, False), (enough, True)):
+        counts = np.ones(rows, dtype=np.int64)
+        assert (fit_rotation(batches[:rows], counts, PLAIN, NONE) is not None) is there
+
+
+def test_what_axes_explain_is_told_by_axis():
+    rng = np.random.default_rng(6)
+    x = inputs(rng)
+    motion = x @ rb.forward_matrix(THETA).T
+    sigma = np.array([0.1, 0.5, 1.0]) * motion.std(axis=0)
+    moments = NormalEquations((1, WIDTH, WIDTH), 40)
+    moments.add(np.column_stack([x, motion + sigma * rng.standard_normal((ROWS, 3))])[None])
+    fit = fit_rotation(moments.batches, moments.counts, PLAIN, NONE)
+    power = (motion**2).mean(axis=0)
+    np.testing.assert_allclose(fit.r_squared, power / (power + sigma**2), atol=0.02)
+    # 4000 rows tell a variance to 2.2 %, one standard deviation.
+    np.testing.assert_allclose(np.diag(fit.residual_covariance), sigma**2, rtol=0.09)
+    assert fit.rows == ROWS
+
+
+def test_a_fit_by_hand_has_what_it_was_given():
+    fit = fit_of(2.0)
+    np.testing.assert_array_equal(fit.data_std, fit.std)
+    assert fit.full_covariance.shape == (N_UNKNOWNS, N_UNKNOWNS)
+    np.testing.assert_array_equal(fit.full_covariance[: rb.N_THETA, : rb.N_THETA], fit.covariance)
+    assert not fit.full_covariance[rb.N_THETA :].any()
+    np.testing.assert_array_equal(fit.unknowns, [*THETA, 0.0, 0.0, 1.0])
+    full = fit.full_covariance.copy()
+    full[rb.N_THETA, rb.N_THETA] = 4e-6
+    late = replace(fit, coordinates=np.array([0.01, 0.05, 0.5]), full_covariance=full)
+    assert (late.delay, late.delay_std) == (0.01, pytest.approx(2e-3))
+    np.testing.assert_allclose(late.coordinates_std, [2e-3, 0.0, 0.0])
+
+
+def test_a_start_in_a_worse_valley_is_not_gone_on_from():
+    batches, counts, _ = moments_of()
+    fit = fit_rotation(batches, counts, PLAIN, NONE)
+    wrong = replace(fit, theta=fit.theta * [30.0, 30.0, 30.0, *[1.0] * 8])
+    again = fit_rotation(batches, counts, PLAIN, NONE, start=wrong)
+    np.testing.assert_allclose(again.theta, fit.theta, atol=1e-3 * fit.std.min())
+
+
+def test_a_strong_prior_that_pulls_out_of_the_physical_is_held_back():
+    # Izz beyond Ixx + Iyy is no body: the step is shortened, the estimate stays physical.
+    batches, counts, _ = moments_of(sigma=20.0)
+    mean = np.zeros(N_UNKNOWNS)
+    mean[2] = 2.0 * (THETA[0] + THETA[1])
+    information = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+    information[2, 2] = 1e4
+    fit = fit_rotation(batches, counts, PLAIN, NONE, prior=Prior(mean, information))
+    assert rb.is_physical(fit.theta)
