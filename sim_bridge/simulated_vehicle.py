@@ -17,25 +17,13 @@ Value = Any
 
 @dataclass(frozen=True)
 class Vehicle:
-    """True parameters, names and symbols as in results (SI).
+    """True parameters, with names, symbols and units of results (`model.parameters`).
 
     Attributes:
         name: of the airframe.
         rotors: positions from the geometric centre and spins, in the autopilot's motor order.
-        mass: m, kg.
-        Ixx: element of the inertia matrix J about the CG, kg m^2; so are the five that follow.
-        k_T: thrust over rotor speed squared, N s^2.
-        k_M: torque over rotor speed squared, N m s^2.
-        T_max: thrust of one rotor at full command, N.
-        thrust_curve: c of T/T_max = (1 - c) u + c u^2 in steady state.
-        cg_x: alpha, CG from the geometric centre, forward, m.
-        cg_y: beta, CG from the geometric centre, to the right, m.
-        motor_lag: first-order time constant, s.
         lag_of: what lags: "speed", the rotor's speed behind the one commanded (a motor that turns
             a propeller), or "command", the command itself before the thrust curve (PX4's SIH).
-        rotational_damping: d of the torque -d w, N m s.
-        rotor_inertia: J_r of one rotor about its axis, kg m^2.
-        linear_drag: D of the force -D v, N s/m.
         imu_x: IMU from the CG, forward, m; imu_y to the right, imu_z down.
         command: range of the actuator outputs.
     """

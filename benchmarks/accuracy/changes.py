@@ -9,6 +9,7 @@ from benchmarks.accuracy.flights import GEOMETRY, VEHICLE, fly, measure
 from gcs_sysid.estimation.change_detection import ChangeTuning
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.model.parameters import INERTIA
 from sim_bridge.ensemble import Flight
 from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.simulation import Change, mass_step
@@ -24,12 +25,11 @@ STEP, EARLY_STEP, EARLY = 0.5, 0.1, 2.0
 BLOCK = 25
 """Samples fed at a time; 0.1 s."""
 QUIET = ("hover", "paper", "all-axes")
-_INERTIA = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz")
 
 
 def with_payload(vehicle: Vehicle) -> Vehicle:
     """Mass +20 %, CG shifted by a sixth of itself, inertia +10 %."""
-    inertia = {name: 1.1 * getattr(vehicle, name) for name in _INERTIA}
+    inertia = {name: 1.1 * getattr(vehicle, name) for name in INERTIA}
     shift = 7.0 / 6.0
     return replace(
         vehicle,
@@ -79,7 +79,7 @@ def _follow(change: Change, seed: int) -> dict[str, Any]:
     samples = measure(flight, "mems", 0.0, seed)
     tracker = Tracker(GEOMETRY, DT, Tuning(), ChangeTuning())
     after = change.apply(VEHICLE)
-    truth = np.array([after.mass, *(getattr(after, name) for name in _INERTIA)])
+    truth = np.array([after.mass, *(getattr(after, name) for name in INERTIA)])
     out: dict[str, Any] = {"t": [], "error": []}
     for k in range(0, len(flight.t), BLOCK):
         now = slice(k, k + BLOCK)

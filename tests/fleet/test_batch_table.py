@@ -11,7 +11,8 @@ pytest.importorskip("pyarrow", reason="needs the extra fleet")
 from pyarrow import parquet
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.fleet.batch_table import ESTIMATES, read_table
+from gcs_sysid.fleet.batch_table import read_table
+from gcs_sysid.model.parameters import REGISTRY
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "batch.md"
 
@@ -27,11 +28,11 @@ def test_columns_are_those_of_the_document(fleet):
     listed = DOCUMENT.read_text(encoding="utf-8").partition("## The table")[2].partition("```")[0]
     rows = [line.split("|")[1] for line in listed.splitlines() if line.startswith("| `")]
     told = [name for row in rows[:-1] for name in re.findall(r"`(\w+)`", row)]
-    assert [name for name in found if name not in ESTIMATES] == told
-    assert found[len(told) :] == list(ESTIMATES)
+    assert [name for name in found if name not in REGISTRY] == told
+    assert found[len(told) :] == list(REGISTRY)
     first, last, *rest = (rows[-1].split(" ... ")[0], rows[-1].split(" ... ")[1])
-    assert re.findall(r"`(\w+)`", first) == list(ESTIMATES)[:2]
-    assert re.findall(r"`(\w+)`", last) == list(ESTIMATES)[-3:]
+    assert re.findall(r"`(\w+)`", first) == list(REGISTRY)[:2]
+    assert re.findall(r"`(\w+)`", last) == list(REGISTRY)[-3:]
     assert not rest
 
 

@@ -11,12 +11,12 @@ from typing import Any
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import write_whole
 from gcs_sysid.fleet.jobs import Document, Job, Task
-from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.model.parameters import REGISTRY
 
 SCHEMA = "gcs-sysid/fleet/1"
 MOST_BYTES = 2**30
 """Of a table: some hundred thousand logs."""
-ESTIMATES = {**PARAMETERS, **TIMING}
+_ESTIMATE = ("value", "std", "unit", "status", "rests_on")
 _SCALE = ("anchor", "value", "unit", "std")
 
 Row = dict[str, Any]
@@ -79,12 +79,9 @@ def row(
         else None,
         "version": job.settings()["version"],
     }
-    for key in ESTIMATES:
+    for key in REGISTRY:
         estimate = known.get(key)
-        out[key] = estimate and {
-            **{part: estimate[part] for part in ("value", "std", "unit", "status")},
-            "rests_on": estimate.get("rests_on"),
-        }
+        out[key] = estimate and {part: estimate.get(part) for part in _ESTIMATE}
     return out
 
 
@@ -99,23 +96,10 @@ def _time(text: str | None) -> datetime | None:
 def _schema() -> Any:
     import pyarrow as pa
 
-    estimate = pa.struct(
-        [
-            ("value", pa.float64()),
-            ("std", pa.float64()),
-            ("unit", pa.string()),
-            ("status", pa.string()),
-            ("rests_on", pa.string()),
-        ]
-    )
-    scale = pa.struct(
-        [
-            ("anchor", pa.string()),
-            ("value", pa.float64()),
-            ("unit", pa.string()),
-            ("std", pa.float64()),
-        ]
-    )
+    def struct(parts: tuple[str, ...]) -> Any:
+        numbers = ("value", "std")
+        return pa.struct([(n, pa.float64() if n in numbers else pa.string()) for n in parts])
+
     columns = [
         ("path", pa.string()),
         ("sha256", pa.string()),
@@ -132,10 +116,10 @@ def _schema() -> Any:
         ("recorded", pa.timestamp("ms")),
         ("rotor_input", pa.string()),
         ("estimator", pa.string()),
-        ("scale", scale),
+        ("scale", struct(_SCALE)),
         ("changes", pa.int32()),
         ("version", pa.string()),
-        *((name, estimate) for name in ESTIMATES),
+        *((name, struct(_ESTIMATE)) for name in REGISTRY),
     ]
     return pa.schema(columns, metadata={"schema": SCHEMA})
 
