@@ -23,7 +23,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.regression import Samples
+from gcs_sysid.signals.samples import Samples
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
