@@ -289,7 +289,7 @@ def judge(samples: Sequence[Samples], vehicle: Vehicle, dt: float, tuning: Tunin
         np.stack([(fit.theta - truth) / size for fit in fits]),
         np.stack([fit.std / size for fit in fits]),
         float(np.mean([fit.r_squared[:2] for fit in fits])),
-        float(np.mean([getattr(fit, "disturbance", np.zeros(3))[:2] for fit in fits])),
+        float(np.mean([fit.disturbance[:2] for fit in fits])),
     )
 
 

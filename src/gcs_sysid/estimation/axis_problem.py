@@ -147,13 +147,6 @@ class AxisProblem(Problem):
             np.swapaxes(WG, 1, 2),
         )  # fmt: skip
 
-    @property
-    def own_power(self) -> Array:
-        """(K, 3) power of the outputs in one row."""
-        power = np.diagonal(self.bank, axis1=-2, axis2=-1)[..., -_AXES:] / self.rows[:, None, None]
-        own: Array = np.diagonal(np.broadcast_to(power, (len(power), _AXES, _AXES)), 0, 1, 2)
-        return own
-
 
 def minimise_axes(
     problem: AxisProblem, unknowns: Array, limit: int

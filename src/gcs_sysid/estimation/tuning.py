@@ -14,7 +14,8 @@ class Tuning:
 
     Attributes:
         method: "forward", or one of the article's variants, for study (`estimation.article`).
-        smoother: "window" (symmetric, the default) or "td" (linear tracking differentiator).
+        smoother: "window" (symmetric), "td" (linear tracking differentiator), or "whitened": rows
+            of one step through a bank of causal whiteners; the window then judges the fit.
         half_width: s, half of the window, at high sample rates.
         min_half_samples: the window's half never has fewer samples than this.
         bandwidth: rad/s, R of the differentiator.
@@ -31,7 +32,7 @@ class Tuning:
     """
 
     method: Literal["forward"] | article.Method = "forward"
-    smoother: Literal["window", "td"] = "window"
+    smoother: Literal["window", "td", "whitened"] = "window"
     half_width: float = 0.1
     min_half_samples: int = 4
     bandwidth: float = 10.0

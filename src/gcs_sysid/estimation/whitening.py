@@ -32,10 +32,12 @@ TAU = 1.0
 """s, of a disturbance: between a gust and a change of trim."""
 LEAKS = (0.3, 1.0)
 """s: without disturbance or torque noise, the gyro's noise integrated is white, but for drift."""
-DISTURBED = (1.0, 2.0, 4.0, 6.0, 8.0, 11.0, 16.0)
-"""Hz, below which a disturbance exceeds the gyro's noise."""
-WALKS = (2.0, 6.0)
+WALKS = (2.0, 6.0, 18.0, 40.0)
 """Hz, below which torque noise exceeds the gyro's noise."""
+DISTURBED = (1.0, 2.0, 4.0, 6.0, 8.0, 11.0, 16.0, 23.0, 32.0)
+"""Hz, below which a disturbance exceeds the gyro's noise."""
+BOTH = ((4.0, 20.0), (8.0, 20.0), (16.0, 20.0), (32.0, 40.0))
+"""Hz, of a disturbance and of torque noise beside it."""
 PIECE = 32
 """Rows whitened by one product."""
 
@@ -120,6 +122,17 @@ def gauss_markov(T: float, f_d: float, f_u: float = 0.0, tau: float = TAU) -> Wh
     return Whitener(name, a, c1, c2)
 
 
+def torque_noise(T: float, f_u: float) -> Whitener:
+    """Whitener of torque noise that exceeds the gyro's noise below f_u Hz, and of the latter.
+
+    Without a moment the factor 1 - a z^-1 cancels, and C is a leak: with rho_u = (2 pi f_u T)^2
+    the root z of z^2 - (2 + rho_u) z + 1 inside the unit circle.
+    """
+    half = 0.5 * (2.0 * np.pi * f_u * T) ** 2
+    z = 1.0 + half - np.sqrt(half * (half + 2.0))
+    return Whitener(f"torque noise to {f_u:g} Hz", 0.0, -float(z), 0.0)
+
+
 def leak(T: float, memory: float) -> Whitener:
     """Whitener of gyro noise alone: rows summed up again, with a memory in s."""
     return Whitener(f"leak {memory:g} s", 0.0, -float(np.exp(-T / memory)), 0.0)
@@ -128,11 +141,14 @@ def leak(T: float, memory: float) -> Whitener:
 NONE = Whitener("none", 0.0, 0.0, 0.0)
 
 
-def bank(T: float) -> tuple[Whitener, ...]:
+def bank_for(T: float) -> tuple[Whitener, ...]:
     """Whiteners to choose from for rows of T seconds: those without disturbance first."""
-    undisturbed = [NONE, *(leak(T, memory) for memory in LEAKS)]
-    disturbed = [gauss_markov(T, f) for f in DISTURBED]
-    return (*undisturbed, *disturbed, *(gauss_markov(T, 0.0, f) for f in WALKS))
+    calm = [NONE, *(leak(T, memory) for memory in LEAKS), *(torque_noise(T, f) for f in WALKS)]
+    return (
+        *calm,
+        *(gauss_markov(T, f) for f in DISTURBED),
+        *(gauss_markov(T, f_d, f_u) for f_d, f_u in BOTH),
+    )
 
 
 class WhitenerBank:

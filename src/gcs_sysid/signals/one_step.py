@@ -20,6 +20,25 @@ from gcs_sysid.signals.smoothers import Smoothed
 
 _TRAPEZOID = np.array([1.0, 1.0]) / 2.0
 _CUBIC = np.array([-1.0, 13.0, 13.0, -1.0]) / 24.0
+_SHORTEST = 0.002
+"""s, of a step: faster samples tell no more of rigid-body motion."""
+_SLOW = 0.008
+"""s between samples, from which a trapezoid loses what matters of the motion."""
+_SPACING = 0.009
+"""s between the delays at which the rotors' signals are taken, about."""
+_EARLIEST, _LATEST = 0.012, 0.05
+"""s, by which the rotors' stamps may be early, and late."""
+
+
+def step_for(dt: float) -> "OneStep":
+    """The step for samples that are `dt` s apart."""
+    samples = max(1, round(_SHORTEST / dt))
+    time = samples * dt
+    spacing = max(1, round(_SPACING / time))
+    early = max(int(_EARLIEST / (spacing * time)), 1)
+    late = max(round(_LATEST / (spacing * time)), 1)
+    shifts = tuple(spacing * i for i in range(-early, late + 1))
+    return OneStep(dt, shifts, samples, cubic=dt > _SLOW)
 
 
 class OneStep:
