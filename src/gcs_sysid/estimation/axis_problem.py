@@ -23,7 +23,7 @@ from gcs_sysid.model import rigid_body as rb
 
 _AXES = 3
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e6
-_CONVERGED = 1e-4
+_CONVERGED = 3e-4
 """Steps smaller than this many standard deviations change nothing."""
 _EPSILON = 4e-15
 """Rounding of sums of products, relative to the squares in them."""
@@ -176,10 +176,7 @@ def minimise_axes(
             hessian = hessian + problem.prior_information()
         d = scales(hessian)
         H = hessian / (d[:, :, None] * d[:, None, :])
-        # Less the known noise it need not be positive definite.
-        least = np.linalg.eigvalsh(H)[:, 0]
-        lift = damping + np.maximum(_LEAST_DAMPING - 2.0 * np.minimum(least, 0.0), 0.0)
-        H = H + lift[:, None, None] * eye
+        H = H + (damping + _lift(H))[:, None, None] * eye
         downhill = gradient / d
         step = np.linalg.solve(H, downhill[..., None])[..., 0]
         gain = (step * downhill).sum(axis=1)
@@ -198,6 +195,17 @@ def minimise_axes(
         if converged.all():
             break
     return point, converged
+
+
+def _lift(H: Array) -> Array:
+    """(K,) what makes scaled curvatures positive definite, which less known noise need not be."""
+    try:
+        np.linalg.cholesky(H)
+    except np.linalg.LinAlgError:
+        least = np.linalg.eigvalsh(H)[:, 0]
+        lift: Array = np.where(least > _LEAST_DAMPING, 0.0, _LEAST_DAMPING - 2.0 * least)
+        return lift
+    return np.zeros(len(H))
 
 
 def _power(T: Array, moments: Array) -> Array:

@@ -57,7 +57,8 @@ class FlightRecord:
         self._input_noise = (
             CommandNoise(geometry, dt, tuning.loop_cutoff) if commands else SpeedNoise(geometry, dt)
         )
-        self.memories = tuning.leaks
+        # Beside whitened rows those of the window only judge.
+        self.memories = (0.0,) if tuning.smoother == "whitened" else tuning.leaks
         # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
         piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
         self._held = _Held(piece, geometry.shape[1])
@@ -84,9 +85,9 @@ class FlightRecord:
         self._rows = RowMaker(path, basis, smoother, steps)
         self.row_time = smoother.step * dt
         per_batch = max(round(tuning.batch_time / self.row_time), 1)
-        self._leaks = LeakySums(self.row_time, tuning.leaks)
+        self._leaks = LeakySums(self.row_time, self.memories)
         kept = _FEWER_BATCHES if commands else _BATCHES
-        bank = (len(tuning.leaks), basis.width, basis.width)
+        bank = (len(self.memories), basis.width, basis.width)
         self.rotation = NormalEquations(bank, per_batch, kept)
         self.article = (
             None
@@ -198,15 +199,19 @@ class FlightRecord:
             return noise.element_moments(self.basis, self._smoother, memory)
         return noise.moments(self._smoother, memory)
 
-    def whitened_noise(self) -> Array:
-        """(bank, width, width) what known noise of the inputs adds to a whitened row."""
+    def whitened_noise(self, some: Sequence[int] | None = None) -> Array:
+        """(bank, width, width) what known noise of the inputs adds to a whitened row.
+
+        Args:
+            some: whiteners; None: all of the bank.
+        """
         assert self.whitened is not None
         noise = self._input_noise
         if isinstance(noise, CommandNoise):
             torques, gains = noise.of_signals
-            return self.whitened.noise(torques, np.zeros(4), 0.0, gains)
+            return self.whitened.noise(torques, np.zeros(4), 0.0, gains, some)
         assert isinstance(noise, SpeedNoise)
-        return self.whitened.noise(*noise.of_signals, np.ones(1))
+        return self.whitened.noise(*noise.of_signals, np.ones(1), some)
 
     def noise_gains(self) -> Array:
         """(leaks,) variance of a row's derivative over that of white noise of the gyro."""

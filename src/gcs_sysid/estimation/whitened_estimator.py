@@ -120,7 +120,7 @@ class WhitenedEstimator:
         return Followed(
             white.total[pick] - left_out.moments,
             white.rows - left_out.rows,
-            self._record.whitened_noise()[pick],
+            self._record.whitened_noise(pick),
             self._record.rotation.total[0].copy(),
         )
 
@@ -175,7 +175,7 @@ class WhitenedEstimator:
         """
         T, pick = self._white.time, list(fit.whiteners)
         own = np.diag(fit.residual_covariance)
-        told = self._record.whitened_noise()[pick]
+        told = self._record.whitened_noise(pick)
         TP = residual_maker(rb.forward_matrix(theta)) @ self.basis.map_at(fit.coordinates)
         rotors = np.einsum("ai,aij,aj->a", TP, told, TP)
         left = np.maximum(own - rotors, _LEAST_OWN * own)

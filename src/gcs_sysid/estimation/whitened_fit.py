@@ -31,10 +31,11 @@ SHOCK = 6.0
 """Times the median power of innovations, from which a batch is left out."""
 _MOST_SHOCKS = 0.25
 """Share of the batches; what happens more often is no shock."""
-_SCAN, _TRY, _FIT, _FOLLOW = 6, 10, 30, 3
-"""Iterations: at a node, with a whitener, with those of the axes, of a fit that follows."""
-_SCANNED = 400
-"""Pairs of whitener and node that are looked at."""
+_SCAN, _TRY, _AGAIN, _FIT, _FOLLOW = 5, 8, 4, 30, 3
+"""Iterations: at a node; with a whitener, from there and from a fit; with those of the axes; of a
+fit that follows."""
+_SCANNED = 64
+"""Pairs of whitener and node that are looked at, about."""
 _BLIND_STEP = 3.0
 """Standard deviations; a smaller step of a fit that follows is taken unseen."""
 _AXES = 3
@@ -240,10 +241,43 @@ def follow_whitened(
     ]
 
 
-def shocks_in(data: WhitenedMoments, basis: ActuatorDynamics) -> Mask:
-    """(k,) which batches are to be left out, by a fit to these batches alone."""
-    fit = fit_whitened(data, basis)
-    return np.zeros(len(data.counts), dtype=bool) if fit is None else fit.shocks
+@dataclass(frozen=True)
+class Reference:
+    """Where the fit starts by which the next batches are judged.
+
+    Attributes:
+        unknowns: (N_UNKNOWNS,) fitted to those before.
+    """
+
+    unknowns: Array
+
+
+def shocks_in(
+    data: WhitenedMoments, basis: ActuatorDynamics, start: Reference | None
+) -> tuple[Mask, Reference | None]:
+    """(k,) which batches are to be left out, by a fit to these batches alone.
+
+    Args:
+        data: the batches.
+        basis: of the elements.
+        start: what the batches before were judged by; None: these are the first.
+
+    Returns:
+        The mask, and what the next ones are judged by.
+    """
+    kept = np.ones(len(data.counts), dtype=bool)
+    total, rows = data.total(kept), int(data.counts.sum())
+    if start is None:
+        trial = _scanned(total, rows, data, basis, None)
+    else:
+        trial = _tried(total, rows, data, basis, None, start.unknowns)
+    if trial is None:
+        return ~kept, None
+    pick = list(trial.pick)
+    problem = AxisProblem(total[pick][None], rows, basis, None, data.noise[pick][None])
+    point, _ = minimise_axes(problem, trial.unknowns[pick[:1]], _TRY)
+    shocks = _shocks(point, data.of_axes(pick), data.counts, basis)
+    return shocks, Reference(point.unknowns[0])
 
 
 @dataclass(frozen=True)
@@ -290,13 +324,14 @@ def _tried(
     basis: ActuatorDynamics,
     prior: Prior | None,
     unknowns: Array,
+    limit: int = _AGAIN,
 ) -> Trial:
     """Every whitener on all axes, coordinates as in (N_UNKNOWNS,) or (bank, N_UNKNOWNS)."""
     unknowns = np.broadcast_to(unknowns, (len(total), unknowns.shape[-1]))
     at = unknowns[0, COORDINATES]
     moments, noise = (basis.moments_at(m, at)[:, None] for m in (total, data.noise))
     problem = AxisProblem(moments, rows, PLAIN, prior, noise)
-    point, _ = minimise_axes(problem, unknowns, _TRY)
+    point, _ = minimise_axes(problem, unknowns, limit)
     return Trial(point.unknowns, point.variance)
 
 
@@ -333,7 +368,7 @@ def _scanned(
     best = int(np.argmin(cost))
     found = point.unknowns.reshape(len(some), len(nodes), -1)[:, best]
     unknowns = np.repeat(found, every, axis=0)[: len(total)]
-    return _tried(total, rows, data, basis, prior, unknowns)
+    return _tried(total, rows, data, basis, prior, unknowns, _TRY)
 
 
 def _shocks(

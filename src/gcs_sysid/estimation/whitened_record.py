@@ -11,17 +11,17 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.actuator_dynamics import SIGNALS, ActuatorDynamics, motor_filter
+from gcs_sysid.estimation.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics, motor_filter
 from gcs_sysid.estimation.normal_equations import NormalEquations
-from gcs_sysid.estimation.whitened_fit import WhitenedMoments, shocks_in
+from gcs_sysid.estimation.whitened_fit import Reference, WhitenedMoments, shocks_in
 from gcs_sysid.estimation.whitening import Whitener, WhitenerBank
 from gcs_sysid.signals.one_step import OneStep
 from gcs_sysid.signals.recursions import lfilter
 
 SHORT = 0.25
 """s, of the batches in which shocks are found."""
-_RECENT = 48
-_LONG = 96
+_RECENT = 40
+_LONG = 64
 """Batches that are kept apart; an even number."""
 _AT_ONCE = 256
 """Rows whitened at a time."""
@@ -63,6 +63,7 @@ class WhitenedRecord:
         self._counts = np.zeros(_RECENT, dtype=np.int64)
         self._full = 0
         self._overlaps: Array | None = None
+        self._reference: Reference | None = None
         self.total = np.zeros(shape)
         """(bank, width, width) sum over all rows, shocks included; not to be written to."""
         self.rows = 0
@@ -141,7 +142,7 @@ class WhitenedRecord:
         known = WhitenedMoments(
             (self._recent,), self._counts, noise, self.whiteners, self.time, self._per_long
         )
-        shocks = shocks_in(known, self.basis)
+        shocks, self._reference = shocks_in(known, self.basis, self._reference)
         half = _RECENT // 2
         for i in range(half):
             if not shocks[i]:
@@ -150,7 +151,14 @@ class WhitenedRecord:
         self._recent[half:], self._counts[half:] = 0.0, 0
         self._full = half
 
-    def noise(self, average: Array, across: Array, slope: float, gains: Array) -> Array:
+    def noise(
+        self,
+        average: Array,
+        across: Array,
+        slope: float,
+        gains: Array,
+        some: Sequence[int] | None = None,
+    ) -> Array:
         """(bank, width, width) what white noise of the inputs adds to one row of elements.
 
         Args:
@@ -158,19 +166,28 @@ class WhitenedRecord:
             across: (4,) of these with H.
             slope: variance of H.
             gains: (sets,) of each set, over the first.
+            some: whiteners; None: all.
         """
         if self._overlaps is None:
             self._overlaps = self._overlapping()
-        n, width = len(self.basis.elements) * self.basis.sets * SIGNALS, self.basis.width
+        overlaps = self._overlaps if some is None else self._overlaps[list(some)]
         of_average, of_both, of_slope = np.zeros((3, SIGNALS, SIGNALS))
         of_average[:4, :4], of_both[:4, 4], of_slope[4, 4] = average, across, slope
         sets = np.outer(gains, gains)
-        out = np.zeros((len(self.whiteners), width, width))
-        for one, overlap in zip(out, self._overlaps, strict=True):
-            mixed = np.kron(overlap[1], np.kron(sets, of_both))
-            one[:n, :n] = mixed + mixed.T
-            one[:n, :n] += np.kron(overlap[0], np.kron(sets, of_average))
-            one[:n, :n] += np.kron(overlap[2], np.kron(sets, of_slope))
+        n = self.basis.width - BODY
+        mixed, of_both = overlaps[:, 1], of_both.T
+        turned = np.swapaxes(mixed, 1, 2)
+        signals = sum(
+            np.einsum("bxy,st,ij->bxsiytj", overlap, sets, covariance)
+            for overlap, covariance in (
+                (overlaps[:, 0], of_average),
+                (mixed, of_both.T),
+                (turned, of_both),
+                (overlaps[:, 2], of_slope),
+            )
+        )
+        out = np.zeros((len(overlaps), self.basis.width, self.basis.width))
+        out[:, :n, :n] = np.reshape(signals, (len(overlaps), n, n))
         return out
 
     def _overlapping(self) -> Array:
