@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
-from gcs_sysid.estimation.axis_problem import AxisPoint, AxisProblem, minimise_axes
+from gcs_sysid.estimation.axis_problem import TOLD, AxisPoint, AxisProblem, minimise_axes
 from gcs_sysid.estimation.priors import COORDINATES, Prior
 from gcs_sysid.estimation.rotation import Outcome, RotationFit
 from gcs_sysid.estimation.search import N_X, first_guess, residual_maker
@@ -36,8 +36,12 @@ _SCAN, _TRY, _AGAIN, _FIT, _FOLLOW = 5, 8, 4, 30, 3
 fit that follows."""
 _SCANNED = 64
 """Pairs of whitener and node that are looked at, about."""
+_REACH = 2
+"""Neighbours of a batch whose scores its own hang together with: innovations forget soon."""
 _BLIND_STEP = 3.0
 """Standard deviations; a smaller step of a fit that follows is taken unseen."""
+_LEAST = 0.05
+"""Share of an innovation's power that no correction leaves it without."""
 _AXES = 3
 
 
@@ -99,7 +103,7 @@ class Trial:
 
     Attributes:
         unknowns: (bank, N_UNKNOWNS), all with the same coordinates.
-        variance: (bank, 3) power of the innovations.
+        variance: (bank, 3) power of the innovations, see `_alike`.
     """
 
     unknowns: Array
@@ -183,11 +187,11 @@ def fit_whitened(
         batches = data.of_axes(solved.pick)
     noise = data.noise[list(solved.pick)]
     batches, counts = grouped(batches[kept], data.counts[kept], data.grouped)
-    batches -= counts[:, None, None, None] * noise
+    batches -= TOLD * counts[:, None, None, None] * noise
     outcome = _WhitenedOutcome(solved.problem, solved.point)
-    scatter = meat(outcome.scores(0, batches, counts))
+    scatter = meat(outcome.scores(0, batches, counts), _REACH)
     spread = inflation(outcome.roots[1][0], scatter)[None]
-    widening = student_factor(outcome.shares(0, batches))[None]
+    widening = student_factor(outcome.shares(0, batches), _REACH)[None]
     if doubt:
         raw = AxisProblem(solved.problem.bank, rows, basis, prior, np.zeros_like(noise)[None])
         pull = raw.evaluate(solved.point.unknowns).gradient - solved.point.gradient
@@ -327,12 +331,34 @@ def _tried(
     limit: int = _AGAIN,
 ) -> Trial:
     """Every whitener on all axes, coordinates as in (N_UNKNOWNS,) or (bank, N_UNKNOWNS)."""
+    fitted = unknowns if unknowns.ndim == 1 else None
     unknowns = np.broadcast_to(unknowns, (len(total), unknowns.shape[-1]))
     at = unknowns[0, COORDINATES]
     moments, noise = (basis.moments_at(m, at)[:, None] for m in (total, data.noise))
     problem = AxisProblem(moments, rows, PLAIN, prior, noise)
     point, _ = minimise_axes(problem, unknowns, limit)
-    return Trial(point.unknowns, point.variance)
+    known = np.median(point.unknowns, axis=0) if fitted is None else fitted
+    return Trial(point.unknowns, _alike(point, rows, noise[:, 0], known))
+
+
+def _alike(point: AxisPoint, rows: int, noise: Array, known: Array) -> Array:
+    """(K, 3) power of the innovations as it would be if all had the same share of known noise.
+
+    Noise of the inputs pulls the least power towards a vehicle that answers them less. Whoever
+    errs that way, by chance, would look better than the truth. What is compared is therefore the
+    power without the known noise, which is stationary at the truth, and that noise as one and the
+    same vehicle answers it.
+
+    Args:
+        point: K solutions.
+        rows: that they are of.
+        noise: (K, WIDTH, WIDTH) in one row.
+        known: (N_UNKNOWNS,) of that vehicle.
+    """
+    T = residual_maker(rb.forward_matrix(known[: rb.N_THETA]))
+    of_noise = ((T @ noise) * T).sum(axis=-1)
+    alike: Array = np.maximum(point.told / rows + TOLD * of_noise, _LEAST * point.variance)
+    return alike
 
 
 def _scanned(
@@ -347,7 +373,7 @@ def _scanned(
     every = max(len(total) * len(nodes) // _SCANNED, 1)
     some, some_noise = total[::every], data.noise[::every]
     middle = nodes[basis.middle]
-    at_middle = basis.moments_at(some - rows * some_noise, middle)
+    at_middle = basis.moments_at(some - TOLD * rows * some_noise, middle)
     guesses = [first_guess(moments, rows, middle, prior) for moments in at_middle]
     known = [guess for guess in guesses if guess is not None]
     if not known:
@@ -362,7 +388,9 @@ def _scanned(
     starts[:, COORDINATES] = np.tile(nodes, (len(some), 1))
     problem = AxisProblem(moments, rows, PLAIN, prior, noise)
     point, _ = minimise_axes(problem, starts, _SCAN)
-    power = np.log(point.variance).reshape(len(some), len(nodes), _AXES)
+    known_vehicle = np.median(point.unknowns, axis=0)
+    alike = _alike(point, rows, noise[:, 0], known_vehicle)
+    power = np.log(alike).reshape(len(some), len(nodes), _AXES)
     weak = AxisProblem(total[:1, None], rows, basis, prior, data.noise[:1, None]).weak_cost(starts)
     cost = power.min(axis=0).sum(axis=1) + weak[: len(nodes)] / rows
     best = int(np.argmin(cost))

@@ -110,7 +110,7 @@ class WhitenedRecord:
             noise,
             self.whiteners,
             self.time,
-            self._per_long,
+            self._per_short,
         )
 
     @property
