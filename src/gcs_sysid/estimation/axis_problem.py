@@ -24,6 +24,8 @@ from gcs_sysid.model import rigid_body as rb
 TOLD = 0.97
 """Share of the inputs' known noise that is taken out. How strong it is, is known to one or two
 percent, and where inputs are hardly more than noise, information must not become negative."""
+_LEAST = 0.05
+"""Share of an innovation's power that no correction leaves it without."""
 _AXES = 3
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e6
 _CONVERGED = 3e-4
@@ -101,6 +103,10 @@ class AxisProblem(Problem):
         super().__init__(moments, rows, basis, prior)
         self.without = moments - (TOLD * self.rows)[:, None, None, None] * noise
         """As `moments`, without the known noise."""
+        self._noise_of_all = self.rows[:, None, None, None] * noise
+        at = basis.nodes[basis.middle]
+        self._usual = TOLD * basis.moments_at(noise, at)
+        """(K, 3 or 1, WIDTH, WIDTH) known noise at coordinates that are always the same."""
 
     def evaluate(self, unknowns: Array) -> AxisPoint:  # type: ignore[override]
         """Cost and its derivatives at (K, N_UNKNOWNS), or at (1, N_UNKNOWNS) for all."""
@@ -115,7 +121,12 @@ class AxisProblem(Problem):
         Q, G = rb.forward_jacobian(unknowns[:, :n])
         T = residual_maker(Q)
         sizes = moments[..., _DIAGONAL, _DIAGONAL]
-        variance = (_power(T, moments) + _EPSILON * (T * T * sizes).sum(axis=-1)) / rows + 1e-300
+        own = _power(T, told)
+        # Signals between two of the basis' delays are means of both, and have less noise: a weight
+        # that followed that would make every delay look for the middle between two.
+        usual = own / rows + _power(T, np.broadcast_to(self._usual, shape))
+        least = _LEAST * _power(T, moments) + _EPSILON * (T * T * sizes).sum(axis=-1)
+        variance = np.maximum(usual, least / rows) + 1e-300
         W = 1.0 / variance
         G = np.swapaxes(G, 1, 2)  # (K, 3, n, N_X)
         WG = W[:, :, None, None] * G
@@ -130,8 +141,12 @@ class AxisProblem(Problem):
             # Of residuals, by coordinate and axis: (K, f, 3, width), and with all columns.
             TP = T[:, None] @ P[:, 1:]
             TPM = np.stack([_per_axis(TP[:, i], self.without) for i in range(f)], axis=1)
-            own = T @ P[:, 0]
-            slopes = (W[:, None, :, None] * TPM * own[:, None]).sum(axis=(2, 3))
+            left = T @ P[:, 0]
+            # What a delay does to the noise itself is no information: all of it is taken out.
+            noise = np.stack([_per_axis(TP[:, i], self._noise_of_all) for i in range(f)], axis=1)
+            slopes = (
+                W[:, None, :, None] * (TPM - (1.0 - TOLD) * noise) * left[:, None]
+            ).sum(axis=(2, 3))
             bends = (W[:, None, :, None] * TPM).reshape(K, f, -1) @ np.swapaxes(
                 TP.reshape(K, f, -1), 1, 2
             )
@@ -146,7 +161,7 @@ class AxisProblem(Problem):
         if self.prior is not None:
             weak = weak + self.prior.cost(unknowns)
         return AxisPoint(
-            unknowns, variance, _power(T, told), weak, gradient, hessian, Q,
+            unknowns, variance, own, weak, gradient, hessian, Q,
             np.swapaxes(WG, 1, 2),
         )  # fmt: skip
 
