@@ -36,7 +36,10 @@ WALKS = (2.0, 6.0, 18.0, 40.0)
 """Hz, below which torque noise exceeds the gyro's noise."""
 DISTURBED = (1.0, 2.0, 4.0, 6.0, 8.0, 11.0, 16.0, 23.0, 32.0)
 """Hz, below which a disturbance exceeds the gyro's noise."""
-BOTH = ((4.0, 20.0), (8.0, 20.0), (16.0, 20.0), (32.0, 40.0))
+BOTH = (
+    (4.0, 15.0), (8.0, 15.0), (16.0, 15.0),
+    (6.0, 40.0), (11.0, 40.0), (16.0, 40.0), (23.0, 40.0), (32.0, 40.0),
+)  # fmt: skip
 """Hz, of a disturbance and of torque noise beside it."""
 PIECE = 32
 """Rows whitened by one product."""

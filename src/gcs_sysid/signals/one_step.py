@@ -22,11 +22,9 @@ _TRAPEZOID = np.array([1.0, 1.0]) / 2.0
 _CUBIC = np.array([-1.0, 13.0, 13.0, -1.0]) / 24.0
 _SHORTEST = 0.002
 """s, of a step: faster samples tell no more of rigid-body motion."""
-_SLOW = 0.008
-"""s between samples, from which a trapezoid loses what matters of the motion."""
 _SPACING = 0.009
 """s between the delays at which the rotors' signals are taken, about."""
-_EARLIEST, _LATEST = 0.012, 0.05
+_EARLIEST, _LATEST = 0.018, 0.05
 """s, by which the rotors' stamps may be early, and late."""
 
 
@@ -35,10 +33,10 @@ def step_for(dt: float) -> "OneStep":
     samples = max(1, round(_SHORTEST / dt))
     time = samples * dt
     spacing = max(1, round(_SPACING / time))
-    early = max(int(_EARLIEST / (spacing * time)), 1)
+    early = max(round(_EARLIEST / (spacing * time)), 1)
     late = max(round(_LATEST / (spacing * time)), 1)
     shifts = tuple(spacing * i for i in range(-early, late + 1))
-    return OneStep(dt, shifts, samples, cubic=dt > _SLOW)
+    return OneStep(dt, shifts, samples)
 
 
 class OneStep:
@@ -48,11 +46,11 @@ class OneStep:
         dt: s between samples.
         shifts: whole steps by which the first signals may be stamped late, rising.
         samples: h, of a step.
-        cubic: whether to integrate the cubic through four samples.
+        cubic: whether to integrate the cubic through four samples; else the trapezoid.
     """
 
     def __init__(
-        self, dt: float, shifts: tuple[int, ...] = (0,), samples: int = 1, *, cubic: bool = False
+        self, dt: float, shifts: tuple[int, ...] = (0,), samples: int = 1, *, cubic: bool = True
     ) -> None:
         h = self.step = samples
         self.time = h * dt
