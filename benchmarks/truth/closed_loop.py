@@ -23,11 +23,11 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.signals.samples import Samples
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.signals.samples import Samples
 
 STEP = 1e-3
 """s, of the loop and of the integration."""

@@ -6,25 +6,18 @@ that its own whitener made. With T = [-Q(theta), 1] the innovations' power and t
     sigma_a^2 = T_a M_a T_a' / n ,    cost = sum over a of n ln sigma_a^2
 
 so that the weight is diagonal. Known noise N_a of the rotors' inputs is part of the innovations,
-and stays in sigma_a; but it is no part of what turned the vehicle, and least squares would underrate
-the inputs for it (errors in variables). Gradient and curvature are therefore those of M_a - n N_a,
-for which the truth is the stationary point.
-
-**Delay under feedback.** By how much the power of the innovations falls with the rotors' delay, the
-derivative of torque tells, which is torque a little later less torque a little earlier. What comes
-later has answered the innovation already: the loop turns against it, and the least power is found
-too early, by up to a millisecond, which costs 2 % of inertia. What came earlier has not. The
-estimate of the delay is therefore where innovations are uncorrelated with the *backward* difference
-of torque, an instrument (Söderström and Stoica 1983), not where their power is least.
+and stays in sigma_a; but it is no part of what turned the vehicle, and least squares would
+underrate the inputs for it (errors in variables). Gradient and curvature are therefore those of
+M_a - n N_a, for which the truth is the stationary point.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.actuator_dynamics import DELAY, WIDTH, ActuatorDynamics
-from gcs_sysid.estimation.priors import COORDINATES, Prior
+from gcs_sysid.estimation.actuator_dynamics import WIDTH, ActuatorDynamics
+from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.search import N_X, Problem, residual_maker, scales
 from gcs_sysid.model import rigid_body as rb
 
@@ -37,13 +30,6 @@ _AXES = 3
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e6
 _CONVERGED = 3e-4
 """Steps smaller than this many standard deviations change nothing."""
-_SETTLING, _SETTLED, _UNSETTLED = 10, 0.01, 0.3
-"""Most steps towards the instrument's solution, and of how many standard deviations they are small
-enough, and too large in the end."""
-_HALVINGS = 8
-"""A step that leads out of the physical inertias is shortened so often, then not taken."""
-_LEAST_BACK = 0.3
-"""Of the distance between two of the basis' delays: at its edge the difference is not backward."""
 _EPSILON = 4e-15
 """Rounding of sums of products, relative to the squares in them."""
 _DIAGONAL = np.arange(WIDTH)
@@ -83,10 +69,7 @@ class AxisPoint:
         """The other point for the hypotheses where that is better."""
         pairs = ((getattr(other, f.name), getattr(self, f.name)) for f in fields(self))
         return AxisPoint(
-            *(
-                np.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
-                for new, old in pairs
-            )
+            *(np.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old) for new, old in pairs)
         )
 
     def chosen(self, which: Array) -> "AxisPoint":
@@ -122,30 +105,8 @@ class AxisProblem(Problem):
         self._usual = TOLD * basis.moments_at(noise, at)
         """(K, 3 or 1, WIDTH, WIDTH) known noise at coordinates that are always the same."""
 
-    def backward(self, unknowns: Array) -> Array:
-        """(K, f, WIDTH, width) as `maps`, derivatives by free coordinates: backward by the delay."""
-        maps = self.maps(unknowns)
-        backward: Array = maps[:, 1:]
-        basis = self.basis
-        if DELAY in basis.free:
-            at = unknowns[:, COORDINATES].copy()
-            back = np.minimum(np.diff(basis.delays).mean(), at[:, DELAY] - basis.low[DELAY])
-            back = np.maximum(back, _LEAST_BACK * np.diff(basis.delays).mean())
-            at[:, DELAY] -= back
-            change = (maps[:, 0] - basis.maps(at)[:, 0]) / back[:, None, None]
-            backward = backward.copy()
-            backward[:, basis.free.index(DELAY)] = change
-        return backward
-
-    def evaluate(  # type: ignore[override]
-        self, unknowns: Array, *, causal: bool = False
-    ) -> AxisPoint:
-        """Cost and its derivatives at (K, N_UNKNOWNS), or at (1, N_UNKNOWNS) for all.
-
-        Args:
-            unknowns: where.
-            causal: whether the gradient by the delay is that of the instrument.
-        """
+    def evaluate(self, unknowns: Array) -> AxisPoint:  # type: ignore[override]
+        """Cost and its derivatives at (K, N_UNKNOWNS), or at (1, N_UNKNOWNS) for all."""
         K, n, f = len(self.bank), rb.N_THETA, len(self.basis.free)
         unknowns = np.broadcast_to(unknowns, (K, unknowns.shape[1]))
         rows = self.rows[:, None]
@@ -167,9 +128,7 @@ class AxisProblem(Problem):
         G = np.swapaxes(G, 1, 2)  # (K, 3, n, N_X)
         WG = W[:, :, None, None] * G
         hessian, gradient = np.empty((K, self.p, self.p)), np.empty((K, self.p))
-        hessian[:, :n, :n] = (
-            WG @ told[..., :N_X, :N_X] @ np.swapaxes(G, -1, -2)
-        ).sum(axis=1)
+        hessian[:, :n, :n] = (WG @ told[..., :N_X, :N_X] @ np.swapaxes(G, -1, -2)).sum(axis=1)
         downhill = WG @ (told[..., :N_X, :] @ T[..., None])
         gradient[:, :n] = downhill.sum(axis=1)[..., 0]
         weak = np.zeros(K)
@@ -180,20 +139,9 @@ class AxisProblem(Problem):
             left = T @ P[:, 0]
             # What a delay does to the noise itself is no information: all of it is taken out.
             noise = np.stack([_per_axis(TP[:, i], self._noise_of_all) for i in range(f)], axis=1)
-            slopes = (
-                W[:, None, :, None] * (TPM - (1.0 - TOLD) * noise) * left[:, None]
-            ).sum(axis=(2, 3))
-            if causal and DELAY in self.basis.free:
-                i = self.basis.free.index(DELAY)
-                back = T @ self.backward(unknowns)[:, i]
-                full = _per_axis(back, self.without) - (1.0 - TOLD) * _per_axis(
-                    back, self._noise_of_all
-                )
-                alike = (W[..., None] * _per_axis(back, self.without) * TP[:, i]).sum(axis=(1, 2))
-                same = (W[..., None] * TPM[:, i] * TP[:, i]).sum(axis=(1, 2))
-                # In units of the central difference, whose curvature is used.
-                scale = np.clip(same / np.where(alike > 0.0, alike, 1e-300), 0.3, 3.0)
-                slopes[:, i] = scale * (W[..., None] * full * left).sum(axis=(1, 2))
+            slopes = (W[:, None, :, None] * (TPM - (1.0 - TOLD) * noise) * left[:, None]).sum(
+                axis=(2, 3)
+            )
             bends = (W[:, None, :, None] * TPM).reshape(K, f, -1) @ np.swapaxes(
                 TP.reshape(K, f, -1), 1, 2
             )
@@ -213,9 +161,7 @@ class AxisProblem(Problem):
         )  # fmt: skip
 
 
-def minimise_axes(
-    problem: AxisProblem, unknowns: Array, limit: int
-) -> tuple[AxisPoint, Mask]:
+def minimise_axes(problem: AxisProblem, unknowns: Array, limit: int) -> tuple[AxisPoint, Mask]:
     """Gauss-Newton with Levenberg-Marquardt damping; each step at the weights of its start.
 
     What falls is sum_a T_a (M_a - n N_a) T_a' / sigma_a^2 with sigma_a as it was before the step:
@@ -249,9 +195,7 @@ def minimise_axes(
         physical = rb.are_physical(candidate)
         candidate = np.where(physical[:, None], candidate, point.unknowns)
         tried = problem.evaluate(candidate)
-        before, after = (
-            (at.told / point.variance).sum(axis=1) + at.weak for at in (point, tried)
-        )
+        before, after = ((at.told / point.variance).sum(axis=1) + at.weak for at in (point, tried))
         small = gain < _CONVERGED**2
         better = physical & ((after <= before) | small) & ~converged
         point = point.where(better, tried)
@@ -260,44 +204,6 @@ def minimise_axes(
         if converged.all():
             break
     return point, converged
-
-
-def settle_axes(problem: AxisProblem, point: AxisPoint) -> tuple[AxisPoint, Mask]:
-    """From a minimum to where innovations are uncorrelated with what came before them.
-
-    Args:
-        problem: K hypotheses.
-        point: their minima.
-
-    Returns:
-        The solutions, with the gradients of the instruments, and (K,) whether each was reached.
-    """
-    gain = np.zeros(len(problem.bank))
-    for _ in range(_SETTLING):
-        point = problem.evaluate(point.unknowns, causal=True)
-        gradient, hessian = point.gradient, point.hessian
-        if problem.prior is not None:
-            gradient = gradient + problem.prior_pull(point.unknowns)
-            hessian = hessian + problem.prior_information()
-        d = scales(hessian)
-        H = hessian / (d[:, :, None] * d[:, None, :])
-        H = H + (_DAMPING + _lift(H))[:, None, None] * np.eye(problem.p)
-        step = np.linalg.solve(H, (gradient / d)[..., None])[..., 0]
-        gain = (step * gradient / d).sum(axis=1)
-        if (gain < _SETTLED**2).all():
-            break
-        moved = point.unknowns
-        for _ in range(_HALVINGS):
-            candidate = problem.moved(point.unknowns, step / d)
-            physical = rb.are_physical(candidate)
-            moved = np.where(physical[:, None], candidate, moved)
-            if physical.all():
-                break
-            step = np.where(physical[:, None], step, 0.5 * step)
-        point = replace(point, unknowns=moved)
-    point = problem.evaluate(point.unknowns, causal=True)
-    reached: Mask = gain < _UNSETTLED**2
-    return point, reached
 
 
 def _lift(H: Array) -> Array:

@@ -366,8 +366,8 @@ class OnlineEstimator:
             found = self._whitened.fit(start, self.prior)
             if found is None:
                 return None
-            fit, self._left_out = found
-            return fit
+            self._left_out = found[1]
+            return found[0]
         moments = record.rotation
         data = moments.batches, moments.counts, self._basis, self._noise()
         if start is not None:

@@ -58,7 +58,7 @@ class FlightRecord:
             CommandNoise(geometry, dt, tuning.loop_cutoff) if commands else SpeedNoise(geometry, dt)
         )
         # Beside whitened rows those of the window only judge.
-        self.memories = (0.0,) if tuning.smoother == "whitened" else tuning.leaks
+        self.memories = (0.0,) if tuning.whitens(dt) else tuning.leaks
         # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
         piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
         self._held = _Held(piece, geometry.shape[1])
@@ -73,7 +73,7 @@ class FlightRecord:
         path = RotorPath(geometry, dt, basis, tuning.gyro_cutoff)
         self.whitened: WhitenedRecord | None = None
         steps = None
-        if tuning.smoother == "whitened":
+        if tuning.whitens(dt):
             step = step_for(dt)
             elements = ActuatorDynamics(
                 step.delays, tuning.lags, tuning.curves, commands=commands, half_width=None, dt=dt

@@ -55,8 +55,10 @@ def judge_rigid_body(batches: Array, P: Array, theta: Array) -> RigidBodyTest:
     """
     n = rb.N_SIGNALS
     Q = rb.forward_matrix(theta)
-    each = batches if batches.ndim == 4 else np.broadcast_to(
-        batches[:, None], (len(batches), 3, *batches.shape[1:])
+    each = (
+        batches
+        if batches.ndim == 4
+        else np.broadcast_to(batches[:, None], (len(batches), 3, *batches.shape[1:]))
     )
     share, std = np.full(3, np.nan), np.full(3, np.nan)
     for axis in range(3):

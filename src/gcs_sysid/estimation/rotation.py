@@ -435,9 +435,7 @@ class Outcome:
     def _explained(self) -> Array:
         """(K, 3) share of each axis' angular acceleration that the model explains."""
         problem = self._problem
-        own, all_ = (
-            np.diagonal(m, axis1=1, axis2=2) for m in (self._point.residual, problem.bank)
-        )
+        own, all_ = (np.diagonal(m, axis1=1, axis2=2) for m in (self._point.residual, problem.bank))
         share: Array = 1.0 - own / np.maximum(all_[:, -3:] / problem.rows[:, None], 1e-300)
         return share
 

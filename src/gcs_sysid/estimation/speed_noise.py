@@ -110,4 +110,8 @@ class SpeedNoise(InputNoise):
             return np.zeros((4, 4)), np.zeros(4), 0.0
         slope = 2.0 * np.sqrt(self._sums[1] / self._samples)
         mixer, spin, covariance = self._mixer * slope[:, None], self._mixer[:, 3], self.covariance
-        return mixer.T @ covariance @ mixer, mixer.T @ covariance @ spin, spin @ covariance @ spin
+        return (
+            mixer.T @ covariance @ mixer,
+            mixer.T @ covariance @ spin,
+            float(spin @ covariance @ spin),
+        )

@@ -29,10 +29,9 @@ from gcs_sysid.estimation.whitened_fit import (
     follow_whitened,
     grouped,
 )
+from gcs_sysid.estimation.whitening import slower
 from gcs_sysid.model import rigid_body as rb
 
-_REFERENCE = 1
-"""Of the bank: the short leak, which weighs what is slow most."""
 _FREQUENCIES = 4096
 _LEAST_OWN = 0.02
 """Of an innovation's power, what is the gyro's at least: the rotors' noise is known to so much."""
@@ -211,8 +210,9 @@ class WhitenedEstimator:
 
             sigma_b^2 = sigma_a^2 mean over omega of |W_b / W_a|^2 ,
 
-        with W_b a leaky sum of the changes: what is slow counts most.
+        with W_b one for which what is slow counts more.
         """
+        references = [slower(data.whiteners, i) for i in fit.whiteners]
         TP = residual_maker(rb.forward_matrix(fit.theta)) @ self.basis.map_at(fit.coordinates)
 
         def power(some: Array) -> Array:
@@ -220,15 +220,16 @@ class WhitenedEstimator:
             return squares
 
         omega = np.pi * (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES
-        reference = data.whiteners[_REFERENCE].power(omega)
         ratio = np.array(
-            [np.mean(reference / data.whiteners[i].power(omega)) for i in fit.whiteners]
+            [
+                np.mean(data.whiteners[b].power(omega) / data.whiteners[a].power(omega))
+                for a, b in zip(fit.whiteners, references, strict=True)
+            ]
         )
         powers = []
-        for pick in (fit.whiteners, [_REFERENCE] * 3):
+        for pick in (fit.whiteners, references):
             batches, counts = data.of_axes(pick)[first:], data.counts[first:]
             batches, counts = grouped(batches, counts, data.grouped)
             powers.append(by_parts(power, batches))
         own, slow = powers
         return told_whiteness(slow, ratio * own, counts)
-

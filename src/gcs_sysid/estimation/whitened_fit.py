@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
-from gcs_sysid.estimation.axis_problem import TOLD, AxisPoint, AxisProblem, minimise_axes, settle_axes
+from gcs_sysid.estimation.axis_problem import TOLD, AxisPoint, AxisProblem, minimise_axes
 from gcs_sysid.estimation.priors import COORDINATES, Prior
 from gcs_sysid.estimation.rotation import Outcome, RotationFit
 from gcs_sysid.estimation.search import N_X, first_guess, residual_maker
@@ -230,20 +230,17 @@ def follow_whitened(
     scatter = start.warm_start.inflation, start.warm_start.widening
     unknowns = np.tile(start.warm_start.unknowns, (len(rows), 1))
     problem = AxisProblem(totals, rows, basis, prior, noise)
-    outcome = _WhitenedOutcome(problem, problem.evaluate(unknowns, causal=True))
+    outcome = _WhitenedOutcome(problem, problem.evaluate(unknowns))
     near = outcome.take_step(_BLIND_STEP)
     fits = outcome.fits(*scatter, [start.converged] * len(rows), [0] * len(rows))
     if not near.all():
         far = ~near
         alone = AxisProblem(totals[far], rows[far], basis, prior, noise[far])
         point, converged = minimise_axes(alone, unknowns[far], _FOLLOW)
-        point, converged = settle_axes(alone, point)
         better = _WhitenedOutcome(alone, point).fits(*scatter, converged, [0] * len(converged))
         for i, fit in zip(np.flatnonzero(far), better, strict=True):
             fits[i] = fit
-    return [
-        replace(fit, whiteners=start.whiteners, disturbance=start.disturbance) for fit in fits
-    ]
+    return [replace(fit, whiteners=start.whiteners, disturbance=start.disturbance) for fit in fits]
 
 
 @dataclass(frozen=True)
@@ -313,8 +310,7 @@ def _solved(
         # From what the first axis or the others found, whichever is nearer to all of it.
         starts = [problem.evaluate(u[None]) for u in np.unique(unknowns, axis=0)]
         cost = [float(np.log(p.variance).sum() + p.weak[0] / rows) for p in starts]
-        point, _ = minimise_axes(problem, starts[int(np.argmin(cost))].unknowns, _FIT)
-        point, converged = settle_axes(problem, point)
+        point, converged = minimise_axes(problem, starts[int(np.argmin(cost))].unknowns, _FIT)
         trial = _tried(total, rows, data, basis, prior, point.unknowns[0])
         solved = _Solved(problem, point, bool(converged[0]), pick, trial)
         if not again or trial.pick == pick:
@@ -434,7 +430,7 @@ class _WhitenedOutcome(Outcome):
 
     def __init__(self, problem: AxisProblem, point: AxisPoint) -> None:
         super().__init__(problem, point, np.zeros(0))  # type: ignore[arg-type]
-        self._at, self._whitened = point, problem
+        self._at = point
 
     @property
     def pull(self) -> Array:
@@ -458,11 +454,6 @@ class _WhitenedOutcome(Outcome):
         TP = residual_maker(point.Q[i]) @ P
         WG = point.WG[i].reshape(rb.N_THETA, -1)
         slopes = (TP[1:] / point.variance[i][:, None]).reshape(f, -1)
-        if f:
-            back = residual_maker(point.Q[i]) @ self._whitened.backward(
-                self._unknowns[i : i + 1]
-            )[0]
-            slopes = (back / point.variance[i][:, None]).reshape(f, -1)
 
         def some(batches: Array) -> Array:
             k = len(batches)

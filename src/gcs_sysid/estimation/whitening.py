@@ -32,13 +32,14 @@ TAU = 1.0
 """s, of a disturbance: between a gust and a change of trim."""
 LEAKS = (0.3, 1.0)
 """s: without disturbance or torque noise, the gyro's noise integrated is white, but for drift."""
-WALKS = (2.0, 6.0, 18.0, 40.0)
+WALKS = (2.0, 6.0, 18.0, 40.0, 120.0)
 """Hz, below which torque noise exceeds the gyro's noise."""
-DISTURBED = (1.0, 2.0, 4.0, 6.0, 8.0, 11.0, 16.0, 23.0, 32.0)
+DISTURBED = (1.0, 2.0, 4.0, 8.0, 11.0, 16.0, 23.0, 32.0)
 """Hz, below which a disturbance exceeds the gyro's noise."""
 BOTH = (
     (4.0, 15.0), (8.0, 15.0), (16.0, 15.0),
     (6.0, 40.0), (11.0, 40.0), (16.0, 40.0), (23.0, 40.0), (32.0, 40.0),
+    (22.0, 120.0),
 )  # fmt: skip
 """Hz, of a disturbance and of torque noise beside it."""
 PIECE = 32
@@ -53,12 +54,14 @@ class Whitener:
         name: what it assumes.
         a: of the disturbance; 0: none is assumed.
         c1, c2: of the spectral factor 1 + c1 z^-1 + c2 z^-2.
+        below: Hz, where the disturbance exceeds the gyro's noise.
     """
 
     name: str
     a: float
     c1: float
     c2: float
+    below: float = 0.0
 
     @property
     def disturbed(self) -> bool:
@@ -122,7 +125,7 @@ def gauss_markov(T: float, f_d: float, f_u: float = 0.0, tau: float = TAU) -> Wh
     rho_d, rho_u = (2.0 * np.pi * f_d * T) ** 4, (2.0 * np.pi * f_u * T) ** 2
     c1, c2 = spectral_factor(a, rho_d, rho_u)
     name = f"moment to {f_d:g} Hz" + (f", torque noise to {f_u:g} Hz" if f_u else "")
-    return Whitener(name, a, c1, c2)
+    return Whitener(name, a, c1, c2, f_d)
 
 
 def torque_noise(T: float, f_u: float) -> Whitener:
@@ -152,6 +155,18 @@ def bank_for(T: float) -> tuple[Whitener, ...]:
         *(gauss_markov(T, f) for f in DISTURBED),
         *(gauss_markov(T, f_d, f_u) for f_d, f_u in BOTH),
     )
+
+
+def slower(whiteners: Sequence[Whitener], i: int) -> int:
+    """Index of a whitener that weighs low frequencies more than the one of index i does.
+
+    Of a disturbance, that of one up to about half its frequency; else a leak.
+    """
+    short, long = (whiteners.index(w) for w in whiteners if w.name.startswith("leak"))
+    if not whiteners[i].disturbed:
+        return long if i == short else short
+    below = [k for k, w in enumerate(whiteners) if 0.0 < w.below <= 0.6 * whiteners[i].below]
+    return max(below, key=lambda k: whiteners[k].below, default=short)
 
 
 class WhitenerBank:

@@ -3,11 +3,12 @@
 Over a step T the change of a rate is the integral of its derivative. From samples dt apart, for a
 step of one sample,
 
-    g_k - g_(k-1) = integral of g' dt ,    integral of x dt ~ T (x_(k-1) + x_k) / 2
-                                                    or  T (-x_(k-2) + 13 x_(k-1) + 13 x_k - x_(k+1)) / 24
+    g_k - g_(k-1) = integral of g' dt
+    integral of x dt ~ T (x_(k-1) + x_k) / 2                                     trapezoid
+                     ~ T (-x_(k-2) + 13 x_(k-1) + 13 x_k - x_(k+1)) / 24         cubic
 
-the trapezoid, or the integral of the cubic through four samples, which slow samples need: the
-trapezoid loses (omega T)^2 / 12 of a signal. Where a step holds h samples, each gyro value is the
+The cubic through four samples is the default, as the trapezoid makes (omega T)^2 / 12 too little of
+a signal. Where a step holds h samples, each gyro value is the
 mean over h of them, and the change of the mean over one step to the mean over the next is that of
 the derivative under a triangle of half width T = h dt. Nothing is smoothed beyond the step, so that
 rows keep their order in time, and what filters them afterwards may be causal.
