@@ -200,7 +200,7 @@ def fly(
         axis=1,
     )  # (rotors, 4) roll, pitch, yaw moment and thrust of Omega^2
     share = np.linalg.pinv(torque)
-    P, I, D = vehicle.gains
+    gain_p, gain_i, gain_d = vehicle.gains
     fade, half = np.exp(-STEP / vehicle.motor_lag), np.exp(-0.5 * STEP / vehicle.motor_lag)
     weight = vehicle.mass * GRAVITY
     w, total = np.zeros((2, flights, 3))
@@ -217,14 +217,16 @@ def fly(
         last = gyro
         off = wanted[k] - gyro
         total = total + STEP * off
-        asked = np.column_stack([(P * off + I * total - D * slope) @ J, np.full(flights, lift[k])])
+        asked = np.column_stack(
+            [(gain_p * off + gain_i * total - gain_d * slope) @ J, np.full(flights, lift[k])]
+        )
         command = np.sqrt(np.maximum(asked @ share, 400.0))
         middle = command + (Omega - command) * half
 
         def change(w: Array, speeds: Array, d: Array = d[k]) -> Array:
             moment = (speeds * speeds) @ torque[:, :3]
-            faster: Array = (moment - np.cross(w, w @ J)) @ J_inv + d
-            return faster
+            turned: Array = (moment - np.cross(w, w @ J)) @ J_inv + d
+            return turned
 
         w = w + STEP * change(w + 0.5 * STEP * change(w, Omega), middle)
         Omega = command + (Omega - command) * fade

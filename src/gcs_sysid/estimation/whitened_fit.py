@@ -29,6 +29,8 @@ from gcs_sysid.model import rigid_body as rb
 
 SHOCK = 6.0
 """Times the median power of innovations, from which a batch is left out."""
+_JUDGED = 3
+"""Rounds of judging them, each by the fit without those found before."""
 _MOST_SHOCKS = 0.25
 """Share of the batches; what happens more often is no shock."""
 _SCAN, _TRY, _AGAIN, _FIT, _FOLLOW = 5, 8, 4, 30, 3
@@ -179,8 +181,11 @@ def fit_whitened(
         return None
     solved = _solved(total, rows, data, basis, prior, trial)
     batches = data.of_axes(solved.pick)
-    shocks = _shocks(solved.point, batches, data.counts, basis)
-    if shocks.any():
+    for _ in range(_JUDGED):
+        shocks = _shocks(solved.point, batches, data.counts, basis)
+        if (shocks == ~kept).all():
+            break
+        # The fit without the worst of them sees the rest.
         kept = ~shocks
         total, rows = data.total(kept), int(data.counts[kept].sum())
         solved = _solved(total, rows, data, basis, prior, solved.trial)

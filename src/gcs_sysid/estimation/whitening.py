@@ -160,7 +160,8 @@ def bank_for(T: float) -> tuple[Whitener, ...]:
 def slower(whiteners: Sequence[Whitener], i: int) -> int:
     """Index of a whitener that weighs low frequencies more than the one of index i does.
 
-    Of a disturbance, that of one up to about half its frequency; else a leak.
+    Of a disturbance, that of one up to about half its frequency; else a leak, the other one where
+    i is a leak itself.
     """
     short, long = (whiteners.index(w) for w in whiteners if w.name.startswith("leak"))
     if not whiteners[i].disturbed:
