@@ -23,12 +23,8 @@ from gcs_sysid.estimation.validation import (
     told_whiteness,
     validation_cut,
 )
-from gcs_sysid.estimation.whitened_fit import (
-    WhitenedMoments,
-    fit_whitened,
-    follow_whitened,
-    grouped,
-)
+from gcs_sysid.estimation.whitened_fit import fit_whitened, follow_whitened
+from gcs_sysid.estimation.whitened_moments import WhitenedMoments, grouped
 from gcs_sysid.estimation.whitening import slower
 from gcs_sysid.model import rigid_body as rb
 

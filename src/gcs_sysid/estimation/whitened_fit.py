@@ -21,9 +21,11 @@ from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.estimation.axis_problem import TOLD, AxisPoint, AxisProblem, minimise_axes
 from gcs_sysid.estimation.priors import COORDINATES, Prior
-from gcs_sysid.estimation.rotation import Outcome, RotationFit
-from gcs_sysid.estimation.search import N_X, first_guess, residual_maker
+from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.search import first_guess, residual_maker
 from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor
+from gcs_sysid.estimation.whitened_moments import WhitenedMoments, grouped
+from gcs_sysid.estimation.whitened_outcome import WhitenedOutcome
 from gcs_sysid.estimation.whitening import Whitener
 from gcs_sysid.model import rigid_body as rb
 
@@ -45,58 +47,6 @@ _BLIND_STEP = 3.0
 _LEAST = 0.05
 """Share of an innovation's power that no correction leaves it without."""
 _AXES = 3
-
-
-@dataclass(frozen=True)
-class WhitenedMoments:
-    """Moments of rows of elements under every whitener of a bank, batch by batch.
-
-    Attributes:
-        parts: arrays of (k, bank, width, width), in time order; views, not to be written to.
-        counts: (k,) rows in each batch of all parts.
-        noise: (bank, width, width) known noise of the inputs in one row.
-        whiteners: of the bank.
-        time: s, T of a row.
-        grouped: rows that a batch should have before its score counts as one.
-        muted: columns that are taken as zero.
-    """
-
-    parts: tuple[Array, ...]
-    counts: NDArray[np.int64]
-    noise: Array
-    whiteners: tuple[Whitener, ...]
-    time: float
-    grouped: int
-    muted: tuple[int, ...] = ()
-
-    @property
-    def edges(self) -> NDArray[np.int64]:
-        """Index of each part's first batch, and of the end."""
-        return np.cumsum([0, *(len(part) for part in self.parts)])
-
-    def total(self, kept: Mask) -> Array:
-        """(bank, width, width) sum over the batches kept."""
-        out = np.zeros(self.noise.shape)
-        for part, start in zip(self.parts, self.edges[:-1], strict=True):
-            weights = kept[start : start + len(part)].astype(float)
-            out += np.tensordot(weights, part, 1)
-        return self._mute(out)
-
-    def of_axes(self, pick: Sequence[int]) -> Array:
-        """(k, 3, width, width) of each axis' whitener."""
-        return self._mute(np.concatenate([part[:, list(pick)] for part in self.parts]))
-
-    def _mute(self, moments: Array) -> Array:
-        columns = list(self.muted)
-        moments[..., columns, :] = 0.0
-        moments[..., :, columns] = 0.0
-        return moments
-
-    def first(self, batches: int) -> "WhitenedMoments":
-        """The oldest batches."""
-        left = np.maximum(batches - self.edges[:-1], 0)
-        parts = tuple(part[:n] for part, n in zip(self.parts, left, strict=True))
-        return replace(self, parts=parts, counts=self.counts[:batches])
 
 
 @dataclass(frozen=True)
@@ -193,7 +143,7 @@ def fit_whitened(
     noise = data.noise[list(solved.pick)]
     batches, counts = grouped(batches[kept], data.counts[kept], data.grouped)
     batches -= TOLD * counts[:, None, None, None] * noise
-    outcome = _WhitenedOutcome(solved.problem, solved.point)
+    outcome = WhitenedOutcome(solved.problem, solved.point)
     scatter = meat(outcome.scores(0, batches, counts), _REACH)
     spread = inflation(outcome.roots[1][0], scatter)[None]
     widening = student_factor(outcome.shares(0, batches), _REACH)[None]
@@ -235,14 +185,14 @@ def follow_whitened(
     scatter = start.warm_start.inflation, start.warm_start.widening
     unknowns = np.tile(start.warm_start.unknowns, (len(rows), 1))
     problem = AxisProblem(totals, rows, basis, prior, noise)
-    outcome = _WhitenedOutcome(problem, problem.evaluate(unknowns))
+    outcome = WhitenedOutcome(problem, problem.evaluate(unknowns))
     near = outcome.take_step(_BLIND_STEP)
     fits = outcome.fits(*scatter, [start.converged] * len(rows), [0] * len(rows))
     if not near.all():
         far = ~near
         alone = AxisProblem(totals[far], rows[far], basis, prior, noise[far])
         point, converged = minimise_axes(alone, unknowns[far], _FOLLOW)
-        better = _WhitenedOutcome(alone, point).fits(*scatter, converged, [0] * len(converged))
+        better = WhitenedOutcome(alone, point).fits(*scatter, converged, [0] * len(converged))
         for i, fit in zip(np.flatnonzero(far), better, strict=True):
             fits[i] = fit
     return [replace(fit, whiteners=start.whiteners, disturbance=start.disturbance) for fit in fits]
@@ -415,86 +365,3 @@ def _shocks(
     relative = (by_parts(power, batches) / counts[:, None] / point.variance[0]).mean(axis=1)
     shocks: Mask = relative > SHOCK * np.median(relative)
     return shocks if shocks.mean() <= _MOST_SHOCKS else np.zeros(len(counts), dtype=bool)
-
-
-def grouped(
-    batches: Array, counts: NDArray[np.int64], least: int
-) -> tuple[Array, NDArray[np.int64]]:
-    """Batches joined until each has so many rows."""
-    starts, size = [0], 0
-    for i, count in enumerate(counts):
-        if size >= least:
-            starts.append(i)
-            size = 0
-        size += int(count)
-    return np.add.reduceat(batches, starts, axis=0), np.add.reduceat(counts, starts)
-
-
-class _WhitenedOutcome(Outcome):
-    """What follows from points near the solutions of K hypotheses."""
-
-    def __init__(self, problem: AxisProblem, point: AxisPoint) -> None:
-        super().__init__(problem, point, np.zeros(0))  # type: ignore[arg-type]
-        self._at = point
-
-    @property
-    def pull(self) -> Array:
-        """(K, p) zeros: the known noise is taken out of the problem already."""
-        return np.zeros_like(self._scale)
-
-    def _explained(self) -> Array:
-        """(K, 3) nothing: of a single step noise is most of what there is."""
-        return np.full((len(self._scale), _AXES), np.nan)
-
-    def scores(self, i: int, batches: Array, counts: NDArray[np.int64]) -> Array:
-        """(k, p) scaled downhill gradient of half the cost, batch by batch.
-
-        Args:
-            i: of the hypothesis.
-            batches: (k, 3, width, width) without the known noise.
-            counts: (k,) rows in each.
-        """
-        f, point = len(self._problem.basis.free), self._at
-        P = self._problem.maps(self._unknowns[i : i + 1])[0]
-        TP = residual_maker(point.Q[i]) @ P
-        WG = point.WG[i].reshape(rb.N_THETA, -1)
-        slopes = (TP[1:] / point.variance[i][:, None]).reshape(f, -1)
-
-        def some(batches: Array) -> Array:
-            k = len(batches)
-            TPM = (TP[0][:, None] @ batches)[:, :, 0]
-            of_theta = (TPM @ P[0, :N_X].T).reshape(k, -1) @ WG.T
-            return np.column_stack([of_theta, -TPM.reshape(k, -1) @ slopes.T])
-
-        scores = by_parts(some, batches)
-        # Away from the solution, as where a prior pulls, all batches pull one way: no scatter.
-        scores -= np.outer(counts / counts.sum(), scores.sum(axis=0))
-        scaled: Array = scores / self._scale[i]
-        return scaled
-
-    def shares(self, i: int, batches: Array) -> Array:
-        """(k, p) what each batch is expected to add to the variance of each unknown.
-
-        Args:
-            i: of the hypothesis.
-            batches: (k, 3, width, width) of this hypothesis.
-        """
-        n, inverse_root, point = rb.N_THETA, self.roots[1][i], self._at
-        P = self._problem.maps(self._unknowns[i : i + 1])[0]
-        inverse = (inverse_root @ inverse_root) / self._scales[i]
-        moved = (inverse[:n, :n] @ point.WG[i].reshape(n, -1)).reshape(n, _AXES, N_X)
-        weighted = moved * point.variance[i][:, None]
-        # (3 N_X N_X, n): of each axis the outer product of what a parameter does to its Q.
-        powers = (moved[..., None] * weighted[..., None, :]).reshape(n, -1).T
-        X, TP = P[0, :N_X], residual_maker(point.Q[i]) @ P[1:]
-        weights = 1.0 / point.variance[i]
-
-        def some(batches: Array) -> Array:
-            of_theta = (X @ batches @ X.T).reshape(len(batches), -1) @ powers
-            bends = [
-                (((row[:, None] @ batches)[:, :, 0] * row).sum(axis=-1) * weights).sum(axis=-1)
-                for row in TP
-            ]
-            return np.column_stack([of_theta, *bends])
-
-        return by_parts(some, batches)

@@ -13,7 +13,8 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics, motor_filter
 from gcs_sysid.estimation.normal_equations import NormalEquations
-from gcs_sysid.estimation.whitened_fit import Reference, WhitenedMoments, shocks_in
+from gcs_sysid.estimation.whitened_fit import Reference, shocks_in
+from gcs_sysid.estimation.whitened_moments import WhitenedMoments
 from gcs_sysid.estimation.whitening import Whitener, WhitenerBank
 from gcs_sysid.signals.one_step import OneStep
 from gcs_sysid.signals.recursions import lfilter
