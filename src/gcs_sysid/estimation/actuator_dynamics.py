@@ -63,23 +63,36 @@ def response(omega: Array, delay: Array, lag: Array) -> Array:
     return passed
 
 
+_MOTION, _FASTEST = 6.0, 40.0
+"""Hz. Torque falls off with frequency above the one, and is next to nothing above the other."""
+
+
+def _passed(half_width: float | None, dt: float) -> tuple[Array, Array]:
+    """(n,) rad/s, and how much of the rotors' signals at these frequencies reaches a row."""
+    if half_width is None:
+        fastest = min(_FASTEST, 0.45 / dt) if dt else _FASTEST
+        omega = 2.0 * np.pi * np.linspace(0.0, fastest, 120)
+        return omega, 1.0 / np.sqrt(1.0 + (omega / (2.0 * np.pi * _MOTION)) ** 2)
+    omega = np.linspace(0.0, 10.0 / half_width, 80)
+    window = cosine_window(100, half_width / 100.0).average
+    places = np.linspace(-half_width, half_width, len(window))
+    # What the window lets pass; commands and their noise grow with frequency.
+    passed = np.abs(np.cos(np.outer(omega, places)) @ window)
+    return omega, passed * (1.0 + (0.5 * half_width * omega) ** 2)
+
+
 class _Span:
     """Weights of some filters that make up another one.
 
     Args:
-        half_width: s, of the window that all pass afterwards.
+        half_width: s, of the window that all pass afterwards; None: rows are of one step.
         delays: (k,) s.
         lags: (k,) s.
         dt: s between samples; 0: next to nothing.
     """
 
-    def __init__(self, half_width: float, delays: Array, lags: Array, dt: float) -> None:
-        self.omega = np.linspace(0.0, 10.0 / half_width, 80)
-        window = cosine_window(100, half_width / 100.0).average
-        places = np.linspace(-half_width, half_width, len(window))
-        # What the window lets pass; commands and their noise grow with frequency.
-        self._passed = np.abs(np.cos(np.outer(self.omega, places)) @ window)
-        self._passed *= 1.0 + (0.5 * half_width * self.omega) ** 2
+    def __init__(self, half_width: float | None, delays: Array, lags: Array, dt: float) -> None:
+        self.omega, self._passed = _passed(half_width, dt)
         A = self._stacked(self._made(delays, lags, dt)).T
         # Weighted least squares with the weights' sum given, for all right-hand sides. Filters
         # resemble each other in a long window: the sum is put right by itself, as rounding in a
@@ -135,7 +148,7 @@ class ActuatorDynamics:
         lags: s, rising; several where commands are the input.
         curves: least and greatest thrust curve; one value where it is given. Not for speeds.
         commands: whether commands are the input.
-        half_width: s, of the window that rows pass.
+        half_width: s, of the window that rows pass; None: they are of one step.
         dt: s between samples; 0: so little that motors are filtered as they are.
     """
 
@@ -146,7 +159,7 @@ class ActuatorDynamics:
         curves: Sequence[float] = (1.0,),
         *,
         commands: bool = False,
-        half_width: float = 0.1,
+        half_width: float | None = 0.1,
         dt: float = 0.0,
     ) -> None:
         self.delays, self.lags = np.asarray(delays, float), np.asarray(lags, float)

@@ -152,6 +152,12 @@ class CommandNoise(InputNoise):
         return out
 
     @property
+    def of_signals(self) -> tuple[Array, Array]:
+        """(4, 4) covariance of roll, pitch, thrust and yaw in one sample; (2,) gains of w, w^2."""
+        gains = np.array([1.0, 2.0 * self._sum.mean() / max(self._count, 1)])
+        return self._torques, gains
+
+    @property
     def _torques(self) -> Array:
         """(4, 4) covariance of roll, pitch, thrust and yaw."""
         torques: Array = self._mixer.T @ self.covariance @ self._mixer

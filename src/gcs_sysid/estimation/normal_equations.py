@@ -86,6 +86,17 @@ class NormalEquations:
             if self._counts[self._full] == self._rows_per_batch:
                 self._full += 1
 
+    def add_sum(self, products: Array, rows: int) -> None:
+        """Add (..., m, m) products of so many rows, which stay together."""
+        if self._full == len(self._batches):
+            self._merge()
+        self.rows += rows
+        self.total += products
+        self._batches[self._full] += products
+        self._counts[self._full] += rows
+        if self._counts[self._full] >= self._rows_per_batch:
+            self._full += 1
+
     def drop_last(self, rows: int) -> None:
         """Forget the newest batches that hold at least so many rows."""
         dropped = 0

@@ -21,6 +21,7 @@ from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.estimation.validation import Validation, validate
+from gcs_sysid.estimation.whitened_estimator import Followed, LeftOut, WhitenedEstimator
 from gcs_sysid.model import rigid_body
 from gcs_sysid.signals.samples import Samples
 
@@ -66,12 +67,14 @@ class _WarmStart:
         thrust: fit of the momentum balance that is followed; None while it is too early for one.
         batches: that had begun then.
         settle: s, flight time of the next full fit.
+        left_out: shocks in the rows that were whitened; None where none are.
     """
 
     rotation: RotationFit
     thrust: TranslationFit | None
     batches: tuple[int, int]
     settle: float
+    left_out: LeftOut | None
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,7 @@ class _Instant:
         rotation: (width, width) with the leak that is followed.
         rows: in them.
         noise: of one row, see `rotation.fit_rotation`.
+        whitened: the same of rows that were whitened; None where none are.
         momentum: (3, thrusts + 3, thrusts + 3).
         momentum_rows: in them.
         seconds: flight time.
@@ -90,6 +94,7 @@ class _Instant:
     rotation: Array
     rows: int
     noise: Array
+    whitened: Followed | None
     momentum: Array
     momentum_rows: int
     seconds: float
@@ -114,6 +119,8 @@ class OnlineEstimator:
         """How the accelerometer reads against gravity, from an earlier segment."""
         self._record = FlightRecord(geometry, dt, tuning)
         self._basis = self._record.basis
+        self._whitened = WhitenedEstimator(self._record) if self._record.whitened else None
+        self._left_out: LeftOut | None = None
         self._settle_interval = tuning.settle_interval
         self._warm_starts: dict[str, _WarmStart] = {}
         self._rigid_body_test: RigidBodyTest | None = None
@@ -143,6 +150,8 @@ class OnlineEstimator:
             fit: of this record.
             theta: (N_THETA,) what the rotors' noise acts with.
         """
+        if self._whitened is not None:
+            return self._whitened.gyro_density(fit, theta)
         record, n = self._record, rigid_body.N_SIGNALS
         Q = rigid_body.forward_matrix(theta)
         own = np.diag(fit.residual_covariance)
@@ -195,27 +204,11 @@ class OnlineEstimator:
         self._renew_prior()
         rot = self._fit_rotation()
         trans, accelerometer = self.fit_translation(rot)
-        validation = None
-        if record.article is None:
-            validation = validate(
-                record.rotation.batches,
-                record.rotation.counts,
-                self._basis,
-                self._noise(),
-                record.noise_gains(),
-                self.prior,
-            )
+        validation = self._validate()
         rigid_body_test = self._rigid_body_test_of(rot)
         if rigid_body_test is not None and rigid_body_test.contradicted:
             # What rotors turn against remains to be told: inertia in roll and pitch.
-            rot = rotation.fit_rotation(
-                self._without_products(),
-                record.rotation.counts,
-                self._basis,
-                self._noise(),
-                prior=self.prior,
-                doubt=record.noise_doubt,
-            )
+            rot = self._fit_without_products()
         return Fit(rot, trans, self.seconds, validation, accelerometer, rigid_body_test)
 
     def fit_translation(
@@ -248,7 +241,7 @@ class OnlineEstimator:
                 waiting = []
                 fits.append(self._settle(series, warm_start))
                 continue
-            waiting.append(self._instant(warm_start.rotation.leak))
+            waiting.append(self._instant(warm_start))
             if self._is_outdated(warm_start):
                 fits += self._followed(warm_start, waiting)
                 waiting = []
@@ -257,12 +250,17 @@ class OnlineEstimator:
             fits += self._followed(self._warm_starts[series], waiting)
         return fits
 
-    def _instant(self, leak: int) -> _Instant:
-        record = self._record
+    def _instant(self, warm_start: _WarmStart) -> _Instant:
+        record, leak = self._record, warm_start.rotation.leak
+        whitened = None
+        if self._whitened is not None:
+            assert warm_start.left_out is not None
+            whitened = self._whitened.instant(warm_start.rotation, warm_start.left_out)
         return _Instant(
             record.rotation.total[leak].copy(),
             record.rotation.rows,
             record.noise(leak),
+            whitened,
             record.momentum.total.copy(),
             record.momentum.rows,
             self.seconds,
@@ -279,14 +277,7 @@ class OnlineEstimator:
         """Quick fits at several instants, from one warm start."""
         if not instants:
             return []
-        rotations = rotation.follow_rotation(
-            np.stack([i.rotation for i in instants]),
-            np.array([i.rows for i in instants]),
-            self._basis,
-            np.stack([i.noise for i in instants]),
-            warm_start.rotation,
-            self.prior,
-        )
+        rotations = self._follow_rotation(warm_start, instants)
         thrusts: Sequence[TranslationFit | None] = [None] * len(instants)
         if warm_start.thrust is not None:
             weights = [self._basis.thrust_weights(fit.coordinates) for fit in rotations]
@@ -307,6 +298,21 @@ class OnlineEstimator:
             for rot, thrust, i in zip(rotations, thrusts, instants, strict=True)
         ]
 
+    def _follow_rotation(
+        self, warm_start: _WarmStart, instants: Sequence[_Instant]
+    ) -> list[RotationFit]:
+        if self._whitened is not None:
+            moments = [i.whitened for i in instants if i.whitened is not None]
+            return self._whitened.follow(moments, warm_start.rotation, self.prior)
+        return rotation.follow_rotation(
+            np.stack([i.rotation for i in instants]),
+            np.array([i.rows for i in instants]),
+            self._basis,
+            np.stack([i.noise for i in instants]),
+            warm_start.rotation,
+            self.prior,
+        )
+
     def _renewed(self, series: str, warm_start: _WarmStart, fit: Fit) -> Fit:
         """A quick fit of now with all that is renewed now and then; the next ones go on from it."""
         record, rot = self._record, fit.rotation
@@ -314,7 +320,9 @@ class OnlineEstimator:
         thrust = self._fit_momentum(rot.coordinates)
         trans = thrust or self._fit_accelerometer(rot.coordinates)
         followed = rot if warm_start.batches != record.batches else warm_start.rotation
-        self._warm_starts[series] = _WarmStart(followed, thrust, record.batches, warm_start.settle)
+        self._warm_starts[series] = replace(
+            warm_start, rotation=followed, thrust=thrust, batches=record.batches
+        )
         self._renew_prior()
         rigid_body_test = (
             self._rigid_body_test_of(rot)
@@ -335,7 +343,9 @@ class OnlineEstimator:
         trans = thrust or self._fit_accelerometer(where)
         if rot is not None and self._record.article is None:
             settle = max(self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds)
-            self._warm_starts[series] = _WarmStart(rot, thrust, self._record.batches, settle)
+            self._warm_starts[series] = _WarmStart(
+                rot, thrust, self._record.batches, settle, self._left_out
+            )
         rigid_body_test = (
             self._rigid_body_test_of(rot)
             if self._is_rigid_body_test_due()
@@ -352,6 +362,12 @@ class OnlineEstimator:
         record = self._record
         if record.article:
             return record.article.fit()
+        if self._whitened is not None:
+            found = self._whitened.fit(start, self.prior)
+            if found is None:
+                return None
+            self._left_out = found[1]
+            return found[0]
         moments = record.rotation
         data = moments.batches, moments.counts, self._basis, self._noise()
         if start is not None:
@@ -425,9 +441,40 @@ class OnlineEstimator:
         if fit is None or self._record.article or len(moments.batches) < _MIN_BATCHES:
             return None
         self._rigid_body_test_at = _SETTLE_GROWTH * self.seconds
+        if self._whitened is not None:
+            self._rigid_body_test = self._whitened.test_rigid_body(fit)
+            return self._rigid_body_test
         P = self._basis.map_at(fit.coordinates)
         self._rigid_body_test = judge_rigid_body(moments.batches[:, fit.leak], P, fit.theta)
         return self._rigid_body_test
+
+    def _validate(self) -> Validation | None:
+        record = self._record
+        if record.article is not None:
+            return None
+        if self._whitened is not None:
+            return self._whitened.validate(self.prior)
+        return validate(
+            record.rotation.batches,
+            record.rotation.counts,
+            self._basis,
+            self._noise(),
+            record.noise_gains(),
+            self.prior,
+        )
+
+    def _fit_without_products(self) -> RotationFit | None:
+        if self._whitened is not None:
+            found = self._whitened.fit(prior=self.prior, rigid=False)
+            return None if found is None else found[0]
+        return rotation.fit_rotation(
+            self._without_products(),
+            self._record.rotation.counts,
+            self._basis,
+            self._noise(),
+            prior=self.prior,
+            doubt=self._record.noise_doubt,
+        )
 
     def _without_products(self) -> Array:
         """The moments as if products of rates were zero: of a body without gyroscopic torque."""

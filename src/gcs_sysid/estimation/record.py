@@ -14,6 +14,9 @@ from gcs_sysid.estimation.regression import LeakySums, RowMaker, Rows
 from gcs_sysid.estimation.rotor_signals import RotorPath
 from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.whitened_record import WhitenedRecord
+from gcs_sysid.estimation.whitening import bank_for
+from gcs_sysid.signals.one_step import step_for
 from gcs_sysid.signals.samples import Samples
 from gcs_sysid.signals.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
 
@@ -37,6 +40,7 @@ class FlightRecord:
         momentum: (3, thrusts + 3, ...) of the momentum balance.
         accelerometer: (thrusts + 3, ...) of its z axis.
         article: the article's estimator, where that is asked for.
+        whitened: moments of whitened rows, where they are asked for.
     """
 
     def __init__(self, geometry: Array, dt: float, tuning: Tuning) -> None:
@@ -53,7 +57,8 @@ class FlightRecord:
         self._input_noise = (
             CommandNoise(geometry, dt, tuning.loop_cutoff) if commands else SpeedNoise(geometry, dt)
         )
-        self.memories = tuning.leaks
+        # Beside whitened rows those of the window only judge.
+        self.memories = (0.0,) if tuning.whitens(dt) else tuning.leaks
         # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
         piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
         self._held = _Held(piece, geometry.shape[1])
@@ -66,12 +71,23 @@ class FlightRecord:
             dt=dt,
         )
         path = RotorPath(geometry, dt, basis, tuning.gyro_cutoff)
-        self._rows = RowMaker(path, basis, smoother)
-        self._row_time = smoother.step * dt
-        per_batch = max(round(tuning.batch_time / self._row_time), 1)
-        self._leaks = LeakySums(self._row_time, tuning.leaks)
+        self.whitened: WhitenedRecord | None = None
+        steps = None
+        if tuning.whitens(dt):
+            step = step_for(dt)
+            elements = ActuatorDynamics(
+                step.delays, tuning.lags, tuning.curves, commands=commands, half_width=None, dt=dt
+            )
+            steps = step, elements
+            self.whitened = WhitenedRecord(
+                elements, step, bank_for(step.time), dt, tuning.batch_time
+            )
+        self._rows = RowMaker(path, basis, smoother, steps)
+        self.row_time = smoother.step * dt
+        per_batch = max(round(tuning.batch_time / self.row_time), 1)
+        self._leaks = LeakySums(self.row_time, self.memories)
         kept = _FEWER_BATCHES if commands else _BATCHES
-        bank = (len(tuning.leaks), basis.width, basis.width)
+        bank = (len(self.memories), basis.width, basis.width)
         self.rotation = NormalEquations(bank, per_batch, kept)
         self.article = (
             None
@@ -86,6 +102,8 @@ class FlightRecord:
         """Have all memory now that a long flight will need."""
         for moments in (self.rotation, self.momentum, self.accelerometer):
             moments.reserve()
+        if self.whitened is not None:
+            self.whitened.reserve()
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
@@ -93,6 +111,8 @@ class FlightRecord:
         self._rows.restart()
         self._input_noise.restart()
         self._leaks.restart()
+        if self.whitened is not None:
+            self.whitened.restart()
         if self.article:
             self.article.restart()
 
@@ -125,8 +145,11 @@ class FlightRecord:
         """Make rows of all samples at once; add them up from each end to the next."""
         edges = [0, *ends, len(samples.gyro)]
         counts = [self._rows.count_after(end) for end in edges]
-        sections = _Sections(self._rows.update(samples), self._leaks)
-        for number, (part, rows) in enumerate(zip(pairwise(edges), pairwise(counts), strict=True)):
+        steps = [self._rows.steps_after(end) for end in edges]
+        made = self._rows.update(samples)
+        sections = _Sections(made, self._leaks)
+        parts = zip(pairwise(edges), pairwise(counts), pairwise(steps), strict=True)
+        for number, (part, rows, few) in enumerate(parts):
             piece = slice(*part)
             if part[0] < part[1]:
                 self._input_noise.update(samples.speeds[piece], samples.apart[piece, 0])
@@ -136,18 +159,20 @@ class FlightRecord:
                 self.rotation.add(sections.rotation(*rows))
                 self.momentum.add(sections.momentum(*rows))
                 self.accelerometer.add(sections.accelerometer(*rows))
+            if self.whitened is not None and few[0] < few[1]:
+                self.whitened.add(made.one_step[slice(*few)], self.whitened_noise)
             if number < len(ends):
                 yield
 
     @property
     def seconds(self) -> float:
         """Flight time that the moments of the rotation are of."""
-        return self.rotation.rows * self._row_time
+        return self.rotation.rows * self.row_time
 
     @property
     def momentum_seconds(self) -> float:
         """Flight time that those of the momentum balance are of."""
-        return self.momentum.rows * self._row_time
+        return self.momentum.rows * self.row_time
 
     @property
     def batches(self) -> tuple[int, int]:
@@ -174,6 +199,20 @@ class FlightRecord:
             return noise.element_moments(self.basis, self._smoother, memory)
         return noise.moments(self._smoother, memory)
 
+    def whitened_noise(self, some: Sequence[int] | None = None) -> Array:
+        """(bank, width, width) what known noise of the inputs adds to a whitened row.
+
+        Args:
+            some: whiteners; None: all of the bank.
+        """
+        assert self.whitened is not None
+        noise = self._input_noise
+        if isinstance(noise, CommandNoise):
+            torques, gains = noise.of_signals
+            return self.whitened.noise(torques, np.zeros(4), 0.0, gains, some)
+        assert isinstance(noise, SpeedNoise)
+        return self.whitened.noise(*noise.of_signals, np.ones(1), some)
+
     def noise_gains(self) -> Array:
         """(leaks,) variance of a row's derivative over that of white noise of the gyro."""
         return np.array([self._smoother.noise_gains(m)[1] for m in self.memories])
@@ -181,9 +220,11 @@ class FlightRecord:
     def forget_last(self, seconds: float) -> None:
         """Leave out at least the last `seconds` of what was learnt (whole batches)."""
         self.flush()
-        rows = int(np.ceil(seconds / self._row_time))
+        rows = int(np.ceil(seconds / self.row_time))
         for moments in (self.rotation, self.momentum, self.accelerometer):
             moments.drop_last(rows)
+        if self.whitened is not None:
+            self.whitened.forget_last(seconds)
 
 
 class _Sections:

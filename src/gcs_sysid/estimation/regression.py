@@ -17,8 +17,9 @@ from gcs_sysid.estimation.actuator_dynamics import BODY, SIGNALS, ActuatorDynami
 from gcs_sysid.estimation.rotor_signals import RotorPath
 from gcs_sysid.model import attitude, rigid_body
 from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.signals.one_step import OneStep
 from gcs_sysid.signals.samples import Samples
-from gcs_sysid.signals.smoothers import Smoother
+from gcs_sysid.signals.smoothers import Smoothed, Smoother
 
 
 @dataclass(frozen=True)
@@ -30,11 +31,13 @@ class Rows:
         momentum: (3, n, thrusts + 3), one for each world axis: the thrust of each lag and set
             along it, velocity, 1, and what they make up.
         accelerometer: (n, thrusts + 3).
+        one_step: (m, width') of elements, over one step; m = 0 where none are made.
     """
 
     rotation: Array
     momentum: Array
     accelerometer: Array
+    one_step: Array
 
 
 class RowMaker:
@@ -44,45 +47,53 @@ class RowMaker:
         path: makes the rotors' signals.
         basis: that they are for.
         smoother: the filter on both sides.
+        one_step: makes rows of one step beside them, and the basis of these; None: nobody asks.
     """
 
-    def __init__(self, path: RotorPath, basis: ActuatorDynamics, smoother: Smoother) -> None:
+    def __init__(
+        self,
+        path: RotorPath,
+        basis: ActuatorDynamics,
+        smoother: Smoother,
+        one_step: tuple[OneStep, ActuatorDynamics] | None = None,
+    ) -> None:
         self._path = path
         self._basis = basis
         self._smoother = smoother
+        self._one_step = one_step
         self._thrusts = thrusts = len(basis.lags) * basis.sets
         self._late = late = SIGNALS * thrusts
         # Columns of what is smoothed: after the rotors' signals those of the body, then the rest.
         self._lift = slice(late + BODY, late + BODY + 3 * thrusts)
         self._thrust = slice(self._lift.stop, self._lift.stop + thrusts)
         self._width = self._thrust.stop + 4
-        self._lags = [e.lag for e in basis.elements]
-        self._delays = [e.delay for e in basis.elements]
 
     def restart(self) -> None:
         """Forget what a gap separates from the next samples."""
         self._path.restart()
         self._smoother.restart()
+        if self._one_step is not None:
+            self._one_step[0].restart()
 
     def count_after(self, samples: int) -> int:
         """How many rows so many more samples will complete."""
         return self._smoother.count_after(samples)
 
+    def steps_after(self, samples: int) -> int:
+        """How many rows of one step so many more samples will complete."""
+        return 0 if self._one_step is None else self._one_step[0].count_after(samples)
+
     def update(self, samples: Samples) -> Rows:
         """The rows that these samples complete."""
-        rows = self._smoother.update(self._signals(samples), self._late)
-        n, late, basis, thrusts = len(rows.average), self._late, self._basis, self._thrusts
-        shape = (len(self._smoother.delays), n, len(basis.lags), basis.sets, SIGNALS)
-        # Of roll, pitch, thrust and yaw the average, of H the derivative.
-        rotors = rows.late_average.reshape(shape)
-        rotors[..., -1] = rows.late_derivative.reshape(shape)[..., -1]
-        rotation = np.empty((1, n, basis.width))
-        chosen = rotors[self._delays, :, self._lags]
-        rotation[0, :, : basis.width - BODY] = np.swapaxes(chosen, 0, 1).reshape(
-            n, basis.width - BODY
-        )
-        rotation[0, :, -BODY:-3] = rows.average[:, late : late + BODY - 3]
-        rotation[0, :, -3:] = rows.derivative[:, late + BODY - 3 : late + BODY]
+        signals = self._signals(samples)
+        rows = self._smoother.update(signals, self._late)
+        n, thrusts = len(rows.average), self._thrusts
+        one_step = np.empty((0, 0))
+        if self._one_step is not None:
+            step, basis = self._one_step
+            one_step = self._of_elements(
+                step.update(signals[:, : self._late + BODY], self._late), basis
+            )
         momentum = np.empty((3, n, thrusts + 3))
         momentum[..., :thrusts] = (
             rows.average[:, self._lift].reshape(n, thrusts, 3).transpose(2, 0, 1)
@@ -95,7 +106,23 @@ class RowMaker:
         accelerometer[:, :thrusts] = rows.average[:, self._thrust]
         accelerometer[:, -3] = 0.0
         accelerometer[:, -1] = rows.average[:, -1]
-        return Rows(rotation, momentum, accelerometer)
+        rotation = self._of_elements(rows, self._basis)[None]
+        return Rows(rotation, momentum, accelerometer, one_step)
+
+    def _of_elements(self, rows: Smoothed, basis: ActuatorDynamics) -> Array:
+        """(n, width) rows of elements."""
+        late, n = self._late, len(rows.average)
+        shape = (len(rows.late_average), n, len(basis.lags), basis.sets, SIGNALS)
+        # Of roll, pitch, thrust and yaw the average, of H the derivative.
+        rotors = rows.late_average.reshape(shape)
+        rotors[..., -1] = rows.late_derivative.reshape(shape)[..., -1]
+        out = np.empty((n, basis.width))
+        delays, lags = [e.delay for e in basis.elements], [e.lag for e in basis.elements]
+        chosen = rotors[delays, :, lags]
+        out[:, :-BODY] = np.swapaxes(chosen, 0, 1).reshape(n, basis.width - BODY)
+        out[:, -BODY:-3] = rows.average[:, late : late + BODY - 3]
+        out[:, -3:] = rows.derivative[:, late + BODY - 3 : late + BODY]
+        return out
 
     def _signals(self, s: Samples) -> Array:
         rotors, thrust = self._path.signals(s.speeds)

@@ -48,15 +48,22 @@ def judge_rigid_body(batches: Array, P: Array, theta: Array) -> RigidBodyTest:
     """Compare the gyroscopic torque in the data with that of the fit.
 
     Args:
-        batches: (k, width, width) moments of rows of elements.
+        batches: (k, width, width) moments of rows of elements; or (k, 3, width, width) where each
+            axis has its own.
         P: (WIDTH, width) that makes rows [x, y] of these, rotors' signals as fitted.
         theta: (N_THETA,) of the fit.
     """
     n = rb.N_SIGNALS
     Q = rb.forward_matrix(theta)
-    total = P @ batches.sum(axis=0) @ P.T
+    each = (
+        batches
+        if batches.ndim == 4
+        else np.broadcast_to(batches[:, None], (len(batches), 3, *batches.shape[1:]))
+    )
     share, std = np.full(3, np.nan), np.full(3, np.nan)
     for axis in range(3):
+        own = each[:, axis]
+        total = P @ own.sum(axis=0) @ P.T
         predicted, residual = np.zeros(n + 3), np.zeros(n + 3)
         predicted[PRODUCTS] = Q[axis, PRODUCTS]
         residual[:n], residual[n + axis] = -Q[axis], 1.0
@@ -67,7 +74,7 @@ def judge_rigid_body(batches: Array, P: Array, theta: Array) -> RigidBodyTest:
         power = max(float(predicted @ total @ predicted), _TINY)
         more = float(predicted @ total @ residual) / power
         # Neighbouring batches share slow noise, as in the sandwich of the fit.
-        scores = (batches @ ((residual - more * predicted) @ P)) @ (predicted @ P)
+        scores = (own @ ((residual - more * predicted) @ P)) @ (predicted @ P)
         meat = float(scores @ scores + 2.0 * (scores[1:] @ scores[:-1]))
         share[axis] = 1.0 + more
         std[axis] = np.sqrt(max(meat, float(scores @ scores))) / power

@@ -78,6 +78,9 @@ class RotationFit:
         converged: whether the minimiser was reached.
         coordinates: (3,) rotor delay (s), motor lag (s), thrust curve, see `estimation.basis`.
         leak: index of the leak that was taken, see `most_certain`.
+        whiteners: index of each axis' whitener, where rows were whitened; else empty.
+        disturbance: (3,) nats a second by which an unmodelled moment explains an axis better than
+            sensor noise alone, see `whitened_fit.Trial.detected`; NaN where rows were not whitened.
         data_std: (N_THETA,) standard deviations without the prior: huge where the flight alone
             does not tell a parameter.
         full_covariance: (N_UNKNOWNS, N_UNKNOWNS) of theta and the coordinates; zeros where one
@@ -96,6 +99,8 @@ class RotationFit:
     data_std: Array = field(default_factory=lambda: np.empty(0))
     full_covariance: Array = field(default_factory=lambda: np.empty((0, 0)))
     warm_start: WarmStart | None = None
+    whiteners: tuple[int, ...] = ()
+    disturbance: Array = field(default_factory=lambda: np.full(3, np.nan))
 
     def __post_init__(self) -> None:
         if not self.data_std.size:
@@ -182,7 +187,7 @@ def fit_rotation(
     if basis.commands and noise.any():
         problem, point, pull = without_noise(problem, point, noise)
         batches = batches - counts[:, None, None, None] * noise
-    outcome = _Outcome(problem, point, noise)
+    outcome = Outcome(problem, point, noise)
     inverse_roots = outcome.roots[1]
     scatter = []
     for i in range(len(bank)):
@@ -222,7 +227,7 @@ def follow_rotation(
     problem = Problem(totals, rows, basis, prior, noise if noisy else None)
     unknowns = start.warm_start.unknowns[None]
     scatter = start.warm_start.inflation, start.warm_start.widening
-    outcome = _Outcome(problem, problem.evaluate(unknowns), noise)
+    outcome = Outcome(problem, problem.evaluate(unknowns), noise)
     near = outcome.take_step(_BLIND_STEP)
     fits = outcome.fits(*scatter, [start.converged] * len(rows), [start.leak] * len(rows))
     if not near.all():
@@ -233,7 +238,7 @@ def follow_rotation(
         if noisy:
             alone, point, _ = without_noise(alone, point, noise[far])
         leaks = [start.leak] * len(converged)
-        better = _Outcome(alone, point, noise[far]).fits(*scatter, converged, leaks)
+        better = Outcome(alone, point, noise[far]).fits(*scatter, converged, leaks)
         for i, fit in zip(np.flatnonzero(far), better, strict=True):
             fits[i] = fit
     return fits
@@ -254,7 +259,7 @@ def uncertainty(fit: RotationFit) -> float:
     return float(np.mean(np.log(fit.std[: rb.DAMPING])))
 
 
-class _Outcome:
+class Outcome:
     """What follows from points near the minima of K hypotheses.
 
     Args:
@@ -409,9 +414,7 @@ class _Outcome:
         full = np.zeros((K, N_UNKNOWNS, N_UNKNOWNS))
         full[:, problem.free[:, None], problem.free] = covariance / self._scales
         data_std = np.sqrt(np.diagonal(data_covariance, axis1=1, axis2=2)) / d
-        rows = problem.rows[:, None]
-        own, all_ = (np.diagonal(m, axis1=1, axis2=2) for m in (point.residual, problem.bank))
-        r_squared = 1.0 - own / np.maximum(all_[:, -3:] / rows, 1e-300)
+        r_squared = self._explained()
         return [
             RotationFit(
                 theta=unknowns[i, :n],
@@ -428,6 +431,13 @@ class _Outcome:
             )
             for i, (reached, leak) in enumerate(zip(converged, leaks, strict=True))
         ]
+
+    def _explained(self) -> Array:
+        """(K, 3) share of each axis' angular acceleration that the model explains."""
+        problem = self._problem
+        own, all_ = (np.diagonal(m, axis1=1, axis2=2) for m in (self._point.residual, problem.bank))
+        share: Array = 1.0 - own / np.maximum(all_[:, -3:] / problem.rows[:, None], 1e-300)
+        return share
 
     def _moved(self, step: Array) -> Array:
         """(K, N_UNKNOWNS) after a (K, p) step, shortened until the inertia is physical."""

@@ -352,7 +352,7 @@ def first_guess(total: Array, rows: int, at: Array, prior: Prior | None) -> Arra
 def _starting_point(total: Array) -> Array | None:
     """A rough theta from the response to torques: no guess by the user is needed."""
     Rxx, Rxy = total[:N_X, :N_X], total[:N_X, N_X:]
-    scale = np.sqrt(np.diag(Rxx))
+    scale = np.sqrt(np.maximum(np.diag(Rxx), 0.0))
     scale[scale == 0.0] = 1.0
     # Columns in units of their own size; the ridge settles directions without excitation.
     A = Rxx / np.outer(scale, scale) + 1e-9 * np.eye(N_X)

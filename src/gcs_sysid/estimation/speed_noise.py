@@ -99,3 +99,19 @@ class SpeedNoise(InputNoise):
         out[:4, :4] = average * (mixer.T @ covariance @ mixer)
         out[_DH, _DH] = derivative * (spin @ covariance @ spin)
         return out
+
+    @property
+    def of_signals(self) -> tuple[Array, Array, float]:
+        """Covariance of the rotors' signals in one sample.
+
+        (4, 4) of roll, pitch, thrust and yaw, (4,) of these with H, and the variance of H.
+        """
+        if self._samples == 0:
+            return np.zeros((4, 4)), np.zeros(4), 0.0
+        slope = 2.0 * np.sqrt(self._sums[1] / self._samples)
+        mixer, spin, covariance = self._mixer * slope[:, None], self._mixer[:, 3], self.covariance
+        return (
+            mixer.T @ covariance @ mixer,
+            mixer.T @ covariance @ spin,
+            float(spin @ covariance @ spin),
+        )

@@ -7,6 +7,9 @@ from gcs_sysid.estimation import article_estimator as article
 from gcs_sysid.estimation.rotor_signals import RotorInput
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 
+_WHITENED = 0.008
+"""s between samples, above which rows of one step were not found to be better."""
+
 
 @dataclass(frozen=True)
 class Tuning:
@@ -14,7 +17,8 @@ class Tuning:
 
     Attributes:
         method: "forward", or one of the article's variants, for study (`estimation.article`).
-        smoother: "window" (symmetric, the default) or "td" (linear tracking differentiator).
+        smoother: "window" (symmetric), "td" (linear tracking differentiator), or "whitened": rows
+            of one step through a bank of causal whiteners; the window then judges the fit.
         half_width: s, half of the window, at high sample rates.
         min_half_samples: the window's half never has fewer samples than this.
         bandwidth: rad/s, R of the differentiator.
@@ -31,7 +35,7 @@ class Tuning:
     """
 
     method: Literal["forward"] | article.Method = "forward"
-    smoother: Literal["window", "td"] = "window"
+    smoother: Literal["window", "td", "whitened"] = "window"
     half_width: float = 0.1
     min_half_samples: int = 4
     bandwidth: float = 10.0
@@ -44,6 +48,20 @@ class Tuning:
     loop_cutoff: float | None = None
     settle_interval: float = 2.0
     batch_time: float = 1.0
+
+    def whitens(self, dt: float) -> bool:
+        """Whether rows of samples that are `dt` s apart are whitened.
+
+        Not those of commands, of a gyro that the autopilot filters, or of slow samples: there the
+        window is at least as good, and takes their place.
+        """
+        return (
+            self.smoother == "whitened"
+            and self.method == "forward"
+            and self.rotor_input == "speed"
+            and self.gyro_cutoff is None
+            and dt <= _WHITENED
+        )
 
 
 COMMANDS = Tuning(

@@ -24,15 +24,19 @@ def sandwich(bread: Array, scores: Array) -> Array:
     return covariance
 
 
-def meat(scores: Array) -> Array:
+def meat(scores: Array, reach: int | None = None) -> Array:
     """(p, p) covariance of the whole score, from (k, p) scores of batches in time order.
 
     Neighbouring batches hang together, the more so the slower the noise; with more batches, more
     of that can be told. Bartlett's weights over a reach that grows with their number (Newey and
     West 1987) keep it positive definite.
+
+    Args:
+        scores: (k, p).
+        reach: batches that hang together, where that is known; None: as many as can be told.
     """
     k, p = scores.shape
-    weights = bartlett(k)
+    weights = bartlett(k, reach)
     total: Array = scores.T @ scores
     for lag, weight in enumerate(weights, 1):
         lagged = weight * (scores[lag:].T @ scores[:-lag])
@@ -43,9 +47,10 @@ def meat(scores: Array) -> Array:
     return total
 
 
-def bartlett(k: int) -> Array:
-    """Weights of lags 1, 2, ... between k batches."""
-    reach = round(k ** (1.0 / 3.0)) if k > 2 else 0
+def bartlett(k: int, reach: int | None = None) -> Array:
+    """Weights of lags 1, 2, ... between k batches, as far as they reach; None: as of `meat`."""
+    most = round(k ** (1.0 / 3.0)) if k > 2 else 0
+    reach = most if reach is None else min(most, reach)
     weights: Array = 1.0 - np.arange(1, reach + 1) / (reach + 1.0)
     return weights
 
@@ -73,7 +78,7 @@ def symmetric_roots(matrix: Array, ridge: float = _RIDGE) -> tuple[Array, Array]
     return (vectors * roots) @ turned, (vectors / roots) @ turned
 
 
-def student_factor(shares: Array) -> Array:
+def student_factor(shares: Array, reach: int | None = None) -> Array:
     """What makes 1.96 standard deviations a 95 % interval when batches are few.
 
     A variance told by the scatter of few batches is uncertain itself; the estimate over its
@@ -88,13 +93,14 @@ def student_factor(shares: Array) -> Array:
 
     Args:
         shares: (k, p) expected share of each batch in the variance of each unknown, any scale.
+        reach: as of `meat`.
 
     Returns:
         (p,) factors on the standard deviations: quantile of t over quantile of the normal.
     """
     w = np.maximum(shares, 0.0)
     spread = (w * w).sum(axis=0)
-    for lag, weight in enumerate(bartlett(len(w)), 1):
+    for lag, weight in enumerate(bartlett(len(w), reach), 1):
         spread = spread + 2.0 * weight**2 * (w[lag:] * w[:-lag]).sum(axis=0)
     total = w.sum(axis=0)
     freedom = np.where(spread > 0.0, total * total / np.where(spread > 0.0, spread, 1.0), 1.0)

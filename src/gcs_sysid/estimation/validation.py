@@ -21,7 +21,7 @@ from scipy.special import stdtr
 from gcs_sysid.arrays import Array, by_parts
 from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.estimation.priors import Prior
-from gcs_sysid.estimation.rotation import fit_rotation
+from gcs_sysid.estimation.rotation import RotationFit, fit_rotation
 from gcs_sysid.estimation.search import N_X
 from gcs_sysid.model import rigid_body as rb
 
@@ -80,27 +80,49 @@ def validate(
     Returns:
         None while the flight is too short to be divided.
     """
-    k = len(counts)
-    cut = round(FITTED_SHARE * k)
-    if k < _MIN_BATCHES:
+    cut = validation_cut(len(counts))
+    if cut is None:
         return None
     fit = fit_rotation(batches[:cut], counts[:cut], basis, noise, prior=prior)
     if fit is None:
         return None
     rest = basis.moments_at(batches[cut:, 0].sum(axis=0), fit.coordinates)
     Q = rb.forward_matrix(fit.theta)
+    return judge_prediction(
+        rest, fit, float(counts[:cut].sum() / counts.sum()),
+        *_whiteness(batches[cut:], counts[cut:], basis, noise, gains, fit.coordinates, Q),
+    )  # fmt: skip
+
+
+def validation_cut(batches: int) -> int | None:
+    """How many of the first batches are fitted; None while a flight is too short to be divided."""
+    return None if batches < _MIN_BATCHES else round(FITTED_SHARE * batches)
+
+
+def judge_prediction(
+    rest: Array, fit: RotationFit, fitted_share: float, whiteness: Array, whiteness_p: Array
+) -> Validation:
+    """Hold a fit against what it has not seen.
+
+    Args:
+        rest: (WIDTH, WIDTH) moments of rows [x, y] that were not fitted, at its coordinates.
+        fit: to the others.
+        fitted_share: of the rows.
+        whiteness: (3,) of what it leaves.
+        whiteness_p: (3,) its p-value.
+    """
+    Q = rb.forward_matrix(fit.theta)
     Rxx, Rxy, Ryy = rest[:N_X, :N_X], rest[:N_X, N_X:], rest[N_X:, N_X:]
     measured = np.diag(Ryy)
     predicted = np.diag(Q @ Rxx @ Q.T)
     error = np.maximum(measured - 2.0 * np.diag(Q @ Rxy) + predicted, 0.0)
-    whiteness, p = _whiteness(batches[cut:], counts[cut:], basis, noise, gains, fit.coordinates, Q)
     tiny = 1e-300
     return Validation(
         r_squared=1.0 - error / np.maximum(measured, tiny),
         theil=np.sqrt(error) / np.maximum(np.sqrt(measured) + np.sqrt(predicted), tiny),
-        fitted_share=float(counts[:cut].sum() / counts.sum()),
+        fitted_share=fitted_share,
         whiteness=whiteness,
-        whiteness_p=p,
+        whiteness_p=whiteness_p,
         theta=fit.theta,
         coordinates=fit.coordinates,
     )
@@ -130,6 +152,19 @@ def _whiteness(
     ratio = gains[1] / gains[0]
     # Of the plain power, what the speeds' noise does not explain is the gyro's.
     expected = ratio * plain + counts[:, None] * (of_speeds[1] - ratio * of_speeds[0])
+    return told_whiteness(summed, expected, counts)
+
+
+def told_whiteness(
+    summed: Array, expected: Array, counts: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Whiteness and its p-value, per axis, from batches of residual power.
+
+    Args:
+        summed: (k, 3) of what weighs low frequencies most.
+        expected: (k, 3) of the same, if the noise is white.
+        counts: (k,) rows in each batch.
+    """
     surplus = summed - expected
     total = surplus.sum(axis=0)
     apart = surplus - counts[:, None] * (total / counts.sum())

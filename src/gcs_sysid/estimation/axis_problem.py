@@ -1,0 +1,229 @@
+"""The rotational cost where each axis has moments of its own.
+
+Rows whitened with one filter are not white on every axis: each axis a has moments M_a of the rows
+that its own whitener made. With T = [-Q(theta), 1] the innovations' power and the cost are
+
+    sigma_a^2 = T_a M_a T_a' / n ,    cost = sum over a of n ln sigma_a^2
+
+so that the weight is diagonal. Known noise N_a of the rotors' inputs is part of the innovations,
+and stays in sigma_a; but it is no part of what turned the vehicle, and least squares would
+underrate the inputs for it (errors in variables). Gradient and curvature are therefore those of
+M_a - n N_a, for which the truth is the stationary point.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.estimation.actuator_dynamics import WIDTH, ActuatorDynamics
+from gcs_sysid.estimation.priors import Prior
+from gcs_sysid.estimation.search import N_X, Problem, residual_maker, scales
+from gcs_sysid.model import rigid_body as rb
+
+TOLD = 0.97
+"""Share of the inputs' known noise that is taken out. How strong it is, is known to one or two
+percent, and where inputs are hardly more than noise, information must not become negative."""
+_LEAST = 0.05
+"""Share of an innovation's power that no correction leaves it without."""
+_AXES = 3
+_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e6
+_CONVERGED = 3e-4
+"""Steps smaller than this many standard deviations change nothing."""
+_EPSILON = 4e-15
+"""Rounding of sums of products, relative to the squares in them."""
+_DIAGONAL = np.arange(WIDTH)
+
+
+@dataclass(frozen=True)
+class AxisPoint:
+    """Where the search stands, for K hypotheses.
+
+    Attributes:
+        unknowns: (K, N_UNKNOWNS).
+        variance: (K, 3) power of the innovations.
+        told: (K, 3) of the same, times n, without the inputs' known noise; may be negative.
+        weak: (K,) what coordinates and prior add to twice the cost.
+        gradient: (K, p) downhill, of half the cost, at the weights of this point.
+        hessian: (K, p, p) of the same, Gauss-Newton.
+        Q: (K, 3, N_X).
+        WG: (K, N_THETA, 3, N_X) derivatives of Q over the innovations' power.
+    """
+
+    unknowns: Array
+    variance: Array
+    told: Array
+    weak: Array
+    gradient: Array
+    hessian: Array
+    Q: Array
+    WG: Array
+
+    @property
+    def residual(self) -> Array:
+        """(K, 3, 3) covariance of one row's innovations, of each axis by itself."""
+        covariance: Array = self.variance[:, :, None] * np.eye(_AXES)
+        return covariance
+
+    def where(self, better: Mask, other: "AxisPoint") -> "AxisPoint":
+        """The other point for the hypotheses where that is better."""
+        pairs = ((getattr(other, f.name), getattr(self, f.name)) for f in fields(self))
+        return AxisPoint(
+            *(np.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old) for new, old in pairs)
+        )
+
+    def chosen(self, which: Array) -> "AxisPoint":
+        """Some of the hypotheses."""
+        return AxisPoint(*(getattr(self, f.name)[which] for f in fields(self)))
+
+
+class AxisProblem(Problem):
+    """Hypotheses that are fitted side by side.
+
+    Args:
+        moments: (K, 3, width, width) of rows of elements, as each axis has them whitened; or
+            (K, 1, ...) where all axes have the same.
+        rows: in each; (K,) where they are not equally many.
+        basis: of the elements; what it leaves free is fitted.
+        prior: what else is known.
+        noise: as `moments`, of one row: known noise of the inputs in it.
+    """
+
+    def __init__(
+        self,
+        moments: Array,
+        rows: Array | int,
+        basis: ActuatorDynamics,
+        prior: Prior | None,
+        noise: Array,
+    ) -> None:
+        super().__init__(moments, rows, basis, prior)
+        self.without = moments - (TOLD * self.rows)[:, None, None, None] * noise
+        """As `moments`, without the known noise."""
+        self._noise_of_all = self.rows[:, None, None, None] * noise
+        at = basis.nodes[basis.middle]
+        self._usual = TOLD * basis.moments_at(noise, at)
+        """(K, 3 or 1, WIDTH, WIDTH) known noise at coordinates that are always the same."""
+
+    def evaluate(self, unknowns: Array) -> AxisPoint:  # type: ignore[override]
+        """Cost and its derivatives at (K, N_UNKNOWNS), or at (1, N_UNKNOWNS) for all."""
+        K, n, f = len(self.bank), rb.N_THETA, len(self.basis.free)
+        unknowns = np.broadcast_to(unknowns, (K, unknowns.shape[1]))
+        rows = self.rows[:, None]
+        P = self.maps(unknowns)
+        first, turned = P[:, :1], np.swapaxes(P[:, :1], -1, -2)
+        shape = (K, _AXES, WIDTH, WIDTH)
+        moments = np.broadcast_to(first @ self.bank @ turned, shape)
+        told = np.broadcast_to(first @ self.without @ turned, shape)
+        Q, G = rb.forward_jacobian(unknowns[:, :n])
+        T = residual_maker(Q)
+        sizes = moments[..., _DIAGONAL, _DIAGONAL]
+        own = _power(T, told)
+        # Signals between two of the basis' delays are means of both, and have less noise: a weight
+        # that followed that would make every delay look for the middle between two.
+        usual = own / rows + _power(T, np.broadcast_to(self._usual, shape))
+        least = _LEAST * _power(T, moments) + _EPSILON * (T * T * sizes).sum(axis=-1)
+        variance = np.maximum(usual, least / rows) + 1e-300
+        W = 1.0 / variance
+        G = np.swapaxes(G, 1, 2)  # (K, 3, n, N_X)
+        WG = W[:, :, None, None] * G
+        hessian, gradient = np.empty((K, self.p, self.p)), np.empty((K, self.p))
+        hessian[:, :n, :n] = (WG @ told[..., :N_X, :N_X] @ np.swapaxes(G, -1, -2)).sum(axis=1)
+        downhill = WG @ (told[..., :N_X, :] @ T[..., None])
+        gradient[:, :n] = downhill.sum(axis=1)[..., 0]
+        weak = np.zeros(K)
+        if f:
+            # Of residuals, by coordinate and axis: (K, f, 3, width), and with all columns.
+            TP = T[:, None] @ P[:, 1:]
+            TPM = np.stack([_per_axis(TP[:, i], self.without) for i in range(f)], axis=1)
+            left = T @ P[:, 0]
+            # What a delay does to the noise itself is no information: all of it is taken out.
+            noise = np.stack([_per_axis(TP[:, i], self._noise_of_all) for i in range(f)], axis=1)
+            slopes = (W[:, None, :, None] * (TPM - (1.0 - TOLD) * noise) * left[:, None]).sum(
+                axis=(2, 3)
+            )
+            bends = (W[:, None, :, None] * TPM).reshape(K, f, -1) @ np.swapaxes(
+                TP.reshape(K, f, -1), 1, 2
+            )
+            columns = TPM @ np.swapaxes(P[:, :1, :N_X], -1, -2)  # (K, f, 3, N_X)
+            cross = (WG @ np.moveaxis(columns, 1, -1)).sum(axis=1)  # (K, n, f)
+            away = unknowns[:, self.free[n:]] - self._mean
+            gradient[:, n:] = -slopes - away * self._information
+            hessian[:, :n, n:] = -cross
+            hessian[:, n:, :n] = -np.swapaxes(cross, 1, 2)
+            hessian[:, n:, n:] = bends + np.diag(self._information)
+            weak = weak + self.weak_cost(unknowns)
+        if self.prior is not None:
+            weak = weak + self.prior.cost(unknowns)
+        return AxisPoint(
+            unknowns, variance, own, weak, gradient, hessian, Q,
+            np.swapaxes(WG, 1, 2),
+        )  # fmt: skip
+
+
+def minimise_axes(problem: AxisProblem, unknowns: Array, limit: int) -> tuple[AxisPoint, Mask]:
+    """Gauss-Newton with Levenberg-Marquardt damping; each step at the weights of its start.
+
+    What falls is sum_a T_a (M_a - n N_a) T_a' / sigma_a^2 with sigma_a as it was before the step:
+    at the point that this leads to in the end the gradient without the known noise vanishes.
+
+    Args:
+        problem: K hypotheses.
+        unknowns: (K, N_UNKNOWNS) starting points.
+        limit: most iterations.
+
+    Returns:
+        The solutions, and (K,) whether each was reached.
+    """
+    K, p = len(problem.bank), problem.p
+    damping = np.full(K, _DAMPING)
+    converged = np.zeros(K, dtype=bool)
+    eye = np.eye(p)
+    point = problem.evaluate(unknowns)
+    for _ in range(limit):
+        gradient, hessian = point.gradient, point.hessian
+        if problem.prior is not None:
+            gradient = gradient + problem.prior_pull(point.unknowns)
+            hessian = hessian + problem.prior_information()
+        d = scales(hessian)
+        H = hessian / (d[:, :, None] * d[:, None, :])
+        H = H + (damping + _lift(H))[:, None, None] * eye
+        downhill = gradient / d
+        step = np.linalg.solve(H, downhill[..., None])[..., 0]
+        gain = (step * downhill).sum(axis=1)
+        candidate = problem.moved(point.unknowns, step / d)
+        physical = rb.are_physical(candidate)
+        candidate = np.where(physical[:, None], candidate, point.unknowns)
+        tried = problem.evaluate(candidate)
+        before, after = ((at.told / point.variance).sum(axis=1) + at.weak for at in (point, tried))
+        small = gain < _CONVERGED**2
+        better = physical & ((after <= before) | small) & ~converged
+        point = point.where(better, tried)
+        damping = np.where(better, np.maximum(0.1 * damping, _LEAST_DAMPING), 10.0 * damping)
+        converged = converged | small | (damping > _MOST_DAMPING)
+        if converged.all():
+            break
+    return point, converged
+
+
+def _lift(H: Array) -> Array:
+    """(K,) what makes scaled curvatures positive definite, which less known noise need not be."""
+    try:
+        np.linalg.cholesky(H)
+    except np.linalg.LinAlgError:
+        least = np.linalg.eigvalsh(H)[:, 0]
+        lift: Array = np.where(least > _LEAST_DAMPING, 0.0, _LEAST_DAMPING - 2.0 * least)
+        return lift
+    return np.zeros(len(H))
+
+
+def _power(T: Array, moments: Array) -> Array:
+    """(K, 3) T_a M_a T_a' of (K, 3, WIDTH) and (K, 3, WIDTH, WIDTH)."""
+    power: Array = ((T[..., None, :] @ moments)[..., 0, :] * T).sum(axis=-1)
+    return power
+
+
+def _per_axis(left: Array, moments: Array) -> Array:
+    """(K, 3, width) of (K, 3, width) rows times (K, 3 or 1, width, width) moments."""
+    product: Array = (left[..., None, :] @ moments)[..., 0, :]
+    return product

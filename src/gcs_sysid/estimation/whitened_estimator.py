@@ -1,0 +1,231 @@
+"""The rotation of a record from its whitened rows; how it is judged from those of the window.
+
+Of a single step, noise is most of what there is. How much of the motion a fit explains is therefore
+told on the rows of the symmetric window, which pass what is slower than some 5 Hz: the same numbers
+that fits to the window give, and that verdicts rest on.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, by_parts
+from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
+from gcs_sysid.estimation.priors import Prior
+from gcs_sysid.estimation.record import FlightRecord
+from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
+from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.search import residual_maker
+from gcs_sysid.estimation.validation import (
+    Validation,
+    judge_prediction,
+    told_whiteness,
+    validation_cut,
+)
+from gcs_sysid.estimation.whitened_fit import fit_whitened, follow_whitened
+from gcs_sysid.estimation.whitened_moments import WhitenedMoments, grouped
+from gcs_sysid.estimation.whitening import slower
+from gcs_sysid.model import rigid_body as rb
+
+_FREQUENCIES = 4096
+_LEAST_OWN = 0.02
+"""Of an innovation's power, what is the gyro's at least: the rotors' noise is known to so much."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Shocks that a fit left out, to be left out by those that follow it.
+
+    Attributes:
+        moments: (3, width, width) as each axis' whitener made them.
+        rows: in them.
+    """
+
+    moments: Array
+    rows: int
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Moments at one instant.
+
+    Attributes:
+        moments: (3, width, width) with the whiteners that are followed, shocks left out.
+        rows: in them.
+        noise: (3, width, width) of the inputs in one row.
+        window: (width, width) of the window's rows.
+    """
+
+    moments: Array
+    rows: int
+    noise: Array
+    window: Array
+
+
+class WhitenedEstimator:
+    """Fits to the whitened rows of a record.
+
+    Args:
+        record: that has such rows.
+    """
+
+    def __init__(self, record: FlightRecord) -> None:
+        assert record.whitened is not None
+        self._record = record
+        self._white = record.whitened
+
+    @property
+    def basis(self) -> ActuatorDynamics:
+        """Of the whitened rows' elements."""
+        return self._white.basis
+
+    def fit(
+        self,
+        start: RotationFit | None = None,
+        prior: Prior | None = None,
+        *,
+        rigid: bool = True,
+    ) -> tuple[RotationFit, LeftOut] | None:
+        """Fit what the record holds.
+
+        Args:
+            start: an earlier fit of it; None: from the data alone.
+            prior: what else is known.
+            rigid: whether the body has gyroscopic torque.
+
+        Returns:
+            The fit and the shocks that it left out; None while the data cannot even start one.
+        """
+        data = self._data
+        if not rigid:
+            data = replace(data, muted=tuple(self.basis.body_places(PRODUCTS)))
+        doubt = self._record.noise_doubt
+        found = fit_whitened(data, self.basis, start, prior, doubt)
+        if start is not None and (found is None or not found.rotation.converged):
+            found = fit_whitened(data, self.basis, None, prior, doubt)
+        if found is None:
+            return None
+        judged = self._explained(found.rotation, self._record.rotation.total[0])
+        return judged, LeftOut(found.left_out, found.rows_left_out)
+
+    def instant(self, fit: RotationFit, left_out: LeftOut) -> Followed:
+        """The moments of now, for `follow`."""
+        pick, white = list(fit.whiteners), self._white
+        return Followed(
+            white.total[pick] - left_out.moments,
+            white.rows - left_out.rows,
+            self._record.whitened_noise(pick),
+            self._record.rotation.total[0].copy(),
+        )
+
+    def follow(
+        self, instants: Sequence[Followed], start: RotationFit, prior: Prior | None
+    ) -> list[RotationFit]:
+        """Quick fits at some instants, from an earlier one."""
+        fits = follow_whitened(
+            np.stack([i.moments for i in instants]),
+            np.array([i.rows for i in instants]),
+            self.basis,
+            np.stack([i.noise for i in instants]),
+            start,
+            prior,
+        )
+        return [self._explained(fit, i.window) for fit, i in zip(fits, instants, strict=True)]
+
+    def validate(self, prior: Prior | None) -> Validation | None:
+        """Fit the first part, predict the rest of the window's rows; whiteness of innovations."""
+        window, row_time = self._record.rotation, self._record.row_time
+        cut = validation_cut(len(window.counts))
+        if cut is None:
+            return None
+        data = self._data
+        ends = np.cumsum(data.counts) * self._white.time
+        first = int(np.searchsorted(ends, window.counts[:cut].sum() * row_time))
+        found = fit_whitened(data.first(first), self.basis, prior=prior)
+        if found is None:
+            return None
+        fit = found.rotation
+        rest = window.batches[cut:, 0].sum(axis=0)
+        moments = self._record.basis.moments_at(rest, self._within(fit.coordinates))
+        return judge_prediction(
+            moments, fit, float(window.counts[:cut].sum() / window.counts.sum()),
+            *self._whiteness(data, first, fit),
+        )  # fmt: skip
+
+    def test_rigid_body(self, fit: RotationFit) -> RigidBodyTest:
+        """Whether the body is rigid, see `estimation.rigid_body_test`."""
+        data = self._data
+        pick = list(fit.whiteners)
+        batches, counts = grouped(data.of_axes(pick), data.counts, data.grouped)
+        batches -= counts[:, None, None, None] * data.noise[pick]
+        return judge_rigid_body(batches, self.basis.map_at(fit.coordinates), fit.theta)
+
+    def gyro_density(self, fit: RotationFit, theta: Array) -> Array:
+        """(3, 3) two-sided density of gyro noise, rad^2/s, that leaves a fit's innovations.
+
+        Args:
+            fit: of this record.
+            theta: (N_THETA,) what the rotors' noise acts with.
+        """
+        T, pick = self._white.time, list(fit.whiteners)
+        own = np.diag(fit.residual_covariance)
+        told = self._record.whitened_noise(pick)
+        TP = residual_maker(rb.forward_matrix(theta)) @ self.basis.map_at(fit.coordinates)
+        rotors = np.einsum("ai,aij,aj->a", TP, told, TP)
+        left = np.maximum(own - rotors, _LEAST_OWN * own)
+        # Without any whitener nothing tells what is the gyro's: half of a change, at most.
+        shares = np.array([self._white.whiteners[i].gyro_share or 0.5 for i in pick])
+        density: Array = np.diag(left * shares) * T**3
+        return density
+
+    @property
+    def _data(self) -> WhitenedMoments:
+        return self._white.moments(self._record.whitened_noise())
+
+    def _within(self, coordinates: Array) -> Array:
+        """(3,) coordinates in the window's range, which is not quite the same."""
+        basis = self._record.basis
+        within: Array = np.clip(coordinates, basis.low, basis.high)
+        return within
+
+    def _explained(self, fit: RotationFit, window: Array) -> RotationFit:
+        """The fit with the share of the window's acceleration that it explains."""
+        moments = self._record.basis.moments_at(window, self._within(fit.coordinates))
+        T = residual_maker(rb.forward_matrix(fit.theta))
+        own = ((T @ moments) * T).sum(axis=1)
+        share = 1.0 - own / np.maximum(np.diag(moments)[-3:], 1e-300)
+        return replace(fit, r_squared=share)
+
+    def _whiteness(
+        self, data: WhitenedMoments, first: int, fit: RotationFit
+    ) -> tuple[Array, Array]:
+        """Of the innovations that were not fitted, and its p-value, per axis.
+
+        Were they white, another whitener would make of them
+
+            sigma_b^2 = sigma_a^2 mean over omega of |W_b / W_a|^2 ,
+
+        with W_b one for which what is slow counts more.
+        """
+        references = [slower(data.whiteners, i) for i in fit.whiteners]
+        TP = residual_maker(rb.forward_matrix(fit.theta)) @ self.basis.map_at(fit.coordinates)
+
+        def power(some: Array) -> Array:
+            squares: Array = ((TP[:, None] @ some)[:, :, 0] * TP).sum(axis=-1)
+            return squares
+
+        omega = np.pi * (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES
+        ratio = np.array(
+            [
+                np.mean(data.whiteners[b].power(omega) / data.whiteners[a].power(omega))
+                for a, b in zip(fit.whiteners, references, strict=True)
+            ]
+        )
+        powers = []
+        for pick in (fit.whiteners, references):
+            batches, counts = data.of_axes(pick)[first:], data.counts[first:]
+            batches, counts = grouped(batches, counts, data.grouped)
+            powers.append(by_parts(power, batches))
+        own, slow = powers
+        return told_whiteness(slow, ratio * own, counts)

@@ -1,0 +1,367 @@
+"""Fit of the rotational parameters to whitened rows: a whitener for each axis, shocks left out.
+
+Every whitener of a bank is tried on all axes at once; each axis then takes the one of least
+innovation power, and theta, delay (and with commands lag and curve) follow from the three together
+(`estimation.axis_problem`). Where the search starts from nothing it looks at every node of the
+rotors' dynamics, so that delay is found by the power of the innovations, within its bounds. As a
+free column it would be found where torque predicts the motion best, which under feedback is the
+inverse of the controller.
+
+A collision or a bump in the air is no stationary noise of any kind: batches of a quarter of a
+second whose innovations are far stronger than the median are left out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcs_sysid.arrays import Array, Mask, by_parts
+from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
+from gcs_sysid.estimation.axis_problem import TOLD, AxisPoint, AxisProblem, minimise_axes
+from gcs_sysid.estimation.priors import COORDINATES, Prior
+from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.search import first_guess, residual_maker
+from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor
+from gcs_sysid.estimation.whitened_moments import WhitenedMoments, grouped
+from gcs_sysid.estimation.whitened_outcome import WhitenedOutcome
+from gcs_sysid.estimation.whitening import Whitener
+from gcs_sysid.model import rigid_body as rb
+
+SHOCK = 6.0
+"""Times the median power of innovations, from which a batch is left out."""
+_JUDGED = 3
+"""Rounds of judging them, each by the fit without those found before."""
+_MOST_SHOCKS = 0.25
+"""Share of the batches; what happens more often is no shock."""
+_SCAN, _TRY, _AGAIN, _FIT, _FOLLOW = 5, 8, 4, 30, 3
+"""Iterations: at a node; with a whitener, from there and from a fit; with those of the axes; of a
+fit that follows."""
+_SCANNED = 64
+"""Pairs of whitener and node that are looked at, about."""
+_REACH = 2
+"""Neighbours of a batch whose scores its own hang together with: innovations forget soon."""
+_BLIND_STEP = 3.0
+"""Standard deviations; a smaller step of a fit that follows is taken unseen."""
+_LEAST = 0.05
+"""Share of an innovation's power that no correction leaves it without."""
+_AXES = 3
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What every whitener makes of the data.
+
+    Attributes:
+        unknowns: (bank, N_UNKNOWNS), all with the same coordinates.
+        variance: (bank, 3) power of the innovations, see `_alike`.
+    """
+
+    unknowns: Array
+    variance: Array
+
+    @property
+    def pick(self) -> tuple[int, ...]:
+        """Whitener of least innovation power, of each axis."""
+        return tuple(int(i) for i in np.argmin(self.variance, axis=0))
+
+    def detected(self, whiteners: Sequence[Whitener], time: float) -> Array:
+        """(3,) nats a second by which some whitener of a disturbance explains an axis better.
+
+            g = ln(sigma of the best without disturbance / sigma of the best of all) / T
+
+        Args:
+            whiteners: of the bank.
+            time: s, T.
+        """
+        calm = [i for i, whitener in enumerate(whiteners) if not whitener.disturbed]
+        best, best_calm = self.variance.min(axis=0), self.variance[calm].min(axis=0)
+        nats: Array = 0.5 * np.log(best_calm / best) / time
+        return nats
+
+
+@dataclass(frozen=True)
+class WhitenedFit:
+    """A fit, and what it left out.
+
+    Attributes:
+        rotation: the fit.
+        shocks: (k,) which batches were left out.
+        left_out: (3, width, width) moments of these, as each axis' whitener made them.
+        rows_left_out: in them.
+    """
+
+    rotation: RotationFit
+    shocks: Mask
+    left_out: Array
+    rows_left_out: int
+
+
+def fit_whitened(
+    data: WhitenedMoments,
+    basis: ActuatorDynamics,
+    start: RotationFit | None = None,
+    prior: Prior | None = None,
+    doubt: float = 0.0,
+) -> WhitenedFit | None:
+    """Fit theta and the basis' coordinates to whitened moments.
+
+    Args:
+        data: moments.
+        basis: of the elements.
+        start: an earlier fit of the same record; None: from the data alone.
+        prior: what else is known.
+        doubt: one standard deviation of the inputs' known noise, relative.
+
+    Returns:
+        The fit, or None while the data cannot even start one.
+    """
+    kept = np.ones(len(data.counts), dtype=bool)
+    if int(data.counts.sum()) < 3 * rb.N_THETA:
+        return None
+    all_rows = rows = int(data.counts.sum())
+    everything = total = data.total(kept)
+    if start is None:
+        trial = _scanned(total, rows, data, basis, prior)
+    else:
+        assert start.warm_start is not None
+        trial = _tried(total, rows, data, basis, prior, start.warm_start.unknowns)
+    if trial is None:
+        return None
+    solved = _solved(total, rows, data, basis, prior, trial)
+    batches = data.of_axes(solved.pick)
+    for _ in range(_JUDGED):
+        shocks = _shocks(solved.point, batches, data.counts, basis)
+        if (shocks == ~kept).all():
+            break
+        # The fit without the worst of them sees the rest.
+        kept = ~shocks
+        total, rows = data.total(kept), int(data.counts[kept].sum())
+        solved = _solved(total, rows, data, basis, prior, solved.trial)
+        batches = data.of_axes(solved.pick)
+    noise = data.noise[list(solved.pick)]
+    batches, counts = grouped(batches[kept], data.counts[kept], data.grouped)
+    batches -= TOLD * counts[:, None, None, None] * noise
+    outcome = WhitenedOutcome(solved.problem, solved.point)
+    scatter = meat(outcome.scores(0, batches, counts), _REACH)
+    spread = inflation(outcome.roots[1][0], scatter)[None]
+    widening = student_factor(outcome.shares(0, batches), _REACH)[None]
+    if doubt:
+        raw = AxisProblem(solved.problem.bank, rows, basis, prior, np.zeros_like(noise)[None])
+        pull = raw.evaluate(solved.point.unknowns).gradient - solved.point.gradient
+        spread = spread + outcome.spread_of(doubt * pull)
+    fit = replace(
+        outcome.fits(spread, widening, [solved.converged], [0])[0],
+        whiteners=solved.pick,
+        disturbance=solved.trial.detected(data.whiteners, data.time),
+    )
+    pick = list(solved.pick)
+    return WhitenedFit(fit, ~kept, everything[pick] - total[pick], all_rows - rows)
+
+
+def follow_whitened(
+    totals: Array,
+    rows: Array,
+    basis: ActuatorDynamics,
+    noise: Array,
+    start: RotationFit,
+    prior: Prior | None = None,
+) -> list[RotationFit]:
+    """Follow a growing record from an earlier fit, with its whiteners.
+
+    Args:
+        totals: (K, 3, width, width) moments of all rows at K instants, as each axis has them.
+        rows: (K,) in them.
+        basis: of the elements.
+        noise: (K, 3, width, width) of the inputs in one row.
+        start: a fit of the same record when it was shorter.
+        prior: what else is known.
+
+    Returns:
+        K fits, each of which depends on `start` and its own instant alone.
+    """
+    assert start.warm_start is not None
+    scatter = start.warm_start.inflation, start.warm_start.widening
+    unknowns = np.tile(start.warm_start.unknowns, (len(rows), 1))
+    problem = AxisProblem(totals, rows, basis, prior, noise)
+    outcome = WhitenedOutcome(problem, problem.evaluate(unknowns))
+    near = outcome.take_step(_BLIND_STEP)
+    fits = outcome.fits(*scatter, [start.converged] * len(rows), [0] * len(rows))
+    if not near.all():
+        far = ~near
+        alone = AxisProblem(totals[far], rows[far], basis, prior, noise[far])
+        point, converged = minimise_axes(alone, unknowns[far], _FOLLOW)
+        better = WhitenedOutcome(alone, point).fits(*scatter, converged, [0] * len(converged))
+        for i, fit in zip(np.flatnonzero(far), better, strict=True):
+            fits[i] = fit
+    return [replace(fit, whiteners=start.whiteners, disturbance=start.disturbance) for fit in fits]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Where the fit starts by which the next batches are judged.
+
+    Attributes:
+        unknowns: (N_UNKNOWNS,) fitted to those before.
+    """
+
+    unknowns: Array
+
+
+def shocks_in(
+    data: WhitenedMoments, basis: ActuatorDynamics, start: Reference | None
+) -> tuple[Mask, Reference | None]:
+    """(k,) which batches are to be left out, by a fit to these batches alone.
+
+    Args:
+        data: the batches.
+        basis: of the elements.
+        start: what the batches before were judged by; None: these are the first.
+
+    Returns:
+        The mask, and what the next ones are judged by.
+    """
+    kept = np.ones(len(data.counts), dtype=bool)
+    total, rows = data.total(kept), int(data.counts.sum())
+    if start is None:
+        trial = _scanned(total, rows, data, basis, None)
+    else:
+        trial = _tried(total, rows, data, basis, None, start.unknowns)
+    if trial is None:
+        return ~kept, None
+    pick = list(trial.pick)
+    problem = AxisProblem(total[pick][None], rows, basis, None, data.noise[pick][None])
+    point, _ = minimise_axes(problem, trial.unknowns[pick[:1]], _TRY)
+    shocks = _shocks(point, data.of_axes(pick), data.counts, basis)
+    return shocks, Reference(point.unknowns[0])
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """The fit with a whitener for each axis."""
+
+    problem: AxisProblem
+    point: AxisPoint
+    converged: bool
+    pick: tuple[int, ...]
+    trial: Trial
+
+
+def _solved(
+    total: Array,
+    rows: int,
+    data: WhitenedMoments,
+    basis: ActuatorDynamics,
+    prior: Prior | None,
+    trial: Trial,
+) -> _Solved:
+    """Fit with the whiteners of a trial; and once more, should others be better there."""
+    pick = trial.pick
+    unknowns = trial.unknowns[list(pick)]
+    for again in (True, False):
+        bank, noise = total[list(pick)][None], data.noise[list(pick)][None]
+        problem = AxisProblem(bank, rows, basis, prior, noise)
+        # From what the first axis or the others found, whichever is nearer to all of it.
+        starts = [problem.evaluate(u[None]) for u in np.unique(unknowns, axis=0)]
+        cost = [float(np.log(p.variance).sum() + p.weak[0] / rows) for p in starts]
+        point, converged = minimise_axes(problem, starts[int(np.argmin(cost))].unknowns, _FIT)
+        trial = _tried(total, rows, data, basis, prior, point.unknowns[0])
+        solved = _Solved(problem, point, bool(converged[0]), pick, trial)
+        if not again or trial.pick == pick:
+            break
+        pick, unknowns = trial.pick, point.unknowns
+    return solved
+
+
+def _tried(
+    total: Array,
+    rows: int,
+    data: WhitenedMoments,
+    basis: ActuatorDynamics,
+    prior: Prior | None,
+    unknowns: Array,
+    limit: int = _AGAIN,
+) -> Trial:
+    """Every whitener on all axes, coordinates as in (N_UNKNOWNS,) or (bank, N_UNKNOWNS)."""
+    fitted = unknowns if unknowns.ndim == 1 else None
+    unknowns = np.broadcast_to(unknowns, (len(total), unknowns.shape[-1]))
+    at = unknowns[0, COORDINATES]
+    moments, noise = (basis.moments_at(m, at)[:, None] for m in (total, data.noise))
+    problem = AxisProblem(moments, rows, PLAIN, prior, noise)
+    point, _ = minimise_axes(problem, unknowns, limit)
+    known = np.median(point.unknowns, axis=0) if fitted is None else fitted
+    return Trial(point.unknowns, _alike(point, rows, noise[:, 0], known))
+
+
+def _alike(point: AxisPoint, rows: int, noise: Array, known: Array) -> Array:
+    """(K, 3) power of the innovations as it would be if all had the same share of known noise.
+
+    Noise of the inputs pulls the least power towards a vehicle that answers them less. Whoever
+    errs that way, by chance, would look better than the truth. What is compared is therefore the
+    power without the known noise, which is stationary at the truth, and that noise as one and the
+    same vehicle answers it.
+
+    Args:
+        point: K solutions.
+        rows: that they are of.
+        noise: (K, WIDTH, WIDTH) in one row.
+        known: (N_UNKNOWNS,) of that vehicle.
+    """
+    T = residual_maker(rb.forward_matrix(known[: rb.N_THETA]))
+    of_noise = ((T @ noise) * T).sum(axis=-1)
+    alike: Array = np.maximum(point.told / rows + TOLD * of_noise, _LEAST * point.variance)
+    return alike
+
+
+def _scanned(
+    total: Array,
+    rows: int,
+    data: WhitenedMoments,
+    basis: ActuatorDynamics,
+    prior: Prior | None,
+) -> Trial | None:
+    """From the data alone: every node with every whitener, then all whiteners at the best one."""
+    nodes = basis.nodes
+    every = max(len(total) * len(nodes) // _SCANNED, 1)
+    some, some_noise = total[::every], data.noise[::every]
+    middle = nodes[basis.middle]
+    at_middle = basis.moments_at(some - TOLD * rows * some_noise, middle)
+    guesses = [first_guess(moments, rows, middle, prior) for moments in at_middle]
+    known = [guess for guess in guesses if guess is not None]
+    if not known:
+        return None
+    guess = np.stack([known[len(known) // 2] if g is None else g for g in guesses])
+    P = basis.maps(nodes)[:, 0]
+    turned = np.swapaxes(P, 1, 2)
+    moments, noise = (
+        (P @ m[:, None] @ turned).reshape(-1, 1, WIDTH, WIDTH) for m in (some, some_noise)
+    )
+    starts = np.repeat(guess, len(nodes), axis=0)
+    starts[:, COORDINATES] = np.tile(nodes, (len(some), 1))
+    problem = AxisProblem(moments, rows, PLAIN, prior, noise)
+    point, _ = minimise_axes(problem, starts, _SCAN)
+    known_vehicle = np.median(point.unknowns, axis=0)
+    alike = _alike(point, rows, noise[:, 0], known_vehicle)
+    power = np.log(alike).reshape(len(some), len(nodes), _AXES)
+    weak = AxisProblem(total[:1, None], rows, basis, prior, data.noise[:1, None]).weak_cost(starts)
+    cost = power.min(axis=0).sum(axis=1) + weak[: len(nodes)] / rows
+    best = int(np.argmin(cost))
+    found = point.unknowns.reshape(len(some), len(nodes), -1)[:, best]
+    unknowns = np.repeat(found, every, axis=0)[: len(total)]
+    return _tried(total, rows, data, basis, prior, unknowns, _TRY)
+
+
+def _shocks(
+    point: AxisPoint, batches: Array, counts: NDArray[np.int64], basis: ActuatorDynamics
+) -> Mask:
+    """(k,) whose innovations are far stronger than the median."""
+    TP = residual_maker(point.Q[0]) @ basis.map_at(point.unknowns[0, COORDINATES])
+
+    def power(some: Array) -> Array:
+        squares: Array = ((TP[:, None] @ some)[:, :, 0] * TP).sum(axis=-1)
+        return squares
+
+    relative = (by_parts(power, batches) / counts[:, None] / point.variance[0]).mean(axis=1)
+    shocks: Mask = relative > SHOCK * np.median(relative)
+    return shocks if shocks.mean() <= _MOST_SHOCKS else np.zeros(len(counts), dtype=bool)

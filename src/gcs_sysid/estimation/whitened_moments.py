@@ -1,0 +1,75 @@
+"""Moments of whitened rows, batch by batch, as a record hands them to a fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.estimation.whitening import Whitener
+
+
+@dataclass(frozen=True)
+class WhitenedMoments:
+    """Moments of rows of elements under every whitener of a bank, batch by batch.
+
+    Attributes:
+        parts: arrays of (k, bank, width, width), in time order; views, not to be written to.
+        counts: (k,) rows in each batch of all parts.
+        noise: (bank, width, width) known noise of the inputs in one row.
+        whiteners: of the bank.
+        time: s, T of a row.
+        grouped: rows that a batch should have before its score counts as one.
+        muted: columns that are taken as zero.
+    """
+
+    parts: tuple[Array, ...]
+    counts: NDArray[np.int64]
+    noise: Array
+    whiteners: tuple[Whitener, ...]
+    time: float
+    grouped: int
+    muted: tuple[int, ...] = ()
+
+    @property
+    def edges(self) -> NDArray[np.int64]:
+        """Index of each part's first batch, and of the end."""
+        return np.cumsum([0, *(len(part) for part in self.parts)])
+
+    def total(self, kept: Mask) -> Array:
+        """(bank, width, width) sum over the batches kept."""
+        out = np.zeros(self.noise.shape)
+        for part, start in zip(self.parts, self.edges[:-1], strict=True):
+            weights = kept[start : start + len(part)].astype(float)
+            out += np.tensordot(weights, part, 1)
+        return self._mute(out)
+
+    def of_axes(self, pick: Sequence[int]) -> Array:
+        """(k, 3, width, width) of each axis' whitener."""
+        return self._mute(np.concatenate([part[:, list(pick)] for part in self.parts]))
+
+    def _mute(self, moments: Array) -> Array:
+        columns = list(self.muted)
+        moments[..., columns, :] = 0.0
+        moments[..., :, columns] = 0.0
+        return moments
+
+    def first(self, batches: int) -> "WhitenedMoments":
+        """The oldest batches."""
+        left = np.maximum(batches - self.edges[:-1], 0)
+        parts = tuple(part[:n] for part, n in zip(self.parts, left, strict=True))
+        return replace(self, parts=parts, counts=self.counts[:batches])
+
+
+def grouped(
+    batches: Array, counts: NDArray[np.int64], least: int
+) -> tuple[Array, NDArray[np.int64]]:
+    """Batches joined until each has so many rows."""
+    starts, size = [0], 0
+    for i, count in enumerate(counts):
+        if size >= least:
+            starts.append(i)
+            size = 0
+        size += int(count)
+    return np.add.reduceat(batches, starts, axis=0), np.add.reduceat(counts, starts)

@@ -1,0 +1,221 @@
+"""What a flight leaves behind for the fit of whitened rows, in bounded memory.
+
+The last quarter-minute is kept in batches of a quarter of a second, so that a shock can be told
+from what surrounds it and left out. When these batches fill up, the older half is judged by a fit
+to all of them, which no other look at the flight can influence, and what is sound joins longer
+batches. There are so many of those, and as they fill up neighbours are merged.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics, motor_filter
+from gcs_sysid.estimation.normal_equations import NormalEquations
+from gcs_sysid.estimation.whitened_fit import Reference, shocks_in
+from gcs_sysid.estimation.whitened_moments import WhitenedMoments
+from gcs_sysid.estimation.whitening import Whitener, WhitenerBank
+from gcs_sysid.signals.one_step import OneStep
+from gcs_sysid.signals.recursions import lfilter
+
+SHORT = 0.25
+"""s, of the batches in which shocks are found."""
+_RECENT = 40
+_LONG = 64
+"""Batches that are kept apart; an even number."""
+_AT_ONCE = 256
+"""Rows whitened at a time."""
+_SETTLED = 12.0
+"""Time constants after which a motor's response has ended."""
+_RUNG_OUT = 6.0
+"""s after which a whitener's response has."""
+
+
+class WhitenedRecord:
+    """Rows of elements in, moments of whitened rows out.
+
+    Args:
+        basis: of the elements.
+        step: that made the rows.
+        whiteners: of the bank.
+        dt: s between samples.
+        batch_time: s, of long batches.
+    """
+
+    def __init__(
+        self,
+        basis: ActuatorDynamics,
+        step: OneStep,
+        whiteners: Sequence[Whitener],
+        dt: float,
+        batch_time: float,
+    ) -> None:
+        self.basis = basis
+        self.time = step.time
+        self.whiteners = tuple(whiteners)
+        self._step, self._dt = step, dt
+        self._bank = WhitenerBank(whiteners)
+        shape = (len(self.whiteners), basis.width, basis.width)
+        self._per_short = max(round(SHORT / step.time), 1)
+        self._per_long = max(round(batch_time / step.time), 1)
+        self._long = NormalEquations(shape, self._per_long, _LONG)
+        self._recent = np.zeros((_RECENT, *shape))
+        self._counts = np.zeros(_RECENT, dtype=np.int64)
+        self._full = 0
+        self._overlaps: Array | None = None
+        self._reference: Reference | None = None
+        self.total = np.zeros(shape)
+        """(bank, width, width) sum over all rows, shocks included; not to be written to."""
+        self.rows = 0
+        """In them."""
+
+    def reserve(self) -> None:
+        """Have all memory now that a long flight will need."""
+        self._long.reserve()
+        self._recent[self._begun :] = 0.0
+
+    def restart(self) -> None:
+        """A gap: what comes next does not join on to what came before."""
+        self._bank.restart()
+
+    def add(self, rows: Array, noise: Callable[[], Array]) -> None:
+        """Add (n, width) rows, in time order; those that are not complete are left out.
+
+        Args:
+            rows: as `OneStep` makes them, of elements.
+            noise: tells that of the inputs in one row, (bank, width, width), as known by now.
+        """
+        for start in range(0, len(rows), _AT_ONCE):
+            white = self._bank.update(rows[start : start + _AT_ONCE])
+            done, n = 0, white.shape[1]
+            while done < n:
+                if self._full == _RECENT:
+                    self._settle(noise())
+                room = self._per_short - int(self._counts[self._full])
+                part = white[:, done : done + room]
+                products = np.swapaxes(part, 1, 2) @ part
+                self.total += products
+                self._recent[self._full] += products
+                self._counts[self._full] += part.shape[1]
+                self.rows += part.shape[1]
+                done += part.shape[1]
+                self._full += int(self._counts[self._full] == self._per_short)
+
+    def moments(self, noise: Array) -> WhitenedMoments:
+        """All that is kept, for a fit; views of it."""
+        recent = self._begun
+        return WhitenedMoments(
+            (self._long.batches, self._recent[:recent]),
+            np.concatenate([self._long.counts, self._counts[:recent]]),
+            noise,
+            self.whiteners,
+            self.time,
+            self._per_short,
+        )
+
+    @property
+    def batches(self) -> int:
+        """How many long batches' worth of rows have come."""
+        return self.rows // self._per_long
+
+    def forget_last(self, seconds: float) -> None:
+        """Leave out at least the last `seconds` of what was learnt (whole batches)."""
+        rows = int(np.ceil(seconds / self.time))
+        dropped = 0
+        while dropped < rows and self._begun:
+            last = self._begun - 1
+            dropped += int(self._counts[last])
+            self._recent[last] = 0.0
+            self._counts[last] = 0
+            self._full = last
+        if dropped < rows:
+            self._long.drop_last(rows - dropped)
+        self.total = self._long.total + self._recent[: self._begun].sum(axis=0)
+        self.rows = self._long.rows + int(self._counts.sum())
+
+    @property
+    def _begun(self) -> int:
+        return self._full + int(self._full < _RECENT and self._counts[self._full] > 0)
+
+    def _settle(self, noise: Array) -> None:
+        """Make room: what is sound of the older half joins the long batches."""
+        known = WhitenedMoments(
+            (self._recent,), self._counts, noise, self.whiteners, self.time, self._per_long
+        )
+        shocks, self._reference = shocks_in(known, self.basis, self._reference)
+        half = _RECENT // 2
+        for i in range(half):
+            if not shocks[i]:
+                self._long.add_sum(self._recent[i], int(self._counts[i]))
+        self._recent[:half], self._counts[:half] = self._recent[half:], self._counts[half:]
+        self._recent[half:], self._counts[half:] = 0.0, 0
+        self._full = half
+
+    def noise(
+        self,
+        average: Array,
+        across: Array,
+        slope: float,
+        gains: Array,
+        some: Sequence[int] | None = None,
+    ) -> Array:
+        """(bank, width, width) what white noise of the inputs adds to one row of elements.
+
+        Args:
+            average: (4, 4) covariance of roll, pitch, thrust and yaw of a sample.
+            across: (4,) of these with H.
+            slope: variance of H.
+            gains: (sets,) of each set, over the first.
+            some: whiteners; None: all.
+        """
+        if self._overlaps is None:
+            self._overlaps = self._overlapping()
+        overlaps = self._overlaps if some is None else self._overlaps[list(some)]
+        of_average, of_both, of_slope = np.zeros((3, SIGNALS, SIGNALS))
+        of_average[:4, :4], of_both[:4, 4], of_slope[4, 4] = average, across, slope
+        sets = np.outer(gains, gains)
+        n = self.basis.width - BODY
+        mixed, of_both = overlaps[:, 1], of_both.T
+        turned = np.swapaxes(mixed, 1, 2)
+        signals = sum(
+            np.einsum("bxy,st,ij->bxsiytj", overlap, sets, covariance)
+            for overlap, covariance in (
+                (overlaps[:, 0], of_average),
+                (mixed, of_both.T),
+                (turned, of_both),
+                (overlaps[:, 2], of_slope),
+            )
+        )
+        out = np.zeros((len(overlaps), self.basis.width, self.basis.width))
+        out[:, :n, :n] = np.reshape(signals, (len(overlaps), n, n))
+        return out
+
+    def _overlapping(self) -> Array:
+        """(bank, 3, elements, elements) of elements' responses to a sample, whitened.
+
+        Averages with averages, averages with derivatives, derivatives with derivatives.
+        """
+        h, elements = self._step.step, self.basis.elements
+        taps = np.stack([self._step.late_taps, self._step.late_slopes])  # (2, delays, length)
+        room = int(np.ceil(max(_SETTLED * self.basis.lags[-1], _RUNG_OUT) / self._dt))
+        length = (taps.shape[2] + room) // h * h
+        driven = np.zeros((length, 2, len(elements)))
+        for i, element in enumerate(elements):
+            a, b0, b1 = motor_filter(self._dt, self.basis.lags[element.lag])
+            impulse = np.zeros((length, 2))
+            impulse[: taps.shape[2]] = taps[:, element.delay].T
+            driven[:, :, i] = lfilter([b0, b1], [1.0, -a], impulse)[0]
+        out = np.zeros((len(self.whiteners), 3, len(elements), len(elements)))
+        for phase in range(h):
+            rows = driven[phase::h].reshape(-1, 2 * len(elements))
+            bank = WhitenerBank(self.whiteners)
+            for start in range(0, len(rows), _AT_ONCE):
+                white = bank.update(rows[start : start + _AT_ONCE])
+                both = (np.swapaxes(white, 1, 2) @ white).reshape(
+                    len(out), 2, len(elements), 2, len(elements)
+                )
+                out[:, 0] += both[:, 0, :, 0]
+                out[:, 1] += both[:, 0, :, 1]
+                out[:, 2] += both[:, 1, :, 1]
+        return out

@@ -1,0 +1,231 @@
+"""Whiteners of what a row leaves unexplained: recursive, causal, monic.
+
+A row of one step T = h dt relates the change of a rate to what acted in the step,
+
+    D_k = g_k - g_(k-1) = Q(theta) xbar_k + v_k
+
+and what is left, v, is a moment d that nobody models (gusts, blade flapping), white torque noise
+(that of the rotors), and the gyro's noise, which differencing makes grow with frequency:
+
+    S_v = q_d / |1 - a z^-1|^2 + q_u + r |1 - z^-1|^2 ,    a = exp(-T / tau)
+
+with d of Ornstein-Uhlenbeck form. The rate loop answers d, so that torque and d are correlated,
+and least squares takes d for inertia. A strictly causal loop answers only what is past, though:
+torque is uncorrelated with the *innovation* of v. Filtered by the inverse of its spectral factor,
+all columns alike, rows have innovations for residuals and least squares is unbiased, however
+strong the feedback (prediction-error identification in closed loop: Forssell and Ljung 1999,
+Automatica 35, 1215-1241). Filters that look both ways, and windows, lose that.
+
+How strong d is, nobody knows beforehand. So a bank of whiteners runs side by side. All of them are
+monic and causal, so that the log likelihood of n rows is -(n / 2) ln sigma^2 up to a constant,
+sigma^2 the power of the innovations: every axis takes the whitener of least innovation power.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask, runs
+
+TAU = 1.0
+"""s, of a disturbance: between a gust and a change of trim."""
+LEAKS = (0.3, 1.0)
+"""s: without disturbance or torque noise, the gyro's noise integrated is white, but for drift."""
+WALKS = (2.0, 6.0, 18.0, 40.0, 120.0)
+"""Hz, below which torque noise exceeds the gyro's noise."""
+DISTURBED = (1.0, 2.0, 4.0, 8.0, 11.0, 16.0, 23.0, 32.0)
+"""Hz, below which a disturbance exceeds the gyro's noise."""
+BOTH = (
+    (4.0, 15.0), (8.0, 15.0), (16.0, 15.0),
+    (6.0, 40.0), (11.0, 40.0), (16.0, 40.0), (23.0, 40.0), (32.0, 40.0),
+    (22.0, 120.0),
+)  # fmt: skip
+"""Hz, of a disturbance and of torque noise beside it."""
+PIECE = 32
+"""Rows whitened by one product."""
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """w_k = z_k - a z_(k-1) - c1 w_(k-1) - c2 w_(k-2).
+
+    Attributes:
+        name: what it assumes.
+        a: of the disturbance; 0: none is assumed.
+        c1, c2: of the spectral factor 1 + c1 z^-1 + c2 z^-2.
+        below: Hz, where the disturbance exceeds the gyro's noise.
+    """
+
+    name: str
+    a: float
+    c1: float
+    c2: float
+    below: float = 0.0
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether it assumes a disturbance."""
+        return self.a != 0.0
+
+    @property
+    def gyro_share(self) -> float:
+        """Variance of the gyro's noise over that of an innovation, r / sigma^2.
+
+        sigma^2 |C|^2 has the same coefficient of the highest lag as r |1 - z^-1|^2 |1 - a z^-1|^2:
+        sigma^2 c2 = r a, or -sigma^2 c1 = r without disturbance.
+        """
+        return self.c2 / self.a if self.a else -self.c1
+
+    def power(self, omega: Array) -> Array:
+        """(n,) |(1 - a z^-1) / C|^2 at (n,) rad a row."""
+        late = np.exp(-1j * omega)
+        passed = (1.0 - self.a * late) / (1.0 + self.c1 * late + self.c2 * late**2)
+        power: Array = np.abs(passed) ** 2
+        return power
+
+
+def spectral_factor(a: float, rho_d: float, rho_u: float) -> tuple[float, float]:
+    """(c1, c2) of C = 1 + c1 z^-1 + c2 z^-2 with |C|^2 ~ S_v |1 - a z^-1|^2, zeros inside.
+
+    With s = z + 1/z that is, over r,
+
+        a s^2 - [(1 + a^2) + 2 a + rho_u a] s + [rho_d + (rho_u + 2) (1 + a^2)] = 0
+
+    and each root s gives the root |z| < 1 of z^2 - s z + 1 = 0.
+
+    Args:
+        a: 0 to 1, exp(-T / tau).
+        rho_d: q_d / r.
+        rho_u: q_u / r.
+    """
+    square = 1.0 + a * a
+    b, c = -(square + 2.0 * a + rho_u * a), rho_d + (rho_u + 2.0) * square
+    root = np.sqrt(complex(b * b - 4.0 * a * c))
+    zeros = []
+    for s in ((-b + root) / (2.0 * a), (-b - root) / (2.0 * a)):
+        apart = np.sqrt(s * s - 4.0)
+        pair = 0.5 * (s + apart), 0.5 * (s - apart)
+        zeros.append(min(pair, key=abs))
+    return float(-(zeros[0] + zeros[1]).real), float((zeros[0] * zeros[1]).real)
+
+
+def gauss_markov(T: float, f_d: float, f_u: float = 0.0, tau: float = TAU) -> Whitener:
+    """Whitener of an Ornstein-Uhlenbeck moment, torque noise and gyro noise.
+
+    Args:
+        T: s between rows.
+        f_d: Hz where the moment's spectrum meets that of the gyro's noise: the change of a rate
+            in a step is T d, d's spectrum q_d / (omega T)^2, the noise's r (omega T)^2, so that
+            rho_d = (2 pi f_d T)^4.
+        f_u: Hz where torque noise does: rho_u = (2 pi f_u T)^2.
+        tau: s, of the moment.
+    """
+    a = float(np.exp(-T / tau))
+    rho_d, rho_u = (2.0 * np.pi * f_d * T) ** 4, (2.0 * np.pi * f_u * T) ** 2
+    c1, c2 = spectral_factor(a, rho_d, rho_u)
+    name = f"moment to {f_d:g} Hz" + (f", torque noise to {f_u:g} Hz" if f_u else "")
+    return Whitener(name, a, c1, c2, f_d)
+
+
+def torque_noise(T: float, f_u: float) -> Whitener:
+    """Whitener of torque noise that exceeds the gyro's noise below f_u Hz, and of the latter.
+
+    Without a moment the factor 1 - a z^-1 cancels, and C is a leak: with rho_u = (2 pi f_u T)^2
+    the root z of z^2 - (2 + rho_u) z + 1 inside the unit circle.
+    """
+    half = 0.5 * (2.0 * np.pi * f_u * T) ** 2
+    z = 1.0 + half - np.sqrt(half * (half + 2.0))
+    return Whitener(f"torque noise to {f_u:g} Hz", 0.0, -float(z), 0.0)
+
+
+def leak(T: float, memory: float) -> Whitener:
+    """Whitener of gyro noise alone: rows summed up again, with a memory in s."""
+    return Whitener(f"leak {memory:g} s", 0.0, -float(np.exp(-T / memory)), 0.0)
+
+
+NONE = Whitener("none", 0.0, 0.0, 0.0)
+
+
+def bank_for(T: float) -> tuple[Whitener, ...]:
+    """Whiteners to choose from for rows of T seconds: those without disturbance first."""
+    calm = [NONE, *(leak(T, memory) for memory in LEAKS), *(torque_noise(T, f) for f in WALKS)]
+    return (
+        *calm,
+        *(gauss_markov(T, f) for f in DISTURBED),
+        *(gauss_markov(T, f_d, f_u) for f_d, f_u in BOTH),
+    )
+
+
+def slower(whiteners: Sequence[Whitener], i: int) -> int:
+    """Index of a whitener that weighs low frequencies more than the one of index i does.
+
+    Of a disturbance, that of one up to about half its frequency; else a leak, the other one where
+    i is a leak itself.
+    """
+    short, long = (whiteners.index(w) for w in whiteners if w.name.startswith("leak"))
+    if not whiteners[i].disturbed:
+        return long if i == short else short
+    below = [k for k, w in enumerate(whiteners) if 0.0 < w.below <= 0.6 * whiteners[i].below]
+    return max(below, key=lambda k: whiteners[k].below, default=short)
+
+
+class WhitenerBank:
+    """Whitens rows with all whiteners at once, over each run of complete ones.
+
+    A piece of n rows z is whitened by one product with the Toeplitz matrix of the filter's
+    impulse response h, w = H z, to which the past adds the response of 1 / C to
+    (-a z_(-1) - c1 w_(-1) - c2 w_(-2), -c2 w_(-1)), the state of the transposed form.
+
+    Args:
+        whiteners: of the bank.
+    """
+
+    def __init__(self, whiteners: Sequence[Whitener]) -> None:
+        self.whiteners = tuple(whiteners)
+        a, c1, c2 = (np.array([getattr(w, key) for w in whiteners]) for key in ("a", "c1", "c2"))
+        self._a, self._c1, self._c2 = a[:, None], c1[:, None], c2[:, None]
+        # g: response of 1 / C; h: of (1 - a z^-1) / C.
+        g = np.zeros((len(a), PIECE + 1))
+        g[:, 1] = 1.0
+        for k in range(1, PIECE):
+            g[:, k + 1] = -c1 * g[:, k] - c2 * g[:, k - 1]
+        h = g[:, 1:] - a[:, None] * g[:, :-1]
+        age = np.arange(PIECE)[:, None] - np.arange(PIECE)
+        self._toeplitz = np.where(age >= 0, h[:, np.maximum(age, 0)], 0.0)
+        self._past = np.stack([g[:, 1:], g[:, :-1]], axis=2)
+        """(bank, PIECE, 2) of what the past adds to the first row and to the second."""
+        self._state: Array | None = None
+
+    def restart(self) -> None:
+        """Start from nothing: what is left undisturbed starts from nothing on both sides."""
+        self._state = None
+
+    def update(self, rows: Array) -> Array:
+        """(n, width) rows to (bank, at most n, width) innovations, of the complete ones."""
+        if np.isfinite(rows.sum()):
+            return self._add(rows)
+        complete: Mask = np.asarray(np.isfinite(rows).all(axis=1))
+        out = [np.empty((len(self.whiteners), 0, rows.shape[1]))]
+        for run, there in runs(complete):
+            if there:
+                out.append(self._add(rows[run]))
+            else:
+                self.restart()
+        return np.concatenate(out, axis=1)
+
+    def _add(self, rows: Array) -> Array:
+        n = len(rows)
+        out = np.empty((len(self.whiteners), n, rows.shape[1]))
+        if self._state is None:
+            self._state = np.zeros((len(self.whiteners), 2, rows.shape[1]))
+        for start in range(0, n, PIECE):
+            part = rows[start : start + PIECE]
+            m = len(part)
+            w = np.matmul(self._toeplitz[:, :m, :m], part, out=out[:, start : start + m])
+            w += self._past[:, :m] @ self._state
+            earlier = -self._c2 * w[:, -2] if m > 1 else self._state[:, 1]
+            self._state = np.stack(
+                [-self._a * part[-1] - self._c1 * w[:, -1] + earlier, -self._c2 * w[:, -1]], axis=1
+            )
+        return out

@@ -1,0 +1,242 @@
+"""Whiteners, rows of one step, and what they are for: no bias under feedback."""
+
+import numpy as np
+import pytest
+
+from benchmarks.truth.closed_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
+from gcs_sysid.estimation.actuator_dynamics import SIGNALS, ActuatorDynamics
+from gcs_sysid.estimation.online import OnlineEstimator
+from gcs_sysid.estimation.tuning import COMMANDS, Tuning
+from gcs_sysid.estimation.whitened_record import WhitenedRecord
+from gcs_sysid.estimation.whitening import (
+    WhitenerBank,
+    bank_for,
+    gauss_markov,
+    leak,
+    slower,
+    spectral_factor,
+    torque_noise,
+)
+from gcs_sysid.signals.one_step import OneStep, step_for
+
+T = 0.004
+WHITENED = Tuning(smoother="whitened")
+
+
+@pytest.mark.parametrize("rho_d", [1e-6, 1e-3, 0.1])
+@pytest.mark.parametrize("rho_u", [0.0, 0.02, 1.0])
+def test_spectral_factor_has_the_spectrum(rho_d, rho_u):
+    a = np.exp(-T)
+    c1, c2 = spectral_factor(a, rho_d, rho_u)
+    z = np.exp(-1j * np.linspace(0.0, np.pi, 200))
+    wanted = rho_d + (rho_u + abs(1.0 - z) ** 2) * abs(1.0 - a * z) ** 2
+    found = abs(1.0 + c1 * z + c2 * z * z) ** 2 * a / c2  # sigma^2 c2 = r a
+    np.testing.assert_allclose(found, wanted, rtol=1e-7)
+    assert np.all(abs(np.roots([1.0, c1, c2])) < 1.0)
+
+
+def test_torque_noise_is_the_factor_without_a_moment():
+    c1, c2 = spectral_factor(np.exp(-T), 0.0, (2.0 * np.pi * 6.0 * T) ** 2)
+    # One zero cancels 1 - a z^-1, the other is the leak's.
+    assert np.roots([1.0, c1, c2]).min() == pytest.approx(-torque_noise(T, 6.0).c1, rel=1e-6)
+
+
+def test_innovations_of_the_process_are_white():
+    rng = np.random.default_rng(3)
+    n, a, r = 40_000, np.exp(-T), 1.0
+    rho_d = (2.0 * np.pi * 8.0 * T) ** 4
+    d, gyro = 0.0, np.sqrt(r) * rng.standard_normal(n + 1)
+    drive = np.sqrt(rho_d * r) * rng.standard_normal(n)
+    moment = np.empty(n)
+    for k in range(n):
+        d = moment[k] = a * d + drive[k]
+    left = (moment + np.diff(gyro))[:, None]
+    right, wrong = WhitenerBank([gauss_markov(T, 8.0), leak(T, 0.3)]).update(left)[:, 200:, 0]
+
+    def correlations(w):
+        return np.array([w[lag:] @ w[:-lag] for lag in (1, 2, 5, 20, 60)]) / (w @ w)
+
+    assert np.abs(correlations(right)).max() < 4.0 / np.sqrt(n)
+    assert np.abs(correlations(wrong)).max() > 20.0 / np.sqrt(n)
+    assert right.var() < wrong.var()
+    assert gauss_markov(T, 8.0).gyro_share * right.var() == pytest.approx(r, rel=0.03)
+
+
+@pytest.mark.parametrize("size", [1, 3, 31, 32, 33, 500])
+def test_whitening_does_not_depend_on_blocks(size):
+    rows = np.random.default_rng(1).standard_normal((700, 4))
+    rows[300, 2] = np.nan
+    whole = WhitenerBank(bank_for(T)).update(rows)
+    bank = WhitenerBank(bank_for(T))
+    parts = [bank.update(rows[i : i + size]) for i in range(0, len(rows), size)]
+    np.testing.assert_allclose(np.concatenate(parts, axis=1), whole, atol=1e-12)
+
+
+def test_recursion_is_the_one_in_the_equation():
+    w = gauss_markov(T, 11.0, 15.0)
+    z = np.random.default_rng(2).standard_normal(100)
+    out = np.zeros(102)
+    for k in range(100):
+        before = z[k - 1] if k else 0.0
+        out[k] = z[k] - w.a * before - w.c1 * out[k - 1] - w.c2 * out[k - 2]
+    found = WhitenerBank([w]).update(z[:, None])[0, :, 0]
+    np.testing.assert_allclose(found, out[:100], atol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [1, 2])
+def test_both_sides_of_a_step_agree_on_cubics(samples):
+    t = np.arange(60) * T
+    signals = np.column_stack([3.0 * (t - 0.1) ** 2, (t - 0.1) ** 3])
+    rows = OneStep(T, samples=samples).update(signals, 1)
+    np.testing.assert_allclose(rows.average[:, 0], rows.derivative[:, 1], atol=1e-12)
+
+
+def test_late_signals_are_put_right():
+    t = np.arange(80) * T
+    true, late = np.sin(9.0 * t), np.sin(9.0 * (t - 3 * T))
+    rows = OneStep(T, (-1, 0, 3)).update(np.column_stack([late, true]), 1)
+    np.testing.assert_allclose(rows.late_average[2, :, 0], rows.average[:, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [1, 7, 40])
+def test_steps_do_not_depend_on_blocks(size):
+    signals = np.random.default_rng(4).standard_normal((101, 3))
+    whole = OneStep(T, (-2, 0, 4), 2).update(signals, 2)
+    step = OneStep(T, (-2, 0, 4), 2)
+    parts, counted = [], 0
+    for i in range(0, len(signals), size):
+        counted += step.count_after(len(signals[i : i + size]))
+        parts.append(step.update(signals[i : i + size], 2))
+    assert counted == len(whole.average)
+    np.testing.assert_allclose(np.concatenate([p.average for p in parts]), whole.average)
+    moved = np.concatenate([p.late_derivative for p in parts], axis=1)
+    np.testing.assert_allclose(moved, whole.late_derivative)
+
+
+def test_known_noise_is_what_noise_adds():
+    rng = np.random.default_rng(6)
+    step = step_for(T)
+    basis = ActuatorDynamics(step.delays, half_width=None, dt=T)
+    record = WhitenedRecord(basis, step, bank_for(T), T, 1.0)
+    noise = rng.standard_normal((60_000, SIGNALS))  # of roll, pitch, thrust, yaw, and of H
+    rows = step.update(noise, SIGNALS)
+    elements = rows.late_average.copy()
+    elements[..., -1] = rows.late_derivative[..., -1]
+    n = SIGNALS * len(step.delays)
+    white = WhitenerBank(bank_for(T)).update(
+        np.swapaxes(elements, 0, 1).reshape(len(rows.average), n)
+    )
+    told = record.noise(np.eye(4), np.zeros(4), 1.0, np.ones(1))[:, :n, :n]
+    for w, expected in zip(white[::4], told[::4], strict=True):
+        size = np.sqrt(np.diag(expected))
+        scaled = (w.T @ w / len(w) - expected) / np.outer(size, size)
+        # Leaks leave few independent sums in such a record.
+        assert np.abs(scaled).max() < 0.2
+        assert np.abs(scaled).mean() < 0.02
+
+
+def test_slower_whitener():
+    bank = bank_for(T)
+    for i, whitener in enumerate(bank):
+        other = bank[slower(bank, i)]
+        omega = 2.0 * np.pi * np.array([0.05, 40.0]) * T
+        assert other is not whitener
+        low, high = other.power(omega) / whitener.power(omega)
+        # The other leak is all there is beside a leak.
+        assert low > high or whitener.name == "leak 1 s"
+
+
+@pytest.fixture(scope="module")
+def disturbed():
+    """Two flights at 250 Hz under a strong moment."""
+    vehicle = Vehicle()
+    return vehicle, fly(
+        vehicle,
+        EXCITATIONS["aggressive"],
+        DISTURBANCES["ou7"],
+        flights=2,
+        seconds=20.0,
+        rate=250.0,
+        seed=11,
+    )
+
+
+def fitted(samples, tuning, size=5000):
+    estimator = OnlineEstimator(Vehicle().geometry, T, tuning)
+    for start in range(0, len(samples.gyro), size):
+        estimator.update(samples.part(slice(start, start + size)))
+    return estimator.fit()
+
+
+def test_no_bias_under_feedback(disturbed):
+    vehicle, flights = disturbed
+    for samples in flights:
+        old, new = (fitted(samples, t).rotation for t in (Tuning(), WHITENED))
+        error, before = (np.abs(f.theta[:2] / vehicle.theta[:2] - 1.0) for f in (new, old))
+        assert np.all(error < 0.03)
+        assert np.all(before > 0.08)
+        assert np.all(error < 3.0 * new.std[:2] / vehicle.theta[:2])
+        assert np.all(new.disturbance[:2] > 50.0)
+
+
+def test_blocks_do_not_matter_to_the_fit(disturbed):
+    samples = disturbed[1][0].part(slice(0, 3000))
+    one, many = (fitted(samples, WHITENED, size).rotation for size in (3000, 17))
+    np.testing.assert_allclose(many.theta, one.theta, atol=1e-6 * one.std.min(), rtol=1e-7)
+    assert one.whiteners == many.whiteners
+
+
+def test_nothing_is_detected_where_nothing_disturbs():
+    calm = fly(
+        Vehicle(),
+        EXCITATIONS["doublets"],
+        DISTURBANCES["none"],
+        flights=1,
+        seconds=20.0,
+        rate=250.0,
+        seed=5,
+    )[0]
+    fit = fitted(calm, WHITENED)
+    assert np.all(fit.rotation.disturbance < 1.0)
+    assert fit.validation is not None
+    assert np.all(fit.validation.whiteness_p > 0.01)
+    truth = Vehicle().theta
+    assert np.all(np.abs(fit.rotation.theta[:2] / truth[:2] - 1.0) < 0.01)
+
+
+def test_shocks_are_left_out(disturbed):
+    samples = disturbed[1][0].part(slice(0, 3000))
+    gyro = samples.gyro.copy()
+    gyro[1500:1560, 0] += 4.0 * np.sin(np.linspace(0.0, 40.0, 60))
+    struck = type(samples)(gyro, gyro, *samples.signals[2:])
+    clean, hit = (fitted(s, WHITENED).rotation for s in (samples, struck))
+    assert hit.rows < clean.rows
+    assert abs(hit.theta[0] - clean.theta[0]) < clean.std[0]
+
+
+def test_memory_is_bounded(disturbed):
+    samples = disturbed[1][0]
+    estimator = OnlineEstimator(Vehicle().geometry, T, WHITENED)
+    for _ in range(7):
+        estimator.update(samples)
+    white = estimator._record.whitened
+    assert white.rows > 7 * 4500
+    assert len(white.moments(np.zeros((len(white.whiteners), 1, 1))).counts) <= 40 + 64
+
+
+def test_quick_fits_stay_near_the_full_one(disturbed):
+    vehicle, flights = disturbed
+    estimator = OnlineEstimator(vehicle.geometry, T, WHITENED)
+    course = estimator.follow(flights[0], range(1500, 5001, 250))
+    full = estimator.fit().rotation
+    quick = course[-1].rotation
+    assert np.all(np.abs(quick.theta[:2] - full.theta[:2]) < 0.5 * full.std[:2])
+    assert np.isfinite(quick.r_squared).all()
+
+
+def test_where_the_window_takes_over():
+    assert WHITENED.whitens(0.004)
+    assert not WHITENED.whitens(0.02)
+    assert not Tuning(smoother="whitened", gyro_cutoff=20.0).whitens(0.004)
+    assert not Tuning().whitens(0.004)
+    assert not COMMANDS.whitens(0.004)
