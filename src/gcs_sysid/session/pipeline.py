@@ -18,6 +18,7 @@ from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
 from gcs_sysid.session.clock_check import clock_doubt
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 
+from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.logs import Log, Telemetry

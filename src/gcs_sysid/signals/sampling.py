@@ -402,11 +402,14 @@ class _Unseen:
 
     def show(self, order: int | None, *, flying: bool) -> None:
         """Show it those up to an order (None: all), if they came in flight."""
+        came = []
         for number, track in enumerate(self._tracks):
             n = len(track.t) if order is None else int(np.searchsorted(track.order, order + 1))
-            if flying and n > self._taken[number]:
-                self._selector.extend([track.part(slice(self._taken[number], n))])
+            if n > self._taken[number]:
+                came.append(track.part(slice(self._taken[number], n)))
             self._taken[number] = n
+        if flying:
+            self._selector.extend(sorted(came, key=lambda track: int(track.order[0])))
 
 
 def _stream(block: Block, stream: Stream, n: int, width: int) -> Array:
