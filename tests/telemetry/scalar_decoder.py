@@ -8,14 +8,21 @@ from collections import Counter
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
+
 from gcs_sysid.model.attitude import from_euler
+from gcs_sysid.signals.columns import IntakeEvent
 from gcs_sysid.signals.records import Record, Stream
-from gcs_sysid.telemetry.clock import VehicleClock
+from gcs_sysid.telemetry.clock import ClockDrift, VehicleClock
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.frames import Frame
+from gcs_sysid.telemetry.frames import Frame, Validity
+from gcs_sysid.telemetry.marks import is_reset_mark
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 from gcs_sysid.telemetry.parameter_values import read_parameter
+from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
 from gcs_sysid.telemetry.rotor_messages import MOST_ROTORS, RPM
+from gcs_sysid.telemetry.senders import Contradictions
+from gcs_sysid.telemetry.vehicles import VehicleSelector
 
 MILLI_G = 9.80665e-3
 """m/s^2 per thousandth of standard gravity."""
@@ -41,6 +48,7 @@ _position = picker("LOCAL_POSITION_NED", "time_boot_ms", "vx", "vy", "vz", "x", 
 _global_position = picker("GLOBAL_POSITION_INT", "time_boot_ms", "relative_alt", "vx", "vy", "vz")
 _landed = picker("EXTENDED_SYS_STATE", "landed_state")
 _heartbeat = picker("HEARTBEAT", "autopilot", "base_mode", "system_status")
+_type_and_mode = picker("HEARTBEAT", "type", "autopilot", "base_mode")
 _system_time = picker("SYSTEM_TIME", "time_unix_usec", "time_boot_ms")
 
 
@@ -113,7 +121,7 @@ def servo_outputs(payload: bytes) -> tuple[int, int, tuple[float, ...]]:
     return time_usec, port, tuple(float(servo) for servo in servos)
 
 
-class RecordDecoder:
+class ScalarDecoder:
     """Makes records from the frames of one vehicle.
 
     Attributes:
@@ -361,3 +369,96 @@ class RecordDecoder:
     def _read_system_time(self, payload: bytes) -> Record | None:
         self.clock.system_time(*_system_time(payload))
         return None
+
+
+class ScalarIntake:
+    """What `Intake` tells, frame by frame, but for counts and rates of messages."""
+
+    def __init__(self, wanted: tuple[int, int | None] | None = None) -> None:
+        self.selector = VehicleSelector(wanted)
+        self.decoder = ScalarDecoder()
+        self.drift = ClockDrift()
+        self.turning: set[str] = set()
+        self.fates: Counter[str] = Counter()
+        self.events: list[IntakeEvent] = []
+        self._contradictions = Contradictions()
+        self._others: set[tuple[int, int]] = set()
+
+    def frame(self, frame: Frame, wall: float | None = None) -> Record | None:
+        """Take one frame; the record it makes, if any."""
+        if frame.valid is not Validity.OK:
+            return None
+        if frame.system == OWN_SYSTEM and is_reset_mark(frame):
+            self._note("reset", "estimate reset by the user")
+            return None
+        first = self.selector.chosen
+        self.selector.take(*(np.array([n], np.uint8) for n in (frame.system, frame.component)))
+        if frame.message_id == 0:
+            self.selector.hear(frame)
+        known, is_chosen = first is not None, self.selector.is_chosen(frame)
+        if first is not None and not is_chosen and self.decoder.clock.now is None:
+            is_chosen = self.selector.go_over(frame)
+            if is_chosen:
+                self._begin_anew(first)
+        if frame.message_id == 0:
+            self._hear(frame)
+        if not is_chosen:
+            self.fates["others"] += 1
+            return None
+        record = self._decode(frame)
+        if not known:
+            self._note("vehicle", f"{self.selector.chosen} heard")
+        clock = self.decoder.clock
+        if record is not None:
+            if record.stream is Stream.ROTOR_SPEED:
+                count = sum(value != 0.0 for value in record.values)
+                if count >= min(4, len(record.values)):
+                    self.turning.add(record.source)
+            if wall is not None and clock.now is not None:
+                self.drift.take(clock.now, wall)
+        return record
+
+    def _decode(self, frame: Frame) -> Record | None:
+        clock = self.decoder.clock
+        before, reboots, dropped = clock.now, clock.reboots, self.decoder.dropped_messages
+        record = self.decoder.decode(frame)
+        if record is not None:
+            self.fates["used"] += 1
+        elif not self.decoder.reads(frame.message_id):
+            self.fates["not needed"] += 1
+        else:
+            new = self.decoder.dropped_messages != dropped
+            self.fates["dropped" if new else "passed over"] += 1
+        if clock.reboots != reboots:
+            self._note("reboot", f"the vehicle's clock went back from {before:.1f} s: reboot")
+        return record
+
+    def _begin_anew(self, first) -> None:
+        self._others.add(first.address)
+        self.decoder = ScalarDecoder()
+        self._contradictions = Contradictions()
+        self._note(
+            "vehicles",
+            f"{first}, the first heard, sends nothing but heartbeats: "
+            f"using {self.selector.chosen}, whose IMU data come",
+        )
+
+    def _hear(self, heartbeat: Frame) -> None:
+        chosen, who = self.selector.chosen, (heartbeat.system, heartbeat.component)
+        if chosen is None:
+            return
+        if who == chosen.address:
+            vehicle_type, autopilot, mode = _type_and_mode(heartbeat.payload)
+            armed = bool(mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+            if self._contradictions.take(vehicle_type, autopilot, armed=armed):
+                self._note("senders", "")
+            return
+        other = self.selector.systems.get(who)
+        if other is None or not other.is_autopilot or self.selector.wanted is not None:
+            return
+        if who not in self._others:
+            self._others.add(who)
+            self._note("vehicles", str(other))
+
+    def _note(self, kind: str, text: str) -> None:
+        self.events.append(IntakeEvent(self.decoder.clock.now or 0.0, kind, text))

@@ -111,14 +111,13 @@ class VehicleClock:
         """How far Unix time is ahead of the time since boot, s; None until it was told."""
         return self._unix_minus_boot
 
-    def take(self, kind: Array, raw: Array) -> tuple[Array, Array]:
+    def take(self, kind: Array, raw: Array, *, may_go_back: bool) -> tuple[Array, Array]:
         """Follow stamps in the order in which they came, up to one that sets the clock back.
-
-        Such a one is taken alone, when it is the first.
 
         Args:
             kind: (n,) of `StampKind`.
             raw: (n,) whole numbers, the stamps.
+            may_go_back: whether such a one is taken where it is the first; then it is taken alone.
 
         Returns:
             (m,) s, the times of those that were taken, NaN where they are not to be believed;
@@ -135,7 +134,7 @@ class VehicleClock:
                 before = dict(vars(self))
                 time = self._stamp(int(kind[row]), int(raw[row]))
                 reboots = self.reboots != before["reboots"]
-                if reboots and row:
+                if reboots and (row or not may_go_back):
                     vars(self).update(before)
                     return t[:row], now[:row]
                 t[row] = np.nan if time is None else time

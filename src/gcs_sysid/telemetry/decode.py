@@ -163,7 +163,7 @@ class RecordDecoder:
         self._leave_out(messages, frames, mine)
         stop = self._learn_unix_time(frames, mine)
         reboots = self.clock.reboots
-        stamps, moments, stop = self._stamps(messages, stop)
+        stamps, moments, stop = self._stamps(messages, frames.number, stop)
         rebooted = self.clock.reboots != reboots
         if rebooted:
             stop = frames.number + 1
@@ -241,9 +241,14 @@ class RecordDecoder:
         return int(row["time_unix_usec"]), int(row["time_boot_ms"])
 
     def _stamps(
-        self, messages: dict[str, Array], stop: int
+        self, messages: dict[str, Array], first: int, stop: int
     ) -> tuple[dict[str, Array], ClockTimes, int]:
         """Times of the messages with stamps that drive the clock, NaN where they tell none.
+
+        Args:
+            messages: by name.
+            first: number of the first frame.
+            stop: number of the frame before which they are read.
 
         Returns:
             Message name -> times, the clock, and the number of the first frame that is not read.
@@ -264,7 +269,8 @@ class RecordDecoder:
         )
         sorting = np.argsort(order)
         sorting = sorting[: np.searchsorted(order[sorting], stop)]
-        t, after = self.clock.take(kind[sorting], raw[sorting])
+        alone = len(sorting) > 0 and int(order[sorting[0]]) == first
+        t, after = self.clock.take(kind[sorting], raw[sorting], may_go_back=alone)
         if len(t) < len(sorting):
             stop = int(order[sorting[len(t)]])
         sorting = sorting[: len(t)]
