@@ -5,7 +5,7 @@ frames or minutes of a log. Its state depends on the records and their order alo
 of a recording ends with the numbers that the live session ended with.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -90,16 +90,17 @@ class Chain:
         for part in block.windows():
             for _, told in part.parameters:
                 self.rotor_selector.learn(told.source, told.values[0])
-            self._learn(self.sampler.take(part.tracks))
+            for samples in self.sampler.take(part.tracks):
+                self._learn(samples)
         return self.renewals > before
 
-    def _learn(self, blocks: Iterable[SampleBlock]) -> None:
-        for block in blocks:
-            self._learner.learn(block, self._known())
+    def _learn(self, block: SampleBlock) -> None:
+        self._learner.learn(block, self._known())
 
     def finish(self) -> Result:
         """Use what is still held back and give the final result."""
-        self._learn(self.sampler.finish())
+        for block in self.sampler.finish():
+            self._learn(block)
         self._learner.finish(self.t)
         result = self.refit()
         speeds = self.rotor_input == "speed"
@@ -116,7 +117,8 @@ class Chain:
     def reset(self) -> None:
         """Forget the estimate; go on with the next samples."""
         # However records were taken, what came before is forgotten, and nothing else.
-        self._learn(self.sampler.catch_up())
+        for block in self.sampler.catch_up():
+            self._learn(block)
         self._learner.reset()
         self.note("estimate reset")
 

@@ -87,7 +87,7 @@ class InertialBuffer(StreamBuffer):
         known = self._known[tick]
         frozen = outliers.frozen(v)
         if frozen.any():
-            self._found(t[frozen], grid[-1], "frozen")
+            self.faults.frozen += self._new(t[frozen], grid[-1])
             known = np.cumsum(~frozen)[known - 1]
             t, v = t[~frozen], v[~frozen]
         settled = (known == len(t)) | (known - np.searchsorted(t, grid) > self._ahead)
@@ -95,23 +95,22 @@ class InertialBuffer(StreamBuffer):
         def tell(count: int, grid: Array) -> Array:
             return self._sound_values(t[:count], v[:count], grid)
 
-        values = as_known(tell, grid, known, settled, len(t))
-        self._counted = float(grid[-1])
-        return values
+        return as_known(tell, grid, known, settled, len(t))
 
     def _sound_values(self, t: Array, v: Array, grid: Array) -> Array:
         gap = self.gap
         gyro, spikes = outliers.despiked(t, v[:, _GYRO], gap, outliers.JOLT * self.step)
-        if spikes.any() and len(grid):
-            self._found(t[spikes.any(axis=1)], grid[-1], "spikes")
+        if spikes.any():
+            self.faults.spikes += self._new(t[spikes.any(axis=1)], grid[-1])
             v = np.hstack([gyro, v[:, 3:]])
+        self._counted = float(grid[-1])
         if self._arm is not None and any(self._arm):
             v = np.hstack([v[:, _GYRO], at_cg(t, v[:, _GYRO], v[:, 3:], self._arm, gap)])
         return interpolate(t, v, grid, gap, self._among)
 
-    def _found(self, times: Array, until: float, kind: str) -> None:
-        new = int(np.count_nonzero((times > self._counted) & (times <= until)))
-        setattr(self.faults, kind, getattr(self.faults, kind) + new)
+    def _new(self, times: Array, until: float) -> int:
+        """How many of the times, s, were not counted yet."""
+        return int(np.count_nonzero((times > self._counted) & (times <= until)))
 
 
 def at_cg(

@@ -186,9 +186,6 @@ class RotorBuffer(StreamBuffer):
         if not wild.any():
             # Nothing to judge: what later samples would say of these does not matter.
             return super()._between(t, v, grid, gap, among, known)
-        times = t[wild]
-        self.wild += int(np.count_nonzero((times > self._counted) & (times <= grid[-1])))
-        self._counted = float(grid[-1])
         right = np.searchsorted(t, grid)
         spoilt = np.concatenate([[0], np.cumsum(wild)])
         left_out = spoilt[known] - spoilt[np.minimum(right, known)]
@@ -196,6 +193,9 @@ class RotorBuffer(StreamBuffer):
 
         def tell(count: int, grid: Array) -> Array:
             sound = ~wild_rows(t[:count], v[:count], gap)
+            times = t[:count][~sound]
+            self.wild += int(np.count_nonzero((times > self._counted) & (times <= grid[-1])))
+            self._counted = float(grid[-1])
             return interpolate(t[:count][sound], v[:count][sound], grid, gap, among)
 
         return as_known(tell, grid, known, settled, len(t))

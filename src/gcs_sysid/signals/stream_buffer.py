@@ -323,18 +323,13 @@ def as_known(
     """Values of which some must not be told from samples that came later.
 
     Args:
-        tell: gives the (n, width) values from so many samples, at (n,) s.
+        tell: gives the (n, width) values from so many samples, at (n,) s; asked in order.
         grid: (n,) s.
         known: (n,) how many samples were known of each.
         settled: (n,) whether samples to come changed nothing any more.
         count: how many samples there are.
     """
-    if settled.all():
-        return tell(count, grid)
-    first = tell(count, grid[settled])
-    out = np.empty((len(grid), first.shape[1]))
-    out[settled] = first
-    for many in np.unique(known[~settled]).tolist():
-        rows = ~settled & (known == many)
-        out[rows] = tell(many, grid[rows])
-    return out
+    from_ = np.where(settled, count, known)
+    edges = [0, *(np.flatnonzero(np.diff(from_)) + 1).tolist(), len(grid)]
+    parts = [tell(int(from_[a]), grid[a:b]) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
