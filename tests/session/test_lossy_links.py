@@ -70,7 +70,9 @@ def imu_times(share, seconds=30.0, rate=250.0):
 @pytest.mark.parametrize("share", [0.2, 0.4])
 def test_losses_do_not_look_like_another_rate(share):
     base = TimeBase()
-    imu = [Record(Stream.IMU, float(t), (0.1, 0.2, 0.3, 0.0, 0.0, float(t))) for t in imu_times(share)]
+    imu = [
+        Record(Stream.IMU, float(t), (0.1, 0.2, 0.3, 0.0, 0.0, float(t))) for t in imu_times(share)
+    ]
     assert list(grid_of(base, imu, 5))
     assert base.restarts == 0
 

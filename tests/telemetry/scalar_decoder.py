@@ -18,8 +18,8 @@ from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import Frame, Validity
 from gcs_sysid.telemetry.marks import is_reset_mark
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
-from gcs_sysid.telemetry.parameter_values import read_parameter
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
+from gcs_sysid.telemetry.parameter_values import read_parameter
 from gcs_sysid.telemetry.rotor_messages import MOST_ROTORS, RPM
 from gcs_sysid.telemetry.senders import Contradictions
 from gcs_sysid.telemetry.vehicles import VehicleSelector

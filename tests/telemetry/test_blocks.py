@@ -296,9 +296,7 @@ def test_blocks_of_recorded_flights_make_what_single_frames_make(shared_logs, na
     compare(shared_logs / name, 1 << 21)
 
 
-def test_nothing_is_decoded_frame_by_frame_while_nothing_is_odd(
-    tmp_path, make_sender, monkeypatch
-):
+def test_nothing_is_decoded_frame_by_frame_while_nothing_is_odd(tmp_path, make_sender, monkeypatch):
     vehicle = make_sender()
     frames = [vehicle.heartbeat()]
     for i in range(5000):

@@ -17,7 +17,6 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
 from gcs_sysid.session.clock_check import clock_doubt
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
-
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.intake import Intake
@@ -55,7 +54,7 @@ class Pipeline:
         self._events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
         self._recorded: datetime | None = None
 
-    def take(self, frames: Iterable[Frame], wall: float | None = None) -> bool:
+    def take(self, frames: Iterable[Frame] | FrameBlock, wall: float | None = None) -> bool:
         """Take frames in the order received. Returns whether the estimate was renewed.
 
         Args:
@@ -63,9 +62,8 @@ class Pipeline:
             wall: when they came, s, as it is recorded; None: not known.
         """
         before = self.chain.renewals
-        if not isinstance(frames, FrameBlock):
-            frames = FrameBlock.of(frames, wall)
-        for part in self.intake.block(frames).windows():
+        block = frames if isinstance(frames, FrameBlock) else FrameBlock.of(frames, wall)
+        for part in self.intake.block(block).windows():
             self.take_window(part)
         return self.chain.renewals > before
 

@@ -50,7 +50,7 @@ class InertialBuffer(StreamBuffer):
 
     @property
     def gap(self) -> float:
-        """s beyond which two samples have nothing between them, at the grid's step."""
+        """S beyond which two samples have nothing between them, at the grid's step."""
         return usual_gap(self.step)
 
     @property

@@ -6,6 +6,7 @@ many of its samples each of them knows (`extend`).
 """
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
@@ -108,7 +109,7 @@ class StreamBuffer:
         self._known = np.full(ticks, len(self))
         self._intervals = np.full(ticks, self.interval)
 
-    def first_irregular(self, t: Array, values: Array) -> int:  # noqa: ARG002 - subclasses need it
+    def first_irregular(self, t: Array, values: Array) -> int:
         """The first of samples to come, laid out as of `extend`, that changes older ones.
 
         It must come before the first tick of its piece; n where there is none.
@@ -314,7 +315,7 @@ def _alike(t: Array, gaps: Array, among: Array) -> list[slice]:
     ):
         changes |= np.diff(gaps) != 0.0
     edges = [0, *(np.flatnonzero(changes) + 1).tolist(), len(gaps)]
-    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [slice(a, b) for a, b in pairwise(edges)]
 
 
 def as_known(
@@ -331,5 +332,5 @@ def as_known(
     """
     from_ = np.where(settled, count, known)
     edges = [0, *(np.flatnonzero(np.diff(from_)) + 1).tolist(), len(grid)]
-    parts = [tell(int(from_[a]), grid[a:b]) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    parts = [tell(int(from_[a]), grid[a:b]) for a, b in pairwise(edges)]
     return parts[0] if len(parts) == 1 else np.concatenate(parts)

@@ -311,7 +311,9 @@ class TimeBase:
             known = np.maximum.reduce([np.minimum.reduce(waits), newest - _MOST_LAG])
             horizon = np.minimum(horizon, known)
         settled = [b.settled(newest) for b in self._rotor_buffers()]
-        return np.minimum.reduce([horizon, self._imu_buffer().settled(), *settled])
+        settled.append(self._imu_buffer().settled())
+        ready: Array = np.minimum.reduce([horizon, *settled])
+        return ready
 
     def _emit(
         self, horizon: Array, orders: Array, arrived: Iterable[tuple[Array, Array]] = ()

@@ -6,6 +6,7 @@ seconds since the vehicle's boot. The wall clock has no part in it: how far the 
 is told, and doubted where no clock would (`session.clock_doubt`).
 """
 
+from dataclasses import dataclass
 from enum import IntEnum, auto
 from typing import Any
 
@@ -207,6 +208,24 @@ class VehicleClock:
             self.started = t
             self._unix_minus_boot = None
         return t
+
+
+@dataclass(frozen=True)
+class ClockTimes:
+    """The vehicle's clock over a block of frames.
+
+    Attributes:
+        order: (m,) rising numbers of the frames that tell the time.
+        now: (m + 1,) s, the clock before the first of them, and after each; NaN: not known yet.
+    """
+
+    order: Array
+    now: Array
+
+    def after(self, order: Array) -> Array:
+        """(n,) s, the clock after the frames with these numbers."""
+        now: Array = self.now[np.searchsorted(self.order, order, side="right")]
+        return now
 
 
 def following(time_usec: Array, now: Array) -> Array:

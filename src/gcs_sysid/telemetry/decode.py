@@ -7,25 +7,24 @@ its recording make the same records.
 
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, complete_rows
 from gcs_sysid.signals.records import Record, Stream
-from gcs_sysid.telemetry.clock import StampKind, VehicleClock, following
+from gcs_sysid.telemetry import message_table
+from gcs_sysid.telemetry.clock import ClockTimes, StampKind, VehicleClock, following
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.message_arrays import message_arrays
-from gcs_sysid.telemetry.message_table import MESSAGES, STAMP_FIELDS, Message, Stamp
+from gcs_sysid.telemetry.message_table import STAMP_FIELDS, Message, Stamp
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
+from gcs_sysid.telemetry.preference import Preference
 from gcs_sysid.telemetry.rotor_messages import MOST_ROTORS
 from gcs_sysid.telemetry.track_collector import TrackCollector
 from gcs_sysid.telemetry.vehicle_states import STATE_IDS, VehicleStates
 
-PREFERRED_FOR = 1.0
-"""s. The next best message is used only when no better one came for this long."""
 _DRIVING = {
     Stamp.US64: StampKind.US64,
     Stamp.MS32: StampKind.MS32,
@@ -34,62 +33,6 @@ _DRIVING = {
 _SYSTEM_TIME = MESSAGE_IDS["SYSTEM_TIME"]
 _NO_TIMES = np.empty(0)
 _NO_ORDER = np.empty(0, np.int64)
-
-
-class Preference:
-    """Lets messages of a stream through only while none that ranks better comes."""
-
-    def __init__(self) -> None:
-        self._heard: dict[int, float] = {}
-
-    def allows(self, ranked: Sequence[tuple[int, Array, Array]]) -> list[Mask]:
-        """Note messages, and tell which of them to use.
-
-        Args:
-            ranked: of each kind its rank, the (n,) places of its messages in the order of
-                arrival, and their times in s, NaN where there is none; the best first.
-
-        Returns:
-            Of each kind (n,) whether to use the message.
-        """
-        heard: list[tuple[int, Array, Array]] = []
-        masks = []
-        came = {rank for rank, _, _ in ranked}
-        silent = [(k, t) for k, t in self._heard.items() if k not in came]
-        for rank, order, t in ranked:
-            allowed = np.ones(len(t), bool)
-            for better, last in silent:
-                if better < rank:
-                    allowed &= ~(np.abs(t - last) <= PREFERRED_FOR)
-            for better, better_order, better_t in heard:
-                if better < rank:
-                    last_t = better_t[np.searchsorted(better_order, order)]
-                    allowed &= ~(np.abs(t - last_t) <= PREFERRED_FOR)
-            masks.append(allowed)
-            timed = np.isfinite(t)
-            times = np.concatenate([[self._heard.get(rank, np.nan)], t[timed]])
-            heard.append((rank, order[timed], times))
-            if len(times) > 1:
-                self._heard[rank] = float(times[-1])
-        return masks
-
-
-@dataclass(frozen=True)
-class ClockTimes:
-    """The vehicle's clock over a block of frames.
-
-    Attributes:
-        order: (m,) rising numbers of the frames that tell the time.
-        now: (m + 1,) s, the clock before the first of them, and after each; NaN: not known yet.
-    """
-
-    order: Array
-    now: Array
-
-    def after(self, order: Array) -> Array:
-        """(n,) s, the clock after the frames with these numbers."""
-        now: Array = self.now[np.searchsorted(self.order, order, side="right")]
-        return now
 
 
 class Taken(NamedTuple):
@@ -107,7 +50,7 @@ class RecordDecoder:
     """Makes records from the frames of one vehicle.
 
     Args:
-        table: of the messages that are read.
+        table: of the messages that are read; None: `message_table.MESSAGES`.
 
     Attributes:
         clock: the vehicle's clock as its stamps tell it.
@@ -117,7 +60,7 @@ class RecordDecoder:
     def __init__(self, table: Sequence[Message] | None = None) -> None:
         self.clock = VehicleClock()
         self.states = VehicleStates()
-        self._table = {message.name: message for message in table or MESSAGES}
+        self._table = {message.name: message for message in table or message_table.MESSAGES}
         self._ids = {MESSAGE_IDS[name] for name in self._table} | STATE_IDS | {_SYSTEM_TIME}
         self._dropped: Counter[str] = Counter()
         self._sensors: dict[str, int] = {}
@@ -221,7 +164,7 @@ class RecordDecoder:
         return before
 
     def _learn_unix_time(self, frames: FrameBlock, mine: Mask) -> int:
-        """Take a SYSTEM_TIME that stands first; returns the next from which others are read anew."""
+        """Take a SYSTEM_TIME that stands first; the next from which others are read anew."""
         end = frames.number + len(frames)
         if self.clock.unix_minus_boot is not None:
             return end
@@ -454,5 +397,3 @@ def _kept(rows: Array, mask: Mask) -> Array:
     """Rows of a mask, which most often is true throughout: then they are not copied."""
     kept: Array = rows if mask.all() else rows[mask]
     return kept
-
-

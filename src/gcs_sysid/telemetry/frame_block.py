@@ -71,16 +71,17 @@ class FrameBlock:
         header = np.array(
             [
                 (
-                    len(raw), len(frame.payload), frame.message_id, frame.sequence, frame.system,
+                    len(raw), frame.message_id, len(frame.payload), frame.sequence, frame.system,
                     frame.component, frame.version, _NUMBERS[frame.valid],
                 )
                 for frame, raw in zip(frames, raws, strict=True)
             ],
             np.int32,
         ).reshape(-1, 8)  # fmt: skip
-        size, payload_size, message_id, sequence, system, component, version, validity = header.T
+        size, message_id, *narrow = header.T
+        narrow = [column.astype(np.uint8) for column in narrow]
+        payload_size, sequence, system, component, version, validity = narrow
         at = np.cumsum(size) - size
-        narrow = header[:, [1, 3, 4, 5, 6, 7]].astype(np.uint8).T
         return cls(
             data=np.frombuffer(b"".join([*raws, _ROOM]), np.uint8),
             at=at,
@@ -88,13 +89,13 @@ class FrameBlock:
             time_us=np.full(len(frames), 0 if wall is None else round(wall * 1e6), np.uint64),
             message_id=message_id,
             payload_at=at + np.where(version == 2, HEADER_2, HEADER_1),
-            payload_size=narrow[0],
+            payload_size=payload_size,
             size=size,
-            sequence=narrow[1],
-            system=narrow[2],
-            component=narrow[3],
-            version=narrow[4],
-            validity=narrow[5],
+            sequence=sequence,
+            system=system,
+            component=component,
+            version=version,
+            validity=validity,
         )
 
     def __len__(self) -> int:

@@ -177,7 +177,9 @@ class Intake:
         self._tell(one.number, out)
         return 1
 
-    def _take_chosen(self, frames: FrameBlock, out: TrackCollector, *, counted: bool = False) -> int:
+    def _take_chosen(
+        self, frames: FrameBlock, out: TrackCollector, *, counted: bool = False
+    ) -> int:
         """Take frames while the vehicle stays the same and its clock runs on; how many."""
         chosen = self.selector.chosen
         assert chosen is not None

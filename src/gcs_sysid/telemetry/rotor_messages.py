@@ -28,12 +28,14 @@ def used_outputs(messages: Array, outputs: Array) -> Array:
     count = np.where(active <= most, active, np.minimum(bit_length, most)).astype(int)
     count[count == 0] = most
     there = np.isfinite(outputs) & (np.arange(most) < count[:, None])
-    return np.maximum(_to_last(there), np.minimum(count, 4))
+    used: Array = np.maximum(_to_last(there), np.minimum(count, 4))
+    return used
 
 
 def used_servos(_messages: Array, servos: Array) -> Array:
     """(n,) how many servos n messages SERVO_OUTPUT_RAW tell of, at least four; 0: not there."""
-    return np.maximum(_to_last(servos != 0.0), 4)
+    used: Array = np.maximum(_to_last(servos != 0.0), 4)
+    return used
 
 
 def _to_last(there: Mask) -> Array:

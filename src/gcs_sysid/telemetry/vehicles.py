@@ -6,11 +6,12 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.frame_block import counts_of
+from gcs_sysid.telemetry.frame_block import OK, FrameBlock, counts_of
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.message_table import INERTIAL
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 
+_HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
 _heartbeat = picker("HEARTBEAT", "type", "autopilot")
 
 MOST_SYSTEMS = 256
@@ -149,6 +150,13 @@ class VehicleSelector:
         for address in counts.keys() & self.systems.keys():
             self.frames[address] += counts[address]
 
+    def listen(self, frames: FrameBlock) -> None:
+        """Note frames of anybody, heartbeats too."""
+        good = frames.validity == OK
+        self.take(frames.system[good], frames.component[good])
+        for row in np.flatnonzero(good & (frames.message_id == _HEARTBEAT)).tolist():
+            self.hear(frames.frame(row))
+
     def is_chosen(self, frame: Frame) -> bool:
         """Whether a frame is the chosen vehicle's."""
         chosen = self.chosen
@@ -174,7 +182,7 @@ class VehicleSelector:
         if self.wanted is not None or other is None or not other.is_autopilot:
             return False
         beats, samples = self._shown.get(who, (0, 0))
-        beats += frame.message_id == MESSAGE_IDS["HEARTBEAT"]
+        beats += frame.message_id == _HEARTBEAT
         samples += frame.message_id in INERTIAL_IDS
         self._shown[who] = beats, samples
         if beats < _BEATS or samples < _SAMPLES:
