@@ -13,18 +13,27 @@ import tempfile
 import time
 from pathlib import Path
 
+from gcs_sysid.telemetry.dialect.mavlink import MAVLINK_MSG_ID_HIGHRES_IMU as HIGHRES_IMU
+
 from benchmarks.accuracy.flights import GEOMETRY, fly, measure
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.signals.samples import Samples
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import read_tlog
 
 RATE = 250
-_TICKS = (("blocks of 10 s", 10.0), ("blocks of 0.1 s", 0.1), ("sample by sample", 1.0 / RATE))
+_BLOCKS = (
+    ("blocks of 10 s", 10.0),
+    ("blocks of 0.1 s", 0.1),
+    ("blocks of 8 ms", 0.008),
+    ("sample by sample", 1.0 / RATE),
+)
 FLIGHT = ["--airframe", "paper", "--mission", "paper", "--noise", "mems", "--rate", str(RATE)]
 
 
@@ -53,16 +62,33 @@ def emulator(folder: Path) -> tuple[Path, float]:
 
 def chain_rates(log: Path) -> dict[str, float]:
     """IMU samples a second through the chain, refit at 10 Hz, by block length."""
-    intake = Intake()
-    records = intake.frames(frame for _, frame in read_tlog(log))
+    records = Intake().frames(frame for _, frame in read_tlog(log))
     samples = sum(record.stream == "imu" for record in records)
     rates = {}
-    for name, tick in _TICKS:
-        chain = Chain(load_airframe("paper"), ChainOptions(history_interval=0.1, tick=tick))
+    for name, seconds in _BLOCKS:
+        size = max(round(seconds * RATE * len(records) / samples), 1)
+        blocks = [RecordBlock.of(records[i : i + size]) for i in range(0, len(records), size)]
+        chain = Chain(load_airframe("paper"), ChainOptions(history_interval=0.1))
         began = time.process_time()
-        for record in records:
-            chain.feed(record)
+        for block in blocks:
+            chain.take(block)
         chain.finish()
+        rates[name] = samples / (time.process_time() - began)
+    return rates
+
+
+def frame_rates(log: Path) -> dict[str, float]:
+    """IMU samples a second from frames to the end of the chain, by how many are read in one go."""
+    frames = [frame for _, frame in read_tlog(log)]
+    samples = sum(frame.message_id == HIGHRES_IMU for frame in frames)
+    rates = {}
+    for name, seconds in _BLOCKS[1:]:
+        size = max(round(seconds * RATE * len(frames) / samples), 1)
+        pipeline = Pipeline(load_airframe("paper"), "")
+        began = time.process_time()
+        for i in range(0, len(frames), size):
+            pipeline.take(frames[i : i + size], 1.7e9)
+        pipeline.finish()
         rates[name] = samples / (time.process_time() - began)
     return rates
 
@@ -118,7 +144,7 @@ def main() -> None:
     """Print the table."""
     with tempfile.TemporaryDirectory() as folder:
         log, speed = emulator(Path(folder))
-        rates = chain_rates(log)
+        rates, from_frames = chain_rates(log), frame_rates(log)
     rows = [
         ("emulator, full 250 Hz message set, to file", f"{speed:.1f} x real time", ">= 5"),
         ("live, headless, 250 Hz IMU", f"{100 * live_share():.1f} % of a core", "<= 25 %"),
@@ -133,6 +159,10 @@ def main() -> None:
         *(
             (f"chain with refit at 10 Hz, {name}", f"{rate:.0f} samples/s", "")
             for name, rate in rates.items()
+        ),
+        *(
+            (f"frames to estimates, {name}", f"{rate:.0f} samples/s", "")
+            for name, rate in from_frames.items()
         ),
     ]
     print(f"{'what':<50}{'measured':>22}{'bar':>10}")

@@ -13,8 +13,8 @@ from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.rotation import fit_rotation
 from gcs_sysid.estimation.tuning import COMMANDS
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.signals.interpolation import interpolate
 from gcs_sysid.signals.samples import Samples
-from gcs_sysid.signals.stream_buffer import interpolate
 
 DT = 0.005
 FULL = 1.2

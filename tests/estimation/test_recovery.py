@@ -17,8 +17,8 @@ from gcs_sysid.estimation.rotor_signals import RotorPath
 from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.signals.interpolation import interpolate
 from gcs_sysid.signals.smoothers import DifferentiatorSmoother, WindowSmoother
-from gcs_sysid.signals.stream_buffer import interpolate
 
 DT = 0.005
 

@@ -6,6 +6,7 @@ import pytest
 from gcs_sysid.live.acceleration_prediction import KEPT, LivePrediction, Model, Motion, Predictor
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.chain import Chain, ChainOptions
+from tests.feeding import feed
 
 
 @pytest.fixture
@@ -19,8 +20,7 @@ def watched():
 def test_the_last_seconds_are_foretold(watched, paper_records):
     chain, prediction = watched
     assert prediction.acceleration() is None
-    for record in paper_records:
-        chain.feed(record)
+    feed(chain, paper_records)
     found = prediction.acceleration()
     step = np.diff(found.t)
     assert chain.t - 1.5 < found.t[-1] < chain.t
@@ -35,8 +35,7 @@ def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, pape
     """With a fit frozen beforehand, the rows are those of the same model over the whole flight."""
     chain, prediction = watched
     half = len(paper_records) // 2
-    for record in paper_records[:half]:
-        chain.feed(record)
+    feed(chain, paper_records[:half])
     blocks = []
     fit = chain.fit
     since = chain.t
@@ -47,8 +46,7 @@ def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, pape
         prediction.take(block)
 
     chain.observers[:] = [take]
-    for record in paper_records[half:]:
-        chain.feed(record)
+    feed(chain, paper_records[half:])
     found = prediction.acceleration()
     rotation = fit.rotation
     model = Model(rotation.theta, rotation.coordinates, chain.airframe.geometry, "speed")
@@ -76,12 +74,10 @@ def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, pape
 def test_what_was_given_out_does_not_change(watched, paper_records):
     chain, prediction = watched
     half = len(paper_records) // 2
-    for record in paper_records[:half]:
-        chain.feed(record)
+    feed(chain, paper_records[:half])
     found = prediction.acceleration()
     before = found.measured.copy(), found.predicted.copy()
-    for record in paper_records[half:]:
-        chain.feed(record)
+    feed(chain, paper_records[half:])
     np.testing.assert_array_equal(found.measured, before[0])
     np.testing.assert_array_equal(found.predicted, before[1])
 
@@ -89,19 +85,16 @@ def test_what_was_given_out_does_not_change(watched, paper_records):
 def test_the_estimate_does_not_depend_on_being_watched(watched, paper_records):
     chain, _ = watched
     alone = Chain(load_airframe("paper"), ChainOptions(history_interval=0.2))
-    for record in paper_records:
-        chain.feed(record)
-        alone.feed(record)
+    feed(chain, paper_records)
+    feed(alone, paper_records)
     assert chain.finish() == alone.finish()
 
 
 def test_after_a_reset_only_what_is_new_is_shown(watched, paper_records):
     chain, prediction = watched
     half = len(paper_records) // 2
-    for record in paper_records[:half]:
-        chain.feed(record)
+    feed(chain, paper_records[:half])
     last = prediction.acceleration().t[-1]
     chain.reset()
-    for record in paper_records[half:]:
-        chain.feed(record)
+    feed(chain, paper_records[half:])
     assert prediction.acceleration().t[-1] > last

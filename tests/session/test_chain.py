@@ -17,14 +17,14 @@ from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.rotor_units import RotorSource
 from gcs_sysid.signals.samples import Samples
 from gcs_sysid.signals.sampling import SampleBlock
+from tests.feeding import feed
 
 END_ONLY = ChainOptions(history_interval=None)
 
 
 def run(records, options=END_ONLY, airframe=None):
     chain = Chain(airframe or load_airframe("paper"), options)
-    for record in records:
-        chain.feed(record)
+    feed(chain, records)
     return chain, chain.finish()
 
 
@@ -160,16 +160,14 @@ def test_less_than_three_seconds_claim_nothing(paper_records):
 def test_reset_forgets_and_goes_on(paper_records):
     chain = Chain(load_airframe("paper"))
     half = len(paper_records) // 2
-    for record in paper_records[:half]:
-        chain.feed(record)
+    feed(chain, paper_records[:half])
     assert chain.used_seconds > 20.0
     chain.reset()
     assert chain.used_seconds == 0.0
     assert chain.history.t.size == 0
     assert chain.events[-1].text == "estimate reset"
     assert "Ixx" not in values(chain.result())
-    for record in paper_records[half:]:
-        chain.feed(record)
+    feed(chain, paper_records[half:])
     result = chain.finish()
     assert 20.0 < result.telemetry["used_seconds"] < 35.0
     assert result.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.05)

@@ -6,6 +6,7 @@ from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.signals.records import Stream
+from tests.feeding import feed
 
 FLIGHT = ("--mission", "all-axes", "--rate", "100", "--duration", "40", "--seed", "3")
 
@@ -26,8 +27,7 @@ def chain_of(records, anchor=None, **options):
     if anchor:
         airframe = airframe.with_anchor(*anchor)
     chain = Chain(airframe, ChainOptions(history_interval=None, **options))
-    for record in records:
-        chain.feed(record)
+    feed(chain, records)
     return chain
 
 
@@ -141,8 +141,7 @@ def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
     )
     chain = Chain(load_airframe("paper"), ChainOptions(history_interval=None))
     chain.rotor_selector.autopilot = "ardupilot"
-    for record in (parameter, *records):
-        chain.feed(record)
+    feed(chain, (parameter, *records))
     result = chain.finish()
     assert result.telemetry["rotor_input"]["gyro_filter"] == cutoff
     assert not chain.outdated
@@ -151,8 +150,7 @@ def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
     # The same parameter after the flight is too late, and is told so.
     late = Chain(load_airframe("paper"), ChainOptions(history_interval=None))
     late.rotor_selector.autopilot = "ardupilot"
-    for record in (*records, parameter):
-        late.feed(record)
+    feed(late, (*records, parameter))
     late.finish()
     assert late.outdated == (cutoff != 20)
 

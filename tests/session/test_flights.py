@@ -13,6 +13,7 @@ from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.tlog import read_tlog
+from tests.feeding import feed
 
 AS_THE_ARTICLE = ("--noise", "paper", "--sigma", "0.02", "--rate", "20")
 
@@ -169,8 +170,7 @@ def after_a_landing(records, stay=5.0, second=None):
 
 def follow(records, tick=0.1):
     chain = Chain(load_airframe("paper"), ChainOptions(history_interval=None, tick=tick))
-    for record in records:
-        chain.feed(record)
+    feed(chain, records)
     return chain, chain.finish()
 
 

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Record, Stream
-from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
-from gcs_sysid.signals.sampling import Sampler
 
 RPM = 2.0 * math.pi / 60.0
 
@@ -111,14 +110,15 @@ def test_another_vehicle_than_the_logs_own_is_refused(airframe, ulog_file, tmp_p
 
 def test_parameters_are_no_samples():
     airframe = load_airframe("paper")
-    sampler = Sampler(RotorSourceSelector(airframe, ScaleReference("mass", 1.5)), 4)
-    assert sampler.push(Record(Stream.PARAMETER, 0.0, (1.0,), source="FRAME_CLASS")) == ()
-    assert sampler.recorded is None
-    assert sampler.seen == set()
-    sampler.push(Record(Stream.IMU, 500.0, (0.0,) * 6))
-    sampler.push(Record(Stream.PARAMETER, 0.0, (1.0,), source="FRAME_CLASS"))
-    sampler.push(Record(Stream.IMU, 501.0, (0.0,) * 6))
-    assert sampler.recorded == 1.0
+    chain = Chain(airframe)
+    parameter = Record(Stream.PARAMETER, 0.0, (1.0,), source="MOT_SPIN_MIN")
+    chain.take(RecordBlock.of([parameter]))
+    assert chain.sampler.recorded is None
+    assert chain.sampler.seen == set()
+    first, second = (Record(Stream.IMU, t, (0.0,) * 6) for t in (500.0, 501.0))
+    chain.take(RecordBlock.of([first, parameter, second]))
+    assert chain.sampler.recorded == 1.0
+    assert chain.rotor_selector.parameters == {"MOT_SPIN_MIN": 1.0}
 
 
 @pytest.mark.slow

@@ -1,11 +1,15 @@
-"""Whole windows of a log at once give what its records give one by one."""
+"""A log's records in whole windows, or cut anywhere, give the same."""
 
+from itertools import groupby, pairwise
+
+import numpy as np
 import pytest
 
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.session.chain import ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.marks import reset_mark
 from gcs_sysid.telemetry.tlog import read_tlog
@@ -17,20 +21,48 @@ MEMS = ("--noise", "mems", "--rate", "250")
 
 
 def analysed(path, airframe, *, windows, mass=None, history=None):
-    """The result, the chain, and the share of records that were fed one by one."""
+    """The result, the chain, and the blocks of samples that it learnt from."""
     anchor = None if mass is None else ScaleReference("mass", mass)
     options = ChainOptions(history_interval=history)
     pipeline = Pipeline(load_airframe(airframe), str(path), None, options, anchor)
-    chain, fed, given = pipeline.chain, [], []
-    feed, take = chain.feed, chain.take
-    chain.feed = lambda record: (fed.append(None), feed(record))[1]
-    if windows:
-        chain.take = lambda window: (given.append(len(window)), take(window))[1]
-    else:
-        chain.take = lambda window: [chain.feed(record) for _, record in window.records()]
+    chain = pipeline.chain
+    take, grid = chain.take, []
+    chain.observers.append(grid.append)
+    if not windows:
+        chain.take = lambda window: [take(part) for part in in_parts(window)]
     pipeline.take_log(open_log(path))
-    result = pipeline.finish()
-    return result, chain, len(fed) / max(sum(given), 1)
+    return pipeline.finish(), chain, grid
+
+
+def in_parts(window):
+    """A window cut anywhere, as frames come over a link: a few at a time."""
+    rng = np.random.default_rng(1)
+    orders = np.unique(np.concatenate([[0], *(track.order for track in window.tracks)]))
+    cuts = orders[np.cumsum(rng.integers(1, 40, len(orders))) % len(orders)]
+    cuts = np.unique([0, *cuts, orders[-1] + 1])
+    for first, stop in pairwise(cuts.tolist()):
+        tracks = (track.between(first, stop) for track in window.tracks)
+        parameters = tuple(told for told in window.parameters if first <= told[0] < stop)
+        yield RecordBlock(tuple(track for track in tracks if len(track.t)), parameters)
+
+
+def assert_same_grid(blocks, others):
+    """What the estimator is given is the same to the last bits."""
+    for name in ("t", "flying"):
+        whole, cut = (np.concatenate([getattr(b, name) for b in some]) for some in (blocks, others))
+        np.testing.assert_array_equal(whole, cut)
+    for name in ("gyro", "speeds", "force", "velocity", "apart", "rates", "attitude"):
+        whole, cut = (
+            np.concatenate([getattr(b.samples, name) for b in some]) for some in (blocks, others)
+        )
+        # The complementary filter's sums are grouped by blocks.
+        np.testing.assert_allclose(
+            whole, cut, rtol=0.0, atol=1e-13 if name in ("rates", "attitude") else 0.0
+        )
+    sources = [
+        [b.rotors and (b.rotors.name, b.rotors.why) for b in some] for some in (blocks, others)
+    ]
+    assert [key for key, _ in groupby(sources[0])] == [key for key, _ in groupby(sources[1])]
 
 
 def assert_same(result, other, *, share=1e-5):
@@ -61,15 +93,12 @@ FLIGHTS = {
 
 
 @pytest.mark.parametrize("name", FLIGHTS)
-def test_windows_give_what_records_give(fly, name):
+def test_windows_give_what_parts_give(fly, name):
     flight = fly(*MEMS, *FLIGHTS[name], "--seed", "3")
-    result, _, share = analysed(flight.tlog, "paper", windows=True)
-    # What counts as a pause follows a stream's usual interval, which is taken anew now and then.
-    fraction = 0.05 if name == "skipped samples" else 1e-5
-    assert_same(result, analysed(flight.tlog, "paper", windows=False)[0], share=fraction)
-    if name == "sound":
-        # Take-off, and what comes behind the last whole window.
-        assert share < 0.5
+    result, _, grid = analysed(flight.tlog, "paper", windows=True)
+    other, _, same_grid = analysed(flight.tlog, "paper", windows=False)
+    assert_same(result, other)
+    assert_same_grid(grid, same_grid)
 
 
 @pytest.mark.parametrize(
@@ -83,9 +112,11 @@ def test_windows_give_what_records_give(fly, name):
 def test_windows_of_recorded_flights(shared_logs, name):
     airframe, mass = ("px4-quad-x", 1.5) if "ardupilot" in name else ("px4-sih", 1.0)
     path = shared_logs / name
-    result, _, share = analysed(path, airframe, windows=True, mass=mass)
-    assert_same(result, analysed(path, airframe, windows=False, mass=mass)[0])
-    assert share < 0.2
+    result, _, grid = analysed(path, airframe, windows=True, mass=mass)
+    other, _, same_grid = analysed(path, airframe, windows=False, mass=mass)
+    assert_same(result, other)
+    assert_same_grid(grid, same_grid)
+    assert len(grid) < 0.1 * len(same_grid)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +137,7 @@ def test_a_reset_falls_between_the_same_samples(fly, tmp_path, after):
     assert 10.0 < chain.used_seconds < seconds < 20.0
 
 
-def test_the_course_in_windows_is_that_of_records(fly):
+def test_the_course_in_windows_is_that_of_parts(fly):
     flight = fly(*MEMS, *FLIGHTS["a mass step"], "--seed", "4")
     histories = [
         analysed(flight.tlog, "paper", windows=windows, history=0.1)[1].history

@@ -12,14 +12,14 @@ from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.signals.inertial_stream import at_cg
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.time_base import TimeBase
+from tests.feeding import feed, grid_of
 
 END_ONLY = ChainOptions(history_interval=None)
 
 
 def run(records, options=END_ONLY):
     chain = Chain(load_airframe("paper"), options)
-    for record in records:
-        chain.feed(record)
+    feed(chain, records)
     return chain, chain.finish()
 
 
@@ -122,10 +122,9 @@ def faulty_stream(rate, seconds=6.0):
 )
 def test_grouping_of_samples_does_not_matter(rate):
     outcomes = []
-    for tick in (1e-3, 0.1, 0.73):
+    for tick, at_once in ((1e-3, 1), (0.1, 10), (0.1, 10**6), (0.73, 1)):
         base = TimeBase(tick)
-        blocks = [base.push(record) for record in faulty_stream(rate)]
-        blocks = [b for b in [*blocks, base.finish()] if b is not None]
+        blocks = list(grid_of(base, faulty_stream(rate), at_once))
         values = np.concatenate([b.values[Stream.IMU, "", 0] for b in blocks])
         outcomes.append((values, base.faults))
     for values, faults in outcomes[1:]:
@@ -149,7 +148,7 @@ def test_a_sensor_that_stands_still_is_missing_and_holds_nothing_up(paper_record
     chain = Chain(load_airframe("paper"), replace(END_ONLY, history_interval=0.5))
     behind = 0.0
     for record in records:
-        chain.feed(record)
+        feed(chain, [record])
         if record.t - first > 5.0:
             behind = max(behind, record.t - first - chain.t)
     result = chain.finish()
@@ -198,8 +197,7 @@ def test_a_given_lever_arm_frees_the_accelerometer_of_it(off_centre):
     errors = {}
     for airframe in (given, replace(given, imu_position=None)):
         chain = Chain(airframe, END_ONLY)
-        for record in records:
-            chain.feed(record)
+        feed(chain, records)
         found = chain.finish().parameters["k_T"]
         off = found.value - flight.truth["k_T"]
         assert abs(off) < 1.96 * found.std

@@ -8,6 +8,7 @@ import pytest
 
 from gcs_sysid.model.airframe import CommandRange, load_airframe
 from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.redundant_commands import mean_of
 from gcs_sysid.signals.rotor_source_selector import STRETCH, RotorSourceSelector
@@ -55,8 +56,8 @@ def commands(u, t, source="ACTUATOR_OUTPUT_STATUS"):
 
 def judged(*streams, airframe=PAPER, anchor=MASS, rotor_selector=None):
     rotor_selector = rotor_selector or RotorSourceSelector(airframe, anchor)
-    for record in sorted((r for s in streams for r in s), key=lambda r: r.t):
-        rotor_selector.push(record, flying=True)
+    every = sorted((r for s in streams for r in s), key=lambda r: r.t)
+    rotor_selector.extend(RecordBlock.of(every).tracks)
     assert rotor_selector.fly(STRETCH)
     return rotor_selector
 
@@ -71,10 +72,7 @@ def test_measured_speeds_are_preferred():
 
 
 def test_no_decision_before_enough_flight_and_none_from_the_ground():
-    t, _u, v = signals()
     rotor_selector = RotorSourceSelector(PAPER, MASS)
-    for record in speeds(v, t):
-        rotor_selector.push(record, flying=False)
     assert not rotor_selector.fly(0.9 * STRETCH)
     assert not rotor_selector.judged
     assert rotor_selector.fly(0.2 * STRETCH)
@@ -327,7 +325,6 @@ def test_groups_of_rotors_repeat_on_their_own():
         for offset in (0, 4):
             values = (float(i),) * 4 if offset else (1.0,) * 4
             source = f"ESC_TELEMETRY_{offset + 1}_TO_{offset + 4}"
-            rotor_selector.push(
-                Record(Stream.ROTOR_SPEED, 0.01 * i, values, offset, source), flying=True
-            )
+            record = Record(Stream.ROTOR_SPEED, 0.01 * i, values, offset, source)
+            rotor_selector.extend(RecordBlock.of([record]).tracks)
     assert rotor_selector.repeats["ESC_TELEMETRY"].as_dict() == {"count": 49, "percent": 50.0}

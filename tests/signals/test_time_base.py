@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gcs_sysid.signals.interpolation import FAR, interpolate
 from gcs_sysid.signals.records import Record, Stream
-from gcs_sysid.signals.stream_buffer import FAR, interpolate
 from gcs_sysid.signals.time_base import TimeBase
 from gcs_sysid.telemetry.logs import open_log
+from tests.feeding import grid_of
 
 IMU, ATTITUDE, SPEED = ((s, "", 0) for s in (Stream.IMU, Stream.ATTITUDE, Stream.ROTOR_SPEED))
 VELOCITY = (Stream.VELOCITY, "", 0)
@@ -53,12 +54,9 @@ def usual(rate=250.0, end=6.0, start=0.0):
 class Run:
     """The blocks that records make, joined."""
 
-    def __init__(self, records, tick=0.1):
+    def __init__(self, records, tick=0.1, at_once=1):
         self.base = TimeBase(tick)
-        self.blocks = [b for r in records if (b := self.base.push(r)) is not None]
-        last = self.base.finish()
-        if last is not None:
-            self.blocks.append(last)
+        self.blocks = list(grid_of(self.base, records, at_once))
         self.t = np.concatenate([b.t for b in self.blocks])
 
     def values(self, key):
@@ -160,6 +158,45 @@ def test_size_of_blocks_does_not_matter(tick):
     same(Run(usual(), tick), Run(usual()))
 
 
+def odd(seed):
+    """All at once: losses, disorder, repeats, silence, spikes, a slow stream, a reboot."""
+    rng = np.random.default_rng(seed)
+    rate = float(rng.choice([100.0, 250.0]))
+    sent = [
+        *usual(rate, end=9.0),
+        *stream(Stream.VELOCITY, float(rng.choice([4.0, 30.0])), 0.0007, 9.0),
+        *stream(Stream.ROTOR_COMMAND, 45.0, 1.003, 9.0),
+    ]
+    came = [(r.t + 0.03 * rng.random() ** 4, r) for r in sent if rng.random() > 0.05]
+    records = [r for _, r in sorted(came, key=lambda pair: pair[0])]
+    for i in rng.integers(0, len(records), 20).tolist():
+        spoilt = (*(10.0 * x for x in records[i].values[:3]), *records[i].values[3:])
+        records[i] = records[i]._replace(values=spoilt)
+    records = [r for r in records for _ in range(1 + (rng.random() < 0.02))]
+    records = [r for r in records if not 3.0 < r.t < 3.0 + 0.3 * seed]
+    stuck = next(r for r in records if r.stream is Stream.ROTOR_SPEED and r.t > 8.0)
+    records = [
+        r._replace(values=stuck.values) if r.stream is stuck.stream and 8.0 < r.t < 8.5 else r
+        for r in records
+    ]
+    return [*records, *usual(rate, end=3.0)]
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("at_once", [7, 300, 10**6])
+def test_how_samples_are_cut_does_not_matter(seed, at_once):
+    """Not even where something is unusual: to the last bit, and in every count."""
+    records = odd(seed)
+    one, cut = Run(records), Run(records, at_once=at_once)
+    np.testing.assert_array_equal(one.t, cut.t)
+    for key in {key for block in one.blocks for key in block.values}:
+        np.testing.assert_array_equal(one.values(key), cut.values(key))
+    for name in ("late", "repeated", "restarts", "faults", "wild_speeds", "still_speeds", "dt"):
+        assert getattr(one.base, name) == getattr(cut.base, name), name
+    assert one.base.still_speeds > 0
+    assert one.base.restarts >= 1
+
+
 def test_gap_of_one_stream_is_marked_and_the_others_go_on():
     records = [r for r in usual() if r.stream is not Stream.ATTITUDE or not 2.0 < r.t < 2.5]
     run, whole = Run(records), Run(usual())
@@ -217,9 +254,7 @@ def test_a_velocity_that_is_gone_holds_nothing_up():
     base = TimeBase()
     behind = []
     for r in sorted(records, key=lambda r: r.t):
-        block = base.push(r)
-        if block is not None:
-            behind.append((r.t, r.t - block.t[-1]))
+        behind += [(r.t, r.t - block.t[-1]) for block in grid_of(base, [r], finish=False)]
     late = [lag for t, lag in behind if t > 3.4]
     assert late
     assert max(late) < 0.06
@@ -318,12 +353,9 @@ class Flown(Run):
     def __init__(self, records, seconds):
         self.base = TimeBase()
         self.blocks = []
-        for r in records:
-            block = self.base.push(r)
-            if block is not None:
-                self.base.flown = seconds
-                self.blocks.append(block)
-        self.blocks.append(self.base.finish())
+        for block in grid_of(self.base, records):
+            self.base.flown = seconds
+            self.blocks.append(block)
         self.t = np.concatenate([b.t for b in self.blocks])
 
 
@@ -398,19 +430,16 @@ def test_states_hold_their_last_value():
 
 def test_nothing_comes_out_without_an_imu_and_memory_stays_bounded():
     base = TimeBase()
-    for r in stream(Stream.ATTITUDE, 1000.0, end=20.0):
-        assert base.push(r) is None
-    assert base.finish() is None
+    assert not list(grid_of(base, stream(Stream.ATTITUDE, 1000.0, end=20.0)))
     assert len(base._buffers[ATTITUDE]) < 5000
 
 
 def test_memory_stays_bounded_in_flight_and_after_the_imu_fell_silent():
     base = TimeBase()
-    for r in usual(end=10.0):
-        base.push(r)
+    assert list(grid_of(base, usual(end=10.0), finish=False))
     assert max(len(b) for b in base._buffers.values()) < 200
-    for r in stream(Stream.ATTITUDE, 1000.0, start=10.0, end=20.0):
-        base.push(r)
+    silent = stream(Stream.ATTITUDE, 1000.0, start=10.0, end=20.0)
+    assert not list(grid_of(base, silent, finish=False))
     assert max(len(b) for b in base._buffers.values()) < 5000
 
 
@@ -418,11 +447,10 @@ def test_memory_stays_bounded_in_flight_and_after_the_imu_fell_silent():
 def test_a_real_ardupilot_log_has_one_grid(shared_logs):
     """250 Hz asked: 2.5 and 5 ms by turns, and spells of 15 ms from 241.6 s on."""
     base, fresh = TimeBase(), 0
-    for r in open_log(shared_logs / "ardupilot-sitl.tlog").records():
-        if r.stream is Stream.IMU:
-            block = base.push(r)
-            if block is not None:
-                base.flown += 0.1
-                fresh += block.fresh
+    records = open_log(shared_logs / "ardupilot-sitl.tlog").records()
+    imu = (r for r in records if r.stream is Stream.IMU)
+    for block in grid_of(base, imu, 20):
+        base.flown += 0.1
+        fresh += block.fresh
     assert base.dt == pytest.approx(0.004, rel=0.01)
     assert (base.restarts, fresh) == (0, 1)

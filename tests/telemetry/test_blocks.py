@@ -4,16 +4,19 @@ import math
 import random
 import struct
 from itertools import pairwise
+from operator import attrgetter
 
 import numpy as np
 import pytest
 
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.telemetry.decode import RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.marks import reset_mark
 from gcs_sysid.telemetry.monitor import SequenceCount
 from gcs_sysid.telemetry.tlog import TlogReader, read_tlog
+from tests.telemetry.scalar_decoder import ScalarIntake
 
 START = 1_750_000_000_000_000
 
@@ -161,34 +164,62 @@ def comparable(records):
     ]
 
 
-def compare(path, window, wanted=None, rng=None):
-    single = Intake(wanted)
-    records, events = [], []
+def one_by_one(path, wanted):
+    """What frames make, read one by one by code of its own."""
+    intake, records = ScalarIntake(wanted), []
     for time_us, frame in read_tlog(path):
-        record = single.frame(frame, time_us * 1e-6)
-        events += single.take_events()
+        record = intake.frame(frame, time_us * 1e-6)
         if record is not None:
             records.append(record)
-    blocks = Intake(wanted)
-    made = [
-        blocks.block(piece)
-        for block in TlogReader(path, window).blocks()
-        for piece in (in_pieces(block, rng) if rng else [block])
-    ]
-    told = [record for block in made for _, record in block.records()]
-    assert comparable(told) == comparable(records)
-    assert [event for block in made for _, event in block.events] == events
+    return intake, records
+
+
+def in_blocks(path, window, wanted, cut=lambda block: [block]):
+    intake = Intake(wanted)
+    blocks = TlogReader(path, window).blocks()
+    return intake, [intake.block(piece) for block in blocks for piece in cut(block)]
+
+
+def singly(block):
+    return [block.part(i, i + 1) for i in range(len(block))]
+
+
+def told(made):
+    """Records and events of blocks."""
+    records = [record for block in made for _, record in block.records()]
+    return comparable(records), [event for block in made for _, event in block.events]
+
+
+def in_short(events):
+    """Without words that are put together elsewhere."""
+    whole = ("vehicle", "reboot", "reset")
+    return [event if event.kind in whole else (event.t, event.kind) for event in events]
+
+
+def compare(path, window, wanted=None, rng=None):
+    oracle, records = one_by_one(path, wanted)
+    cut = (lambda block: in_pieces(block, rng)) if rng else (lambda block: [block])
+    blocks, made = in_blocks(path, window, wanted, cut)
+    assert told(made)[0] == comparable(records)
+    assert in_short(told(made)[1]) == in_short(oracle.events)
+    for name in ("turning", "drift.ppm", "drift.bounds", "selector.chosen", "selector.systems"):
+        assert attrgetter(name)(blocks) == attrgetter(name)(oracle), name
+    assert blocks.selector.frames == oracle.selector.frames
+    assert +blocks.fates == oracle.fates
+    assert blocks.decoder.dropped == oracle.decoder.dropped
+    assert blocks.parameters == oracle.decoder.parameters
+    assert vars(blocks.decoder.clock) == vars(oracle.decoder.clock)
+    return made
+
+
+def compare_singly(path, wanted=None):
+    """Each frame a block of its own, against the whole: with what no oracle tells."""
+    blocks, made = in_blocks(path, 1 << 20, wanted)
+    single, made_singly = in_blocks(path, 1 << 20, wanted, singly)
+    assert told(made_singly) == told(made)
     assert blocks.as_dict() == single.as_dict()
     assert blocks.health() == single.health()
-    assert blocks.turning == single.turning
-    assert blocks.parameters == single.parameters
-    assert blocks.clock == single.clock
-    assert blocks.drift.ppm == single.drift.ppm
-    assert blocks.drift.bounds == single.drift.bounds
-    assert blocks.vehicle == single.vehicle
-    assert blocks.systems == single.systems
-    assert blocks.selector.frames == single.selector.frames
-    return made
+    assert vars(blocks.decoder.clock) == vars(single.decoder.clock)
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -198,6 +229,13 @@ def test_blocks_make_what_single_frames_make(tmp_path, make_sender, seed):
     rng = random.Random(seed) if seed % 4 == 3 else None
     window = [3000, 30_000, 1 << 20, 1 << 20][seed % 4]
     compare(path, window, [None, None, (2, None), (9, 1)][seed // 4 % 4], rng)
+
+
+@pytest.mark.parametrize("seed", range(9))
+def test_frames_that_come_one_at_a_time_make_the_same(tmp_path, make_sender, seed):
+    path = tmp_path / "odd.tlog"
+    path.write_bytes(log_of(make_sender, 100 + seed, [0.0, 0.003, 0.02][seed % 3], 800))
+    compare_singly(path, [None, (2, None), (9, 1)][seed // 3])
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -237,8 +275,8 @@ def test_a_stamp_that_is_off_is_doubted_again_after_others_that_are_not(tmp_path
     path = tmp_path / "doubt.tlog"
     path.write_bytes(b"".join(struct.pack(">Q", START) + frame.raw for frame in frames))
     (whole,) = TlogReader(path, 1 << 20).blocks()
-    single, blocks = Intake(), Intake()
-    records = single.frames(frames)
+    single, blocks = ScalarIntake(), Intake()
+    records = [record for frame in frames if (record := single.frame(frame)) is not None]
     made = [blocks.block(piece) for piece in (whole.part(0, 302), whole.part(302, len(whole)))]
     assert [record for block in made for _, record in block.records()] == records
     assert vars(blocks.decoder.clock) == vars(single.decoder.clock)
@@ -258,7 +296,7 @@ def test_blocks_of_recorded_flights_make_what_single_frames_make(shared_logs, na
     compare(shared_logs / name, 1 << 21)
 
 
-def test_nothing_is_taken_one_by_one_while_nothing_is_odd(tmp_path, make_sender, monkeypatch):
+def test_nothing_is_decoded_frame_by_frame_while_nothing_is_odd(tmp_path, make_sender, monkeypatch):
     vehicle = make_sender()
     frames = [vehicle.heartbeat()]
     for i in range(5000):
@@ -266,17 +304,15 @@ def test_nothing_is_taken_one_by_one_while_nothing_is_odd(tmp_path, make_sender,
         frames += [vehicle.imu(t), vehicle.attitude(t)] + [vehicle.heartbeat()] * (i % 250 == 0)
     path = tmp_path / "even.tlog"
     path.write_bytes(b"".join(struct.pack(">Q", START) + frame.raw for frame in frames))
-    singles = []
-    decode = Intake.frame
+    taken = []
+    take = RecordDecoder.take
     monkeypatch.setattr(
-        Intake,
-        "frame",
-        lambda self, frame, when: singles.append(frame) or decode(self, frame, when),
+        RecordDecoder, "take", lambda self, *args: taken.append(None) or take(self, *args)
     )
     intake = Intake()
     blocks = [intake.block(block) for block in TlogReader(path, 1 << 16).blocks()]
     assert sum(map(len, blocks)) > 10_000
-    assert len(singles) < 200  # until the vehicle, its clock and its sensors are known
+    assert len(taken) < 2 * len(blocks)
 
 
 def test_tracks_tell_where_their_samples_stand(tmp_path, make_sender):

@@ -9,15 +9,37 @@ from gcs_sysid.model.attitude import from_euler
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.decode import RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.frame_block import FrameBlock
+from gcs_sysid.telemetry.track_collector import TrackCollector
+from gcs_sysid.telemetry.vehicle_states import STATE_IDS
+from tests.telemetry.scalar_decoder import ScalarDecoder
 
 ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 NAN = float("nan")
 WRAP_US = 2**32 * 1e-6
 
 
-@pytest.fixture
-def decoder():
-    return RecordDecoder()
+class OneByOne:
+    """The decoder of blocks, given a block for each frame."""
+
+    def __init__(self):
+        self.inner = RecordDecoder()
+
+    def __getattr__(self, name):
+        return getattr(self.inner, name)
+
+    def decode(self, frame):
+        out = TrackCollector()
+        taken = self.inner.take(FrameBlock.of([frame]), np.ones(1, bool), out)
+        if frame.message_id in STATE_IDS:
+            now = float(taken.moments.now[-1])
+            return self.inner.take_state(frame, now)
+        return next((record for _, record in out.block().records()), None)
+
+
+@pytest.fixture(params=[OneByOne, ScalarDecoder], ids=["blocks", "oracle"])
+def decoder(request):
+    return request.param()
 
 
 def esc(sender, t, rpm, index=0):

@@ -21,16 +21,23 @@ def ground_station(make_sender):
     )
 
 
+def heard(selector, frame):
+    selector.take(*(np.array([n], np.uint8) for n in (frame.system, frame.component)))
+    if frame.message_id == 0:
+        selector.hear(frame)
+    return selector.is_chosen(frame)
+
+
 def test_the_first_autopilot_heard_is_chosen(make_sender):
     selector = VehicleSelector()
     vehicle = make_sender(3, 1)
-    assert not selector.take(ground_station(make_sender))
-    assert not selector.take(vehicle.imu(1.0))
+    assert not heard(selector, ground_station(make_sender))
+    assert not heard(selector, vehicle.imu(1.0))
     assert selector.chosen is None
-    assert selector.take(vehicle.heartbeat())
-    assert selector.take(vehicle.imu(1.0))
-    assert not selector.take(make_sender(4, 1).heartbeat())
-    assert not selector.take(make_sender(3, 100).imu(1.0))
+    assert heard(selector, vehicle.heartbeat())
+    assert heard(selector, vehicle.imu(1.0))
+    assert not heard(selector, make_sender(4, 1).heartbeat())
+    assert not heard(selector, make_sender(3, 100).imu(1.0))
     assert str(selector.chosen) == "PX4 quadrotor 3:1"
     assert selector.chosen.as_dict() == {"sysid": 3, "compid": 1, "autopilot": "px4"}
     assert str(next(iter(selector.systems.values()))) == "ground station 255:190"
@@ -40,14 +47,14 @@ def test_the_first_autopilot_heard_is_chosen(make_sender):
 def test_the_vehicle_wanted_is_chosen(make_sender, wanted, chosen):
     selector = VehicleSelector(wanted)
     for who in [(3, 1), (4, 1), (4, 2)]:
-        selector.take(make_sender(*who).heartbeat())
+        heard(selector, make_sender(*who).heartbeat())
     assert selector.chosen.address == chosen
 
 
 def test_other_autopilots_have_names(make_sender):
     selector = VehicleSelector()
     ardupilot = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-    selector.take(make_sender().heartbeat(autopilot=ardupilot, type=mavlink.MAV_TYPE_HEXAROTOR))
+    heard(selector, make_sender().heartbeat(autopilot=ardupilot, type=mavlink.MAV_TYPE_HEXAROTOR))
     assert str(selector.chosen) == "ArduPilot hexarotor 1:1"
     assert selector.chosen.key == "ardupilot"
 
@@ -56,7 +63,7 @@ def test_the_table_of_systems_is_bounded(make_sender):
     selector = VehicleSelector()
     for system in range(1, 256):
         for component in (1, 2, 3):
-            selector.take(make_sender(system, component).heartbeat())
+            heard(selector, make_sender(system, component).heartbeat())
     assert len(selector.systems) <= 256
 
 
@@ -158,9 +165,9 @@ def test_a_vehicle_chosen_by_the_user_makes_no_ado_of_others(make_sender):
 
 def test_a_radio_is_never_the_vehicle(make_sender):
     selector = VehicleSelector()
-    selector.take(make_sender(51, 68).heartbeat())
+    heard(selector, make_sender(51, 68).heartbeat())
     assert selector.chosen is None
-    selector.take(make_sender(51, 1).heartbeat())
+    heard(selector, make_sender(51, 1).heartbeat())
     assert selector.chosen.address == (51, 1)
 
 
@@ -169,7 +176,7 @@ def test_the_version_spoken_is_that_of_the_latest_heartbeat(sender):
     selector = VehicleSelector()
     seen = []
     for version in (1, 1, 2):
-        selector.take(sender.frame(beat, version))
+        heard(selector, sender.frame(beat, version))
         seen.append(selector.chosen.version)
     assert seen == [1, 1, 2]
 
@@ -324,7 +331,7 @@ def test_every_message_has_a_fate(sender, make_sender):
         make_sender(2, 1).imu(1.4),
     ]
     for frame in frames:
-        intake.frame(frame)
+        intake.frames([frame])
     assert intake.as_dict()["fates"] == {
         "used": 1,
         "not needed": 1,

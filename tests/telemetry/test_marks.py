@@ -30,8 +30,8 @@ def test_a_mark_is_known_by_its_address_and_text(text, sender):
 
 def test_it_is_an_event_and_no_message_of_the_link(sender):
     intake = Intake()
-    intake.frame(sender.heartbeat())
-    assert intake.frame(reset_mark()) is None
+    intake.frames([sender.heartbeat()])
+    assert intake.frames([reset_mark()]) == []
     assert [event.kind for event in intake.take_events()] == ["vehicle", "reset"]
     assert intake.as_dict()["received"] == 1
     assert len(intake.systems) == 1

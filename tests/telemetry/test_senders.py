@@ -183,7 +183,7 @@ def test_arming_now_and_then_is_no_contradiction():
 def test_others_are_told_of_up_to_a_number(make_sender):
     intake = Intake()
     for n in range(1, 200):
-        intake.frame(make_sender(n, 1).heartbeat())
+        intake.frames([make_sender(n, 1).heartbeat()])
     told = [event.text for event in intake.take_events() if event.kind == "vehicles"]
     assert len(told) == 5
     assert told[-1] == "more than 4 other vehicles speak: no more of them are told of"

@@ -202,7 +202,7 @@ def check_records(data: bytes) -> None:
     log = as_log(frames_of(Bytes(data)))
     block, _ = Scanner().scan(log, final=True)
     single, many = Intake(), Intake()
-    records = single.frames(frame for _, frame in block)
+    records = [record for _, frame in block for record in single.frames([frame])]
     made = many.block(block)
     assert _comparable([record for _, record in made.records()]) == _comparable(records)
     assert many.clock == single.clock

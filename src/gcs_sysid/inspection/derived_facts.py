@@ -1,11 +1,12 @@
 """When the vehicle flew, its rotor source, and what is assumed where nobody named an airframe."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from gcs_sysid.inspection.facts import RotorInput, RotorSource
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.scale_reference import ScaleReference
+from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
 from gcs_sysid.signals.rotor_units import RotorSource as BelievedSource
@@ -16,6 +17,8 @@ from gcs_sysid.telemetry.vehicles import Vehicle
 SHORTEST_FLIGHT = 1.0
 """s; less is a jump of the autopilot's judgement."""
 MOST_FLIGHTS = 1000
+_AT_ONCE = 4096
+"""Records that are best taken together."""
 
 
 class FlightWatch:
@@ -88,13 +91,25 @@ class RotorJudge:
         self._rotor_selector.autopilot = autopilot
         self._sampler = Sampler(self._rotor_selector, len(airframe.rotors))
         self._believed: BelievedSource | None = None
+        self._waiting: list[Record] = []
 
     def take(self, record: Record) -> None:
         """Take a record, of whatever stream."""
-        self._note(self._sampler.push(record))
+        self._waiting.append(record)
+        if len(self._waiting) == _AT_ONCE:
+            self._take_waiting()
+
+    def _take_waiting(self) -> None:
+        block = RecordBlock.of(self._waiting)
+        self._waiting.clear()
+        for part in block.windows():
+            for _, told in part.parameters:
+                self._rotor_selector.learn(told.source, told.values[0])
+            self._note(self._sampler.take(part.tracks))
 
     def finish(self, sources: Sequence[RotorSource]) -> RotorInput:
         """What identification rests on at the end, among the sources described."""
+        self._take_waiting()
         self._note(self._sampler.finish())
         believed, rotor_selector = self._believed, self._rotor_selector
         refused = rotor_selector.refused if believed is None else believed.refused or {}
@@ -112,7 +127,7 @@ class RotorJudge:
             "" if span is None else span.origin,
         )
 
-    def _note(self, blocks: Sequence[SampleBlock]) -> None:
+    def _note(self, blocks: Iterable[SampleBlock]) -> None:
         for block in blocks:
             self._believed = block.rotors or self._believed
 

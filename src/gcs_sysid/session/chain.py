@@ -1,8 +1,8 @@
 """The one chain from records to estimates: samples, estimator, parameters.
 
-Live sessions, replays, log analyses and tests all feed this class, record by record. Its state
-depends on the records and their order alone, so the analysis of a recording ends with the
-numbers that the live session ended with.
+Live sessions, replays, log analyses and tests all feed this class with blocks of records, a few
+frames or minutes of a log. Its state depends on the records and their order alone, so the analysis
+of a recording ends with the numbers that the live session ended with.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,6 @@ from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.session.chain_result import Findings
 from gcs_sysid.session.learner import Cutoffs, Known, Learner
 from gcs_sysid.signals.columns import RecordBlock
-from gcs_sysid.signals.records import Record
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
 from gcs_sysid.signals.rotor_units import gyro_cutoff, loop_cutoff
 from gcs_sysid.signals.sampling import SampleBlock, Sampler
@@ -34,8 +33,6 @@ if TYPE_CHECKING:
 
 WINDOW = 8192
 """IMU samples that are best taken at once."""
-_LEAST_WINDOW = 64
-"""Fewer are fed one by one as fast."""
 
 
 class Chain:
@@ -81,44 +78,27 @@ class Chain:
         """Share by which the vehicle's clock may be wrong, as the owner tells; of results alone."""
         self._offline: OfflineFit | str | None = None
 
-    def feed(self, record: Record) -> bool:
-        """Take one record. Returns whether the estimate was renewed."""
+    def take(self, block: RecordBlock) -> bool:
+        """Take records that follow each other; how they are cut into blocks changes no number.
+
+        Returns:
+            Whether the estimate was renewed.
+        """
         before = self.renewals
-        self._learn(self.sampler.push(record))
+        for part in block.windows():
+            for _, told in part.parameters:
+                self.rotor_selector.learn(told.source, told.values[0])
+            for samples in self.sampler.take(part.tracks):
+                self._learn(samples)
         return self.renewals > before
 
-    def _learn(self, blocks: tuple[SampleBlock, ...]) -> None:
-        if blocks:
-            self._learner.learn(blocks, self._known())
-
-    def take(self, window: RecordBlock) -> None:
-        """Take records that follow each other, as `feed` would one by one, but for rounding.
-
-        Where nothing happens, the window is aligned, filtered and learnt from as arrays; where
-        something does, its records are fed one by one.
-        """
-        if window.ends_with_imu and self._take_at_once(window):
-            return
-        if window.imu_samples >= 4 * _LEAST_WINDOW:
-            # What happens, happens in one part of it.
-            for part in window.windows(window.imu_samples // 4):
-                self.take(part)
-            return
-        for _, record in window.records():
-            self.feed(record)
-
-    def _take_at_once(self, window: RecordBlock) -> bool:
-        known = self.sampler.copy()
-        blocks = self.sampler.take(window.tracks)
-        if blocks is None:
-            self.sampler = known
-            return False
-        self._learn(blocks)
-        return True
+    def _learn(self, block: SampleBlock) -> None:
+        self._learner.learn(block, self._known())
 
     def finish(self) -> Result:
         """Use what is still held back and give the final result."""
-        self._learn(self.sampler.finish())
+        for block in self.sampler.finish():
+            self._learn(block)
         self._learner.finish(self.t)
         result = self.refit()
         if self.options.offline:
@@ -142,7 +122,8 @@ class Chain:
     def reset(self) -> None:
         """Forget the estimate; go on with the next samples."""
         # However records were taken, what came before is forgotten, and nothing else.
-        self._learn(self.sampler.catch_up())
+        for block in self.sampler.catch_up():
+            self._learn(block)
         self._learner.reset()
         self.note("estimate reset")
 
@@ -265,7 +246,6 @@ class Chain:
     def _known(self) -> Known:
         base = self.sampler.time_base
         return Known(
-            self.t,
             base.imu_interval,
             base.is_usable,
             bool(base.faults.spikes),

@@ -4,7 +4,7 @@ What it learns depends on the blocks, and on what was known when each came, alon
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -39,7 +39,6 @@ class Known(NamedTuple):
     """What else was known when samples came.
 
     Attributes:
-        t: s, time of the chain.
         imu_interval: s.
         is_usable: whether the IMU is fast enough for the grid.
         has_spikes: whether any on the gyro was replaced.
@@ -48,7 +47,6 @@ class Known(NamedTuple):
         refused: rotor streams, and why each is not sound.
     """
 
-    t: float
     imu_interval: float
     is_usable: bool
     has_spikes: bool
@@ -133,16 +131,12 @@ class Learner:
             self.tracker.finish()
             self._tell_events(self.tracker, t)
 
-    def learn(self, blocks: Sequence[SampleBlock], known: Known) -> None:
-        """Learn from blocks that came at once."""
-        for block in blocks:
-            self._learn_from(block, known)
-
-    def _learn_from(self, block: SampleBlock, known: Known) -> None:
+    def learn(self, block: SampleBlock, known: Known) -> None:
+        """Learn from the next block."""
         if block.rotors is not None and block.rotors is not self.rotors:
-            self._use(block.rotors, known.t)
+            self._use(block.rotors, block.told_at)
         elif block.rotors is None and self.rotors is not None and not self._rotors_lost:
-            self._tell_loss(self.rotors.name, known)
+            self._tell_loss(self.rotors.name, known, block.told_at)
         for observer in self.observers:
             observer(block)
         if self.rotors is None:
@@ -154,18 +148,19 @@ class Learner:
             if tracker is not None and tracker.start is not None:
                 old, new = 1.0 / tracker.dt, 1.0 / block.dt
                 anew = f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate starts anew"
-                self.note(known.t, anew)
+                self.note(block.told_at, anew)
             tracker = self.tracker = self._new_tracker(block.dt, known)
             tracker.reserve()
             # Rows are counted from the first sample in flight, however blocks fall.
             block = block.since(int(np.isfinite(block.samples.gyro).all(axis=1).argmax()))
         elif block.fresh:
             tracker.restart()
-        self._tell_rate(known)
-        self._tell_outliers(known)
+        now = max(block.told_at, float(block.t[-1]))
+        self._tell_rate(known, now)
+        self._tell_outliers(known, now)
         stops = self._stops(block.t)
         points = tracker.update(block.t, block.samples, block.flying, stops)
-        self._tell_events(tracker, known.t)
+        self._tell_events(tracker, now)
         for stop, point in zip(stops, points, strict=True):
             self.fit = point.fit
             values = self.values(point.fit, self.anchors[point.segment])
@@ -182,26 +177,26 @@ class Learner:
         self._history_number = max(float(number[-1]), self._history_number)
         return [int(i) + 1 for i in np.flatnonzero(renewed)]
 
-    def _tell_outliers(self, known: Known) -> None:
+    def _tell_outliers(self, known: Known, t: float) -> None:
         """Say when the first gyro spike was replaced, and when rotor speeds first stood still.
 
         How many there were is in the result.
         """
         if known.has_spikes and not self._spiked:
             self._spiked = True
-            self.note(known.t, "spikes on the gyro: replaced by what their neighbours say")
+            self.note(t, "spikes on the gyro: replaced by what their neighbours say")
         if known.stood_still and not self._stood_still:
             self._stood_still = True
-            self.note(known.t, "rotor speeds stood still, old ones under new stamps: left out")
+            self.note(t, "rotor speeds stood still, old ones under new stamps: left out")
 
-    def _tell_rate(self, known: Known) -> None:
+    def _tell_rate(self, known: Known, t: float) -> None:
         """Say when the IMU becomes too slow for the grid, and when it no longer is."""
         if known.is_usable == self._usable:
             return
         self._usable = known.is_usable
         told = "the estimate goes on" if self._usable else "too slow for the estimate to go on with"
         rate = f"at {1.0 / known.imu_interval:.0f} Hz" if known.imu_interval else "anew"
-        self.note(known.t, f"the IMU comes {rate}: {told}")
+        self.note(t, f"the IMU comes {rate}: {told}")
 
     def _use(self, rotors: RotorSource, t: float) -> None:
         """Take the rotors' input from this stream from now on."""
@@ -219,12 +214,12 @@ class Learner:
         self.fit = Fit(None, None, 0.0)
         self.history.clear()
 
-    def _tell_loss(self, name: str, known: Known) -> None:
+    def _tell_loss(self, name: str, known: Known, t: float) -> None:
         """Say that the rotors' input is not sound any more, and nothing else is."""
         self._rotors_lost = True
         why = known.refused.get(name, "comes no more")
         self._tell_input(
-            known.t,
+            t,
             f"{name} {why}, and no other input is sound: the estimate rests on what came before",
         )
 

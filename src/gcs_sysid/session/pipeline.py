@@ -17,7 +17,7 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
 from gcs_sysid.session.clock_check import clock_doubt
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
-from gcs_sysid.signals.records import Record
+from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.logs import Log, Telemetry
@@ -54,7 +54,7 @@ class Pipeline:
         self._events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
         self._recorded: datetime | None = None
 
-    def take(self, frames: Iterable[Frame], wall: float | None = None) -> bool:
+    def take(self, frames: Iterable[Frame] | FrameBlock, wall: float | None = None) -> bool:
         """Take frames in the order received. Returns whether the estimate was renewed.
 
         Args:
@@ -62,17 +62,10 @@ class Pipeline:
             wall: when they came, s, as it is recorded; None: not known.
         """
         before = self.chain.renewals
-        for record in self._records(frames, wall):
-            self.chain.feed(record)
+        block = frames if isinstance(frames, FrameBlock) else FrameBlock.of(frames, wall)
+        for part in self.intake.block(block).windows():
+            self.take_window(part)
         return self.chain.renewals > before
-
-    def _records(self, frames: Iterable[Frame], wall: float | None) -> Iterator[Record]:
-        for frame in frames:
-            record = self.intake.frame(frame, wall)
-            for event in self.intake.take_events():
-                self._take_event(event)
-            if record is not None:
-                yield record
 
     def take_log(self, log: Log, progress: Callable[[float], None] | None = None) -> None:
         """Take a whole recording, instead of frames.

@@ -11,7 +11,7 @@ from pathlib import Path
 from gcs_sysid.errors import LinkError
 from gcs_sysid.inspection.derived_facts import rotor_count
 from gcs_sysid.setup_help.checks import Finding, Sign, quoted
-from gcs_sysid.telemetry.frames import Validity
+from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.link import Link, open_link
 from gcs_sysid.telemetry.receiver import Receiver
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
@@ -101,9 +101,7 @@ def listen(
     try:
         while receivers and clock() < end:
             for receiver, selector in receivers:
-                for frame in receiver.poll(_SLICE / len(receivers)):
-                    if frame.valid is Validity.OK:
-                        selector.take(frame)
+                selector.listen(FrameBlock.of(receiver.poll(_SLICE / len(receivers))))
     finally:
         for ear in ears:
             ear.link.close()

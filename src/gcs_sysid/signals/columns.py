@@ -1,15 +1,18 @@
 """Records as columns: whole stretches of streams as arrays, in the order in which they came."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.signals.records import Record, Stream
 
 _ROWS_AT_ONCE = 4096
+
+Key = tuple[Stream, str, int]
+"""What tells streams apart: stream, source, first rotor."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,15 @@ class Track:
     source: str = ""
     order: Array = field(default_factory=lambda: np.empty(0, np.int64))
 
+    @property
+    def key(self) -> Key:
+        """Which stream it is."""
+        return self.stream, self.source, self.offset
+
+    def part(self, rows: slice | Mask) -> "Track":
+        """Some of the samples."""
+        return replace(self, t=self.t[rows], values=self.values[rows], order=self.order[rows])
+
     def records(self) -> Iterator[Record]:
         """One by one, without holding them all."""
         for start in range(0, len(self.t), _ROWS_AT_ONCE):
@@ -42,8 +54,7 @@ class Track:
 
     def between(self, first: int, stop: int) -> "Track":
         """The samples with orders from `first` to before `stop`."""
-        rows = slice(*np.searchsorted(self.order, (first, stop)).tolist())
-        return replace(self, t=self.t[rows], values=self.values[rows], order=self.order[rows])
+        return self.part(slice(*np.searchsorted(self.order, (first, stop)).tolist()))
 
 
 @dataclass(frozen=True)
@@ -87,23 +98,52 @@ class RecordBlock:
         for number, index in zip(order[sorting].tolist(), owner.tolist(), strict=True):
             yield number, next(rows[index])
 
-    def windows(self, imu_samples: int) -> Iterator["RecordBlock"]:
-        """Parts that follow each other, most of them so many IMU samples long.
+    @classmethod
+    def of(cls, records: Iterable[Record]) -> "RecordBlock":
+        """Records that follow each other."""
+        parameters: list[tuple[int, Record]] = []
+        streams: dict[tuple[Key, int], list[tuple[int, Record]]] = {}
+        for order, record in enumerate(records):
+            if record.stream is Stream.PARAMETER:
+                parameters.append((order, record))
+            else:
+                key = (record.stream, record.source, record.offset), len(record.values)
+                streams.setdefault(key, []).append((order, record))
+        tracks = (
+            Track(
+                stream,
+                np.array([record.t for _, record in some]),
+                np.array([record.values for _, record in some], dtype=float),
+                offset,
+                source,
+                np.array([order for order, _ in some]),
+            )
+            for ((stream, source, offset), _), some in streams.items()
+        )
+        return cls(tuple(tracks), tuple(parameters))
 
-        Each part ends with an IMU sample, where it can; parameters and events are parts of their
-        own, and come before what follows them.
+    def windows(self, imu_samples: int | None = None) -> Iterator["RecordBlock"]:
+        """Parts that follow each other.
+
+        Parameters and events are parts of their own, and come before what follows them.
+
+        Args:
+            imu_samples: of the IMU in a part, which ends with the last of them; None: any number.
         """
         if not len(self) and not self.events:
             return
         cuts, end = {0}, 0
         for track in self.tracks:
             end = max(end, int(track.order[-1]) + 1)
-            if track.stream is Stream.IMU:
+            if track.stream is Stream.IMU and imu_samples and len(track.t) > imu_samples:
                 cuts |= set((track.order[imu_samples - 1 :: imu_samples] + 1).tolist())
                 cuts.add(int(track.order[-1]) + 1)
         for number, _ in self.parameters:
             cuts |= {number, number + 1}
         cuts |= {number for number, _ in self.events} | {end}
+        if max(cuts) == end and len(cuts) <= 2:
+            yield self
+            return
         last = max(cuts)
         for first, stop in pairwise([*sorted(cuts), last + 1]):
             tracks = (track.between(first, stop) for track in self.tracks)
@@ -120,9 +160,26 @@ class RecordBlock:
         """How many samples of the IMU there are."""
         return sum(len(track.t) for track in self.tracks if track.stream is Stream.IMU)
 
-    @property
-    def ends_with_imu(self) -> bool:
-        """Whether there are samples alone, the last one of the IMU."""
-        if self.parameters or not self.tracks:
-            return False
-        return max(self.tracks, key=lambda track: int(track.order[-1])).stream is Stream.IMU
+
+def by_key(tracks: Iterable[Track]) -> dict[Key, Track]:
+    """Tracks by their streams; those of one stream are joined, narrower ones lack last values."""
+    joined: dict[Key, Track] = {}
+    for track in tracks:
+        before = joined.get(track.key)
+        joined[track.key] = track if before is None else _joined(before, track)
+    return joined
+
+
+def _joined(one: Track, other: Track) -> Track:
+    width = max(one.values.shape[1], other.values.shape[1])
+    values = np.full((len(one.t) + len(other.t), width), np.nan)
+    values[: len(one.t), : one.values.shape[1]] = one.values
+    values[len(one.t) :, : other.values.shape[1]] = other.values
+    whole = replace(
+        one,
+        t=np.concatenate([one.t, other.t]),
+        values=values,
+        order=np.concatenate([one.order, other.order]),
+    )
+    rows = np.argsort(whole.order, kind="stable")
+    return replace(whole, t=whole.t[rows], values=whole.values[rows], order=whole.order[rows])

@@ -1,16 +1,15 @@
 """The inertial sensor's own stream: freed of outliers and moved to the CG before interpolation."""
 
-import math
-from copy import deepcopy
 from dataclasses import dataclass
-from typing import Any, Self
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.signals import outliers
-from gcs_sysid.signals.stream_buffer import FAR, StreamBuffer, interpolate, neighbours, usual_gap
+from gcs_sysid.signals.interpolation import FAR, interpolate, neighbours, usual_gap
+from gcs_sysid.signals.stream_buffer import StreamBuffer, as_known
 
+_NONE = np.zeros(0, np.int64)
 _SLOPE = 1
 """Samples on each side that angular acceleration takes."""
 _GYRO = slice(0, 3)
@@ -49,48 +48,69 @@ class InertialBuffer(StreamBuffer):
         """Usual time between samples, s, as the owner tells once it is known."""
         self._counted = -np.inf
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        other = super().__deepcopy__(memo)
-        other.faults = deepcopy(self.faults, memo)  # its owner's copy counts in the same
-        return other
+    @property
+    def gap(self) -> float:
+        """S beyond which two samples have nothing between them, at the grid's step."""
+        return usual_gap(self.step)
 
-    def push(self, t: float, values: tuple[float, ...]) -> None:
-        """Add a sample, if its gyro is finite; its accelerometer need not be."""
-        if not math.isfinite(values[0] + values[1] + values[2]):
-            self.faults.missing += 1
-            return
-        super().push(t, values)
+    @property
+    def _among(self) -> int:
+        return int(neighbours(np.array(self.gap), np.array(self.step)))
 
-    def settled(self) -> float:
-        """Time up to which later samples change nothing."""
+    @property
+    def _ahead(self) -> int:
+        """Samples after one that its value may rest on."""
+        return outliers.AHEAD + self._among + _SLOPE
+
+    def extend(self, t: Array, values: Array, marks: Array = _NONE) -> None:
+        """Add samples whose gyro is finite, their accelerometer need not be; see `StreamBuffer`."""
+        there = np.isfinite(values[:, :3].sum(axis=1))
+        if not there.all():
+            self.faults.missing += int(np.count_nonzero(~there))
+            marks = np.concatenate([[0], np.cumsum(there)])[marks]
+            t, values = t[there], values[there]
+        super().extend(t, values, marks)
+
+    def settled(self) -> Array:
+        """(ticks,) s up to which later samples change nothing, as each tick knows it."""
         t, v = self._arrays()
-        known, gap = t[~outliers.frozen(v)], usual_gap(self.step)
-        ahead = outliers.AHEAD + neighbours(gap, self.step) + _SLOPE
+        latest = t[self._known - 1] - self._ahead * self.gap
+        sound = ~outliers.frozen(v)
+        count = np.cumsum(sound)[self._known - 1]
+        known = t[sound][np.maximum(count - 1 - self._ahead, 0)]
         # A sensor that stands still must not hold everything up: past a gap nothing matters.
-        latest = t[-1] - ahead * gap
-        return float(max(known[-1 - ahead], latest) if len(known) > ahead else latest)
+        return np.where(count > self._ahead, np.maximum(known, latest), latest)
 
-    def at(self, grid: Array, gap: float | None = None) -> Array:
-        """(n, 6) values at the grid times, NaN in gaps, and where a spike cannot be replaced."""
+    def at(self, grid: Array, tick: Array) -> Array:
+        """(n, 6) values, NaN in gaps, and where a spike cannot be replaced; see `StreamBuffer`."""
         t, v = self._arrays()
-        gap = usual_gap(self.step) if gap is None else gap
+        known = self._known[tick]
         frozen = outliers.frozen(v)
-        stands = frozen.any()
-        if stands:
-            self._found(t[frozen], grid[-1], "frozen")
+        if frozen.any():
+            self.faults.frozen += self._new(t[frozen], grid[-1])
+            known = np.cumsum(~frozen)[known - 1]
             t, v = t[~frozen], v[~frozen]
+        settled = (known == len(t)) | (known - np.searchsorted(t, grid) > self._ahead)
+
+        def tell(count: int, grid: Array) -> Array:
+            return self._sound_values(t[:count], v[:count], grid)
+
+        return as_known(tell, grid, known, settled, len(t))
+
+    def _sound_values(self, t: Array, v: Array, grid: Array) -> Array:
+        gap = self.gap
         gyro, spikes = outliers.despiked(t, v[:, _GYRO], gap, outliers.JOLT * self.step)
         if spikes.any():
-            self._found(t[spikes.any(axis=1)], grid[-1], "spikes")
+            self.faults.spikes += self._new(t[spikes.any(axis=1)], grid[-1])
             v = np.hstack([gyro, v[:, 3:]])
         self._counted = float(grid[-1])
         if self._arm is not None and any(self._arm):
             v = np.hstack([v[:, _GYRO], at_cg(t, v[:, _GYRO], v[:, 3:], self._arm, gap)])
-        return interpolate(t, v, grid, gap, neighbours(gap, self.step))
+        return interpolate(t, v, grid, gap, self._among)
 
-    def _found(self, times: Array, until: float, kind: str) -> None:
-        new = int(np.count_nonzero((times > self._counted) & (times <= until)))
-        setattr(self.faults, kind, getattr(self.faults, kind) + new)
+    def _new(self, times: Array, until: float) -> int:
+        """How many of the times, s, were not counted yet."""
+        return int(np.count_nonzero((times > self._counted) & (times <= until)))
 
 
 def at_cg(

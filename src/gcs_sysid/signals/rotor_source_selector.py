@@ -19,7 +19,7 @@ from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.signals.columns import Track
-from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.redundant_commands import say_the_same, twin_of
 from gcs_sysid.signals.rotor_units import PARAMETER_NAMES, Range, RotorSource, command_range
 
@@ -54,35 +54,16 @@ def family(source: str) -> str:
 
 @dataclass
 class _Group:
-    """What came for some neighbouring rotors: whole pieces, and what came one by one since."""
+    """What came for some neighbouring rotors."""
 
     count: int = 0
     pieces: list[tuple[Array, Array]] = field(default_factory=list)
-    times: list[float] = field(default_factory=list)
-    values: list[tuple[float, ...]] = field(default_factory=list)
-
-    def __deepcopy__(self, memo: object) -> "_Group":
-        # Pieces are never written to.
-        return _Group(self.count, self.pieces[:], self.times[:], self.values[:])
-
-    def take(self, t: Array, values: Array) -> None:
-        self._gather()
-        self.pieces.append((t, values))
-        self.count += len(t)
 
     def whole(self) -> tuple[Array, Array]:
         """(n,) times and (n, rotors) values; rotors that all messages told."""
-        self._gather()
         width = min(values.shape[1] for _, values in self.pieces)
         t = np.concatenate([t for t, _ in self.pieces])
         return t, np.concatenate([values[:, :width] for _, values in self.pieces])
-
-    def _gather(self) -> None:
-        if self.times:
-            width = min(map(len, self.values))
-            values = np.array([row[:width] for row in self.values])
-            self.pieces.append((np.array(self.times), values))
-            self.times, self.values = [], []
 
 
 @dataclass
@@ -97,20 +78,13 @@ class Stretch:
     stream: Stream
     groups: dict[int, _Group] = field(default_factory=dict)
 
-    def add(self, record: Record) -> None:
-        """Keep a record, while there is room."""
-        group = self.groups.setdefault(record.offset, _Group())
-        if group.count < _MOST:
-            group.times.append(record.t)
-            group.values.append(record.values)
-            group.count += 1
-
     def extend(self, track: Track) -> None:
         """Keep the samples of a track, while there is room."""
         group = self.groups.setdefault(track.offset, _Group())
         room = max(_MOST - group.count, 0)
         if room:
-            group.take(track.t[:room], track.values[:room])
+            group.pieces.append((track.t[:room], track.values[:room]))
+            group.count += len(track.t[:room])
 
     def rotors(self, count: int) -> list[tuple[Array, Array]]:
         """Times and values of each rotor that there is, up to `count`, in order."""
@@ -128,26 +102,21 @@ class Repeats:
 
     compared: int = 0
     repeated: int = 0
-    _last: dict[int, tuple[float, tuple[float, ...]]] = field(default_factory=dict)
-
-    def take(self, record: Record) -> None:
-        """Compare a message with the one before for the same rotors."""
-        last = self._last.get(record.offset)
-        if last is not None and record.t > last[0]:
-            self.compared += 1
-            self.repeated += record.values == last[1]
-        self._last[record.offset] = record.t, record.values
+    _last: dict[int, tuple[Array, Array]] = field(default_factory=dict)
 
     def extend(self, track: Track) -> None:
-        """As `take`, of a track whose times rise."""
-        last = self._last.get(track.offset)
-        if last is not None:
+        """Compare the messages of a track with those before for the same rotors."""
+        t, values = track.t, track.values
+        last_t, last = self._last.get(track.offset, (t[:0], values[:0]))
+        if last.shape[1:] == values.shape[1:]:
+            t, values = np.concatenate([last_t, t]), np.concatenate([last, values])
+        elif len(last) and t[0] > last_t[0]:  # it told of more or fewer rotors
             self.compared += 1
-            self.repeated += tuple(track.values[0].tolist()) == last[1]
-        self.compared += len(track.t) - 1
-        same = (track.values[1:] == track.values[:-1]).all(axis=1)
-        self.repeated += int(np.count_nonzero(same))
-        self._last[track.offset] = float(track.t[-1]), tuple(track.values[-1].tolist())
+        later = np.diff(t) > 0.0
+        self.compared += int(np.count_nonzero(later))
+        same = (values[1:] == values[:-1]).all(axis=1)
+        self.repeated += int(np.count_nonzero(same & later))
+        self._last[track.offset] = t[-1:], values[-1:]
 
     def as_dict(self) -> dict[str, float]:
         """For the result's `telemetry`."""
@@ -185,20 +154,10 @@ class RotorSourceSelector:
         self.anchor = anchor
         self._restart()
 
-    @property
-    def settings(self) -> tuple[object, ...]:
-        """What never changes, and the source in use."""
-        return self._airframe, self.anchor, self.choice
-
-    def push(self, record: Record, *, flying: bool) -> None:
-        """Take a record; those of rotors count in flight only."""
-        if record.stream is Stream.PARAMETER:
-            if record.source.startswith(PARAMETER_NAMES):
-                self.parameters[record.source] = record.values[0]
-        elif flying and record.stream in _STREAMS:
-            name = family(record.source)
-            self._stretches.setdefault(name, Stretch(record.stream)).add(record)
-            self.repeats.setdefault(name, Repeats()).take(record)
+    def learn(self, name: str, value: float) -> None:
+        """Take a parameter of the autopilot."""
+        if name.startswith(PARAMETER_NAMES):
+            self.parameters[name] = value
 
     def extend(self, tracks: Sequence[Track]) -> None:
         """Take the samples of a while of flight; those of rotors count."""
@@ -221,6 +180,10 @@ class RotorSourceSelector:
     def gap(self) -> None:
         """The clock or the stream started anew: the stretch does too."""
         self._restart()
+
+    def is_due(self, seconds: float) -> bool:
+        """Whether so much more flight brings a judgement."""
+        return self._seconds + seconds >= STRETCH
 
     def fly(self, seconds: float) -> bool:
         """So much flight went by. Returns whether a judgement was made."""

@@ -1,14 +1,15 @@
 """A rotor-speed stream: freed of wild values and of old ones before interpolation."""
 
-from copy import copy
-from typing import Any, Self
+from typing import NamedTuple
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.signals.interpolation import interpolate, neighbours, usual_gaps
 from gcs_sysid.signals.recursions import lfilter
-from gcs_sysid.signals.stream_buffer import StreamBuffer, neighbours, usual_gap
+from gcs_sysid.signals.stream_buffer import StreamBuffer, as_known
 
+_NONE = np.zeros(0, np.int64)
 _REACH = 2
 """Samples on each side that one is compared with."""
 _WILD, _BESIDE = 0.2, 2.0
@@ -29,45 +30,43 @@ class _Stillness:
 
     Attributes:
         since: s, when the last values were new.
+        suspected: whether the newest values are a repeat in a stream that hardly has any.
+        stands: whether the newest values are old.
     """
 
     def __init__(self) -> None:
         self.since = -np.inf
-        self._last: tuple[float, ...] = ()
+        self.suspected = self.stands = False
+        self._last: Array = np.empty(0)
         self._repeats = 0
-        self._stands = False
         self._share = 1.0
         """Of repeats, up to `since`; all, until the stream has shown that they are rare in it."""
 
-    @property
-    def suspected(self) -> bool:
-        """Whether the newest values are a repeat in a stream that hardly has any."""
-        return self._repeats > 0 and self._share < _RARELY
-
-    def take(self, t: float, values: tuple[float, ...]) -> bool:
+    def take(self, t: float, values: Array) -> bool:
         """Take a message; whether its values are old."""
-        if values != self._last:
-            if not self._stands:
+        if not np.array_equal(values, self._last):
+            if not self.stands:
                 faded = _FRESH**self._repeats
                 self._share = faded * self._share + 1.0 - faded
             self._share *= _FRESH
-            self.since, self._last, self._repeats, self._stands = t, values, 0, False
+            self.since, self._last, self._repeats = t, values, 0
+            self.suspected = self.stands = False
             return False
         self._repeats += 1
+        self.suspected = self._share < _RARELY
         long = self._repeats >= _FEWEST and t - self.since >= _STANDS
-        self._stands = long and self.suspected and any(values)  # motors do stand on the ground
-        return self._stands
+        # Motors do stand on the ground.
+        self.stands = bool(long and self.suspected and values.any())
+        return self.stands
 
-    def after(self, t: Array, values: Array) -> "_Stillness | None":
-        """The state after (n,) times and (n, rotors) values; None if some of them are old."""
-        if self._stands:
-            return None
+    def follow(self, t: Array, values: Array) -> "_Followed":
+        """What `take` would say of (n,) times and (n, rotors) values, up to the first old ones."""
         new = np.ones(len(t), dtype=bool)
-        new[0] = tuple(values[0].tolist()) != self._last
+        new[0] = not np.array_equal(values[0], self._last)
         new[1:] = (values[1:] != values[:-1]).any(axis=1)
         index = np.arange(len(t))
         latest = np.maximum.accumulate(np.where(new, index, -1))
-        faded = _FRESH**self._repeats
+        faded = 1.0 if self.stands else _FRESH**self._repeats
         now = faded * self._share + 1.0 - faded
         added = np.where(new, 0.0, 1.0 - _FRESH)
         shares, _ = lfilter([1.0], [1.0, -_FRESH], added, np.array([_FRESH * now]))
@@ -75,13 +74,26 @@ class _Stillness:
         repeats = np.where(known, index - latest, self._repeats + 1 + index)
         since = np.where(known, t[latest], self.since)
         share = np.where(known, shares[latest], self._share)
-        old = (repeats >= _FEWEST) & (t - since >= _STANDS) & (share < _RARELY)
-        if (old & values.any(axis=1)).any():
-            return None
-        state = _Stillness()
-        state.since, state._repeats = float(since[-1]), int(repeats[-1])
-        state._last, state._share = tuple(values[-1].tolist()), float(share[-1])
-        return state
+        suspected = (repeats > 0) & (share < _RARELY)
+        old = suspected & (repeats >= _FEWEST) & (t - since >= _STANDS) & values.any(axis=1)
+        old |= self.stands & ~known
+        return _Followed(since, suspected, repeats, share, old)
+
+    def go_on(self, followed: "_Followed", values: Array) -> None:
+        """Stand where messages, none of them old, have led."""
+        self.since, self._last = float(followed.since[-1]), values[-1].copy()
+        self.suspected, self.stands = bool(followed.suspected[-1]), False
+        self._repeats, self._share = int(followed.repeats[-1]), float(followed.share[-1])
+
+
+class _Followed(NamedTuple):
+    """How long speeds have stood still after each of some messages, see `_Stillness`."""
+
+    since: Array
+    suspected: Mask
+    repeats: Array
+    share: Array
+    old: Mask
 
 
 class RotorBuffer(StreamBuffer):
@@ -97,51 +109,96 @@ class RotorBuffer(StreamBuffer):
         self.wild = self.still = 0
         self._counted = -np.inf
         self._stillness = _Stillness()
+        # As each tick knows them: times up to which speeds are surely new, s.
+        self._moved = np.full(1, np.inf)
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        other = super().__deepcopy__(memo)
-        other._stillness = copy(self._stillness)
-        return other
+    def extend(self, t: Array, values: Array, marks: Array = _NONE) -> None:
+        """Add samples that are no old ones, see `StreamBuffer`."""
+        values = self._fitted(values)
+        rows = self._sort_out(t)[0]
+        if len(rows):
+            followed = self._stillness.follow(t[rows], values[rows])
+            if followed.old.any():
+                self._extend_by_one(t, values)
+                self.look(len(marks))
+                return
+            last = np.searchsorted(rows, marks) - 1
+            self._moved = np.where(
+                last >= 0,
+                np.where(followed.suspected, followed.since, np.inf)[last],
+                self._stillness.since if self._stillness.suspected else np.inf,
+            )
+            self._stillness.go_on(followed, values[rows])
+        elif len(marks):
+            self._look(len(marks))
+        super().extend(t, values, marks)
 
-    def push(self, t: float, values: tuple[float, ...]) -> None:
-        """Add a sample, if it is not an old one."""
-        if t > self._newest and self._stillness.take(t, values):
-            self.still += 1 + self._drop_after(self._stillness.since)
-        else:
-            super().push(t, values)
+    def _extend_by_one(self, t: Array, values: Array) -> None:
+        for row in range(len(t)):
+            some = slice(row, row + 1)
+            if t[row] > self._newest and self._stillness.take(float(t[row]), values[row].copy()):
+                self.still += 1 + self._drop_after(self._stillness.since)
+            else:
+                super().extend(t[some], values[some])
 
-    def extends(self, t: Array, values: Array) -> bool:
-        """As any stream's; old samples are looked at one by one."""
-        return super().extends(t, values) and self._stillness.after(t, values) is not None
+    def look(self, ticks: int = 1) -> None:
+        """As of `StreamBuffer`."""
+        super().look(ticks)
+        self._look(ticks)
 
-    def extend(self, t: Array, values: Array) -> None:
-        """Add samples that `extends` allows, as `push` one by one."""
-        state = self._stillness.after(t, values)
-        assert state is not None
-        self._stillness = state
-        super().extend(t, values)
+    def _look(self, ticks: int) -> None:
+        stillness = self._stillness
+        self._moved = np.full(ticks, stillness.since if stillness.suspected else np.inf)
 
-    def settled(self, newest: float) -> float:
-        """Time up to which later samples change nothing, `newest` s being now.
+    def first_irregular(self, t: Array, values: Array) -> int:
+        """As of any stream; messages that are old take those before them back."""
+        rows = self._sort_out(t)[0]
+        first = super().first_irregular(t, values)
+        if len(rows):
+            old = self._stillness.follow(t[rows], self._fitted(values)[rows]).old
+            first = min(first, int(rows[np.argmax(old)]) if old.any() else first)
+        return first
+
+    @property
+    def _ahead(self) -> Array:
+        """(ticks,) samples after one that it may rest on: what the cubic takes, and judges that."""
+        return neighbours(self.gaps, self.intervals) + _REACH
+
+    def settled(self, newest: Array) -> Array:
+        """(ticks,) s up to which later samples change nothing, (ticks,) `newest` s being now.
 
         A stream that is silent holds nothing up: what comes after a gap judges nothing before it.
         """
         t, _ = self._arrays()
-        # What the cubic takes, and what judges that.
-        ahead = neighbours(self.gap, self.interval) + _REACH
-        dead = newest - ahead * usual_gap(self.interval)
-        if self._stillness.suspected:
-            t = t[: np.searchsorted(t, self._stillness.since, side="right")]
-        return max(float(t[-1 - ahead]), dead) if len(t) > ahead else dead
+        if not len(t):
+            return np.full(len(newest), np.inf)
+        ahead = self._ahead
+        dead = newest - ahead * usual_gaps(self.intervals)
+        count = np.minimum(self._known, np.searchsorted(t, self._moved, side="right"))
+        known = t[np.maximum(count - 1 - ahead, 0)]
+        settled = np.where(count > ahead, np.maximum(known, dead), dead)
+        return np.where(self._known > 0, settled, np.inf)
 
-    def _sound(self, t: Array, v: Array, grid: Array, gap: float) -> tuple[Array, Array]:
+    def _between(
+        self, t: Array, v: Array, grid: Array, gap: float, among: int, known: Array
+    ) -> Array:
         wild = wild_rows(t, v, gap)
         if not wild.any():
-            return t, v
-        times = t[wild]
-        self.wild += int(np.count_nonzero((times > self._counted) & (times <= grid[-1])))
-        self._counted = float(grid[-1])
-        return t[~wild], v[~wild]
+            # Nothing to judge: what later samples would say of these does not matter.
+            return super()._between(t, v, grid, gap, among, known)
+        right = np.searchsorted(t, grid)
+        spoilt = np.concatenate([[0], np.cumsum(wild)])
+        left_out = spoilt[known] - spoilt[np.minimum(right, known)]
+        settled = (known == len(t)) | (known - right - left_out > among + _REACH)
+
+        def tell(count: int, grid: Array) -> Array:
+            sound = ~wild_rows(t[:count], v[:count], gap)
+            times = t[:count][~sound]
+            self.wild += int(np.count_nonzero((times > self._counted) & (times <= grid[-1])))
+            self._counted = float(grid[-1])
+            return interpolate(t[:count][sound], v[:count][sound], grid, gap, among)
+
+        return as_known(tell, grid, known, settled, len(t))
 
 
 def wild_rows(t: Array, v: Array, gap: float) -> Mask:

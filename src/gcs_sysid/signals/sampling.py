@@ -1,9 +1,7 @@
 """From records to aligned samples: time base, complementary filter, flight detection."""
 
-from collections.abc import Sequence
-from copy import deepcopy
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -12,9 +10,9 @@ from gcs_sysid.model import attitude
 from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.signals.flight_detection import FlightDetector
-from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS, mean_of
-from gcs_sysid.signals.rotor_source_selector import STRETCH, RotorSourceSelector, family
+from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector, family
 from gcs_sysid.signals.rotor_units import RotorSource
 from gcs_sysid.signals.samples import Samples
 from gcs_sysid.signals.time_base import Block, TimeBase
@@ -36,6 +34,7 @@ class SampleBlock:
         dt: s, the grid's step.
         fresh: whether nothing before joins on to this block.
         rotors: the stream that `samples.speeds` come from; None: none is believed.
+        told_at: s, the newest sample there was when the block was given out.
     """
 
     t: Array
@@ -44,12 +43,21 @@ class SampleBlock:
     dt: float
     fresh: bool
     rotors: RotorSource | None = None
+    told_at: float = 0.0
 
     def since(self, first: int) -> "SampleBlock":
         """The block without the samples before `first`."""
-        rest = slice(first, None)
+        return self.part(first, len(self.t))
+
+    def part(self, first: int, stop: int) -> "SampleBlock":
+        """Samples `first` to before `stop` of the block."""
+        rows = slice(first, stop)
         return replace(
-            self, t=self.t[rest], samples=self.samples.part(rest), flying=self.flying[rest]
+            self,
+            t=self.t[rows],
+            samples=self.samples.part(rows),
+            flying=self.flying[rows],
+            fresh=self.fresh and first == 0,
         )
 
 
@@ -66,6 +74,28 @@ class _Held:
     block: SampleBlock
     rotors: dict[str, Array]
     stamps: dict[str, Array]
+
+    def part(self, first: int, stop: int) -> "_Held":
+        """Samples `first` to before `stop`."""
+        return _Held(
+            self.block.part(first, stop),
+            {name: values[first:stop] for name, values in self.rotors.items()},
+            {name: values[first:stop] for name, values in self.stamps.items()},
+        )
+
+    @property
+    def seconds(self) -> float:
+        """How long it is."""
+        return len(self.block.t) * self.block.dt
+
+    @property
+    def flies(self) -> bool:
+        """Whether any of it is of flight."""
+        return bool(np.isfinite(self.block.samples.gyro).any())
+
+
+_Reading = tuple[RotorSource | None, str | None]
+"""The rotor stream that is believed, and its twin."""
 
 
 class Sampler:
@@ -116,125 +146,152 @@ class Sampler:
         """Seconds of vehicle clock from the first record to the newest; None without any."""
         return None if self._first is None else self._newest - self._began
 
-    def push(self, record: Record) -> tuple[SampleBlock, ...]:
-        """Take one record; the next blocks when there are any."""
-        if record.stream is Stream.PARAMETER:
-            self.rotor_selector.push(record, flying=self.flying)
-            return ()
-        if self._first is None:
-            self._first = self._began = self._newest = record.t
-        if record.t < self._newest - _STEP_BACK:
-            # The vehicle's clock was set back (a reboot); start and end go on counting.
-            self._began += record.t - self._newest
-            self._newest = record.t
-        self._newest = max(self._newest, record.t)
-        if not self._start <= max(record.t - self._began, 0.0) <= self._end:
-            return ()
-        self.seen.add(record.stream)
-        self.rotor_selector.push(record, flying=self.flying)
-        block = self.time_base.push(record)
-        return () if block is None else self._take(block)
+    def take(self, tracks: Sequence[Track]) -> Iterator[SampleBlock]:
+        """Take samples that follow each other, with their orders; the next blocks, one by one.
 
-    def copy(self) -> "Sampler":
-        """One in the same state, that goes its own way."""
-        shared = self.rotor_selector.settings
-        return deepcopy(self, {id(thing): thing for thing in shared})
-
-    def take(self, tracks: Sequence[Track]) -> tuple[SampleBlock, ...] | None:
-        """Take the records of a while at once, where that tells what one by one would tell.
-
-        Args:
-            tracks: with their orders; the last record is one of the IMU.
-
-        Returns:
-            The next blocks; None where something happens in that while (a take-off, a rotor stream
-            that is no longer sound, see also `TimeBase.take`). Then this sampler is spoilt.
+        How samples are grouped changes no number: what is decided (a rotor stream, flight, what
+        is still held back) is decided at the ticks of the time base.
         """
-        first = min(float(track.t[0]) for track in tracks)
-        last = max(float(track.t[-1]) for track in tracks)
-        steady = not self._held and (not self.flying or self.rotor_selector.choice is not None)
-        inside = self._start <= first - self._began and last - self._began <= self._end
-        if self._first is None or not (steady and inside):
-            return None
-        block = self.time_base.take(tracks)
-        if block is None or block.fresh:
-            return None
-        flew, choice, twin = self.flying, self.rotor_selector.choice, self.rotor_selector.twin
-        held = self._samples(block)
-        if (held.block.flying != flew).any():
-            return None
-        self._newest = max(self._newest, last)
-        self.seen |= {track.stream for track in tracks}
-        if flew:
-            self._judge(tracks)
-            if self.rotor_selector.choice is not choice or self.rotor_selector.twin != twin:
-                return None
-        self._held.append(held)
-        return self._release()
+        for part in self._without_steps_back(tracks):
+            inside = list(self._inside(part))
+            if not inside:
+                continue
+            self.seen |= {track.stream for track in inside}
+            unseen = _Unseen(inside, self.rotor_selector)
+            for block in self.time_base.take(inside):
+                yield from self._take(block, unseen)
+            unseen.show(None, flying=self.flying)
 
-    def _judge(self, tracks: Sequence[Track]) -> None:
-        """Have the selector look at stretches of a flight in which nothing else happens."""
-        imu = next(track for track in tracks if track.stream is Stream.IMU)
-        starts = np.flatnonzero(np.diff((imu.t - imu.t[0]) // STRETCH)) + 1
-        edges = [0, *imu.order[starts].tolist(), int(imu.order[-1]) + 1]
-        counts = np.diff([0, *starts, len(imu.t)])
-        for orders, count in zip(pairwise(edges), counts.tolist(), strict=True):
-            self.rotor_selector.extend([track.between(*orders) for track in tracks])
-            self.rotor_selector.fly(count * self.time_base.dt)
+    def _without_steps_back(self, tracks: Sequence[Track]) -> Iterator[list[Track]]:
+        """The samples, in parts in which the vehicle's clock is not set back (a reboot).
 
-    def catch_up(self) -> tuple[SampleBlock, ...]:
+        The times of start and end go on counting over such a step.
+        """
+        left = [track for track in tracks if len(track.t)]
+        while left:
+            order = np.concatenate([track.order for track in left])
+            t = np.concatenate([track.t for track in left])
+            sorting = np.argsort(order, kind="stable")
+            order, t = order[sorting], t[sorting]
+            if self._first is None:
+                self._first = self._began = self._newest = float(t[0])
+            newest = np.maximum.accumulate(np.concatenate([[self._newest], t]))
+            back = t < newest[:-1] - _STEP_BACK
+            stop = int(np.argmax(back)) if back.any() else len(t)
+            self._newest = float(newest[stop])
+            if stop:
+                rows = int(order[0]), int(order[stop - 1]) + 1
+                yield [part for track in left if len((part := track.between(*rows)).t)]
+            if stop == len(t):
+                return
+            self._began += float(t[stop]) - self._newest
+            self._newest = float(t[stop])
+            rows = int(order[stop]), int(order[-1]) + 1
+            left = [part for track in left if len((part := track.between(*rows)).t)]
+
+    def _inside(self, tracks: Iterable[Track]) -> Iterator[Track]:
+        """Samples from start to end."""
+        for track in tracks:
+            since = np.maximum(track.t - self._began, 0.0)
+            inside = (since >= self._start) & (since <= self._end)
+            if inside.all():
+                yield track
+            elif inside.any():
+                yield track.part(inside)
+
+    def catch_up(self) -> Iterator[SampleBlock]:
         """The next blocks, up to now instead of to the last tick."""
-        block = self.time_base.catch_up()
-        return () if block is None else self._take(block)
+        for block in self.time_base.catch_up():
+            yield from self._take(block)
 
-    def finish(self) -> tuple[SampleBlock, ...]:
+    def finish(self) -> Iterator[SampleBlock]:
         """What is still held back."""
-        block = self.time_base.finish()
-        ready = () if block is None else self._take(block)
+        for block in self.time_base.finish():
+            yield from self._take(block)
         if not self.rotor_selector.judged:
             self.rotor_selector.judge()
-        return (*ready, *self._release())
+        yield from self._release(self.t)
 
-    def _take(self, block: Block) -> tuple[SampleBlock, ...]:
-        flew = self.flying
+    def _take(self, block: Block, unseen: "_Unseen | None" = None) -> Iterator[SampleBlock]:
+        """Take a block of the grid, tick by tick; the blocks of samples that are ready.
+
+        Args:
+            block: of the grid.
+            unseen: samples that the selector has not seen yet; None: it has seen all.
+        """
+        selector, flies = self.rotor_selector, self.flying
         held = self._samples(block)
-        self._held.append(held)
-        if block.fresh:
-            self.rotor_selector.gap()
-        flown = int(np.isfinite(held.block.samples.gyro[:, 0]).sum()) * held.block.dt
-        if flew:  # else the selector has not seen what came in that time
-            self.rotor_selector.fly(flown)
-        if flew and not self.flying and self.rotor_selector.choice is not None:
-            self.rotor_selector.gap()  # what came since it landed tells nothing of the next flight
-        if self.rotor_selector.choice is None and self._may_still_choose():
-            return ()
-        return self._release()
+        t, dt = held.block.t.tolist(), held.block.dt
+        there = np.cumsum(np.isfinite(held.block.samples.gyro[:, 0])).tolist()
+        flown = dt * np.diff(np.array([0, *there])[[0, *block.ends]])
+        waits = bool(self._held)
+        ready = first = 0  # points given out or held; points before the tick
+        told_at = t[0]
+        for stop, order, seconds in zip(
+            block.ends.tolist(), block.orders.tolist(), flown.tolist(), strict=True
+        ):
+            before, flew = self._reading, flies
+            flies = bool(held.block.flying[stop - 1])
+            fresh = block.fresh and first == 0
+            if unseen is not None and (flies != flew or fresh or selector.is_due(seconds)):
+                unseen.show(order, flying=flew)
+            if fresh:
+                selector.gap()
+            if flew:  # else the selector has not seen what came in that time
+                selector.fly(seconds)
+            if flew and not flies and selector.choice is not None:
+                selector.gap()  # what came since it landed tells nothing of the next flight
+            waited, waits = waits, self._waits(held.part(ready if waits else first, stop))
+            if not waited and first > ready and (waits or self._reading != before):
+                # What was ready at earlier ticks is read as was believed then.
+                yield self._read(held.part(ready, first), before, told_at)
+                ready = first
+            if waited and not waits:
+                self._held.append(held.part(ready, stop))
+                yield from self._release(t[stop - 1])
+                ready = stop
+            if ready >= first:
+                told_at = t[stop - 1]
+            first = stop
+        if waits:
+            self._held.append(held.part(ready, first))
+        elif first > ready:
+            yield self._read(held.part(ready, first), self._reading, told_at)
 
-    def _may_still_choose(self) -> bool:
-        """Whether what is held could be of use yet."""
-        waits = sum(len(held.block.t) * held.block.dt for held in self._held)
-        flies = any(np.isfinite(held.block.samples.gyro).any() for held in self._held)
-        return flies and not self.rotor_selector.judged and waits < _MOST_HELD
+    @property
+    def _reading(self) -> _Reading:
+        return self.rotor_selector.choice, self.rotor_selector.twin
 
-    def _release(self) -> tuple[SampleBlock, ...]:
+    def _waits(self, newest: _Held) -> bool:
+        """Whether what is held, with the newest, has no rotor stream, and may have one yet."""
+        if self.rotor_selector.choice is not None or self.rotor_selector.judged:
+            return False
+        held = [*self._held, newest]
+        return sum(each.seconds for each in held) < _MOST_HELD and any(e.flies for e in held)
+
+    def _release(self, told_at: float) -> Iterator[SampleBlock]:
         """The blocks held back, with the rotor stream that is believed now."""
-        choice, ready = self.rotor_selector.choice, []
-        for held in self._held:
-            samples = held.block.samples
-            if choice is not None and choice.name in held.rotors:
-                rotors, apart = self._joined(held, choice.name)
-                samples = replace(samples, speeds=choice.read(rotors), apart=apart)
-            ready.append(replace(held.block, samples=samples, rotors=choice))
-        self._held.clear()
-        if ready:
-            self._show_rotors(ready[-1].samples.speeds[-1])
-        return tuple(ready)
+        held, self._held = self._held, []
+        for each in held:
+            yield self._read(each, self._reading, told_at)
 
-    def _joined(self, held: _Held, name: str) -> tuple[Array, Array]:
+    def _read(self, held: _Held, reading: _Reading, told_at: float) -> SampleBlock:
+        """A block with the rotor stream that was believed when it was ready."""
+        choice, twin = reading
+        samples = held.block.samples
+        if choice is not None and choice.name in held.rotors:
+            rotors, apart = self._joined(held, choice.name, twin)
+            samples = replace(samples, speeds=choice.read(rotors), apart=apart)
+        if np.isfinite(samples.speeds[-1]).all():
+            self.rotor_speeds = tuple(samples.speeds[-1].tolist())
+        return replace(held.block, samples=samples, rotors=choice, told_at=told_at)
+
+    @staticmethod
+    def _joined(held: _Held, name: str, second: str | None) -> tuple[Array, Array]:
         """(n, rotors) of a stream, with its twin where they are slow; (n, 1) s between both."""
-        rotors, second = held.rotors[name], self.rotor_selector.twin
+        rotors = held.rotors[name]
         apart = np.full(len(rotors), np.nan)
-        if second in held.rotors and held.block.dt >= SLOW_COMMANDS:
+        if second is not None and second in held.rotors and held.block.dt >= SLOW_COMMANDS:
             twin = held.rotors[second]
             both = complete_rows(rotors + twin)
             apart[both] = (held.stamps[name] - held.stamps[second])[both]
@@ -332,9 +389,27 @@ class Sampler:
             p, q, r = samples.rates[-1]
             self.rates = (float(p), float(q), float(r))
 
-    def _show_rotors(self, newest: Array) -> None:
-        if np.isfinite(newest).all():
-            self.rotor_speeds = tuple(float(v) for v in newest)
+
+class _Unseen:
+    """Samples of rotors that the selector has not seen yet."""
+
+    def __init__(self, tracks: Iterable[Track], selector: RotorSourceSelector) -> None:
+        self._tracks = [
+            track for track in tracks if track.stream in (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND)
+        ]
+        self._taken = [0] * len(self._tracks)
+        self._selector = selector
+
+    def show(self, order: int | None, *, flying: bool) -> None:
+        """Show it those up to an order (None: all), if they came in flight."""
+        came = []
+        for number, track in enumerate(self._tracks):
+            n = len(track.t) if order is None else int(np.searchsorted(track.order, order + 1))
+            if n > self._taken[number]:
+                came.append(track.part(slice(self._taken[number], n)))
+            self._taken[number] = n
+        if flying:
+            self._selector.extend(sorted(came, key=lambda track: int(track.order[0])))
 
 
 def _stream(block: Block, stream: Stream, n: int, width: int) -> Array:

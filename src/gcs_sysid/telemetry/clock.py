@@ -6,6 +6,8 @@ seconds since the vehicle's boot. The wall clock has no part in it: how far the 
 is told, and doubted where no clock would (`session.clock_doubt`).
 """
 
+from dataclasses import dataclass
+from enum import IntEnum, auto
 from typing import Any
 
 import numpy as np
@@ -29,6 +31,14 @@ WRAP_US = 2**32 * 1e-6
 def may_wrap(now: Any) -> Any:
     """Whether 32 bits of us may have wrapped when the clock says `now`, s."""
     return now > WRAP_US - JUMP_AHEAD
+
+
+class StampKind(IntEnum):
+    """The stamps that drive the clock."""
+
+    US64 = auto()
+    MS32 = auto()
+    US64_OR_32 = auto()
 
 
 class VehicleClock:
@@ -84,22 +94,92 @@ class VehicleClock:
             return self.stamp_us32(time_usec)
         return self.stamp_us64(time_usec)
 
+    def tells_unix_time(self, time_unix_usec: int, time_boot_ms: int) -> bool:
+        """Whether a SYSTEM_TIME says how Unix time and time since boot hang together, and is new.
+
+        That is kept once known: GPS corrects Unix time in flight, and the axis must not jump.
+        """
+        new = self._unix_minus_boot is None
+        return new and time_unix_usec * 1e-6 > UNIX_FROM and time_boot_ms > 0
+
     def system_time(self, time_unix_usec: int, time_boot_ms: int) -> None:
         """Learn how Unix time and time since boot hang together, from SYSTEM_TIME."""
-        unix = time_unix_usec * 1e-6
-        # Kept once known: GPS corrects Unix time in flight, and the axis must not jump.
-        if self._unix_minus_boot is None and unix > UNIX_FROM and time_boot_ms:
-            self._unix_minus_boot = unix - time_boot_ms * 1e-3
+        if self.tells_unix_time(time_unix_usec, time_boot_ms):
+            self._unix_minus_boot = time_unix_usec * 1e-6 - time_boot_ms * 1e-3
 
     @property
     def unix_minus_boot(self) -> float | None:
         """How far Unix time is ahead of the time since boot, s; None until it was told."""
         return self._unix_minus_boot
 
-    def run_on(self, now: float) -> None:
-        """Take the latest of many stamps, each of which follows those before it."""
-        self.now = now
-        self._suspect = None
+    def take(self, kind: Array, raw: Array, *, may_go_back: bool) -> tuple[Array, Array]:
+        """Follow stamps in the order in which they came, up to one that sets the clock back.
+
+        Args:
+            kind: (n,) of `StampKind`.
+            raw: (n,) whole numbers, the stamps.
+            may_go_back: whether such a one is taken where it is the first; then it is taken alone.
+
+        Returns:
+            (m,) s, the times of those that were taken, NaN where they are not to be believed;
+            (m,) s, the clock after each.
+        """
+        t, now = np.full(len(raw), np.nan), np.full(len(raw), np.nan)
+        at, single = 0, 1
+        while at < len(raw):
+            done = self._run_on(kind[at:], raw[at:], t[at:], now[at:])
+            at += done
+            # Most often one stamp is unusual, but it may be all of them.
+            single = 2 * single if done < single else 1
+            for row in range(at, min(at + single, len(raw))):
+                before = dict(vars(self))
+                time = self._stamp(int(kind[row]), int(raw[row]))
+                reboots = self.reboots != before["reboots"]
+                if reboots and (row or not may_go_back):
+                    vars(self).update(before)
+                    return t[:row], now[:row]
+                t[row] = np.nan if time is None else time
+                now[row] = np.nan if self.now is None else self.now
+                at = row + 1
+                if reboots:
+                    return t[:1], now[:1]
+        return t, now
+
+    def _stamp(self, kind: int, raw: int) -> float | None:
+        if kind == StampKind.MS32:
+            return self.stamp_ms32(raw)
+        return self.stamp_us64(raw) if kind == StampKind.US64 else self.stamp_us64_or_32(raw)
+
+    def _run_on(self, kind: Array, raw: Array, t: Array, now: Array) -> int:
+        """Follow stamps as far as the clock simply runs on; (n,) as of `take`, `t` and `now` s.
+
+        Returns:
+            How many that were; only of these times are set.
+        """
+        if self.now is None or not len(raw):
+            return 0
+        ms = kind == StampKind.MS32
+        times = raw * np.where(ms, 1e-3, 1e-6)
+        unwrapped = times + WRAP_MS * np.maximum(np.rint((self.now - times) / WRAP_MS), 0.0)
+        behind = np.nan if self._unix_minus_boot is None else self._unix_minus_boot
+        times = np.where(ms, unwrapped, np.where(times > UNIX_FROM, times - behind, times))
+        timed = np.isfinite(times) & (raw > 0)
+        rows = np.flatnonzero(timed)
+        some = times[rows]
+        running = np.maximum.accumulate(np.concatenate([[self.now], some]))
+        before = running[:-1]
+        odd = (some < before - JUMP_BACK) | (some > before + JUMP_AHEAD)
+        odd |= (kind[rows] == StampKind.US64_OR_32) & may_wrap(before) & (raw[rows] < 2**32)
+        if odd.any():
+            first = int(np.argmax(odd))
+            end, rows, running = int(rows[first]), rows[:first], running[: first + 1]
+        else:
+            end = len(raw)
+        t[rows] = times[rows]
+        now[:end] = running[np.searchsorted(rows, np.arange(end), side="right")]
+        if len(rows):
+            self.now, self._suspect = float(running[-1]), None
+        return end
 
     def _unwrap(self, t: float, wrap: float) -> float:
         """Put a wrapped stamp into the turn nearest to the clock."""
@@ -128,6 +208,36 @@ class VehicleClock:
             self.started = t
             self._unix_minus_boot = None
         return t
+
+
+@dataclass(frozen=True)
+class ClockTimes:
+    """The vehicle's clock over a block of frames.
+
+    Attributes:
+        order: (m,) rising numbers of the frames that tell the time.
+        now: (m + 1,) s, the clock before the first of them, and after each; NaN: not known yet.
+    """
+
+    order: Array
+    now: Array
+
+    def after(self, order: Array) -> Array:
+        """(n,) s, the clock after the frames with these numbers."""
+        now: Array = self.now[np.searchsorted(self.order, order, side="right")]
+        return now
+
+
+def following(time_usec: Array, now: Array) -> Array:
+    """(n,) s of stamps in 32 bits, as `VehicleClock.stamp_us32`; NaN where it gives none.
+
+    Args:
+        time_usec: (n,) us.
+        now: (n,) s, the clock as each came.
+    """
+    t = time_usec * 1e-6
+    t = t + WRAP_US * np.maximum(np.rint((now - t) / WRAP_US), 0.0)
+    return np.where(np.abs(t - now) < JUMP_AHEAD, t, np.nan)
 
 
 class ClockDrift:

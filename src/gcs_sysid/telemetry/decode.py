@@ -1,347 +1,399 @@
-"""Frames of one vehicle -> records.
+"""Frames of one vehicle -> records as columns, by the table of messages.
 
-What comes out depends on the frames and their order alone, never on when they came: a live
-session and the analysis of its recording make the same records.
-
-Where several messages tell the same (IMU, attitude, velocity, flight), the best that comes is
-taken. Rotor messages are all passed on under their own names: which of them can be believed
-shows only in the flight.
-
-To take up another message, write its reader and add it to the table in `RecordDecoder`.
+What comes out depends on the frames and their order alone, never on when they came, nor on how
+they are cut into blocks: a live session, which takes a few frames at a time, and the analysis of
+its recording make the same records.
 """
 
-import math
-from collections import Counter
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.model.attitude import from_euler
+from gcs_sysid.arrays import Array, Mask, complete_rows
 from gcs_sysid.signals.records import Record, Stream
-from gcs_sysid.telemetry import rotor_messages as rotors
-from gcs_sysid.telemetry.clock import VehicleClock
-from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry import message_table
+from gcs_sysid.telemetry.clock import ClockTimes, StampKind, VehicleClock, following
+from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
-from gcs_sysid.telemetry.parameter_values import read_parameter
+from gcs_sysid.telemetry.message_arrays import message_arrays
+from gcs_sysid.telemetry.message_table import STAMP_FIELDS, Message, Stamp
+from gcs_sysid.telemetry.messages import MESSAGE_IDS
+from gcs_sysid.telemetry.preference import Preference
+from gcs_sysid.telemetry.rotor_messages import MOST_ROTORS
+from gcs_sysid.telemetry.track_collector import TrackCollector
+from gcs_sysid.telemetry.vehicle_states import STATE_IDS, VehicleStates
 
-MILLI_G = 9.80665e-3
-"""m/s^2 per thousandth of standard gravity."""
-PREFERRED_FOR = 1.0
-"""s. The next best message is used only when no better one came for this long."""
-LANDED_STATE_FOR = 5.0
-"""s. The same for EXTENDED_SYS_STATE, which comes once or twice a second."""
-MOST_PARAMETERS = 4096
-"""Names kept: a hostile sender can make up more than any autopilot has."""
-
-Reader = Callable[[bytes], Record | None]
-
-_highres_imu = picker(
-    "HIGHRES_IMU", "time_usec", "id", "xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc"
-)
-_scaled_imu = picker(
-    "SCALED_IMU", "time_boot_ms", "xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc"
-)
-_raw_imu = picker("RAW_IMU", "time_usec", "id", "xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc")
-_attitude = picker("ATTITUDE", "time_boot_ms", "roll", "pitch", "yaw")
-_quaternion = picker("ATTITUDE_QUATERNION", "time_boot_ms", "q1", "q2", "q3", "q4")
-_position = picker("LOCAL_POSITION_NED", "time_boot_ms", "vx", "vy", "vz", "x", "y", "z")
-_global_position = picker("GLOBAL_POSITION_INT", "time_boot_ms", "relative_alt", "vx", "vy", "vz")
-_landed = picker("EXTENDED_SYS_STATE", "landed_state")
-_heartbeat = picker("HEARTBEAT", "autopilot", "base_mode", "system_status")
-_system_time = picker("SYSTEM_TIME", "time_unix_usec", "time_boot_ms")
+_DRIVING = {
+    Stamp.US64: StampKind.US64,
+    Stamp.MS32: StampKind.MS32,
+    Stamp.US64_OR_32: StampKind.US64_OR_32,
+}
+_SYSTEM_TIME = MESSAGE_IDS["SYSTEM_TIME"]
+_NO_TIMES = np.empty(0)
+_NO_ORDER = np.empty(0, np.int64)
 
 
-class Preference:
-    """Lets a message through only while none that ranks better comes."""
+class Taken(NamedTuple):
+    """How far `RecordDecoder.take` came."""
 
-    def __init__(self, lasts: float = PREFERRED_FOR) -> None:
-        self._lasts = lasts
-        self._heard: list[float | None] = [None] * 4
-
-    def allows(self, rank: int, t: float | None) -> bool:
-        """Note a message of a rank (0 is the best) at a time; whether to use it."""
-        if t is None:
-            return True
-        self._heard[rank] = t
-        return not any(
-            heard is not None and abs(t - heard) <= self._lasts for heard in self._heard[:rank]
-        )
-
-    def allows_all(self, ranked: Sequence[tuple[Array, Array]]) -> list[Mask]:
-        """The same for many messages.
-
-        Args:
-            ranked: of each rank the (n,) places of its messages in the order of arrival, and
-                their times, NaN where there is none.
-
-        Returns:
-            Of each rank (n,) whether to use the message.
-        """
-        heard: list[tuple[Array, Array]] = []
-        masks = []
-        for rank, (order, t) in enumerate(ranked):
-            allowed = np.ones(len(t), bool)
-            for better_order, better_t in heard:
-                last = better_t[np.searchsorted(better_order, order)]
-                allowed &= ~(np.abs(t - last) <= self._lasts)
-            masks.append(allowed)
-            timed = np.isfinite(t)
-            before = self._heard[rank]
-            times = np.append(np.nan if before is None else before, t[timed])
-            heard.append((order[timed], times))
-            if timed.any():
-                self._heard[rank] = float(times[-1])
-        return masks
+    frames: int
+    """How many were read."""
+    moments: ClockTimes
+    """The clock over them."""
+    imu_times: Array
+    """(n,) s, of the IMU's samples as they came."""
 
 
 class RecordDecoder:
     """Makes records from the frames of one vehicle.
 
+    Args:
+        table: of the messages that are read; None: `message_table.MESSAGES`.
+
     Attributes:
         clock: the vehicle's clock as its stamps tell it.
-        dropped: reason -> number of messages that gave no record though they should have:
-            "not finite", "no time" (no stamp, or one not to be believed).
-        parameters: name -> value of the autopilot's parameters heard so far.
+        states: heartbeats, flight and parameters.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, table: Sequence[Message] | None = None) -> None:
         self.clock = VehicleClock()
-        self.dropped: Counter[str] = Counter()
-        self.parameters: dict[str, float] = {}
-        self._imu_id: int | None = None
-        self._autopilot: int | None = None
-        self._armed: bool | None = None
-        self._q_last = (1.0, 0.0, 0.0, 0.0)
+        self.states = VehicleStates()
+        self._table = {message.name: message for message in table or message_table.MESSAGES}
+        self._ids = {MESSAGE_IDS[name] for name in self._table} | STATE_IDS | {_SYSTEM_TIME}
+        self._dropped: Counter[str] = Counter()
+        self._sensors: dict[str, int] = {}
+        self._q_last = np.array([1.0, 0.0, 0.0, 0.0])
+        self._imu_times: list[tuple[Array, Array]] = []
         self._forget_times()
-        table: dict[str, Reader] = {
-            "HIGHRES_IMU": self._read_imu,
-            "SCALED_IMU": self._read_scaled_imu,
-            "RAW_IMU": self._read_raw_imu,
-            "ATTITUDE": self._read_attitude,
-            "ATTITUDE_QUATERNION": self._read_quaternion,
-            "ESC_STATUS": self._read_esc_status,
-            "RPM": partial(self._read_unstamped, rotors.rpm_sensors, 0, "RPM"),
-            "ACTUATOR_OUTPUT_STATUS": self._read_outputs,
-            "SERVO_OUTPUT_RAW": self._read_servos,
-            "LOCAL_POSITION_NED": self._read_position,
-            "GLOBAL_POSITION_INT": self._read_global_position,
-            "EXTENDED_SYS_STATE": self._read_landed,
-            "HEARTBEAT": self._read_heartbeat,
-            "PARAM_VALUE": self._read_parameter,
-            "SYSTEM_TIME": self._read_system_time,
-        }
-        for name, first in rotors.ESC_TELEMETRY.items():
-            table[name] = partial(self._read_unstamped, rotors.esc_telemetry(name), first, name)
-        self._readers = {MESSAGE_IDS[name]: reader for name, reader in table.items()}
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """Reason -> number of messages that gave no record though they should have.
+
+        "not finite", "no time" (no stamp, or one not to be believed).
+        """
+        untimed = self.states.untimed
+        return self._dropped + Counter({"no time": untimed} if untimed else {})
 
     @property
     def dropped_messages(self) -> int:
         """How many messages gave no record though they should have."""
-        return self.dropped["no time"] + self.dropped["not finite"]
+        return self._dropped["no time"] + self._dropped["not finite"] + self.states.untimed
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Name -> value of the autopilot's parameters heard so far."""
+        return self.states.parameters
 
     def reads(self, message_id: int) -> bool:
         """Whether there is anything to read in messages of a type."""
-        return message_id in self._readers
+        return message_id in self._ids
 
-    def decode(self, frame: Frame) -> Record | None:
-        """Take one frame whose checksum is right; None when it makes no record."""
-        reader = self._readers.get(frame.message_id)
-        if reader is None:
-            return None
+    def take(self, frames: FrameBlock, mine: Mask, out: TrackCollector) -> Taken:
+        """Read the messages of the table, up to a stamp that sets the clock back, or one frame.
+
+        Those that tell states are not read; the caller gives them to `take_state` one by one,
+        with the clock that `ClockTimes` tells.
+
+        Args:
+            frames: the next frames.
+            mine: (n,) bool, which are the vehicle's, with right checksums.
+            out: takes the records.
+        """
+        messages = message_arrays(frames, self._table, mine)
+        self._leave_out(messages, frames, mine)
+        stop = self._learn_unix_time(frames, mine)
         reboots = self.clock.reboots
-        record = reader(frame.payload)
-        if self.clock.reboots != reboots:
+        stamps, moments, stop = self._stamps(messages, frames.number, stop)
+        rebooted = self.clock.reboots != reboots
+        if rebooted:
+            stop = frames.number + 1
+        if stop < frames.number + len(frames):
+            for name, rows in messages.items():
+                count = int(np.searchsorted(rows["_frame"], stop))
+                messages[name] = rows[:count]
+                if name in stamps:
+                    stamps[name] = stamps[name][:count]
+        self._imu_times.clear()
+        with np.errstate(invalid="ignore"):  # what is sent may be any kind of NaN
+            self._read(messages, stamps, moments, out)
+        if rebooted:
             self._forget_times()
-        return record
+        return Taken(stop - frames.number, moments, self._came_at())
+
+    def take_state(self, frame: Frame, now: float) -> Record | None:
+        """Read a message that tells a state; the record that it makes, if any.
+
+        Args:
+            frame: of `STATE_IDS`.
+            now: s, the vehicle's clock; NaN before the first stamp.
+        """
+        return self.states.take(frame, now if now == now else None)
 
     def _forget_times(self) -> None:
         """What was heard at times of another boot says nothing of the present."""
-        self._imu = Preference()
-        self._attitude = Preference()
-        self._velocity = Preference()
-        self._flight = Preference(LANDED_STATE_FOR)
-        self._outputs_last = -math.inf
+        self._preferences: defaultdict[Stream, Preference] = defaultdict(Preference)
+        self.states.forget_times()
+        self._sent_last = -np.inf
 
-    def _record(
+    def _leave_out(self, messages: dict[str, Array], frames: FrameBlock, mine: Mask) -> None:
+        """Leave out what the table says is not meant."""
+        for name, rows in messages.items():
+            message, kept = self._table[name], np.ones(len(rows), bool)
+            if message.sensor:
+                first = self._sensors.setdefault(name, int(rows[message.sensor][0]))
+                kept &= rows[message.sensor] == first
+            for field, value in message.only.items():
+                kept &= rows[field] == value
+            if isinstance(message.offset, str):
+                kept &= rows[message.offset] < MOST_ROTORS
+            if message.autopilot is not None:
+                kept &= self._autopilots(frames, mine, rows["_frame"]) == message.autopilot
+            messages[name] = _kept(rows, kept)
+
+    def _autopilots(self, frames: FrameBlock, mine: Mask, order: Array) -> Array:
+        """(n,) MAV_AUTOPILOT by the latest heartbeat before frames of these numbers, else -1."""
+        beats = message_arrays(frames, ("HEARTBEAT",), mine).get("HEARTBEAT")
+        known = -1 if self.states.autopilot is None else self.states.autopilot
+        if beats is None:
+            return np.full(len(order), known)
+        told = np.concatenate([[known], beats["autopilot"].astype(int)])
+        before: Array = told[np.searchsorted(beats["_frame"], order)]
+        return before
+
+    def _learn_unix_time(self, frames: FrameBlock, mine: Mask) -> int:
+        """Take a SYSTEM_TIME that stands first; the next from which others are read anew."""
+        end = frames.number + len(frames)
+        if self.clock.unix_minus_boot is not None:
+            return end
+        times = message_arrays(frames, ("SYSTEM_TIME",), mine).get("SYSTEM_TIME", ())
+        for row in times:
+            if int(row["_frame"]) > frames.number:
+                if self.clock.tells_unix_time(*self._system_time(row)):
+                    return int(row["_frame"])
+            else:
+                self.clock.system_time(*self._system_time(row))
+                if self.clock.unix_minus_boot is not None:
+                    return end
+        return end
+
+    @staticmethod
+    def _system_time(row: Array) -> tuple[int, int]:
+        return int(row["time_unix_usec"]), int(row["time_boot_ms"])
+
+    def _stamps(
+        self, messages: dict[str, Array], first: int, stop: int
+    ) -> tuple[dict[str, Array], ClockTimes, int]:
+        """Times of the messages with stamps that drive the clock, NaN where they tell none.
+
+        Args:
+            messages: by name.
+            first: number of the first frame.
+            stop: number of the frame before which they are read.
+
+        Returns:
+            Message name -> times, the clock, and the number of the first frame that is not read.
+        """
+        now = np.array([np.nan if self.clock.now is None else self.clock.now])
+        stamped = {
+            name: rows
+            for name, rows in messages.items()
+            if self._table[name].stamp in _DRIVING and len(rows)
+        }
+        if not stamped:
+            return {}, ClockTimes(_NO_ORDER, now), stop
+        kinds = {name: self._table[name].stamp for name in stamped}
+        order = np.concatenate([rows["_frame"] for rows in stamped.values()])
+        raw = np.concatenate([rows[STAMP_FIELDS[kinds[name]]] for name, rows in stamped.items()])
+        kind = np.repeat(
+            [_DRIVING[kinds[name]] for name in stamped], [len(rows) for rows in stamped.values()]
+        )
+        sorting = np.argsort(order)
+        sorting = sorting[: np.searchsorted(order[sorting], stop)]
+        alone = len(sorting) > 0 and int(order[sorting[0]]) == first
+        t, after = self.clock.take(kind[sorting], raw[sorting], may_go_back=alone)
+        if len(t) < len(sorting):
+            stop = int(order[sorting[len(t)]])
+        sorting = sorting[: len(t)]
+        times = np.full(len(order), np.nan)
+        times[sorting] = t
+        ends = np.cumsum([len(rows) for rows in stamped.values()])[:-1]
+        moments = ClockTimes(order[sorting], np.concatenate([now, after]))
+        return dict(zip(stamped, np.split(times, ends), strict=True)), moments, stop
+
+    def _read(
+        self,
+        messages: dict[str, Array],
+        stamps: dict[str, Array],
+        moments: ClockTimes,
+        out: TrackCollector,
+    ) -> None:
+        """Make records of the messages that are left."""
+        there = [self._table[name] for name, rows in messages.items() if len(rows)]
+        self._stamp_the_others(there, messages, stamps, moments)
+        alike: dict[Stream, list[Message]] = {}
+        for message in there:
+            if message.source:
+                self._give(message, messages[message.name], stamps[message.name], out)
+            else:
+                alike.setdefault(message.stream, []).append(message)
+        for stream, some in alike.items():
+            some.sort(key=lambda message: message.rank)
+            self._give_best(stream, some, messages, stamps, out)
+
+    def _stamp_the_others(
+        self,
+        there: Sequence[Message],
+        messages: dict[str, Array],
+        stamps: dict[str, Array],
+        moments: ClockTimes,
+    ) -> None:
+        """Times of the messages whose stamps follow the clock, or that have none."""
+        orders, times = [_NO_ORDER], [np.array([self._sent_last])]
+        for message in there:
+            if message.stamp is Stamp.US32:
+                rows = messages[message.name]
+                t = following(rows["time_usec"], moments.after(rows["_frame"]))
+                stamps[message.name] = t
+                timed = np.isfinite(t)
+                orders.append(rows["_frame"][timed])
+                times.append(t[timed])
+        order, sent = np.concatenate(orders), np.concatenate(times)
+        if len(orders) > 2:
+            by_order = np.argsort(order)
+            order, sent[1:] = order[by_order], sent[1:][by_order]
+        self._sent_last = float(sent[-1])
+        for message in there:
+            if message.stamp is Stamp.NONE:
+                at = messages[message.name]["_frame"]
+                stamps[message.name] = np.maximum(
+                    moments.after(at), sent[np.searchsorted(order, at)]
+                )
+
+    def _give_best(
         self,
         stream: Stream,
-        t: float | None,
-        values: tuple[float, ...],
+        some: Sequence[Message],
+        messages: dict[str, Array],
+        stamps: dict[str, Array],
+        out: TrackCollector,
+    ) -> None:
+        """Pass on what is best of messages that tell the same, in the order of their ranks."""
+        there = []
+        for message in some:
+            rows, t = messages[message.name], stamps[message.name]
+            values = self._values(message, rows)
+            if message.convert is not None:
+                finite = complete_rows(values)
+                self._drop("not finite", ~finite)
+                rows, t, values = (_kept(part, finite) for part in (rows, t, values))
+            there.append((message.rank, rows["_frame"], t, values))
+        allowed = self._preferences[stream].allows([part[:3] for part in there])
+        parts = [
+            tuple(_kept(part, mask) for part in told[1:])
+            for told, mask in zip(there, allowed, strict=True)
+        ]
+        order, t, values = (
+            parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
+        )
+        if len(parts) > 1:
+            by_order = np.argsort(order)
+            order, t, values = order[by_order], t[by_order], values[by_order]
+        if stream is Stream.ATTITUDE:
+            order, t, values = self._upright(order, t, values)
+        self._add(out, stream, order, t, values)
+
+    def _upright(self, order: Array, t: Array, q: Array) -> tuple[Array, Array, Array]:
+        """Quaternions of unit length, each close to the one before (q and -q are one attitude)."""
+        w, x, y, z = q.T
+        norm = np.sqrt(w * w + x * x + y * y + z * z)
+        sound: Mask = (norm > 0.9) & (norm < 1.1)
+        self._drop("not finite", ~sound)
+        order, t, q = order[sound], t[sound], q[sound] / norm[sound, None]
+        timed = np.isfinite(t)
+        chain = np.vstack([self._q_last, q[timed]])
+        flips = np.einsum("ij,ij->i", chain[1:], chain[:-1]) < 0.0
+        q[timed] = np.where(np.cumsum(flips)[:, None] % 2, -chain[1:], chain[1:])
+        if timed.any():
+            self._q_last = q[timed][-1]
+        return order, t, q
+
+    def _give(self, message: Message, rows: Array, t: Array, out: TrackCollector) -> None:
+        """Pass on messages that tell of rotors, those of one offset and width together."""
+        order, values = rows["_frame"], self._values(message, rows)
+        whole = values.shape[1]
+        if message.used is None and isinstance(message.offset, int):
+            self._add(out, message.stream, order, t, values, message.offset, message.source)
+            return
+        width = whole if message.used is None else message.used(rows, values)
+        offset = message.offset if isinstance(message.offset, int) else rows[message.offset]
+        kinds = (whole + 1) * np.asarray(offset, np.int64) + width
+        for kind in np.unique(kinds).tolist():
+            first, size = divmod(kind, whole + 1)
+            if size:
+                some = kinds == kind
+                at, times, told = (_kept(part, some) for part in (order, t, values[:, :size]))
+                self._add(out, message.stream, at, times, told, first, message.source)
+
+    @staticmethod
+    def _values(message: Message, rows: Array) -> Array:
+        """(n, width) of n messages in SI units."""
+        fields = [rows[name] if name else np.zeros(len(rows)) for name in message.fields]
+        if len(fields) == 1 and fields[0].ndim == 2:
+            values = fields[0].astype(float)
+        else:
+            values = np.empty((len(rows), len(fields)))
+            for column, told in enumerate(fields):
+                values[:, column] = told
+        if message.convert is not None:
+            whole = complete_rows(values)
+            if not whole.all():
+                values[~whole] = np.nan
+            values = message.convert(values)
+        return values if message.scale == 1.0 else values * message.scale
+
+    def _add(
+        self,
+        out: TrackCollector,
+        stream: Stream,
+        order: Array,
+        t: Array,
+        values: Array,
         offset: int = 0,
         source: str = "",
-    ) -> Record | None:
-        if t is None:
-            self.dropped["no time"] += 1
-            return None
-        # One infinite or NaN value makes the sum so; large finite ones cannot overflow it.
-        if stream is Stream.IMU and not math.isfinite(sum(values[3:])):
+    ) -> None:
+        """Pass on what has a time and is finite."""
+        timed = np.isfinite(t)
+        finite = complete_rows(values)
+        if stream is Stream.IMU and not finite.all():
             # Nearly everything rests on the gyro: one without an accelerometer is of use.
-            self.dropped["accelerometer not finite"] += 1
-            values = (*values[:3], math.nan, math.nan, math.nan)
-        needed = values[:3] if stream is Stream.IMU else values
-        if not math.isfinite(math.fsum(needed) if len(needed) > 32 else sum(needed)):
-            self.dropped["not finite"] += 1
-            return None
-        return Record(stream, t, values, offset, source)
+            lame = timed & ~complete_rows(values[:, 3:])
+            self._drop("accelerometer not finite", lame)
+            values = values.copy()
+            values[lame, 3:] = np.nan
+            finite = complete_rows(values[:, :3])
+        sound = timed & finite
+        if not sound.all():
+            self._drop("no time", ~timed)
+            self._drop("not finite", timed & ~finite)
+            order, t, values = order[sound], t[sound], values[sound]
+        if stream is Stream.IMU:
+            self._imu_times.append((order, t))
+        out.add(stream, order, t, values, offset, source)
 
-    def _read_imu(self, payload: bytes) -> Record | None:
-        time_usec, imu_id, *values = _highres_imu(payload)
-        if self._imu_id is None:
-            self._imu_id = imu_id
-        if imu_id != self._imu_id:  # a second sensor is another stream, not more samples
-            return None
-        t = self.clock.stamp_us64(time_usec)
-        self._imu.allows(0, t)
-        return self._record(Stream.IMU, t, tuple(values))
+    def _came_at(self) -> Array:
+        """(n,) s, times of the IMU's samples in the order in which they came."""
+        return self._imu_times[0][1] if self._imu_times else _NO_TIMES
 
-    def _read_scaled_imu(self, payload: bytes) -> Record | None:
-        time_boot_ms, *values = _scaled_imu(payload)
-        return self._milli_imu(2, self.clock.stamp_ms32(time_boot_ms), values)
+    def _drop(self, reason: str, rows: Mask) -> None:
+        count = int(np.count_nonzero(rows))
+        if count:
+            self._dropped[reason] += count
 
-    def _read_raw_imu(self, payload: bytes) -> Record | None:
-        time_usec, imu_id, *values = _raw_imu(payload)
-        # By the definition in the sensor's own counts; ArduPilot sends what SCALED_IMU has, with
-        # stamps a thousand times finer.
-        if self._autopilot != mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA or imu_id != 0:
-            return None
-        t = self.clock.stamp_us64_or_32(time_usec)
-        return self._milli_imu(1, t, values)
 
-    def _milli_imu(self, rank: int, t: float | None, values: list[int]) -> Record | None:
-        """From mrad/s and thousandths of g."""
-        if not self._imu.allows(rank, t):
-            return None
-        gyro = (1e-3 * value for value in values[:3])
-        return self._record(Stream.IMU, t, (*gyro, *(MILLI_G * value for value in values[3:])))
-
-    def _read_attitude(self, payload: bytes) -> Record | None:
-        time_boot_ms, roll, pitch, yaw = _attitude(payload)
-        t = self.clock.stamp_ms32(time_boot_ms)
-        if not math.isfinite(roll + pitch + yaw):
-            self.dropped["not finite"] += 1
-            return None
-        self._attitude.allows(0, t)
-        return self._quaternion_record(t, from_euler(roll, pitch, yaw))
-
-    def _read_quaternion(self, payload: bytes) -> Record | None:
-        time_boot_ms, w, x, y, z = _quaternion(payload)
-        t = self.clock.stamp_ms32(time_boot_ms)
-        if not self._attitude.allows(1, t):
-            return None
-        return self._quaternion_record(t, (w, x, y, z))
-
-    def _quaternion_record(
-        self, t: float | None, q: tuple[float, float, float, float]
-    ) -> Record | None:
-        """Unit length, and the sign that continues the last one (q and -q are one attitude)."""
-        w, x, y, z = q
-        norm = math.sqrt(w * w + x * x + y * y + z * z) if math.isfinite(w + x + y + z) else 0.0
-        if not 0.9 < norm < 1.1:
-            self.dropped["not finite"] += 1
-            return None
-        a, b, c, d = self._q_last
-        if a * w + b * x + c * y + d * z < 0.0:
-            norm = -norm
-        q = (w / norm, x / norm, y / norm, z / norm)
-        if t is not None:
-            self._q_last = q
-        return self._record(Stream.ATTITUDE, t, q)
-
-    def _read_esc_status(self, payload: bytes) -> Record | None:
-        time_usec, first, speeds = rotors.esc_status(payload)
-        if first >= rotors.MOST_ROTORS:
-            return None
-        t = self.clock.stamp_us64(time_usec)
-        return self._record(Stream.ROTOR_SPEED, t, speeds, first, "ESC_STATUS")
-
-    def _read_unstamped(
-        self, read: Callable[[bytes], tuple[float, ...]], first: int, name: str, payload: bytes
-    ) -> Record | None:
-        speeds = read(payload)
-        if not speeds:
-            return None
-        return self._record(Stream.ROTOR_SPEED, self._time_of_sending, speeds, first, name)
-
-    @property
-    def _time_of_sending(self) -> float | None:
-        """Time for a message without a stamp: that of its neighbour, s.
-
-        ArduPilot sends all that is due in one step with the same time, SERVO_OUTPUT_RAW just
-        before ESC_TELEMETRY and HIGHRES_IMU after it: the IMU's last stamp is a step old.
-        """
-        now = self.clock.now
-        return None if now is None else max(now, self._outputs_last)
-
-    def _read_outputs(self, payload: bytes) -> Record | None:
-        time_usec, values = rotors.actuator_outputs(payload)
-        t = self.clock.stamp_us64(time_usec)
-        return self._record(Stream.ROTOR_COMMAND, t, values, 0, "ACTUATOR_OUTPUT_STATUS")
-
-    def _read_servos(self, payload: bytes) -> Record | None:
-        time_usec, port, values = rotors.servo_outputs(payload)
-        if port != 0:
-            return None
-        t = self.clock.stamp_us32(time_usec)
-        if t is not None:
-            self._outputs_last = t
-        return self._record(Stream.ROTOR_COMMAND, t, values, 0, "SERVO_OUTPUT_RAW")
-
-    def _read_position(self, payload: bytes) -> Record | None:
-        time_boot_ms, *values = _position(payload)
-        t = self.clock.stamp_ms32(time_boot_ms)
-        self._velocity.allows(0, t)
-        return self._record(Stream.VELOCITY, t, tuple(values))
-
-    def _read_global_position(self, payload: bytes) -> Record | None:
-        time_boot_ms, height_mm, *velocity_cm = _global_position(payload)
-        t = self.clock.stamp_ms32(time_boot_ms)
-        if not self._velocity.allows(1, t):
-            return None
-        velocity = (0.01 * value for value in velocity_cm)
-        # North and east would need an origin, and nobody uses them.
-        return self._record(Stream.VELOCITY, t, (*velocity, 0.0, 0.0, -1e-3 * height_mm))
-
-    def _read_landed(self, payload: bytes) -> Record | None:
-        (state,) = _landed(payload)
-        if state == mavlink.MAV_LANDED_STATE_UNDEFINED:
-            return None
-        # Taking off and landing count as not flying: near the ground the model does not hold.
-        in_air = float(state == mavlink.MAV_LANDED_STATE_IN_AIR)
-        self._flight.allows(0, self.clock.now)
-        return self._record(Stream.IN_AIR, self.clock.now, (in_air,))
-
-    def _read_heartbeat(self, payload: bytes) -> Record | None:
-        self._autopilot, base_mode, status = _heartbeat(payload)
-        now = self.clock.now
-        if now is None:  # usual at the start: no reason to count it
-            return None
-        armed = bool(base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-        # ArduPilot's status tells flight too. One message makes one record, so the arming is
-        # told when it changes and the flight in between.
-        if (
-            armed == self._armed
-            and self._autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-            and status in (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_ACTIVE)
-            and self._flight.allows(1, now)
-        ):
-            in_air = float(status == mavlink.MAV_STATE_ACTIVE)
-            return self._record(Stream.IN_AIR, now, (in_air,))
-        self._armed = armed
-        return self._record(Stream.ARMED, now, (float(armed),))
-
-    def _read_parameter(self, payload: bytes) -> Record | None:
-        bytewise = self._autopilot == mavlink.MAV_AUTOPILOT_PX4
-        name, value = read_parameter(payload, bytewise=bytewise)
-        if not name or not math.isfinite(value):
-            return None
-        if len(self.parameters) >= MOST_PARAMETERS and name not in self.parameters:
-            return None
-        self.parameters[name] = value
-        return Record(Stream.PARAMETER, self.clock.now or 0.0, (value,), source=name)
-
-    def _read_system_time(self, payload: bytes) -> Record | None:
-        self.clock.system_time(*_system_time(payload))
-        return None
+def _kept(rows: Array, mask: Mask) -> Array:
+    """Rows of a mask, which most often is true throughout: then they are not copied."""
+    kept: Array = rows if mask.all() else rows[mask]
+    return kept

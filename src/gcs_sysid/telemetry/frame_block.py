@@ -1,15 +1,25 @@
 """Frames of a file as columns."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.telemetry.frames import FLAG_SIGNED, Frame, Validity, read_frame
+from gcs_sysid.telemetry.frames import (
+    FLAG_SIGNED,
+    HEADER_1,
+    HEADER_2,
+    LONGEST_FRAME,
+    Frame,
+    Validity,
+    read_frame,
+)
 
 OK, UNKNOWN, BAD_CRC = range(3)
 _VALIDITY = (Validity.OK, Validity.UNKNOWN, Validity.BAD_CRC)
+_NUMBERS = {validity: number for number, validity in enumerate(_VALIDITY)}
+_ROOM = bytes(LONGEST_FRAME)
 
 
 @dataclass(frozen=True)
@@ -21,7 +31,8 @@ class FrameBlock:
             end of each frame.
         at: (n,) where each frame's magic byte lies in `data`.
         number: of the first frame, counted from the beginning of the file.
-        time_us: (n,) uint64 the record's time, us since 1970; repaired where it was damaged.
+        time_us: (n,) uint64 the record's time, us since 1970; repaired where it was damaged. 0
+            where it is not known.
         message_id: (n,) int32.
         payload_at: (n,) where its payload begins in `data`.
         payload_size: (n,) uint8, without the zeros that version 2 cuts.
@@ -47,11 +58,53 @@ class FrameBlock:
     version: Array
     validity: Array
 
+    @classmethod
+    def of(cls, frames: Iterable[Frame], wall: float | None = None) -> "FrameBlock":
+        """Frames as they came over a link, read in one go.
+
+        Args:
+            frames: in the order received.
+            wall: when they came, s since 1970; None: not known.
+        """
+        frames = list(frames)
+        raws = [frame.raw for frame in frames]
+        header = np.array(
+            [
+                (
+                    len(raw), frame.message_id, len(frame.payload), frame.sequence, frame.system,
+                    frame.component, frame.version, _NUMBERS[frame.valid],
+                )
+                for frame, raw in zip(frames, raws, strict=True)
+            ],
+            np.int32,
+        ).reshape(-1, 8)  # fmt: skip
+        size, message_id, *narrow = header.T
+        narrow = [column.astype(np.uint8) for column in narrow]
+        payload_size, sequence, system, component, version, validity = narrow
+        at = np.cumsum(size) - size
+        return cls(
+            data=np.frombuffer(b"".join([*raws, _ROOM]), np.uint8),
+            at=at,
+            number=0,
+            time_us=np.full(len(frames), 0 if wall is None else round(wall * 1e6), np.uint64),
+            message_id=message_id,
+            payload_at=at + np.where(version == 2, HEADER_2, HEADER_1),
+            payload_size=payload_size,
+            size=size,
+            sequence=sequence,
+            system=system,
+            component=component,
+            version=version,
+            validity=validity,
+        )
+
     def __len__(self) -> int:
         return len(self.at)
 
     def part(self, start: int, stop: int) -> "FrameBlock":
         """Frames [start, stop) of the block."""
+        if start <= 0 and stop >= len(self.at):
+            return self
         columns = {
             field.name: getattr(self, field.name)[start:stop]
             for field in fields(self)

@@ -9,30 +9,29 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.records import Record, Stream
-from gcs_sysid.telemetry.block_decode import BlockDecoder
 from gcs_sysid.telemetry.clock import ClockDrift
+from gcs_sysid.telemetry.decode import RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, FrameBlock, counts_of
-from gcs_sysid.telemetry.frames import Frame, Validity
+from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.marks import is_reset_mark
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 from gcs_sysid.telemetry.monitor import LinkHealth, Monitor
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
 from gcs_sysid.telemetry.senders import Contradictions
 from gcs_sysid.telemetry.track_collector import TrackCollector
-from gcs_sysid.telemetry.vehicles import Vehicle, VehicleSelector
+from gcs_sysid.telemetry.vehicle_states import STATE_IDS
+from gcs_sysid.telemetry.vehicles import INERTIAL_IDS, Vehicle, VehicleSelector
 
 FATES = ("used", "not needed", "passed over", "dropped", "others")
 _HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
 _STATUSTEXT = MESSAGE_IDS["STATUSTEXT"]
 _heartbeat = picker("HEARTBEAT", "type", "autopilot", "base_mode")
-_RARE = [MESSAGE_IDS[name] for name in ("HEARTBEAT", "EXTENDED_SYS_STATE", "PARAM_VALUE")]
+_STATES = sorted(STATE_IDS)
 _MOST_OTHERS_TOLD = 4
 """Vehicles that are told of one by one; a hostile sender can make up hundreds."""
 _MORE = 3
 """Times the messages of the chosen vehicle, from which another is told of when all is not well."""
-_LEAST_SINGLE = 64
-"""Frames taken one by one where a block cannot be read at once; doubled while that goes on."""
 
 
 class Intake:
@@ -55,7 +54,7 @@ class Intake:
 
     def __init__(self, wanted: tuple[int, int | None] | None = None) -> None:
         self.selector = VehicleSelector(wanted)
-        self.decoder = BlockDecoder()
+        self.decoder = RecordDecoder()
         self.monitor = Monitor()
         self.drift = ClockDrift()
         self.turning: set[str] = set()
@@ -86,129 +85,117 @@ class Intake:
         return self.decoder.clock.now
 
     def frames(self, frames: Iterable[Frame], wall: float | None = None) -> list[Record]:
-        """Take frames in the order received; the records they make. See `frame`."""
-        records: list[Record] = []
-        for frame in frames:
-            record = self.frame(frame, wall)
-            if record is not None:
-                records.append(record)
-        return records
+        """Take frames in the order received; the records they make.
 
-    def frame(self, frame: Frame, wall: float | None = None) -> Record | None:
-        """Take one frame; the record it makes, if any.
+        What happened on the way is told by `take_events`.
 
         Args:
-            frame: as it came.
-            wall: when it came, s, of any clock that runs on evenly; None: not known.
+            frames: as they came.
+            wall: when they came, s, of any clock that runs on evenly; None: not known.
         """
-        if frame.system == OWN_SYSTEM and frame.valid is Validity.OK and is_reset_mark(frame):
-            self._note("reset", "estimate reset by the user")
-            return None
-        self.monitor.take(frame)
-        if frame.valid is not Validity.OK:
-            chosen = self.selector.chosen
-            if chosen is not None and (frame.system, frame.component) == chosen.address:
-                self.monitor.take_chosen(frame, self.clock)
-            return None
-        first = self.selector.chosen
-        known = first is not None
-        is_chosen = self.selector.take(frame)
-        if first is not None and not is_chosen and self.clock is None:
-            is_chosen = self.selector.go_over(frame)
-            if is_chosen:
-                self._begin_anew(first)
-        if frame.message_id == _HEARTBEAT:
-            self._hear(frame)
-        if not is_chosen:
-            self.fates["others"] += 1
-            return None
-        clock = self.decoder.clock
-        reboots = clock.reboots
-        before = clock.now
-        dropped = self.decoder.dropped_messages
-        record = self.decoder.decode(frame)
-        if record is not None:
-            self.fates["used"] += 1
-        elif not self.decoder.reads(frame.message_id):
-            self.fates["not needed"] += 1
-        else:
-            new = self.decoder.dropped_messages != dropped
-            self.fates["dropped" if new else "passed over"] += 1
-        if not known:
-            self._note("vehicle", f"{self.selector.chosen} heard")
-        if clock.reboots != reboots:
-            self._note("reboot", f"the vehicle's clock went back from {before:.1f} s: reboot")
-        self.monitor.take_chosen(frame, clock.now)
-        if record is not None:
-            self.monitor.take_record(record)
-            if record.stream is Stream.ROTOR_SPEED and record.source not in self.turning:
-                self._note_turning(record.source, np.array([record.values]))
-            if wall is not None and clock.now is not None:
-                self.drift.take(clock.now, wall)
-        return record
+        block = self.block(FrameBlock.of(frames, wall))
+        self._events += [event for _, event in block.events]
+        return [record for _, record in block.records()]
 
     def block(self, frames: FrameBlock) -> RecordBlock:
-        """Take many frames; the records that `frame` would make of them.
+        """Take frames, few or many: how they are cut into blocks does not matter.
 
-        What happened on the way is told in the block, and not by `take_events` again.
+        Returns:
+            The records they make, and what happened on the way: that is told here, and not by
+            `take_events` again.
         """
         out = TrackCollector()
-        at, single = 0, _LEAST_SINGLE
+        at = 0
         while at < len(frames):
-            done = 0
-            if not self._is_doubtful:
-                done = self._take_block(frames.part(at, len(frames)), out)
-            at += done
-            # Most often one frame is unusual, but it may be all of them.
-            single = 2 * single if done < single else _LEAST_SINGLE
-            if self.selector.chosen is None:  # a heartbeat comes, perhaps that of the vehicle
-                single = 1
-            doubtful = self._is_doubtful
-            if doubtful:
-                single = len(frames)
-            for time_us, frame in frames.part(at, at + single):
-                self._take_single(frames.number + at, time_us, frame, out)
-                at += 1
-                if doubtful and self.clock is not None:
-                    break
+            at += self._take_some(frames.part(at, len(frames)), out)
         block = out.block()
         for track in block.tracks:
-            if track.stream is Stream.ROTOR_SPEED:
+            if track.stream is Stream.ROTOR_SPEED and track.source not in self.turning:
                 self._note_turning(track.source, track.values)
         return block
 
-    def _take_block(self, frames: FrameBlock, out: TrackCollector) -> int:
-        """Take frames up to one that only `frame` can take; returns how many."""
-        chosen = self.selector.chosen
+    def _take_some(self, frames: FrameBlock, out: TrackCollector) -> int:
+        """Take frames up to one by which the vehicle may change; returns how many."""
         good = frames.validity == OK
-        marks = good & (frames.system == OWN_SYSTEM) & (frames.message_id == _STATUSTEXT)
-        if marks.any():
-            stop = int(np.argmax(marks))
-            frames, good = frames.part(0, stop), good[:stop]
+        stop = self._next_mark(frames, good)
+        if stop == 0:
+            self._note("reset", "estimate reset by the user")
+            self._tell(frames.number, out)
+            return 1
         beats = good & (frames.message_id == _HEARTBEAT)
-        if chosen is not None and self._may_go_over:
-            # Another vehicle's heartbeat: which of them is meant, is decided frame by frame.
-            others = beats & ~self._from(frames, chosen)
-            stop = int(np.argmax(others)) if others.any() else len(frames)
-            frames, good, beats = frames.part(0, stop), good[:stop], beats[:stop]
-            if not stop:
-                return 0
+        chosen = self.selector.chosen
+        if chosen is None or self._may_go_over:
+            decisive = self._decisive(frames, good, beats)
+            if decisive[0]:
+                return self._decide(frames.part(0, 1), out, beat=bool(beats[0]))
+            stop = min(stop, int(np.argmax(decisive)) if decisive.any() else len(frames))
+            if chosen is None:
+                self._count(frames.part(0, stop))
+                self.fates["others"] += int(np.count_nonzero(good[:stop]))
+                return stop
+        return self._take_chosen(frames.part(0, stop), out)
+
+    @staticmethod
+    def _next_mark(frames: FrameBlock, good: Mask) -> int:
+        """The first frame that is the user's mark in a recording; how many there are, if none."""
+        marks = good & (frames.system == OWN_SYSTEM) & (frames.message_id == _STATUSTEXT)
+        for row in np.flatnonzero(marks).tolist():
+            if is_reset_mark(frames.frame(row)):
+                return int(row)
+        return len(frames)
+
+    def _decisive(self, frames: FrameBlock, good: Mask, beats: Mask) -> Mask:
+        """(n,) whether a frame may decide which vehicle is the chosen one."""
+        chosen = self.selector.chosen
         if chosen is None:
-            stop = int(np.argmax(beats)) if beats.any() else len(frames)
-            self._count(frames.part(0, stop))
-            self.fates["others"] += int(np.count_nonzero(good[:stop]))
-            return stop
+            return beats
+        decisive = beats
+        if len(self.selector.autopilots) > 1:
+            decisive = beats | (good & np.isin(frames.message_id, list(INERTIAL_IDS)))
+        return decisive & ~self._from(frames, chosen)
+
+    def _decide(self, one: FrameBlock, out: TrackCollector, *, beat: bool) -> int:
+        """Take a single frame by which the vehicle may change."""
+        frame, before = one.frame(0), self.selector.chosen
+        if before is None:
+            self.selector.hear(frame)
+        if before is None and self.selector.is_chosen(frame):
+            # A heartbeat makes no record before the first stamp, only itself known.
+            self._take_chosen(one, out)
+            self._note("vehicle", f"{self.selector.chosen} heard")
+        else:
+            self._count(one)
+            if beat:
+                self.selector.hear(frame)
+            if before is not None and self.selector.go_over(frame):
+                self._begin_anew(before)
+                self._take_chosen(one, out, counted=True)
+            else:
+                self.fates["others"] += 1
+                if beat:
+                    self._hear(frame)
+        self._tell(one.number, out)
+        return 1
+
+    def _take_chosen(
+        self, frames: FrameBlock, out: TrackCollector, *, counted: bool = False
+    ) -> int:
+        """Take frames while the vehicle stays the same and its clock runs on; how many."""
+        chosen = self.selector.chosen
+        assert chosen is not None
+        dropped, clock = self.decoder.dropped_messages, self.decoder.clock
+        before, reboots = clock.now, clock.reboots
         chosens = self._from(frames, chosen)
-        others = good & ~chosens
-        good &= chosens
-        dropped = self.decoder.dropped_messages
-        taken = self.decoder.take(frames, good, out)
-        stop = taken.frames
-        frames = frames.part(0, stop)
-        beats, chosens, good = beats[:stop], chosens[:stop], good[:stop]
-        self._count(frames)
-        now = taken.moments.after(frames.number + np.arange(stop))
-        self.monitor.take_chosen_block(
+        taken = self.decoder.take(frames, (frames.validity == OK) & chosens, out)
+        frames, chosens = frames.part(0, taken.frames), chosens[: taken.frames]
+        good = frames.validity == OK
+        if not counted:
+            self._count(frames)
+        if clock.reboots != reboots:
+            self._note("reboot", f"the vehicle's clock went back from {before:.1f} s: reboot")
+            self._tell(frames.number, out)
+        now = taken.moments.after(frames.number + np.arange(len(frames)))
+        self.monitor.take_chosen(
             frames.message_id[chosens],
             frames.sequence[chosens],
             frames.size[chosens],
@@ -216,27 +203,42 @@ class Intake:
             frames.validity[chosens] == BAD_CRC,
         )
         self.monitor.take_imu_times(taken.imu_times)
-        rare = beats | (good & np.isin(frames.message_id, _RARE))
-        clock = self.decoder.clock
+        states = chosens & np.isin(frames.message_id, _STATES)
+        rows = np.flatnonzero(good & (states | (frames.message_id == _HEARTBEAT)))
         end = clock.now
-        for row in np.flatnonzero(rare).tolist():
-            clock.now = float(now[row])
-            self._take_rare(frames.number + row, frames.frame(row), out)
+        for row in rows.tolist():
+            # What is noted of it, is noted at its own time.
+            clock.now = None if np.isnan(now[row]) else float(now[row])
+            self._take_state(frames.number + row, frames.frame(row), float(now[row]), out)
         clock.now = end
+        self._settle(frames, good, chosens, now, dropped, out)
+        return len(frames)
+
+    def _settle(
+        self,
+        frames: FrameBlock,
+        good: Mask,
+        chosens: Mask,
+        now: Array,
+        dropped: int,
+        out: TrackCollector,
+    ) -> None:
+        """Note what became of frames, and when those that made records came."""
         made = out.orders(frames.number) - frames.number
+        ours = good & chosens
+        counts = counts_of(frames.message_id[ours])
         fates = {
             "used": len(made),
-            "not needed": sum(
-                count
-                for message_id, count in counts_of(frames.message_id[good]).items()
-                if not self.decoder.reads(message_id)
-            ),
+            "not needed": sum(n for i, n in counts.items() if not self.decoder.reads(i)),
             "dropped": self.decoder.dropped_messages - dropped,
         }
-        fates["passed over"] = int(np.count_nonzero(good)) - sum(fates.values())
-        self.fates.update(fates, others=int(np.count_nonzero(others[:stop])))
-        self.drift.take_block(now[made], frames.time_us[made] * 1e-6)
-        return stop
+        fates["passed over"] = int(np.count_nonzero(ours)) - sum(fates.values())
+        self.fates.update(fates, others=int(np.count_nonzero(good & ~chosens)))
+        walls = frames.time_us[made]
+        timed = (walls > 0) & np.isfinite(now[made])
+        if not timed.all():
+            made, walls = made[timed], walls[timed]
+        self.drift.take_block(now[made], walls * 1e-6)
 
     @staticmethod
     def _from(frames: FrameBlock, vehicle: Vehicle) -> Mask:
@@ -244,25 +246,23 @@ class Intake:
         return mask
 
     def _count(self, frames: FrameBlock) -> None:
-        self.monitor.take_block(frames.validity)
+        self.monitor.take(frames.validity)
         good = frames.validity == OK
-        self.selector.take_block(frames.system[good], frames.component[good])
+        self.selector.take(frames.system[good], frames.component[good])
 
-    def _take_rare(self, order: int, frame: Frame, out: TrackCollector) -> None:
-        """Take a message of a block that no columns are made of."""
+    def _take_state(self, order: int, frame: Frame, now: float, out: TrackCollector) -> None:
+        """Take a message that tells a state, or any heartbeat."""
         if frame.message_id == _HEARTBEAT:
             self.selector.hear(frame)
             self._hear(frame)
-        record = self.decoder.decode(frame) if self.selector.is_chosen(frame) else None
-        self._put(order, record, out)
+        if self.selector.is_chosen(frame):
+            record = self.decoder.take_state(frame, now)
+            if record is not None:
+                out.add_record(order, record)
+        self._tell(order, out)
 
-    def _take_single(self, order: int, time_us: int, frame: Frame, out: TrackCollector) -> None:
-        self._put(order, self.frame(frame, time_us * 1e-6), out)
-
-    def _put(self, order: int, record: Record | None, out: TrackCollector) -> None:
+    def _tell(self, order: int, out: TrackCollector) -> None:
         out.events += [(order, event) for event in self.take_events()]
-        if record is not None:
-            out.add_record(order, record)
 
     def take_events(self) -> list[IntakeEvent]:
         """What happened since this was last asked."""
@@ -283,11 +283,6 @@ class Intake:
         }
 
     @property
-    def _is_doubtful(self) -> bool:
-        """Whether it may be another vehicle, of which there is one."""
-        return self._may_go_over and len(self.selector.autopilots) > 1
-
-    @property
     def _may_go_over(self) -> bool:
         """Whether the chosen vehicle, chosen by nobody, has told nothing but heartbeats yet."""
         selector = self.selector
@@ -296,7 +291,7 @@ class Intake:
     def _begin_anew(self, first: Vehicle) -> None:
         """Another vehicle is the chosen one: of the first there were heartbeats alone."""
         self._others.add(first.address)  # told of here
-        self.decoder = BlockDecoder()
+        self.decoder = RecordDecoder()
         self._contradictions = Contradictions()
         self.monitor.begin_anew()
         self._note(

@@ -13,9 +13,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, UNKNOWN, counts_of
-from gcs_sysid.telemetry.frames import Frame, Validity
 from gcs_sysid.telemetry.messages import NAMED_IDS, OTHER_TYPES, message_name
 
 WINDOW = 5.0
@@ -155,16 +153,7 @@ class Monitor:
         self._imu_last: float | None = None
         self._imu_step = 0.0
 
-    def take(self, frame: Frame) -> None:
-        """Count a frame of any validity and sender."""
-        if frame.valid is Validity.OK:
-            self.received += 1
-        elif frame.valid is Validity.UNKNOWN:
-            self.unknown += 1
-        else:
-            self.bad_crc += 1
-
-    def take_block(self, validity: Array) -> None:
+    def take(self, validity: Array) -> None:
         """Count (n,) frames of any sender, by `FrameBlock.validity`."""
         counts = counts_of(validity)
         self.received += counts.get(OK, 0)
@@ -177,18 +166,7 @@ class Monitor:
         self._counts.clear()
         self._sequence = SequenceCount()
 
-    def take_chosen(self, frame: Frame, now: float | None) -> None:
-        """Count a frame of the chosen vehicle; `now` is its clock after that frame."""
-        if frame.valid is not Validity.BAD_CRC:
-            self.heard += 1
-            self._sequence.take(frame.sequence)
-            self._counts[self._type(frame.message_id)] += 1
-        elif self._sequence.follows(frame.sequence):
-            self._sequence.take(frame.sequence)  # it came, although nobody can read it
-        if now is not None and frame.valid is not Validity.BAD_CRC:
-            self._count_step(frame, now)
-
-    def take_chosen_block(
+    def take_chosen(
         self, message_id: Array, sequence: Array, size: Array, now: Array, bad_crc: Mask
     ) -> None:
         """Count frames of the chosen vehicle while its clock runs on.
@@ -197,7 +175,7 @@ class Monitor:
             message_id: (n,).
             sequence: (n,) uint8.
             size: (n,) bytes of each.
-            now: (n,) s, its clock after each.
+            now: (n,) s, its clock after each; NaN before the first stamp.
             bad_crc: (n,) whether its checksum is wrong.
         """
         if bad_crc.any():
@@ -212,6 +190,11 @@ class Monitor:
         self.heard += len(now)
         message_id = self._types(message_id)
         self._counts.update(counts_of(message_id))
+        timed = np.isfinite(now)
+        if not timed.all():
+            message_id, size, now = (part[timed] for part in (message_id, size, now))
+            if not len(now):
+                return
         self._go_on(float(now[0]))
         self._now = float(now[-1])
         steps = (now / STEP).astype(np.int64)
@@ -220,11 +203,6 @@ class Monitor:
         for start, end in pairwise(edges.tolist()):
             counts = counts_of(message_id[start:end])
             self._add_step(int(steps[start]), counts, int(size[start:end].sum()))
-
-    def _count_step(self, frame: Frame, now: float) -> None:
-        self._go_on(now)
-        self._now = now
-        self._add_step(int(now / STEP), {self._type(frame.message_id): 1}, len(frame.raw))
 
     def _type(self, message_id: int) -> int:
         """What a message is counted as."""
@@ -263,11 +241,6 @@ class Monitor:
         _, counts, sizes = self._steps[-1]
         counts.update(messages)
         sizes[0] += size
-
-    def take_record(self, record: Record) -> None:
-        """Watch the IMU for gaps."""
-        if record.stream is Stream.IMU:
-            self._take_imu_time(record.t)
 
     def take_imu_times(self, t: Array) -> None:
         """Watch (n,) times in s of IMU samples for gaps, while the clock runs on."""

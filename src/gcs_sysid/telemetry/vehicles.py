@@ -6,10 +6,12 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.frame_block import counts_of
+from gcs_sysid.telemetry.frame_block import OK, FrameBlock, counts_of
 from gcs_sysid.telemetry.frames import Frame
+from gcs_sysid.telemetry.message_table import INERTIAL
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 
+_HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
 _heartbeat = picker("HEARTBEAT", "type", "autopilot")
 
 MOST_SYSTEMS = 256
@@ -17,7 +19,8 @@ MOST_SYSTEMS = 256
 
 RADIO = (51, 68)
 """(sysid, compid) of SiK telemetry radios: they add RADIO_STATUS to what they carry."""
-_INERTIAL = {MESSAGE_IDS[name] for name in ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU")}
+INERTIAL_IDS = frozenset(MESSAGE_IDS[name] for name in INERTIAL)
+"""Ids of the messages that tell of the IMU."""
 _BEATS, _SAMPLES = 3, 20
 """Heartbeats and inertial messages of one that speaks, after which one that told nothing in all
 that time is not the vehicle. Autopilots send a heartbeat a second, and answer a request in less."""
@@ -130,19 +133,7 @@ class VehicleSelector:
         self.wanted = wanted
         self._shown: dict[tuple[int, int], tuple[int, int]] = {}
 
-    def take(self, frame: Frame) -> bool:
-        """Note a frame whose checksum is right; True when it is the chosen vehicle's."""
-        who = (frame.system, frame.component)
-        if who in self.systems:
-            self.frames[who] += 1
-        elif len(self.systems) < MOST_SYSTEMS:
-            self.systems[who] = Vehicle(*who)
-            self.frames[who] = 1
-        if frame.message_id == 0:
-            self.hear(frame)
-        return self.is_chosen(frame)
-
-    def take_block(self, systems: Array, components: Array) -> None:
+    def take(self, systems: Array, components: Array) -> None:
         """Note the senders of many frames whose checksums are right, heartbeats aside.
 
         Args:
@@ -159,6 +150,13 @@ class VehicleSelector:
         for address in counts.keys() & self.systems.keys():
             self.frames[address] += counts[address]
 
+    def listen(self, frames: FrameBlock) -> None:
+        """Note frames of anybody, heartbeats too."""
+        good = frames.validity == OK
+        self.take(frames.system[good], frames.component[good])
+        for row in np.flatnonzero(good & (frames.message_id == _HEARTBEAT)).tolist():
+            self.hear(frames.frame(row))
+
     def is_chosen(self, frame: Frame) -> bool:
         """Whether a frame is the chosen vehicle's."""
         chosen = self.chosen
@@ -173,7 +171,8 @@ class VehicleSelector:
     def go_over(self, frame: Frame) -> bool:
         """Choose the sender of a frame instead of a vehicle that tells nothing.
 
-        Call it, while the chosen one has told nothing but heartbeats, for all frames of others.
+        Call it, while the chosen one has told nothing but heartbeats, for heartbeats and inertial
+        messages of others.
 
         Returns:
             Whether the frame was what the decision took.
@@ -183,8 +182,8 @@ class VehicleSelector:
         if self.wanted is not None or other is None or not other.is_autopilot:
             return False
         beats, samples = self._shown.get(who, (0, 0))
-        beats += frame.message_id == MESSAGE_IDS["HEARTBEAT"]
-        samples += frame.message_id in _INERTIAL
+        beats += frame.message_id == _HEARTBEAT
+        samples += frame.message_id in INERTIAL_IDS
         self._shown[who] = beats, samples
         if beats < _BEATS or samples < _SAMPLES:
             return False

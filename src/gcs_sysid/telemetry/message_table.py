@@ -1,0 +1,165 @@
+"""Which messages make records, and how: one row a message.
+
+A link and a .tlog are read by this table alone. To take up another message that the dialect has,
+add its row; what the fields of a row mean is told in `Message`.
+
+Where several messages tell the same (IMU, attitude, velocity), the best that comes is taken: the
+one of the lowest rank. Rotor messages are all passed on under their own names: which of them can be
+believed shows only in the flight.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum, auto
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.signals.records import Stream
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.rotor_messages import RPM, used_outputs, used_sensors, used_servos
+
+_ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+_MILLI_G = 9.80665e-3
+"""m/s^2 per thousandth of standard gravity."""
+
+
+class Stamp(Enum):
+    """What a message says of its time."""
+
+    US64 = auto()
+    """`time_usec`, since boot or 1970."""
+    MS32 = auto()
+    """`time_boot_ms`, which wraps after 49.7 days."""
+    US64_OR_32 = auto()
+    """`time_usec`, of which ArduPilot before 4.0 fills 32 bits."""
+    US32 = auto()
+    """`time_usec` in 32 bits: wraps too often to drive the vehicle's clock, and follows it."""
+    NONE = auto()
+    """Nothing: it is of the time of its neighbours, all that is due in one step being sent with
+    the same time. ArduPilot sends SERVO_OUTPUT_RAW just before ESC_TELEMETRY and HIGHRES_IMU
+    after it: the IMU's last stamp is a step old, that of a `US32` message is not."""
+
+
+STAMP_FIELDS = {
+    Stamp.US64: "time_usec",
+    Stamp.MS32: "time_boot_ms",
+    Stamp.US64_OR_32: "time_usec",
+    Stamp.US32: "time_usec",
+}
+
+
+@dataclass(frozen=True)
+class Message:
+    """How one message makes records.
+
+    Attributes:
+        name: in the dialect.
+        stream: what it tells.
+        stamp: what it says of its time.
+        fields: that make up the record's values, arrays with all their elements; "": zero, for
+            what the message does not tell.
+        scale: SI unit per unit of the fields, one for all or one for each value.
+        rank: among the messages of a stream, 0 the best; of rotors all are passed on.
+        offset: index of the first rotor, or the field that tells it.
+        sensor: field that numbers sensors: the first heard counts, a second one is another
+            stream and not more samples.
+        only: field -> value of those that are read.
+        autopilot: MAV_AUTOPILOT that alone is believed to mean this by it.
+        convert: (n, fields) numbers as they were sent to (n, width) values, before they are
+            scaled; all must be finite.
+        used: messages and their (n, width) values -> (n,) how many of the first values are there.
+    """
+
+    name: str
+    stream: Stream
+    stamp: Stamp
+    fields: tuple[str, ...]
+    scale: float | tuple[float, ...] = 1.0
+    rank: int = 0
+    offset: int | str = 0
+    sensor: str = ""
+    only: Mapping[str, int] = field(default_factory=dict)
+    autopilot: int | None = None
+    convert: Callable[[Array], Array] | None = None
+    used: Callable[[Array, Array], Array] | None = None
+
+    @property
+    def source(self) -> str:
+        """As in `Record`."""
+        rotors = self.stream in (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND)
+        return self.name if rotors else ""
+
+
+def _from_euler(angles: Array) -> Array:
+    """(n, 4) as `model.attitude.from_euler`, to the last bit: NumPy's sines may differ there."""
+    half = (0.5 * angles).T.tolist()
+    (cr, sr), (cp, sp), (cy, sy) = (
+        (np.array(list(map(math.cos, axis))), np.array(list(map(math.sin, axis)))) for axis in half
+    )
+    return np.column_stack(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ]
+    )
+
+
+_AXES = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc")
+_MILLI = (1e-3, 1e-3, 1e-3, _MILLI_G, _MILLI_G, _MILLI_G)
+_SERVOS = tuple(f"servo{i}_raw" for i in range(1, 17))
+
+MESSAGES: tuple[Message, ...] = (
+    Message("HIGHRES_IMU", Stream.IMU, Stamp.US64, _AXES, sensor="id"),
+    # By the definition in the sensor's own counts; ArduPilot sends what SCALED_IMU has, with
+    # stamps a thousand times finer.
+    Message(
+        "RAW_IMU", Stream.IMU, Stamp.US64_OR_32, _AXES, _MILLI, rank=1,
+        only={"id": 0}, autopilot=_ARDUPILOT,
+    ),
+    Message("SCALED_IMU", Stream.IMU, Stamp.MS32, _AXES, _MILLI, rank=2),
+    Message(
+        "ATTITUDE", Stream.ATTITUDE, Stamp.MS32, ("roll", "pitch", "yaw"), convert=_from_euler
+    ),
+    Message(
+        "ATTITUDE_QUATERNION", Stream.ATTITUDE, Stamp.MS32, ("q1", "q2", "q3", "q4"), rank=1
+    ),
+    Message(
+        "LOCAL_POSITION_NED", Stream.VELOCITY, Stamp.MS32, ("vx", "vy", "vz", "x", "y", "z")
+    ),
+    # North and east would need an origin, and nobody uses them.
+    Message(
+        "GLOBAL_POSITION_INT", Stream.VELOCITY, Stamp.MS32,
+        ("vx", "vy", "vz", "", "", "relative_alt"),
+        (0.01, 0.01, 0.01, 0.0, 0.0, -1e-3), rank=1,
+    ),
+    # The sign only tells the sense of rotation, which the airframe gives.
+    Message(
+        "ESC_STATUS", Stream.ROTOR_SPEED, Stamp.US64, ("rpm",), RPM, offset="index",
+        convert=np.abs,
+    ),
+    Message("RPM", Stream.ROTOR_SPEED, Stamp.NONE, ("rpm1", "rpm2"), RPM, used=used_sensors),
+    *(
+        Message(
+            f"ESC_TELEMETRY_{first}_TO_{first + 3}", Stream.ROTOR_SPEED, Stamp.NONE, ("rpm",), RPM,
+            offset=first - 1,
+        )
+        for first in (1, 5, 9, 13, 17, 21, 25, 29)
+    ),
+    Message(
+        "ACTUATOR_OUTPUT_STATUS", Stream.ROTOR_COMMAND, Stamp.US64, ("actuator",),
+        used=used_outputs,
+    ),
+    Message(
+        "SERVO_OUTPUT_RAW", Stream.ROTOR_COMMAND, Stamp.US32, _SERVOS, only={"port": 0},
+        used=used_servos,
+    ),
+)  # fmt: skip
+"""HEARTBEAT, EXTENDED_SYS_STATE, PARAM_VALUE and SYSTEM_TIME are rare, and tell states: they are
+read in `vehicle_states`, and by the clock."""
+
+INERTIAL = frozenset(message.name for message in MESSAGES if message.stream is Stream.IMU)
+"""Messages that tell of the IMU."""

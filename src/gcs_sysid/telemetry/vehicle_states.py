@@ -1,0 +1,100 @@
+"""Messages that tell states, not samples: heartbeats, whether it flies, parameters.
+
+They come once or twice a second, and what they mean depends on those before: they are taken one
+by one.
+"""
+
+import math
+
+from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.frames import Frame
+from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
+from gcs_sysid.telemetry.parameter_values import read_parameter
+
+LANDED_STATE_FOR = 5.0
+"""s. ArduPilot's heartbeat tells flight only when no EXTENDED_SYS_STATE, which comes once or twice
+a second, came for this long."""
+MOST_PARAMETERS = 4096
+"""Names kept: a hostile sender can make up more than any autopilot has."""
+STATE_IDS = frozenset(
+    MESSAGE_IDS[name] for name in ("HEARTBEAT", "EXTENDED_SYS_STATE", "PARAM_VALUE")
+)
+"""Ids of the messages that are read here."""
+
+_ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+_landed = picker("EXTENDED_SYS_STATE", "landed_state")
+_heartbeat = picker("HEARTBEAT", "autopilot", "base_mode", "system_status")
+
+
+class VehicleStates:
+    """Makes records from one vehicle's messages that tell states.
+
+    Attributes:
+        autopilot: MAV_AUTOPILOT of the latest heartbeat; None before the first.
+        parameters: name -> value of the autopilot's parameters heard so far.
+        untimed: messages that gave no record because no stamp had been heard.
+    """
+
+    def __init__(self) -> None:
+        self.autopilot: int | None = None
+        self.parameters: dict[str, float] = {}
+        self.untimed = 0
+        self._armed: bool | None = None
+        self._landed_heard = -math.inf
+
+    def forget_times(self) -> None:
+        """What was heard at times of another boot says nothing of the present."""
+        self._landed_heard = -math.inf
+
+    def take(self, frame: Frame, now: float | None) -> Record | None:
+        """Take one of the messages of `STATE_IDS`; the record that it makes, if any.
+
+        Args:
+            frame: whose checksum is right.
+            now: s, the vehicle's clock; None before the first stamp.
+        """
+        if frame.message_id == MESSAGE_IDS["PARAM_VALUE"]:
+            return self._take_parameter(frame.payload, now)
+        if frame.message_id == MESSAGE_IDS["HEARTBEAT"]:
+            return self._take_heartbeat(frame.payload, now)
+        return self._take_landed(frame.payload, now)
+
+    def _take_landed(self, payload: bytes, now: float | None) -> Record | None:
+        (state,) = _landed(payload)
+        if state == mavlink.MAV_LANDED_STATE_UNDEFINED:
+            return None
+        if now is None:
+            self.untimed += 1
+            return None
+        self._landed_heard = now
+        # Taking off and landing count as not flying: near the ground the model does not hold.
+        in_air = float(state == mavlink.MAV_LANDED_STATE_IN_AIR)
+        return Record(Stream.IN_AIR, now, (in_air,))
+
+    def _take_heartbeat(self, payload: bytes, now: float | None) -> Record | None:
+        self.autopilot, base_mode, status = _heartbeat(payload)
+        if now is None:  # usual at the start: no reason to count it
+            return None
+        armed = bool(base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        # ArduPilot's status tells flight too. One message makes one record, so the arming is
+        # told when it changes and the flight in between.
+        if (
+            armed == self._armed
+            and self.autopilot == _ARDUPILOT
+            and status in (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_ACTIVE)
+            and not abs(now - self._landed_heard) <= LANDED_STATE_FOR
+        ):
+            return Record(Stream.IN_AIR, now, (float(status == mavlink.MAV_STATE_ACTIVE),))
+        self._armed = armed
+        return Record(Stream.ARMED, now, (float(armed),))
+
+    def _take_parameter(self, payload: bytes, now: float | None) -> Record | None:
+        bytewise = self.autopilot == mavlink.MAV_AUTOPILOT_PX4
+        name, value = read_parameter(payload, bytewise=bytewise)
+        if not name or not math.isfinite(value):
+            return None
+        if len(self.parameters) >= MOST_PARAMETERS and name not in self.parameters:
+            return None
+        self.parameters[name] = value
+        return Record(Stream.PARAMETER, now or 0.0, (value,), source=name)

@@ -1,0 +1,35 @@
+"""Records given to a chain or a time base as a live session gives them: a few at a time."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain as joined
+from itertools import islice
+
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.signals.columns import RecordBlock
+from gcs_sysid.signals.records import Record
+from gcs_sysid.signals.time_base import Block, TimeBase
+
+AT_ONCE = 64
+
+
+def pieces(records: Iterable[Record], at_once: int = AT_ONCE) -> Iterator[RecordBlock]:
+    """The records as blocks of so many."""
+    left = iter(records)
+    while some := list(islice(left, at_once)):
+        yield RecordBlock.of(some)
+
+
+def feed(chain: Chain, records: Iterable[Record], at_once: int = AT_ONCE) -> None:
+    """Give records to a chain."""
+    for piece in pieces(records, at_once):
+        chain.take(piece)
+
+
+def grid_of(
+    base: TimeBase, records: Sequence[Record], at_once: int = 1, *, finish: bool = True
+) -> Iterator[Block]:
+    """The blocks that records make, one after the other."""
+    taken = joined.from_iterable(base.take(piece.tracks) for piece in pieces(records, at_once))
+    yield from taken
+    if finish:
+        yield from base.finish()
