@@ -16,7 +16,8 @@ from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.telemetry.link import TcpLink, UdpLink
+from gcs_sysid.telemetry.link import TcpLink
+from gcs_sysid.telemetry.udp_link import UdpLink
 from gcs_sysid.telemetry.urls import LinkUrl
 
 _TRUTH_WAIT = 15.0
