@@ -1,5 +1,6 @@
 """The pictures that a live session shows of itself."""
 
+from gcs_sysid.live.reception import Source
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import (
     Acceleration,
@@ -15,22 +16,22 @@ from gcs_sysid.telemetry.intake import Intake
 
 
 def link_status(
-    state: LinkState, url: str, station: GroundStation, intake: Intake, recording: str
+    state: LinkState, source: Source, station: GroundStation, intake: Intake, *, too_slow: bool
 ) -> LinkStatus:
     """Figures of the moment.
 
     Args:
         state: of the link.
-        url: of the link.
+        source: where the data come from.
         station: that asks.
         intake: that counts.
-        recording: path; empty when nothing is recorded.
+        too_slow: whether the session cannot keep up.
     """
     health, monitor = intake.health(), intake.monitor
     chosen = None if intake.vehicle is None else intake.vehicle.address
     return LinkStatus(
         state=state,
-        url=url,
+        url=str(source.url),
         vehicle=str(intake.vehicle or ""),
         rates=health.rates,
         asked=dict(station.asked),
@@ -45,8 +46,11 @@ def link_status(
         vehicles=tuple(
             HeardVehicle(v.address, str(v), v.address == chosen) for v in intake.selector.autopilots
         ),
-        recording=recording,
+        recording=source.recording_report.path,
         bytes_per_second=health.bytes_per_second,
+        waiting=source.waiting,
+        too_slow=too_slow,
+        dropped=source.link_report.dropped,
     )
 
 

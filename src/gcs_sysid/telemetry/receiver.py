@@ -11,7 +11,7 @@ from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
 from gcs_sysid.telemetry.senders import Whereabouts
 from gcs_sysid.telemetry.signing import Refusal, SignatureCheck
 
-TOGETHER = 4000
+TOGETHER = 8000
 """us; datagrams that arrived within so long are taken, and recorded, at one time."""
 
 
