@@ -87,7 +87,7 @@ def test_only_what_is_live_opens_a_link():
         if any(function.split(".")[-1] == "open_link" for function, _ in called(tree))
     }
     assert openers == {
-        "cli/live_command.py", "cli/inspect_command.py", "setup_help/listening.py",
+        "live/receiver_main.py", "cli/inspect_command.py", "setup_help/listening.py",
         "telemetry/reconnect.py",
     }  # fmt: skip
 

@@ -244,7 +244,7 @@ def test_a_reset_is_in_the_recording_and_its_analysis(udp, airframe, paper_fligh
 
 def test_actions_are_done_while_it_runs(udp, airframe, tmp_path):
     session = LiveSession(udp, airframe, LiveOptions(listen_only=True, duration=1.0))
-    session._recording._stem = tmp_path / "toggled.tlog"
+    session._stem = tmp_path / "toggled.tlog"
     session.start()
     session.mark("gust")
     said = session.toggle_recording()

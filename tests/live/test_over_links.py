@@ -178,8 +178,15 @@ def numbers(value, name=""):
     return {k: v for at, inner in parts for k, v in numbers(inner, at).items()}
 
 
-ONLY_THERE = {".source", ".telemetry.clock_drift_ppm", ".telemetry.recorded"}
-"""The one differs by its nature, the other is told by the recording's own times alone."""
+ONLY_THERE = {
+    ".source",
+    ".telemetry.clock_drift_ppm",
+    ".telemetry.recorded",
+    *(f".telemetry.receiver.{n}" for n in ("kernel_drops", "longest_wait", "not_learnt")),
+    ".telemetry.receiver.too_slow_seconds",
+}
+"""The first differs by its nature, the others are told by the recording's own times, or by the
+computer's, alone."""
 
 
 def assert_same(first, second):
