@@ -16,6 +16,7 @@ from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, UNKNOWN, counts_of
 from gcs_sysid.telemetry.frames import Frame, Validity
+from gcs_sysid.telemetry.imu_loss import ImuLoss
 from gcs_sysid.telemetry.messages import NAMED_IDS, OTHER_TYPES, message_name
 
 WINDOW = 5.0
@@ -154,6 +155,7 @@ class Monitor:
         self._now: float | None = None
         self._imu_last: float | None = None
         self._imu_step = 0.0
+        self._imu_loss = ImuLoss()
 
     def take(self, frame: Frame) -> None:
         """Count a frame of any validity and sender."""
@@ -252,6 +254,7 @@ class Monitor:
             self._first = None
             self._steps.clear()
             self._imu_last = None
+            self._imu_loss.begin_anew()
         if self._first is None:
             self._first = now
 
@@ -267,10 +270,12 @@ class Monitor:
     def take_record(self, record: Record) -> None:
         """Watch the IMU for gaps."""
         if record.stream is Stream.IMU:
+            self._imu_loss.take(np.array([record.t]))
             self._take_imu_time(record.t)
 
     def take_imu_times(self, t: Array) -> None:
         """Watch (n,) times in s of IMU samples for gaps, while the clock runs on."""
+        self._imu_loss.take(t)
         if self._imu_last is None:
             for first in t[:1].tolist():
                 self._take_imu_time(first)
@@ -389,4 +394,5 @@ class Monitor:
                 "count": self.gap_count,
                 "last": [{"t": t, "length": length} for t, length in self.gaps],
             },
+            "imu_loss": self._imu_loss.as_dict(),
         }
