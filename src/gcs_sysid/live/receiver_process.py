@@ -19,6 +19,7 @@ from gcs_sysid.live.request_relay import RequestsTold
 from gcs_sysid.telemetry.transceiver import LinkReport, Requests
 from gcs_sysid.telemetry.urls import LinkUrl
 
+COMMAND = [sys.executable, "-P", "-m", "gcs_sysid.live.receiver_main"]
 AT_ONCE = 32
 """Items taken at a time: 0.1 to 0.3 s of data."""
 MOST_WAITING = 64 * 2**20
@@ -65,7 +66,7 @@ class ReceiverProcess:
         self._ordering = threading.Lock()
         self._reader: threading.Thread | None = None
         self._process: subprocess.Popen[bytes] = subprocess.Popen(
-            [sys.executable, "-P", "-m", "gcs_sysid.live.receiver_main"],
+            COMMAND,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
