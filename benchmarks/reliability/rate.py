@@ -224,14 +224,15 @@ def rows_of(run: Run, sent: int) -> list[tuple[str, str, str]]:
 
 def rows_of_times(times: dict[str, Any]) -> list[tuple[str, str, str]]:
     """Those of what `benchmarks.reliability.watched` tells."""
-    rows = [("renewed estimates", f"{times['renewals']}", "")]
+    rows = [
+        ("datagrams not taken", f"{times['not_taken']}", "0"),
+        ("renewed estimates", f"{times['renewals']}", ""),
+    ]
     for kind, what in (
         ("taken_ms", "datagram's arrival until it is taken"),
         ("renewed_ms", "the same of those that had an estimate renewed"),
     ):
-        if not times[kind]:
-            sys.exit(f"{what}: there were none; see what the tool said")
-        for level, ms in zip(LEVELS, times[kind], strict=True):
+        for level, ms in zip(LEVELS, times[kind], strict=False):
             bar = f"< {LATE_MS:.0f} ms" if kind == "taken_ms" and level == BARRED else ""
             rows.append((f"{what}, {level:g} %", f"{ms:.2f} ms", bar))
     return rows

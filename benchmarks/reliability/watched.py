@@ -161,6 +161,7 @@ def main() -> int:
     parser.add_argument("--alone", action="store_true")
     parser.add_argument("--buffer", type=int, help="bytes asked of the system for what arrives")
     parser.add_argument("--mixed", action="store_true", help="never read the vehicle's apart")
+    parser.add_argument("--nice", type=int, default=0, help="of the session, not of its receiver")
     parser.add_argument("words", nargs="+")
     options = parser.parse_args()
     take_core(options.core, alone=options.alone)
@@ -172,6 +173,14 @@ def main() -> int:
         *(sys.executable, "-m", "benchmarks.reliability.stamped_receiver", str(arrivals)),
         *(str(options.buffer or 0), str(int(options.mixed))),
     ]
+    if options.nice:
+        start = receiver_process.ReceiverProcess.__init__
+
+        def then_slow(receiver: Any, *words: Any, **settings: Any) -> None:
+            start(receiver, *words, **settings)
+            os.nice(options.nice)
+
+        receiver_process.ReceiverProcess.__init__ = then_slow  # type: ignore[method-assign]
     sampler = threading.Thread(target=_sample, args=(times, stop))
     sampler.start()
     began = time.monotonic()

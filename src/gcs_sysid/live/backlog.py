@@ -62,6 +62,13 @@ class Backlog:
             told.append("too much waits: some of what is recorded is not learnt from")
         return told
 
+    def last_words(self) -> list[str]:
+        """What there is to tell when nothing more comes."""
+        waiting = self._source.waiting
+        if waiting < TOO_SLOW:
+            return []
+        return [f"all is recorded; {waiting:.0f} s of data are still learnt from"]
+
     def as_dict(self, now: float) -> dict[str, Any]:
         """For the result's `telemetry`."""
         slow = self._seconds + (now - self._since if self.too_slow else 0.0)

@@ -341,9 +341,15 @@ class LiveSession:
         """Learn from all that is recorded; nobody asks for estimates on the way."""
         self._estimate.relieve(on=True)
         self._source.finish()
+        self._tell(self._backlog.last_words())
         while not self._all_taken:
             for item in self._source.take(_POLL):
                 self._take(item)
+            now = time.monotonic()
+            self._backlog.look(now)
+            if now - self._published >= _PUBLISH_LATE:
+                self._published = now
+                self._publish(self._state())
 
     def _final(self) -> Result:
         """The final result; after a defect, the last good one."""
