@@ -15,8 +15,9 @@ from fastcrc import crc16
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation import tracking
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
+from gcs_sysid.live.live_estimate import Duty
 from gcs_sysid.live.live_options import LiveOptions
-from gcs_sysid.live.live_session import Duty, LiveSession
+from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.telemetry import tlog_writer
@@ -192,7 +193,7 @@ def test_memory_stays_flat_whatever_comes(session, make):
     assert second < first + 0.3 * MEGABYTE
     assert second < 48 * MEGABYTE  # a grid of 10 kHz takes most, and what loads only then
     assert session.problem is None
-    assert session._duty is Duty.IDENTIFY
+    assert session._estimate.duty is Duty.IDENTIFY
 
 
 def test_wishes_wait_in_a_bounded_queue(session):
@@ -210,7 +211,7 @@ def test_a_recording_that_is_being_started_is_not_stopped_by_haste(session, monk
     assert session.toggle_recording().startswith("recording to")
     with pytest.raises(InputError, match="try again"):
         session.toggle_recording()
-    session._commands.grant(session._note)
+    session._commands.grant(session._estimate.note)
     session._turn(session._source.take(0.0), time.monotonic())
     assert session.toggle_recording().endswith("stopped")
     session._source.close()

@@ -10,15 +10,14 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from enum import IntEnum
 from pathlib import Path
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.live.backlog import Backlog
 from gcs_sysid.live.command_queue import CommandQueue, in_words
-from gcs_sysid.live.live_estimate import LiveEstimate
+from gcs_sysid.live.live_estimate import Duty, LiveEstimate
 from gcs_sysid.live.live_options import LiveOptions
-from gcs_sysid.live.live_view import link_status
+from gcs_sysid.live.live_view import link_status, with_link
 from gcs_sysid.live.reception import (
     Ended,
     Failure,
@@ -36,7 +35,6 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import HeardVehicle, LinkState, Snapshot
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.link import Link
-from gcs_sysid.telemetry.marks import reset_mark
 from gcs_sysid.telemetry.receiver import Batch
 from gcs_sysid.telemetry.tlog_writer import unused_path
 from gcs_sysid.telemetry.transceiver import Transceiver
@@ -53,16 +51,6 @@ _DRAINED_AFTER = 0.7
 """s of silence after the sender's end, before the session ends too."""
 _LONGEST_MARK = 200
 """Characters; the rest is cut."""
-
-
-class Duty(IntEnum):
-    """What is done with the data; what has failed once is not tried again."""
-
-    RECORD = 0
-    """Nothing here: it is recorded."""
-    WATCH = 1
-    """The link is watched, and the vehicle is asked for its streams."""
-    IDENTIFY = 2
 
 
 class LiveSession:
@@ -112,20 +100,27 @@ class LiveSession:
         )
         self._airframe = airframe
         self._stem = record_to or Path("logs") / "session.tlog"
-        self._estimate = LiveEstimate(airframe, str(source.url), options, options.wanted)
+        self._estimate = self._new_estimate(options.wanted)
         self._backlog = Backlog(source)
         self._sender_gone = sender_gone
         self._on_result = on_result
         self._commands = CommandQueue()
         self._toggling = False
         self._choice: HeardVehicle | None = None
-        self._duty = Duty.IDENTIFY
         self._stop = threading.Event()
         self._all_taken = False
         self._latest: Snapshot | None = None
         self._told_result_at = 0.0
         self._asked = self._published = -float("inf")
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
+
+    def _new_estimate(self, wanted: tuple[int, int | None] | None) -> LiveEstimate:
+        url, options = str(self._source.url), self._options
+        return LiveEstimate(self._airframe, url, options, wanted, self._meet)
+
+    def _meet(self, defect: Exception | None) -> None:
+        """Keep the first defect for the main thread, which tells it."""
+        self.problem = self.problem or defect
 
     # -- what the user does, in threads of their own
 
@@ -155,7 +150,7 @@ class LiveSession:
 
     def mark(self, text: str) -> None:
         """Write a mark into the event log."""
-        self._commands.ask(lambda: self._note(text[:_LONGEST_MARK]))
+        self._commands.ask(lambda: self._estimate.note(text[:_LONGEST_MARK]))
 
     def reset(self) -> None:
         """Forget the estimate and start anew, as the analysis of the recording then does too."""
@@ -234,8 +229,10 @@ class LiveSession:
         self._guarded(self._station.leave)
         self._guarded(self._take_the_rest)
         self._guarded(self._source.close)
-        self._tell(self._source.take_events())
-        self.final = self._final()
+        self._estimate.tell(self._source.take_events())
+        assert self._latest is not None
+        last = self._latest.result
+        self.final = self._estimate.final(self._complete, last, self.problem)
         self._publish(LinkState.ENDED)
         self._estimate.drop()
 
@@ -244,7 +241,7 @@ class LiveSession:
         try:
             step()
         except Exception as problem:  # noqa: BLE001 - the next step is done all the same
-            self.problem = self.problem or problem
+            self._meet(problem)
 
     def _loop(self, began: float) -> None:
         while not self._stop.is_set():
@@ -263,11 +260,10 @@ class LiveSession:
             self._take(item)
         self._attend(now)
         self._see_backlog(now)
-        met = self._commands.grant(self._note)
-        self.problem = self.problem or met
-        self._tell(self._source.take_events())
+        self._meet(self._commands.grant(self._estimate.note))
+        self._estimate.tell(self._source.take_events())
         if self._backlog.is_idle:
-            self._think()
+            self._estimate.think()
         every = _PUBLISH_LATE if self._backlog.too_slow else _PUBLISH_EVERY
         if now - self._published >= every:
             self._published = now
@@ -276,35 +272,24 @@ class LiveSession:
     def _take(self, item: Item) -> None:
         match item:
             case Batch():
-                self._learn(item)
+                self._estimate.learn(item, self._source.link_report.garbage_bytes)
+                self._tell_result()
             case ResetMark(time_us):
-                self._reset(time_us)
+                self._estimate.reset(time_us)
             case RecordingCut():
                 self._begin_anew()
             case Toggled(text):
                 self._toggling = False
-                self._note(text)
+                self._estimate.note(text)
             case Failure(text):
-                self.problem = self.problem or RuntimeError(text)
-                self._note(f"internal error ({text})")
+                self._meet(RuntimeError(text))
+                self._estimate.note(f"internal error ({text})")
             case Ended():
                 self._all_taken = True
 
-    def _learn(self, batch: Batch) -> None:
-        estimate, wall = self._estimate, 1e-6 * batch.time_us
-        try:
-            if self._duty is Duty.IDENTIFY:
-                estimate.take(batch.frames, wall, self._source.link_report.garbage_bytes)
-                if not estimate.relieved:
-                    self._tell_result()
-            elif self._duty is Duty.WATCH:
-                estimate.pipeline.intake.frames(batch.frames, wall)
-        except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
-            self._retreat(defect)
-
     def _attend(self, now: float) -> None:
         """Answer the vehicle."""
-        if self._duty is Duty.RECORD or self._choice is not None:
+        if self._estimate.duty is Duty.RECORD or self._choice is not None:
             return
         station, intake = self._station, self._estimate.pipeline.intake
         try:
@@ -313,35 +298,20 @@ class LiveSession:
                 self._asked = now
                 station.tick(now, intake)
         except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
-            self._retreat(defect)
-        self._tell(station.take_events())
+            self._estimate.retreat(defect)
+        self._estimate.tell(station.take_events())
 
     def _see_backlog(self, now: float) -> None:
         before = self._backlog.too_slow
-        self._tell(self._backlog.look(now))
+        self._estimate.tell(self._backlog.look(now))
         if self._backlog.too_slow is not before:
             self._estimate.relieve(on=not before)
-
-    def _think(self) -> None:
-        try:
-            self._estimate.think()
-        except Exception as defect:  # noqa: BLE001 - words alone are lost
-            self._estimate.silence()
-            self._note(f"{in_words(defect)}: the coach falls silent")
-
-    def _retreat(self, defect: Exception) -> None:
-        """Do less from now on: what has failed once would fail again."""
-        self.problem = self.problem or defect
-        self._duty = Duty(max(self._duty - 1, Duty.RECORD))
-        watched = self._duty is Duty.WATCH
-        lost = "the estimate ends here" if watched else "the link is no longer watched"
-        self._note(f"{in_words(defect)}: {lost}; what arrives is still recorded")
 
     def _take_the_rest(self) -> None:
         """Learn from all that is recorded; nobody asks for estimates on the way."""
         self._estimate.relieve(on=True)
         self._source.finish()
-        self._tell(self._backlog.last_words())
+        self._estimate.tell(self._backlog.last_words())
         while not self._all_taken:
             for item in self._source.take(_POLL):
                 self._take(item)
@@ -350,19 +320,6 @@ class LiveSession:
             if now - self._published >= _PUBLISH_LATE:
                 self._published = now
                 self._publish(self._state())
-
-    def _final(self) -> Result:
-        """The final result; after a defect, the last good one."""
-        if self._duty is Duty.IDENTIFY:
-            try:
-                return self._complete(self._estimate.pipeline.finish())
-            except Exception as defect:  # noqa: BLE001 - handed to the main thread, which tells it
-                self._retreat(defect)
-        assert self._latest is not None
-        result, chain = self._latest.result, self._estimate.chain
-        why = "" if self.problem is None else f"{in_words(self.problem)}: "
-        early = f"{why}the estimate is that of {chain.t:.1f} s, its last good one"
-        return replace(result, reasons=(*result.reasons, early))
 
     def _ended(self, now: float, began: float) -> bool:
         """Whether nothing more will come."""
@@ -378,71 +335,42 @@ class LiveSession:
         return LinkState.LOST if self._station.lost else LinkState.CONNECTED
 
     def _complete(self, result: Result) -> Result:
-        """Add what only the link knows; the numbers stay those of the frames alone."""
-        reasons = result.reasons
-        if result.verdict != "identified":
-            reasons = (*reasons, *self._station.problems)
-        telemetry = {
-            **result.telemetry,
-            **self._station.as_dict(),
-            "receiver": self._backlog.as_dict(time.monotonic()),
-        }
-        dropped = self._source.recording_report.dropped
-        if dropped:
-            telemetry["recording"] = {"missing": dropped}
-        return replace(result, reasons=(*reasons, *self._backlog.reasons), telemetry=telemetry)
+        return with_link(result, self._source, self._station, self._backlog, time.monotonic())
 
     def _tell_result(self) -> None:
-        t = self._estimate.chain.t
+        estimate, t = self._estimate, self._estimate.chain.t
+        if estimate.relieved or estimate.duty is not Duty.IDENTIFY:
+            return
         if self._on_result is None or t - self._told_result_at < _RESULT_EVERY:
             return
         self._told_result_at = t
-        result = self._complete(self._estimate.pipeline.result())
+        try:
+            result = self._complete(estimate.pipeline.result())
+        except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
+            estimate.retreat(defect)
+            return
         try:
             self._on_result(result)
         except Exception as problem:  # noqa: BLE001 - the session goes on without a listener
-            self.problem = self.problem or problem
+            self._meet(problem)
             self._on_result = None
-            self._note(f"{in_words(problem)}: results are passed on no more")
-
-    def _tell(self, texts: Sequence[str]) -> None:
-        for text in texts:
-            self._note(text)
-
-    def _note(self, text: str) -> None:
-        if text:
-            self._estimate.chain.note(text)
-
-    def _need_estimate(self) -> None:
-        if self._duty is not Duty.IDENTIFY:
-            raise InputError("the estimate has ended by an internal error")
+            self._estimate.note(f"{in_words(problem)}: results are passed on no more")
 
     def _mark_reset(self) -> None:
-        self._need_estimate()
+        self._estimate.need()
         self._source.mark_reset()
 
-    def _reset(self, time_us: int) -> None:
-        """Do what the recording says at this place."""
-        try:
-            self._need_estimate()
-            self._estimate.pipeline.take([reset_mark()], 1e-6 * time_us)
-        except InputError as error:
-            self._note(f"not done: {error}")
-        except Exception as defect:  # noqa: BLE001 - the flight goes on all the same
-            self.problem = self.problem or defect
-            self._note(f"not done: {in_words(defect)}")
-
     def _set_anchor(self, airframe: Airframe, anchor: ScaleReference) -> None:
-        self._need_estimate()
+        self._estimate.need()
         try:
             self._estimate.chain.set_anchor(anchor)
         except InputError as error:
-            self._note(f"the scale stays: {error}")
+            self._estimate.note(f"the scale stays: {error}")
         else:
             self._airframe = airframe
 
     def _choose(self, vehicle: HeardVehicle, path: Path) -> None:
-        self._need_estimate()
+        self._estimate.need()
         self._station.leave()
         self._choice = vehicle
         self._source.cut_recording(path)
@@ -452,19 +380,15 @@ class LiveSession:
         vehicle, before = self._choice, self._estimate
         assert vehicle is not None
         self._choice = None
-        self._estimate = LiveEstimate(
-            self._airframe, str(self._source.url), self._options, vehicle.address
-        )
+        self._estimate = self._new_estimate(vehicle.address)
         self._estimate.relieve(on=before.relieved)
         before.drop()
-        selector = self._estimate.pipeline.intake.selector
-        for known in before.pipeline.intake.selector.autopilots:  # the others stay to be chosen
-            selector.systems[known.address], selector.frames[known.address] = known, 0
+        self._estimate.know(before.pipeline.intake.selector.autopilots)
         self._told_result_at = 0.0
-        self._note(f"chosen: {vehicle.name}; the session starts anew")
+        self._estimate.note(f"chosen: {vehicle.name}; the session starts anew")
         path = self._source.recording_report.path
         if path:
-            self._note(f"recording to {path}")
+            self._estimate.note(f"recording to {path}")
 
     def _publish(self, state: LinkState) -> None:
         while True:
@@ -472,20 +396,20 @@ class LiveSession:
                 self._latest = self._picture(state)
                 return
             except Exception as defect:
-                if self._latest is None or self._duty is Duty.RECORD:
+                if self._latest is None or self._estimate.duty is Duty.RECORD:
                     raise
-                self._retreat(defect)
+                self._estimate.retreat(defect)
 
     def _picture(self, state: LinkState) -> Snapshot:
         """How things stand; after a defect, as far as that is known."""
         before, estimate = self._latest, self._estimate
-        if before is not None and self._duty is Duty.RECORD:
+        if before is not None and self._estimate.duty is Duty.RECORD:
             recording = self._source.recording_report.path
             link = replace(before.link, state=state, recording=recording)
         else:
             intake, too_slow = estimate.pipeline.intake, self._backlog.too_slow
             link = link_status(state, self._source, self._station, intake, too_slow=too_slow)
-        if before is not None and self._duty is not Duty.IDENTIFY:
+        if before is not None and self._estimate.duty is not Duty.IDENTIFY:
             result, events = self.final or before.result, estimate.chain.events
             return replace(before, result=result, link=link, events=events, advice=None)
         result = self.final or self._complete(estimate.pipeline.result())

@@ -1,5 +1,8 @@
 """The pictures that a live session shows of itself."""
 
+from dataclasses import replace
+
+from gcs_sysid.live.backlog import Backlog
 from gcs_sysid.live.reception import Source
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import (
@@ -52,6 +55,20 @@ def link_status(
         too_slow=too_slow,
         dropped=source.link_report.dropped,
     )
+
+
+def with_link(
+    result: Result, source: Source, station: GroundStation, backlog: Backlog, now: float
+) -> Result:
+    """A result with what only the link knows; the numbers stay those of the frames alone."""
+    reasons = result.reasons
+    if result.verdict != "identified":
+        reasons = (*reasons, *station.problems)
+    telemetry = {**result.telemetry, **station.as_dict(), "receiver": backlog.as_dict(now)}
+    dropped = source.recording_report.dropped
+    if dropped:
+        telemetry["recording"] = {"missing": dropped}
+    return replace(result, reasons=(*reasons, *backlog.reasons), telemetry=telemetry)
 
 
 def picture(

@@ -140,9 +140,7 @@ class ReceiverProcess:
             self._size -= sum(len(body) for _, body in some)
             self._wake.notify_all()
         if not some and self._over:
-            raise LinkError(
-                f"{self.url}: the receiver's process has died; what it recorded is whole"
-            )
+            raise LinkError(f"{self.url}: the receiver has died; what it recorded is whole")
         for kind, body in some:
             if kind == wire.FRAMES:
                 (self._taken,) = wire.TIME.unpack_from(body)
