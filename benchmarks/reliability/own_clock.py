@@ -24,8 +24,9 @@ from gcs_sysid.live import live_session as live
 from gcs_sysid.live.flight_coach import CoachOptions
 from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.telemetry.link import DATAGRAMS_AT_ONCE, Address, Chunk, Link
+from gcs_sysid.telemetry.link import Address, Chunk, Link
 from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.udp_link import DATAGRAMS_AT_ONCE
 from gcs_sysid.telemetry.urls import parse_url
 from sim_bridge.playback import moments
 

@@ -143,7 +143,7 @@ class ReceiverProcess:
             raise LinkError(f"{self.url}: the receiver has died; what it recorded is whole")
         for kind, body in some:
             if kind == wire.FRAMES:
-                (self._taken,) = wire.TIME.unpack_from(body)
+                self._taken = max(self._taken, *wire.TIME.unpack_from(body))
         return [wire.read_item(kind, body) for kind, body in some]
 
     def take_events(self) -> list[str]:
@@ -236,7 +236,7 @@ class ReceiverProcess:
             else:
                 self._wake.wait_for(lambda: self._size < MOST_WAITING)
                 if kind == wire.FRAMES:
-                    (self._newest,) = wire.TIME.unpack_from(body)
+                    self._newest = max(self._newest, *wire.TIME.unpack_from(body))
                     self._taken = self._taken or self._newest
                 self._messages.append((kind, body))
                 self._size += len(body)
