@@ -154,7 +154,7 @@ def test_slowness_is_told_once_and_its_end_too():
     source = Source()
     backlog = Backlog(source)
     told, idle = [], []
-    for now, waiting in enumerate([0.0, 0.5, 1.2, 3.0, 0.5, 0.1, 0.6]):
+    for now, waiting in enumerate([0.0, 0.4, 1.2, 3.0, 0.5, 0.09, 0.4]):
         source.waiting = waiting
         told += backlog.look(float(now))
         idle.append(backlog.is_idle)

@@ -4,10 +4,10 @@ from typing import Any
 
 from gcs_sysid.live.reception import Source
 
-TOO_SLOW, CAUGHT_UP = 1.0, 0.2
+TOO_SLOW, CAUGHT_UP = 0.5, 0.1
 """s of data that wait: from which the computer is too slow, until it has caught up. A fit of many
 minutes takes up to 0.4 s, on a core that does nothing else."""
-BUSY = 0.1
+BUSY = 0.05
 """s of data that wait, from which there is no time to think about advice."""
 
 
