@@ -21,9 +21,12 @@ import serial
 from gcs_sysid.__main__ import main
 from gcs_sysid.cli import live_command as live_command
 from gcs_sysid.live import live_session as live_session
+from gcs_sysid.live.reception import Reception
+from gcs_sysid.live.recording import Recording
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.link import Chunk, Link
 from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import parse_url
 from gcs_sysid.web.share import VARIABLE, Door, RemoteSource
 from tests.autopilots import GROUPS, READS, SETS, Autopilot
@@ -75,9 +78,12 @@ def pass_time(monkeypatch, capsys):
 
     def run(vehicle, seconds, *options, silent=(0.0, 0.0)):
         air = Air(vehicle, silent)
-        monkeypatch.setattr(live_command, "open_link", lambda url: air)
+
+        def receiver(url, *, record_to, **settings):
+            return Reception(Transceiver(air, **settings), Recording(record_to))
+
+        monkeypatch.setattr(live_command, "ReceiverProcess", receiver)
         monkeypatch.setattr(live_session, "time", SimpleNamespace(monotonic=lambda: air.now))
-        monkeypatch.setattr(live_session, "_FEW", 0)  # never waits for more
         words = ["live", "udpin:127.0.0.1:14550", *AIRFRAME, "--headless", "--no-record"]
         status = main([*words, "--duration", str(seconds), *options])
         assert status == 1  # a vehicle that stands still tells nothing

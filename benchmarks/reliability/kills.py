@@ -4,15 +4,18 @@
 
 The emulator flies once, in real time. What it sends is passed on to headless sessions, `gcs-sysid
 live` as a user runs it, with the time noted; so it is known what each of them was sent. Each is
-killed with SIGKILL at a moment drawn at random after it has said that it listens, and its recording
-is read: whole records, in order, and nothing missing that was sent more than a second before.
+killed with SIGKILL at a moment drawn at random after it has said that it listens: the process of
+the session, by turns with that of its receiver. Once both have ended, the recording is read: whole
+records, in order, and nothing missing that was sent more than a second before.
 """
 
 import argparse
 import math
 import multiprocessing
+import os
 import random
 import select
+import signal
 import socket
 import subprocess
 import sys
@@ -22,7 +25,7 @@ import time
 from collections import deque
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gcs_sysid.__main__ import main as cli_main
@@ -32,6 +35,8 @@ from gcs_sysid.telemetry.tlog import read_tlog
 
 ALLOWED = 1.0
 """s that may be missing before a kill."""
+OUTLIVES = 5.0
+"""s that the receiver may take to end, or the session that has lost it."""
 _KEPT = 60.0
 """s of what was sent that are remembered."""
 _PATIENCE = 120.0
@@ -51,6 +56,8 @@ class Kill:
         recorded: of those, how many are in the recording.
         missing: s before the kill at which the first one was sent that is missing; 0: none is.
         readable: whether it can be read, with nothing in it but what was sent.
+        victim: "session" or "receiver".
+        outlived: s for which the other one went on.
     """
 
     after: float
@@ -58,11 +65,13 @@ class Kill:
     recorded: int
     missing: float
     readable: bool
+    victim: str = "session"
+    outlived: float = 0.0
 
     @property
     def good(self) -> bool:
         """Whether it kept what was promised."""
-        return self.readable and self.missing <= ALLOWED
+        return self.readable and self.missing <= ALLOWED and self.outlived <= OUTLIVES
 
 
 class Relay:
@@ -165,9 +174,29 @@ def session(words: list[str], said: str) -> None:
     sys.exit(cli_main(words))
 
 
+def children(pid: int) -> list[int]:
+    """Processes that a process has started, and that have not ended; Linux alone."""
+    tasks = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(child) for each in tasks for child in each.read_text().split()]
+
+
+def wait_for_end(pid: int) -> float:
+    """Wait until a process has ended; s that took."""
+    began = time.monotonic()
+    while time.monotonic() - began < _PATIENCE:
+        try:
+            if Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z":
+                break
+        except OSError:
+            break
+        time.sleep(0.01)
+    return time.monotonic() - began
+
+
 def kill_one(number: int, after: float, relay: Relay, folder: Path) -> Kill:
     """Start a session, kill it so many s after it listens, and read its recording."""
     port, path, said = free_port(), folder / f"{number}.tlog", folder / f"{number}.txt"
+    victim = "receiver" if number % 2 else "session"
     words = ["live", f"udpin:127.0.0.1:{port}", "--airframe", "paper", "--headless"]
     process = _CONTEXT.Process(target=session, args=([*words, "--record", str(path)], str(said)))
     process.start()
@@ -178,10 +207,15 @@ def kill_one(number: int, after: float, relay: Relay, folder: Path) -> Kill:
             if time.monotonic() > deadline or not process.is_alive():
                 raise RuntimeError(f"session {number} did not say that it listens")
             time.sleep(0.01)
+        assert process.pid is not None
+        (receiver,) = children(process.pid)
+        pair = (process.pid, receiver)
         listens = time.monotonic()
         time.sleep(after)
-        process.kill()
+        killed_pid, other = pair if victim == "session" else pair[::-1]
+        os.kill(killed_pid, signal.SIGKILL)
         killed = time.monotonic()
+        outlived = wait_for_end(other)
     finally:
         process.kill()
         process.join()
@@ -192,24 +226,35 @@ def kill_one(number: int, after: float, relay: Relay, folder: Path) -> Kill:
         frames = [frame for _, frame in reader]
     except InputError:
         # Killed before anything could be written: nothing is there to be read.
-        return judge(after, killed, sent, (), readable=not path.exists() or not path.stat().st_size)
+        empty = not path.exists() or not path.stat().st_size
+        found = judge(after, killed, sent, (), readable=empty)
+        return replace(found, victim=victim, outlived=outlived)
     sound = all(frame.valid is Validity.OK for frame in frames) and not reader.garbage_bytes
-    return judge(after, killed, sent, (frame.raw for frame in frames), readable=sound)
+    found = judge(after, killed, sent, (frame.raw for frame in frames), readable=sound)
+    return replace(found, victim=victim, outlived=outlived)
 
 
 def table(kills: Sequence[Kill]) -> str:
     """The figures."""
-    missing = sorted(kill.missing for kill in kills)
     rows = [
         ("kills", f"{len(kills)}"),
         ("readable recordings", f"{sum(kill.readable for kill in kills)}"),
         ("missing at most the last second", f"{sum(kill.missing <= ALLOWED for kill in kills)}"),
         ("frames sent", f"{sum(kill.sent for kill in kills)}"),
         ("frames recorded", f"{sum(kill.recorded for kill in kills)}"),
-        ("missing before the kill, median", f"{missing[len(missing) // 2]:.2f} s"),
-        ("  95th percentile", f"{missing[math.ceil(0.95 * len(missing)) - 1]:.2f} s"),
-        ("  longest", f"{missing[-1]:.2f} s"),
     ]
+    for victim in ("session", "receiver"):
+        of = [kill for kill in kills if kill.victim == victim]
+        if not of:
+            continue
+        missing = sorted(kill.missing for kill in of)
+        rows += [
+            (f"{victim} killed", f"{len(of)}"),
+            ("  missing before the kill, median", f"{missing[len(missing) // 2]:.2f} s"),
+            ("  95th percentile", f"{missing[math.ceil(0.95 * len(missing)) - 1]:.2f} s"),
+            ("  longest", f"{missing[-1]:.2f} s"),
+            ("  the other ended after, at most", f"{max(kill.outlived for kill in of):.2f} s"),
+        ]
     return "\n".join(f"{name:<34} {value:>10}" for name, value in rows)
 
 

@@ -24,8 +24,9 @@ from gcs_sysid.live import live_session as live
 from gcs_sysid.live.flight_coach import CoachOptions
 from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.telemetry.link import DATAGRAMS_AT_ONCE, Address, Chunk, Link
+from gcs_sysid.telemetry.link import Address, Chunk, Link
 from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.udp_link import DATAGRAMS_AT_ONCE
 from gcs_sysid.telemetry.urls import parse_url
 from sim_bridge.playback import moments
 
@@ -76,7 +77,6 @@ class PlayedLink(Link):
 
     def receive(self, timeout: float) -> list[Chunk]:
         """What has arrived; leaps to the next datagram if that comes in time."""
-        self._times.looks()
         if self._began is None:
             self._began = self._clock.now()
         if self._next is not None:
@@ -89,10 +89,9 @@ class PlayedLink(Link):
             if arrived > now:
                 break
             chunks.append(Chunk(data, _VEHICLE))
-            self._times.waiting.append((int(1e9 * arrived), len(data)))
+            self._times.arrive(int(1e9 * arrived), len(data))
             self._next = next(self._datagrams, None)
         self.ended = self._next is None
-        self._times.has_looked()
         return chunks
 
     def send(self, data: bytes) -> None:
@@ -113,14 +112,9 @@ def run(recording: Path, folder: Path) -> tuple[watched.Times, live.LiveSession]
         link, load_airframe("paper"), options, folder / "own.tlog", on_result=results.write
     )
 
-    def wait(seconds: float) -> bool:
-        clock.wait(seconds)
-        return False
-
-    session._stop.wait = wait  # type: ignore[method-assign, assignment]
     parts: list[tuple[Any, Any]] = [
         (live, SimpleNamespace(monotonic=clock.now)),
-        (watched, SimpleNamespace(time_ns=clock.now_ns, thread_time_ns=time.thread_time_ns)),
+        (watched, SimpleNamespace(time_ns=clock.now_ns)),
     ]
     for module, own in parts:
         module.time = own
@@ -147,10 +141,11 @@ def main() -> None:
         times, session = run(options.flight, Path(name))
     if session.problem is not None:
         raise session.problem
+    told = times.as_dict()
     size, grown = growth(times.memory)
     rows = [
-        ("datagrams", f"{times.taken.count}", ""),
-        *rows_of_times(times.as_dict()),
+        ("datagrams", f"{told['datagrams']}", ""),
+        *rows_of_times(told),
         ("memory in the last minute", f"{size:.1f} MB", ""),
         ("growth since minute 2", f"{grown:.2f} MB", ""),
     ]

@@ -3,43 +3,34 @@
     python -m benchmarks.reliability.watched TIMES.json [--core N] ... -- live URL --headless ...
 
 runs the words after `--` as `gcs-sysid` would, with the same code all the way. The system stamps
-each datagram as it comes in (SO_TIMESTAMPNS, Linux alone), long before Python sees it.
+each datagram as it comes in (SO_TIMESTAMPNS, Linux alone), long before Python sees it; the
+receiver's process (`benchmarks.reliability.stamped_receiver`) writes the stamps down.
 
-A datagram counts as taken when all that was read together with it is decoded and lies on the grid
-of samples. One that completes a block of samples (0.1 s of the vehicle's clock) counts as taken
-only when all of that block is learnt from: rows made, changes looked for, and the estimate renewed
-where that is due.
+A datagram counts as taken when all that was handed over together with it is learnt from: decoded,
+on the grid of samples and, where it completes a block of samples (0.1 s of the vehicle's clock),
+rows made, changes looked for, and the estimate renewed where that is due.
 """
 
 import argparse
 import json
 import os
-import socket
-import struct
 import sys
+import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from itertools import accumulate
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.reliability.stamped_receiver import ARRIVAL
 from gcs_sysid.__main__ import main as gcs_sysid
-from gcs_sysid.cli import live_command as live
-from gcs_sysid.session.chain import Chain
+from gcs_sysid.live import receiver_process
 from gcs_sysid.session.pipeline import Pipeline
-from gcs_sysid.signals.sampling import SampleBlock
-from gcs_sysid.telemetry import link
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.link import LARGEST_DATAGRAM, Address, Chunk, Link, UdpLink
-from gcs_sysid.telemetry.urls import LinkUrl
 
-SO_TIMESTAMPNS = 35
-_STAMP = struct.Struct("@qq")
-_SPACE = socket.CMSG_SPACE(_STAMP.size) if hasattr(socket, "CMSG_SPACE") else 0
 LEVELS = (50.0, 95.0, 99.0, 99.9, 100.0)
 SAMPLED_EVERY = 0.5
 """s between looks at the memory."""
@@ -63,137 +54,89 @@ class Kept:
         """All that are kept."""
         return self._numbers[: self.count]
 
-    def levels(self) -> list[float]:
-        """Percentiles at `LEVELS`, in ms of what are ns."""
-        return (1e-6 * np.percentile(self.numbers, LEVELS)).tolist() if self.count else []
-
 
 class Times:
     """What was seen of the process.
 
+    Datagrams are told from each other by their bytes, counted from the first on: all that arrives
+    is frames, and all of it is handed over in order.
+
     Attributes:
-        waiting: ns since 1970 when the datagrams arrived that are not taken yet, and their bytes.
-        taken: ns from a datagram's arrival until it is taken, see the module.
-        renewed: the same of those alone that had an estimate renewed.
-        stretches: ns of processor time of the session's thread between two looks at the link.
         memory: (s since the start, bytes) of resident memory.
     """
 
     def __init__(self) -> None:
-        self.waiting: list[tuple[int, int]] = []
-        self.taken, self.renewed = Kept(4_000_000), Kept(10_000)
-        self.stretches = Kept(4_000_000)
         self.memory: list[tuple[float, int]] = []
-        self._looked: int | None = None
-        self._current = range(0)
-        self._held: set[int] = set()
+        self._arrived, self._ends = Kept(1_500_000), Kept(1_500_000)
+        self._taken_ends, self._taken, self._renewed = (Kept(400_000) for _ in range(3))
+        self._bytes = self._taken_bytes = 0
 
-    def frames(self, frames: Sequence[Frame]) -> Iterator[Frame]:
-        """The frames of the datagrams that wait; whose frame is at hand, is kept in mind."""
-        every = range(len(self.waiting))
-        ends = list(accumulate(size for _, size in self.waiting))
-        # Where there were other bytes than those of the frames, any datagram may be the one.
-        told = bool(ends) and ends[-1] == sum(len(frame.raw) for frame in frames)
-        at = number = 0
-        for frame in frames:
-            if told:
-                number += at >= ends[number]
-                at += len(frame.raw)
-            self._current = every[number : number + 1] if told else every
-            yield frame
+    def arrive(self, ns: int, size: int) -> None:
+        """A datagram arrived at `ns` since 1970."""
+        self._bytes += size
+        self._arrived.add([ns])
+        self._ends.add([self._bytes])
 
-    def admitted(self) -> None:
-        """All that was waiting is on the grid; what made work is held until that is done."""
-        now = time.time_ns()
-        left = [at for number, (at, _) in enumerate(self.waiting) if number not in self._held]
-        self.taken.add([now - at for at in left])
-        self.waiting.clear()
-        self._current = range(0)
-        self._held.clear()
-
-    def work(self, learn: Callable[[], None], renewals: Callable[[], int]) -> None:
-        """Do the work that the datagrams at hand bring about."""
-        held = [self.waiting[number][0] for number in self._current if number not in self._held]
-        self._held |= set(self._current)
-        before = renewals()
-        learn()
-        waited = [time.time_ns() - at for at in held]
-        self.taken.add(waited)
-        if renewals() > before:
-            self.renewed.add(waited)
-
-    def looks(self) -> None:
-        """The session's thread is about to look at the link."""
-        if self._looked is not None:
-            self.stretches.add([time.thread_time_ns() - self._looked])
-
-    def has_looked(self) -> None:
-        """It has looked, and goes on."""
-        self._looked = time.thread_time_ns()
+    def take(self, size: int, ns: int, *, renewed: bool) -> None:
+        """So many bytes were learnt from by `ns`; whether that renewed the estimate."""
+        self._taken_bytes += size
+        self._taken_ends.add([self._taken_bytes])
+        self._taken.add([ns])
+        self._renewed.add([int(renewed)])
 
     def as_dict(self) -> dict[str, Any]:
         """Percentiles in ms at `LEVELS`, and the memory."""
+        ends = self._ends.numbers
+        with_ = np.searchsorted(self._taken_ends.numbers, ends)
+        there = with_ < self._taken.count
+        with_ = with_[there]
+        waited = self._taken.numbers[with_] - self._arrived.numbers[there]
+        renewed = waited[self._renewed.numbers[with_] == 1]
         return {
-            "datagrams": self.taken.count,
-            "taken_ms": self.taken.levels(),
-            "renewals": self.renewed.count,
-            "renewed_ms": self.renewed.levels(),
-            "stretches_ms": self.stretches.levels(),
+            "datagrams": int(np.count_nonzero(there)),
+            "not_taken": int(np.count_nonzero(~there)),
+            "taken_ms": levels(waited),
+            "renewals": int(self._renewed.numbers.sum()),
+            "renewed_ms": levels(renewed),
             "memory": self.memory,
         }
 
 
+def levels(ns: NDArray[np.int64]) -> list[float]:
+    """Percentiles at `LEVELS`, in ms."""
+    return (1e-6 * np.percentile(ns, LEVELS)).tolist() if len(ns) else []
+
+
 def resident() -> int:
-    """Bytes of memory that this process has in use."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    """Bytes of memory that this process and its receiver have in use."""
+    children = Path("/proc/self/task").glob("*/children")
+    pids = ["self", *(pid for each in children for pid in each.read_text().split())]
+    pages = 0
+    for pid in pids:
+        try:
+            pages += int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+        except OSError:  # it has just ended
+            continue
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
-def stamped_link(times: Times) -> type[UdpLink]:
-    """A `UdpLink` that notes when what it reads had arrived."""
-
-    class StampedLink(UdpLink):
-        def __init__(self, url: LinkUrl) -> None:
-            super().__init__(url)
-            self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-
-        def receive(self, timeout: float) -> list[Chunk]:
-            times.looks()
-            chunks = super().receive(timeout)
-            times.has_looked()
-            return chunks
-
-        def _read(self, from_socket: socket.socket) -> tuple[bytes, Address]:
-            data, about, _, source = from_socket.recvmsg(LARGEST_DATAGRAM, _SPACE)
-            for level, kind, content in about:
-                if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS:
-                    seconds, ns = _STAMP.unpack(content)
-                    times.waiting.append((seconds * 1_000_000_000 + ns, len(data)))
-            return data, source
-
-    return StampedLink
-
-
 def watch(times: Times) -> None:
-    """Have the tool's link, pipeline and chain keep times from now on."""
-    stamped = stamped_link(times)
-    take, learn = Pipeline.take, Chain._learn
+    """Have the tool's pipeline keep times from now on."""
+    take = Pipeline.take
 
     def timed(pipeline: Pipeline, frames: Sequence[Frame], wall: float | None = None) -> bool:
-        renewed = take(pipeline, times.frames(frames), wall)
-        times.admitted()
+        renewed = take(pipeline, frames, wall)
+        times.take(sum(len(frame.raw) for frame in frames), time.time_ns(), renewed=renewed)
         return renewed
 
-    def timed_work(chain: Chain, blocks: tuple[SampleBlock, ...]) -> None:
-        if blocks:
-            times.work(lambda: learn(chain, blocks), lambda: chain.renewals)
-
-    def open_link(url: LinkUrl, *_: float) -> Link:
-        return stamped(url)
-
     Pipeline.take = timed  # type: ignore[method-assign, assignment]
-    Chain._learn = timed_work  # type: ignore[method-assign]
-    live.open_link = open_link
+
+
+def read_arrivals(path: Path, times: Times) -> None:
+    """Take what the receiver has written down."""
+    data = path.read_bytes() if path.exists() else b""
+    for us, size in ARRIVAL.iter_unpack(data[: len(data) // ARRIVAL.size * ARRIVAL.size]):
+        times.arrive(1000 * us, size)
 
 
 def take_core(core: int | None, *, alone: bool) -> None:
@@ -218,25 +161,41 @@ def main() -> int:
     parser.add_argument("--alone", action="store_true")
     parser.add_argument("--buffer", type=int, help="bytes asked of the system for what arrives")
     parser.add_argument("--mixed", action="store_true", help="never read the vehicle's apart")
+    parser.add_argument("--nice", type=int, default=0, help="of the session, not of its receiver")
     parser.add_argument("words", nargs="+")
     options = parser.parse_args()
     take_core(options.core, alone=options.alone)
-    link.RECEIVE_BUFFER = options.buffer or link.RECEIVE_BUFFER
-    if options.mixed:
-        link.FLOOD = sys.maxsize
     times, stop = Times(), threading.Event()
     watch(times)
+    folder = tempfile.TemporaryDirectory()
+    arrivals = Path(folder.name) / "arrivals"
+    receiver_process.COMMAND = [
+        *(sys.executable, "-m", "benchmarks.reliability.stamped_receiver", str(arrivals)),
+        *(str(options.buffer or 0), str(int(options.mixed))),
+    ]
+    if options.nice:
+        start = receiver_process.ReceiverProcess.__init__
+
+        def then_slow(receiver: Any, *words: Any, **settings: Any) -> None:
+            start(receiver, *words, **settings)
+            os.nice(options.nice)
+
+        receiver_process.ReceiverProcess.__init__ = then_slow  # type: ignore[method-assign]
     sampler = threading.Thread(target=_sample, args=(times, stop))
     sampler.start()
-    spent = time.process_time()
     began = time.monotonic()
     try:
         status = gcs_sysid(options.words)
     finally:
         stop.set()
         sampler.join()
-        share = (time.process_time() - spent) / (time.monotonic() - began)
-        options.times.write_text(json.dumps({**times.as_dict(), "processor": share}))
+        used = os.times()  # of the receiver too, which has ended
+        share = sum(used[:4]) / (time.monotonic() - began)
+        receiver = (used.children_user + used.children_system) / (time.monotonic() - began)
+        read_arrivals(arrivals, times)
+        folder.cleanup()
+        told = {**times.as_dict(), "processor": share, "receiver": receiver}
+        options.times.write_text(json.dumps(told))
     return status
 
 

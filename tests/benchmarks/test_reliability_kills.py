@@ -1,8 +1,10 @@
 """The judge of recordings whose sessions were killed."""
 
+from dataclasses import replace
+
 import pytest
 
-from benchmarks.reliability.kills import ALLOWED, judge, table
+from benchmarks.reliability.kills import ALLOWED, OUTLIVES, judge, table
 
 SENT = [(0.1 * n, f"frame {n}".encode()) for n in range(50)]
 KILLED = 5.0
@@ -48,3 +50,9 @@ def test_the_table_counts_the_bad_ones():
     assert told["missing at most the last second"] == "2"
     assert told["frames sent"] == "150"
     assert told["frames recorded"] == "115"
+    assert told["session killed"] == "3"
+
+
+def test_who_outlives_the_other_for_long_is_not_good():
+    kill = replace(judged([raw for _, raw in SENT]), victim="session", outlived=OUTLIVES + 0.1)
+    assert not kill.good

@@ -2,12 +2,11 @@
 
 import random
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from benchmarks.reliability import day, flood, rate, soak, watched
+from benchmarks.reliability import busy, day, flood, rate, soak
 from benchmarks.reliability.flights import emulate
 from benchmarks.reliability.watched import Times
 from gcs_sysid.results.result import Estimate
@@ -25,38 +24,36 @@ def test_garbage_holds_no_frame_and_repeats_with_its_seed():
     assert flood.garbage(3, 50) == flood.garbage(3, 50) != flood.garbage(4, 50)
 
 
-def told_apart(sizes, completing, raws, monkeypatch):
-    """Times of datagrams that came at 10, 20, ... ns and were taken at 100; work until 500."""
-    clock = [100]
-    monkeypatch.setattr(watched.time, "time_ns", lambda: clock[0])
-    times, renewals = Times(), [0]
-    times.waiting += [(10 * (n + 1), size) for n, size in enumerate(sizes)]
+def taken(sizes, batches):
+    """Times of datagrams of such sizes, that came at 10, 20, ... ms.
 
-    def learn():
-        clock[0] = 500
-        renewals[0] += 1
-
-    for number, _ in enumerate(times.frames([frame(raw) for raw in raws])):
-        if number == completing:
-            times.work(learn, lambda: renewals[0])
-            clock[0] = 100
-    times.admitted()
-    return sorted(times.taken.numbers.tolist()), sorted(times.renewed.numbers.tolist())
+    Args:
+        batches: bytes, ms when they were learnt from, and whether that renewed the estimate.
+    """
+    times = Times()
+    for number, size in enumerate(sizes):
+        times.arrive(10_000_000 * (number + 1), size)
+    for size, ms, renewed in batches:
+        times.take(size, 1_000_000 * ms, renewed=renewed)
+    return times.as_dict()
 
 
-def frame(raw):
-    return SimpleNamespace(raw=raw)
+def test_each_datagram_counts_until_what_came_with_it_is_learnt_from():
+    told = taken([3, 4, 1], [(7, 100, False), (1, 500, True)])
+    assert told["taken_ms"][0] == 90.0  # of 90, 80 and 470
+    assert told["taken_ms"][-1] == 470.0
+    assert (told["renewals"], told["renewed_ms"][0]) == (1, 470.0)
+    # What was never handed over is told.
+    told = taken([3, 4, 1], [(7, 100, False)])
+    assert (told["datagrams"], told["not_taken"], told["renewed_ms"]) == (2, 1, [])
 
 
-def test_each_datagram_counts_until_what_it_brought_about_is_done(monkeypatch):
-    raws = [b"aaa", b"bb", b"bb", b"c"]
-    assert told_apart([3, 4, 1], None, raws, monkeypatch) == ([70, 80, 90], [])
-    # The second holds two frames, of which one completes a block.
-    assert told_apart([3, 4, 1], 1, raws, monkeypatch) == ([70, 90, 480], [480])
-    assert told_apart([3, 4, 1], 2, raws, monkeypatch) == ([70, 90, 480], [480])
-    assert told_apart([3, 4, 1], 3, raws, monkeypatch) == ([80, 90, 470], [470])
-    # Bytes that are in no frame: it may be any of them.
-    assert told_apart([3, 9, 1], 3, raws, monkeypatch)[1] == [470, 480, 490]
+def test_a_recording_is_held_against_what_was_sent():
+    sent = [b"a", b"b", b"b", b"c"]
+    assert busy.compare(sent, sent) == (4, 0, 0, True)
+    assert busy.compare(sent, [b"a", b"b", b"c"]) == (4, 1, 0, True)
+    assert busy.compare(sent, [b"a", b"c", b"b", b"b"]) == (4, 0, 0, False)
+    assert busy.compare(sent, [*sent, b"d"]) == (4, 0, 1, True)
 
 
 def test_growth_is_told_from_when_memory_had_settled():

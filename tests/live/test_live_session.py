@@ -22,11 +22,12 @@ from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.telemetry import tlog_writer
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import FrameScanner
-from gcs_sysid.telemetry.link import SerialLink, TcpLink, UdpLink
+from gcs_sysid.telemetry.link import SerialLink, TcpLink
 from gcs_sysid.telemetry.messages import message_name, unpack
 from gcs_sysid.telemetry.reconnect import PersistentLink
 from gcs_sysid.telemetry.signing import Signer, SigningClock
 from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.udp_link import UdpLink
 from gcs_sysid.telemetry.urls import LinkUrl
 
 LISTEN = LiveOptions(listen_only=True, refit_interval=1.0)
@@ -243,7 +244,7 @@ def test_a_reset_is_in_the_recording_and_its_analysis(udp, airframe, paper_fligh
 
 def test_actions_are_done_while_it_runs(udp, airframe, tmp_path):
     session = LiveSession(udp, airframe, LiveOptions(listen_only=True, duration=1.0))
-    session._recording._stem = tmp_path / "toggled.tlog"
+    session._stem = tmp_path / "toggled.tlog"
     session.start()
     session.mark("gust")
     said = session.toggle_recording()

@@ -17,8 +17,9 @@ from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.telemetry.link import SerialLink, TcpLink, UdpLink
+from gcs_sysid.telemetry.link import SerialLink, TcpLink
 from gcs_sysid.telemetry.tlog import read_tlog
+from gcs_sysid.telemetry.udp_link import UdpLink
 from gcs_sysid.telemetry.urls import LinkUrl
 from sim_bridge import ardupilot
 from sim_bridge.ardupilot import ArduPilot
@@ -177,8 +178,15 @@ def numbers(value, name=""):
     return {k: v for at, inner in parts for k, v in numbers(inner, at).items()}
 
 
-ONLY_THERE = {".source", ".telemetry.clock_drift_ppm", ".telemetry.recorded"}
-"""The one differs by its nature, the other is told by the recording's own times alone."""
+ONLY_THERE = {
+    ".source",
+    ".telemetry.clock_drift_ppm",
+    ".telemetry.recorded",
+    *(f".telemetry.receiver.{n}" for n in ("kernel_drops", "longest_wait", "not_learnt")),
+    ".telemetry.receiver.too_slow_seconds",
+}
+"""The first differs by its nature, the others are told by the recording's own times, or by the
+computer's, alone."""
 
 
 def assert_same(first, second):

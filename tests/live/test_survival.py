@@ -15,6 +15,7 @@ from fastcrc import crc16
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation import tracking
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
+from gcs_sysid.live.live_estimate import Duty
 from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.model.airframe import load_airframe
@@ -152,20 +153,19 @@ def session():
     session = LiveSession(link, load_airframe("paper"), LiveOptions(duration=1e9))
     session._publish(LinkState.WAITING)
     link.ready.append(Chunk(heartbeat(), ("10.0.0.1", 14550)))
-    rounds(session, link)
+    rounds(session)
+    session.link = link
     return session
 
 
-def rounds(session, link):
-    """What the session's thread does, once; the time is what the tests say it is."""
-    frames = session._station.poll(0.0)
-    session._identify(frames, time.monotonic())
+def rounds(session):
+    """What the session's thread does, once."""
+    session._turn(session._source.take(0.0), time.monotonic())
     session._publish(LinkState.CONNECTED)
 
 
-def flood(session, make, count, rng):
+def flood(session, link, make, count, rng):
     """Send so many; the most memory in use afterwards beyond what there was, bytes, by halves."""
-    link = session._link
     grown = []
     before = tracemalloc.get_traced_memory()[0]
     for start in range(0, count, AT_ONCE):
@@ -173,7 +173,7 @@ def flood(session, make, count, rng):
             Chunk(make(rng, n), (f"10.0.{n >> 8 & 255}.{n & 255}", 1024 + n % 60_000))
             for n in range(start, min(start + AT_ONCE, count))
         )
-        rounds(session, link)
+        rounds(session)
         grown.append(tracemalloc.get_traced_memory()[0] - before)
     half = len(grown) // 2
     return max(grown[:half]), max(grown[half:])
@@ -186,14 +186,14 @@ def test_memory_stays_flat_whatever_comes(session, make):
     gc.collect()
     tracemalloc.start()
     try:
-        first, second = flood(session, make, count, rng)
+        first, second = flood(session, session.link, make, count, rng)
     finally:
         tracemalloc.stop()
     # What is kept is kept by then: the second half adds nothing, and all of it is little.
     assert second < first + 0.3 * MEGABYTE
     assert second < 48 * MEGABYTE  # a grid of 10 kHz takes most, and what loads only then
     assert session.problem is None
-    assert session._identifying
+    assert session._estimate.duty is Duty.IDENTIFY
 
 
 def test_wishes_wait_in_a_bounded_queue(session):
@@ -211,9 +211,10 @@ def test_a_recording_that_is_being_started_is_not_stopped_by_haste(session, monk
     assert session.toggle_recording().startswith("recording to")
     with pytest.raises(InputError, match="try again"):
         session.toggle_recording()
-    session._commands.grant(session._note)
+    session._commands.grant(session._estimate.note)
+    session._turn(session._source.take(0.0), time.monotonic())
     assert session.toggle_recording().endswith("stopped")
-    session._recording.finish()
+    session._source.close()
 
 
 def test_changes_are_kept_up_to_a_number():
@@ -278,7 +279,7 @@ def test_a_defect_costs_the_estimate_and_not_the_recording(running, where, name,
     session.start()
     first = flown(link, 50)
     until(session, lambda s: s.link.received == 50)
-    setattr(getattr(session._pipeline, where), name, broken)
+    setattr(getattr(session._estimate.pipeline, where), name, broken)
     second = flown(link, 50, start=50)
     until(session, lambda s: any("a defect" in event.text for event in s.events))
     third = flown(link, 50, start=100)
@@ -307,11 +308,11 @@ def test_an_ended_session_leaves_nothing_for_the_garbage_collector(tmp_path, mon
     link = FakeLink()
     options = LiveOptions(coach=CoachOptions(), predict=True)
     session = LiveSession(link, load_airframe("paper"), options, tmp_path / "own.tlog")
-    chain = weakref.ref(session._pipeline.chain)
+    chain = weakref.ref(session._estimate.chain)
     # Its coach is in the middle of a thought.
     monkeypatch.setattr(Coach, "look", lambda _: None)
     monkeypatch.setattr(Coach, "think", lambda _: None)
-    session._coach._begin(chain().fit, {"Ixx": None, "Iyy": None})
+    session._estimate._coach._begin(chain().fit, {"Ixx": None, "Iyy": None})
     gc.collect()
     gc.disable()
     try:
@@ -330,7 +331,7 @@ def test_a_defect_at_the_very_end_leaves_the_last_result(running):
     session.start()
     raws = flown(link, 50)
     until(session, lambda s: s.link.received == 50)
-    session._pipeline.chain.finish = broken
+    session._estimate.chain.finish = broken
     session.stop()
     assert session.final.verdict == "refused"
     assert isinstance(session.problem, ZeroDivisionError)
@@ -342,7 +343,7 @@ def test_what_a_user_asks_for_may_be_defective(running):
     session.start()
     flown(link, 50)
     until(session, lambda s: s.link.received == 50)
-    session._pipeline.chain.reset = broken
+    session._estimate.chain.reset = broken
     session.reset()
     until(session, lambda s: any("not done: internal error" in e.text for e in s.events))
     flown(link, 50, start=50)

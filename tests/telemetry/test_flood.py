@@ -6,9 +6,10 @@ import sys
 import pytest
 
 from gcs_sysid.errors import LinkError
-from gcs_sysid.telemetry import link as link_module
-from gcs_sysid.telemetry.link import Chunk, Link, UdpLink, open_link
+from gcs_sysid.telemetry import udp_link as link_module
+from gcs_sysid.telemetry.link import Chunk, Link, open_link
 from gcs_sysid.telemetry.receiver import Receiver
+from gcs_sysid.telemetry.udp_link import UdpLink
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
 
 FLOOD = 40
@@ -46,7 +47,7 @@ class Field:
 
     def heard(self, who):
         chunks = self.link.receive(0.0)
-        return [data for data, source in chunks if source == who.getsockname()]
+        return [c.data for c in chunks if c.source == who.getsockname()]
 
     def close(self):
         self.link.close()

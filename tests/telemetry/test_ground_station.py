@@ -11,6 +11,7 @@ from gcs_sysid.telemetry.ground_station import LOST_AFTER, GroundStation
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Chunk, Link
 from gcs_sysid.telemetry.messages import message_name, unpack
+from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
 
 KEY = hashlib.sha256(b"correct horse").digest()
@@ -48,7 +49,9 @@ class Talk:
 
     def __init__(self, link=None, **options):
         self.link = link or Ether()
-        self.station = GroundStation(self.link, 4, 250.0, **options)
+        once = options.pop("connects_once", False)
+        self.transceiver = Transceiver(self.link, **options)
+        self.station = GroundStation(self.transceiver, 4, 250.0, connects_once=once)
         self.intake = Intake()
         self.now = 0.0
         self.said = []
@@ -60,8 +63,8 @@ class Talk:
     def turn(self, seconds):
         """Let time pass, in steps of 0.2 s."""
         for _ in range(max(1, round(seconds / 0.2))):
-            frames = self.station.poll(0.0)
-            self.intake.frames(frames)
+            for batch in self.transceiver.receive(0.0):
+                self.intake.frames(batch.frames)
             self.station.follow(self.now, self.intake)
             self.station.tick(self.now, self.intake)
             self.said += self.station.take_events()
@@ -267,4 +270,4 @@ def test_a_key_kept_beside_its_time(key_file):
 
 def test_a_file_without_a_key_gives_its_line(tmp_path):
     with pytest.raises(InputError, match="cannot read the signing key"):
-        GroundStation(Ether(), 4, 250.0, signing_key=tmp_path / "none")
+        Transceiver(Ether(), signing_key=tmp_path / "none")

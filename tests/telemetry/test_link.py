@@ -2,13 +2,18 @@
 
 import os
 import socket
+import sys
+import threading
+import time
 
 import pytest
 
 from gcs_sysid.errors import InputError, LinkError
-from gcs_sysid.telemetry.link import open_link
+from gcs_sysid.telemetry import udp_link
+from gcs_sysid.telemetry.link import Chunk, Link, open_link
 from gcs_sysid.telemetry.outgoing import Gate
-from gcs_sysid.telemetry.receiver import Receiver
+from gcs_sysid.telemetry.receiver import TOGETHER, Receiver
+from gcs_sysid.telemetry.udp_link import UdpLink
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
 
 WAIT = 5.0
@@ -265,3 +270,61 @@ def test_a_refused_connection_gives_its_line():
     port = free_port(socket.SOCK_STREAM)
     with pytest.raises(LinkError, match="connection refused"):
         open_link(parse_url(f"tcp:127.0.0.1:{port}"))
+
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="what Linux tells of a datagram")
+
+
+@linux
+def test_a_datagram_is_stamped_when_it_arrives_however_late_it_is_read():
+    with (
+        UdpLink(LinkUrl("udpin", "udpin:127.0.0.1", "127.0.0.1")) as link,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle,
+    ):
+        before = time.time_ns() // 1000
+        vehicle.sendto(b"first", ("127.0.0.1", link.port))
+        after = time.time_ns() // 1000
+        threading.Event().wait(0.2)
+        vehicle.sendto(b"second", ("127.0.0.1", link.port))
+        chunks = link.receive(WAIT)
+        assert [chunk.data for chunk in chunks] == [b"first", b"second"]
+        assert before <= chunks[0].time_us <= after
+        assert chunks[1].time_us - chunks[0].time_us >= 200_000
+
+
+@linux
+def test_what_the_system_drops_is_counted(monkeypatch):
+    monkeypatch.setattr(udp_link, "RECEIVE_BUFFER", 1)  # the smallest that Linux gives
+    with (
+        UdpLink(LinkUrl("udpin", "udpin:127.0.0.1", "127.0.0.1")) as link,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle,
+    ):
+        read = 0
+        for _ in range(2):
+            for _ in range(100):
+                vehicle.sendto(b"datagram", ("127.0.0.1", link.port))
+            read += len(link.receive(WAIT))
+        assert read < 200
+        vehicle.sendto(b"the next one brings the count", ("127.0.0.1", link.port))
+        read += len(link.receive(WAIT))
+        assert link.dropped == 201 - read
+
+
+def test_what_arrived_together_is_one_batch_and_what_did_not_is_not(sender):
+    class Told(Link):
+        datagrams = True
+
+        def receive(self, timeout):
+            times = (1_000_000, 1_000_500, 1_000_500 + TOGETHER, 2_000_000, None)
+            return [Chunk(sender.heartbeat().raw, ("10.0.0.1", 14550), t) for t in times]
+
+        def send(self, data):
+            raise AssertionError("nothing is to be sent")
+
+        def close(self):
+            pass
+
+    batches = Receiver(Told(parse_url("udpin:127.0.0.1:14550"))).receive(0.0)
+    assert [len(batch.frames) for batch in batches] == [2, 1, 1, 1]
+    assert [batch.time_us for batch in batches[:3]] == [1_000_500, 1_000_500 + TOGETHER, 2_000_000]
+    assert abs(batches[3].time_us - time.time_ns() // 1000) < 60_000_000

@@ -10,6 +10,7 @@ from gcs_sysid.telemetry.marks import RESET_TEXT
 from gcs_sysid.telemetry.outgoing import OWN_COMPONENT, OWN_SYSTEM
 from gcs_sysid.telemetry.receiver import Receiver
 from gcs_sysid.telemetry.senders import Contradictions, Whereabouts
+from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import parse_url
 
 HOME, FORGER = ("10.0.0.1", 14550), ("10.6.6.6", 666)
@@ -117,13 +118,15 @@ def test_another_vehicle_to_follow_may_be_elsewhere(field, sender, make_sender):
 
 def test_two_that_speak_by_turns_are_told_of_once(sender, forged):
     link, intake, told = Ether(), Intake(), []
-    station = GroundStation(link, 4, 250.0)
+    transceiver = Transceiver(link)
+    station = GroundStation(transceiver, 4, 250.0)
     sequence = [(HOME, [sender.heartbeat(**ARMED), sender.imu(0.1 * n)]) for n in (1, 2)]
     for n in range(20):
         sequence += [(FORGER, forged[:1]), (HOME, [sender.imu(1.0 + n)])]
     for n, (source, frames) in enumerate(sequence):
         link.arriving = [Chunk(frame.raw, source) for frame in frames]
-        intake.frames(station.poll(0.0))
+        for batch in transceiver.receive(0.0):
+            intake.frames(batch.frames)
         station.follow(0.1 * n, intake)
         station.tick(0.1 * n, intake)
         told += [event for event in station.take_events() if "senders" in event]
@@ -144,14 +147,16 @@ def test_a_reset_that_comes_over_the_link_is_none(with_key, sender, make_sender,
     link, key = Ether(), bytes(range(32))
     path = tmp_path / "vehicle.key"
     path.write_bytes(key)
-    station = GroundStation(link, 4, 250.0, signing_key=path if with_key else None)
+    transceiver = Transceiver(link, signing_key=path if with_key else None)
+    station = GroundStation(transceiver, 4, 250.0)
     forger = make_sender(OWN_SYSTEM, OWN_COMPONENT)
     state = forger.packer.signing
     state.secret_key, state.sign_outgoing, state.timestamp = key, with_key, 2**47
     words = [f"{RESET_TEXT}, not", RESET_TEXT]
     frames = [forger.frame(mavlink.MAVLink_statustext_message(5, w.encode())) for w in words]
     link.arriving = [Chunk(frame.raw, FORGER) for frame in frames]
-    assert station.poll(0.0) == frames[:1]  # neither used nor recorded
+    (batch,) = transceiver.receive(0.0)
+    assert batch.frames == frames[:1]  # neither used nor recorded
     station.tick(0.0, Intake())
     assert [event for event in station.take_events() if "reset" in event] == [
         "a reset that came over the link is passed over: only the user resets"

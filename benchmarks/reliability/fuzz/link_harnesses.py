@@ -28,6 +28,7 @@ from gcs_sysid.telemetry.messages import MESSAGE_IDS, unpack
 from gcs_sysid.telemetry.outgoing import OWN_COMPONENT, OWN_SYSTEM
 from gcs_sysid.telemetry.signing import SignatureCheck, Signer, SigningClock
 from gcs_sysid.telemetry.tlog_scan import STAMP, ScanCounts, Scanner
+from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl
 
 _TYPES = (
@@ -272,14 +273,16 @@ def check_answers(data: bytes) -> None:
     raws = frames_of(program)
     link = _FakeLink()
     intake = Intake()
-    station = GroundStation(link, 4, 250.0)
+    transceiver = Transceiver(link)
+    station = GroundStation(transceiver, 4, 250.0)
     often: Counter[int] = Counter()
     now = 0.0
     for i, raw in enumerate(raws):
         link.waiting.append(Chunk(raw, ("10.0.0.1", 14550 + raw[-1] % 3)))
         if raw[-1] & 7 == 0:
             link.breaks += 1
-        intake.frames(station.poll(0.0))
+        for batch in transceiver.receive(0.0):
+            intake.frames(batch.frames)
         station.follow(now, intake)
         if i % 2:
             sent = len(link.sent)

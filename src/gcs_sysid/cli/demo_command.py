@@ -15,8 +15,9 @@ from gcs_sysid.cli.option_groups import coach_options
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
+from gcs_sysid.live.receiver_process import ReceiverProcess
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.telemetry.link import TcpLink, UdpLink
+from gcs_sysid.telemetry.link import TcpLink
 from gcs_sysid.telemetry.urls import LinkUrl
 
 _TRUTH_WAIT = 15.0
@@ -28,14 +29,16 @@ def run(options: argparse.Namespace) -> int:
     _default_mass(options)
     airframe = arguments.airframe_of(options)
     baseline = baseline_of(options)
-    # At full speed TCP holds the emulator back where UDP would lose what comes too fast.
-    link: UdpLink | TcpLink
+    record_to = Path(options.record) if options.record else None
+    # At full speed TCP holds the emulator back, as far as the session does not read ahead.
+    source: ReceiverProcess | TcpLink
     if options.speed == "max":
-        link = TcpLink(LinkUrl("tcpin", "tcpin:127.0.0.1", host="127.0.0.1", port=0))
-        target = f"tcp:127.0.0.1:{link.port}"
+        source = TcpLink(LinkUrl("tcpin", "tcpin:127.0.0.1", host="127.0.0.1", port=0))
+        target = f"tcp:127.0.0.1:{source.port}"
     else:
-        link = UdpLink(LinkUrl("udpin", "udpin:127.0.0.1", host="127.0.0.1", port=0))
-        target = f"udpout:127.0.0.1:{link.port}"
+        url = LinkUrl("udpin", "udpin:127.0.0.1", host="127.0.0.1", port=0)
+        source = ReceiverProcess(url, record_to=record_to)
+        target = f"udpout:127.0.0.1:{source.url.port}"
     with tempfile.TemporaryDirectory(prefix="gcs-sysid-") as folder:
         truth_file = Path(folder) / "truth.json"
         said = (Path(folder) / "said.txt").open("w+", encoding="utf-8", errors="replace")
@@ -54,14 +57,14 @@ def run(options: argparse.Namespace) -> int:
             truth = _wait_for_truth(emulator, truth_file, said)
             writer = JsonLines(options.json, force=options.force)
             session = LiveSession(
-                link,
+                source,
                 airframe,
                 LiveOptions(
                     rate=options.rate,
                     refit_interval=refit_interval(options),
                     coach=coach_options(options),
                 ),
-                record_to=Path(options.record) if options.record else None,
+                record_to=record_to,
                 sender_gone=lambda: emulator.poll() is not None,
                 on_result=writer.write,
             )
@@ -74,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
                 late_truth=lambda: output.read_truth(str(truth_file)),
             )
         finally:
-            link.close()
+            source.close()
             emulator.terminate()
             emulator.communicate()
             said.close()

@@ -18,13 +18,12 @@ from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.garbage import spare_what_stays
 from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
+from gcs_sysid.live.receiver_process import ReceiverProcess
 from gcs_sysid.model.parameters import CORE_OF, REGISTRY
 from gcs_sysid.results.number_format import PLAIN, rounded
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
-from gcs_sysid.telemetry.link import open_link
-from gcs_sysid.telemetry.reconnect import PersistentLink
 from gcs_sysid.telemetry.tlog_writer import unused_path
 from gcs_sysid.telemetry.urls import parse_url
 
@@ -39,10 +38,17 @@ def run(options: argparse.Namespace) -> int:
     baseline = baseline_of(options)
     if options.record and options.no_record:
         raise InputError("--record and --no-record exclude each other")
-    link = PersistentLink(open_link(parse_url(options.url, options.baud)))
+    signing_key = Path(options.signing_key) if options.signing_key else None
+    record_to = recording_path(options)
+    receiver = ReceiverProcess(
+        parse_url(options.url, options.baud),
+        listen_only=options.listen_only,
+        signing_key=signing_key,
+        record_to=record_to,
+    )
     try:
         session = LiveSession(
-            link,
+            receiver,
             airframe,
             LiveOptions(
                 rate=options.rate,
@@ -50,15 +56,15 @@ def run(options: argparse.Namespace) -> int:
                 wanted=options.vehicle,
                 duration=options.duration,
                 refit_interval=refit_interval(options),
-                signing_key=Path(options.signing_key) if options.signing_key else None,
+                signing_key=signing_key,
                 coach=coach_options(options),
                 predict=is_watched(options),
             ),
-            record_to=recording_path(options),
+            record_to=record_to,
             on_result=(writer := JsonLines(options.json, force=options.force)).write,
         )
     except GcsSysidError:
-        link.close()
+        receiver.close()
         raise
     return follow(session, writer, truth, options, baseline)
 

@@ -34,6 +34,7 @@ from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Link
 from gcs_sysid.telemetry.logs import Telemetry, open_log
+from gcs_sysid.telemetry.transceiver import Transceiver
 
 SETTLING = 2.0
 """s after which a vehicle sends what it was asked for: streams are watched from then on."""
@@ -324,21 +325,21 @@ def inspect_link(
     inspector = Inspector(intake, airframe)
     rotors = USUAL if airframe is None else len(airframe.rotors)
     try:
-        station = GroundStation(
-            link, rotors, rate, listen_only=listen_only, signing_key=signing_key
-        )
+        transceiver = Transceiver(link, listen_only=listen_only, signing_key=signing_key)
     except InputError:
         link.close()
         raise
+    station = GroundStation(transceiver, rotors, rate)
     settling = 0.0 if listen_only else min(SETTLING, 0.5 * duration)
     began = asked = clock()
     heard: float | None = None
     try:
         station.tick(began, intake)
         while not (stop() or link.ended):
-            frames = station.poll(_POLL)
+            batches = transceiver.receive(_POLL)
             now = clock()
-            intake.garbage_bytes = station.garbage_bytes
+            frames = [frame for batch in batches for frame in batch.frames]
+            intake.garbage_bytes = transceiver.link_report.garbage_bytes
             if heard is None and intake.vehicle is not None:
                 heard = now
             count = heard is not None and now - heard >= settling

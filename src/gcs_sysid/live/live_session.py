@@ -1,4 +1,10 @@
-"""The live session: a thread from the link to immutable snapshots."""
+"""The live session: from what is received to immutable snapshots, in a thread.
+
+    receiver -> queue -> this thread: learn, answer the vehicle, publish
+
+What is received is recorded before it comes here (`reception`), in a process of its own where
+`gcs-sysid live` runs: this thread may fail, be slow or be killed, and the recording is whole.
+"""
 
 import threading
 import time
@@ -7,33 +13,38 @@ from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.live.acceleration_prediction import LivePrediction
+from gcs_sysid.live.backlog import Backlog
 from gcs_sysid.live.command_queue import CommandQueue, in_words
-from gcs_sysid.live.flight_coach import Coach, CoachOptions
+from gcs_sysid.live.live_estimate import Duty, LiveEstimate
 from gcs_sysid.live.live_options import LiveOptions
-from gcs_sysid.live.live_view import link_status, picture
+from gcs_sysid.live.live_view import link_status, with_link
+from gcs_sysid.live.reception import (
+    Ended,
+    Failure,
+    Item,
+    Reception,
+    RecordingCut,
+    ResetMark,
+    Source,
+    Toggled,
+)
 from gcs_sysid.live.recording import Recording
 from gcs_sysid.model.airframe import ANCHORS, Airframe, AnchorName
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.snapshot import Advice, HeardVehicle, LinkState, Snapshot
-from gcs_sysid.session.chain import ChainOptions
-from gcs_sysid.session.pipeline import Pipeline
-from gcs_sysid.telemetry.frames import Frame
+from gcs_sysid.results.snapshot import HeardVehicle, LinkState, Snapshot
 from gcs_sysid.telemetry.ground_station import GroundStation
 from gcs_sysid.telemetry.link import Link
-from gcs_sysid.telemetry.marks import reset_mark
+from gcs_sysid.telemetry.receiver import Batch
+from gcs_sysid.telemetry.tlog_writer import unused_path
+from gcs_sysid.telemetry.transceiver import Transceiver
 
 _POLL = 0.05
 """s; the longest that an action of the user waits."""
 _ASK_EVERY = 0.2
 """s between looks at the rates that arrive."""
-_FEW = 16
-"""Frames in one go that are not worth waking for."""
-_GATHER, _GATHER_MOST = 2.0, (0.002, 0.008)
-"""Samples of the IMU to wait for then, and least and most s."""
-_PUBLISH_EVERY, _PUBLISH_LATE = 0.2, 0.4
-"""s between snapshots; the longer one while more frames wait than are taken in one go."""
+_PUBLISH_EVERY, _PUBLISH_LATE = 0.2, 1.0
+"""s between snapshots; the longer one while the computer is too slow."""
 _RESULT_EVERY = 1.0
 """s of the vehicle's clock between results that are passed on."""
 _DRAINED_AFTER = 0.7
@@ -43,7 +54,7 @@ _LONGEST_MARK = 200
 
 
 class LiveSession:
-    """Receives, records, identifies and publishes, in a thread of its own.
+    """Identifies and publishes, in a thread of its own.
 
     A defect in what identifies costs the estimate, which stays what it was; a defect in what
     watches the link, that as well. The link goes on being recorded.
@@ -52,11 +63,13 @@ class LiveSession:
     come from the vehicle's clock and the order of the frames alone.
 
     Args:
-        link: open; the session closes it. When it ends, the session ends; a `PersistentLink`
-            comes back instead.
+        source: of the data, or an open link, which is then read and recorded in the session's
+            thread. The session closes it. When the link ends, so does the session; a
+            `PersistentLink` comes back instead.
         airframe: with a scale anchor.
         options: settings.
-        record_to: recording; None for none. An existing file is never overwritten.
+        record_to: recording; None for none. An existing file is never overwritten. A source that
+            is no link has been told already, and goes on beside this one.
         sender_gone: tells that whoever sends has ended (an emulator that exited); who can be
             told of so connects once.
         on_result: called in the session's thread about once a second of vehicle time.
@@ -64,7 +77,7 @@ class LiveSession:
 
     def __init__(
         self,
-        link: Link,
+        source: Source | Link,
         airframe: Airframe,
         options: LiveOptions,
         record_to: Path | None = None,
@@ -75,44 +88,41 @@ class LiveSession:
         """The last result, once the session has ended."""
         self.problem: Exception | None = None
         """The first defect, or what ended the session against its will."""
-        self._link = link
+        if isinstance(source, Link):
+            transceiver = Transceiver(
+                source, listen_only=options.listen_only, signing_key=options.signing_key
+            )
+            source = Reception(transceiver, Recording(record_to))
+        self._source: Source = source
         self._options = options
         self._station = GroundStation(
-            link,
-            len(airframe.rotors),
-            options.rate,
-            listen_only=options.listen_only,
-            signing_key=options.signing_key,
-            connects_once=sender_gone is not None,
+            source, len(airframe.rotors), options.rate, connects_once=sender_gone is not None
         )
         self._airframe = airframe
-        self._begin(options.wanted)
-        self._recording = Recording(record_to)
+        self._stem = record_to or Path("logs") / "session.tlog"
+        self._estimate = self._new_estimate(options.wanted)
+        self._backlog = Backlog(source)
         self._sender_gone = sender_gone
         self._on_result = on_result
         self._commands = CommandQueue()
         self._toggling = False
+        self._choice: HeardVehicle | None = None
         self._stop = threading.Event()
+        self._all_taken = False
         self._latest: Snapshot | None = None
-        self._arrived = self._told_result_at = 0.0
+        self._told_result_at = 0.0
         self._asked = self._published = -float("inf")
-        self._rounds: list[Callable[[LiveSession, Sequence[Frame], float], None]] = [
-            LiveSession._identify,
-            LiveSession._watch_link,
-        ]
-        """What is done with frames beside recording them; a defect takes the first away."""
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
 
-    def _begin(self, wanted: tuple[int, int | None] | None) -> None:
-        """Begin with a pipeline that knows nothing yet."""
-        options = ChainOptions(history_interval=self._options.refit_interval)
-        self._pipeline = Pipeline(self._airframe, str(self._link.url), wanted, options)
-        chain, coach = self._pipeline.chain, self._options.coach
-        self._prediction = LivePrediction(chain)
-        if self._options.predict:
-            chain.observers.append(self._prediction.take)
-        self._coach = None if coach is None else Coach(chain, coach)
-        self._advised: Advice | None = None
+    def _new_estimate(self, wanted: tuple[int, int | None] | None) -> LiveEstimate:
+        url, options = str(self._source.url), self._options
+        return LiveEstimate(self._airframe, url, options, wanted, self._meet)
+
+    def _meet(self, defect: Exception | None) -> None:
+        """Keep the first defect for the main thread, which tells it."""
+        self.problem = self.problem or defect
+
+    # -- what the user does, in threads of their own
 
     def start(self) -> None:
         """Begin."""
@@ -140,11 +150,11 @@ class LiveSession:
 
     def mark(self, text: str) -> None:
         """Write a mark into the event log."""
-        self._commands.ask(lambda: self._pipeline.chain.note(text[:_LONGEST_MARK]))
+        self._commands.ask(lambda: self._estimate.note(text[:_LONGEST_MARK]))
 
     def reset(self) -> None:
         """Forget the estimate and start anew, as the analysis of the recording then does too."""
-        self._commands.ask(self._reset)
+        self._commands.ask(self._mark_reset)
 
     def toggle_recording(self) -> str:
         """Start or stop recording; says which.
@@ -154,27 +164,18 @@ class LiveSession:
         """
         if self._toggling:
             raise InputError("recording is being started or stopped: try again")
-        recording = self._recording
-        if recording.active:
-            self._ask_toggle(recording.stop)
-            return f"recording {recording.path} stopped"
-        path = recording.next_path()
-        self._ask_toggle(lambda: recording.start(path))
-        return f"recording to {path}"
-
-    def _ask_toggle(self, change: Callable[[], str]) -> None:
+        source, report = self._source, self._source.recording_report
+        path = unused_path(self._stem)
         self._toggling = True
         try:
-            self._commands.ask(lambda: self._toggle(change))
+            if report.active:
+                self._commands.ask(source.stop_recording)
+                return f"recording {report.path} stopped"
+            self._commands.ask(lambda: source.start_recording(path))
+            return f"recording to {path}"
         except InputError:
             self._toggling = False
             raise
-
-    def _toggle(self, change: Callable[[], str]) -> None:
-        try:
-            self._note(change())
-        finally:
-            self._toggling = False
 
     def set_anchor(self, kind: str, value: float) -> str:
         """Let another fact set the scale.
@@ -190,7 +191,7 @@ class LiveSession:
             raise InputError(f"the scale is set by one of {', '.join(ANCHORS)}, not by {kind!r}")
         name: AnchorName = kind  # type: ignore[assignment]
         airframe = self._airframe.with_anchor(name, value)
-        self._pipeline.chain.check_anchor(name)
+        self._estimate.chain.check_anchor(name)
         self._commands.ask(lambda: self._set_anchor(airframe, ScaleReference(name, value)))
         return f"scale from {kind} = {value:.6g} {ANCHORS[name]}"
 
@@ -203,7 +204,7 @@ class LiveSession:
         heard = {v.address: v for v in (self._latest.link.vehicles if self._latest else ())}
         if address not in heard:
             raise InputError("no vehicle {}:{} was heard".format(*address))
-        vehicle, path = heard[address], self._recording.next_path()
+        vehicle, path = heard[address], unused_path(self._stem)
         self._commands.ask(lambda: self._choose(vehicle, path))
         return f"starting anew on {vehicle.name}"
 
@@ -214,114 +215,115 @@ class LiveSession:
 
     def flushed_recording(self) -> Path | None:
         """The latest recording, all that was written so far in the file; None without one."""
-        return self._recording.flushed()
+        return self._source.flushed_recording()
 
     def recordings(self) -> list[str]:
         """A line for each recording of an ended session: where it is, or why it is not."""
-        return self._recording.lines()
+        return list(self._source.recording_report.lines)
+
+    # -- the session's thread
 
     def _run(self) -> None:
-        try:
-            self._loop()
-        except Exception as problem:  # noqa: BLE001 - handed to the main thread, which tells it
-            self.problem = self.problem or problem
-        try:
-            self._station.close()
-        except Exception as problem:  # noqa: BLE001 - as above
-            self.problem = self.problem or problem
-        self._recording.finish()
-        self._tell_recording()
-        self.final = self._final()
-        self._publish(LinkState.ENDED)
-        self._leave()
-
-    def _leave(self) -> None:
-        """Let go of the pipeline, which would outlive its session."""
-        self._pipeline.drop()
-
-    def _loop(self) -> None:
         began = time.monotonic()
-        while True:
-            frames = self._station.poll(_POLL)
+        self._guarded(lambda: self._loop(began))
+        self._guarded(self._station.leave)
+        self._guarded(self._take_the_rest)
+        self._guarded(self._source.close)
+        self._estimate.tell(self._source.take_events())
+        assert self._latest is not None
+        last = self._latest.result
+        self.final = self._estimate.final(self._complete, last, self.problem)
+        self._publish(LinkState.ENDED)
+        self._estimate.drop()
+
+    def _guarded(self, step: Callable[[], None]) -> None:
+        """Do a step; what goes wrong is handed to the main thread, which tells it."""
+        try:
+            step()
+        except Exception as problem:  # noqa: BLE001 - the next step is done all the same
+            self._meet(problem)
+
+    def _loop(self, began: float) -> None:
+        while not self._stop.is_set():
+            items = self._source.take(_POLL)
             now = time.monotonic()
-            if frames:
-                self._arrived = 1e-6 * self._recording.write(frames)
-            if self._rounds:
-                try:
-                    self._rounds[0](self, frames, now)
-                except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
-                    self._retreat(defect)
-            met = self._commands.grant(self._note)
-            self.problem = self.problem or met
-            self._tell_recording()
-            # What is shown waits while frames do, but not for ever.
-            few = len(frames) < _FEW
-            if few:
-                self._think()
-            every = _PUBLISH_EVERY if few else _PUBLISH_LATE
-            if now - self._published >= every:
+            self._turn(items, now)
+            if not items and self._ended(now, began):
+                return
+            duration = self._options.duration
+            if duration is not None and now - began >= duration:
+                return
+
+    def _turn(self, items: Sequence[Item], now: float) -> None:
+        """Learn from what came, answer the vehicle, do what users ask, show how things stand."""
+        for item in items:
+            self._take(item)
+        self._attend(now)
+        self._see_backlog(now)
+        self._meet(self._commands.grant(self._estimate.note))
+        self._estimate.tell(self._source.take_events())
+        if self._backlog.is_idle:
+            self._estimate.think()
+        every = _PUBLISH_LATE if self._backlog.too_slow else _PUBLISH_EVERY
+        if now - self._published >= every:
+            self._published = now
+            self._publish(self._state())
+
+    def _take(self, item: Item) -> None:
+        match item:
+            case Batch():
+                self._estimate.learn(item, self._source.link_report.garbage_bytes)
+                self._tell_result()
+            case ResetMark(time_us):
+                self._estimate.reset(time_us)
+            case RecordingCut():
+                self._begin_anew()
+            case Toggled(text):
+                self._toggling = False
+                self._estimate.note(text)
+            case Failure(text):
+                self._meet(RuntimeError(text))
+                self._estimate.note(f"internal error ({text})")
+            case Ended():
+                self._all_taken = True
+
+    def _attend(self, now: float) -> None:
+        """Answer the vehicle."""
+        if self._estimate.duty is Duty.RECORD or self._choice is not None:
+            return
+        station, intake = self._station, self._estimate.pipeline.intake
+        try:
+            station.follow(now, intake)
+            if now - self._asked >= _ASK_EVERY:
+                self._asked = now
+                station.tick(now, intake)
+        except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
+            self._estimate.retreat(defect)
+        self._estimate.tell(station.take_events())
+
+    def _see_backlog(self, now: float) -> None:
+        before = self._backlog.too_slow
+        self._estimate.tell(self._backlog.look(now))
+        if self._backlog.too_slow is not before:
+            self._estimate.relieve(on=not before)
+
+    def _take_the_rest(self) -> None:
+        """Learn from all that is recorded; nobody asks for estimates on the way."""
+        self._estimate.relieve(on=True)
+        self._source.finish()
+        self._estimate.tell(self._backlog.last_words())
+        while not self._all_taken:
+            for item in self._source.take(_POLL):
+                self._take(item)
+            now = time.monotonic()
+            self._backlog.look(now)
+            if now - self._published >= _PUBLISH_LATE:
                 self._published = now
                 self._publish(self._state())
-            if self._stop.is_set() or self._ended(now, began):
-                return
-            if frames and few:
-                # Let datagrams gather in the system's buffer: waking for each costs most.
-                least, most = _GATHER_MOST
-                dt = self._pipeline.chain.sampler.time_base.dt
-                self._stop.wait(min(max(_GATHER * dt, least), most))
-
-    def _identify(self, frames: Sequence[Frame], now: float) -> None:
-        """All that is done with frames beside recording them."""
-        pipeline = self._pipeline
-        if frames:
-            pipeline.intake.garbage_bytes = self._station.garbage_bytes
-            pipeline.take(frames, self._arrived)
-        self._attend(frames, now)
-        self._tell_result()
-
-    def _watch_link(self, frames: Sequence[Frame], now: float) -> None:
-        """The same without an estimate: the streams go on being asked for."""
-        self._pipeline.intake.frames(frames, self._arrived)
-        self._attend(frames, now)
-
-    def _attend(self, frames: Sequence[Frame], now: float) -> None:
-        """Answer the vehicle."""
-        intake = self._pipeline.intake
-        self._station.follow(now, intake)
-        if now - self._asked >= _ASK_EVERY:
-            self._asked = now
-            self._station.tick(now, self._pipeline.intake)
-        for text in self._station.take_events():
-            self._note(text)
-
-    @property
-    def _identifying(self) -> bool:
-        return self._rounds[:1] == [LiveSession._identify]
-
-    def _retreat(self, defect: Exception) -> None:
-        """Do less from now on: what has failed once would fail again."""
-        self.problem = self.problem or defect
-        del self._rounds[:1]
-        lost = "the estimate ends here" if self._rounds else "the link is no longer watched"
-        self._note(f"{in_words(defect)}: {lost}; what arrives is still recorded")
-
-    def _final(self) -> Result:
-        """The final result; after a defect, the last good one."""
-        if self._identifying:
-            try:
-                return self._complete(self._pipeline.finish())
-            except Exception as defect:  # noqa: BLE001 - handed to the main thread, which tells it
-                self._retreat(defect)
-        assert self._latest is not None
-        result, chain = self._latest.result, self._pipeline.chain
-        why = "" if self.problem is None else f"{in_words(self.problem)}: "
-        early = f"{why}the estimate is that of {chain.t:.1f} s, its last good one"
-        return replace(result, reasons=(*result.reasons, early))
 
     def _ended(self, now: float, began: float) -> bool:
-        if self._link.ended:
-            return True
-        if self._options.duration is not None and now - began >= self._options.duration:
+        """Whether nothing more will come."""
+        if self._source.link_report.ended:
             return True
         if self._sender_gone is not None and self._sender_gone():
             return now - (self._station.heard_at or began) >= _DRAINED_AFTER
@@ -333,81 +335,60 @@ class LiveSession:
         return LinkState.LOST if self._station.lost else LinkState.CONNECTED
 
     def _complete(self, result: Result) -> Result:
-        """Add what only the link knows; the numbers stay those of the frames alone."""
-        reasons = result.reasons
-        if result.verdict != "identified":
-            reasons = (*reasons, *self._station.problems)
-        telemetry = {**result.telemetry, **self._station.as_dict()}
-        if self._recording.dropped:
-            telemetry["recording"] = {"missing": self._recording.dropped}
-        return replace(result, reasons=reasons, telemetry=telemetry)
+        return with_link(result, self._source, self._station, self._backlog, time.monotonic())
 
     def _tell_result(self) -> None:
-        t = self._pipeline.chain.t
-        late = t - self._told_result_at - _RESULT_EVERY
-        if self._on_result is not None and late >= 0.0:
-            self._told_result_at = t
-            result = self._complete(self._pipeline.result())
-            try:
-                self._on_result(result)
-            except Exception as problem:  # noqa: BLE001 - the session goes on without a listener
-                self.problem = self.problem or problem
-                self._on_result = None
-                self._note(f"{in_words(problem)}: results are passed on no more")
+        estimate, t = self._estimate, self._estimate.chain.t
+        if estimate.relieved or estimate.duty is not Duty.IDENTIFY:
+            return
+        if self._on_result is None or t - self._told_result_at < _RESULT_EVERY:
+            return
+        self._told_result_at = t
+        try:
+            result = self._complete(estimate.pipeline.result())
+        except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
+            estimate.retreat(defect)
+            return
+        try:
+            self._on_result(result)
+        except Exception as problem:  # noqa: BLE001 - the session goes on without a listener
+            self._meet(problem)
+            self._on_result = None
+            self._estimate.note(f"{in_words(problem)}: results are passed on no more")
 
-    def _tell_recording(self) -> None:
-        for text in self._recording.take_events():
-            self._note(text)
-
-    def _note(self, text: str) -> None:
-        if text:
-            self._pipeline.chain.note(text)
-
-    def _reset(self) -> None:
-        self._need_estimate()
-        mark = [reset_mark()]
-        self._recording.write(mark)
-        self._pipeline.take(mark)
-
-    def _need_estimate(self) -> None:
-        if not self._identifying:
-            raise InputError("the estimate has ended by an internal error")
+    def _mark_reset(self) -> None:
+        self._estimate.need()
+        self._source.mark_reset()
 
     def _set_anchor(self, airframe: Airframe, anchor: ScaleReference) -> None:
-        self._need_estimate()
+        self._estimate.need()
         try:
-            self._pipeline.chain.set_anchor(anchor)
+            self._estimate.chain.set_anchor(anchor)
         except InputError as error:
-            self._pipeline.chain.note(f"the scale stays: {error}")
+            self._estimate.note(f"the scale stays: {error}")
         else:
             self._airframe = airframe
 
     def _choose(self, vehicle: HeardVehicle, path: Path) -> None:
-        """Begin anew in every respect, so that the new recording's analysis ends the same."""
-        self._need_estimate()
+        self._estimate.need()
         self._station.leave()
-        intake = self._pipeline.intake
-        self._leave()
-        self._begin(vehicle.address)
-        selector = self._pipeline.intake.selector
-        for known in intake.selector.autopilots:  # the others stay to be chosen
-            selector.systems[known.address], selector.frames[known.address] = known, 0
-        self._told_result_at = 0.0
-        self._pipeline.chain.note(f"chosen: {vehicle.name}; the session starts anew")
-        if self._recording.active:
-            self._recording.stop()
-            self._note(self._recording.start(path))
+        self._choice = vehicle
+        self._source.cut_recording(path)
 
-    def _think(self) -> None:
-        """Let the coach think; a defect of it is told once and costs no flight."""
-        if self._coach is None:
-            return
-        try:
-            self._coach.think()
-            self._advised = self._coach.look()
-        except Exception as defect:  # noqa: BLE001 - words alone are lost
-            self._coach = self._advised = None
-            self._note(f"{in_words(defect)}: the coach falls silent")
+    def _begin_anew(self) -> None:
+        """Begin anew in every respect, so that the new recording's analysis ends the same."""
+        vehicle, before = self._choice, self._estimate
+        assert vehicle is not None
+        self._choice = None
+        self._estimate = self._new_estimate(vehicle.address)
+        self._estimate.relieve(on=before.relieved)
+        before.drop()
+        self._estimate.know(before.pipeline.intake.selector.autopilots)
+        self._told_result_at = 0.0
+        self._estimate.note(f"chosen: {vehicle.name}; the session starts anew")
+        path = self._source.recording_report.path
+        if path:
+            self._estimate.note(f"recording to {path}")
 
     def _publish(self, state: LinkState) -> None:
         while True:
@@ -415,22 +396,21 @@ class LiveSession:
                 self._latest = self._picture(state)
                 return
             except Exception as defect:
-                if self._latest is None or not self._rounds:
+                if self._latest is None or self._estimate.duty is Duty.RECORD:
                     raise
-                self._retreat(defect)
+                self._estimate.retreat(defect)
 
     def _picture(self, state: LinkState) -> Snapshot:
         """How things stand; after a defect, as far as that is known."""
-        before, recording = self._latest, self._recording.path
-        if before is not None and not self._rounds:
+        before, estimate = self._latest, self._estimate
+        if before is not None and self._estimate.duty is Duty.RECORD:
+            recording = self._source.recording_report.path
             link = replace(before.link, state=state, recording=recording)
         else:
-            url, intake = str(self._link.url), self._pipeline.intake
-            link = link_status(state, url, self._station, intake, recording)
-        if before is not None and not self._identifying:
-            result, events = self.final or before.result, self._pipeline.chain.events
+            intake, too_slow = estimate.pipeline.intake, self._backlog.too_slow
+            link = link_status(state, self._source, self._station, intake, too_slow=too_slow)
+        if before is not None and self._estimate.duty is not Duty.IDENTIFY:
+            result, events = self.final or before.result, estimate.chain.events
             return replace(before, result=result, link=link, events=events, advice=None)
-        result = self.final or self._complete(self._pipeline.result())
-        acceleration, advice = self._prediction.acceleration(), self._advised
-        target = (self._options.coach or CoachOptions()).target
-        return picture(self._pipeline.chain, result, link, acceleration, target, advice)
+        result = self.final or self._complete(estimate.pipeline.result())
+        return estimate.snapshot(result, link)

@@ -1,5 +1,9 @@
 """The pictures that a live session shows of itself."""
 
+from dataclasses import replace
+
+from gcs_sysid.live.backlog import Backlog
+from gcs_sysid.live.reception import Source
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import (
     Acceleration,
@@ -15,22 +19,22 @@ from gcs_sysid.telemetry.intake import Intake
 
 
 def link_status(
-    state: LinkState, url: str, station: GroundStation, intake: Intake, recording: str
+    state: LinkState, source: Source, station: GroundStation, intake: Intake, *, too_slow: bool
 ) -> LinkStatus:
     """Figures of the moment.
 
     Args:
         state: of the link.
-        url: of the link.
+        source: where the data come from.
         station: that asks.
         intake: that counts.
-        recording: path; empty when nothing is recorded.
+        too_slow: whether the session cannot keep up.
     """
     health, monitor = intake.health(), intake.monitor
     chosen = None if intake.vehicle is None else intake.vehicle.address
     return LinkStatus(
         state=state,
-        url=url,
+        url=str(source.url),
         vehicle=str(intake.vehicle or ""),
         rates=health.rates,
         asked=dict(station.asked),
@@ -45,9 +49,26 @@ def link_status(
         vehicles=tuple(
             HeardVehicle(v.address, str(v), v.address == chosen) for v in intake.selector.autopilots
         ),
-        recording=recording,
+        recording=source.recording_report.path,
         bytes_per_second=health.bytes_per_second,
+        waiting=source.waiting,
+        too_slow=too_slow,
+        dropped=source.link_report.dropped,
     )
+
+
+def with_link(
+    result: Result, source: Source, station: GroundStation, backlog: Backlog, now: float
+) -> Result:
+    """A result with what only the link knows; the numbers stay those of the frames alone."""
+    reasons = result.reasons
+    if result.verdict != "identified":
+        reasons = (*reasons, *station.problems)
+    telemetry = {**result.telemetry, **station.as_dict(), "receiver": backlog.as_dict(now)}
+    dropped = source.recording_report.dropped
+    if dropped:
+        telemetry["recording"] = {"missing": dropped}
+    return replace(result, reasons=(*reasons, *backlog.reasons), telemetry=telemetry)
 
 
 def picture(

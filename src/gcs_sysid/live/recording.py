@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gcs_sysid.telemetry.frames import Frame
-from gcs_sysid.telemetry.tlog_writer import PATIENCE, TlogWriter, unused_path
+from gcs_sysid.telemetry.tlog_writer import PATIENCE, TlogWriter
 
 _MOST_LINES = 100
 """Recordings that are told of at the end, the latest."""
@@ -23,7 +23,6 @@ class Recording:
     """
 
     def __init__(self, path: Path | None) -> None:
-        self._stem = path or Path("logs") / "session.tlog"
         self._writer = TlogWriter(path) if path else None
         self._ending: list[TlogWriter] = []
         self._lines: deque[str] = deque(maxlen=_MOST_LINES)
@@ -49,16 +48,10 @@ class Recording:
         """Frames that were to be recorded and are in no file."""
         return self._dropped + sum(w.dropped for w in (self._writer, *self._ending) if w)
 
-    def write(self, frames: Sequence[Frame]) -> int:
-        """Record frames that arrived now; returns when that is, us since 1970."""
-        now = time.time_ns() // 1000
+    def write(self, time_us: int, frames: Sequence[Frame]) -> None:
+        """Record frames that arrived at `time_us`, us since 1970."""
         if self._writer is not None:
-            self._writer.write(now, frames)
-        return now
-
-    def next_path(self) -> Path:
-        """Where another recording would go."""
-        return unused_path(self._stem)
+            self._writer.write(time_us, frames)
 
     def start(self, path: Path) -> str:
         """Record into another file from now on; what is to be said of it."""

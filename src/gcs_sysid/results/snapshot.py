@@ -67,6 +67,12 @@ class LinkStatus:
     recording: str = ""
     """Path of the recording, empty when none is made."""
     bytes_per_second: float = 0.0
+    waiting: float = 0.0
+    """s of data that are recorded and wait to be learnt from."""
+    too_slow: bool = False
+    """Whether so much waits that advice and renewed estimates wait too."""
+    dropped: int = 0
+    """Datagrams that the system dropped, because nobody read in time."""
 
 
 @dataclass(frozen=True)

@@ -150,6 +150,10 @@ class Chain:
         scale = summary.scale_of(anchor)
         self.note(f"scale: {scale.anchor} = {scale.value:.6g} {scale.unit}")
 
+    def renew_every(self, interval: float | None) -> None:
+        """As of `Learner`; what is learnt does not depend on it."""
+        self._learner.renew_every(interval)
+
     def note(self, text: str) -> None:
         """Add a line to the event log."""
         self._learner.note(self.t, text)

@@ -90,6 +90,11 @@ class Learner:
         self._usable = True
         self._spiked = self._stood_still = False
         self._history_number = 0.0
+        self._interval = options.history_interval
+
+    def renew_every(self, interval: float | None) -> None:
+        """Renew the estimate this often from now on, s; None: only where it changes, or ends."""
+        self._interval = interval
 
     @property
     def rotor_input(self) -> RotorInput:
@@ -169,10 +174,10 @@ class Learner:
 
     def _stops(self, t: Array) -> list[int]:
         """After how many samples at (n,) times the estimate is renewed."""
-        if self._options.history_interval is None:
+        if self._interval is None:
             return []
         # Times are rounded; a sample that is early by so little is on time.
-        number = np.floor(t / self._options.history_interval + 1e-3)
+        number = np.floor(t / self._interval + 1e-3)
         renewed = np.diff(number, prepend=self._history_number) > 0.0
         self._history_number = max(float(number[-1]), self._history_number)
         return [int(i) + 1 for i in np.flatnonzero(renewed)]

@@ -19,6 +19,7 @@ from gcs_sysid.session.clock_check import clock_doubt
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame
+from gcs_sysid.telemetry.imu_loss import loss_reason
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.logs import Log, Telemetry
 
@@ -155,6 +156,11 @@ class Pipeline:
         elif result.verdict != "identified":
             reasons = (*reasons, *self._telemetry.problems)
         telemetry = {**self._telemetry.as_dict(), **result.telemetry}
+        loss, serious = loss_reason(telemetry)
+        if loss and result.verdict != "refused":
+            reasons = (*reasons, loss)
+            if serious and result.verdict == "identified":
+                result = replace(result, verdict="partial")
         if self._recorded is not None:
             telemetry["recorded"] = f"{self._recorded:%Y-%m-%d %H:%M} UTC"
         return replace(

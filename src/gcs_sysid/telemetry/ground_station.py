@@ -5,25 +5,20 @@ that are believed, which is why the analysis of a recording ends with the live s
 """
 
 from collections import deque
-from pathlib import Path
 from typing import Any
 
-from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.intake import Intake
-from gcs_sysid.telemetry.link import Address, Link
-from gcs_sysid.telemetry.outgoing import Gate
+from gcs_sysid.telemetry.link import Address
 from gcs_sysid.telemetry.parameter_requests import ParameterRequests
-from gcs_sysid.telemetry.receiver import Receiver
 from gcs_sysid.telemetry.requests import StreamRequests
 from gcs_sysid.telemetry.senders import Rival
-from gcs_sysid.telemetry.signing import Refusal, SignatureCheck, Signer, SigningClock, read_key
+from gcs_sysid.telemetry.signing import Refusal
+from gcs_sysid.telemetry.transceiver import Port
 
 LOST_AFTER = 3.0
 """s of silence after which the link counts as lost."""
 _MOST_EVENTS = 100
 """Kept while nobody asks."""
-STATE_SUFFIX = ".time"
-"""Added to the key file's name for the time of signatures."""
 
 _REFUSED = {
     Refusal.UNSIGNED: "frames without a signature are refused, because a signing key is set",
@@ -34,49 +29,28 @@ _REFUSED = {
 
 
 class GroundStation:
-    """Receives from a link, and asks the vehicle for what is needed.
+    """Asks a vehicle for what is needed.
 
     Args:
-        link: open; `close` closes it.
+        port: to receive from and send through; `close` closes it.
         rotors: how many the airframe has.
         rate: Hz wished for IMU and rotors.
-        listen_only: send nothing at all.
-        signing_key: file with the key; None: nothing is signed or checked.
         connects_once: whether a connection that is closed means that the sender has finished.
 
     Attributes:
         lost: whether a vehicle that spoke before is silent now, or the link is gone.
         heard_at: when the vehicle was heard last; None before.
-
-    Raises:
-        InputError: there is no key in that file.
     """
 
     def __init__(
-        self,
-        link: Link,
-        rotors: int,
-        rate: float,
-        *,
-        listen_only: bool = False,
-        signing_key: Path | None = None,
-        connects_once: bool = False,
+        self, port: Port, rotors: int, rate: float, *, connects_once: bool = False
     ) -> None:
         self.lost = False
         self.heard_at: float | None = None
-        self._link = link
+        self._port = port
         self._connects_once = connects_once
-        self._clock: SigningClock | None = None
-        check = signer = None
-        if signing_key is not None:
-            key = read_key(signing_key)
-            state = signing_key.with_name(signing_key.name + STATE_SUFFIX)
-            self._clock = SigningClock(state)
-            check, signer = SignatureCheck(key, self._clock), Signer(key, self._clock)
-        self._receiver = Receiver(link, check)
-        self._gate = Gate(link.send, listen_only=listen_only, signer=signer)
-        self._streams = StreamRequests(self._gate, rate, rotors, link.url.line_rate)
-        self._parameters = ParameterRequests(self._gate, rotors)
+        self._streams = StreamRequests(port.gate, rate, rotors, port.url.line_rate)
+        self._parameters = ParameterRequests(port.gate, rotors)
         self._events: deque[str] = deque(maxlen=_MOST_EVENTS)
         self._told: set[str] = set()
         self._followed: tuple[int, int] | None = None
@@ -90,17 +64,8 @@ class GroundStation:
         """Message name -> Hz asked for."""
         return self._streams.asked
 
-    @property
-    def garbage_bytes(self) -> int:
-        """Bytes that were part of no frame."""
-        return self._receiver.garbage_bytes
-
-    def poll(self, timeout: float) -> list[Frame]:
-        """Wait up to `timeout` s for bytes; the frames that are believed."""
-        return self._receiver.poll(timeout)
-
     def follow(self, now: float, intake: Intake) -> None:
-        """See what the latest frames mean for whom to answer. Call it after every `poll`.
+        """See what the latest frames mean for whom to answer. Call it after all that came.
 
         Args:
             now: any steady clock, s.
@@ -109,25 +74,25 @@ class GroundStation:
         vehicle = intake.vehicle
         if vehicle is not None and vehicle.address != self._followed:
             self._followed = vehicle.address
-            self._receiver.follow(vehicle.address)
+            self._port.follow(vehicle.address)
         reboots = intake.decoder.clock.reboots
         if reboots != self._reboots:
             self._reboots = reboots
             self._streams.reboot()
-        if self._link.breaks != self._breaks:
-            self._breaks = self._link.breaks
+        report, url = self._port.link_report, self._port.url
+        if report.breaks != self._breaks:
+            self._breaks = report.breaks
             if self._connects_once:
-                self._events.append(f"{self._link.url}: the sender has finished")
+                self._events.append(f"{url}: the sender has finished")
             else:
                 self._events.append(
-                    f"{self._link.url} was closed by the other side or unplugged: "
-                    "waiting for it to come back"
+                    f"{url} was closed by the other side or unplugged: waiting for it to come back"
                 )
                 self.lost = True
-        if self._link.floods != self._floods:
-            self._floods = self._link.floods
+        if report.floods != self._floods:
+            self._floods = report.floods
             self._events.append(
-                f"{self._link.url} is flooded by others: what the vehicle sends is read first, "
+                f"{url} is flooded by others: what the vehicle sends is read first, "
                 "and little of the rest"
             )
         heard = intake.monitor.heard
@@ -151,16 +116,15 @@ class GroundStation:
         )
         self._parameters.tick(now, intake.vehicle, intake.parameters)
         self._events += self._streams.take_events()
-        if self._receiver.marks:
+        report = self._port.link_report
+        if report.marks:
             self._tell_once("a reset that came over the link is passed over: only the user resets")
-        if self._receiver.whereabouts.rival is not None:
-            self._tell_once(_told(self._receiver.whereabouts.rival))
-        check = self._receiver.check
-        if check is not None:
-            for refusal in check.refused:
-                self._tell_once(f"signing: {_REFUSED[refusal]}")
-        if self._clock is not None and self._clock.problem:
-            self._tell_once(self._clock.problem)
+        if report.rival is not None:
+            self._tell_once(_told(report.rival))
+        for refusal in report.refused or ():
+            self._tell_once(f"signing: {_REFUSED[refusal]}")
+        if report.signing_problem:
+            self._tell_once(report.signing_problem)
 
     def _tell_once(self, text: str) -> None:
         if text not in self._told:
@@ -176,27 +140,27 @@ class GroundStation:
     @property
     def problems(self) -> tuple[str, ...]:
         """Why the link brings too little to identify anything, one line each."""
-        check = self._receiver.check
+        report = self._port.link_report
         lines = [self._streams.problem] if self._streams.problem else []
-        if check is not None and check.refused and not check.accepted:
-            reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(check.refused.items()))
+        if report.refused and not report.accepted:
+            reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(report.refused.items()))
             lines.append(f"no frame has the signature of this key; refused: {reasons}")
-        if self._receiver.whereabouts.rival is not None:
-            lines.append(_told(self._receiver.whereabouts.rival))
+        if report.rival is not None:
+            lines.append(_told(report.rival))
         return tuple(lines)
 
     def as_dict(self) -> dict[str, Any]:
         """For the result's `telemetry`: who was refused; empty when all was believed."""
-        check, whereabouts = self._receiver.check, self._receiver.whereabouts
+        report = self._port.link_report
         told: dict[str, Any] = {}
-        if check is not None:
-            refused = {reason.value: check.refused[reason] for reason in Refusal}
-            told["signing"] = {"accepted": check.accepted, "refused": refused}
-        if whereabouts.rival is not None:
+        if report.refused is not None:
+            refused = {reason.value: report.refused.get(reason, 0) for reason in Refusal}
+            told["signing"] = {"accepted": report.accepted, "refused": refused}
+        if report.rival is not None:
             told["two_senders"] = {
-                "believed": _words(whereabouts.rival.address),
-                "other": _words(whereabouts.rival.other),
-                "passed_over": whereabouts.passed_over,
+                "believed": _words(report.rival.address),
+                "other": _words(report.rival.other),
+                "passed_over": report.passed_over,
             }
         return told
 
@@ -205,11 +169,9 @@ class GroundStation:
         self._streams.close()
 
     def close(self) -> None:
-        """Give the vehicle its own rates back, and the link's port."""
+        """Give the vehicle its own rates back, and the port too."""
         self._streams.close()
-        self._link.close()
-        if self._clock is not None:
-            self._clock.close()
+        self._port.close()
 
 
 def _told(rival: Rival) -> str:

@@ -6,7 +6,7 @@ is no clock in here either.
 
 from collections.abc import Mapping
 
-from gcs_sysid.telemetry.outgoing import Gate
+from gcs_sysid.telemetry.transceiver import Requests
 from gcs_sysid.telemetry.vehicles import Vehicle
 from gcs_sysid.telemetry.wanted_streams import ESC_GROUP, GROUPS, fitting_groups
 
@@ -33,7 +33,7 @@ class GroupRequests:
         short: name -> Hz that arrive, of those that stay away however often they are asked for.
     """
 
-    def __init__(self, gate: Gate, vehicle: Vehicle, arriving: Mapping[str, float]) -> None:
+    def __init__(self, gate: Requests, vehicle: Vehicle, arriving: Mapping[str, float]) -> None:
         self.asked: dict[str, float] = {}
         self.short: dict[str, float] = {}
         self._gate = gate

@@ -15,10 +15,7 @@ import contextlib
 import errno
 import select
 import socket
-import sys
-import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -28,17 +25,7 @@ from gcs_sysid.errors import LinkError
 from gcs_sysid.telemetry.urls import LinkUrl
 
 RECEIVE_BUFFER = 4 * 2**20
-"""Bytes asked of the system: 4 s of a flood of 1 MB/s while something else has the processor."""
-LARGEST_DATAGRAM = 65536
-DATAGRAMS_AT_ONCE = 512
-FLOOD = 5000
-"""Datagrams of others in a second; a vehicle at 1 kHz sends 2000."""
-STRANGERS_AT_ONCE = 64
-"""Datagrams of others that are read at a time while the vehicle's come apart."""
-BACKLOG = 20_000
-"""Datagrams at most that wait in the system's buffer."""
-SILENT_FOR = 2.0
-"""s without a datagram of the vehicle, after which its own socket is given up."""
+"""Bytes asked of the system for a stream."""
 STREAM_PIECE = 65536
 CONNECT_TIMEOUT = 5.0
 """s."""
@@ -59,6 +46,8 @@ class Chunk(NamedTuple):
     data: bytes
     source: Address | None
     """Who sent the datagram; None on streams."""
+    time_us: int | None = None
+    """When it arrived, by the system's stamp, us since 1970; None: when it was read."""
 
 
 class Link(ABC):
@@ -70,6 +59,7 @@ class Link(ABC):
         ended: the other side closed it, or the device is gone.
         breaks: how often a stream of bytes ended, to be followed by another one or not.
         floods: how often others were found to flood it.
+        dropped: datagrams that the system dropped, because nobody read in time.
         unsent: messages that could not be sent.
     """
 
@@ -80,6 +70,7 @@ class Link(ABC):
         self.ended = False
         self.breaks = 0
         self.floods = 0
+        self.dropped = 0
         self.unsent = 0
 
     @abstractmethod
@@ -104,148 +95,6 @@ class Link(ABC):
         self.close()
 
 
-class UdpLink(Link):
-    """Datagrams, listening (`udpin`) or speaking first (`udpout`).
-
-    Whoever floods the port fills the system's buffer, and what finds no room there is lost before
-    anybody has read it. So, once others send more than the vehicle ever would, its datagrams get
-    a socket and a buffer of their own: one bound to the same port and connected to the vehicle's
-    address, which Linux prefers for what comes from there. The others are read a few at a time.
-
-    Args:
-        url: what to open.
-        clock: steady, s.
-    """
-
-    datagrams = True
-
-    def __init__(self, url: LinkUrl, clock: Callable[[], float] = time.monotonic) -> None:
-        super().__init__(url)
-        self._clock = clock
-        self._family, address = _resolve(url, socket.SOCK_DGRAM)
-        self._socket = socket.socket(self._family, socket.SOCK_DGRAM)
-        self._to: Address | None = None
-        self._apart: socket.socket | None = None
-        self._apart_spoke = False
-        self._apart_heard = 0.0
-        self._unreachable: Address | None = None
-        self._strangers = 0
-        self._strangers_since = 0.0
-        try:
-            _prepare(self._socket)
-            if url.kind == "udpin":
-                self._socket.bind(address)
-            else:
-                # Bound at once: an unbound socket cannot be waited for.
-                self._socket.bind(("", 0))
-                self._to = address
-        except OSError as error:
-            self._socket.close()
-            raise _cannot_open(url, error) from error
-        self.url = _with_port(url, self.port)
-
-    @property
-    def port(self) -> int:
-        """Local port number."""
-        return int(self._socket.getsockname()[1])
-
-    def receive(self, timeout: float) -> list[Chunk]:
-        """Datagrams that have arrived, in order; of a flood of others, some."""
-        first = self._apart or self._socket
-        readable, _, _ = select.select([first], [], [], max(0.0, timeout))
-        chunks = self._drain(first, DATAGRAMS_AT_ONCE) if readable else []
-        if self._apart is None:
-            if self._is_flooded(chunks):
-                chunks += self._set_apart()
-            return chunks
-        if chunks:
-            self._apart_spoke, self._apart_heard = True, self._clock()
-        elif self._clock() - self._apart_heard > SILENT_FOR:
-            # It is gone, or speaks from another address now: whoever comes is as good.
-            self._unreachable = None if self._apart_spoke else self._to
-            self._mix_again()
-        return chunks + self._drain(self._socket, STRANGERS_AT_ONCE)
-
-    def _drain(self, from_socket: socket.socket, most: int) -> list[Chunk]:
-        chunks: list[Chunk] = []
-        while len(chunks) < most:
-            try:
-                data, source = self._read(from_socket)
-            except BlockingIOError:
-                break
-            except ConnectionError:
-                continue  # the answer "nobody listens there" to something that we sent
-            chunks.append(Chunk(data, source))
-        return chunks
-
-    def _read(self, from_socket: socket.socket) -> tuple[bytes, Address]:
-        data, source = from_socket.recvfrom(LARGEST_DATAGRAM)
-        return data, source[:2]
-
-    def _is_flooded(self, chunks: list[Chunk]) -> bool:
-        """Whether others than the vehicle have sent too much in this second."""
-        if self._to is None or self._to == self._unreachable or sys.platform != "linux":
-            return False
-        now = self._clock()
-        if now - self._strangers_since > 1.0:
-            self._strangers, self._strangers_since = 0, now
-        self._strangers += sum(source != self._to for _, source in chunks)
-        return self._strangers > FLOOD
-
-    def _set_apart(self) -> list[Chunk]:
-        """Give the vehicle a socket of its own; what had come to the other one before."""
-        assert self._to is not None  # nobody is a stranger without it
-        apart = socket.socket(self._family, socket.SOCK_DGRAM)
-        both = (self._socket, apart)
-        try:
-            _prepare(apart)
-            # Two sockets on a port, for this one moment: nobody else can slip in afterwards.
-            for each in both:
-                each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            apart.bind(self._socket.getsockname())
-            apart.connect(self._to)
-        except OSError:
-            apart.close()
-            self._unreachable = self._to
-            return []
-        finally:
-            for each in both:
-                with contextlib.suppress(OSError):  # closed above
-                    each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
-        self._apart, self._apart_spoke, self._apart_heard = apart, False, self._clock()
-        self.floods += 1
-        # What came before is older than all that comes apart: the vehicle's share of it is kept.
-        before = self._drain(self._socket, BACKLOG)
-        return [chunk for chunk in before if chunk.source == self._to]
-
-    def _mix_again(self) -> None:
-        if self._apart is not None:
-            self._apart.close()
-        self._apart = None
-        self._strangers = 0
-
-    def send(self, data: bytes) -> None:
-        """Send to the vehicle's address; nowhere while it is not known."""
-        if self._to is None:
-            self.unsent += 1
-            return
-        try:
-            self._socket.sendto(data, self._to)
-        except OSError:  # network gone for the moment; the next heartbeat tries again
-            self.unsent += 1
-
-    def answer_to(self, source: Address | None) -> None:
-        """Send to this address from now on (`udpin`); `udpout` keeps to what the user named."""
-        if self.url.kind == "udpin" and source is not None and source != self._to:
-            self._to = source
-            self._mix_again()
-
-    def close(self) -> None:
-        """Give the port back."""
-        self._mix_again()
-        self._socket.close()
-
-
 class TcpLink(Link):
     """A TCP connection, ours (`tcp`) or one that comes in (`tcpin`)."""
 
@@ -257,12 +106,12 @@ class TcpLink(Link):
             if url.kind == "tcp":
                 self._take(socket.create_connection((url.host, url.port), patience))
             else:
-                family, address = _resolve(url, socket.SOCK_STREAM)
+                family, address = resolve(url, socket.SOCK_STREAM)
                 self._listener = socket.create_server(address, family=family, backlog=1)
                 self._listener.setblocking(False)
         except OSError as error:
-            raise _cannot_open(url, error) from error
-        self.url = _with_port(url, self.port)
+            raise cannot_open(url, error) from error
+        self.url = with_port(url, self.port)
 
     @property
     def port(self) -> int:
@@ -340,7 +189,7 @@ class SerialLink(Link):
                 url.device, url.baud, timeout=0.0, write_timeout=0.5, exclusive=True
             )
         except (OSError, ValueError) as error:  # SerialException is an OSError
-            raise _cannot_open(url, error) from error
+            raise cannot_open(url, error) from error
 
     def receive(self, timeout: float) -> list[Chunk]:
         """Bytes that have arrived."""
@@ -397,32 +246,35 @@ def open_link(url: LinkUrl, patience: float = CONNECT_TIMEOUT) -> Link:
     """
     if url.kind == "serial":
         return SerialLink(url)
-    return UdpLink(url) if url.kind in ("udpin", "udpout") else TcpLink(url, patience)
+    if url.kind in ("udpin", "udpout"):
+        from gcs_sysid.telemetry.udp_link import UdpLink  # which builds on this module
+
+        return UdpLink(url)
+    return TcpLink(url, patience)
 
 
-def _prepare(datagrams: socket.socket) -> None:
-    datagrams.setblocking(False)
-    with contextlib.suppress(OSError):  # some systems refuse more than their limit
-        datagrams.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-
-
-def _with_port(url: LinkUrl, port: int) -> LinkUrl:
+def with_port(url: LinkUrl, port: int) -> LinkUrl:
     """The URL with the port that the system has chosen, where it was left to choose."""
     return url if url.port else replace(url, port=port, text=f"{url.text}:{port}")
 
 
-def _resolve(url: LinkUrl, kind: socket.SocketKind) -> tuple[socket.AddressFamily, Address]:
+def resolve(url: LinkUrl, kind: socket.SocketKind) -> tuple[socket.AddressFamily, Address]:
+    """Where a URL leads to.
+
+    Raises:
+        LinkError: there is no such place.
+    """
     try:
         found = socket.getaddrinfo(url.host, url.port, type=kind)
     except OSError as error:
-        raise _cannot_open(url, error) from error
+        raise cannot_open(url, error) from error
     # IPv4 first: "localhost" means 127.0.0.1 to nearly every autopilot and simulator.
     found.sort(key=lambda entry: entry[0] != socket.AF_INET)
     family, *_, address = found[0]
     return family, (str(address[0]), int(address[1]))
 
 
-def _cannot_open(url: LinkUrl, error: Exception) -> LinkError:
+def cannot_open(url: LinkUrl, error: Exception) -> LinkError:
     """Say what is wrong, where, and what to do."""
     number = getattr(error, "errno", None)
     if isinstance(error, socket.gaierror):

@@ -14,6 +14,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.telemetry.frame_block import BAD_CRC, OK, UNKNOWN, counts_of
+from gcs_sysid.telemetry.imu_loss import ImuLoss
 from gcs_sysid.telemetry.messages import NAMED_IDS, OTHER_TYPES, message_name
 
 WINDOW = 5.0
@@ -152,6 +153,7 @@ class Monitor:
         self._now: float | None = None
         self._imu_last: float | None = None
         self._imu_step = 0.0
+        self._imu_loss = ImuLoss()
 
     def take(self, validity: Array) -> None:
         """Count (n,) frames of any sender, by `FrameBlock.validity`."""
@@ -230,6 +232,7 @@ class Monitor:
             self._first = None
             self._steps.clear()
             self._imu_last = None
+            self._imu_loss.begin_anew()
         if self._first is None:
             self._first = now
 
@@ -244,6 +247,7 @@ class Monitor:
 
     def take_imu_times(self, t: Array) -> None:
         """Watch (n,) times in s of IMU samples for gaps, while the clock runs on."""
+        self._imu_loss.take(t)
         if self._imu_last is None:
             for first in t[:1].tolist():
                 self._take_imu_time(first)
@@ -362,4 +366,5 @@ class Monitor:
                 "count": self.gap_count,
                 "last": [{"t": t, "length": length} for t, length in self.gaps],
             },
+            "imu_loss": self._imu_loss.as_dict(),
         }

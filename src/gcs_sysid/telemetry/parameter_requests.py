@@ -7,7 +7,7 @@ recording holds them too. There is no clock in here: the caller says what time i
 from collections import deque
 from collections.abc import Collection
 
-from gcs_sysid.telemetry.outgoing import Gate
+from gcs_sysid.telemetry.transceiver import Requests
 from gcs_sysid.telemetry.vehicles import Vehicle
 
 ASK_EVERY = 0.25
@@ -102,7 +102,7 @@ class ParameterRequests:
         missing: names given up.
     """
 
-    def __init__(self, gate: Gate, rotors: int = 4) -> None:
+    def __init__(self, gate: Requests, rotors: int = 4) -> None:
         self.missing: list[str] = []
         self._gate = gate
         self._rotors = rotors

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from typing import NamedTuple
 
 from gcs_sysid.telemetry.frames import Frame, FrameScanner, Validity
 from gcs_sysid.telemetry.link import Address, Link
@@ -9,6 +10,17 @@ from gcs_sysid.telemetry.marks import is_reset_mark
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
 from gcs_sysid.telemetry.senders import Whereabouts
 from gcs_sysid.telemetry.signing import Refusal, SignatureCheck
+
+TOGETHER = 8000
+"""us; datagrams that arrived within so long are taken, and recorded, at one time."""
+
+
+class Batch(NamedTuple):
+    """Frames that arrived together, in their order."""
+
+    time_us: int
+    """When the last of them arrived, us since 1970."""
+    frames: list[Frame]
 
 
 class Receiver:
@@ -53,19 +65,36 @@ class Receiver:
         self.whereabouts.follow(vehicle)
 
     def poll(self, timeout: float) -> list[Frame]:
+        """The frames of `receive`, however they came together."""
+        return [frame for batch in self.receive(timeout) for frame in batch.frames]
+
+    def receive(self, timeout: float) -> list[Batch]:
         """Wait up to `timeout` s for bytes; the frames that they complete and that are believed."""
+        chunks = self._link.receive(timeout)
+        now = time.time_ns() // 1000
+        batches: list[Batch] = []
+        began = last = 0  # of the batch that still grows, us
         frames: list[Frame] = []
-        for data, source in self._link.receive(timeout):
+        for data, source, time_us in chunks:
+            arrived = now if time_us is None else time_us
+            if frames and abs(arrived - began) > TOGETHER:
+                batches.append(Batch(last, frames))
+                frames = []
             self.received_bytes += len(data)
             scanner = self._scanner(source)
             found = scanner.scan(data) if self._link.datagrams else scanner.feed(data)
+            began = began if frames else arrived
+            last = arrived
             frames += self._believed(found, source)
         if self._link.breaks != self._breaks:
             # What was cut off is not continued by whatever the next connection brings.
             self._breaks = self._link.breaks
+            last = last or now
             for source, scanner in self._scanners.items():
                 frames += self._believed(scanner.flush(), source)
-        return frames
+        if frames:
+            batches.append(Batch(last, frames))
+        return batches
 
     def _believed(self, found: list[Frame], source: Address | None) -> list[Frame]:
         """The frames that are believed; answers go where the vehicle's come from."""

@@ -10,7 +10,8 @@ from collections.abc import Collection, Mapping
 from gcs_sysid.signals.samples import NEEDED_RATE
 from gcs_sysid.telemetry.group_requests import GroupRequests
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
-from gcs_sysid.telemetry.outgoing import MOST_OF_GROUP, Gate
+from gcs_sysid.telemetry.outgoing import MOST_OF_GROUP
+from gcs_sysid.telemetry.transceiver import Requests
 from gcs_sysid.telemetry.vehicles import Vehicle
 from gcs_sysid.telemetry.wanted_streams import (
     IMU,
@@ -62,7 +63,9 @@ class StreamRequests:
         problem: one line when the link brings too little to identify anything, else "".
     """
 
-    def __init__(self, gate: Gate, rate: float, rotors: int = 4, baud: int | None = None) -> None:
+    def __init__(
+        self, gate: Requests, rate: float, rotors: int = 4, baud: int | None = None
+    ) -> None:
         self.asked: dict[str, float] = {}
         self.problem = ""
         self._gate = gate

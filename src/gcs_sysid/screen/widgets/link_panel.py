@@ -13,6 +13,8 @@ SCROLLBAR = 2
 ENOUGH = 0.9
 """A message that comes at less than this fraction of the rate asked for is marked."""
 
+_WARNING = "$text-warning"
+
 
 def facts(link: LinkStatus) -> list[tuple[str, str, str]]:
     """Name, text and style of each line above the messages."""
@@ -23,9 +25,19 @@ def facts(link: LinkStatus) -> list[tuple[str, str, str]]:
     return [
         ("link", f"{fmt.LINK_SIGN[link.state]} {link.url}", ""),
         ("received", f"{fmt.grouped(link.received)}, {fmt.data_rate(link.bytes_per_second)}", ""),
-        ("lost", lost, "$text-warning" if link.lost_percent >= 1.0 or link.rejected else ""),
-        ("IMU gaps", gaps, "$text-warning" if link.gaps else ""),
+        ("lost", lost, _WARNING if link.lost_percent >= 1.0 or link.rejected else ""),
+        ("IMU gaps", gaps, _WARNING if link.gaps else ""),
         ("clock", clock, ""),
+        *(
+            [("computer", f"too slow: {link.waiting:.1f} s wait", _WARNING)]
+            if link.too_slow
+            else []
+        ),
+        *(
+            [("dropped", f"{fmt.grouped(link.dropped)} by the system", _WARNING)]
+            if link.dropped
+            else []
+        ),
         *([("unknown", f"{fmt.grouped(link.unknown)} frames", "")] if link.unknown else []),
         ("record", link.recording or "off", "bold $text-error" if link.recording else ""),
     ]

@@ -1,0 +1,46 @@
+"""The receiver's process, which writes down when each datagram arrived; see `watched`.
+
+    python -m benchmarks.reliability.stamped_receiver ARRIVALS BUFFER MIXED
+
+BUFFER: bytes asked of the system, 0 for the usual; MIXED: 1 never to read the vehicle's apart.
+"""
+
+import socket
+import struct
+import sys
+from pathlib import Path
+
+from gcs_sysid.live import receiver_main
+from gcs_sysid.telemetry import udp_link
+from gcs_sysid.telemetry.link import Chunk
+
+ARRIVAL = struct.Struct("<qI")
+"""Of a datagram: us since 1970 of its arrival, and its bytes."""
+
+
+def main() -> int:
+    """Receive, as the tool does."""
+    path, buffer, mixed = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3] == "1"
+    if buffer:
+        udp_link.RECEIVE_BUFFER = buffer
+    if mixed:
+        udp_link.FLOOD = sys.maxsize
+    read, run = udp_link.UdpLink._read, receiver_main.ReceiverMain.run
+    arrivals = path.open("wb")
+
+    def stamped(link: udp_link.UdpLink, from_socket: socket.socket) -> Chunk:
+        chunk = read(link, from_socket)
+        arrivals.write(ARRIVAL.pack(chunk.time_us or 0, len(chunk.data)))
+        return chunk
+
+    def to_the_end(receiver: receiver_main.ReceiverMain) -> None:
+        run(receiver)
+        arrivals.close()
+
+    udp_link.UdpLink._read = stamped  # type: ignore[method-assign]
+    receiver_main.ReceiverMain.run = to_the_end  # type: ignore[method-assign]
+    return receiver_main.main()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,97 @@
+"""What waits to be learnt from, and when that is too much."""
+
+from typing import Any
+
+from gcs_sysid.live.reception import Source
+
+TOO_SLOW, CAUGHT_UP = 0.5, 0.1
+"""s of data that wait: from which the computer is too slow, until it has caught up. A fit of many
+minutes takes up to 0.4 s, on a core that does nothing else."""
+BUSY = 0.05
+"""s of data that wait, from which there is no time to think about advice."""
+
+
+class Backlog:
+    """Watches how far a session is behind its data.
+
+    Attributes:
+        too_slow: whether the computer does not keep up.
+        longest: s of data that waited at most.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self.too_slow = False
+        self.longest = 0.0
+        self._source = source
+        self._seconds = 0.0  # of all times that it was too slow
+        self._since = 0.0
+        self._longest_now = 0.0
+        self._unlearnt = False
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing that matters waits."""
+        return not self.too_slow and self._source.waiting < BUSY
+
+    def look(self, now: float) -> list[str]:
+        """See what waits; what there is to tell of it, one line each.
+
+        Args:
+            now: any steady clock, s.
+        """
+        told, waiting = [], self._source.waiting
+        self.longest = max(self.longest, waiting)
+        self._longest_now = max(self._longest_now, waiting)
+        if not self.too_slow and waiting > TOO_SLOW:
+            self.too_slow, self._since = True, now
+            told.append(
+                f"the computer is too slow: {waiting:.1f} s of data wait, none is lost; advice and "
+                "new estimates wait until it has caught up"
+            )
+        elif self.too_slow and waiting < CAUGHT_UP:
+            self.too_slow = False
+            self._seconds += now - self._since
+            told.append(
+                f"caught up after {now - self._since:.1f} s, {self._longest_now:.1f} s behind "
+                "at most"
+            )
+        if not self.too_slow:
+            self._longest_now = 0.0
+        if self._source.unlearnt and not self._unlearnt:
+            self._unlearnt = True
+            told.append("too much waits: some of what comes is not learnt from")
+        return told
+
+    def last_words(self) -> list[str]:
+        """What there is to tell when nothing more comes."""
+        waiting = self._source.waiting
+        if waiting < TOO_SLOW:
+            return []
+        return [f"no more comes; {waiting:.0f} s of data are still to be learnt from"]
+
+    def as_dict(self, now: float) -> dict[str, Any]:
+        """For the result's `telemetry`."""
+        slow = self._seconds + (now - self._since if self.too_slow else 0.0)
+        return {
+            "kernel_drops": self._source.link_report.dropped,
+            "longest_wait": self.longest,
+            "too_slow_seconds": slow,
+            "not_learnt": self._source.unlearnt,
+        }
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """What a result misses for want of speed, one line each."""
+        lines = []
+        if self._source.unlearnt:
+            lines.append(
+                f"{self._source.unlearnt} messages came and were not learnt from, because the "
+                "computer was too slow: analyse the recording"
+            )
+        dropped = self._source.link_report.dropped
+        if dropped:
+            lines.append(
+                f"the system dropped {dropped} datagrams, because this computer did not read them "
+                "in time"
+            )
+        return tuple(lines)

@@ -1,0 +1,185 @@
+"""The estimate of a live session, and what looks on while it is made."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from enum import IntEnum
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.live.acceleration_prediction import LivePrediction
+from gcs_sysid.live.command_queue import in_words
+from gcs_sysid.live.flight_coach import Coach, CoachOptions
+from gcs_sysid.live.live_options import LiveOptions
+from gcs_sysid.live.live_view import picture
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.snapshot import Advice, LinkStatus, Snapshot
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.session.chain_options import ChainOptions
+from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.telemetry.marks import reset_mark
+from gcs_sysid.telemetry.receiver import Batch
+from gcs_sysid.telemetry.vehicles import Vehicle
+
+
+class Duty(IntEnum):
+    """What is done with the data; what has failed once is not tried again."""
+
+    RECORD = 0
+    """Nothing here: it is recorded."""
+    WATCH = 1
+    """The link is watched, and the vehicle is asked for its streams."""
+    IDENTIFY = 2
+
+
+class LiveEstimate:
+    """A pipeline that knows nothing yet, its prediction and its coach.
+
+    A defect in what identifies costs the estimate, which stays what it was; a defect in what
+    watches the link, that as well.
+
+    Args:
+        airframe: with a scale anchor.
+        source: what the result names as its source.
+        options: settings.
+        wanted: system and perhaps component; None: the first autopilot heard.
+        on_defect: is told of each.
+    """
+
+    def __init__(
+        self,
+        airframe: Airframe,
+        source: str,
+        options: LiveOptions,
+        wanted: tuple[int, int | None] | None,
+        on_defect: Callable[[Exception], None],
+    ) -> None:
+        self.duty = Duty.IDENTIFY
+        self._options = options
+        self._on_defect = on_defect
+        own = ChainOptions(history_interval=options.refit_interval)
+        self.pipeline = Pipeline(airframe, source, wanted, own)
+        self._prediction = LivePrediction(self.chain)
+        if options.predict:
+            self.chain.observers.append(self._prediction.take)
+        self._coach = None if options.coach is None else Coach(self.chain, options.coach)
+        self._advised: Advice | None = None
+        self.relieved = False
+        """Whether the estimate is not renewed on the way."""
+
+    @property
+    def chain(self) -> Chain:
+        """From records to estimates."""
+        return self.pipeline.chain
+
+    def learn(self, batch: Batch, garbage_bytes: int) -> None:
+        """Learn from frames, or count them at least.
+
+        Args:
+            batch: as it is recorded.
+            garbage_bytes: of the link so far.
+        """
+        wall = 1e-6 * batch.time_us
+        try:
+            if self.duty is Duty.IDENTIFY:
+                self.pipeline.intake.garbage_bytes = garbage_bytes
+                self.pipeline.take(batch.frames, wall)
+            elif self.duty is Duty.WATCH:
+                self.pipeline.intake.frames(batch.frames, wall)
+        except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
+            self.retreat(defect)
+
+    def retreat(self, defect: Exception) -> None:
+        """Do less from now on: what has failed once would fail again."""
+        self._on_defect(defect)
+        self.duty = Duty(max(self.duty - 1, Duty.RECORD))
+        watched = self.duty is Duty.WATCH
+        lost = "the estimate ends here" if watched else "the link is no longer watched"
+        self.note(f"{in_words(defect)}: {lost}; what arrives is still recorded")
+
+    def need(self) -> None:
+        """Make sure that there is an estimate to do something with.
+
+        Raises:
+            InputError: it has ended.
+        """
+        if self.duty is not Duty.IDENTIFY:
+            raise InputError("the estimate has ended by an internal error")
+
+    def reset(self, time_us: int) -> None:
+        """Do what the recording says at this place."""
+        try:
+            self.need()
+            self.pipeline.take([reset_mark()], 1e-6 * time_us)
+        except InputError as error:
+            self.note(f"not done: {error}")
+        except Exception as defect:  # noqa: BLE001 - the flight goes on all the same
+            self._on_defect(defect)
+            self.note(f"not done: {in_words(defect)}")
+
+    def note(self, text: str) -> None:
+        """Add a line to the event log; none of an empty one."""
+        if text:
+            self.chain.note(text)
+
+    def tell(self, texts: Sequence[str]) -> None:
+        """Add lines to the event log."""
+        for text in texts:
+            self.note(text)
+
+    def relieve(self, *, on: bool) -> None:
+        """Whether to learn alone, and not to renew the estimate: there is no time, or no use."""
+        self.relieved = on
+        self.chain.renew_every(None if on else self._options.refit_interval)
+
+    def think(self) -> None:
+        """Let the coach think; a defect of it is told once and costs no flight."""
+        if self._coach is None:
+            return
+        try:
+            self._coach.think()
+            self._advised = self._coach.look()
+        except Exception as defect:  # noqa: BLE001 - words alone are lost
+            self._coach = self._advised = None
+            self.note(f"{in_words(defect)}: the coach falls silent")
+
+    def final(
+        self, complete: Callable[[Result], Result], last: Result, problem: Exception | None
+    ) -> Result:
+        """The final result; after a defect, the last good one.
+
+        Args:
+            complete: adds what only the link knows.
+            last: the latest there was, complete.
+            problem: why it may be the last, if it is known.
+        """
+        if self.duty is Duty.IDENTIFY:
+            try:
+                return complete(self.pipeline.finish())
+            except Exception as defect:  # noqa: BLE001 - handed to the main thread, which tells it
+                self.retreat(defect)
+                problem = problem or defect
+        why = "" if problem is None else f"{in_words(problem)}: "
+        early = f"{why}the estimate is that of {self.chain.t:.1f} s, its last good one"
+        return replace(last, reasons=(*last.reasons, early))
+
+    def snapshot(self, result: Result, link: LinkStatus) -> Snapshot:
+        """How things stand.
+
+        Args:
+            result: the latest, with what only the link knows.
+            link: health of it.
+        """
+        acceleration = self._prediction.acceleration()
+        target = (self._options.coach or CoachOptions()).target
+        return picture(self.chain, result, link, acceleration, target, self._advised)
+
+    def know(self, others: Sequence[Vehicle]) -> None:
+        """Keep other vehicles in mind, to be chosen."""
+        selector = self.pipeline.intake.selector
+        for known in others:
+            selector.systems[known.address], selector.frames[known.address] = known, 0
+
+    def drop(self) -> None:
+        """Let go of whom it knows: each would outlive the session by the other."""
+        self.pipeline.drop()
+        self._on_defect = lambda _: None

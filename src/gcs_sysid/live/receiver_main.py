@@ -1,0 +1,273 @@
+"""The receiver's process: reads, stamps and records what comes over a link, whoever is busy.
+
+    python -m gcs_sysid.live.receiver_main
+
+is started by `receiver_process.ReceiverProcess`, which talks to it through its standard input and
+output. It ends when it is told to, or when nobody is left to tell it: when its input closes,
+because the session's process has ended in whatever way. Then it gives the vehicle its own rates
+back, takes what the system still holds, and closes a whole recording. Signals that end the session
+are not for it: a terminal sends Ctrl-C to all processes that it knows.
+"""
+
+import json
+import os
+import queue
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from gcs_sysid.errors import GcsSysidError
+from gcs_sysid.live import receiver_wire as wire
+from gcs_sysid.live.reception import Failure, Item, Reception
+from gcs_sysid.live.recording import Recording
+from gcs_sysid.live.request_relay import RequestsDone
+from gcs_sysid.telemetry.link import open_link
+from gcs_sysid.telemetry.receiver import Batch
+from gcs_sysid.telemetry.reconnect import PersistentLink
+from gcs_sysid.telemetry.transceiver import Transceiver
+from gcs_sysid.telemetry.urls import LinkUrl
+
+POLL = 0.05
+"""s; the longest that an order waits."""
+GATHER, FEW = 0.004, 64
+"""s in which datagrams gather in the system's buffer, after fewer frames than that: waking for each
+costs most."""
+REPORT_EVERY = 0.1
+"""s between reports, where something has changed."""
+MOST_WAITING = 64 * 2**20
+"""Bytes that wait for a session that does not take them, ten minutes at 1 kHz; what comes beyond is
+recorded, and not handed over."""
+DRAIN = 1.0
+"""s at most in which is taken what the system holds at the end."""
+
+
+class Outbox:
+    """Hands messages to the session, whenever it takes them; nobody waits for it but `close`.
+
+    Attributes:
+        unlearnt: frames for which there was no room.
+    """
+
+    def __init__(self, pipe: BinaryIO) -> None:
+        self.unlearnt = 0
+        self._pipe = pipe
+        self._wake = threading.Condition()
+        self._waiting: deque[bytes] = deque()
+        self._size = 0
+        self._closing = self._broken = False
+        self._thread = threading.Thread(target=self._run, name="outbox", daemon=True)
+        self._thread.start()
+
+    def put(self, data: bytes) -> None:
+        """Hand over a message."""
+        with self._wake:
+            if not self._broken:
+                self._waiting.append(data)
+                self._size += len(data)
+                self._wake.notify()
+
+    def put_items(self, items: Sequence[Item]) -> None:
+        """Hand over items; frames only if there is room."""
+        for item in items:
+            data = wire.item_message(item)
+            if isinstance(item, Batch) and self._size + len(data) > MOST_WAITING:
+                self.unlearnt += len(item.frames)
+            else:
+                self.put(data)
+
+    def close(self) -> None:
+        """Wait until all is handed over, or nobody is there who would take it."""
+        with self._wake:
+            self._closing = True
+            self._wake.notify()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._waiting or self._closing)
+                if not self._waiting:
+                    return
+                data = b"".join(self._waiting)
+                self._waiting.clear()
+            try:
+                self._pipe.write(data)
+                self._pipe.flush()
+            except (OSError, ValueError):  # nobody reads any more
+                with self._wake:
+                    self._broken = True
+                    self._waiting.clear()
+            with self._wake:
+                self._size -= len(data)
+
+
+class ReceiverMain:
+    """Drives a reception by the orders that come.
+
+    Args:
+        reception: to drive.
+        requests: does what is asked of the vehicle.
+        outbox: to the session.
+        orders: names and arguments; None at their end.
+    """
+
+    def __init__(
+        self,
+        reception: Reception,
+        requests: RequestsDone,
+        outbox: Outbox,
+        orders: "queue.SimpleQueue[list[Any] | None]",
+    ) -> None:
+        self._reception = reception
+        self._requests = requests
+        self._outbox = outbox
+        self._orders = orders
+        self._report = wire.Report()
+        self._reported = -float("inf")
+        self._finished = False
+
+    def run(self) -> None:
+        """Receive until the end."""
+        while not self._finished:
+            self._obey()
+            items = self._taken(0.0 if self._finished else POLL)
+            self._tell()
+            self._outbox.put_items(items)
+            if 0 < sum(len(i.frames) for i in items if isinstance(i, Batch)) < FEW:
+                time.sleep(GATHER)
+
+    def _taken(self, timeout: float) -> list[Item]:
+        try:
+            return self._reception.take(timeout)
+        except Exception as defect:  # noqa: BLE001 - told, and the next bytes may be others
+            time.sleep(POLL)
+            return [Failure(f"{type(defect).__name__}: {defect}")]
+
+    def _obey(self) -> None:
+        """Do what was ordered."""
+        while not self._finished and not self._orders.empty():
+            order = self._orders.get()
+            try:
+                if order is None:
+                    self._requests.restore()
+                    self._finish()
+                else:
+                    self._do(*order)
+            except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
+                self._outbox.put_items([Failure(f"{type(defect).__name__}: {defect}")])
+
+    def _do(self, name: str, *arguments: Any) -> None:
+        reception = self._reception
+        match name:
+            case "ask":
+                self._requests.ask(*arguments)
+            case "follow":
+                reception.follow((int(arguments[0]), int(arguments[1])))
+            case "mark_reset":
+                reception.mark_reset()
+            case "start_recording":
+                reception.start_recording(Path(arguments[0]))
+            case "stop_recording":
+                reception.stop_recording()
+            case "cut_recording":
+                reception.cut_recording(Path(arguments[0]))
+            case "flush":
+                # A disk that does not answer holds up nobody but who asked.
+                threading.Thread(target=self._flush, args=arguments, daemon=True).start()
+            case "finish":
+                self._finish()
+        self._reported = -float("inf")
+
+    def _flush(self, number: int) -> None:
+        path = self._reception.flushed_recording()
+        answer = [number, None if path is None else str(path)]
+        self._outbox.put(wire.json_message(wire.FLUSHED, answer))
+
+    def _finish(self) -> None:
+        """Take what has come so far, and end."""
+        self._finished = True
+        until = time.monotonic() + DRAIN
+        while time.monotonic() < until and (items := self._taken(0.0)):
+            self._outbox.put_items(items)
+        self._reception.finish()
+
+    def _tell(self) -> None:
+        """Report what has changed."""
+        now = time.monotonic()
+        if now - self._reported < REPORT_EVERY and not self._finished:
+            return
+        self._reported = now
+        reception = self._reception
+        events = tuple(reception.take_events())
+        report = wire.Report(
+            reception.link_report, reception.recording_report, self._outbox.unlearnt, events
+        )
+        if report != self._report:
+            self._report = report
+            self._outbox.put(wire.report_message(report))
+
+
+def _read_orders(source: BinaryIO, orders: "queue.SimpleQueue[list[Any] | None]") -> None:
+    for line in source:
+        orders.put(json.loads(line))
+    orders.put(None)
+
+
+def _watch_parent(orders: "queue.SimpleQueue[list[Any] | None]") -> None:
+    """End when the session's process has: another child of it may hold the pipe open."""
+    parent = os.getppid()
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    orders.put(None)
+
+
+def open_reception(settings: dict[str, Any]) -> tuple[Reception, RequestsDone]:
+    """What the settings say.
+
+    Raises:
+        GcsSysidError: it cannot be.
+    """
+    key, record_to = settings["signing_key"], settings["record_to"]
+    link = PersistentLink(open_link(LinkUrl(**settings["url"])))
+    try:
+        transceiver = Transceiver(
+            link, listen_only=settings["listen_only"], signing_key=Path(key) if key else None
+        )
+        recording = Recording(Path(record_to) if record_to else None)
+    except GcsSysidError:
+        link.close()
+        raise
+    return Reception(transceiver, recording), RequestsDone(transceiver.gate)
+
+
+def main() -> int:
+    """Receive until the session ends."""
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    outbox = Outbox(sys.stdout.buffer)
+    try:
+        settings = json.loads(sys.stdin.buffer.readline())
+        reception, requests = open_reception(settings)
+    except (GcsSysidError, ValueError) as error:
+        told = [type(error).__name__, str(error)]
+        outbox.put(wire.json_message(wire.REFUSED, told))
+        outbox.close()
+        return 2
+    url = reception.url
+    outbox.put(wire.json_message(wire.OPENED, [url.text, url.port]))
+    orders: queue.SimpleQueue[list[Any] | None] = queue.SimpleQueue()
+    threading.Thread(target=_read_orders, args=(sys.stdin.buffer, orders), daemon=True).start()
+    threading.Thread(target=_watch_parent, args=(orders,), daemon=True).start()
+    ReceiverMain(reception, requests, outbox, orders).run()
+    outbox.close()
+    os._exit(0)  # a disk that never answers again is left behind
+
+
+if __name__ == "__main__":
+    sys.exit(main())

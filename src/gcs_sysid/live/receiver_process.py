@@ -1,0 +1,250 @@
+"""The session's end of a receiver in a process of its own."""
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, BinaryIO, cast
+
+from gcs_sysid.errors import GcsSysidError, InputError, LinkError
+from gcs_sysid.live import receiver_wire as wire
+from gcs_sysid.live.reception import Item, RecordingReport
+from gcs_sysid.live.request_relay import RequestsTold
+from gcs_sysid.telemetry.transceiver import LinkReport, Requests
+from gcs_sysid.telemetry.urls import LinkUrl
+
+COMMAND = [sys.executable, "-P", "-m", "gcs_sysid.live.receiver_main"]
+AT_ONCE = 32
+"""Items taken at a time: 0.1 to 0.3 s of data."""
+MOST_WAITING = 64 * 2**20
+"""Bytes that wait here; what comes beyond waits in the receiver."""
+_MOST_EVENTS = 100
+_ENDS_WITHIN = 20.0
+"""s that the receiver may take to write everything; then it is killed."""
+_FLUSHED_WITHIN = 15.0
+"""s."""
+_ERRORS: dict[str, type[GcsSysidError]] = {"InputError": InputError, "LinkError": LinkError}
+
+
+class ReceiverProcess:
+    """A receiver that goes on while this process is busy, and closes its recording if it dies.
+
+    Args:
+        url: to open; one that ends is opened again.
+        listen_only: send nothing at all.
+        signing_key: file with the key; None: nothing is signed or checked.
+        record_to: recording; None: nothing is recorded until it is started.
+
+    Raises:
+        InputError: the recording exists, or there is no key.
+        LinkError: the link cannot be opened.
+    """
+
+    def __init__(
+        self,
+        url: LinkUrl,
+        *,
+        listen_only: bool = False,
+        signing_key: Path | None = None,
+        record_to: Path | None = None,
+    ) -> None:
+        self._wake = threading.Condition()
+        self._messages: deque[tuple[bytes, bytes]] = deque()
+        self._size = 0
+        self._newest = self._taken = 0  # us since 1970
+        self._over = False
+        self._report = wire.Report()
+        self._events: deque[str] = deque(maxlen=_MOST_EVENTS)
+        self._flushes = 0
+        self._flushed: tuple[int, str | None] = (0, None)
+        self._ordering = threading.Lock()
+        self._reader: threading.Thread | None = None
+        self._process: subprocess.Popen[bytes] = subprocess.Popen(
+            COMMAND,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            **_apart(),
+        )
+        self._orders = cast(BinaryIO, self._process.stdin)
+        self._answers = cast(BinaryIO, self._process.stdout)
+        self._tell(
+            {
+                "url": asdict(url),
+                "listen_only": listen_only,
+                "signing_key": str(signing_key) if signing_key else None,
+                "record_to": str(record_to) if record_to else None,
+            }
+        )
+        self.url = self._opened(url)
+        told = {"listen_only": listen_only, "signing": signing_key is not None}
+        self._gate = RequestsTold(lambda *what: self._order("ask", *what), **told)
+        self._reader = threading.Thread(target=self._read, name="receiver", daemon=True)
+        self._reader.start()
+
+    def _opened(self, url: LinkUrl) -> LinkUrl:
+        """The URL that was opened; the error if none was."""
+        first = wire.read_message(self._answers)
+        if first is not None and first[0] == wire.OPENED:
+            text, port = json.loads(first[1])
+            return replace(url, text=text, port=port)
+        self.close()
+        if first is None:
+            raise LinkError(f"{url}: the receiver's process does not start")
+        kind, text = json.loads(first[1])
+        raise _ERRORS.get(kind, GcsSysidError)(text)
+
+    @property
+    def gate(self) -> Requests:
+        """Tells the receiver what to ask for; its gate decides."""
+        return self._gate
+
+    @property
+    def link_report(self) -> LinkReport:
+        """As it was told last."""
+        report = self._report.link
+        # What came before the end is still to be taken.
+        return replace(report, ended=report.ended and not self._messages)
+
+    @property
+    def recording_report(self) -> RecordingReport:
+        """As it was told last."""
+        return self._report.recording
+
+    @property
+    def unlearnt(self) -> int:
+        """Frames that are recorded and were not handed over, because too many waited."""
+        return self._report.unlearnt
+
+    @property
+    def waiting(self) -> float:
+        """Arrived data that were not taken yet, s."""
+        return max(0.0, 1e-6 * (self._newest - self._taken)) if self._messages else 0.0
+
+    def take(self, timeout: float) -> Sequence[Item]:
+        """Wait up to `timeout` s; what comes next, in order.
+
+        Raises:
+            LinkError: the receiver has died.
+        """
+        with self._wake:
+            self._wake.wait_for(lambda: self._messages or self._over, timeout)
+            count = min(len(self._messages), AT_ONCE)
+            some = [self._messages.popleft() for _ in range(count)]
+            self._size -= sum(len(body) for _, body in some)
+            self._wake.notify_all()
+        if not some and self._over:
+            raise LinkError(f"{self.url}: the receiver has died; what it recorded is whole")
+        for kind, body in some:
+            if kind == wire.FRAMES:
+                self._taken = max(self._taken, *wire.TIME.unpack_from(body))
+        return [wire.read_item(kind, body) for kind, body in some]
+
+    def take_events(self) -> list[str]:
+        """What happened to the recording since this was last asked, one line each."""
+        events = []
+        while self._events:
+            events.append(self._events.popleft())
+        return events
+
+    def follow(self, vehicle: tuple[int, int]) -> None:
+        """Answer to this vehicle from now on."""
+        self._order("follow", *vehicle)
+
+    def mark_reset(self) -> None:
+        """Have a `ResetMark` recorded and handed over."""
+        self._order("mark_reset")
+
+    def start_recording(self, path: Path) -> None:
+        """Record into another file from now on."""
+        self._order("start_recording", str(path))
+
+    def stop_recording(self) -> None:
+        """End the recording."""
+        self._order("stop_recording")
+
+    def cut_recording(self, path: Path) -> None:
+        """Go on in another file, if it is recorded at all."""
+        self._order("cut_recording", str(path))
+
+    def flushed_recording(self) -> Path | None:
+        """The latest recording, all that was written so far in the file; None without one."""
+        with self._wake:
+            self._flushes += 1
+            number = self._flushes
+        self._order("flush", number)
+        with self._wake:
+            self._wake.wait_for(lambda: self._flushed[0] >= number or self._over, _FLUSHED_WITHIN)
+            path = self._flushed[1]
+        return None if path is None else Path(path)
+
+    def finish(self) -> None:
+        """End: what is left is handed over, and `Ended`."""
+        self._order("finish")
+
+    def close(self) -> None:
+        """End it, if it has not ended; what was not taken is recorded all the same."""
+        with contextlib.suppress(OSError):
+            self._orders.close()
+        with self._wake:
+            self._messages.clear()
+            self._size = 0
+            self._wake.notify_all()
+        try:
+            self._process.wait(_ENDS_WITHIN)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if self._reader is None:
+            self._answers.close()
+        else:
+            self._reader.join()
+
+    def _order(self, name: str, *arguments: object) -> None:
+        self._tell([name, *arguments])
+
+    def _tell(self, content: Any) -> None:
+        with self._ordering, contextlib.suppress(OSError, ValueError):  # it has died: `take` tells
+            self._orders.write(json.dumps(content).encode() + b"\n")
+            self._orders.flush()
+
+    def _read(self) -> None:
+        """Take down all that the receiver says; in a thread of its own."""
+        with contextlib.suppress(OSError, ValueError):
+            while (message := wire.read_message(self._answers)) is not None:
+                self._note(*message)
+        with self._wake:
+            self._over = True
+            self._wake.notify_all()
+        self._answers.close()
+
+    def _note(self, kind: bytes, body: bytes) -> None:
+        if kind == wire.REPORT:
+            self._report = report = wire.read_report(body)
+            self._events.extend(report.events)
+            return
+        with self._wake:
+            if kind == wire.FLUSHED:
+                number, path = json.loads(body)
+                self._flushed = (number, path)
+            else:
+                self._wake.wait_for(lambda: self._size < MOST_WAITING)
+                if kind == wire.FRAMES:
+                    self._newest = max(self._newest, *wire.TIME.unpack_from(body))
+                    self._taken = self._taken or self._newest
+                self._messages.append((kind, body))
+                self._size += len(body)
+            self._wake.notify_all()
+
+
+def _apart() -> dict[str, Any]:
+    """Not to be reached by the terminal's signals."""
+    if os.name == "nt":
+        return {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
+    return {"start_new_session": True}

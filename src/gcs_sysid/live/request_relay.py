@@ -1,0 +1,89 @@
+"""What a session asks of the vehicle, where link and gate are in another process."""
+
+from collections.abc import Callable
+
+from gcs_sysid.telemetry.outgoing import Gate
+
+
+class RequestsTold:
+    """Stands for the gate where that is in another process: tells it what to ask for.
+
+    Args:
+        tell: name of a method of `Gate`, the version to speak, arguments.
+        listen_only: as of `Gate`.
+        signing: as of `Gate`.
+    """
+
+    def __init__(
+        self, tell: Callable[..., None], *, listen_only: bool = False, signing: bool = False
+    ) -> None:
+        self.version = 2
+        self._tell = tell
+        self.listen_only = listen_only
+        self.signing = signing
+
+    def heartbeat(self) -> bool:
+        """As of `Gate`."""
+        return self._ask("heartbeat")
+
+    def set_message_interval(
+        self, target: tuple[int, int], message_id: int, interval_us: int
+    ) -> bool:
+        """As of `Gate`."""
+        return self._ask("set_message_interval", target, message_id, interval_us)
+
+    def request_group(self, target: tuple[int, int], group: int, hertz: int) -> bool:
+        """As of `Gate`."""
+        return self._ask("request_group", target, group, hertz)
+
+    def read_parameter(self, target: tuple[int, int], name: str) -> bool:
+        """As of `Gate`."""
+        return self._ask("read_parameter", target, name)
+
+    def _ask(self, name: str, *arguments: object) -> bool:
+        if not self.listen_only:
+            self._tell(name, self.version, *arguments)
+        return not self.listen_only
+
+
+class RequestsDone:
+    """Does what `RequestsTold` tells, through the gate alone, and can take it back.
+
+    Args:
+        gate: decides what is sent.
+    """
+
+    def __init__(self, gate: Gate) -> None:
+        self._gate = gate
+        self._intervals: dict[tuple[tuple[int, int], int], int] = {}
+        self._may: dict[str, Callable[..., bool]] = {
+            "heartbeat": gate.heartbeat,
+            "set_message_interval": self._set_message_interval,
+            "request_group": gate.request_group,
+            "read_parameter": gate.read_parameter,
+        }
+
+    def ask(self, name: str, version: int, *arguments: object) -> None:
+        """Have the gate ask.
+
+        Raises:
+            NotAllowedError: that must never be sent.
+            KeyError: nothing of that name is ever asked.
+        """
+        self._gate.version = 1 if version == 1 else 2
+        self._may[name](*(tuple(a) if isinstance(a, list) else a for a in arguments))
+
+    def _set_message_interval(
+        self, target: tuple[int, int], message_id: int, interval_us: int
+    ) -> bool:
+        if interval_us:
+            self._intervals[target, message_id] = self._gate.version
+        else:
+            self._intervals.pop((target, message_id), None)
+        return self._gate.set_message_interval(target, message_id, interval_us)
+
+    def restore(self) -> None:
+        """Give the vehicle its own rates back: nobody is there any more who would."""
+        for (target, message_id), version in list(self._intervals.items()):
+            self._gate.version = version
+            self._set_message_interval(target, message_id, 0)

@@ -1,0 +1,154 @@
+"""Samples of the IMU that did not come, by the vehicle's own stamps.
+
+Sequence numbers count modulo 256, so that a burst of any length looks like a short one, and they
+say nothing of what the autopilot never sent: PX4 leaves out 0.4 to 2 % of its samples, while no
+packet is lost. The stamps tell both: steps of several usual intervals have samples missing in them.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from gcs_sysid.arrays import Array
+
+PAUSE = 10.0
+"""s. A longer step is no loss: the link was away, or the vehicle's clock was set."""
+SERIOUS = 0.1
+"""Share missing from which it is told: five times what PX4 leaves out."""
+TOO_MUCH = 0.6
+"""Share missing from which the verdict is at most `partial`: no study goes beyond a half."""
+_HELD, _SETTLED = 512, 256
+"""Samples that wait for late ones, and how many of them are settled then."""
+_FEW = 8
+"""Steps in a row, the shortest mean of which is the interval: half of all samples may be lost, and
+still some of so many are not. One step is not enough: stamps jitter, and ArduPilot sends by turns
+after 2.5 and 5 ms."""
+_CALM, _ALIKE = 64, 1.2
+"""Steps in a row whose means over `_FEW` all lie within that ratio: a stream without losses."""
+_CHANGED = 1.5
+"""Ratio of intervals that makes another rate."""
+
+
+class Counts(NamedTuple):
+    """What came, and what did not."""
+
+    received: int = 0
+    missing: int = 0
+    longest: float = 0.0
+    """s, the longest step with samples missing in it."""
+
+    @property
+    def share(self) -> float:
+        """`missing` as a part of what was to come."""
+        return self.missing / max(self.received + self.missing, 1)
+
+
+class ImuLoss:
+    """Counts samples by their stamps.
+
+    Steps are held against the shortest interval that some samples in a row have kept. A stream
+    that comes evenly at another rate has another one. The counts depend on the order of samples
+    alone, however they are cut into blocks; what is late by less than half of `_HELD` is not lost.
+    """
+
+    def __init__(self) -> None:
+        self._counts = Counts()
+        self._held = np.empty(0)
+        self._before = np.empty(0)  # the last that are settled
+        self._interval = 0.0
+
+    def take(self, t: Array) -> None:
+        """Take (n,) times of samples, s, in the order in which they came."""
+        while len(t):
+            room = _HELD - len(self._held)
+            self._held, t = np.append(self._held, t[:room]), t[room:]
+            if len(self._held) == _HELD:
+                self._held = self._new()
+                if len(self._held) == _HELD:
+                    self._settle(_SETTLED)
+
+    def begin_anew(self) -> None:
+        """The clock has gone back: what comes is not held against what came."""
+        self._settle(len(self._held))
+        self._before, self._interval = np.empty(0), 0.0
+
+    @property
+    def counts(self) -> Counts:
+        """Of all that came so far."""
+        t = self._new()
+        return self._counted(t, len(t))[0]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the result's `telemetry`."""
+        counts = self.counts
+        return {
+            "received": counts.received,
+            "missing": counts.missing,
+            "missing_percent": 100.0 * counts.share,
+            "longest": counts.longest,
+        }
+
+    def _settle(self, count: int) -> None:
+        t = self._new()
+        count = min(count, len(t))
+        self._counts, self._interval = self._counted(t, count)
+        self._before = np.append(self._before, t[:count])[-_CALM:]
+        self._held = t[count:]
+
+    def _new(self) -> Array:
+        """(n,) rising times held, without those that came twice, or too late."""
+        t = np.unique(self._held)
+        return t[t > self._before[-1]] if len(self._before) else t
+
+    def _counted(self, t: Array, count: int) -> tuple[Counts, float]:
+        """The counts with the first so many of (n,) rising times, and the interval then."""
+        before = self._before
+        counts = self._counts._replace(received=self._counts.received + count)
+        times = np.concatenate([before, t])
+        at, end = max(len(before) - 1, 0), len(before) + count - 1
+        if end <= at or len(times) <= _FEW:
+            return counts, self._interval
+        steps = np.diff(times)
+        # Of the steps that begin with each: mean of a few, and where they are calm, of more.
+        few = (times[_FEW:] - times[:-_FEW]) / _FEW
+        calm = np.full(len(few), np.nan)
+        if len(steps) >= _CALM:
+            runs = sliding_window_view(few, _CALM - _FEW + 1)
+            even = runs.max(axis=1) < _ALIKE * runs.min(axis=1)
+            calm[: len(runs)] = np.where(even, runs.mean(axis=1), np.nan)
+        interval = self._interval or float(few[min(at, len(few) - 1)])
+        missing, longest = counts.missing, counts.longest
+        while at < end:
+            changed = (calm[at:end] > _CHANGED * interval) | (few[at:end] < interval / _CHANGED)
+            stop = at + int(np.argmax(changed)) if changed.any() else end
+            if stop == at:
+                stop, interval = at + 1, float(few[at] if np.isnan(calm[at]) else calm[at])
+            interval = float(few[at:stop].min(initial=interval))
+            ratio = np.round(steps[at:stop] / interval)
+            lost = (ratio > 1.0) & (steps[at:stop] <= PAUSE)
+            missing += int((ratio[lost] - 1.0).sum())
+            longest = max(longest, float(steps[at:stop][lost].max(initial=0.0)))
+            at = stop
+        return Counts(counts.received, missing, longest), interval
+
+
+def loss_reason(telemetry: Mapping[str, Any]) -> tuple[str, bool]:
+    """What the loss of IMU samples means for a result.
+
+    Args:
+        telemetry: of the result.
+
+    Returns:
+        One line, empty where little is missing, and whether the verdict is at most `partial`.
+    """
+    told = telemetry.get("imu_loss", {})
+    share = 0.01 * told.get("missing_percent", 0.0)
+    if share < SERIOUS:
+        return "", False
+    words = (
+        f"{100.0 * share:.0f} % of the IMU's samples are missing by their time stamps, for "
+        f"{told['longest']:.2f} s at most: the estimate rests on what came"
+    )
+    return words, share >= TOO_MUCH

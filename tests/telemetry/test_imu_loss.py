@@ -1,0 +1,98 @@
+"""What is missing of the IMU, by its stamps."""
+
+import numpy as np
+import pytest
+
+from gcs_sysid.telemetry.imu_loss import ImuLoss, loss_reason
+
+RNG = np.random.default_rng
+
+
+def counted(t):
+    loss = ImuLoss()
+    loss.take(np.asarray(t))
+    return loss.counts
+
+
+def even(rate, seconds, start=10.0):
+    return start + np.arange(round(rate * seconds)) / rate
+
+
+@pytest.mark.parametrize("rate", [20.0, 50.0, 250.0, 1000.0])
+@pytest.mark.parametrize("share", [0.005, 0.2, 0.5])
+def test_samples_lost_at_random_are_counted(rate, share):
+    t = even(rate, 20_000 / rate)
+    there = RNG(1).random(len(t)) >= share
+    there[[0, -1]] = True
+    counts = counted(t[there])
+    assert counts.received == np.count_nonzero(there)
+    assert counts.missing == pytest.approx(np.count_nonzero(~there), rel=0.02, abs=3)
+
+
+def test_bursts_beyond_any_sequence_number_are_counted():
+    """Each loses 2 s of every 5 s: 40 %, which modulo 256 is next to nothing."""
+    t = even(250.0, 502.0)
+    counts = counted(t[(t - t[0]) % 5.0 < 3.0])
+    assert counts.missing == 100 * 500
+    assert counts.share == pytest.approx(0.4, abs=0.01)
+    assert counts.longest == pytest.approx(2.0, abs=0.01)
+
+
+def test_nothing_is_missing_where_nothing_is():
+    steps = np.where(np.arange(4000) % 2, 0.0025, 0.005)  # ArduPilot at 250 Hz
+    for t in (even(250.0, 20.0), 5.0 + np.cumsum(steps), even(20.0, 20.0)):
+        assert counted(t)[1:] == (0, 0.0)
+
+
+def test_jitter_of_stamps_is_no_loss():
+    t = even(250.0, 40.0)
+    counts = counted(t + RNG(2).uniform(-0.0008, 0.0008, len(t)))
+    assert counts.missing == 0
+
+
+def test_another_rate_is_no_loss():
+    fast, slow = even(250.0, 20.0), even(50.0, 20.0, 30.02)
+    assert counted(np.concatenate([fast, slow])).missing <= 5
+    assert counted(np.concatenate([slow - 30.0, fast + 10.02])).missing <= 5
+
+
+def test_late_and_repeated_samples_are_no_lost_ones():
+    t = even(250.0, 40.0)
+    order = np.argsort(np.arange(len(t)) + RNG(3).uniform(0.0, 20.0, len(t)))
+    counts = counted(np.repeat(t[order], 2))
+    assert counts == (len(t), 0, 0.0)
+
+
+def test_a_reboot_and_an_absence_are_no_loss():
+    loss = ImuLoss()
+    loss.take(even(250.0, 20.0))
+    loss.take(even(250.0, 20.0, 60.0))
+    loss.begin_anew()
+    loss.take(even(250.0, 20.0, 1.0))
+    assert loss.counts == (15_000, 0, 0.0)
+
+
+@pytest.mark.parametrize("size", [1, 7, 300, 4000])
+def test_how_samples_come_together_changes_nothing(size):
+    rng = RNG(4)
+    t = even(250.0, 20.0)
+    t = t[rng.random(len(t)) >= 0.3]
+    loss = ImuLoss()
+    for at in range(0, len(t), size):
+        loss.take(t[at : at + size])
+        if size > 100:
+            assert loss.counts.received == min(at + size, len(t))
+    assert loss.counts == counted(t)
+
+
+def told(percent):
+    return {"imu_loss": {"missing_percent": percent, "longest": 2.2}}
+
+
+def test_what_px4_leaves_out_is_not_told_and_serious_loss_is():
+    assert loss_reason(told(2.0)) == ("", False)
+    words, capped = loss_reason(told(40.0))
+    assert words.startswith("40 % of the IMU's samples are missing by their time stamps")
+    assert not capped
+    assert loss_reason(told(70.0))[1]
+    assert loss_reason({}) == ("", False)
