@@ -27,6 +27,7 @@ from sim_bridge.ground_cycle import GroundCycle
 from sim_bridge.line_faults import fault_help, make_faults, parse_fault
 from sim_bridge.links import Link, TlogLink, open_link
 from sim_bridge.missions import MISSIONS, Mission
+from sim_bridge.physics import make_physics, parse_physics, physics_help
 from sim_bridge.playback import play, wait_for_somebody
 from sim_bridge.px4 import Px4
 from sim_bridge.sensor_faults import (
@@ -39,7 +40,7 @@ from sim_bridge.sensors import NOISE_MODELS
 from sim_bridge.server import Pace, TruthFile, fly
 from sim_bridge.simulation import Change, Simulation, mass_step
 from sim_bridge.swings import read_plan
-from sim_bridge.vehicle_files import load_vehicle
+from sim_bridge.vehicle_files import check_hover, load_vehicle
 from sim_bridge.wire import FrameWriter, Signer
 
 DEFAULT_CONNECT = "udpout:127.0.0.1:14550"
@@ -105,6 +106,7 @@ def make_parser() -> argparse.ArgumentParser:
         prog="sim-bridge",
         description="Emulate a multirotor that speaks MAVLink as PX4 or ArduPilot does.",
         epilog=(
+            f"effects (usual value in brackets):\n{physics_help()}\n\n"
             f"traps (usual value in brackets):\n{sensor_fault_help()}\n\n"
             f"faults (usual value in brackets):\n{fault_help()}"
         ).replace("%", "%%"),
@@ -144,6 +146,14 @@ def make_parser() -> argparse.ArgumentParser:
         type=between(0.0, 10.0, "rad/s"),
         metavar="W",
         help="body-rate wobble from gusts, rad/s rms (default: 0.02 in hover, else 0)",
+    )
+    add(
+        "--physics",
+        type=parse_physics,
+        action="append",
+        default=[],
+        metavar="NAME[=VALUE]",
+        help="fly what real vehicles have and the ideal one has not, see below; may be given again",
     )
     sensing = parser.add_argument_group("what is measured")
     add = sensing.add_argument
@@ -254,7 +264,11 @@ def run(args: argparse.Namespace) -> None:
     loop = {}
     if args.autopilot == "ardupilot":
         loop = {"step_us": ardupilot.STEP_US, "control_steps": ardupilot.LOOP_STEPS}
-    simulation = Simulation(vehicle, mission, gusts, args.turbulence, args.mass_step, **loop)
+    physics = make_physics(args.physics)
+    simulation = Simulation(
+        vehicle, mission, gusts, args.turbulence, args.mass_step, physics=physics, **loop
+    )
+    check_hover(simulation.vehicle, "--physics")
     autopilot = _autopilot(args, simulation, sensor_faults, sensors)
     for name, value in args.param:
         try:

@@ -10,9 +10,13 @@ import numpy as np
 
 from gcs_sysid.model.airframe import CommandRange, Rotor
 from gcs_sysid.model.parameters import GRAVITY
+from sim_bridge.uneven_rotors import RotorTraits, cant_per_thrust
 
 Value = Any
 """A float, or a float array of shape (N,): the physics is written once for both."""
+
+LAGS = ("speed", "thrust", "command")
+"""What may lag behind the command."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +36,16 @@ class Vehicle:
         cg_y: beta, CG from the geometric centre, to the right, m.
         motor_lag: first-order time constant, s.
         lag_of: what lags: "speed", the rotor's speed behind the one commanded (a motor that turns
-            a propeller), or "command", the command itself before the thrust curve (PX4's SIH).
+            a propeller), "thrust", or "command", the command itself before the thrust curve
+            (PX4's SIH).
         rotational_damping: d of the torque -d w, N m s.
         rotor_inertia: J_r of one rotor about its axis, kg m^2.
         linear_drag: D of the force -D v, N s/m.
         imu_x: IMU from the CG, forward, m; imu_y to the right, imu_z down.
         command: range of the actuator outputs.
+        rotor_z: height of the rotors' plane from the CG, down, m: below zero is above the CG.
+        damping: d of roll, pitch and yaw apart, N m s; None: `rotational_damping` on all three.
+        traits: of the single rotors; None: all alike and upright.
     """
 
     name: str
@@ -64,13 +72,17 @@ class Vehicle:
     imu_z: Value = 0.0
     lag_of: str = "speed"
     command: CommandRange = field(default_factory=CommandRange)
+    rotor_z: Value = 0.0
+    damping: tuple[Value, Value, Value] | None = None
+    traits: RotorTraits | None = None
 
     def truth(self) -> dict[str, Any]:
         """The parameters under the names that results use, for a truth file.
 
-        The place of the IMU is in it where it is not at the CG.
+        The place of the IMU is in it where it is not at the CG, and each rotor's coefficients where
+        they differ: `k_T` and `k_M` are then their means.
         """
-        return {
+        told: dict[str, Any] = {
             "mass": self.mass,
             **{name: getattr(self, name) for name in ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz")},
             "cg_x": self.cg_x,
@@ -90,6 +102,13 @@ class Vehicle:
                 if np.any(getattr(self, name))
             },
         }
+        if self.damping is not None:
+            told["damping"] = list(self.damping)
+        if self.traits is not None:
+            told["k_T_rotors"] = [e * self.k_T for e in self.traits.thrust]
+            told["k_M_rotors"] = [e * self.k_M for e in self.traits.torque]
+            told["rotor_tilt"] = self.traits.tilt
+        return told
 
     def with_mass_factor(self, factor: float) -> "Vehicle":
         """The same vehicle with its mass multiplied; inertia and CG stay."""
@@ -122,7 +141,7 @@ def stack_vehicles(vehicles: list[Vehicle]) -> Vehicle:
     first = vehicles[0]
     if any(v.rotors != first.rotors for v in vehicles):
         raise ValueError("an ensemble needs vehicles with the same rotors")
-    fixed = {"name", "rotors", "command", "lag_of"}
+    fixed = {"name", "rotors", "command", "lag_of", "damping", "traits"}
     arrays: dict[str, Any] = {
         f.name: np.array([getattr(v, f.name) for v in vehicles], dtype=float)
         for f in fields(Vehicle)
@@ -138,6 +157,8 @@ def allocation(vehicle: Vehicle) -> list[list[Value]]:
     of least squared thrust for more.
     """
     v = vehicle
+    if v.traits is not None and v.traits.tilt:
+        return _canted_allocation(v)
     moment_ratio = np.asarray(v.k_M / v.k_T, dtype=float)
     cg_x, cg_y, moment_ratio = np.broadcast_arrays(v.cg_x, v.cg_y, moment_ratio)
     effect = np.stack(
@@ -149,10 +170,27 @@ def allocation(vehicle: Vehicle) -> list[list[Value]]:
         ],
         axis=-1,
     )
+    return _mixer(effect)
+
+
+def _canted_allocation(v: Vehicle) -> list[list[Value]]:
+    """The same for rotors that the builder has canted, and so knows to be."""
+    assert v.traits is not None
+    cosine = np.cos(v.traits.tilt)
+    columns = []
+    for r in v.rotors:
+        _, _, m_x, m_y, m_z = cant_per_thrust(v, r.x, r.y, float(r.spin))
+        torque = r.spin * cosine * v.k_M / v.k_T
+        columns.append(np.stack(np.broadcast_arrays(cosine, m_x, m_y, m_z + torque), axis=-1))
+    return _mixer(np.stack(columns, axis=-1))
+
+
+def _mixer(effect: Any) -> list[list[Value]]:
+    """Rows of the pseudo-inverse of (..., 4, n), a rotor each."""
     mix = np.linalg.pinv(effect)
     return [
         [float(x) if x.ndim == 0 else x for x in np.moveaxis(mix[..., i, :], -1, 0)]
-        for i in range(len(v.rotors))
+        for i in range(mix.shape[-2])
     ]
 
 
