@@ -23,10 +23,11 @@ from sim_bridge.ardupilot import ArduPilot
 from sim_bridge.autopilot import BOOT_US, EPOCH_US
 from sim_bridge.bad_line import BadLine
 from sim_bridge.choices import message_number, moment
+from sim_bridge.doublets import ALL_MISSIONS
 from sim_bridge.ground_cycle import GroundCycle
 from sim_bridge.line_faults import fault_help, make_faults, parse_fault
 from sim_bridge.links import Link, TlogLink, open_link
-from sim_bridge.missions import MISSIONS, Mission
+from sim_bridge.missions import Mission
 from sim_bridge.physics import make_physics, parse_physics, physics_help
 from sim_bridge.playback import play, wait_for_somebody
 from sim_bridge.px4 import Px4
@@ -85,8 +86,8 @@ def _mass_step(text: str) -> Change:
 
 
 def _mission(text: str) -> str:
-    if text not in MISSIONS and not text.endswith(".json"):
-        names = ", ".join(sorted(MISSIONS))
+    if text not in ALL_MISSIONS and not text.endswith(".json"):
+        names = ", ".join(sorted(ALL_MISSIONS))
         raise argparse.ArgumentTypeError(
             f"invalid choice: {text!r} (choose from {names}, or a plan's file NAME.json)"
         )
@@ -130,7 +131,7 @@ def make_parser() -> argparse.ArgumentParser:
         type=_mission,
         default="paper",
         metavar="NAME|PLAN.json",
-        help=f"{', '.join(sorted(MISSIONS))}, or a plan of gcs-sysid plan --json (default: paper)",
+        help=f"{', '.join(ALL_MISSIONS)}, or a plan of gcs-sysid plan --json (default: paper)",
     )
     add("--duration", type=moment, metavar="S", help="s (default: the mission's length)")
     add(
@@ -255,7 +256,7 @@ def run(args: argparse.Namespace) -> None:
     vehicle = load_vehicle(args.airframe, args.arm)
     sensor_faults = _sensor_faults(args)
     faults = make_faults(args.fault)
-    mission: Mission = MISSIONS.get(args.mission) or read_plan(Path(args.mission))
+    mission: Mission = ALL_MISSIONS.get(args.mission) or read_plan(Path(args.mission))
     if sensor_faults.ground or sensor_faults.flights > 1:
         mission = GroundCycle(mission, sensor_faults.ground, sensor_faults.flights)
     duration = args.duration or mission.duration

@@ -10,7 +10,7 @@ import numpy as np
 
 from gcs_sysid.model.airframe import CommandRange, Rotor
 from gcs_sysid.model.parameters import GRAVITY
-from sim_bridge.uneven_rotors import RotorTraits, cant_per_thrust
+from sim_bridge.uneven_rotors import RotorTraits, per_thrust
 
 Value = Any
 """A float, or a float array of shape (N,): the physics is written once for both."""
@@ -105,8 +105,10 @@ class Vehicle:
         if self.damping is not None:
             told["damping"] = list(self.damping)
         if self.traits is not None:
-            told["k_T_rotors"] = [e * self.k_T for e in self.traits.thrust]
-            told["k_M_rotors"] = [e * self.k_M for e in self.traits.torque]
+            for name, shares in (("k_T", self.traits.thrust), ("k_M", self.traits.torque)):
+                each = [e * getattr(self, name) for e in shares]
+                told[f"{name}_rotors"], told[name] = each, sum(each) / len(each)
+            told["moment_ratio"] = told["k_M"] / told["k_T"]
             told["rotor_tilt"] = self.traits.tilt
         return told
 
@@ -179,9 +181,8 @@ def _canted_allocation(v: Vehicle) -> list[list[Value]]:
     cosine = np.cos(v.traits.tilt)
     columns = []
     for r in v.rotors:
-        _, _, m_x, m_y, m_z = cant_per_thrust(v, r.x, r.y, float(r.spin))
-        torque = r.spin * cosine * v.k_M / v.k_T
-        columns.append(np.stack(np.broadcast_arrays(cosine, m_x, m_y, m_z + torque), axis=-1))
+        moments = per_thrust(v, r, v.k_M / v.k_T)[2:]
+        columns.append(np.stack(np.broadcast_arrays(cosine, *moments), axis=-1))
     return _mixer(np.stack(columns, axis=-1))
 
 

@@ -23,6 +23,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gcs_sysid.model.airframe import Rotor
+
 if TYPE_CHECKING:
     from sim_bridge.simulated_vehicle import Vehicle
 
@@ -61,28 +63,26 @@ def even(count: int) -> RotorTraits:
     return RotorTraits((1.0,) * count, (1.0,) * count)
 
 
-def cant_per_thrust(vehicle: "Vehicle", x: float, y: float, spin: float) -> tuple[Value, ...]:
-    """(F_x, F_y, M_x, M_y, M_z) that 1 N along a rotor's axis makes, its drag torque apart.
+def per_thrust(vehicle: "Vehicle", rotor: Rotor, ratio: Value) -> tuple[Value, ...]:
+    """(F_x, F_y, M_x, M_y, M_z) of 1 N along a rotor's axis, its drag torque included.
 
     Args:
         vehicle: whose CG, tilt and height of the rotors count.
-        x: of the rotor, from the geometric centre, forward.
-        y: to the right.
-        spin: +1 counter-clockwise from above.
+        rotor: which.
+        ratio: its drag torque over its thrust, m.
     """
-    traits = vehicle.traits
-    delta = traits.tilt if traits is not None else 0.0
+    delta = vehicle.traits.tilt if vehicle.traits is not None else 0.0
     cosine, sine = math.cos(delta), math.sin(delta)
-    arm = math.hypot(x, y)
-    t_x, t_y = (-y / arm, x / arm) if arm else (0.0, 0.0)
-    f_x, f_y = spin * sine * t_x, spin * sine * t_y
-    r_x, r_y, r_z = x - vehicle.cg_x, y - vehicle.cg_y, vehicle.rotor_z
+    arm = math.hypot(rotor.x, rotor.y) or 1.0
+    t_x, t_y = -rotor.y / arm, rotor.x / arm
+    f_x, f_y = rotor.spin * sine * t_x, rotor.spin * sine * t_y
+    r_x, r_y, r_z = rotor.x - vehicle.cg_x, rotor.y - vehicle.cg_y, vehicle.rotor_z
     return (
         f_x,
         f_y,
-        -r_y * cosine - r_z * f_y,
-        r_z * f_x + r_x * cosine,
-        r_x * f_y - r_y * f_x,
+        -r_y * cosine - r_z * f_y - rotor.spin * ratio * f_x,
+        r_z * f_x + r_x * cosine - rotor.spin * ratio * f_y,
+        r_x * f_y - r_y * f_x + rotor.spin * ratio * cosine,
     )
 
 
@@ -92,26 +92,16 @@ class UnevenRotors:
     def __init__(self, vehicle: "Vehicle") -> None:
         v = self._vehicle = vehicle
         traits = v.traits or even(len(v.rotors))
-        cosine, sine = math.cos(traits.tilt), math.sin(traits.tilt)
+        cosine = math.cos(traits.tilt)
         self._spins = [float(r.spin) for r in v.rotors]
         self._rows: list[tuple[Value, ...]] = []
         self._sideways: list[tuple[Value, Value]] = []
         for r, e, e_m in zip(v.rotors, traits.thrust, traits.torque, strict=True):
-            spin = float(r.spin)
-            f_x, f_y, m_x, m_y, m_z = cant_per_thrust(v, r.x, r.y, spin)
-            k_T, k_M = e * v.k_T, e_m * v.k_M
-            arm = math.hypot(r.x, r.y) or 1.0
-            lean = spin * sine / arm
-            self._rows.append(
-                (
-                    k_T * cosine,
-                    k_T * m_x + spin * k_M * lean * r.y,
-                    k_T * m_y - spin * k_M * lean * r.x,
-                    k_T * m_z + spin * k_M * cosine,
-                )
-            )
+            k_T = e * v.k_T
+            f_x, f_y, m_x, m_y, m_z = per_thrust(v, r, e_m * v.k_M / k_T)
+            self._rows.append((k_T * cosine, k_T * m_x, k_T * m_y, k_T * m_z))
             self._sideways.append((k_T * f_x, k_T * f_y))
-        self.canted = sine != 0.0
+        self.canted = traits.tilt != 0.0
         self._has_inertia = bool(np.any(v.rotor_inertia))
         lag = np.asarray(v.motor_lag, dtype=float)
         rate = np.where(lag > 1e-9, 1.0 / np.maximum(lag, 1e-9), 0.0)
