@@ -120,6 +120,9 @@ def write(
     autopilot = Px4(simulation, "mems", 0.0, rate, np.random.SeedSequence([seed, 2]), faults)
     if esc:
         autopilot.schedule.set_interval(mavlink.MAVLINK_MSG_ID_ESC_STATUS, 1e6 / esc, 0)
+        # An ESC's clock is its own: its samples fall anywhere between those of the IMU.
+        phase = np.random.default_rng([seed, 3]).uniform(0.0, 1e6 / esc)
+        autopilot.schedule.streams[mavlink.MAVLINK_MSG_ID_ESC_STATUS].due = float(phase)
         autopilot.instruments.retime("rotor", 1.0 / esc)
     length = simulation.mission.duration if seconds is None else seconds
     link = TlogLink(log, replace=True)

@@ -127,7 +127,12 @@ SCENARIOS = (
         commands=True,
         unjudged=("T_max",),
     ),
-    Scenario("i", "IMU at 50 or 100 Hz, rotor speeds at 50 Hz", imu=(50.0, 100.0), esc=50.0),
+    Scenario(
+        "i",
+        "IMU at 50 or 100 Hz, rotor speeds at 50 Hz between its samples",
+        imu=(50.0, 100.0),
+        esc=50.0,
+    ),
     Scenario("k", "15 % of the mass sloshes", lambda _: Physics(slosh=(0.15, 1.2))),
     Scenario(
         "l",

@@ -76,13 +76,14 @@ def test_a_fall_ends_at_its_terminal_speed(paper_vehicle: Vehicle) -> None:
 def test_wind_carries_what_has_drag(paper_vehicle: Vehicle) -> None:
     v = replace(paper_vehicle, linear_drag=1.5)
     dynamics = Dynamics(v, gravity=0.0)
-    # From the east: blown to the west.
-    around = Surroundings(v, Physics(wind=(4.0, 0.5 * math.pi)), 1e-3, np.random.SeedSequence(0))
+    # From 30 degrees east of north: blown south and a little west.
+    around = Surroundings(v, Physics(wind=(4.0, math.pi / 6)), 1e-3, np.random.SeedSequence(0))
     state = State([0.0] * 6 + [1.0] + [0.0] * 6, [0.0] * 4)
     for _ in range(1000):
         state = dynamics.step(state, [0.0] * 4, around.disturbance(dynamics, state, CALM))
-    assert state.velocity[1] == pytest.approx(-4.0 * (1.0 - math.exp(-1.0)), rel=1e-3)
-    assert state.velocity[0] == pytest.approx(0.0, abs=1e-9)
+    carried = -4.0 * (1.0 - math.exp(-1.0))
+    expected = [carried * math.cos(math.pi / 6), carried * math.sin(math.pi / 6), 0.0]
+    np.testing.assert_allclose(state.velocity, expected, rtol=1e-3, atol=1e-9)
 
 
 def test_each_axis_decays_at_its_own_rate(paper_vehicle: Vehicle) -> None:
