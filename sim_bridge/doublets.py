@@ -1,11 +1,10 @@
 """Doublets as docs/flying.md asks for them, from gentle to acro, level or with climbs between.
 
-A doublet goes one way, then the other, then back to level: over a = 2 pi t / T the angle is
+A doublet goes one way, then the other, then back to level, as after a pilot's quick pushes of the
+stick: in a quarter of its length T each, the angle rises to A, swings over to -A and returns, along
+the quintic of `missions.ramp`, with an eighth of T between. The swing is the fastest: 15/4 A / (T/4).
 
-    B (sin a / 2 - sin 2a / 4)
-
-which begins and ends at rest, without a jump up to the angular acceleration, and reaches a rate of
-2 pi B / T in the middle. Roll, pitch and yaw come alone first, then roll with yaw and pitch with
+Roll, pitch and yaw come alone first, then roll with yaw and pitch with
 yaw, whose doublets have different lengths, so that all their products come about.
 """
 
@@ -77,16 +76,21 @@ class DoubletMission:
         # Each doublet ends within its part.
         if at >= length or (count + 1) * (length + REST) > PART:
             return _STILL
-        w = 2.0 * math.pi / length
-        b = rate / w if count % 2 == 0 else -rate / w
-        s_1, c_1 = math.sin(w * at), math.cos(w * at)
-        s_2, c_2 = math.sin(2.0 * w * at), math.cos(2.0 * w * at)
-        return (
-            b * (0.5 * s_1 - 0.25 * s_2),
-            b * w * (0.5 * c_1 - 0.5 * c_2),
-            b * w * w * (s_2 - 0.5 * s_1),
-            b * w * w * w * (2.0 * c_2 - 0.5 * c_1),
+        quarter = 0.25 * length
+        size = self.rate_to_angle(rate, length) * (1.0 if count % 2 == 0 else -1.0)
+        parts = [
+            (share, _quintic((at - begin * length) / quarter))
+            for share, begin in ((1.0, 0.0), (-2.0, 0.375), (1.0, 0.75))
+        ]
+        angle, speed, acceleration, jerk = (
+            size / quarter**k * sum(share * step[k] for share, step in parts) for k in range(4)
         )
+        return angle, speed, acceleration, jerk
+
+    @staticmethod
+    def rate_to_angle(rate: float, length: float) -> float:
+        """Angle of a doublet that reaches this rate, rad."""
+        return rate * 0.25 * length / 3.75
 
     def _height(self, t: float) -> Triple:
         """Height above the mission's and two derivatives: up in 3 s, 2 s there, down in 3 s."""
@@ -100,6 +104,12 @@ class DoubletMission:
         )
 
 
+def _quintic(u: float) -> Swing:
+    """`ramp` with its third derivative."""
+    value, rate, acceleration = ramp(u)
+    return value, rate, acceleration, 60.0 * (1.0 + 6.0 * u * (u - 1.0)) if 0.0 < u < 1.0 else 0.0
+
+
 def _body(roll: float, pitch: float, derivatives: Triple) -> Triple:
     """Body rates from those of the angles; for higher derivatives without products of rates."""
     p, q, r = derivatives
@@ -110,11 +120,11 @@ def _body(roll: float, pitch: float, derivatives: Triple) -> Triple:
 DOUBLETS = tuple(
     DoubletMission(*row)
     for row in (
-        ("gentle", 0.5, 3.0, 0.3, 4.0),
+        ("gentle", 0.5, 2.5, 0.3, 4.0),
         ("doublets", 1.5, 1.5, 0.8, 3.0),
         ("climbs", 1.5, 1.5, 0.8, 3.0, 2.0),
-        ("aggressive", 3.0, 1.2, 1.2, 2.5),
-        ("acro", 6.0, 1.2, 2.0, 2.2),
+        ("aggressive", 3.0, 1.5, 1.2, 3.0),
+        ("acro", 6.0, 1.6, 1.6, 3.0),
     )
 )
 """From gentle to acro."""

@@ -261,7 +261,7 @@ def record(name: str, number: int, folder: Path, seconds: float | None = None) -
     drawn: Drawn = draw(number, layouts)
     vehicle = plain(drawn.vehicle)
     simulation = OtherSimulation(
-        vehicle, drawn.mission("doublets", 1.5, 1.5), plant_of(vehicle, trim(vehicle))
+        vehicle, drawn.mission("doublets", 2.0, 1.5), plant_of(vehicle, trim(vehicle))
     )
     log = folder / f"{name}_{number}.tlog"
     write(simulation, log, number, 250.0, seconds)

@@ -91,7 +91,7 @@ class Scenario:
     says: str
     physics: Callable[[Random], Physics] = _ideal
     mission: str = "doublets"
-    rate: float = 1.5
+    rate: float = 2.0
     commands: bool = False
     imu: tuple[float, ...] = (250.0,)
     esc: float = 0.0
@@ -107,9 +107,9 @@ SCENARIOS = (
     Scenario("j", "rotor drag, inflow, flapping, quadratic drag", _air, unjudged=_AIR_BESIDES),
     Scenario(
         "acro",
-        "the same, up to 4 rad/s",
+        "the same, up to 5 rad/s",
         _air,
-        rate=4.0,
+        rate=5.0,
         unjudged=_AIR_BESIDES,
     ),
     Scenario(

@@ -61,12 +61,12 @@ class Drawn:
 
     def mission(self, name: str, rate: float, length: float, climb: float = 0.0) -> DoubletMission:
         """Doublets up to this rate where its rotors have the torque for it."""
-        v, w = self.vehicle, 2.0 * math.pi
+        v = self.vehicle
         lift = v.mass * GRAVITY
-        # A doublet accelerates by 1.4 times its largest rate times 2 pi over its length.
-        most = 0.3 * lift * self.arm / (1.4 * w / length) / max(v.Ixx, v.Iyy)
+        # A doublet accelerates by 12.3 times its largest rate over its length.
+        most = 0.3 * lift * self.arm * length / 12.3 / max(v.Ixx, v.Iyy)
         yaw_length = 2.0 * length
-        most_yaw = 0.35 * lift * v.k_M / v.k_T / (1.4 * w / yaw_length) / v.Izz
+        most_yaw = 0.35 * lift * v.k_M / v.k_T * yaw_length / 12.3 / v.Izz
         return DoubletMission(
             name, min(rate, most), length, min(0.6 * rate, most_yaw), yaw_length, climb
         )
