@@ -8,7 +8,7 @@ BENCH_INSTALLED := $(VENV)/.installed-bench
 SPEED_INSTALLED := $(VENV)/.installed-speed
 SIMULATORS_INSTALLED := $(VENV)/.installed-simulators
 
-.PHONY: help demo test test-all quick mutate check bench bench-accuracy bench-speed fuzz soak soak-short \
+.PHONY: help demo test test-all quick mutate check bench bench-accuracy bench-truth bench-speed fuzz soak soak-short \
   docs pictures sample clean
 .DEFAULT_GOAL := help
 
@@ -78,6 +78,12 @@ $(BENCH_INSTALLED): $(INSTALLED)
 
 bench-accuracy: $(BENCH_INSTALLED) ## Monte Carlo over seeds: docs/accuracy.md (15 min)
 	$(BIN)/python -m benchmarks.accuracy
+
+VEHICLES ?= 8
+RECORDED ?= $(wildcard ../shared/logs)
+bench-truth: export OMP_NUM_THREADS = 1
+bench-truth: $(SIMULATORS_INSTALLED) ## vehicles that are not the model: docs/truth.md; VEHICLES=...
+	$(BIN)/python -m benchmarks.truth --vehicles $(VEHICLES) $(addprefix --logs ,$(RECORDED))
 
 $(SPEED_INSTALLED): $(INSTALLED)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check \

@@ -9,7 +9,7 @@ from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.ardupilot_parameters import PWM_MAX, PWM_MIN, spin_range
 from sim_bridge.dynamics import rotate_to_body
-from sim_bridge.message_writers import MAGNETIC_FIELD, FlightMessages, voltage
+from sim_bridge.message_writers import MAGNETIC_FIELD, FlightMessages
 
 POSITION_FROM_US = 40_000_000
 """us since the autopilot was switched on: before that its EKF knows no position."""
@@ -90,7 +90,7 @@ class ArduPilotMessages(FlightMessages):
         """ESC_TELEMETRY_1_TO_4 and so on: no time of their own, rpm without sign."""
         speeds = self.instruments.rotor_speeds()
         rpm = [min(abs(n), 0xFFFF) for n in self.instruments.faults.rpm(speeds)]
-        volts = voltage(self._sim.time)
+        volts = self._sim.voltage
         k_M = self._sim.vehicle.k_M
         frames = []
         for first in range(0, self._rotors, 4):

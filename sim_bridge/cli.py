@@ -23,10 +23,12 @@ from sim_bridge.ardupilot import ArduPilot
 from sim_bridge.autopilot import BOOT_US, EPOCH_US
 from sim_bridge.bad_line import BadLine
 from sim_bridge.choices import message_number, moment
+from sim_bridge.doublets import ALL_MISSIONS
 from sim_bridge.ground_cycle import GroundCycle
 from sim_bridge.line_faults import fault_help, make_faults, parse_fault
 from sim_bridge.links import Link, TlogLink, open_link
-from sim_bridge.missions import MISSIONS, Mission
+from sim_bridge.missions import Mission
+from sim_bridge.physics import make_physics, parse_physics, physics_help
 from sim_bridge.playback import play, wait_for_somebody
 from sim_bridge.px4 import Px4
 from sim_bridge.sensor_faults import (
@@ -39,7 +41,7 @@ from sim_bridge.sensors import NOISE_MODELS
 from sim_bridge.server import Pace, TruthFile, fly
 from sim_bridge.simulation import Change, Simulation, mass_step
 from sim_bridge.swings import read_plan
-from sim_bridge.vehicle_files import load_vehicle
+from sim_bridge.vehicle_files import check_hover, load_vehicle
 from sim_bridge.wire import FrameWriter, Signer
 
 DEFAULT_CONNECT = "udpout:127.0.0.1:14550"
@@ -84,8 +86,8 @@ def _mass_step(text: str) -> Change:
 
 
 def _mission(text: str) -> str:
-    if text not in MISSIONS and not text.endswith(".json"):
-        names = ", ".join(sorted(MISSIONS))
+    if text not in ALL_MISSIONS and not text.endswith(".json"):
+        names = ", ".join(sorted(ALL_MISSIONS))
         raise argparse.ArgumentTypeError(
             f"invalid choice: {text!r} (choose from {names}, or a plan's file NAME.json)"
         )
@@ -105,6 +107,7 @@ def make_parser() -> argparse.ArgumentParser:
         prog="sim-bridge",
         description="Emulate a multirotor that speaks MAVLink as PX4 or ArduPilot does.",
         epilog=(
+            f"effects (usual value in brackets):\n{physics_help()}\n\n"
             f"traps (usual value in brackets):\n{sensor_fault_help()}\n\n"
             f"faults (usual value in brackets):\n{fault_help()}"
         ).replace("%", "%%"),
@@ -128,7 +131,7 @@ def make_parser() -> argparse.ArgumentParser:
         type=_mission,
         default="paper",
         metavar="NAME|PLAN.json",
-        help=f"{', '.join(sorted(MISSIONS))}, or a plan of gcs-sysid plan --json (default: paper)",
+        help=f"{', '.join(ALL_MISSIONS)}, or a plan of gcs-sysid plan --json (default: paper)",
     )
     add("--duration", type=moment, metavar="S", help="s (default: the mission's length)")
     add(
@@ -144,6 +147,14 @@ def make_parser() -> argparse.ArgumentParser:
         type=between(0.0, 10.0, "rad/s"),
         metavar="W",
         help="body-rate wobble from gusts, rad/s rms (default: 0.02 in hover, else 0)",
+    )
+    add(
+        "--physics",
+        type=parse_physics,
+        action="append",
+        default=[],
+        metavar="NAME[=VALUE]",
+        help="fly what real vehicles have and the ideal one has not, see below; may be given again",
     )
     sensing = parser.add_argument_group("what is measured")
     add = sensing.add_argument
@@ -245,7 +256,7 @@ def run(args: argparse.Namespace) -> None:
     vehicle = load_vehicle(args.airframe, args.arm)
     sensor_faults = _sensor_faults(args)
     faults = make_faults(args.fault)
-    mission: Mission = MISSIONS.get(args.mission) or read_plan(Path(args.mission))
+    mission: Mission = ALL_MISSIONS.get(args.mission) or read_plan(Path(args.mission))
     if sensor_faults.ground or sensor_faults.flights > 1:
         mission = GroundCycle(mission, sensor_faults.ground, sensor_faults.flights)
     duration = args.duration or mission.duration
@@ -254,7 +265,11 @@ def run(args: argparse.Namespace) -> None:
     loop = {}
     if args.autopilot == "ardupilot":
         loop = {"step_us": ardupilot.STEP_US, "control_steps": ardupilot.LOOP_STEPS}
-    simulation = Simulation(vehicle, mission, gusts, args.turbulence, args.mass_step, **loop)
+    physics = make_physics(args.physics)
+    simulation = Simulation(
+        vehicle, mission, gusts, args.turbulence, args.mass_step, physics=physics, **loop
+    )
+    check_hover(simulation.vehicle, "--physics")
     autopilot = _autopilot(args, simulation, sensor_faults, sensors)
     for name, value in args.param:
         try:

@@ -57,10 +57,12 @@ class Controller:
 
     Attributes:
         period: s between updates.
+        full_throttle: the pilot pushes the throttle all the way up, whatever the reference says.
     """
 
     def __init__(self, vehicle: Vehicle, period: float, gains: Gains | None = None) -> None:
         self.period = period
+        self.full_throttle = False
         self._gains = gains or Gains()
         self._model = vehicle
         self._mix = allocation(vehicle)
@@ -152,6 +154,14 @@ class Controller:
         v = self._model
         m_x, m_y, m_z = torque
         least = self._gains.least_thrust * v.T_max
+        if self.full_throttle:
+            # As far up as the torques leave room: the first rotor at its limit sets the rest.
+            thrust = least_of(
+                [
+                    (v.T_max - s_x * m_x - s_y * m_y - s_z * m_z) / s_t
+                    for s_t, s_x, s_y, s_z in self._mix
+                ]
+            )
         return [
             (clip(s_t * thrust + s_x * m_x + s_y * m_y + s_z * m_z, least, v.T_max) / v.k_T) ** 0.5
             for s_t, s_x, s_y, s_z in self._mix
@@ -175,6 +185,11 @@ def clip(value: Value, low: Value, high: Value) -> Value:
     if isinstance(value, float):
         return low if value < low else high if value > high else value
     return np.clip(value, low, high)
+
+
+def least_of(values: list[Value]) -> Value:
+    """The least of several, element by element where they are arrays."""
+    return np.minimum.reduce(values) if isinstance(values[0], np.ndarray) else min(values)
 
 
 def sign(value: Value) -> Value:

@@ -5,11 +5,14 @@ Frames: world north-east-down, body forward-right-down with its origin at the CG
     m v'  = R (0, 0, -T) + (0, 0, m g) - D v + F_d
     q'    = q (0, w) / 2
     J w'  = M - w x (J w + h) - h' - d w
-    Omega_i' = (Omega_c,i - Omega_i) / tau,  or so for u_i where it is the command that lags
+    Omega_i' = (Omega_c,i - Omega_i) / tau,  or so for u_i or T_i where these lag
 
     T = sum k_T Omega_i^2
     M = sum (r_i - r_cg) x (0, 0, -k_T Omega_i^2) + sum s_i k_M Omega_i^2 z + M_d
     h = -J_r sum s_i Omega_i z
+
+Rotors that differ, or are canted, and the
+reaction of rotor inertia behind any other lag than the speed's are in `sim_bridge.uneven_rotors`.
 
 A rotor that turns counter-clockwise seen from above (s_i = +1) turns about -z, hence the sign
 of h. F_d and M_d are disturbances (turbulence), held over a step.
@@ -26,6 +29,7 @@ import numpy as np
 
 from gcs_sysid.model.parameters import GRAVITY
 from sim_bridge.simulated_vehicle import Value, Vehicle
+from sim_bridge.uneven_rotors import UnevenRotors
 
 STEP_US = 1000
 """Usual step of the physics, us."""
@@ -87,11 +91,14 @@ class Dynamics:
         vehicle: the true parameters; set it by `use` when they change in flight.
         gravity: m/s^2.
         step_size: s.
+        uneven: the rotors one by one, where they are not all alike; None where they are.
     """
 
     vehicle: Vehicle
     gravity: float = GRAVITY
     step_size: float = STEP
+    uneven: UnevenRotors | None = field(init=False, repr=False)
+    _damping: tuple[Value, Value, Value] = field(init=False, repr=False)
     _inertia: tuple[Value, ...] = field(init=False, repr=False)
     _inverse: tuple[Value, ...] = field(init=False, repr=False)
     _rotors: list[tuple[Value, Value, float]] = field(init=False, repr=False)
@@ -106,6 +113,9 @@ class Dynamics:
         self._inertia = (v.Ixx, v.Iyy, v.Izz, v.Ixy, v.Iyz, v.Ixz)
         self._inverse = invert_symmetric(*self._inertia)
         self._rotors = [(-(r.y - v.cg_y), r.x - v.cg_x, float(r.spin)) for r in v.rotors]
+        self._damping = v.damping or (v.rotational_damping,) * 3
+        reacts = v.lag_of != "speed" and bool(np.any(v.rotor_inertia))
+        self.uneven = UnevenRotors(v) if v.traits is not None or reacts else None
         h = self.step_size
         # The lag is solved in closed form within a step: Omega_c + (Omega - Omega_c) e^(-t/tau).
         lag = v.motor_lag
@@ -121,6 +131,8 @@ class Dynamics:
             speeds: rotor speeds, rad/s.
             targets: the speeds they are heading for, rad/s.
         """
+        if self.uneven is not None:
+            return self.uneven.wrench(speeds, targets)
         thrust = m_x = m_y = spin_square = spin_speed = spin_accel = 0.0
         rate = self._decay[2]
         for (lever_x, lever_y, spin), speed, target in zip(
@@ -168,10 +180,10 @@ class Dynamics:
         l_x = Ixx * p + Ixy * q + Ixz * r
         l_y = Ixy * p + Iyy * q + Iyz * r
         l_z = Ixz * p + Iyz * q + Izz * r + h_z
-        damping = v.rotational_damping
-        n_x = m_x + t_x - (q * l_z - r * l_y) - damping * p
-        n_y = m_y + t_y - (r * l_x - p * l_z) - damping * q
-        n_z = m_z + t_z - (p * l_y - q * l_x) - damping * r - h_z_rate
+        d_p, d_q, d_r = self._damping
+        n_x = m_x + t_x - (q * l_z - r * l_y) - d_p * p
+        n_y = m_y + t_y - (r * l_x - p * l_z) - d_q * q
+        n_z = m_z + t_z - (p * l_y - q * l_x) - d_r * r - h_z_rate
         Kxx, Kyy, Kzz, Kxy, Kyz, Kxz = self._inverse
         return (
             vx,
@@ -233,6 +245,11 @@ class Dynamics:
         v = self.vehicle
         if v.lag_of == "speed":
             return [c + (s - c) * decay for s, c in zip(speeds, targets, strict=True)]
+        if v.lag_of == "thrust":
+            return [
+                (c * c + (s * s - c * c) * decay) ** 0.5
+                for s, c in zip(speeds, targets, strict=True)
+            ]
         commands = [
             (v.command_of(s), v.command_of(c)) for s, c in zip(speeds, targets, strict=True)
         ]
@@ -291,6 +308,14 @@ def rotate_to_body(
         y + 2.0 * (a * t_y - d * t_x + b * t_z),
         z + 2.0 * (a * t_z - b * t_y + c * t_x),
     )
+
+
+def rotate_to_world(
+    quaternion: Sequence[Value], vector: Sequence[Value]
+) -> tuple[Value, Value, Value]:
+    """Turn a vector of body axes into the world's: R u for the body-to-world quaternion."""
+    a, b, c, d = quaternion
+    return rotate_to_body((a, -b, -c, -d), vector)
 
 
 def _plain(value: np.ndarray | np.floating) -> Value:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sim_bridge.instruments import quaternion_of_arrays
 from sim_bridge.missions import Mission
+from sim_bridge.physics import IDEAL, Physics
 from sim_bridge.sensors import make_channels
 from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.simulation import Change, Simulation
@@ -118,6 +119,7 @@ def fly_ensemble(
     seed: int = 0,
     turbulence: float | None = None,
     changes: Sequence[Change] = (),
+    physics: Physics = IDEAL,
 ) -> Flight:
     """Fly the mission with every vehicle and sample without noise.
 
@@ -129,9 +131,10 @@ def fly_ensemble(
         seed: of the turbulence.
         turbulence: rate wobble in rad/s rms; None for the mission's own.
         changes: of the vehicles in flight.
+        physics: what is switched on; gusts and random forces are the same for all.
     """
     gusts, _ = np.random.SeedSequence(seed).spawn(2)
-    sim = Simulation(vehicle, mission, gusts, turbulence, changes)
+    sim = Simulation(vehicle, mission, gusts, turbulence, changes, physics=physics)
     shape = np.shape(vehicle.mass) or (1,)
     steps = round((mission.duration if duration is None else duration) * 1000.0)
     count = int(np.floor(steps * rate / 1000.0 + 1e-9)) + 1
@@ -146,7 +149,7 @@ def fly_ensemble(
             sim.step()
         if tick not in wanted:
             continue
-        gyro, force = sim.dynamics.imu(sim.state, sim.targets, sim.disturbance)
+        gyro, force = sim.imu()
         commands = [sim.vehicle.command_of(target) for target in sim.targets]
         values = [
             *gyro,

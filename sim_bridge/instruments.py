@@ -158,7 +158,7 @@ class Instruments:
 
     def rates(self) -> Sample:
         """Body rates as the attitude filter has them: the gyro with its last error, rad/s."""
-        p, q, r = self.simulation.state.rates
+        p, q, r = self.simulation.rates()
         noise = self._noise("gyro", False)
         return [p + noise[0], q + noise[1], r + noise[2]]
 

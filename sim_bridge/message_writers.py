@@ -15,17 +15,6 @@ HOME = (47.397742, 8.545594, 488.0)
 MAGNETIC_FIELD = (0.215, 0.010, 0.430)
 """Gauss, NED: about that of central Europe."""
 
-CELLS = 4
-CELL_FULL = 4.1
-"""V"""
-CELL_SAG = 4.0e-4
-"""V/s: 10 minutes of flight take a quarter of a volt off each cell."""
-
-
-def voltage(flown: float) -> float:
-    """Of the battery after so many seconds, V."""
-    return CELLS * (CELL_FULL - CELL_SAG * min(flown, 1000.0))
-
 
 class MessageMaker:
     """Makes messages for the instant the simulation is at, each as one or more frames.

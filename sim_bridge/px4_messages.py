@@ -6,7 +6,7 @@ Fields are passed in wire order, which is not the order of the definitions: see
 
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.dynamics import rotate_to_body
-from sim_bridge.message_writers import HOME, MAGNETIC_FIELD, FlightMessages, voltage
+from sim_bridge.message_writers import HOME, MAGNETIC_FIELD, FlightMessages
 
 IMU_FIELDS = 63
 """HIGHRES_IMU fields_updated: accelerometer and gyro."""
@@ -47,7 +47,7 @@ class Px4Messages(FlightMessages):
         speeds = self.instruments.rotor_speeds()
         rpm = self.instruments.faults.rpm(speeds)
         k_M = self._sim.vehicle.k_M
-        volts = voltage(self._sim.time)
+        volts = self._sim.voltage
         frames = []
         for first in range(0, self._rotors, 4):
             group = speeds[first : first + 4]

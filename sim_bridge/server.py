@@ -5,6 +5,7 @@ import math
 import os
 import sys
 import time
+from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -45,6 +46,11 @@ class Pace:
             time.sleep(ahead)
 
 
+def plain(value: Any) -> Any:
+    """A value of an effect as JSON holds it."""
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
+
+
 class TruthFile:
     """The true parameters in force, as JSON: written at the start and after every change."""
 
@@ -82,7 +88,9 @@ class TruthFile:
             raise InputError(f"cannot write {self._path}: {error.strerror}") from error
 
     def _truth(self, vehicle: Vehicle) -> dict[str, Any]:
-        return {**vehicle.truth(), "rotor_delay": self._autopilot.rotor_delay}
+        told = {**vehicle.truth(), "rotor_delay": self._autopilot.rotor_delay}
+        on = self._sim.physics.switched_on
+        return {**told, "physics": {k: plain(v) for k, v in on.items()}} if on else told
 
 
 def fly(

@@ -10,9 +10,13 @@ import numpy as np
 
 from gcs_sysid.model.airframe import CommandRange, Rotor
 from gcs_sysid.model.parameters import GRAVITY, REGISTRY
+from sim_bridge.uneven_rotors import RotorTraits, per_thrust
 
 Value = Any
 """A float, or a float array of shape (N,): the physics is written once for both."""
+
+LAGS = ("speed", "thrust", "command")
+"""What may lag behind the command."""
 
 
 @dataclass(frozen=True)
@@ -23,9 +27,13 @@ class Vehicle:
         name: of the airframe.
         rotors: positions from the geometric centre and spins, in the autopilot's motor order.
         lag_of: what lags: "speed", the rotor's speed behind the one commanded (a motor that turns
-            a propeller), or "command", the command itself before the thrust curve (PX4's SIH).
+            a propeller), "thrust", or "command", the command itself before the thrust curve
+            (PX4's SIH).
         imu_x: IMU from the CG, forward, m; imu_y to the right, imu_z down.
         command: range of the actuator outputs.
+        rotor_z: height of the rotors' plane from the CG, down, m: below zero is above the CG.
+        damping: d of roll, pitch and yaw apart, N m s; None: `rotational_damping` on all three.
+        traits: of the single rotors; None: all alike and upright.
     """
 
     name: str
@@ -52,13 +60,17 @@ class Vehicle:
     imu_z: Value = 0.0
     lag_of: str = "speed"
     command: CommandRange = field(default_factory=CommandRange)
+    rotor_z: Value = 0.0
+    damping: tuple[Value, Value, Value] | None = None
+    traits: RotorTraits | None = None
 
     def truth(self) -> dict[str, Any]:
         """The parameters under the names that results use, for a truth file.
 
-        The place of the IMU is in it where it is not at the CG.
+        The place of the IMU is in it where it is not at the CG, and each rotor's coefficients where
+        they differ: `k_T` and `k_M` are then their means.
         """
-        return {
+        told: dict[str, Any] = {
             **{n: getattr(self, n) for n, p in REGISTRY.items() if p.of_vehicle},
             **{
                 name: getattr(self, name)
@@ -66,6 +78,15 @@ class Vehicle:
                 if np.any(getattr(self, name))
             },
         }
+        if self.damping is not None:
+            told["damping"] = list(self.damping)
+        if self.traits is not None:
+            for name, shares in (("k_T", self.traits.thrust), ("k_M", self.traits.torque)):
+                each = [e * getattr(self, name) for e in shares]
+                told[f"{name}_rotors"], told[name] = each, sum(each) / len(each)
+            told["moment_ratio"] = told["k_M"] / told["k_T"]
+            told["rotor_tilt"] = self.traits.tilt
+        return told
 
     @property
     def moment_ratio(self) -> Value:
@@ -103,7 +124,7 @@ def stack_vehicles(vehicles: list[Vehicle]) -> Vehicle:
     first = vehicles[0]
     if any(v.rotors != first.rotors for v in vehicles):
         raise ValueError("an ensemble needs vehicles with the same rotors")
-    fixed = {"name", "rotors", "command", "lag_of"}
+    fixed = {"name", "rotors", "command", "lag_of", "damping", "traits"}
     arrays: dict[str, Any] = {
         f.name: np.array([getattr(v, f.name) for v in vehicles], dtype=float)
         for f in fields(Vehicle)
@@ -119,6 +140,8 @@ def allocation(vehicle: Vehicle) -> list[list[Value]]:
     of least squared thrust for more.
     """
     v = vehicle
+    if v.traits is not None and v.traits.tilt:
+        return _canted_allocation(v)
     cg_x, cg_y, moment_ratio = np.broadcast_arrays(v.cg_x, v.cg_y, v.moment_ratio)
     effect = np.stack(
         [
@@ -129,10 +152,26 @@ def allocation(vehicle: Vehicle) -> list[list[Value]]:
         ],
         axis=-1,
     )
+    return _mixer(effect)
+
+
+def _canted_allocation(v: Vehicle) -> list[list[Value]]:
+    """The same for rotors that the builder has canted, and so knows to be."""
+    assert v.traits is not None
+    cosine = np.cos(v.traits.tilt)
+    columns = []
+    for r in v.rotors:
+        moments = per_thrust(v, r, v.k_M / v.k_T)[2:]
+        columns.append(np.stack(np.broadcast_arrays(cosine, *moments), axis=-1))
+    return _mixer(np.stack(columns, axis=-1))
+
+
+def _mixer(effect: Any) -> list[list[Value]]:
+    """Rows of the pseudo-inverse of (..., 4, n), a rotor each."""
     mix = np.linalg.pinv(effect)
     return [
         [float(x) if x.ndim == 0 else x for x in np.moveaxis(mix[..., i, :], -1, 0)]
-        for i in range(len(v.rotors))
+        for i in range(mix.shape[-2])
     ]
 
 

@@ -5,14 +5,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gcs_sysid.model.attitude import from_euler
+from sim_bridge.battery import voltage
 from sim_bridge.controller import Controller
 from sim_bridge.dynamics import CALM, STEP_US, Disturbance, Dynamics, State, rotate_to_body
 from sim_bridge.ground_cycle import GroundCycle
 from sim_bridge.missions import HEIGHT, Mission
+from sim_bridge.physics import IDEAL, Physics
 from sim_bridge.simulated_vehicle import Value, Vehicle, hover_thrusts
+from sim_bridge.surroundings import Surroundings
 
 CONTROL_STEPS = 4
 """Usual physics steps a control period: 250 Hz."""
+
+_PHYSICS = 0x9457
+"""Sets the randomness of the physics apart from that of the flight."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +97,9 @@ class Simulation:
     Attributes:
         dynamics: the physics with the parameters in force.
         state: at this step.
-        targets: rotor-speed targets in force, rad/s.
+        physics: what is switched on.
+        targets: rotor-speed targets in force, rad/s, as commanded.
+        drives: the same as the battery lets the motors have them.
         disturbance: in force.
         tick: physics steps since the start.
         step_us: us in a physics step; step_size is the same in s.
@@ -107,9 +116,13 @@ class Simulation:
         changes: Sequence[Change] = (),
         step_us: int = STEP_US,
         control_steps: int = CONTROL_STEPS,
+        physics: Physics = IDEAL,
     ) -> None:
         self.step_us = step_us
         self.step_size = 1e-6 * step_us
+        self.physics = physics
+        own = _apart(seed)
+        vehicle = physics.of_vehicle(vehicle, np.random.default_rng(own.spawn(1)[0]))
         self.dynamics = Dynamics(vehicle, step_size=self.step_size)
         self.mission = mission
         self.tick = 0
@@ -120,8 +133,15 @@ class Simulation:
         self._controller = Controller(vehicle, self._period)
         wobble = mission.turbulence if turbulence is None else turbulence
         self._turbulence = Turbulence(vehicle, wobble, self._period, seed)
+        self._surroundings = (
+            Surroundings(vehicle, physics, self._period, own) if physics.switched_on else None
+        )
+        self._whole: Vehicle | None = None
+        self._misaligned = any(physics.imu_rotation)
+        self._imu_turn = from_euler(*physics.imu_rotation)
         self.state = trim(vehicle)
         self.targets: list[Value] = list(self.state.speeds)
+        self.drives = self.targets
         self.disturbance = CALM
         self.armed = True
         self.grounded = False
@@ -143,7 +163,7 @@ class Simulation:
 
     def step(self) -> None:
         """Advance by one physics step; the controller acts on the state reached."""
-        state = self.dynamics.step(self.state, self.targets, self.disturbance)
+        state = self.dynamics.step(self.state, self.drives, self.disturbance)
         if self.grounded:
             # The ground holds the body; the rotors are free to turn.
             state.body = self.state.body
@@ -160,12 +180,28 @@ class Simulation:
             else:
                 self._control()
 
+    @property
+    def voltage(self) -> float:
+        """Of the battery, V."""
+        battery = self._surroundings.battery if self._surroundings is not None else None
+        return voltage(self.time) if battery is None else battery.voltage
+
+    def rates(self) -> list[Value]:
+        """Body rates in the IMU's axes, rad/s."""
+        rates = self.state.rates
+        return list(rotate_to_body(self._imu_turn, rates)) if self._misaligned else rates
+
     def imu(self) -> tuple[list[Value], list[Value]]:
         """What perfect inertial sensors read: body rates (rad/s), specific force (m/s^2)."""
         if self.grounded:
             up = (0.0, 0.0, -self.dynamics.gravity)
-            return [0.0, 0.0, 0.0], list(rotate_to_body(self.state.quaternion, up))
-        return self.dynamics.imu(self.state, self.targets, self.disturbance)
+            gyro, force = [0.0, 0.0, 0.0], list(rotate_to_body(self.state.quaternion, up))
+        else:
+            gyro, force = self.dynamics.imu(self.state, self.drives, self.disturbance)
+        if not self._misaligned:
+            return gyro, force
+        turn = self._imu_turn
+        return list(rotate_to_body(turn, gyro)), list(rotate_to_body(turn, force))
 
     def _stand(self) -> None:
         """On the ground: rotors stopped, or turning with not quite the thrust to leave it."""
@@ -183,14 +219,50 @@ class Simulation:
             self.state.body = [x, y, 0.0, 0.0, 0.0, 0.0, *level, 0.0, 0.0, 0.0]
         self.targets = [0.97 * speed if self.armed else 0.0 for speed in idle]
         self.disturbance = CALM
+        self._surround()
 
     def _control(self) -> None:
         if self.grounded:
             self.grounded = False
             # A controller of the last flight has wound up its integrators.
             self._controller = Controller(self.vehicle, self._period)
+        physics = self.physics
+        self._controller.full_throttle = physics.punch_out is not None and physics.punch_out.holds(
+            self.time
+        )
         self.targets = self._controller.update(self.state, self.mission.reference(self.time))
+        if physics.throttle_cut is not None and physics.throttle_cut.holds(self.time):
+            self.targets = [self.vehicle.speed_of(physics.idle)] * len(self.targets)
         self.disturbance = self._turbulence.next()
+        self._surround()
+
+    def _surround(self) -> None:
+        """What changes from one control period to the next around the vehicle."""
+        self.drives = self.targets
+        if self._surroundings is None:
+            return
+        before = self.vehicle
+        self._surroundings.advance(self.dynamics, self.time, self.state.speeds)
+        weakening = self.physics.weakening
+        if weakening is not None and self.vehicle is not before:
+            self._whole = self._whole or before
+            if weakening.lost(self.time) == weakening.share:
+                change = Change(weakening.start, "rotor_failure", lambda vehicle: vehicle)
+                self.done.append((change, self._whole, self.vehicle))
+        if self.grounded:
+            self._surroundings.rest()
+        battery = self._surroundings.battery
+        if battery is not None:
+            self.drives = [battery.ratio * target for target in self.targets]
+        if not self.grounded:
+            self.disturbance = self._surroundings.disturbance(
+                self.dynamics, self.state, self.disturbance
+            )
+
+
+def _apart(seed: np.random.SeedSequence) -> np.random.SeedSequence:
+    """A seed of its own for the physics, so that the gusts' draws stay what they are without."""
+    return np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, _PHYSICS))
 
 
 def trim(vehicle: Vehicle) -> State:

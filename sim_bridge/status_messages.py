@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.autopilot import EPOCH_US
+from sim_bridge.battery import CELLS
 from sim_bridge.instruments import Instruments
-from sim_bridge.message_writers import CELLS, HOME, MessageMaker, voltage
+from sim_bridge.message_writers import HOME, MessageMaker
 from sim_bridge.wire import FrameWriter
 
 EARTH_RADIUS = 6371000.0
@@ -91,7 +92,7 @@ class StatusMessages(MessageMaker):
         """Of the battery, A."""
         vehicle = self._sim.vehicle
         power = sum(vehicle.k_M * s * s * s for s in self._sim.state.speeds) / 0.8
-        return float(power / voltage(self._sim.time))
+        return float(power / self._sim.voltage)
 
     def sys_status(self) -> list[bytes]:
         """SYS_STATUS."""
@@ -102,7 +103,7 @@ class StatusMessages(MessageMaker):
                 _SENSORS,
                 _SENSORS,
                 350,
-                round(voltage(self._sim.time) * 1000.0),
+                round(self._sim.voltage * 1000.0),
                 round(self.current * 100.0),
                 0,
                 0,
@@ -119,7 +120,7 @@ class StatusMessages(MessageMaker):
 
     def battery_status(self) -> list[bytes]:
         """BATTERY_STATUS."""
-        cell = round(voltage(self._sim.time) / CELLS * 1000.0)
+        cell = round(self._sim.voltage / CELLS * 1000.0)
         return [
             self.writer.frame(
                 mavlink.MAVLink_battery_status_message,

@@ -4,6 +4,7 @@ import math
 import tomllib
 from collections.abc import Mapping
 from importlib import resources
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from gcs_sysid.model.airframe import (
     read_airframe_table,
 )
 from gcs_sysid.model.parameters import REGISTRY
-from sim_bridge.simulated_vehicle import Vehicle, hover_thrusts
+from sim_bridge.simulated_vehicle import LAGS, Vehicle, hover_thrusts
 
 _KNOWN = tuple(name for name in REGISTRY if name in Vehicle.__dataclass_fields__)
 _REQUIRED = tuple(name for name in _KNOWN if REGISTRY[name].sign == "positive")
@@ -74,8 +75,8 @@ def make_vehicle(airframe: Airframe, parameters: object, where: str) -> Vehicle:
         raise InputError(f"{where} must be a table")
     values = dict(parameters)
     lag_of = values.pop("lag_of", "speed")
-    if lag_of not in ("speed", "command"):
-        raise InputError(f"{where}: lag_of must be 'speed' or 'command', got {lag_of!r}")
+    if lag_of not in LAGS:
+        raise InputError(f"{where}: lag_of must be one of {', '.join(LAGS)}, got {lag_of!r}")
     known = {*_KNOWN, *_IMU, "lag_of"}
     for key in values:
         if key not in known:
@@ -93,17 +94,16 @@ def make_vehicle(airframe: Airframe, parameters: object, where: str) -> Vehicle:
             raise InputError(f"{where}: {key} is missing")
     for key, value in values.items():
         _check_value(key, value, f"{where}: {key}")
+    numbers: dict[str, Any] = {key: float(value) for key, value in values.items()}
     vehicle = Vehicle(
         name=airframe.name,
         rotors=airframe.rotors,
         command=airframe.command,
         lag_of=lag_of,
-        **{key: float(value) for key, value in values.items()},
+        **numbers,
     )
-    if lag_of == "command" and vehicle.rotor_inertia:
-        raise InputError(f"{where}: rotor_inertia needs lag_of = 'speed'")
     _check_inertia(vehicle, where)
-    _check_hover(vehicle, where)
+    check_hover(vehicle, where)
     return vehicle
 
 
@@ -130,7 +130,12 @@ def _check_inertia(v: Vehicle, where: str) -> None:
         )
 
 
-def _check_hover(v: Vehicle, where: str) -> None:
+def check_hover(v: Vehicle, where: str) -> None:
+    """See that the rotors can hold the vehicle.
+
+    Raises:
+        InputError: one would have to pull downwards, or has too little left to control with.
+    """
     shares = hover_thrusts(v)
     if min(shares) <= 0.0:
         raise InputError(

@@ -1,1 +1,1 @@
-"""How far what is stated can be trusted, on vehicles that are not quite the model."""
+"""Truth benchmark: how often what the program claims is so, on vehicles that are not its model."""

@@ -134,11 +134,7 @@ def test_arm_scales_the_layout(paper_vehicle: Vehicle) -> None:
         (AIRFRAME + SIMULATION + "cg_x = 0.3\n", "CG lies so far out"),
         (AIRFRAME + SIMULATION + "motor_lag_ = 0.1\n", "motor_lag_"),
         (AIRFRAME + SIMULATION + "thrust_curve = 1.5\n", "thrust_curve must lie in 0..1"),
-        (AIRFRAME + SIMULATION + "lag_of = 'thrust'\n", "lag_of must be 'speed' or 'command'"),
-        (
-            AIRFRAME + SIMULATION + "lag_of = 'command'\nrotor_inertia = 1e-5\n",
-            "rotor_inertia needs lag_of = 'speed'",
-        ),
+        (AIRFRAME + SIMULATION + "lag_of = 'all'\n", "one of speed, thrust, command, got 'all'"),
         (AIRFRAME.replace("[[rotor]]", "simulation = 3\n[[rotor]]", 1), "must be a table"),
     ],
 )

@@ -1,0 +1,134 @@
+"""Fly vehicles that are not the model, and write docs/truth.md.
+
+Outcomes are kept as JSON under build/truth, one file a scenario; with --only, the page is written
+from what is kept of the others. `--short` flies a few and prints the table.
+"""
+
+import argparse
+import json
+import multiprocessing
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from benchmarks.truth import emulated, independent, page, recorded_flights
+from benchmarks.truth.emulated import Recording
+from benchmarks.truth.judge import judge
+from benchmarks.truth.scenarios import SCENARIOS
+
+ROOT = Path(__file__).resolve().parents[2]
+CACHE = ROOT / "build" / "truth"
+PAGE = ROOT / "docs" / "truth.md"
+VERSION = 1
+"""Of what is kept; others are left alone."""
+SHORT = {"a": 2, "s": 1, "swap": 1}
+"""Scenarios of the short form, and vehicles of each."""
+LOGS = "logs"
+"""Begins the names of scenarios that are recorded flights."""
+
+_BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}
+_SAYS = {name: says for name, (*_, says) in independent.PLANTS.items()}
+
+
+def fly(name: str, seconds: float | None, number: int) -> dict[str, Any]:
+    """Record one flight of a scenario, analyse it, and hold the result against the truth."""
+    with tempfile.TemporaryDirectory() as folder:
+        recording: Recording
+        if name in independent.PLANTS:
+            recording = independent.record(name, number, Path(folder), seconds)
+        else:
+            recording = emulated.record(_BY_NAME[name], number, Path(folder), seconds)
+        out = judge(recording.log, recording.airframe, recording.truth)
+    return {**out, "vehicle": recording.vehicle}
+
+
+def study(
+    name: str, says: str, run: Callable[[Any], dict[str, Any]], inputs: Sequence[Any], workers: int
+) -> dict[str, Any]:
+    """Run a scenario over its vehicles or logs."""
+    began, outcomes = time.monotonic(), []
+    can_fork = "fork" in multiprocessing.get_all_start_methods()
+    context = multiprocessing.get_context("fork" if can_fork else None)
+    with context.Pool(workers) as pool:
+        for outcome in pool.imap(run, inputs):
+            outcomes.append(outcome)
+            say(f"{name}: {len(outcomes)}/{len(inputs)}")
+    took = time.monotonic() - began
+    say("")
+    print(f"{name}: {page.verdicts(outcomes)} in {took:.0f} s", file=sys.stderr, flush=True)
+    return {"version": VERSION, "says": says, "seconds": round(took, 1), "outcomes": outcomes}
+
+
+def say(text: str) -> None:
+    """Progress, where somebody looks on."""
+    if sys.stderr.isatty():
+        print(f"\r{text}\033[K", end="", file=sys.stderr, flush=True)
+
+
+def kept(order: Sequence[str]) -> page.Rows:
+    """Outcomes of this run and earlier ones, in the order of the page."""
+    found: page.Rows = {}
+    for file in sorted(CACHE.glob("*.json")):
+        done = json.loads(file.read_text(encoding="utf-8"))
+        if done.get("version") == VERSION:
+            found[done["name"]] = done
+    known = [name for name in order if name in found]
+    return {name: found[name] for name in (*known, *(n for n in found if n not in known))}
+
+
+def keep(name: str, done: dict[str, Any]) -> None:
+    """Keep a scenario's outcomes."""
+    CACHE.mkdir(parents=True, exist_ok=True)
+    file = CACHE / f"{name.replace(' ', '-').replace(chr(39), '')}.json"
+    file.write_text(json.dumps({"name": name, **done}), encoding="utf-8")
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.truth", description=__doc__)
+    names = [*_BY_NAME, *independent.PLANTS, LOGS]
+    parser.add_argument("--vehicles", type=int, default=8, metavar="N", help="of each scenario")
+    parser.add_argument("--only", choices=names, action="append", help="may be repeated")
+    parser.add_argument("--logs", type=Path, metavar="FOLDER", help="recorded flights with truths")
+    parser.add_argument("--workers", type=int, default=min(os.cpu_count() or 1, 2))
+    parser.add_argument("--short", action="store_true", help="a few flights, printed")
+    parser.add_argument("--page", action="store_true", help="write the page from what is kept")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run what is asked for."""
+    options = make_parser().parse_args(argv)
+    if options.vehicles < 1 or options.workers < 1:
+        sys.exit("--vehicles and --workers begin at 1")
+    if options.short:
+        rows = {
+            name: study(name, _BY_NAME[name].says, partial(fly, name, None), range(count), 1)
+            for name, count in SHORT.items()
+        }
+        print("\n".join(page.lines(rows)))
+        return 0
+    order = [*_BY_NAME, *independent.available()]
+    says = {**{n: s.says for n, s in _BY_NAME.items()}, **_SAYS}
+    for name in [] if options.page else order:
+        if not options.only or name in options.only:
+            inputs = range(options.vehicles)
+            done = study(name, says[name], partial(fly, name, None), inputs, options.workers)
+            keep(name, done)
+    if options.logs and not options.page and (not options.only or LOGS in options.only):
+        for place, logs in recorded_flights.cases(options.logs).items():
+            name = f"{LOGS}: {place}"
+            what = f"recorded flights ({place})"
+            keep(name, study(name, what, recorded_flights.run, logs, options.workers))
+    PAGE.write_text(page.page(kept(order)), encoding="utf-8", newline="\n")
+    print(PAGE.relative_to(ROOT), file=sys.stderr)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,137 @@
+"""Flights of drawn vehicles on the project's own emulator, as recordings."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.truth.scenarios import Scenario
+from benchmarks.truth.vehicles import Drawn, draw
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.telemetry.dialect import mavlink
+from sim_bridge.autopilot import BOOT_US
+from sim_bridge.ground_cycle import GroundCycle
+from sim_bridge.links import TlogLink
+from sim_bridge.missions import Mission
+from sim_bridge.px4 import Px4
+from sim_bridge.sensor_faults import SensorFaults
+from sim_bridge.simulation import Simulation
+
+_SPEEDS = (mavlink.MAVLINK_MSG_ID_ESC_STATUS, mavlink.MAVLINK_MSG_ID_ESC_INFO)
+_COMMANDS = (
+    mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS,
+    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
+)
+
+Truth = dict[str, Any]
+"""Parameter -> value, or a list of values that it has at once (unequal rotors)."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A flight in a file.
+
+    Attributes:
+        log: the file.
+        airframe: as the user has it.
+        truth: for the judge alone.
+        vehicle: what it was, for the page.
+    """
+
+    log: Path
+    airframe: Airframe
+    truth: Truth
+    vehicle: str
+
+
+def record(
+    scenario: Scenario, number: int, folder: Path, seconds: float | None = None
+) -> Recording:
+    """Fly one vehicle of a scenario.
+
+    Args:
+        scenario: what to fly.
+        number: of the vehicle; the same number is the same vehicle where layouts are the same.
+        folder: for the file.
+        seconds: of flight; None for the whole mission.
+    """
+    drawn = draw(number, scenario.layouts)
+    random = np.random.default_rng([number, *scenario.name.encode()])
+    mission: Mission = drawn.mission(
+        scenario.mission, scenario.rate, 1.5, 2.0 if scenario.mission == "climbs" else 0.0
+    )
+    if scenario.ground:
+        mission = GroundCycle(mission, 4.0)
+    simulation = Simulation(
+        drawn.vehicle,
+        mission,
+        np.random.SeedSequence([number, 1]),
+        0.0,
+        physics=scenario.physics(random),
+    )
+    rate = float(random.choice(scenario.imu))
+    log = folder / f"{scenario.name}_{number}.tlog"
+    write(simulation, log, number, rate, seconds, commands=scenario.commands, esc=scenario.esc)
+    truth = simulation.vehicle.truth() if simulation.done else _start_truth(simulation)
+    for name in scenario.unjudged:
+        truth.pop(name, None)
+    airframe = scenario.known(drawn.airframe)
+    return Recording(log, airframe, truth, describe(drawn))
+
+
+def _start_truth(simulation: Simulation) -> Truth:
+    """True parameters; where rotors are unequal, all the values that there are."""
+    truth = simulation.vehicle.truth()
+    if simulation.physics.scatter:
+        each = zip(truth["k_M_rotors"], truth["k_T_rotors"], strict=True)
+        truth["moment_ratio"] = [k_M / k_T for k_M, k_T in each]
+        truth["k_T"], truth["k_M"] = truth["k_T_rotors"], truth["k_M_rotors"]
+    return truth
+
+
+def describe(drawn: Drawn) -> str:
+    """A vehicle in three words."""
+    return f"{drawn.layout}, {drawn.vehicle.mass:.2g} kg, arm {drawn.arm:.2g} m"
+
+
+def write(
+    simulation: Simulation,
+    log: Path,
+    seed: int,
+    rate: float,
+    seconds: float | None = None,
+    *,
+    commands: bool = False,
+    esc: float = 0.0,
+) -> None:
+    """Fly to the end, as PX4 with MEMS sensors, into a .tlog.
+
+    Args:
+        simulation: at its start.
+        log: file to write.
+        seed: of the sensors.
+        rate: of IMU and rotors, Hz.
+        seconds: of flight; None for the whole mission.
+        commands: sent instead of rotor speeds.
+        esc: Hz of the rotor speeds; 0: `rate`.
+    """
+    faults = replace(SensorFaults(), never_sent=_SPEEDS if commands else _COMMANDS)
+    autopilot = Px4(simulation, "mems", 0.0, rate, np.random.SeedSequence([seed, 2]), faults)
+    if esc:
+        autopilot.schedule.set_interval(mavlink.MAVLINK_MSG_ID_ESC_STATUS, 1e6 / esc, 0)
+        # An ESC's clock is its own: its samples fall anywhere between those of the IMU.
+        phase = np.random.default_rng([seed, 3]).uniform(0.0, 1e6 / esc)
+        autopilot.schedule.streams[mavlink.MAVLINK_MSG_ID_ESC_STATUS].due = float(phase)
+        autopilot.instruments.retime("rotor", 1.0 / esc)
+    length = simulation.mission.duration if seconds is None else seconds
+    link = TlogLink(log, replace=True)
+    try:
+        for tick in range(round(length / simulation.step_size) + 1):
+            if tick:
+                simulation.step()
+            frames = autopilot.poll(tick)
+            if frames:
+                link.send(frames, BOOT_US + tick * simulation.step_us)
+    finally:
+        link.close()

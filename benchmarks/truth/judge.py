@@ -1,0 +1,94 @@
+"""A flight analysed as a user would, and its result held against the truth."""
+
+import math
+import traceback
+from pathlib import Path
+from typing import Any
+
+from benchmarks.truth import practitioner
+from benchmarks.truth.emulated import Truth
+from gcs_sysid.errors import InputError
+from gcs_sysid.intervals import Z95
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.session.analysis import analyze_log
+
+MOMENTS = ("Ixx", "Iyy", "Izz")
+NO_CHANGE = ("disturbance", "rotor_input", "landing")
+"""Kinds of events that claim nothing of the vehicle."""
+
+
+def judge(log: Path, airframe: Airframe, truth: Truth, *, peer: bool = True) -> dict[str, Any]:
+    """What came of a flight, as JSON holds it. The estimator sees the log and the airframe alone.
+
+    Args:
+        log: the recording.
+        airframe: as the user has it.
+        truth: parameter -> value or values.
+        peer: whether to try the practitioner's least squares too.
+    """
+    onlooker = practitioner.Onlooker()
+    try:
+        result = analyze_log(log, airframe, observer=onlooker if peer else None)
+    except InputError as error:
+        return {"verdict": "refused", "error": str(error).replace(str(log), log.name)}
+    except Exception as error:  # noqa: BLE001 - a defect is an outcome here
+        trace = traceback.extract_tb(error.__traceback__)[-1]
+        return {"verdict": "error", "error": f"{type(error).__name__}: {error} ({trace.name})"}
+    out = outcome(result, truth)
+    if peer:
+        theirs = practitioner.estimate(onlooker.blocks, airframe)
+        out["practitioner"] = {
+            name: against(value, half / Z95, truth[name])
+            for name, (value, half) in theirs.items()
+            if name in truth
+        }
+    return out
+
+
+def outcome(result: Result, truth: Truth) -> dict[str, Any]:
+    """A result against the truth."""
+    estimates: dict[str, Estimate] = {**result.parameters, **result.timing}
+    judged = {}
+    for name, estimate in estimates.items():
+        if name not in truth or estimate.value is None or not estimate.std:
+            continue
+        if estimate.status in ("identified", "weak"):
+            judged[name] = {
+                "status": estimate.status,
+                **against(estimate.value, estimate.std, truth[name]),
+            }
+    found = result.validation
+    changes = [e for e in result.events if "detected" in e and e["kind"] not in NO_CHANGE]
+    return {
+        "verdict": result.verdict,
+        "reasons": list(result.reasons),
+        "events": [{"t": e["t"], "kind": e["kind"]} for e in changes],
+        "parameters": judged,
+        "r_squared": _worst(found.get("r_squared"), min),
+        "whiteness": _worst(found.get("whiteness"), max),
+    }
+
+
+def against(value: float, std: float, truth: float | list[float]) -> dict[str, float | bool]:
+    """An estimate against its true value, or the nearest within the range of several.
+
+    Returns:
+        error: relative to the truth (absolute where that is zero), signed.
+        z: error over standard deviation.
+        holds: whether the 95 % interval has a true value in it.
+    """
+    several = truth if isinstance(truth, list) else [truth]
+    nearest = min(max(value, min(several)), max(several))
+    error = value - nearest
+    scale = abs(nearest) or 1.0
+    return {
+        "error": error / scale,
+        "z": error / std,
+        "holds": abs(error) <= Z95 * std,
+    }
+
+
+def _worst(axes: dict[str, float | None] | None, pick: Any) -> float | None:
+    values = [v for v in (axes or {}).values() if v is not None and math.isfinite(v)]
+    return pick(values) if values else None

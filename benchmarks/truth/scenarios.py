@@ -1,0 +1,161 @@
+"""What is flown with the vehicles drawn, and what their users know wrongly."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.truth.vehicles import LAYOUTS
+from gcs_sysid.model.airframe import Airframe, Rotor
+from sim_bridge.physics import IDEAL, Physics
+
+Random = np.random.Generator
+_AIR_BESIDES = ("linear_drag", "rotational_damping")
+"""Parameters with no one true value where the air does more than drag and damp linearly."""
+
+
+def _ideal(random: Random) -> Physics:
+    del random
+    return IDEAL
+
+
+def _air(random: Random) -> Physics:
+    """Rotor drag, inflow and flapping of half to one and a half times the usual strength."""
+    a, b, c, d = random.uniform(0.5, 1.5, 4)
+    return Physics(
+        rotor_drag=0.3 * a,
+        inflow=0.6 * b,
+        flapping=1.0 * c,
+        forward_lift=0.003 * d,
+        quadratic_drag=20.0,
+        rotor_height=0.02,
+    )
+
+
+def _wind(random: Random) -> Physics:
+    come_from = float(random.uniform(0.0, 2.0 * math.pi))
+    return replace(_air(random), wind=(6.0, come_from), gusts=1.5)
+
+
+def as_it_is(airframe: Airframe) -> Airframe:
+    """What the user has measured is right."""
+    return airframe
+
+
+def _scaled(airframe: Airframe) -> Airframe:
+    return airframe.with_arm(1.03 * airframe.arm)
+
+
+def _misweighed(airframe: Airframe) -> Airframe:
+    assert airframe.mass is not None
+    return replace(airframe, mass=1.05 * airframe.mass)
+
+
+def _swapped(airframe: Airframe) -> Airframe:
+    """The first rotor's place and that of its neighbour in the list are taken for each other."""
+    a, b, *rest = airframe.rotors
+    return replace(airframe, rotors=(b, a, *rest))
+
+
+def _spun(airframe: Airframe) -> Airframe:
+    rotors = tuple(replace(r, spin=-r.spin) for r in airframe.rotors)
+    return replace(airframe, rotors=rotors)
+
+
+def _turned(airframe: Airframe) -> Airframe:
+    """Front taken for the right-hand side."""
+    return replace(airframe, rotors=tuple(Rotor(-r.y, r.x, r.spin) for r in airframe.rotors))
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What is flown, and how it is told.
+
+    Attributes:
+        name: for --only.
+        says: what it is, for the page.
+        physics: of a vehicle, drawn.
+        mission: "doublets" or "climbs".
+        rate: of the largest doublets, rad/s.
+        commands: whether commands are sent instead of rotor speeds.
+        imu: rates of the IMU in Hz, one drawn.
+        esc: Hz of the rotor speeds; 0: the IMU's.
+        ground: take-off and landing are in it.
+        layouts: to draw from.
+        known: the airframe as the user has it.
+        unjudged: parameters without one true value.
+    """
+
+    name: str
+    says: str
+    physics: Callable[[Random], Physics] = _ideal
+    mission: str = "doublets"
+    rate: float = 2.0
+    commands: bool = False
+    imu: tuple[float, ...] = (250.0,)
+    esc: float = 0.0
+    ground: bool = False
+    layouts: tuple[str, ...] = LAYOUTS
+    known: Callable[[Airframe], Airframe] = as_it_is
+    unjudged: tuple[str, ...] = ()
+
+
+SCENARIOS = (
+    Scenario("a", "the model itself"),
+    Scenario("aclimb", "the same with climbs and descents of 2 m", mission="climbs"),
+    Scenario("j", "rotor drag, inflow, flapping, quadratic drag", _air, unjudged=_AIR_BESIDES),
+    Scenario(
+        "acro",
+        "the same, up to 5 rad/s",
+        _air,
+        rate=5.0,
+        unjudged=_AIR_BESIDES,
+    ),
+    Scenario(
+        "jr",
+        "yaw damped a tenth as much as roll and pitch",
+        lambda _: Physics(damping=(0.5, 0.5, 0.05)),
+        unjudged=("rotational_damping",),
+    ),
+    Scenario("s", "k_T and k_M differ by 3 % from rotor to rotor", lambda _: Physics(scatter=0.03)),
+    Scenario("d", "commands, rotors with inertia", commands=True),
+    Scenario(
+        "c",
+        "commands, a battery that loses 5 % of its voltage",
+        lambda _: Physics(battery=(0.05, 55.0), battery_drop=0.03),
+        commands=True,
+        unjudged=("T_max",),
+    ),
+    Scenario(
+        "i",
+        "IMU at 50 or 100 Hz, rotor speeds at 50 Hz between its samples",
+        imu=(50.0, 100.0),
+        esc=50.0,
+    ),
+    Scenario("k", "15 % of the mass sloshes", lambda _: Physics(slosh=(0.15, 1.2))),
+    Scenario(
+        "l",
+        "hexa, rotors canted by 4 degrees",
+        lambda _: Physics(tilt=math.radians(4.0)),
+        layouts=("hexa",),
+    ),
+    Scenario(
+        "n",
+        "take-off, ground effect, landing",
+        lambda _: Physics(ground_effect=0.5),
+        ground=True,
+    ),
+    Scenario("b", "wind of 6 m/s, Dryden gusts, aerodynamics", _wind, unjudged=_AIR_BESIDES),
+    Scenario(
+        "ou",
+        "a moment of 1 rad/s² rms that nobody models",
+        lambda _: Physics(ou_moment=(1.0, 1.0), ou_force=(0.3, 1.0)),
+    ),
+    Scenario("arm", "arms given 3 % too long", known=_scaled),
+    Scenario("mass", "mass given 5 % too large", known=_misweighed),
+    Scenario("swap", "two rotors taken for each other", known=_swapped),
+    Scenario("spins", "all spins the wrong way round", known=_spun),
+    Scenario("turned", "front taken for the right-hand side", known=_turned),
+)
+"""Letters are those under which such flights were first collected."""
