@@ -169,8 +169,7 @@ def test_samples_at_once_are_samples_one_by_one(seed, cuts, hold, read):
         else:
             assert blocks.extends(t[a:b], t[a:b, None])
             blocks.extend(t[a:b], t[a:b, None])
-        if len(single._steps) >= 16:
-            assert blocks.interval == pytest.approx(single.interval, rel=1e-12)
+        assert blocks.interval == pytest.approx(single.interval, rel=1e-12)
         assert list(blocks._steps) == pytest.approx(list(single._steps))
         if read:
             single.forget_before(t[b - 1] - 0.5)

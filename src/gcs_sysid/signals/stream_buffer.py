@@ -115,10 +115,10 @@ class StreamBuffer:
             steps = steps[steps < BREAK]
         every = [*self._steps, *steps[-STEP_SAMPLES - _RENEW :].tolist()]
         self._count += len(steps)
-        renewed = len(every) - self._count % _RENEW
-        if self._count >= _RENEW and renewed > len(self._steps):
+        renewed = len(every) - (self._count % _RENEW if self._count >= _RENEW else 0)
+        if renewed > len(self._steps):
             self.interval = usual_interval(every[max(renewed - STEP_SAMPLES, 0) : renewed])
-        self._steps.extend(every[-STEP_SAMPLES:])
+        self._steps = deque(every, maxlen=STEP_SAMPLES)
         self._newest = float(t[-1])
         if self._end + n > len(self._t):
             self._make_room(n)
