@@ -24,41 +24,30 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "gcs_sysid"
 SURVIVORS = ROOT / "tests" / "mutation_survivors.txt"
 
-NEAREST: dict[str, str] = {
-    "estimation/actuator_dynamics.py": "",
-    "estimation/command_noise.py": "test_input_noise test_commands",
-    "estimation/flight_comparison.py": "",
-    "estimation/normal_equations.py": "",
-    "estimation/priors.py": "",
-    "estimation/rigid_body_test.py": "",
-    "estimation/rotation.py": "test_priors",
-    "estimation/scale.py": "test_physical_parameters",
-    "estimation/search.py": "test_rotation test_priors",
-    "estimation/sequential_tests.py": "",
-    "estimation/speed_noise.py": "test_input_noise",
-    "estimation/translation.py": "",
-    "estimation/uncertainty.py": "",
-    "signals/complementary.py": "",
-    "signals/differentiator.py": "",
-    "signals/flight_detection.py": "",
-    "signals/outliers.py": "",
-    "signals/recursions.py": "",
-    "signals/smoothers.py": "",
-    "signals/stream_buffer.py": "test_time_base",
-    "signals/windows.py": "",
-    "telemetry/block_decode.py": "test_blocks test_decode",
-    "telemetry/clock.py": "",
-    "telemetry/decode.py": "test_blocks",
-    "telemetry/messages.py": "",
+CORE = {
+    "estimation": "actuator_dynamics command_noise flight_comparison normal_equations priors "
+    "rigid_body_test rotation scale search sequential_tests speed_noise translation uncertainty",
+    "signals": "complementary differentiator flight_detection outliers recursions smoothers "
+    "stream_buffer windows",
+    "telemetry": "block_decode clock decode messages",
 }
-"""The core, and where else than in tests/<room>/test_<module>.py its tests are, nearest first."""
+ELSEWHERE = {
+    "block_decode": ["blocks", "decode"],
+    "command_noise": ["input_noise", "commands"],
+    "decode": ["blocks"],
+    "rotation": ["priors", "commands"],
+    "scale": ["physical_parameters"],
+    "search": ["rotation", "priors"],
+    "speed_noise": ["input_noise"],
+    "stream_buffer": ["time_base"],
+}
+"""Where else than in tests/<room>/test_<module>.py the tests of a module are, nearest first."""
 
 PYTEST = [
     "-x", "-q", "--assert=plain", "-p", "no:cacheprovider", "-p", "no:unraisableexception",
@@ -83,19 +72,13 @@ Place = tuple[ast.AST, str, int | None]
 
 @dataclass(frozen=True)
 class Mutant:
-    """A module with one change.
-
-    Attributes:
-        key: what tells it from others of its module, whatever the line.
-        line: where it is.
-        tree: of the whole module; the change is not in it yet.
-        place: of what is replaced.
-        new: what replaces it.
-    """
+    """A module with one change."""
 
     key: str
+    """What tells it from others of its module, whatever the line."""
     line: int
     tree: ast.Module
+    """Of the whole module; the change is not in it yet."""
     place: Place
     new: Any
 
@@ -107,17 +90,10 @@ class Mutant:
 
 @contextlib.contextmanager
 def _replaced(node: ast.AST, field: str, index: int | None, new: Any) -> Iterator[None]:
-    old = getattr(node, field)
-    if index is None:
-        setattr(node, field, new)
-    else:
-        old = old[index]
-        getattr(node, field)[index] = new
+    holder, at = (vars(node), field) if index is None else (getattr(node, field), index)
+    old, holder[at] = holder[at], new
     yield
-    if index is None:
-        setattr(node, field, old)
-    else:
-        getattr(node, field)[index] = old
+    holder[at] = old
 
 
 def mutants(source: str) -> list[Mutant]:
@@ -192,29 +168,10 @@ def _changes(node: ast.AST, place: Place) -> Iterator[tuple[Any, Place]]:
         yield ast.UnaryOp(ast.Not(), node.test), (node, "test", None)
 
 
-class _Swap:
-    """Loads a mutant in place of its module."""
-
-    def __init__(self, name: str, path: Path, code: Any) -> None:
-        self.name, self.path, self.code = name, path, code
-
-    def find_spec(self, name: str, path: object = None, target: object = None) -> Any:
-        if name == self.name:
-            return importlib.util.spec_from_file_location(name, self.path, loader=self)  # type: ignore[arg-type]
-        return None
-
-    def create_module(self, spec: object) -> None:
-        return None
-
-    def exec_module(self, module: ModuleType) -> None:
-        exec(self.code, module.__dict__)
-
-
 def nearest(module: str) -> list[str]:
     """The test files of a module."""
     room, stem = module.removesuffix(".py").split("/")
-    names = [f"test_{stem}", *NEAREST.get(module, "").split()]
-    files = [f"tests/{room}/{name}.py" for name in dict.fromkeys(names)]
+    files = [f"tests/{room}/test_{name}.py" for name in (stem, *ELSEWHERE.get(stem, ()))]
     return [file for file in files if (ROOT / file).exists()]
 
 
@@ -229,9 +186,12 @@ def survives(module: str, code: Any, tests: Sequence[str], limit: float) -> bool
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
             name = "gcs_sysid." + module.removesuffix(".py").replace("/", ".")
             if name in sys.modules:
-                for loaded in [m for m in sys.modules if m.startswith(("gcs_sysid", "sim_bridge"))]:
-                    del sys.modules[loaded]
-            sys.meta_path.insert(0, _Swap(name, PACKAGE / module, code))  # type: ignore[arg-type]
+                for other in [m for m in sys.modules if m.startswith(("gcs_sysid", "sim_bridge"))]:
+                    del sys.modules[other]
+            importlib.import_module(name.rpartition(".")[0])
+            spec = importlib.util.spec_from_file_location(name, PACKAGE / module)
+            sys.modules[name] = loaded = importlib.util.module_from_spec(spec)
+            exec(code, loaded.__dict__)
             import pytest
 
             status = int(pytest.main([*PYTEST, *tests]))
@@ -241,7 +201,7 @@ def survives(module: str, code: Any, tests: Sequence[str], limit: float) -> bool
 
 
 def known_survivors() -> dict[str, dict[str, str]]:
-    """Module -> key of a mutant -> why no test need fail; `...` in a key stands for anything."""
+    """Module -> key of mutants -> why no test need fail; `...` in a key stands for anything."""
     known: dict[str, dict[str, str]] = {}
     table, key = {}, ""
     for line in SURVIVORS.read_text().splitlines() if SURVIVORS.exists() else []:
@@ -293,35 +253,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ["PYTHONPATH"] = os.pathsep.join(sys.path[:2])
     _warm_up()
     known, bad = known_survivors(), 0
+    core = [f"{room}/{name}.py" for room, names in CORE.items() for name in names.split()]
     print(f"{'module':34}{'mutants':>8}{'tried':>7}{'killed':>8}{'known':>7}{'new':>5}{'s':>6}")
-    for module in asked.modules or NEAREST:
-        source = (PACKAGE / module).read_text()
-        every, tests, began = mutants(source), nearest(module), time.monotonic()
+    for module in asked.modules or core:
+        source, tests, began = (PACKAGE / module).read_text(), nearest(module), time.monotonic()
         if not survives(module, compile(source, module, "exec"), tests, 600.0):
             print(f"{module}: its tests fail as it is: {' '.join(tests)}")
             return 2
         limit = 5.0 + 3.0 * (time.monotonic() - began)
-        reasons = {pattern: _matcher(pattern) for pattern in known.get(module, {})}
-        excused = [m for m in every if any(fits(m.key) for fits in reasons.values())]
-        tried = every if not asked.sample else random.Random(f"{asked.seed} {module}").sample(
-            every, min(asked.sample, len(every))
-        )  # fmt: skip
-        tried = excused if asked.known else tried
-        run = [m for m in tried if asked.known or m not in excused]
+        every, patterns = mutants(source), known.get(module, {})
+        fits = {p: {m.key for m in every if _matcher(p)(m.key)} for p in patterns}
+        excused = set().union(*fits.values())
+        draw = random.Random(f"{asked.seed} {module}")
+        tried = draw.sample(every, min(asked.sample or len(every), len(every)))
+        if asked.known:
+            tried = [m for m in every if m.key in excused]
+        run = [m for m in tried if asked.known or m.key not in excused]
         left = [m for m in run if survives(module, m.code(PACKAGE / module), tests, limit)]
-        new = [m for m in left if m not in excused]
-        spared, seconds = len(tried) - len(run) + len(left) - len(new), time.monotonic() - began
-        killed = len(run) - len(left)
+        new = [m for m in left if m.key not in excused]
+        killed, spared = len(run) - len(left), len(tried) - len(run) + len(left) - len(new)
         print(f"{module:34}{len(every):8}{len(tried):7}{killed:8}{spared:7}{len(new):5}"
-              f"{seconds:6.0f}", flush=True)  # fmt: skip
-        for mutant in new:
-            print(f"  survived: src/gcs_sysid/{module}:{mutant.line} {mutant.key}", flush=True)
-        for mutant in (m for m in run if asked.known and m not in left):
-            print(f"  killed by now: {mutant.key}")
-        stale = [p for p, fits in reasons.items() if not any(fits(m.key) for m in every)]
-        for pattern in stale:
-            print(f"  in {SURVIVORS.name}, but no mutant: {pattern}")
-        bad += len(new) + len(stale)
+              f"{time.monotonic() - began:6.0f}")  # fmt: skip
+        wrong = [f"survived: src/gcs_sysid/{module}:{m.line} {m.key}" for m in new]
+        wrong += [
+            f"known to survive, but killed: {m.key}" for m in run if asked.known and m not in left
+        ]
+        wrong += [f"known to survive, but no mutant: {p}" for p, keys in fits.items() if not keys]
+        wrong += [f"known to survive, but no reason: {p}" for p, why in patterns.items() if not why]
+        for line in wrong:
+            print(f"  {line}", flush=True)
+        bad += len(wrong)
     return int(bad > 0)
 
 

@@ -203,6 +203,7 @@ def test_a_fit_by_hand_has_what_it_was_given():
     np.testing.assert_array_equal(fit.full_covariance[: rb.N_THETA, : rb.N_THETA], fit.covariance)
     assert not fit.full_covariance[rb.N_THETA :].any()
     np.testing.assert_array_equal(fit.unknowns, [*THETA, 0.0, 0.0, 1.0])
+    assert (fit.leak, fit.warm_start) == (0, None)
     full = fit.full_covariance.copy()
     full[rb.N_THETA, rb.N_THETA] = 4e-6
     late = replace(fit, coordinates=np.array([0.01, 0.05, 0.5]), full_covariance=full)
@@ -227,3 +228,25 @@ def test_a_strong_prior_that_pulls_out_of_the_physical_is_held_back():
     information[2, 2] = 1e4
     fit = fit_rotation(batches, counts, PLAIN, NONE, prior=Prior(mean, information))
     assert rb.is_physical(fit.theta)
+
+
+def test_a_fit_that_follows_weighs_its_prior_as_the_fit_does():
+    """A start two deviations off, and a prior as strong as the data: one step leads there."""
+    batches, counts, _ = moments_of(sigma=0.1)
+    alone = fit_rotation(batches, counts, PLAIN, NONE)
+    mean = THETA + 1.5 * alone.std
+    prior = prior_of({i: (mean[i], alone.std[i]) for i in range(rb.N_THETA)})
+    fit = fit_rotation(batches, counts, PLAIN, NONE, prior=prior)
+    assert np.any(np.abs(fit.theta - alone.theta) > 0.5 * fit.std)
+    for start in (fit, alone):
+        warm_start = replace(fit.warm_start, unknowns=start.warm_start.unknowns)
+        (found,) = follow_rotation(
+            batches.sum(axis=0),
+            np.array([ROWS]),
+            PLAIN,
+            NONE,
+            replace(fit, warm_start=warm_start),
+            prior=prior,
+        )
+        assert np.all(np.abs(found.theta - fit.theta) < 0.1 * fit.std)
+        np.testing.assert_allclose(found.std, fit.std, rtol=0.02)
