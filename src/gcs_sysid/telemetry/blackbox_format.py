@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 
 MAGIC = b"H Product:Blackbox flight data recorder by Nicholas Sherlock"
@@ -38,6 +38,7 @@ SIGNED_VB, UNSIGNED_VB, NEG_14BIT, TAG8_8SVB, TAG2_3S32, TAG8_4S16, NULL, TAG2_3
 ) = range(12)  # fmt: skip
 _ONE_EACH = (SIGNED_VB, UNSIGNED_VB, NEG_14BIT, NULL)
 """Encodings of a field for itself, which the reference cuts to 32 bits; the others are not cut."""
+UNCUT = -(2**62)
 GROUPS = {TAG8_8SVB: 8, TAG2_3S32: 3, TAG8_4S16: 4, TAG2_3SVARIABLE: 3}
 """Encoding -> most fields that are written together."""
 _ALWAYS = {ZERO, MINTHROTTLE, MOTOR_0, FIXED_1500, VBATREF, MINMOTOR}
@@ -59,9 +60,16 @@ class Definition:
     predictors: tuple[int, ...]
     encodings: tuple[int, ...]
 
-    def wrapped(self) -> Mask:
-        """(fields,) whether a value is cut to 32 bits."""
-        return np.isin(self.encodings, _ONE_EACH) & (np.array(self.predictors) != INCREMENT)
+    def only(self, names: tuple[str, ...]) -> "Definition":
+        """Some of the fields."""
+        rows = [self.names.index(name) for name in names]
+        lists = (self.signed, self.predictors, self.encodings)
+        return Definition(names, *(tuple(numbers[i] for i in rows) for numbers in lists))
+
+    def lowest(self) -> Array:
+        """(fields,) lowest value of those that are cut to 32 bits; UNCUT for the others."""
+        cut = np.isin(self.encodings, _ONE_EACH) & (np.array(self.predictors) != INCREMENT)
+        return np.where(cut, np.where(np.array(self.signed) == 0, 0, -(2**31)), UNCUT)
 
 
 @dataclass(frozen=True)
