@@ -10,7 +10,7 @@ from gcs_sysid.telemetry.vehicles import RADIO, Vehicle
 
 SCHEMA = "gcs-sysid-inspect/1"
 AXES = ("roll", "pitch", "yaw")
-ONBOARD = ("ulog", "dataflash")
+ONBOARD = ("ulog", "dataflash", "blackbox")
 """Kinds of log that the autopilot wrote itself."""
 
 Verdict = Literal["yes", "partly", "no"]
@@ -120,7 +120,7 @@ class Inspection:
     """Everything found. Times are s since the first record, going on over reboots."""
 
     source: str
-    kind: Literal["tlog", "ulog", "dataflash", "link"]
+    kind: Literal["tlog", "ulog", "dataflash", "blackbox", "link"]
     duration: float
     vehicle: Vehicle | None
     systems: tuple[Vehicle, ...]

@@ -27,6 +27,8 @@ from gcs_sysid.telemetry.blackbox_format import (
 WRAP = 2**32
 _MOST_TIME, _MOST_LOOPS = 10_000_000, 5_000
 """us and loops between two frames that belong together; as the reference decoder."""
+_COLUMNS_AT_ONCE = 8
+"""More do not fit the processor's cache."""
 _LONGEST_CHAIN = 4096
 """P frames after an I frame; firmware writes 1024 at most."""
 
@@ -142,11 +144,13 @@ def _add_earlier(
         definition: of the P frames' columns.
     """
     for predictor in (PREVIOUS, STRAIGHT_LINE):
-        columns = np.flatnonzero(predictors == predictor)
-        sums = chains.since(np.cumsum(np.take(values, columns, axis=1), axis=0))
-        if predictor == STRAIGHT_LINE:
-            sums = chains.since(np.cumsum(sums, axis=0))
-        values[:, columns] = sums + top[:, columns][chains.number]
+        every = np.flatnonzero(predictors == predictor)
+        for columns in np.split(every, range(_COLUMNS_AT_ONCE, len(every), _COLUMNS_AT_ONCE)):
+            sums = chains.since(np.cumsum(np.take(values, columns, axis=1), axis=0))
+            if predictor == STRAIGHT_LINE:
+                sums = chains.since(np.cumsum(sums, axis=0))
+            sums += top[:, columns][chains.number]
+            values[:, columns] = sums
     columns = np.flatnonzero(predictors == AVERAGE_2)
     if len(columns):
         written = np.take(values, columns, axis=1)
@@ -282,18 +286,17 @@ def fixed_frames(
     homes = 0
     for column, predictor in enumerate(definition.predictors):
         if predictor == LAST_MAIN_FRAME_TIME:
-            values[:, column] += _latest(main.order, time_us, written.order)
+            values[:, column] += latest(main.order, time_us, written.order)
         elif predictor == HOME_COORD:
             homes = homes + 1 if column and definition.predictors[column - 1] == predictor else 0
             if home is not None and homes < home.values.shape[1]:
-                latest = _latest(home.order, home.values[:, homes], written.order)
-                values[:, column] += latest
+                values[:, column] += latest(home.order, home.values[:, homes], written.order)
     _wrap(values, definition)
     return replace(written, values=values)
 
 
-def _latest(order: Array, values: Array, places: Array) -> Array:
+def latest(order: Array, values: Array, places: Array) -> Array:
     """(k,) the last of (n,) values before each place; 0 before the first."""
     before = np.searchsorted(order, places)
-    latest: Array = np.append([0], values)[before]
-    return latest
+    last: Array = np.append([0], values)[before]
+    return last
