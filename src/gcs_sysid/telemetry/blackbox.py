@@ -144,14 +144,6 @@ def flight_sessions(path: Path) -> list[int]:
     return found
 
 
-def split_session(path: Path) -> tuple[Path, int | None]:
-    """A file, and which of its sessions: `LOG.bbl#2` is the second one of LOG.bbl."""
-    name, mark, number = path.name.rpartition("#")
-    if not mark or not name or not number.isdecimal() or len(number) > 4 or path.exists():
-        return path, None
-    return path.with_name(name), int(number)
-
-
 class _Reader:
     """Turns the frames of one session into streams."""
 

@@ -18,7 +18,6 @@ from gcs_sysid.telemetry.blackbox_format import (
     NEG_14BIT,
     NULL,
     SIGNED_VB,
-    TAG2_3S32,
     TAG2_3SVARIABLE,
     TAG8_4S16,
     TAG8_8SVB,
@@ -77,8 +76,10 @@ class ByteWindow:
         left = np.flatnonzero(n > 0)
         while len(left):
             now = at[left]
-            after = np.minimum(self._ends[np.minimum(self._rank[now], len(self._ends) - 1)] + 1,
-                               now + _LONGEST_NUMBER)
+            after = np.minimum(
+                self._ends[np.minimum(self._rank[now], len(self._ends) - 1)] + 1,
+                now + _LONGEST_NUMBER,
+            )
             at[left] = np.minimum(after, self._end)
             n[left] -= 1
             left = left[n[left] > 0]
@@ -196,7 +197,8 @@ class _Packed:
         self._places, self._sizes, self._little = places, sizes, little
 
     def behind(self, window: ByteWindow, at: Array) -> Array:
-        return at + self._sizes[window.raw[at]]
+        end: Array = at + self._sizes[window.raw[at]]
+        return end
 
     def read(self, window: ByteWindow, at: Array, which: Array) -> Array:
         tag = window.raw[at]
@@ -228,16 +230,17 @@ class _Tag2:
     def __init__(self, first: int, variable: bool) -> None:
         self.first = first
         # Where the fields begin in the first three bytes, from their highest bit, and their bits.
-        starts = ((2, 4, 6), (2, 7, 12), (2, 10, 17)) if variable else (
-            (2, 4, 6), (4, 8, 12), (2, 10, 18)
+        starts = (
+            ((2, 4, 6), (2, 7, 12), (2, 10, 17))
+            if variable
+            else ((2, 4, 6), (4, 8, 12), (2, 10, 18))
         )
-        bits = ((2, 2, 2), (5, 5, 4), (8, 7, 7)) if variable else (
-            (2, 2, 2), (4, 4, 4), (6, 6, 6)
-        )
+        bits = ((2, 2, 2), (5, 5, 4), (8, 7, 7)) if variable else ((2, 2, 2), (4, 4, 4), (6, 6, 6))
         self._starts, self._bits = np.array([*starts, (0,) * 3]), np.array([*bits, (0,) * 3])
 
     def behind(self, window: ByteWindow, at: Array) -> Array:
-        return at + _TAG2_SIZES[window.raw[at]]
+        end: Array = at + _TAG2_SIZES[window.raw[at]]
+        return end
 
     def read(self, window: ByteWindow, at: Array, which: Array) -> Array:
         tag = window.raw[at]

@@ -197,8 +197,9 @@ def _logged_after(header: Header, loop: Array, n: Array) -> Array:
     logged, interval = header.logged, header.interval
     before = loop // interval * len(logged)
     rank = before + np.searchsorted(logged, loop % interval, side="right") + n - 1
-    later: Array = rank // len(logged) * interval + logged[rank % len(logged)]
-    return np.where(n == 0, loop, later)
+    later = rank // len(logged) * interval + logged[rank % len(logged)]
+    found: Array = np.where(n == 0, loop, later)
+    return found
 
 
 def _outside(values: Array, low: Array) -> Mask:
@@ -206,7 +207,8 @@ def _outside(values: Array, low: Array) -> Mask:
     if not len(values):
         return np.zeros(len(low), bool)
     outside: Mask = (values.min(axis=0) < low) | (values.max(axis=0) >= low + WRAP)
-    return outside & (low != UNCUT)
+    outside &= low != UNCUT
+    return outside
 
 
 def _cut(values: Array, low: Array) -> Array:

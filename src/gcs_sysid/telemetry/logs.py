@@ -17,11 +17,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import check_regular
+from gcs_sysid.files import check_regular, split_session
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry import blackbox_format, dataflash_format, ulog
-from gcs_sysid.telemetry.blackbox import read_blackbox, split_session
+from gcs_sysid.telemetry.blackbox import read_blackbox
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.intake import Intake
@@ -293,12 +293,14 @@ def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
             head = file.read(blackbox_format.SEARCHED)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from error
+    if blackbox_format.MAGIC in head:
+        return OnboardLog("blackbox", read_blackbox(file_path, session), wanted)
+    if session is not None:
+        raise InputError(f"{path}: only blackbox logs hold sessions; give {file_path.name}")
     if head.startswith(ulog.MAGIC[:4]):
         return OnboardLog("ulog", read_ulog(path), wanted)
     if head.startswith(dataflash_format.HEAD):
         return OnboardLog("dataflash", read_dataflash(path), wanted)
     if head.startswith(b"FMT,"):
         raise InputError(f"{path} is a dataflash log turned into text: give the .bin itself")
-    if blackbox_format.MAGIC in head:
-        return OnboardLog("blackbox", read_blackbox(file_path, session), wanted)
     return TlogLog(path, wanted)
