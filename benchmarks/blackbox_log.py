@@ -220,7 +220,9 @@ class BlackboxWriter:
             return self._before[0][1] if self._before else 0
         motor = str(self.settings.get("motorOutput", low)).split(",")[0]
         vbat = int(str(self.settings.get("vbatref", 4095)))
-        return {MINTHROTTLE: low, FIXED_1500: 1500, VBATREF: vbat, MINMOTOR: int(motor)}.get(kind, 0)
+        return {MINTHROTTLE: low, FIXED_1500: 1500, VBATREF: vbat, MINMOTOR: int(motor)}.get(
+            kind, 0
+        )
 
     def _frame(self, fields: Sequence[Field], values: Sequence[int], at: int) -> bytes:
         kinds, encodings = [f[at] for f in fields], [f[at + 1] for f in fields]

@@ -13,7 +13,7 @@ _FIXED_EVENTS = {10: 5, 11: 4, 12: 8, 41: 5}
 _VB_EVENTS = {0: 1, 14: 2, 15: 1, 30: 2, 40: 1}
 
 
-class _Ends(Exception):
+class _EndError(Exception):
     pass
 
 
@@ -23,7 +23,7 @@ class _Stream:
 
     def byte(self) -> int:
         if self.at >= self.stop:
-            raise _Ends
+            raise _EndError
         self.at += 1
         return self.data[self.at - 1]
 
@@ -165,7 +165,7 @@ class PlainReader:
                 whole = stream.at - at - 1 <= longest and (
                     over or stream.at == stop or chr(self._data[stream.at]) in "IPGHSE"
                 )
-            except _Ends:
+            except _EndError:
                 whole = False
             if not whole:
                 self._out.damaged += 1
@@ -220,7 +220,7 @@ class PlainReader:
             stream.at += _FIXED_EVENTS.get(kind, 0)
         numbers = [stream.unsigned() for _ in range(_VB_EVENTS.get(kind, 0))]
         if stream.at > stream.stop:
-            raise _Ends
+            raise _EndError
         return ((numbers[0], numbers[1]) if kind == 14 else None), False
 
     def _raw(self, definition: Definition, stream: _Stream) -> list[int]:
@@ -337,8 +337,10 @@ class PlainReader:
             elif follows(last, first):
                 part.start = now + (first[1] - last[1]) % _WRAP
             elif doubted is not None and follows(ends(doubted, -1), first):
+                before = (first[1] - ends(doubted, 0)[1]) % _WRAP
                 part.start = now + _extend(first[1] - last[1], 32)
-                doubted.start = part.start - (first[1] - ends(doubted, 0)[1]) % _WRAP
+                part.start += _WRAP if part.start < before else 0
+                doubted.start = max(part.start - before, 0)
             else:
                 doubted = part
                 continue

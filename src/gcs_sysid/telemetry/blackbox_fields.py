@@ -192,7 +192,9 @@ class _Packed:
         little: whether bits count from the lowest of the first byte, else from its highest.
     """
 
-    def __init__(self, first: int, count: int, places: Array, sizes: Array, little: bool) -> None:
+    def __init__(
+        self, first: int, count: int, places: Array, sizes: Array, *, little: bool
+    ) -> None:
         self.first, self.count = first, count
         self._places, self._sizes, self._little = places, sizes, little
 
@@ -217,26 +219,18 @@ def _signed(words: Array, bits: Array) -> Array:
 
 
 class _Tag2:
-    """TAG2_3S32 and TAG2_3SVARIABLE: three fields whose widths two bits tell.
+    """TAG2_3S32 and TAG2_3SVARIABLE: three fields, whose widths the tag's highest bits tell.
 
     Args:
         first: index of its first field.
-        widths: (3, 3) bits of each field for the first three values of the two bits.
-        aligned: whether a field that would cross bytes begins with the next byte instead.
+        variable: whether the widths are those of TAG2_3SVARIABLE.
     """
 
     count = 3
 
-    def __init__(self, first: int, variable: bool) -> None:
+    def __init__(self, first: int, *, variable: bool) -> None:
         self.first = first
-        # Where the fields begin in the first three bytes, from their highest bit, and their bits.
-        starts = (
-            ((2, 4, 6), (2, 7, 12), (2, 10, 17))
-            if variable
-            else ((2, 4, 6), (4, 8, 12), (2, 10, 18))
-        )
-        bits = ((2, 2, 2), (5, 5, 4), (8, 7, 7)) if variable else ((2, 2, 2), (4, 4, 4), (6, 6, 6))
-        self._starts, self._bits = np.array([*starts, (0,) * 3]), np.array([*bits, (0,) * 3])
+        self._starts, self._bits = _VARIABLE if variable else _FIXED
 
     def behind(self, window: ByteWindow, at: Array) -> Array:
         end: Array = at + _TAG2_SIZES[window.raw[at]]
@@ -282,13 +276,24 @@ def _old_nibbles(tag: int) -> list[tuple[int, int]]:
     return places[:4]
 
 
-def _sizes(places: list[list[tuple[int, int]]]) -> Array:
-    return np.array([1 + (max(a + n for a, n in tag) + 7) // 8 for tag in places])
+def _table(places: Callable[[int], list[tuple[int, int]]]) -> tuple[Array, Array]:
+    """(256, 4, 2) places of the fields for each tag, and (256,) bytes, the tag's included."""
+    table = np.array([places(tag) for tag in range(256)])
+    return table, 1 + (table.sum(axis=2).max(axis=1) + 7) // 8
 
 
 _TAG2_SIZES = np.array([_tag2_size(tag) for tag in range(256)])
-_NEW = [_nibbles(tag) for tag in range(256)]
-_OLD = [_old_nibbles(tag) for tag in range(256)]
+# Where the fields begin in the first three bytes, from the highest bit on, and their bits; the
+# fourth width is told apart.
+_FIXED = (
+    np.array([(2, 4, 6), (4, 8, 12), (2, 10, 18), (0, 0, 0)]),
+    np.array([(2, 2, 2), (4, 4, 4), (6, 6, 6), (0, 0, 0)]),
+)
+_VARIABLE = (
+    np.array([(2, 4, 6), (2, 7, 12), (2, 10, 17), (0, 0, 0)]),
+    np.array([(2, 2, 2), (5, 5, 4), (8, 7, 7), (0, 0, 0)]),
+)
+_NEW, _OLD = _table(_nibbles), _table(_old_nibbles)
 
 
 class Layout:
@@ -365,6 +370,6 @@ def _parts(definition: Definition, version: float) -> list[_Part]:
 
 def _group(encoding: int, first: int, version: float) -> _Part:
     if encoding != TAG8_4S16:
-        return _Tag2(first, encoding == TAG2_3SVARIABLE)
-    table = _OLD if version < 2 else _NEW
-    return _Packed(first, 4, np.array(table), _sizes(table), version < 2)
+        return _Tag2(first, variable=encoding == TAG2_3SVARIABLE)
+    places, sizes = _OLD if version < 2 else _NEW
+    return _Packed(first, 4, places, sizes, little=version < 2)

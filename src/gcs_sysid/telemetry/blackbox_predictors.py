@@ -251,9 +251,10 @@ def _believed(chains: Array, passed: Array, resumed: Array) -> Array:
         if last is None or _follows(last, loop, clock):
             start = now + (clock - last[1]) % WRAP if last else clock
         elif doubted is not None and _follows(doubted[1:], loop, clock):
-            start = now + (clock - last[1] + WRAP // 2) % WRAP - WRAP // 2
             before = (clock - int(chains[doubted[0], 2])) % WRAP
-            starts[doubted[0]] = start - before
+            start = now + (clock - last[1] + WRAP // 2) % WRAP - WRAP // 2
+            start += WRAP if start < before else 0
+            starts[doubted[0]] = max(start - before, 0)
         else:
             doubted = (i, end_loop, end_clock)
             continue
