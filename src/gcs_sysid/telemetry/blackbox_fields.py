@@ -15,6 +15,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.telemetry.blackbox_format import (
     GROUPS,
     INCREMENT,
+    MOST_FIELDS,
     NEG_14BIT,
     NULL,
     SIGNED_VB,
@@ -42,7 +43,9 @@ class ByteWindow:
         self.raw = raw
         self._end = len(raw) - 1
         last = raw < 0x80
-        self._ends = np.append(np.flatnonzero(last), self._end)
+        # Where the number behind the one begins that ends k-th, from 1 on.
+        behind = np.flatnonzero(last[:-1]) + 1
+        self._begins = np.pad(behind, (1, MOST_FIELDS), constant_values=(0, self._end))
         self._rank = np.zeros(len(raw) + 1, np.int64)
         np.cumsum(last, out=self._rank[1:])
         # A number has five bytes at most; where all five say that it goes on, it is 0.
@@ -61,8 +64,8 @@ class ByteWindow:
             at: positions; of any shape to which n can be brought.
             n: how many numbers lie between.
         """
-        before = np.minimum(self._rank[at] + n, len(self._ends)) - 1
-        found: Array = np.where(np.equal(n, 0), at, np.minimum(self._ends[before] + 1, self._end))
+        found: Array = self._begins[self._rank[at] + n]
+        np.copyto(found, at, where=np.equal(n, 0))
         if self._over is not None:
             at, n = np.broadcast_to(at, found.shape), np.broadcast_to(n, found.shape)
             unsafe = self._over[found] > self._over[at]
@@ -76,10 +79,7 @@ class ByteWindow:
         left = np.flatnonzero(n > 0)
         while len(left):
             now = at[left]
-            after = np.minimum(
-                self._ends[np.minimum(self._rank[now], len(self._ends) - 1)] + 1,
-                now + _LONGEST_NUMBER,
-            )
+            after = np.minimum(self._begins[self._rank[now] + 1], now + _LONGEST_NUMBER)
             at[left] = np.minimum(after, self._end)
             n[left] -= 1
             left = left[n[left] > 0]

@@ -27,7 +27,9 @@ MARKERS = b"IPGHSE"
 """First bytes of frames."""
 MOST_SESSIONS = 1000
 """In a file; as the reference decoder."""
-_MOST_FIELDS, _LONGEST_NAME, _LONGEST_LINE, _LONGEST_HEADER = 512, 64, 2**14, 2**18
+MOST_FIELDS = 512
+"""Of a frame; the reference takes 128, Indiflight writes 171."""
+_LONGEST_NAME, _LONGEST_LINE, _LONGEST_HEADER = 64, 2**14, 2**18
 _MOST_LOOPS = 2**15
 """Of the firmware between I frames, which it counts in 16 bits."""
 
@@ -164,7 +166,7 @@ def read_header(data: bytes, start: int, stop: int) -> Header:
 
 
 def _definition(letter: str, fields: dict[str, str]) -> Definition:
-    names = tuple(fields.get("name", "").split(",", _MOST_FIELDS))
+    names = tuple(fields.get("name", "").split(",", MOST_FIELDS))
     columns = [
         [int(w) if _DIGITS.fullmatch(w) else -1 for w in fields.get(what, "").split(",", 2**12)]
         for what in ("signed", "predictor", "encoding")
@@ -172,8 +174,8 @@ def _definition(letter: str, fields: dict[str, str]) -> Definition:
     signed, predictors, encodings = columns
     signed = (signed + [0] * len(names))[: len(names)]
     wrong = f"its header describes the fields of {letter} frames wrongly: "
-    if len(names) > _MOST_FIELDS:
-        raise InputError(f"{wrong}more than {_MOST_FIELDS}")
+    if len(names) > MOST_FIELDS:
+        raise InputError(f"{wrong}more than {MOST_FIELDS}")
     if len(set(names)) < len(names) or not all(0 < len(name) <= _LONGEST_NAME for name in names):
         raise InputError(f"{wrong}two of one name, or a name of no or many letters")
     if len(predictors) != len(names) or len(encodings) != len(names):

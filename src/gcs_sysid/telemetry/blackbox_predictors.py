@@ -27,8 +27,6 @@ from gcs_sysid.telemetry.blackbox_format import (
 WRAP = 2**32
 _MOST_TIME, _MOST_LOOPS = 10_000_000, 5_000
 """us and loops between two frames that belong together; as the reference decoder."""
-_COLUMNS_AT_ONCE = 8
-"""More do not fit the processor's cache."""
 _LONGEST_CHAIN = 4096
 """P frames after an I frame; firmware writes 1024 at most."""
 
@@ -74,11 +72,13 @@ def main_frames(
     breaks = np.flatnonzero(broken)
     since = np.searchsorted(breaks, order) - np.searchsorted(breaks, order[key])
     sound = is_key | ((key >= 0) & (since == 0) & (rows - key <= _LONGEST_CHAIN))
-    order, is_key = order[sound], is_key[sound]
-    values = np.concatenate([keys.values, deltas.values])[sorting[sound]]
+    values = np.empty((len(order), len(keys.names)), np.int64, order="F")  # added up by columns
+    values[is_key], values[~is_key] = keys.values, deltas.values
+    order, is_key, values = order[sound], is_key[sound], _rows(values, sound)
     if not len(order):
         return Table(keys.names, order, values), np.zeros(0, np.int64)
-    chains = _Chains(np.flatnonzero(is_key), np.cumsum(is_key) - 1)
+    first = np.flatnonzero(is_key)
+    chains = _Chains(first, np.diff(first, append=len(order)), np.cumsum(is_key) - 1)
     _predict(header, keys.names, values, chains)
 
     loop = values[:, keys.names.index("loopIteration")] % WRAP
@@ -87,13 +87,17 @@ def main_frames(
     wrong = ~is_key & ((jump < 0) | (jump >= _MOST_LOOPS) | (forward >= _MOST_TIME))
     sound = chains.since(np.cumsum(wrong)) == 0
     passed = chains.since(np.cumsum(np.where(is_key, 0, forward)))
-    first = chains.first
     last = first + np.bincount(chains.number, sound).astype(np.int64) - 1
     table = np.column_stack([order[first], loop[first], clock[first], loop[last], clock[last]])
     starts = _believed(table, passed[last], resumed)
     sound &= starts[chains.number] >= 0
     time = starts[chains.number] + passed
-    return Table(keys.names, order[sound], values[sound]), time[sound]
+    return Table(keys.names, order[sound], _rows(values, sound)), time[sound]
+
+
+def _rows(values: Array, rows: Mask) -> Array:
+    """The rows of a mask; the values themselves where it is true of all."""
+    return values if rows.all() else values[rows]
 
 
 class _Chains(NamedTuple):
@@ -101,12 +105,18 @@ class _Chains(NamedTuple):
 
     first: Array
     """(k,) rows of the I frames."""
+    lengths: Array
+    """(k,) rows from each I frame to the next."""
     number: Array
     """(n,) which chain a row belongs to."""
 
+    def held(self, values: Array) -> Array:
+        """(k,) of the I frames as (n,)."""
+        return np.repeat(values, self.lengths)
+
     def since(self, sums: Array) -> Array:
-        """What (n, ...) sums have grown by since the I frame."""
-        grown: Array = sums - sums[self.first][self.number]
+        """What (n,) sums have grown by since the I frame."""
+        grown: Array = sums - self.held(sums[self.first])
         return grown
 
 
@@ -121,10 +131,12 @@ def _predict(header: Header, names: tuple[str, ...], values: Array, chains: _Cha
         if definition is deltas:
             rows[chains.first] = 0
             _add_earlier(header, names, predictors, rows, top, chains, definition)
-        rows += np.array([constants.get(predictor, 0) for predictor in definition.predictors])
+        for predictor, constant in constants.items():
+            rows[:, predictors == predictor] += constant
         _wrap(rows, definition)
-        rows[:, predictors == MOTOR_0] += rows[:, [motor]]
-        _wrap(rows, definition)
+        if MOTOR_0 in definition.predictors:
+            rows[:, predictors == MOTOR_0] += rows[:, [motor]]
+            _wrap(rows, definition)
     values[chains.first] = top
 
 
@@ -144,16 +156,14 @@ def _add_earlier(
         definition: of the P frames' columns.
     """
     for predictor in (PREVIOUS, STRAIGHT_LINE):
-        every = np.flatnonzero(predictors == predictor)
-        for columns in np.split(every, range(_COLUMNS_AT_ONCE, len(every), _COLUMNS_AT_ONCE)):
-            sums = chains.since(np.cumsum(np.take(values, columns, axis=1), axis=0))
+        for column in np.flatnonzero(predictors == predictor).tolist():
+            sums = chains.since(np.cumsum(values[:, column]))
             if predictor == STRAIGHT_LINE:
-                sums = chains.since(np.cumsum(sums, axis=0))
-            sums += top[:, columns][chains.number]
-            values[:, columns] = sums
+                sums = chains.since(np.cumsum(sums))
+            values[:, column] = sums + chains.held(top[:, column])
     columns = np.flatnonzero(predictors == AVERAGE_2)
     if len(columns):
-        written = np.take(values, columns, axis=1)
+        written = np.ascontiguousarray(values[:, columns])
         written[chains.first] = top[:, columns]
         low = definition.lowest()[columns]
         averaged = _averages(written.copy(), chains.first, None)
@@ -163,12 +173,12 @@ def _add_earlier(
     counted = np.flatnonzero(predictors == INCREMENT)
     loop = names.index("loopIteration")
     if loop in counted:
-        n = np.arange(len(values)) - chains.first[chains.number]
-        values[:, loop] = _logged_after(header, top[chains.number, loop], n)
+        n = np.arange(len(values)) - chains.held(chains.first)
+        values[:, loop] = _logged_after(header, chains.held(top[:, loop]), n)
     steps = _logged_after(header, values[:-1, loop], np.ones(1, np.int64)) - values[:-1, loop]
     steps = chains.since(np.append([0], np.cumsum(steps)))
     for column in counted[counted != loop].tolist():
-        values[:, column] = top[chains.number, column] + steps
+        values[:, column] = chains.held(top[:, column]) + steps
 
 
 def _averages(values: Array, first: Array, low: Array | None) -> Array:
