@@ -53,11 +53,16 @@ _TYPES = {
     12: mavlink.MAV_TYPE_DODECAROTOR,
 }
 """Motors -> MAV_TYPE: no firmware writes its mixer into the header."""
-_WANTED = (
-    "gyroADC", "gyroData", "gyroADCafterRpm", "accSmooth", "accUnfiltered", "motor", "eRPM",
-    "omegaUnfiltered", "quat", "imuQuaternion", "attitude", "extPos", "extVel", "pos", "vel",
-    "navPos", "navVel", "setpoint", "gyroSp", "vbatLatest", "vbat",
-)  # fmt: skip
+_ARRAYS = {
+    "gyroADC": 3, "gyroData": 3, "gyroADCafterRpm": 3, "accSmooth": 3, "accUnfiltered": 3,
+    "motor": _MOST_MOTORS, "eRPM": _MOST_MOTORS, "omegaUnfiltered": _MOST_MOTORS, "quat": 4,
+    "imuQuaternion": 3, "attitude": 3, "extPos": 3, "extVel": 3, "pos": 3, "vel": 3, "navPos": 3,
+    "navVel": 3, "setpoint": 3, "gyroSp": 3,
+}  # fmt: skip
+_WANTED = {f"{name}[{i}]" for name, count in _ARRAYS.items() for i in range(count)} | {
+    "vbatLatest",
+    "vbat",
+}
 
 
 class _Position(NamedTuple):
@@ -103,7 +108,7 @@ def read_blackbox(path: Path, session: int | None = None) -> Recording:
     try:
         header = read_header(data, starts[number - 1], starts[number])
         names = header.frames["I"].names
-        wanted = [name for name in names if name.split("[")[0] in _WANTED]
+        wanted = [name for name in names if name in _WANTED]
         frames = read_frames(data, header, starts[number], wanted)
         if not len(frames.time_us):
             raise InputError("it holds no flight data")
@@ -255,7 +260,7 @@ class _Reader:
                 return
 
     def _add_rotors(self, recording: Recording) -> None:
-        count = min(self._motors, _MOST_MOTORS)
+        count = self._motors
         commands = self._fields("motor", count)
         if commands is not None and count:
             recording.add(Stream.ROTOR_COMMAND, self._t, commands, source="motor")

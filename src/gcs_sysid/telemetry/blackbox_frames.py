@@ -23,7 +23,7 @@ RESUME, DISARM, FLIGHT_MODE, LOG_END = 14, 15, 30, 255
 
 _AT_ONCE = 2**19
 """Bytes searched together."""
-_MOST_VALUES = 8
+_MOST_VALUES = 4
 """Values a byte: firmware writes one or two, a hostile file could claim hundreds."""
 _FREE_VALUES = 2**20
 _LONGEST_EVENT = 256
