@@ -207,7 +207,7 @@ def analyze(
     """Identify from a recorded flight, to the numbers of `gcs-sysid analyze`.
 
     Args:
-        log: a .tlog, .ulg or .bin file.
+        log: a .tlog, .ulg, .bin or .bbl file.
         airframe: as for `load_airframe`.
         vehicle: system and perhaps component; None: the first autopilot in the log.
         start: s after the first record; earlier records are not used.

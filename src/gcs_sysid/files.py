@@ -23,6 +23,14 @@ def check_regular(path: Path) -> None:
         )
 
 
+def split_session(path: Path) -> tuple[Path, int | None]:
+    """A file, and which of its sessions: `LOG.bbl#2` is the second one of LOG.bbl."""
+    name, mark, number = path.name.rpartition("#")
+    if not (mark and name and number.isdecimal() and len(number) < 5) or path.exists():
+        return path, None
+    return path.with_name(name), int(number)
+
+
 def read_bytes(path: Path, most: int, what: str) -> bytes:
     """All of a file.
 

@@ -10,6 +10,10 @@ _TOML = (*_JSON, *b"[[rotor]] = ' # inf nan x spin cw .".split(), b'"""', b"\n")
 _WORDS = (*b": , = +- [ ] // udpin: tcp: COM1 /dev/tty".split(), b" ")
 _TALK = (b"\n", b"\n\n", b"own\n", b"back\n", b"y\n", b"1\n", b"0.2 0.2 cw\n", b"inf", b" ccw")
 _ULOG = (*b"float [ ] ; : D F A P I uint64_t".split(), b" ", b" timestamp")
+_BBL = (
+    *b"I P G H S E , : -1 0 1 3 6 7 8 9 10 11 256 1/4".split(), b"\n", b"H ", b"H Field I ",
+    b"E\xff", b"E\x0e", b"\xff\xff\xff\xff\xff", b"\x80\x80\x80\x80\x00",
+)  # fmt: skip
 _FMT = (b"\xa3\x95", b"\xa3\x95\x80", b",", b"Q", b"a", b"Z", b"TimeUS", b"\x80\x59")
 
 HARNESSES = (
@@ -35,6 +39,7 @@ HARNESSES = (
     ),
     Harness("ulg", "logs of PX4", files.check_ulg, files.ulg_seeds, 4.0, _ULOG, 4096),
     Harness("bin", "logs of ArduPilot", files.check_bin, files.bin_seeds, 3.0, _FMT, 4096),
+    Harness("bbl", "blackbox logs", files.check_bbl, files.bbl_seeds, 3.0, _BBL, 4096),
     Harness("airframe", "airframe files", files.check_airframe, files.toml_seeds, 6.0, _TOML),
     Harness(
         "result", "results, baselines", files.check_result, files.result_seeds, 8.0, _JSON, 4096

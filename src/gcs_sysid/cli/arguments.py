@@ -194,7 +194,7 @@ def add_live(parser: argparse.ArgumentParser) -> None:
 
 def add_replay(parser: argparse.ArgumentParser) -> None:
     """Options of `replay`."""
-    parser.add_argument("log", metavar="LOG", help="a .tlog, .ulg or .bin file")
+    parser.add_argument("log", metavar="LOG", help="a .tlog, .ulg, .bin or .bbl file")
     _add_airframe(parser)
     parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
     parser.add_argument(

@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
     table.require()
     logs = find_logs(map(Path, options.logs))
     if not logs:
-        raise InputError(f"{', '.join(options.logs)}: no .tlog, .ulg or .bin in there")
+        raise InputError(f"{', '.join(options.logs)}: no .tlog, .ulg, .bin or .bbl in there")
     airframes = _airframes(options, logs)
     jobs = [Job(log, airframes[log], options.vehicle, options.offline) for log in logs]
     store = Store(Path(options.output), force=options.force)

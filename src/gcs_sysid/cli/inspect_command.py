@@ -9,6 +9,7 @@ from gcs_sysid.cli import arguments, output
 from gcs_sysid.cli.inspection_text import report
 from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.errors import InputError
+from gcs_sysid.files import split_session
 from gcs_sysid.inspection.derived_facts import assumed_airframe
 from gcs_sysid.inspection.facts import Inspection
 from gcs_sysid.inspection.inspector import inspect_link, inspect_log
@@ -26,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
         # `inspect --json LOG`: the option took the log for its file.
         options.target, options.json = options.json, "-"
     if options.target is None:
-        raise InputError("inspect what? Give a LOG (.tlog, .ulg, .bin) or a link's URL")
+        raise InputError("inspect what? Give a LOG (.tlog, .ulg, .bin, .bbl) or a link's URL")
     is_log = _is_log(options.target)
     output.check_json(options.json, force=options.force)
     found = _log(options) if is_log else _link(options)
@@ -39,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _is_log(target: str) -> bool:
     """Whether it is a file, or is named like one; serial devices are neither."""
-    path = Path(target)
+    path, _ = split_session(Path(target))
     return path.is_file() or path.is_dir() or path.suffix.lower() in LOG_SUFFIXES
 
 

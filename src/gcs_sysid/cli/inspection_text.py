@@ -12,6 +12,7 @@ _KINDS = {
     "tlog": "recording of a ground station (.tlog)",
     "ulog": "PX4's own log (.ulg)",
     "dataflash": "ArduPilot's own log (.bin)",
+    "blackbox": "blackbox log of Betaflight, INAV or Indiflight (.bbl)",
     "link": "live link",
 }
 _ROLES = {

@@ -53,24 +53,24 @@ def build_parser() -> argparse.ArgumentParser:
         "analyze",
         help="identify from recorded flights",
         description="Identifies from recordings: .tlog of a ground station, .ulg of PX4, .bin of "
-        "ArduPilot.",
+        "ArduPilot, .bbl of Betaflight, INAV or Indiflight.",
     )
     arguments.add_analyze(analyze)
     replay = commands.add_parser(
         "replay",
         help="watch a recorded flight",
-        description="Plays a recording (.tlog, .ulg, .bin) on the live screen: at its own pace, "
-        "ten times as fast or as fast as it can, with pause and seek. It ends with the numbers of "
-        "analyze.",
+        description="Plays a recording (.tlog, .ulg, .bin, .bbl) on the live screen: at its own "
+        "pace, ten times as fast or as fast as it can, with pause and seek. It ends with the "
+        "numbers of analyze.",
     )
     arguments.add_replay(replay)
     inspect = commands.add_parser(
         "inspect",
         help="see what is in a log or on a link",
-        description="Tells what is in a log (.tlog, .ulg, .bin) or comes over a link: systems, "
-        "messages, rates, gaps, clock, rotor input, motion; and whether the vehicle can be "
-        "identified from it. A link is asked for the streams, as by live, and given its rates "
-        "back.",
+        description="Tells what is in a log (.tlog, .ulg, .bin, .bbl) or comes over a link: "
+        "systems, messages, rates, gaps, clock, rotor input, motion; and whether the vehicle can "
+        "be identified from it. A link is asked for the streams, as by live, and given its "
+        "rates back.",
     )
     arguments.add_inspect(inspect)
     plan = commands.add_parser(

@@ -9,6 +9,7 @@ from typing import Any
 
 from gcs_sysid import __version__
 from gcs_sysid.errors import InputError
+from gcs_sysid.files import split_session
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
@@ -74,9 +75,13 @@ def make_task(job: Job) -> Task:
     Raises:
         OSError: it cannot be read.
     """
-    with open(job.log, "rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    path, session = split_session(job.log)
+    with open(path, "rb") as file:
+        made = hashlib.file_digest(file, "sha256")
         size = file.tell()
+    if session is not None:
+        made.update(f"#{session}".encode())
+    digest = made.hexdigest()
     return Task(job, str(job.log.absolute()), digest, size)
 
 

@@ -6,14 +6,15 @@ from pathlib import Path
 from typing import NoReturn
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import check_regular
-from gcs_sysid.telemetry import dataflash_format, ulog
+from gcs_sysid.files import check_regular, split_session
+from gcs_sysid.telemetry import blackbox_format, dataflash_format, ulog
+from gcs_sysid.telemetry.blackbox import flight_sessions
 from gcs_sysid.telemetry.frames import Validity, read_frame
 from gcs_sysid.telemetry.tlog_scan import STAMP
 
 AIRFRAME_FILE = "airframe.toml"
-_SUFFIXES = frozenset({".tlog", ".ulg", ".bin"})
-_HEAD = 1024
+_SUFFIXES = frozenset({".tlog", ".ulg", ".bin", ".bbl", ".bfl"})
+_HEAD = 4096
 """Bytes: the longest record of a .tlog and more."""
 
 
@@ -22,7 +23,8 @@ def find_logs(paths: Iterable[Path]) -> list[Path]:
 
     A file that is named counts as a log whatever it is. In a folder and the folders in it, a log
     is what its content or its name says is one; a log that is damaged from the beginning is found
-    by its name. What begins with a dot is passed over.
+    by its name. What begins with a dot is passed over. A blackbox log of several sessions counts
+    once for each that holds frames, as `LOG.bbl#2`.
 
     Args:
         paths: of files and folders.
@@ -35,12 +37,14 @@ def find_logs(paths: Iterable[Path]) -> list[Path]:
     """
     found: dict[Path, Path] = {}
     for path in paths:
-        if not path.exists():
+        file, session = split_session(path)
+        if not file.exists():
             raise InputError(f"{path}: no such file or folder")
         if not path.is_dir():
-            check_regular(path)
+            check_regular(file)
         for log in _in_folder(path) if path.is_dir() else [path]:
-            found.setdefault(log.resolve(), log)
+            for flight in [log] if session is not None else _sessions(log):
+                found.setdefault(flight.resolve(), flight)
     return list(found.values())
 
 
@@ -56,6 +60,19 @@ def _in_folder(folder: Path) -> Iterable[Path]:
                 yield path
 
 
+def _sessions(log: Path) -> list[Path]:
+    """A log of its own for each session of a blackbox log that holds several."""
+    try:
+        with open(log, "rb") as file:
+            head = file.read(_HEAD)
+    except OSError:
+        return [log]
+    numbers = flight_sessions(log) if blackbox_format.MAGIC in head else []
+    if numbers in ([], [1]):
+        return [log]
+    return [log.with_name(f"{log.name}#{number}") for number in numbers]
+
+
 def _is_log(path: Path) -> bool:
     if path.suffix.lower() in _SUFFIXES:
         return True
@@ -64,6 +81,8 @@ def _is_log(path: Path) -> bool:
             head = file.read(_HEAD)
     except OSError:
         return False
+    if blackbox_format.MAGIC in head:
+        return True
     if head.startswith((ulog.MAGIC[:4], dataflash_format.HEAD)):
         return True
     frame = read_frame(head, STAMP)

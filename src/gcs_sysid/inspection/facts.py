@@ -10,7 +10,7 @@ from gcs_sysid.telemetry.vehicles import RADIO, Vehicle
 
 SCHEMA = "gcs-sysid-inspect/1"
 AXES = ("roll", "pitch", "yaw")
-ONBOARD = ("ulog", "dataflash")
+ONBOARD = ("ulog", "dataflash", "blackbox")
 """Kinds of log that the autopilot wrote itself."""
 
 Verdict = Literal["yes", "partly", "no"]
@@ -120,7 +120,7 @@ class Inspection:
     """Everything found. Times are s since the first record, going on over reboots."""
 
     source: str
-    kind: Literal["tlog", "ulog", "dataflash", "link"]
+    kind: Literal["tlog", "ulog", "dataflash", "blackbox", "link"]
     duration: float
     vehicle: Vehicle | None
     systems: tuple[Vehicle, ...]
@@ -231,7 +231,7 @@ GROUPS = {
     "frame": r"FRAME|FRAME_(CLASS|TYPE)|SYS_AUTOSTART|CA_AIRFRAME|CA_ROTOR_COUNT|SCHED_LOOP_RATE",
     "filters": r"INS_(GYRO|ACCEL)_FILTER|IMU_(GYRO|ACCEL)_CUTOFF|IMU_GYRO_RATEMAX|IMU_INTEG_RATE",
     "motors": r"MOT_PWM_(MIN|MAX)|MOT_SPIN_(ARM|ARMED|MIN|MAX)|MOT_THST_EXPO|THR_MDL_FAC"
-    r"|PWM_MAIN_(MIN|MAX)[1-8]",
+    r"|PWM_MAIN_(MIN|MAX)[1-8]|motorOutput\[[01]\]|(min|max)throttle|motor_poles|dshot_bidir",
     "IMU place": r"INS_POS1_[XYZ]|IMU_POS_[XYZ]",
     "simulator": r"SIH_(MASS|I[XYZ][XYZ]|T_MAX|Q_MAX|L_ROLL|L_PITCH|KDV|KDW|T_TAU)",
 }

@@ -12,6 +12,8 @@ _TOLD_BY_AXIS = {"roll": "Ixx", "pitch": "Iyy", "yaw": "Izz and k_M"}
 _FASTER = {
     "ulog": "log more: on PX4 set SDLOG_PROFILE to system identification and high rate",
     "dataflash": "log more: on ArduPilot add fast attitude and fast IMU to LOG_BITMASK",
+    "blackbox": "log more: on Betaflight raise blackbox_sample_rate (1/2), on INAV set "
+    "blackbox_rate_denom = 1; and see that accelerometer, attitude and RPM are logged",
 }
 _FASTER_LINK = (
     "record with gcs-sysid live, which asks for the rates, over a fast link (460800 baud, USB, "

@@ -44,7 +44,7 @@ def analyze_log(
     """Identify from a recording.
 
     Args:
-        path: a .tlog, .ulg or .bin file.
+        path: a .tlog, .ulg, .bin or .bbl file.
         airframe: with a scale anchor.
         wanted: system and perhaps component; None: the first autopilot in the log.
         options: of the chain; by default the estimate's history is not computed.

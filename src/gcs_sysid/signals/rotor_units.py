@@ -18,7 +18,8 @@ Parameters = Mapping[str, float]
 """The autopilot's parameters by name, as far as they are known."""
 
 PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_MAIN_M", "PWM_MAIN_FUNC", "PWM_AUX_M",
-                   "PWM_AUX_FUNC", "SIM_GZ_EC_", "INS_GYRO_FILTER", "IMU_GYRO_CUTOFF")  # fmt: skip
+                   "PWM_AUX_FUNC", "SIM_GZ_EC_", "INS_GYRO_FILTER", "IMU_GYRO_CUTOFF",
+                   "motorOutput", "minthrottle", "maxthrottle")  # fmt: skip
 """How the names of the parameters that matter here begin."""
 
 _FIRST_MOTOR = 101
@@ -26,6 +27,8 @@ _FIRST_MOTOR = 101
 _PX4_DRIVERS = ("PWM_MAIN", "PWM_AUX", "SIM_GZ_EC")
 _USUAL = (800.0, 2200.0)
 """Pulses of servo outputs lie between, in us."""
+_DSHOT = (48.0, 2047.0)
+"""Outputs of digital drivers that turn a motor."""
 _STOPPED = -0.05
 """Commands below are none; curves between samples do not reach so far."""
 ARDUPILOT_GYRO_FILTER = 20.0
@@ -64,6 +67,8 @@ def command_range(
         return Range(0.0, 1.0, "outputs up to 1")
     if autopilot == "ardupilot":
         return _of_ardupilot(parameters)
+    if source == "motor":
+        return _of_blackbox(parameters)
     found = _of_px4(parameters)
     if found is not None and largest <= 1.05 * found.high:
         return found
@@ -83,6 +88,17 @@ def _of_ardupilot(parameters: Parameters) -> Range:
         start, full, told = 0.15, 0.95, False
     origin = "MOT_PWM_* and MOT_SPIN_*" if told else "MOT_SPIN_MIN 0.15, MOT_SPIN_MAX 0.95 assumed"
     return Range(low + start * (high - low), low + full * (high - low), origin)
+
+
+def _of_blackbox(parameters: Parameters) -> Range:
+    """Of Betaflight and its kin, by the header of their log."""
+    high = parameters.get("motorOutput[1]", parameters.get("maxthrottle", 0.0))
+    if high == _DSHOT[1]:
+        return Range(*_DSHOT, "DShot is 48..2047")
+    low = parameters.get("minthrottle", parameters.get("motorOutput[0]", 0.0))
+    if 0.0 < low < high:
+        return Range(low, high, "minthrottle and maxthrottle")
+    return Range(1000.0, 2000.0, "pulses of 1000 to 2000 us by convention")
 
 
 def _of_px4(parameters: Parameters) -> Range | None:

@@ -17,10 +17,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import check_regular
+from gcs_sysid.files import check_regular, split_session
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.records import Record, Stream
-from gcs_sysid.telemetry import dataflash_format, ulog
+from gcs_sysid.telemetry import blackbox_format, dataflash_format, ulog
+from gcs_sysid.telemetry.blackbox import read_blackbox
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.intake import Intake
@@ -65,7 +66,7 @@ class Log(Telemetry, Protocol):
     """A recording. Its figures are those of what was read so far."""
 
     kind: str
-    """"tlog", "ulog" or "dataflash"."""
+    """"tlog", "ulog", "dataflash" or "blackbox"."""
 
     recorded: float | None
     """When it begins, seconds of Unix time; None when the log does not say, or is not yet read."""
@@ -274,23 +275,28 @@ def _one_by_one(blocks: Iterable[RecordBlock], told: list[IntakeEvent]) -> Itera
 
 
 def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
-    """Open a .tlog, .ulg or .bin.
+    """Open a .tlog, .ulg, .bin or .bbl.
 
     Args:
-        path: of the file.
+        path: of the file; `LOG.bbl#2` for its second session.
         wanted: system and perhaps component to listen to; None: the first autopilot in it.
 
     Raises:
         InputError: it is none of these, or cannot be read.
     """
+    file_path, session = split_session(path)
     try:
         if path.is_dir():
-            raise InputError(f"{path} is a folder: give a .tlog, .ulg or .bin file")
-        check_regular(path)
-        with open(path, "rb") as file:
-            head = file.read(len(ulog.MAGIC))
+            raise InputError(f"{path} is a folder: give a .tlog, .ulg, .bin or .bbl file")
+        check_regular(file_path)
+        with open(file_path, "rb") as file:
+            head = file.read(blackbox_format.SEARCHED)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from error
+    if blackbox_format.MAGIC in head:
+        return OnboardLog("blackbox", read_blackbox(file_path, session), wanted)
+    if session is not None:
+        raise InputError(f"{path}: only blackbox logs hold sessions; give {file_path.name}")
     if head.startswith(ulog.MAGIC[:4]):
         return OnboardLog("ulog", read_ulog(path), wanted)
     if head.startswith(dataflash_format.HEAD):

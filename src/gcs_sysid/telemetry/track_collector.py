@@ -106,6 +106,7 @@ class Recording:
         damaged: whether the file is not as it was written.
         lost: entries that the autopilot knows it could not write.
         dropouts: (t, length) in s of pauses in the writing.
+        extras: name -> (n,) s and (n, width) in SI units of what is no stream yet.
     """
 
     tracks: list[Track]
@@ -120,6 +121,7 @@ class Recording:
     damaged: bool = False
     lost: int = 0
     dropouts: list[tuple[float, float]] = field(default_factory=list)
+    extras: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
     def add(
         self, stream: Stream, t: Array, values: Array, offset: int = 0, source: str = ""

@@ -15,7 +15,7 @@ DEFAULT_BAUD = 115200
 _NETWORK_KINDS = ("udpin", "udpout", "udp", "tcpin", "tcp")
 _SERIAL_NAME = re.compile(r"/dev/|/tmp/|COM\d+$|\\\\\.\\COM\d+$", re.IGNORECASE)
 _ANY_RATE = re.compile(r"/dev/(ttyACM|(cu|tty)\.usbmodem|pts/|ttys\d)")
-LOG_SUFFIXES = {".tlog", ".ulg", ".bin", ".log", ".rlog"}
+LOG_SUFFIXES = {".tlog", ".ulg", ".bin", ".log", ".rlog", ".bbl", ".bfl"}
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,237 @@
+"""Finds the frames of a blackbox session, and computes their values.
+
+Nothing tells where a frame begins but that the one before has ended. Every byte that could begin
+one is tried, all of them at once; then the chain is followed from end to beginning. As in the
+reference decoder a frame counts when another follows it; else it is damaged, the search goes on
+behind its first byte, and P frames count again after the next I frame.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.errors import InputError
+from gcs_sysid.telemetry.blackbox_fields import ByteWindow, Layout
+from gcs_sysid.telemetry.blackbox_format import MARKERS, MOTOR_0, Header
+from gcs_sysid.telemetry.blackbox_predictors import Table, fixed_frames, main_frames
+
+I, P, G, H, S, E = MARKERS[0], MARKERS[1], MARKERS[2], MARKERS[3], MARKERS[4], MARKERS[5]  # noqa: E741
+RESUME, DISARM, FLIGHT_MODE, LOG_END = 14, 15, 30, 255
+"""Events: logging goes on after a pause (loop, us), a motor stop (reason), modes (new, old)."""
+
+_AT_ONCE = 2**19
+"""Bytes searched together."""
+_MOST_VALUES = 4
+"""Values a byte: firmware writes one or two, a hostile file could claim hundreds."""
+_FREE_VALUES = 2**20
+_LONGEST_EVENT = 256
+_END_MESSAGE = np.frombuffer(b"End of log\0", np.uint8)
+
+_EVENTS = {
+    0: (0, 1, 0), 10: (5, 0, 0), 11: (4, 0, 0), 12: (8, 0, 0), RESUME: (0, 2, 0),
+    DISARM: (0, 1, 0), 20: (1, 1, 2), FLIGHT_MODE: (0, 2, 0), 40: (0, 1, 0), 41: (5, 0, 0),
+}  # fmt: skip
+"""Event -> bytes, numbers of variable length, bytes."""
+_ADJUSTMENT, _FLOAT = 13, 0x80
+_EVENT_SHAPES = np.array([_EVENTS.get(event, (0, 0, 0)) for event in range(256)])
+_IS_MARKER = np.isin(np.arange(256), list(MARKERS))
+
+
+@dataclass(frozen=True)
+class Frames:
+    """What a session holds.
+
+    Attributes:
+        main: I and P frames that could be computed.
+        time_us: (n,) of the main frames, without the wraps of the 32-bit clock.
+        slow: S frames.
+        gps: G frames.
+        home: H frames.
+        events: (k, 4) order, event, and its first two numbers.
+        counts: letter -> frames found, damaged ones not counted.
+        damaged: frames that no other follows.
+        lost: main frames that are whole, but what they build on is not, or their time cannot be.
+        garbage_bytes: bytes that belong to no frame.
+    """
+
+    main: Table
+    time_us: Array
+    slow: Table
+    gps: Table
+    home: Table
+    events: Array
+    counts: dict[str, int]
+    damaged: int
+    lost: int
+    garbage_bytes: int
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Frames that follow each other, some of them damaged; (k,) each.
+
+    Attributes:
+        at: positions of their letters.
+        ends: positions behind them.
+        letters: their types.
+        whole: whether another frame follows.
+        gap: whether what follows is a letter of a type that the header does not describe.
+        over: whether it says that the log ends.
+    """
+
+    at: Array
+    ends: Array
+    letters: Array
+    whole: Mask
+    gap: Mask
+    over: Mask
+
+
+def read_frames(
+    data: bytes, header: Header, stop: int, wanted: Sequence[str] | None = None
+) -> Frames:
+    """Read the frames of a session.
+
+    Args:
+        data: the file.
+        header: of the session.
+        stop: where the session ends, at the latest.
+        wanted: columns of the main frames to compute, where they are there; None: all.
+
+    Raises:
+        InputError: it claims more values than its bytes can hold.
+    """
+    layouts = {ord(k): Layout(frame, header.version) for k, frame in header.frames.items()}
+    columns = {letter: np.arange(layout.fields) for letter, layout in layouts.items()}
+    columns[I] = columns[P] = _columns(header, wanted)
+    room = _MOST_VALUES * (stop - header.data) + _FREE_VALUES
+    values = {k: [np.empty((0, len(of)), np.int64)] for k, of in columns.items()}
+    found: list[_Found] = []
+    events = [np.empty((0, 3), np.int64)]
+    for window, start, frames in _windows(data, header.data, stop, layouts):
+        found.append(frames)
+        for letter, layout in layouts.items():
+            at = frames.at[frames.whole & (frames.letters == letter)] - start
+            room -= len(at) * len(columns[letter])
+            if room < 0:
+                raise InputError("its frames claim more values than their bytes can hold")
+            values[letter].append(layout.decode(window, at + 1, columns[letter]))
+        at = frames.at[frames.whole & (frames.letters == E)] - start
+        numbers = [window.numbers(window.nth(at + 2, n)) for n in (0, 1)]
+        events.append(np.column_stack([window.raw[at + 1].astype(np.int64), *numbers]))
+    every = _Found(*(np.concatenate([getattr(f, part) for f in found]) for part in _PARTS))
+    order = {k: np.flatnonzero(every.whole & (every.letters == k)) for k in MARKERS}
+    written = {
+        letter: Table(
+            tuple(layout.definition.names[i] for i in columns[letter]),
+            order[letter],
+            np.concatenate(values[letter]),
+        )
+        for letter, layout in layouts.items()
+    }
+    told = np.column_stack([order[E], np.concatenate(events)])
+    resumed = told[told[:, 1] == RESUME][:, [0, 2, 3]]
+    broken = ~every.whole | every.gap
+    broken[resumed[:, 0]] = True
+    main, time_us = main_frames(header, written[I], written[P], broken, resumed)
+    slow, gps, home = (
+        fixed_frames(header, chr(k), written.get(k), main, time_us, written.get(H))
+        for k in (S, G, H)
+    )
+    end = every.ends[-1] if every.over[-1:].any() else stop
+    return Frames(
+        main=main, time_us=time_us, slow=slow, gps=gps, home=home, events=told,
+        counts={chr(k): len(places) for k, places in order.items()},
+        damaged=int((~every.whole).sum()),
+        lost=len(order[I]) + len(order[P]) - len(time_us),
+        garbage_bytes=int(end - header.data - (every.ends - every.at)[every.whole].sum()),
+    )  # fmt: skip
+
+
+_PARTS = ("at", "ends", "letters", "whole", "gap", "over")
+
+
+def _columns(header: Header, wanted: Sequence[str] | None) -> Array:
+    """Those wanted, and those that others are computed from."""
+    names = header.frames["I"].names
+    needed = {"loopIteration", "time", *(names if wanted is None else wanted)}
+    if any(MOTOR_0 in header.frames[letter].predictors for letter in "IP"):
+        needed.add("motor[0]")
+    return np.array([i for i, name in enumerate(names) if name in needed])
+
+
+def _windows(
+    data: bytes, start: int, stop: int, layouts: dict[int, Layout]
+) -> Iterator[tuple[ByteWindow, int, _Found]]:
+    """Stretches of a session, the position in the file of each, and the frames that begin in it."""
+    margin = max(_LONGEST_EVENT, *(layout.longest for layout in layouts.values())) + 16
+    at = start
+    for first in range(start, max(stop, start + 1), _AT_ONCE):
+        if at >= first + _AT_ONCE:  # the log has ended
+            return
+        last = min(first + _AT_ONCE + margin, stop)
+        raw = np.frombuffer(data, np.uint8, last - first, first)
+        if last == stop:
+            raw = np.append(raw, np.zeros(margin, np.uint8))
+        window = ByteWindow(raw)
+        found = _follow(window, max(at - first, 0), stop - first, layouts)
+        at = first + _AT_ONCE
+        if found.whole[-1:].any():
+            at = stop if found.over[-1] else max(first + int(found.ends[-1]), at)
+        shifted = replace(found, at=found.at + first, ends=found.ends + first)
+        yield window, first, shifted
+
+
+def _follow(window: ByteWindow, at: int, stop: int, layouts: dict[int, Layout]) -> _Found:
+    """The frames that begin in a window's first bytes.
+
+    Args:
+        window: of a session's bytes.
+        at: position from which on to search.
+        stop: end of the session.
+        layouts: of all types that the header describes.
+    """
+    raw = window.raw
+    known = np.isin(np.arange(256), [*layouts, E])
+    begin = np.flatnonzero(known[raw[: min(_AT_ONCE, stop)]])
+    letters = raw[begin]
+    ends = begin + 1
+    longest = np.full(len(begin), _LONGEST_EVENT)
+    over = np.zeros(len(begin), bool)
+    for letter, layout in layouts.items():
+        mine = letters == letter
+        ends[mine] = layout.ends(window, begin[mine] + 1)
+        longest[mine] = layout.longest
+    mine = letters == E
+    ends[mine], over[mine] = _event_ends(window, begin[mine] + 1)
+    next_letter = raw[np.minimum(ends, len(raw) - 1)]
+    whole = (ends <= stop) & (ends - begin - 1 <= longest)
+    whole &= (ends == stop) | _IS_MARKER[next_letter] | over
+    follows = np.where(whole, np.searchsorted(begin, ends), np.arange(1, len(begin) + 1))
+    follows[over & whole] = len(begin)
+    chain = []
+    i, count, steps = int(np.searchsorted(begin, at)), len(begin), follows.tolist()
+    while i < count:
+        chain.append(i)
+        i = steps[i]
+    rows = np.array(chain, np.int64)
+    gap = whole & (ends < stop) & ~known[next_letter]
+    return _Found(begin[rows], ends[rows], letters[rows], whole[rows], gap[rows], over[rows])
+
+
+def _event_ends(window: ByteWindow, at: Array) -> tuple[Array, Mask]:
+    """(k,) positions behind events whose types are at (k,) positions, and which end the log."""
+    raw = window.raw
+    event = raw[at]
+    before, numbers, behind = _EVENT_SHAPES[event].T
+    ends = window.nth(at + 1 + before, numbers) + behind
+    changes = event == _ADJUSTMENT
+    whole_number = window.nth(at + 2, 1)
+    ends[changes] = np.where(raw[at + 1] < _FLOAT, whole_number, at + 6)[changes]
+    last = event == LOG_END
+    ends[last] = at[last] + 1 + len(_END_MESSAGE)
+    message = raw[at[last, None] + 1 + np.arange(len(_END_MESSAGE))]
+    last[last] = (message == _END_MESSAGE).all(axis=1)
+    return ends, last
