@@ -2,7 +2,8 @@
 
 A doublet goes one way, then the other, then back to level, as after a pilot's quick pushes of the
 stick: in a quarter of its length T each, the angle rises to A, swings over to -A and returns, along
-the quintic of `missions.ramp`, an eighth of T between. The swing is the fastest: 15/4 A / (T/4).
+the quintic of `missions.ramp`, with an eighth of T between. The fastest is the swing:
+15/4 A / (T/4).
 
 Roll, pitch and yaw come alone first, then roll with yaw and pitch with
 yaw, whose doublets have different lengths, so that all their products come about.
