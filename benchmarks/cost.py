@@ -13,8 +13,6 @@ import tempfile
 import time
 from pathlib import Path
 
-from gcs_sysid.telemetry.dialect.mavlink import MAVLINK_MSG_ID_HIGHRES_IMU as HIGHRES_IMU
-
 from benchmarks.accuracy.flights import GEOMETRY, fly, measure
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.tuning import Tuning
@@ -24,6 +22,7 @@ from gcs_sysid.session.pipeline import Pipeline
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.signals.samples import Samples
+from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import read_tlog
 
@@ -80,7 +79,7 @@ def chain_rates(log: Path) -> dict[str, float]:
 def frame_rates(log: Path) -> dict[str, float]:
     """IMU samples a second from frames to the end of the chain, by how many are read in one go."""
     frames = [frame for _, frame in read_tlog(log)]
-    samples = sum(frame.message_id == HIGHRES_IMU for frame in frames)
+    samples = sum(frame.message_id == mavlink.MAVLINK_MSG_ID_HIGHRES_IMU for frame in frames)
     rates = {}
     for name, seconds in _BLOCKS[1:]:
         size = max(round(seconds * RATE * len(frames) / samples), 1)
