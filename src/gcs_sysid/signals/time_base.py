@@ -127,6 +127,12 @@ class TimeBase:
         self._ticks_from = 0.0
 
     @property
+    def until_tick(self) -> float:
+        """s of the vehicle's clock from the newest IMU sample to the next tick."""
+        next_tick = self._ticks_from + self._next_tick * self.tick
+        return max(next_tick - self._newest, 0.0) if self._started else self.tick
+
+    @property
     def imu_interval(self) -> float:
         """Usual time between IMU samples in s, which need not be the grid's step any more."""
         imu = self._buffers.get(_IMU)

@@ -59,14 +59,14 @@ class FrameBlock:
     validity: Array
 
     @classmethod
-    def of(cls, frames: Iterable[Frame], wall: float | None = None) -> "FrameBlock":
+    def of(cls, frames: Iterable[Frame], wall: Array | float | None = None) -> "FrameBlock":
         """Frames as they came over a link, read in one go.
 
         Args:
             frames: in the order received.
-            wall: when they came, s since 1970; None: not known.
+            wall: when they came, s since 1970, all or (n,) each; None or 0: not known.
         """
-        frames = list(frames)
+        frames, came = list(frames), np.asarray(0.0 if wall is None else wall)
         raws = [frame.raw for frame in frames]
         header = np.array(
             [
@@ -86,7 +86,7 @@ class FrameBlock:
             data=np.frombuffer(b"".join([*raws, _ROOM]), np.uint8),
             at=at,
             number=0,
-            time_us=np.full(len(frames), 0 if wall is None else round(wall * 1e6), np.uint64),
+            time_us=np.full(len(frames), np.rint(1e6 * came), np.uint64),
             message_id=message_id,
             payload_at=at + np.where(version == 2, HEADER_2, HEADER_1),
             payload_size=payload_size,
