@@ -13,12 +13,13 @@ from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.message_table import INERTIAL, MESSAGES, STAMP_FIELDS, Stamp
 from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
-from gcs_sysid.telemetry.vehicle_states import STATE_IDS
 
 MOST = 1024
 """Frames that wait: those of a tenth of a second on the fastest link."""
 LONGEST = 0.2
 """s of the receiving computer's clock that they wait where the vehicle's does not tell the time."""
+_AWAITED = frozenset(MESSAGE_IDS[name] for name in ("HEARTBEAT", "PARAM_VALUE"))
+"""Messages that somebody waits for: who speaks, and what was asked for."""
 _ROUNDING = 2e-6
 """s, of stamps and ticks."""
 _Sender = tuple[int, int, int]
@@ -56,13 +57,14 @@ class FrameGathering:
         due = len(self._frames) >= MOST
         if wall is not None and self._frames:
             due |= not 0.0 <= wall - self._walls[0] < LONGEST
-        return due or any(map(self._is_awaited, self._frames[before:]))
+        awaited = [self._is_awaited(frame) for frame in self._frames[before:]]
+        return due or any(awaited)
 
     def _is_awaited(self, frame: Frame) -> bool:
         """Whether a frame ends the waiting: by its time, or by what it is."""
         stamp = _STAMPS.get(frame.message_id)
         if stamp is None:
-            return frame.message_id in STATE_IDS or frame.system == OWN_SYSTEM
+            return frame.message_id in _AWAITED or frame.system == OWN_SYSTEM
         pick, unit = stamp
         sender = frame.system, frame.component, frame.message_id
         self._latest[sender] = t = unit * pick(frame.payload)[0]

@@ -147,7 +147,7 @@ class StreamBuffer:
 
     def _renewals(self, step: Array) -> tuple[Array, Array]:
         """After which of (n,) steps, s, the usual interval is taken anew, and what it is then."""
-        if not len(step) or (_RENEW <= self._count and self._count % _RENEW + len(step) < _RENEW):
+        if not len(step) or (self._count >= _RENEW and self._count % _RENEW + len(step) < _RENEW):
             return _NONE, np.empty(0)
         count = self._count + np.arange(1, len(step) + 1)
         due = np.flatnonzero((count % _RENEW == 0) | (count < _RENEW))

@@ -78,7 +78,9 @@ class _Arrivals:
         """Those of each stream with an order before `stop`, without taking them off."""
         for key, track in self._tracks.items():
             rows = self._rows(key, stop)
-            if rows.stop > rows.start:
+            if rows.stop - rows.start == len(track.t):
+                yield key, track
+            elif rows.stop > rows.start:
                 yield key, track.part(rows)
 
     def take(self, stop: int | None) -> Iterator[tuple[Key, Track]]:
@@ -128,7 +130,7 @@ class TimeBase:
 
     @property
     def until_tick(self) -> float:
-        """s of the vehicle's clock from the newest IMU sample to the next tick."""
+        """S of the vehicle's clock from the newest IMU sample to the next tick."""
         next_tick = self._ticks_from + self._next_tick * self.tick
         return max(next_tick - self._newest, 0.0) if self._started else self.tick
 

@@ -105,11 +105,7 @@ class FrameBlock:
         """Frames [start, stop) of the block."""
         if start <= 0 and stop >= len(self.at):
             return self
-        columns = {
-            field.name: getattr(self, field.name)[start:stop]
-            for field in fields(self)
-            if field.name not in ("data", "number")
-        }
+        columns = {name: getattr(self, name)[start:stop] for name in _COLUMNS}
         return FrameBlock(data=self.data, number=self.number + start, **columns)
 
     def frame(self, index: int) -> Frame:
@@ -136,6 +132,9 @@ class FrameBlock:
                 system, component, sequence, message_id, payload, raw, version, signed,
                 _VALIDITY[valid],
             )  # fmt: skip
+
+
+_COLUMNS = [field.name for field in fields(FrameBlock) if field.name not in ("data", "number")]
 
 
 def counts_of(numbers: Array) -> dict[int, int]:

@@ -214,9 +214,9 @@ class Monitor:
 
     def _types(self, message_id: Array) -> Array:
         """The same of (n,) messages, in order."""
-        unnamed = np.flatnonzero(~np.isin(message_id, NAMED_IDS))
-        if not len(unnamed):
+        if self._known.issuperset(counts_of(message_id)):
             return message_id
+        unnamed = np.flatnonzero(~np.isin(message_id, NAMED_IDS))
         ids, first = np.unique(message_id[unnamed], return_index=True)
         for new in ids[np.argsort(first)][: MOST_UNNAMED + 1].tolist():
             self._type(new)
