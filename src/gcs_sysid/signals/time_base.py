@@ -221,6 +221,9 @@ class TimeBase:
         Returns:
             How many IMU samples that were, all of them if there is no tick, and the blocks.
         """
+        if newest[len(t) - 1] + _ROUNDING < self._ticks_from + self._next_tick * self.tick:
+            self._newest = float(newest[len(t) - 1])
+            return len(t), iter(())
         number = np.floor((t + _ROUNDING - self._ticks_from) / self.tick).astype(np.int64)
         before = np.maximum.accumulate(np.concatenate([[self._next_tick - 1], number]))[:-1]
         rows = np.flatnonzero(number > before)
