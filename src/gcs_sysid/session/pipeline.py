@@ -16,6 +16,7 @@ from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
 from gcs_sysid.session.clock_check import clock_doubt
+from gcs_sysid.session.frame_gathering import FrameGathering
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame
@@ -54,19 +55,34 @@ class Pipeline:
         self.chain = Chain(airframe, options, anchor)
         self._events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
         self._recorded: datetime | None = None
+        self._waiting = FrameGathering()
 
     def take(self, frames: Iterable[Frame] | FrameBlock, wall: float | None = None) -> bool:
         """Take frames in the order received. Returns whether the estimate was renewed.
+
+        They may wait for others, see `frame_gathering`; `result` and `finish` have all of them.
 
         Args:
             frames: as they came.
             wall: when they came, s, as it is recorded; None: not known.
         """
         before = self.chain.renewals
-        block = frames if isinstance(frames, FrameBlock) else FrameBlock.of(frames, wall)
-        for part in self.intake.block(block).windows():
-            self.take_window(part)
+        if isinstance(frames, FrameBlock):
+            self._read_waiting()
+            self._read(frames)
+        elif self._waiting.add(frames, wall):
+            self._read_waiting()
         return self.chain.renewals > before
+
+    def _read_waiting(self) -> None:
+        frames = self._waiting.take()
+        if len(frames):
+            self._read(frames)
+            self._waiting.wait(self.chain.sampler.time_base.until_tick)
+
+    def _read(self, frames: FrameBlock) -> None:
+        for part in self.intake.block(frames).windows():
+            self.take_window(part)
 
     def take_log(self, log: Log, progress: Callable[[float], None] | None = None) -> None:
         """Take a whole recording, instead of frames.
@@ -121,10 +137,12 @@ class Pipeline:
 
     def result(self) -> Result:
         """The latest estimate."""
+        self._read_waiting()
         return self._complete(self._with_doubt(self.chain.result))
 
     def finish(self) -> Result:
         """The final estimate, from all that was taken."""
+        self._read_waiting()
         return self._complete(self._with_doubt(self.chain.finish))
 
     def _with_doubt(self, estimate: Callable[[], Result]) -> Result:

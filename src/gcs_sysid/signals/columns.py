@@ -43,7 +43,14 @@ class Track:
 
     def part(self, rows: slice | Mask) -> "Track":
         """Some of the samples."""
-        return replace(self, t=self.t[rows], values=self.values[rows], order=self.order[rows])
+        return Track(
+            self.stream,
+            self.t[rows],
+            self.values[rows],
+            self.offset,
+            self.source,
+            self.order[rows],
+        )
 
     def records(self) -> Iterator[Record]:
         """One by one, without holding them all."""

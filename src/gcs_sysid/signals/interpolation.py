@@ -1,7 +1,6 @@
 """Between the samples of one stream: what counts as a gap, and the curve through the others."""
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from gcs_sysid.arrays import Array
 
@@ -75,8 +74,8 @@ def usual_intervals(steps: Array, ends: Array) -> Array:
     for row in np.flatnonzero(short).tolist():
         out[row] = _usual(steps[None, : ends[row]])[0]
     if not short.all():
-        windows = sliding_window_view(steps, STEP_SAMPLES)[ends[~short] - STEP_SAMPLES]
-        out[~short] = _usual(windows)
+        starts = ends[~short] - STEP_SAMPLES
+        out[~short] = _usual(steps[starts[:, None] + np.arange(STEP_SAMPLES)])
     return out
 
 

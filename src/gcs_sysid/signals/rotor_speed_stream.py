@@ -65,6 +65,10 @@ class _Stillness:
         new[0] = not np.array_equal(values[0], self._last)
         new[1:] = (values[1:] != values[:-1]).any(axis=1)
         index = np.arange(len(t))
+        if self._repeats == 0 and new.all():
+            share = self._share * _FRESH ** (1.0 + index)
+            none = np.zeros(len(t), dtype=bool)
+            return _Followed(t, none, np.zeros(len(t), dtype=int), share, none)
         latest = np.maximum.accumulate(np.where(new, index, -1))
         faded = 1.0 if self.stands else _FRESH**self._repeats
         now = faded * self._share + 1.0 - faded

@@ -131,16 +131,23 @@ class StreamBuffer:
 
         And the rows of those that came without a break, with the steps that lead to them, s.
         """
-        newest = np.maximum.accumulate(np.concatenate([[self._newest], t]))
-        step = t - newest[:-1]
-        rows = np.flatnonzero(step > 0.0)
+        step = np.empty(len(t))
+        step[:1], step[1:] = t[:1] - self._newest, t[1:] - t[:-1]
+        if len(t) and step.min() > 0.0:  # as it nearly always is
+            rows = np.arange(len(t))
+            if not self.hold and step.max() < BREAK:
+                return rows, _NONE, rows, step
+        else:
+            newest = np.maximum.accumulate(np.concatenate([[self._newest], t]))
+            step = t - newest[:-1]
+            rows = np.flatnonzero(step > 0.0)
         late = np.flatnonzero((step < 0.0) & (step > -_REORDER))
         counted = rows[:0] if self.hold else rows[step[rows] < BREAK]
         return rows, late, counted, step[counted]
 
     def _renewals(self, step: Array) -> tuple[Array, Array]:
         """After which of (n,) steps, s, the usual interval is taken anew, and what it is then."""
-        if not len(step):
+        if not len(step) or (self._count >= _RENEW and self._count % _RENEW + len(step) < _RENEW):
             return _NONE, np.empty(0)
         count = self._count + np.arange(1, len(step) + 1)
         due = np.flatnonzero((count % _RENEW == 0) | (count < _RENEW))

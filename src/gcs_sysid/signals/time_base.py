@@ -78,7 +78,9 @@ class _Arrivals:
         """Those of each stream with an order before `stop`, without taking them off."""
         for key, track in self._tracks.items():
             rows = self._rows(key, stop)
-            if rows.stop > rows.start:
+            if rows.stop - rows.start == len(track.t):
+                yield key, track
+            elif rows.stop > rows.start:
                 yield key, track.part(rows)
 
     def take(self, stop: int | None) -> Iterator[tuple[Key, Track]]:
@@ -125,6 +127,12 @@ class TimeBase:
         self._next_index = 0
         self._next_tick = 0  # counted from where the grid began
         self._ticks_from = 0.0
+
+    @property
+    def until_tick(self) -> float:
+        """S of the vehicle's clock from the newest IMU sample to the next tick."""
+        next_tick = self._ticks_from + self._next_tick * self.tick
+        return max(next_tick - self._newest, 0.0) if self._started else self.tick
 
     @property
     def imu_interval(self) -> float:
@@ -213,6 +221,9 @@ class TimeBase:
         Returns:
             How many IMU samples that were, all of them if there is no tick, and the blocks.
         """
+        if newest[len(t) - 1] + _ROUNDING < self._ticks_from + self._next_tick * self.tick:
+            self._newest = float(newest[len(t) - 1])
+            return len(t), iter(())
         number = np.floor((t + _ROUNDING - self._ticks_from) / self.tick).astype(np.int64)
         before = np.maximum.accumulate(np.concatenate([[self._next_tick - 1], number]))[:-1]
         rows = np.flatnonzero(number > before)

@@ -233,19 +233,19 @@ class _Reader:
     def _add_attitude(self, recording: Recording) -> None:
         q = self._fields("quat", 4)
         if q is not None:
-            recording.add_attitude(self._t, q / _INDIFLIGHT_ONE)
+            recording.add(Stream.ATTITUDE, self._t, q / _INDIFLIGHT_ONE)
             return
         xyz = self._first_of("imuQuaternion")
         if xyz is not None:
             xyz = xyz / _QUATERNION_ONE
             w = np.sqrt(np.maximum(1.0 - (xyz**2).sum(axis=1), 0.0))
-            recording.add_attitude(self._t, np.column_stack([w, xyz * _FRD]))
+            recording.add(Stream.ATTITUDE, self._t, np.column_stack([w, xyz * _FRD]))
             return
         angles = self._first_of("attitude")
         if angles is not None:  # INAV: tenths of degrees, nose down, clockwise from north
             turns = np.radians(angles * (0.1, -0.1, 0.1))[:, :, None] * np.eye(3)
             roll, pitch, yaw = np.moveaxis(from_rotation_vector(turns), 1, 0)
-            recording.add_attitude(self._t, multiply(multiply(yaw, pitch), roll))
+            recording.add(Stream.ATTITUDE, self._t, multiply(multiply(yaw, pitch), roll))
 
     def _add_velocity(self, recording: Recording) -> None:
         for source in _POSITIONS:

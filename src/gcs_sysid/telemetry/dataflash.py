@@ -19,6 +19,7 @@ from gcs_sysid.model.attitude import from_rotation_vector, multiply
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dataflash_format import DataflashLog
 from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.onboard_table import OnboardMessage
 from gcs_sysid.telemetry.rotor_messages import RPM
 from gcs_sysid.telemetry.track_collector import Recording
 
@@ -39,6 +40,32 @@ _FRAME_CLASSES = {
 }
 """FRAME_CLASS -> MAV_TYPE."""
 _CHANNEL = re.compile(r"(?:C|Ch|Chan)(\d+)")
+
+
+def _from_degrees(angles: Array) -> Array:
+    """(n, 4) quaternions of (n, 3) roll, pitch, yaw in degrees."""
+    turns = np.radians(angles)[:, :, None] * np.eye(3)  # (n, axis, 3)
+    roll, pitch, yaw = np.moveaxis(from_rotation_vector(turns), 1, 0)
+    return multiply(multiply(yaw, pitch), roll)
+
+
+_Q = ("Q1", "Q2", "Q3", "Q4")
+_NED = ("VN", "VE", "VD", "PN", "PE", "PD")
+ENTRIES = (
+    OnboardMessage(
+        "IMU", Stream.IMU, ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"), sensors="primary"
+    ),
+    OnboardMessage("ATT", Stream.ATTITUDE, ("Roll", "Pitch", "Yaw"), convert=_from_degrees),
+    OnboardMessage("XKQ", Stream.ATTITUDE, _Q, rank=1, sensors="primary"),
+    OnboardMessage("NKQ", Stream.ATTITUDE, _Q, rank=2, sensors="primary"),
+    OnboardMessage("XKF1", Stream.VELOCITY, _NED, rank=1, sensors="primary"),
+    OnboardMessage("NKF1", Stream.VELOCITY, _NED, rank=2, sensors="primary"),
+    OnboardMessage("EKF1", Stream.VELOCITY, _NED, rank=3, sensors="primary"),
+)
+"""Entries whose columns are the values. Of a stream's, the first is read; of attitudes the one that
+comes most often. Outputs, ESCs, RPM and states take more, see `_Reader`."""
+_EKF_2_FIRST = {"XKQ": 2, "NKQ": 1, "XKF1": 2, "NKF1": 1}
+"""Ranks where the autopilot flies by EKF 2 (N...) instead of EKF 3 (X...)."""
 
 
 def read_dataflash(path: Path) -> Recording:
@@ -79,9 +106,7 @@ class _Reader:
             damaged=self._log.garbage_bytes > 0,
             lost=0 if lost is None else int(lost.max()),
         )
-        self._add_imu(recording)
-        self._add_attitude(recording)
-        self._add_velocity(recording)
+        self._add_entries(recording)
         self._add_outputs(recording)
         self._add_escs(recording)
         self._add_rpm(recording)
@@ -135,39 +160,27 @@ class _Reader:
         primary: Mask = number == wanted
         return primary
 
-    def _add_imu(self, recording: Recording) -> None:
-        values = self._named("IMU", ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"))
-        if values is not None:
-            first = self._primary("IMU")
-            recording.add(Stream.IMU, self._times("IMU")[first], values[first])
+    def _add_entries(self, recording: Recording) -> None:
+        for stream in (Stream.IMU, Stream.ATTITUDE, Stream.VELOCITY):
+            there = []
+            for row in sorted((row for row in ENTRIES if row.stream is stream), key=self._rank):
+                columns = self._named(row.name, row.fields)
+                if columns is not None:
+                    primary = row.sensors == "primary"
+                    rows = self._primary(row.name) if primary else np.ones(len(columns), bool)
+                    there.append((int(rows.sum()), row, rows, columns))
+            if not there:
+                continue
+            # max gives the first of those that come equally often.
+            best = max(there, key=lambda each: each[0]) if stream is Stream.ATTITUDE else there[0]
+            _, row, rows, columns = best
+            t, values = self._times(row.name)[rows], row.values(columns[rows])
+            recording.add(stream, t, values)
 
-    def _add_attitude(self, recording: Recording) -> None:
-        """From the entry that comes most often, ATT before the estimator's quaternion."""
-        best: tuple[Array, Array] | None = None
-        angles = self._named("ATT", ("Roll", "Pitch", "Yaw"))
-        if angles is not None:
-            best = self._times("ATT"), _from_degrees(angles)
-        for name in self._by_estimator("KQ"):
-            q = self._named(name, ("Q1", "Q2", "Q3", "Q4"))
-            if q is not None:
-                rows = self._primary(name)
-                if best is None or rows.sum() > len(best[0]):
-                    best = self._times(name)[rows], q[rows]
-        if best is not None:
-            recording.add_attitude(*best)
-
-    def _by_estimator(self, name: str) -> tuple[str, str]:
-        """Entry names of the EKFs, the one in use first."""
-        new, old = f"X{name}", f"N{name}"
-        return (old, new) if self._latest.get("AHRS_EKF_TYPE") == _EKF_2 else (new, old)
-
-    def _add_velocity(self, recording: Recording) -> None:
-        for name in (*self._by_estimator("KF1"), "EKF1"):
-            values = self._named(name, ("VN", "VE", "VD", "PN", "PE", "PD"))
-            if values is not None:
-                rows = self._primary(name)
-                recording.add(Stream.VELOCITY, self._times(name)[rows], values[rows])
-                return
+    def _rank(self, row: OnboardMessage) -> int:
+        """By which the rows of a stream are sorted."""
+        other = _EKF_2_FIRST.get(row.name, row.rank)
+        return other if self._latest.get("AHRS_EKF_TYPE") == _EKF_2 else row.rank
 
     def _channels(self) -> list[int]:
         """Output channel of each motor, from 0; empty when the parameters do not tell."""
@@ -286,10 +299,3 @@ def _rpm(columns: dict[str, Array]) -> Array:
     rpm: Array = columns["RPM"] if raw is None or not np.any(raw) else raw
     speeds: Array = np.abs(rpm) * RPM
     return speeds
-
-
-def _from_degrees(angles: Array) -> Array:
-    """(n, 4) quaternions of (n, 3) roll, pitch, yaw in degrees."""
-    turns = np.radians(angles)[:, :, None] * np.eye(3)  # (n, axis, 3)
-    roll, pitch, yaw = np.moveaxis(from_rotation_vector(turns), 1, 0)
-    return multiply(multiply(yaw, pitch), roll)

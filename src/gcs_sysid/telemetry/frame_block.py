@@ -59,14 +59,14 @@ class FrameBlock:
     validity: Array
 
     @classmethod
-    def of(cls, frames: Iterable[Frame], wall: float | None = None) -> "FrameBlock":
+    def of(cls, frames: Iterable[Frame], wall: Array | float | None = None) -> "FrameBlock":
         """Frames as they came over a link, read in one go.
 
         Args:
             frames: in the order received.
-            wall: when they came, s since 1970; None: not known.
+            wall: when they came, s since 1970, all or (n,) each; None or 0: not known.
         """
-        frames = list(frames)
+        frames, came = list(frames), np.asarray(0.0 if wall is None else wall)
         raws = [frame.raw for frame in frames]
         header = np.array(
             [
@@ -86,7 +86,7 @@ class FrameBlock:
             data=np.frombuffer(b"".join([*raws, _ROOM]), np.uint8),
             at=at,
             number=0,
-            time_us=np.full(len(frames), 0 if wall is None else round(wall * 1e6), np.uint64),
+            time_us=np.full(len(frames), np.rint(1e6 * came), np.uint64),
             message_id=message_id,
             payload_at=at + np.where(version == 2, HEADER_2, HEADER_1),
             payload_size=payload_size,
@@ -105,11 +105,7 @@ class FrameBlock:
         """Frames [start, stop) of the block."""
         if start <= 0 and stop >= len(self.at):
             return self
-        columns = {
-            field.name: getattr(self, field.name)[start:stop]
-            for field in fields(self)
-            if field.name not in ("data", "number")
-        }
+        columns = {name: getattr(self, name)[start:stop] for name in _COLUMNS}
         return FrameBlock(data=self.data, number=self.number + start, **columns)
 
     def frame(self, index: int) -> Frame:
@@ -136,6 +132,9 @@ class FrameBlock:
                 system, component, sequence, message_id, payload, raw, version, signed,
                 _VALIDITY[valid],
             )  # fmt: skip
+
+
+_COLUMNS = [field.name for field in fields(FrameBlock) if field.name not in ("data", "number")]
 
 
 def counts_of(numbers: Array) -> dict[int, int]:

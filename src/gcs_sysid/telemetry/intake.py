@@ -203,8 +203,8 @@ class Intake:
             frames.validity[chosens] == BAD_CRC,
         )
         self.monitor.take_imu_times(taken.imu_times)
-        states = chosens & np.isin(frames.message_id, _STATES)
-        rows = np.flatnonzero(good & (states | (frames.message_id == _HEARTBEAT)))
+        states = np.logical_or.reduce([frames.message_id == number for number in _STATES])
+        rows = np.flatnonzero(good & states & (chosens | (frames.message_id == _HEARTBEAT)))
         end = clock.now
         for row in rows.tolist():
             # What is noted of it, is noted at its own time.

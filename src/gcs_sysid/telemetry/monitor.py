@@ -190,11 +190,15 @@ class Monitor:
         if not len(now):
             return
         self.heard += len(now)
-        message_id = self._types(message_id)
-        self._counts.update(counts_of(message_id))
+        every = counts_of(message_id)
+        if not self._known.issuperset(every):
+            message_id = self._types(message_id)
+            every = counts_of(message_id)
+        self._counts.update(every)
         timed = np.isfinite(now)
         if not timed.all():
             message_id, size, now = (part[timed] for part in (message_id, size, now))
+            every = counts_of(message_id)
             if not len(now):
                 return
         self._go_on(float(now[0]))
@@ -203,7 +207,8 @@ class Monitor:
         first = int(np.searchsorted(steps, steps[-1] - WINDOW / STEP))
         edges = np.flatnonzero(np.diff(steps[first:], prepend=-1, append=-1)) + first
         for start, end in pairwise(edges.tolist()):
-            counts = counts_of(message_id[start:end])
+            whole = end - start == len(message_id)
+            counts = every if whole else counts_of(message_id[start:end])
             self._add_step(int(steps[start]), counts, int(size[start:end].sum()))
 
     def _type(self, message_id: int) -> int:
@@ -217,8 +222,6 @@ class Monitor:
     def _types(self, message_id: Array) -> Array:
         """The same of (n,) messages, in order."""
         unnamed = np.flatnonzero(~np.isin(message_id, NAMED_IDS))
-        if not len(unnamed):
-            return message_id
         ids, first = np.unique(message_id[unnamed], return_index=True)
         for new in ids[np.argsort(first)][: MOST_UNNAMED + 1].tolist():
             self._type(new)

@@ -131,13 +131,15 @@ class Recording:
         Args:
             stream: what the values are.
             t: (n,) s, vehicle clock.
-            values: (n, width) or (n,).
+            values: (n, width) or (n,); attitudes of any sign and nearly unit length.
             offset: as in `Record`.
             source: as in `Record`.
         """
         if not len(t):
             return
         values = values.astype(float).reshape(len(t), -1)
+        if stream is Stream.ATTITUDE:
+            values = _upright(values)
         believable = believable_times(t)
         whole = np.isfinite(values)
         finite = whole.all(axis=1)
@@ -152,16 +154,6 @@ class Recording:
         order = np.argsort(t, kind="stable")
         if len(t):
             self.tracks.append(Track(stream, t[order], values[order], offset, source))
-
-    def add_attitude(self, t: Array, q: Array) -> None:
-        """Add (n, 4) quaternions of any sign and nearly unit length."""
-        norm = np.linalg.norm(q, axis=1, keepdims=True)
-        q = np.where(np.abs(norm - 1.0) < 0.1, q / np.maximum(norm, 0.1), np.nan)
-        sound = np.isfinite(q).all(axis=1)
-        if sound.any():
-            aligned = align_signs(q[sound])
-            q[sound] = aligned * np.copysign(1.0, aligned[0, 0])
-        self.add(Stream.ATTITUDE, t, q)
 
     def add_state(self, stream: Stream, changes: Mapping[float, bool], end: float) -> None:
         """Add a state by the times at which it changed, told every second like on a link."""
@@ -197,6 +189,17 @@ class Recording:
             ),
             tuple(sorted(parameters)),
         )
+
+
+def _upright(q: Array) -> Array:
+    """(n, 4) quaternions of unit length and like signs; NaN where they are none."""
+    norm = np.linalg.norm(q, axis=1, keepdims=True)
+    q = np.where(np.abs(norm - 1.0) < 0.1, q / np.maximum(norm, 0.1), np.nan)
+    sound = np.isfinite(q).all(axis=1)
+    if sound.any():
+        aligned = align_signs(q[sound])
+        q[sound] = aligned * np.copysign(1.0, aligned[0, 0])
+    return q
 
 
 def believable_times(t: Array) -> Mask:

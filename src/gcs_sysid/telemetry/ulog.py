@@ -25,6 +25,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.onboard_table import OnboardMessage
 from gcs_sysid.telemetry.rotor_messages import RPM
 from gcs_sysid.telemetry.track_collector import Recording
 
@@ -36,17 +37,35 @@ _ZEROS = 2**16
 _PIECE = 2**20
 """Bytes looked at together."""
 
-_TOPICS = [
-    "sensor_combined", "estimator_sensor_bias", "vehicle_attitude", "vehicle_local_position",
-    "actuator_motors", "actuator_outputs", "esc_status", "vehicle_land_detected",
-    "vehicle_status",
-]  # fmt: skip
 _AUTO_TAKEOFF, _AUTO_LAND = 17, 18
 """vehicle_status.nav_state while EXTENDED_SYS_STATE says taking off or landing."""
 _ARMED = 2
 """vehicle_status.arming_state."""
+_MOTORS, _ESCS, _LANDED, _STATUS = (
+    "actuator_motors", "esc_status", "vehicle_land_detected", "vehicle_status"
+)  # fmt: skip
 _FIRST_MOTOR = 101
 """esc_report.actuator_function of motor 1."""
+
+TOPICS = (
+    OnboardMessage(
+        "sensor_combined", Stream.IMU, ("gyro_rad[3]", "accelerometer_m_s2[3]"),
+        offset=("estimator_sensor_bias", ("gyro_bias[3]", "accel_bias[3]")),
+    ),
+    OnboardMessage("vehicle_attitude", Stream.ATTITUDE, ("q[4]",)),
+    OnboardMessage(
+        "vehicle_local_position", Stream.VELOCITY, ("vx", "vy", "vz", "x", "y", "z")
+    ),
+    OnboardMessage(
+        "actuator_outputs", Stream.ROTOR_COMMAND, ("output[noutputs]",), sensors="all"
+    ),
+    OnboardMessage(_STATUS, Stream.ARMED, ("arming_state",), is_equal_to=_ARMED),
+)  # fmt: skip
+"""Topics whose fields are the values. Motors, ESCs and flight take more, see `_add_topic`."""
+_READ = {
+    _MOTORS, _ESCS, _LANDED,
+    *(row.name for row in TOPICS), *(row.offset[0] for row in TOPICS if row.offset is not None),
+}  # fmt: skip
 
 Topic = dict[str, Array]
 
@@ -94,7 +113,7 @@ def _load(path: Path) -> ULog:
     said = io.StringIO()  # pyulog prints what it finds wrong
     try:
         with open(path, "rb") as file, contextlib.redirect_stdout(said):
-            return ULog(_Handle(_without_zeros(file)), _TOPICS)
+            return ULog(_Handle(_without_zeros(file)), sorted(_READ))
     except OSError as error:
         if error.errno == errno.EINVAL:  # pyulog went back by a damaged length, out of the file
             raise InputError(f"{path} cannot be read as a PX4 log: it is damaged") from error
@@ -161,26 +180,34 @@ def _add_topic(
     thrust_factor: float,
 ) -> None:
     source = f"{name}_{multi_id}" if multi_id else name
-    if name == "actuator_outputs":
-        count = int(topic["noutputs"].max())
-        recording.add(Stream.ROTOR_COMMAND, t, _columns(topic, "output", count), source=source)
-    elif multi_id:  # a second sensor or estimator is another stream, not more samples
+    for row in TOPICS:
+        if row.name == name and (not multi_id or row.sensors == "all"):
+            values = row.values(_values(row, t, topic, topics))
+            rotors = row.stream is Stream.ROTOR_COMMAND
+            recording.add(row.stream, t, values, source=source if rotors else "")
+    if multi_id:
         return
-    elif name == "sensor_combined":
-        recording.add(Stream.IMU, t, _imu(t, topic, topics.get(("estimator_sensor_bias", 0))))
-    elif name == "vehicle_attitude":
-        recording.add_attitude(t, _columns(topic, "q", 4))
-    elif name == "vehicle_local_position":
-        values = [topic[field] for field in ("vx", "vy", "vz", "x", "y", "z")]
-        recording.add(Stream.VELOCITY, t, np.column_stack(values))
-    elif name == "actuator_motors":
+    if name == _MOTORS:
         recording.add(Stream.ROTOR_COMMAND, t, _motors(topic, thrust_factor), source=source)
-    elif name == "esc_status":
+    elif name == _ESCS:
         recording.add(Stream.ROTOR_SPEED, t, _speeds(topic), source=source)
-    elif name == "vehicle_land_detected":
-        _add_flight(recording, t, topic, topics.get(("vehicle_status", 0)))
-    elif name == "vehicle_status":
-        recording.add(Stream.ARMED, t, topic["arming_state"] == _ARMED)
+    elif name == _LANDED:
+        _add_flight(recording, t, topic, topics.get((_STATUS, 0)))
+
+
+def _values(
+    row: OnboardMessage, t: Array, topic: Topic, topics: dict[tuple[str, int], Topic]
+) -> Array:
+    """(n, fields) of a row's fields, less what it says is taken off."""
+    values = np.hstack([_columns(topic, field) for field in row.fields])
+    if row.offset is not None:
+        name, fields = row.offset
+        told = topics.get((name, 0))
+        if told is not None:
+            offsets = np.hstack([_columns(told, field) for field in fields])
+            last = np.searchsorted(told["timestamp"] * 1e-6, t, side="right") - 1
+            values -= np.where(last[:, None] >= 0, offsets[np.maximum(last, 0)], 0.0)
+    return values
 
 
 def _parameters(log: ULog) -> list[tuple[float, str, float]]:
@@ -198,22 +225,16 @@ def _constant(topic: Topic, field: str) -> int | None:
     return int(topic[field][0]) if field in topic else None
 
 
-def _columns(topic: Topic, field: str, count: int) -> Array:
-    """(n, count) of an array field; KeyError when the topic has not all of it."""
-    if not count:
-        raise KeyError(field)
+def _columns(topic: Topic, field: str) -> Array:
+    """(n, count) of a field, see `OnboardMessage.fields`; KeyError when not all of it is there."""
+    name, _, told = field.rstrip("]").partition("[")
     with np.errstate(invalid="ignore"):  # damaged values may be NaN
-        return np.column_stack([topic[f"{field}[{i}]"] for i in range(count)]).astype(float)
-
-
-def _imu(t: Array, topic: Topic, bias: Topic | None) -> Array:
-    """(n, 6) gyro and specific force, less the estimator's biases, as HIGHRES_IMU has them."""
-    values = np.hstack([_columns(topic, "gyro_rad", 3), _columns(topic, "accelerometer_m_s2", 3)])
-    if bias is not None:
-        biases = np.hstack([_columns(bias, "gyro_bias", 3), _columns(bias, "accel_bias", 3)])
-        last = np.searchsorted(bias["timestamp"] * 1e-6, t, side="right") - 1
-        values -= np.where(last[:, None] >= 0, biases[np.maximum(last, 0)], 0.0)
-    return values
+        if not told:
+            return topic[name].astype(float)[:, None]
+        count = int(told) if told.isdigit() else int(topic[told].max())
+        if not count:
+            raise KeyError(name)
+        return np.column_stack([topic[f"{name}[{i}]"] for i in range(count)]).astype(float)
 
 
 def _motors(topic: Topic, thrust_factor: float) -> Array:
@@ -223,7 +244,7 @@ def _motors(topic: Topic, thrust_factor: float) -> Array:
     T = (1 - c) u + c u^2, c being THR_MDL_FAC. A stopped motor is NaN there, and 0 here.
     """
     count = sum(1 for field in topic if field.startswith("control["))
-    thrust = _columns(topic, "control", count)
+    thrust = _columns(topic, f"control[{count}]")
     used = np.flatnonzero(np.isfinite(thrust).any(axis=0))
     thrust = np.nan_to_num(thrust[:, : used[-1] + 1 if len(used) else 0], nan=0.0).clip(-1.0, 1.0)
     if not 1e-6 < thrust_factor <= 1.0:

@@ -1,0 +1,81 @@
+"""Frames of a link wait, unread, until the vehicle's clock has passed a tick of the chain.
+
+Before that they change nothing that anybody sees, and reading a few at a time costs as much as
+reading all of a tenth of a second at once. How long they wait changes no number.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from gcs_sysid.telemetry.frame_block import FrameBlock
+from gcs_sysid.telemetry.frames import Frame
+from gcs_sysid.telemetry.message_table import INERTIAL, MESSAGES, STAMP_FIELDS, Stamp
+from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
+from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
+
+MOST = 1024
+"""Frames that wait: those of a tenth of a second on the fastest link."""
+LONGEST = 0.2
+"""s of the receiving computer's clock that they wait where the vehicle's does not tell the time."""
+_AWAITED = frozenset(MESSAGE_IDS[name] for name in ("HEARTBEAT", "PARAM_VALUE"))
+"""Messages that somebody waits for: who speaks, and what was asked for."""
+_ROUNDING = 2e-6
+"""s, of stamps and ticks."""
+_Sender = tuple[int, int, int]
+_STAMPS = {
+    MESSAGE_IDS[message.name]: (
+        picker(message.name, STAMP_FIELDS[message.stamp]),
+        1e-3 if message.stamp is Stamp.MS32 else 1e-6,
+    )
+    for message in MESSAGES
+    if message.name in INERTIAL
+}
+
+
+class FrameGathering:
+    """Frames that wait."""
+
+    def __init__(self) -> None:
+        self._frames: list[Frame] = []
+        self._walls: list[float] = []
+        # (sender, message) -> s, its stamp when the waiting began, and its latest.
+        self._from: dict[_Sender, float] = {}
+        self._latest: dict[_Sender, float] = {}
+        self._left = 0.0
+
+    def add(self, frames: Iterable[Frame], wall: float | None) -> bool:
+        """Add frames; whether it is time to read them.
+
+        Args:
+            frames: in the order received.
+            wall: when they came, s since 1970; None: not known.
+        """
+        before = len(self._frames)
+        self._frames += frames
+        self._walls += [wall or 0.0] * (len(self._frames) - before)
+        due = len(self._frames) >= MOST
+        if wall is not None and self._frames:
+            due |= not 0.0 <= wall - self._walls[0] < LONGEST
+        awaited = [self._is_awaited(frame) for frame in self._frames[before:]]
+        return due or any(awaited)
+
+    def _is_awaited(self, frame: Frame) -> bool:
+        """Whether a frame ends the waiting: by its time, or by what it is."""
+        stamp = _STAMPS.get(frame.message_id)
+        if stamp is None:
+            return frame.message_id in _AWAITED or frame.system == OWN_SYSTEM
+        pick, unit = stamp
+        sender = frame.system, frame.component, frame.message_id
+        self._latest[sender] = t = unit * pick(frame.payload)[0]
+        return not 0.0 <= t - self._from.setdefault(sender, t) < self._left - _ROUNDING
+
+    def take(self) -> FrameBlock:
+        """The frames, which wait no more."""
+        block = FrameBlock.of(self._frames, np.array(self._walls))
+        self._frames, self._walls = [], []
+        return block
+
+    def wait(self, seconds: float) -> None:
+        """Have frames wait for so many seconds of the vehicle's clock from now on."""
+        self._from, self._latest, self._left = self._latest, {}, seconds
