@@ -47,7 +47,7 @@ test-all: $(SIMULATORS_INSTALLED) ## those too that repeat on more flights what 
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m ''
 
 quick: $(SIMULATORS_INSTALLED) ## the tests without whole flights
-	$(BIN)/python -m pytest -m "not slow and not thorough"
+	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow and not thorough"
 
 # Not on Windows: mutants are loaded in forked processes. MODULES="signals/windows.py ..." SAMPLE=0
 # for all mutants of some modules.

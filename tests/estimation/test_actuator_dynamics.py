@@ -197,3 +197,19 @@ def test_plain_rows_are_rows_as_they_are():
     assert maps.shape == (3, 1, WIDTH, WIDTH)
     np.testing.assert_array_equal(maps[2, 0], np.eye(WIDTH))
     np.testing.assert_array_equal(PLAIN.nodes, [[0.0, 0.0, 1.0]])
+
+
+def test_what_is_not_told_is_as_for_speeds_at_high_rates():
+    told = ActuatorDynamics((0.0, 0.01), (0.0,), (1.0,), commands=False, half_width=0.1, dt=0.0)
+    plain = ActuatorDynamics((0.0, 0.01))
+    at = np.array([[0.004, 0.0, 1.0]])
+    np.testing.assert_array_equal(plain.maps(at), told.maps(at))
+    np.testing.assert_array_equal(plain.nodes, told.nodes)
+    wide = ActuatorDynamics((0.0, 0.01), half_width=0.2)
+    assert np.abs(wide.maps(at) - told.maps(at)).max() > 1e-6
+    lagged = (0.0, 0.05), (0.0, 0.05), (0.0, 1.0)
+    at = np.array([[0.004, 0.02, 0.5]])
+    np.testing.assert_array_equal(
+        ActuatorDynamics(*lagged, commands=True).maps(at),
+        ActuatorDynamics(*lagged, commands=True, half_width=0.1, dt=0.0).maps(at),
+    )

@@ -121,10 +121,11 @@ def test_all_of_white_noise_is_missed_without_a_low_pass():
     np.testing.assert_array_equal(missed_and_seen(0.02, None), [1.0, 1.0])
 
 
+@pytest.mark.parametrize("cutoff", [8.0, 30.0])
 @pytest.mark.parametrize("apart", [None, 0.005])
-def test_folding_by_an_integral(apart):
+def test_folding_by_an_integral(apart, cutoff):
     """Noise behind |H|^2 = 1 / (1 + (f / fc)^4), sampled: sums over the aliases, written out."""
-    dt, cutoff = 0.02, 30.0
+    dt = 0.02
     missed, seen = missed_and_seen(dt, cutoff, apart)
 
     def power(f, k):
@@ -151,6 +152,17 @@ def test_a_hundred_differences_of_commands_are_enough(n, told):
     found = CommandNoise(GEOMETRY, 0.02)
     found.update(0.5 + 0.01 * np.random.default_rng(1).standard_normal((n, 4)))
     assert bool(found.covariance.any()) is told
+
+
+@pytest.mark.parametrize("noise_of", [SpeedNoise, CommandNoise])
+@pytest.mark.parametrize("block", [1, 3, 7, 100])
+def test_grouping_of_inputs_does_not_matter(noise_of, block):
+    values = 0.5 + 0.1 * np.random.default_rng(5).standard_normal((700, 4))
+    whole, parts = noise_of(GEOMETRY, 0.02), noise_of(GEOMETRY, 0.02)
+    whole.update(values)
+    for start in range(0, len(values), block):
+        parts.update(values[start : start + block])
+    np.testing.assert_allclose(parts.covariance, whole.covariance, rtol=1e-12)
 
 
 def test_noise_of_commands_is_told_with_what_rotors_share():

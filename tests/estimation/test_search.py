@@ -341,3 +341,27 @@ def test_a_fit_without_any_noise_keeps_its_weights_finite():
     point, _ = minimise(problem, guess[None], MAX_ITERATIONS)
     assert np.isfinite(point.W).all()
     np.testing.assert_allclose(point.unknowns[0, : rb.N_THETA], THETA, rtol=1e-4)
+
+
+def test_every_hypothesis_takes_the_best_of_its_own_starts():
+    """The one is led astray from the first start, the other from the second."""
+    at = np.array([0.006, 0.0, 1.0])
+    rows = rows_of(SPEEDS, at, sigma=0.1)
+    others = rows_of(SPEEDS, np.array([-0.004, 0.0, 1.0]), seed=2, sigma=0.1)
+    bank = np.stack([rows.T @ rows, others.T @ others])
+    problem = Problem(bank, N, SPEEDS, None)
+    good = np.append(THETA, [0.0, 0.0, 1.0])
+    astray = good.copy()
+    astray[: rb.N_THETA] *= 50.0
+    found, converged = search(problem, np.array([[astray, good], [good, astray]]))
+    assert converged.shape == (2,)
+    np.testing.assert_allclose(found.unknowns[:, DELAY], [0.006, -0.004], atol=5e-4)
+    np.testing.assert_allclose(found.unknowns[:, :3], np.tile(THETA[:3], (2, 1)), rtol=0.01)
+    assert found.cost.shape == (2,)
+
+
+def test_the_ordinary_weighs_as_three_numbers_known_beforehand():
+    assert COORDINATE_MEAN.tolist() == [0.0, 0.05, 0.5]
+    assert COORDINATE_STD.tolist() == [0.03, 0.05, 0.5]
+    problem, _, unknowns = problem_at(COMMANDS, [0.03, 0.0, 1.5])
+    assert problem.weak_cost(unknowns) == pytest.approx(1.0 + 1.0 + 4.0)

@@ -245,6 +245,16 @@ def test_the_bias_is_renewed_ten_times_a_second(dt, samples):
     np.testing.assert_array_equal(filter_.biases, np.tile(np.zeros(3) + before, (samples, 1)))
 
 
+def test_slow_samples_each_renew_the_bias():
+    filter_ = ComplementaryFilter(0.25)
+    found = []
+    for _ in range(4):
+        filter_.update(np.array([[0.01, 0.0, 0.0]]), np.array([[1.0, 0.0, 0.0, 0.0]]))
+        found.append(filter_.bias[0])
+    assert found[0] == 0.0
+    assert (np.diff(found) > 0.0).all()
+
+
 def test_gains_that_are_not_given_are_those_measured():
     filter_ = ComplementaryFilter(0.01)
     assert (filter_.k_p, filter_.k_i) == (DEFAULT_K_P, DEFAULT_K_I) == (0.7, 0.05)

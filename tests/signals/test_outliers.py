@@ -214,23 +214,19 @@ def test_a_spike_is_filled_by_the_cubic_through_four_sound_neighbours():
     assert cleaned[100, 0] == pytest.approx(np.array(shares) @ x[nodes, 0], rel=1e-9)
 
 
-def test_beside_a_long_step_a_spike_is_filled_by_the_line():
-    """Four neighbours that span more than two gaps say less than the two."""
-    gap = 0.03
+@pytest.mark.parametrize(("step", "nodes"), [(0.022, [98, 99, 101, 102]), (0.025, [99, 101])])
+def test_neighbours_that_span_two_gaps_are_too_far_for_a_cubic(step, nodes):
+    """Of gaps of 30 ms: steps of 26 ms on either side of the two make 60, those of 29 ms 66."""
     t = times(140, 250.0)
-    t[98:] += 0.025  # 98 lies 29 ms behind 97
-    t[102:] += 0.025
-    t[103:] += 0.02
+    t[99:] += step
+    t[102:] += step
     x = struck(9.0, rest=np.zeros(140))
     x[:, 0] += 3.0 * t**2
-    cleaned, spikes = despiked(t, x, gap, 0.1)
-    assert spikes[100, 0]
-    near = np.array([98, 99, 101, 102])
-    wide = t[near[-1]] - t[near[0]] > 2.0 * gap
-    nodes = near[1:3] if wide else near
+    cleaned, spikes = despiked(t, x, 0.03, 0.1)
+    assert np.argwhere(spikes).tolist() == [[100, 0]]
     shares = [np.prod([(t[100] - t[m]) / (t[n] - t[m]) for m in nodes if m != n]) for n in nodes]
     expected = np.array(shares) @ (3.0 * t[nodes] ** 2)
-    assert cleaned[100, 0] == pytest.approx(expected, rel=1e-9)
+    assert cleaned[100, 0] == pytest.approx(expected, abs=1e-12)
 
 
 def test_too_few_samples_are_left_alone():

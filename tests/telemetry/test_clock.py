@@ -29,6 +29,12 @@ def test_the_sender_of_32_bit_stamps_may_be_ahead_of_the_clock_at_the_wrap():
     assert clock.stamp_us32(WRAP_US - 500) == pytest.approx(wrap - 5e-4)
 
 
+def test_milliseconds_that_are_late_stay_late():
+    clock = VehicleClock()
+    clock.stamp_ms32(100_000)
+    assert clock.stamp_ms32(99_700) == pytest.approx(99.7)
+
+
 def test_a_reboot_after_a_wrap_begins_at_zero_again():
     clock = VehicleClock()
     clock.stamp_us64(5000 * 1_000_000)
@@ -140,6 +146,7 @@ def test_what_64_bits_hold_is_read_as_such_where_it_is_more():
     assert later.stamp_us64_or_32(9_000_000) == pytest.approx(WRAP_US * 1e-6 + 9.0)
     assert later.stamp_us64_or_32(1) is None  # 15 s behind, and no stamp drives the clock so
     assert later.stamp_us64_or_32(0) is None
+    assert clock_at(4296.0).stamp_us64_or_32(0) is None  # no stamp, though the wrap is near
     assert later.stamp_us64_or_32(WRAP_US - 1) is None
     assert later.doubted == 0
     assert later.stamp_us64_or_32(4311 * 10**6) == pytest.approx(4311.0)
@@ -249,6 +256,7 @@ def test_moments_are_thinned_evenly_when_they_become_too_many():
     drift = ClockDrift()
     for i in range(ClockDrift.MOST + 1):
         drift.take(10.0 + i, WALL + i)
+        assert len(drift._moments) == (i + 1 if i < ClockDrift.MOST else 513)
     # Every other one stays, and the next ones are kept as far apart.
     assert [v for v, _ in drift._moments] == [
         10.0 + 2.0 * i for i in range(ClockDrift.MOST // 2 + 1)
@@ -276,6 +284,15 @@ def test_a_drift_is_told_from_twenty_seconds_on(seconds, told):
         drift.take(10.0 + 1.001 * i, WALL + i)
     assert (drift.ppm == pytest.approx(1000.0, abs=0.1)) if told else drift.ppm is None
     assert drift.bounds == pytest.approx((1000.0, 1000.0), abs=0.1)
+
+
+def test_scatter_is_about_the_offset_that_is_usual():
+    """Three of four moments are 10 ms late: the fourth is off, not those."""
+    drift = ClockDrift()
+    for i in range(41):
+        drift.take(10.0 + i - 0.01 * (i % 4 > 0), WALL + i)
+    low, high = drift.bounds
+    assert high - low == pytest.approx(2e6 * 8.0 * 0.01 / 40.0, rel=0.06)
 
 
 def test_bounds_are_eight_times_the_scatter_about_the_line():
