@@ -267,9 +267,9 @@ def broken(*_arguments, **_named):
 @pytest.mark.parametrize(
     ("where", "name", "watched"),
     [
-        ("chain", "feed", True),
+        ("chain", "take", True),
         ("chain", "result", True),
-        ("intake", "frame", False),
+        ("intake", "block", False),
         ("intake", "health", False),
     ],
 )

@@ -37,6 +37,9 @@ _ROUNDING = 1e-6
 """s, of sums of ticks."""
 _SAME_RATE = (0.7, 1.4)
 """The IMU's interval over the grid's step, between which the rate is what it was."""
+_MOST_POINTS = 16384
+"""Of the grid in a block, but for a single tick: stamps that jump on by most of a second each would
+make a block of any size."""
 _WORTH_KEEPING = 10.0
 """s. What is learnt on a grid is given up for a rate that brings as many samples in this time."""
 
@@ -230,6 +233,8 @@ class TimeBase:
         if not len(rows):
             self._newest = float(newest[len(t) - 1])
             return len(t), iter(())
+        most = newest[rows] <= self._newest + _MOST_POINTS * self.dt
+        rows = rows[: max(int(np.count_nonzero(most)), 1)]
         rows = rows[: self._regular(arrivals, orders[rows])]
         last = int(rows[-1])
         arrived = self._extend(arrivals, int(orders[last]) + 1, orders[rows])
