@@ -16,6 +16,7 @@ def watched():
     return chain, prediction
 
 
+@pytest.mark.slow
 def test_the_last_seconds_are_foretold(watched, paper_records):
     chain, prediction = watched
     assert prediction.acceleration() is None
@@ -86,6 +87,7 @@ def test_what_was_given_out_does_not_change(watched, paper_records):
     np.testing.assert_array_equal(found.predicted, before[1])
 
 
+@pytest.mark.slow
 def test_the_estimate_does_not_depend_on_being_watched(watched, paper_records):
     chain, _ = watched
     alone = Chain(load_airframe("paper"), ChainOptions(history_interval=0.2))
@@ -95,6 +97,7 @@ def test_the_estimate_does_not_depend_on_being_watched(watched, paper_records):
     assert chain.finish() == alone.finish()
 
 
+@pytest.mark.slow
 def test_after_a_reset_only_what_is_new_is_shown(watched, paper_records):
     chain, prediction = watched
     half = len(paper_records) // 2

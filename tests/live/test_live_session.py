@@ -207,6 +207,7 @@ def test_marks_and_reset_reach_the_event_log(udp, airframe, paper_flight, tmp_pa
     assert [e.text for e in session.latest().events] in (["gust", "estimate reset"], [])
 
 
+@pytest.mark.slow
 def test_a_reset_is_in_the_recording_and_its_analysis(udp, airframe, paper_flight, tmp_path):
     path = tmp_path / "live.tlog"
     sent = threading.Event()
@@ -401,6 +402,7 @@ def test_a_vehicle_of_version_1_is_asked_in_version_1(udp, airframe):
     assert "ESC_STATUS" not in asked
 
 
+@pytest.mark.slow
 def test_a_tcp_connection_that_breaks_costs_nothing_that_arrived(airframe, paper_flight, tmp_path):
     """The estimate goes on, and the recording is one file."""
     path = tmp_path / "live.tlog"
@@ -428,6 +430,7 @@ def test_a_tcp_connection_that_breaks_costs_nothing_that_arrived(airframe, paper
     assert any(text.startswith("link back after") for text in told)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo terminals here")
 def test_a_serial_port_gives_the_same_numbers(airframe, paper_flight, tmp_path):
     path = tmp_path / "live.tlog"
@@ -461,6 +464,7 @@ def signed_replay(path, port, passphrase):
             sender.sendto(raw, ("127.0.0.1", port))
 
 
+@pytest.mark.slow
 def test_a_signed_flight_gives_the_same_numbers(udp, airframe, paper_flight, tmp_path):
     """Live, and in the recording, whose frames are 13 bytes longer."""
     key, path = tmp_path / "key", tmp_path / "live.tlog"
@@ -510,6 +514,7 @@ def settled(session, until, longest=LONGEST):
     assert until(session.latest())
 
 
+@pytest.mark.slow
 def test_another_anchor_changes_the_scale_and_nothing_else(udp, airframe, paper_flight):
     sent = threading.Event()
     session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set)
@@ -527,6 +532,7 @@ def test_another_anchor_changes_the_scale_and_nothing_else(udp, airframe, paper_
     assert "scale: mass = 3 kg" in [e.text for e in session.latest().events]
 
 
+@pytest.mark.slow
 def test_k_t_as_the_scale_leaves_the_mass_to_the_flight(udp, airframe, paper_flight):
     sent = threading.Event()
     session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set)
@@ -567,6 +573,7 @@ def as_system(raw, system):
     return bytes(frame)
 
 
+@pytest.mark.slow
 def test_another_vehicle_begins_anew_in_a_recording_of_its_own(
     udp, airframe, paper_flight, tmp_path
 ):
@@ -599,6 +606,7 @@ def test_another_vehicle_begins_anew_in_a_recording_of_its_own(
     assert session.flushed_recording() == tmp_path / "two-2.tlog"
 
 
+@pytest.mark.slow
 def test_a_recording_is_whole_up_to_the_moment_of_asking(udp, airframe, paper_flight, tmp_path):
     path = tmp_path / "live.tlog"
     sent = threading.Event()

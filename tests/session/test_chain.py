@@ -54,6 +54,7 @@ def test_it_identifies_the_flight(whole, paper_flight):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tick", [0.001, 0.05, 0.5, 1.0])
 def test_size_of_blocks_does_not_matter(paper_records, whole, tick):
     _, other = run(paper_records, replace(END_ONLY, tick=tick))
@@ -63,6 +64,7 @@ def test_size_of_blocks_does_not_matter(paper_records, whole, tick):
         assert other.parameters[name].status == estimate.status
 
 
+@pytest.mark.slow
 def test_course_does_not_move_the_final_result(paper_records, whole):
     chain, result = run(paper_records, ChainOptions(history_interval=0.5))
     assert values(result) == rounded(whole)
@@ -175,6 +177,7 @@ def test_reset_forgets_and_goes_on(paper_records):
     assert result.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("boot", [0.0, 1000.0])
 def test_a_reboot_in_the_middle_costs_little(paper_records, boot):
     """The vehicle's clock starts again, below or above where the log began."""
@@ -203,6 +206,7 @@ def test_a_gap_is_bridged(paper_records, whole):
         assert result.parameters[name].value == pytest.approx(estimate.value, abs=2 * estimate.std)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("smoother", ["window", "td"])
 def test_both_smoothers_identify(paper_records, paper_flight, smoother):
     _, result = run(paper_records, replace(END_ONLY, tuning=Tuning(smoother=smoother)))
@@ -266,6 +270,7 @@ def test_rotor_records_in_two_parts_are_one_set(paper_records, whole):
     assert values(run(split)[1]) == rounded(whole)
 
 
+@pytest.mark.slow
 def test_a_wrong_airframe_is_told_apart_from_a_short_flight(paper_records):
     airframe = load_airframe("paper")
     one, two, three, four = airframe.rotors

@@ -61,6 +61,7 @@ def test_noise_equals_that_of_the_messages(
     np.testing.assert_allclose(quaternion, noisy.quaternion[0], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_one_flight_with_many_seeds(flights: dict[str, Flight]) -> None:
     noisy = flights["paper"].repeated(3).with_noise("mems", 0.0, [1, 2, 1])
     assert noisy.count == 3

@@ -200,6 +200,7 @@ def test_blocks_make_what_single_frames_make(tmp_path, make_sender, seed):
     compare(path, window, [None, None, (2, None), (9, 1)][seed // 4 % 4], rng)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_blocks_go_over_from_a_stray_heartbeat_to_the_vehicle_alike(tmp_path, make_sender, seed):
     path = tmp_path / "stray.tlog"
