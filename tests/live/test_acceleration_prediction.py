@@ -32,6 +32,7 @@ def test_the_last_seconds_are_foretold(watched, paper_records):
     assert found.r_squared.min() > 0.9
 
 
+@pytest.mark.slow
 def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, paper_records):
     """With a fit frozen beforehand, the rows are those of the same model over the whole flight."""
     chain, prediction = watched
@@ -74,6 +75,7 @@ def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, pape
             assert np.median(np.abs(rows[:, axis] - expected)) < tight
 
 
+@pytest.mark.slow
 def test_what_was_given_out_does_not_change(watched, paper_records):
     chain, prediction = watched
     half = len(paper_records) // 2

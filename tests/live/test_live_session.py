@@ -163,6 +163,7 @@ def test_replayed_recording_gives_the_same_numbers(udp, airframe, paper_flight, 
     assert_same_numbers(final, analyze_log(paper_flight.tlog, airframe))
 
 
+@pytest.mark.slow
 def test_a_silent_link_is_said_to_be_silent_until_it_speaks(udp, airframe, paper_flight):
     sent = threading.Event()
     session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set)
@@ -256,6 +257,7 @@ def test_actions_are_done_while_it_runs(udp, airframe, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_recording_that_cannot_be_made_is_a_note(udp, airframe, paper_flight, tmp_path):
     (tmp_path / "file").write_text("in the way")
     path = tmp_path / "file" / "below.tlog"
@@ -270,6 +272,7 @@ def test_a_recording_that_cannot_be_made_is_a_note(udp, airframe, paper_flight, 
     assert any("not recording" in e.text and str(path) in e.text for e in latest.events)
 
 
+@pytest.mark.slow
 def test_a_disk_that_fails_in_flight_is_a_note(udp, airframe, paper_flight, tmp_path, monkeypatch):
     class Full(io.BytesIO):
         def write(self, data):
@@ -290,6 +293,7 @@ def test_a_disk_that_fails_in_flight_is_a_note(udp, airframe, paper_flight, tmp_
     assert "No space left" in session.recordings()[0]
 
 
+@pytest.mark.slow
 def test_what_goes_wrong_with_a_listener_is_handed_over(udp, airframe, paper_flight):
     told = []
 
@@ -546,6 +550,7 @@ def test_k_t_as_the_scale_leaves_the_mass_to_the_flight(udp, airframe, paper_fli
     assert_same_numbers(final, analyze_log(paper_flight.tlog, airframe.with_anchor("k_T", 2.05e-4)))
 
 
+@pytest.mark.slow
 def test_an_anchor_that_makes_no_sense_is_refused_at_once(udp, airframe, paper_flight):
     sent = threading.Event()
     session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set)

@@ -80,6 +80,7 @@ def test_mems_noise_at_250_hz(fly, airframe):
     assert max(wrong.values()) < 0.06
 
 
+@pytest.mark.slow
 def test_size_of_portions_does_not_matter(paper_flight, paper_result, airframe):
     pipeline = Pipeline(airframe, str(paper_flight.tlog), None, ChainOptions(history_interval=None))
     for _, frame in read_tlog(paper_flight.tlog):
@@ -238,6 +239,7 @@ def test_a_hop_is_no_landing(paper_records, paper_result):
     assert not any(event["channel"] == "landing" for event in result.events)
 
 
+@pytest.mark.slow
 def test_a_short_second_flight_is_decided_at_its_end(paper_records, paper_result):
     first = paper_records[0].t
     records = after_a_landing(paper_records)

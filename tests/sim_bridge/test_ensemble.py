@@ -16,6 +16,7 @@ from sim_bridge.simulated_vehicle import Vehicle, stack_vehicles
 FIELDS = ("gyro", "specific_force", "quaternion", "speeds", "commands", "velocity")
 
 
+@pytest.mark.slow
 def test_an_ensemble_equals_its_single_flights(paper_vehicle: Vehicle) -> None:
     vehicles = [
         replace(
