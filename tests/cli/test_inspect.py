@@ -46,6 +46,7 @@ def rounded(text):
     return re.sub(r"(?<![\w:.])\d+(?:\.\d+)?(?![\w:])", two_digits, text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [80, 120])
 def test_text(flight, width):
     found = inspect_log(flight.tlog)

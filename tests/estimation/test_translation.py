@@ -252,14 +252,31 @@ def test_a_fit_by_hand_moves_with_nothing():
 
 def test_wind_is_no_attitude_error_of_the_vertical_axis():
     """Only what is left sideways without wind counts, whatever the vertical axis leaves."""
-    rows = momentum_rows(sigma=1e-6)
+    rows = momentum_rows(n=16_000, sigma=1e-6)
     rows[..., 3] = -KAPPA * rows[..., 0] - DELTA * rows[..., 1]
     rng = np.random.default_rng(9)
     rows[:2, :, 3] += 1e-6 * rng.standard_normal((2, rows.shape[1]))
     rows[2, :, 3] += 0.3 * rng.standard_normal(rows.shape[1])
     fit = fit_momentum(*moments(rows))
-    # 0.3 m/s^2 in 1600 rows are 8e-4 of gravity; squared over gravity it would add 5e-4.
-    white = 0.3 / np.sqrt(1600.0) / GRAVITY
+    # 0.3 m/s^2 in 16 000 rows are 2.4e-4 of gravity; as tilt it would add 4.7e-4.
+    white = 0.3 / np.sqrt(16_000.0) / GRAVITY
     assert fit.kappa_std / fit.kappa < 1.3 * white
     # And thrust that acts sideways as it does upwards is none either, drag and all.
     assert fit_momentum(*moments(momentum_rows(sigma=1e-6))).kappa_std > 4e-4 * KAPPA
+
+
+@pytest.mark.parametrize(
+    ("wind", "sideways"), [((0.4, 0.0), 1.0), ((0.0, 0.3), 1.0), ((0.0, 0.0), 0.9)]
+)
+def test_tilt_is_bounded_with_the_vertical_thrust_and_without_wind(wind, sideways):
+    """What a little wind, or thrust that falls short sideways, leaves is allowed for as tilt."""
+    rows = momentum_rows(sigma=0.0)
+    lift, v = rows[..., 0], rows[..., 1]
+    blown = DELTA * np.array(wind)[:, None]
+    rows[..., 3] = -KAPPA * lift - DELTA * v
+    rows[:2, :, 3] = -sideways * KAPPA * lift[:2] - DELTA * v[:2] + blown
+    left = (1.0 - sideways) * KAPPA * lift[:2] + blown
+    share = 0.5 * (left**2).sum(axis=0).mean() / GRAVITY**2
+    assert share < TILT_ERROR_SHARE
+    fit = fit_momentum(*moments(rows))
+    assert fit.kappa_std / fit.kappa == pytest.approx(share, rel=1e-3)

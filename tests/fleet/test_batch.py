@@ -76,6 +76,7 @@ def test_the_result_is_that_of_analyze(batch, flights, tmp_path):
     assert made == json.loads((tmp_path / "one.json").read_text())
 
 
+@pytest.mark.slow
 def test_other_settings_are_other_results(batch, flights, tmp_path):
     out = tmp_path / "out"
     batch(flights[0], "-o", out, *PAPER)
@@ -91,6 +92,7 @@ def test_other_settings_are_other_results(batch, flights, tmp_path):
     assert redone == set(both) - {first}
 
 
+@pytest.mark.slow
 def test_a_damaged_result_is_made_again(batch, flights, tmp_path):
     out = tmp_path / "out"
     batch(flights[0], "-o", out, *PAPER)
@@ -103,6 +105,7 @@ def test_a_damaged_result_is_made_again(batch, flights, tmp_path):
     assert path.read_text() == whole
 
 
+@pytest.mark.slow
 def test_every_log_takes_the_nearest_airframe(batch, logs, airframe_file, tmp_path):
     airframe_file(logs / "one" / "airframe.toml", "quad-1")
     airframe_file(logs / "airframe.toml", "others", mass=2.0)
@@ -140,6 +143,7 @@ def test_a_folder_of_something_else_is_left_alone(batch, logs, tmp_path):
     assert not (tmp_path / "results").exists()
 
 
+@pytest.mark.slow
 def test_exit_statuses_of_logs_that_tell_nothing(batch, logs, fly, tmp_path):
     hover = fly("--mission", "hover", "--rate", "20", "--duration", "1").tlog
     broken = logs / "two" / "broken.ulg"
@@ -159,6 +163,7 @@ def test_no_logs_and_no_pyarrow_are_a_line(batch, logs, tmp_path, monkeypatch):
     assert "pip install pyarrow" in err
 
 
+@pytest.mark.slow
 def test_a_terminal_sees_how_far_it_is(batch, logs, tmp_path, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     _, err = batch(logs, "-o", tmp_path / "out", *PAPER)
@@ -174,6 +179,7 @@ class DeadlyAirframe(Airframe):
         return os._exit, (9,)
 
 
+@pytest.mark.slow
 def test_a_log_at_which_the_process_dies_is_a_row_and_is_tried_again(logs, tmp_path):
     paper = load_airframe("paper")
     deadly = DeadlyAirframe(**vars(paper))

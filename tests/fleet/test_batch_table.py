@@ -23,6 +23,7 @@ def fleet(batch, logs, tmp_path):
     return tmp_path / "fleet" / "fleet.parquet"
 
 
+@pytest.mark.slow
 def test_columns_are_those_of_the_document(fleet):
     found = parquet.read_schema(fleet).names
     listed = DOCUMENT.read_text(encoding="utf-8").partition("## The table")[2].partition("```")[0]
@@ -36,6 +37,7 @@ def test_columns_are_those_of_the_document(fleet):
     assert not rest
 
 
+@pytest.mark.slow
 def test_duckdb_answers_the_queries_of_the_document(fleet, monkeypatch):
     duckdb = pytest.importorskip("duckdb")
     monkeypatch.chdir(fleet.parent.parent)

@@ -330,6 +330,7 @@ def test_a_narrow_link_is_refused_with_what_to_do(fly):
     assert any("faster" in f.advice or "fast link" in f.advice for f in found.findings)
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_is_not_there(paper_flight):
     found = inspect_log(paper_flight.tlog, (9, None))
     assert found.verdict == "no"
@@ -428,6 +429,7 @@ def test_silence_is_told():
     assert "nothing was heard" in texts(found)
 
 
+@pytest.mark.slow
 def test_a_link_on_the_ground_says_what_it_cannot_see(recording):
     link = ScriptedLink(recording("--trap", "ground=8"))
     found = listen(link, listen_only=True)

@@ -17,6 +17,7 @@ def watched():
     return chain, prediction
 
 
+@pytest.mark.slow
 def test_the_last_seconds_are_foretold(watched, paper_records):
     chain, prediction = watched
     assert prediction.acceleration() is None
@@ -31,6 +32,7 @@ def test_the_last_seconds_are_foretold(watched, paper_records):
     assert found.r_squared.min() > 0.9
 
 
+@pytest.mark.slow
 def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, paper_records):
     """With a fit frozen beforehand, the rows are those of the same model over the whole flight."""
     chain, prediction = watched
@@ -71,6 +73,7 @@ def test_each_row_is_predicted_by_the_fit_that_was_there_before_it(watched, pape
             assert np.median(np.abs(rows[:, axis] - expected)) < tight
 
 
+@pytest.mark.slow
 def test_what_was_given_out_does_not_change(watched, paper_records):
     chain, prediction = watched
     half = len(paper_records) // 2
@@ -82,6 +85,7 @@ def test_what_was_given_out_does_not_change(watched, paper_records):
     np.testing.assert_array_equal(found.predicted, before[1])
 
 
+@pytest.mark.slow
 def test_the_estimate_does_not_depend_on_being_watched(watched, paper_records):
     chain, _ = watched
     alone = Chain(load_airframe("paper"), ChainOptions(history_interval=0.2))
@@ -90,6 +94,7 @@ def test_the_estimate_does_not_depend_on_being_watched(watched, paper_records):
     assert chain.finish() == alone.finish()
 
 
+@pytest.mark.slow
 def test_after_a_reset_only_what_is_new_is_shown(watched, paper_records):
     chain, prediction = watched
     half = len(paper_records) // 2

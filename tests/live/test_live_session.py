@@ -164,6 +164,7 @@ def test_replayed_recording_gives_the_same_numbers(udp, airframe, paper_flight, 
     assert_same_numbers(final, analyze_log(paper_flight.tlog, airframe))
 
 
+@pytest.mark.slow
 def test_a_silent_link_is_said_to_be_silent_until_it_speaks(udp, airframe, paper_flight):
     sent = threading.Event()
     session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set)
@@ -208,6 +209,7 @@ def test_marks_and_reset_reach_the_event_log(udp, airframe, paper_flight, tmp_pa
     assert [e.text for e in session.latest().events] in (["gust", "estimate reset"], [])
 
 
+@pytest.mark.slow
 def test_a_reset_is_in_the_recording_and_its_analysis(udp, airframe, paper_flight, tmp_path):
     path = tmp_path / "live.tlog"
     sent = threading.Event()
@@ -256,6 +258,7 @@ def test_actions_are_done_while_it_runs(udp, airframe, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_recording_that_cannot_be_made_is_a_note(udp, airframe, paper_flight, tmp_path):
     (tmp_path / "file").write_text("in the way")
     path = tmp_path / "file" / "below.tlog"
@@ -270,6 +273,7 @@ def test_a_recording_that_cannot_be_made_is_a_note(udp, airframe, paper_flight, 
     assert any("not recording" in e.text and str(path) in e.text for e in latest.events)
 
 
+@pytest.mark.slow
 def test_a_disk_that_fails_in_flight_is_a_note(udp, airframe, paper_flight, tmp_path, monkeypatch):
     class Full(io.BytesIO):
         def write(self, data):
@@ -290,6 +294,7 @@ def test_a_disk_that_fails_in_flight_is_a_note(udp, airframe, paper_flight, tmp_
     assert "No space left" in session.recordings()[0]
 
 
+@pytest.mark.slow
 def test_what_goes_wrong_with_a_listener_is_handed_over(udp, airframe, paper_flight):
     told = []
 
@@ -402,6 +407,7 @@ def test_a_vehicle_of_version_1_is_asked_in_version_1(udp, airframe):
     assert "ESC_STATUS" not in asked
 
 
+@pytest.mark.slow
 def test_a_tcp_connection_that_breaks_costs_nothing_that_arrived(airframe, paper_flight, tmp_path):
     """The estimate goes on, and the recording is one file."""
     path = tmp_path / "live.tlog"
@@ -429,6 +435,7 @@ def test_a_tcp_connection_that_breaks_costs_nothing_that_arrived(airframe, paper
     assert any(text.startswith("link back after") for text in told)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo terminals here")
 def test_a_serial_port_gives_the_same_numbers(airframe, paper_flight, tmp_path):
     path = tmp_path / "live.tlog"
@@ -462,6 +469,7 @@ def signed_replay(path, port, passphrase):
             sender.sendto(raw, ("127.0.0.1", port))
 
 
+@pytest.mark.slow
 def test_a_signed_flight_gives_the_same_numbers(udp, airframe, paper_flight, tmp_path):
     """Live, and in the recording, whose frames are 13 bytes longer."""
     key, path = tmp_path / "key", tmp_path / "live.tlog"
@@ -511,6 +519,7 @@ def settled(session, until, longest=LONGEST):
     assert until(session.latest())
 
 
+@pytest.mark.slow
 def test_another_anchor_changes_the_scale_and_nothing_else(udp, airframe, paper_flight):
     sent = threading.Event()
     session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set)
@@ -528,6 +537,7 @@ def test_another_anchor_changes_the_scale_and_nothing_else(udp, airframe, paper_
     assert "scale: mass = 3 kg" in [e.text for e in session.latest().events]
 
 
+@pytest.mark.slow
 def test_k_t_as_the_scale_leaves_the_mass_to_the_flight(udp, airframe, paper_flight):
     sent = threading.Event()
     session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set)
@@ -541,6 +551,7 @@ def test_k_t_as_the_scale_leaves_the_mass_to_the_flight(udp, airframe, paper_fli
     assert_same_numbers(final, analyze_log(paper_flight.tlog, airframe.with_anchor("k_T", 2.05e-4)))
 
 
+@pytest.mark.slow
 def test_an_anchor_that_makes_no_sense_is_refused_at_once(udp, airframe, paper_flight):
     sent = threading.Event()
     session = LiveSession(udp, airframe, LISTEN, sender_gone=sent.is_set)
@@ -568,6 +579,7 @@ def as_system(raw, system):
     return bytes(frame)
 
 
+@pytest.mark.slow
 def test_another_vehicle_begins_anew_in_a_recording_of_its_own(
     udp, airframe, paper_flight, tmp_path
 ):
@@ -600,6 +612,7 @@ def test_another_vehicle_begins_anew_in_a_recording_of_its_own(
     assert session.flushed_recording() == tmp_path / "two-2.tlog"
 
 
+@pytest.mark.slow
 def test_a_recording_is_whole_up_to_the_moment_of_asking(udp, airframe, paper_flight, tmp_path):
     path = tmp_path / "live.tlog"
     sent = threading.Event()

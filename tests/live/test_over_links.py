@@ -200,6 +200,7 @@ def assert_same(first, second):
             assert x == y, name
 
 
+@pytest.mark.slow
 def test_a_recording_played_over_any_link_gives_the_same_numbers(wire, paper_flight, tmp_path):
     airframe, path = load_airframe("paper"), tmp_path / "again.tlog"
     final = played(wire, paper_flight.tlog, airframe, path)

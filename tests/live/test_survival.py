@@ -179,6 +179,7 @@ def flood(session, link, make, count, rng):
     return max(grown[:half]), max(grown[half:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", FLOODS, ids=lambda make: make.__name__)
 def test_memory_stays_flat_whatever_comes(session, make):
     rng = random.Random(3)

@@ -15,6 +15,7 @@ PAPER = ("--airframe", "paper")
 HIGHRES_IMU = 105
 
 
+@pytest.mark.slow
 def test_the_result_is_the_same_with_and_without(report, paper_flight, tmp_path, capsys):
     path = tmp_path / "result.json"
     truth = ("--truth", str(paper_flight.truth_file))

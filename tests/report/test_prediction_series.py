@@ -27,6 +27,7 @@ def analysed(path, airframe):
     return data
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "flight",
     [

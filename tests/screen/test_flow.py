@@ -145,6 +145,7 @@ def test_layout_of_a_size(size, classes):
     assert layout_classes(*size) == classes
 
 
+@pytest.mark.slow
 async def test_a_terminal_that_grows_and_shrinks(run_screen):
     async with run_screen(fake.snapshot(), size=(80, 24)) as s:
         sizes = [(200, 50), (20, 5), (120, 40), (1, 1), (80, 10), (100, 60), (240, 70), (80, 24)]

@@ -101,6 +101,7 @@ async def test_pages(run_screen, size, page):
         await check_both_themes(s, f"page-{page}-{named(size)}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES, ids=named)
 @pytest.mark.parametrize("dialog", DIALOGS)
 async def test_dialogs(run_screen, dialog, size, tmp_path, monkeypatch):

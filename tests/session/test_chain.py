@@ -54,6 +54,7 @@ def test_it_identifies_the_flight(whole, paper_flight):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tick", [0.001, 0.05, 0.5, 1.0])
 def test_size_of_blocks_does_not_matter(paper_records, whole, tick):
     _, other = run(paper_records, replace(END_ONLY, tick=tick))
@@ -63,6 +64,7 @@ def test_size_of_blocks_does_not_matter(paper_records, whole, tick):
         assert other.parameters[name].status == estimate.status
 
 
+@pytest.mark.slow
 def test_course_does_not_move_the_final_result(paper_records, whole):
     chain, result = run(paper_records, ChainOptions(history_interval=0.5))
     assert values(result) == rounded(whole)
@@ -78,6 +80,7 @@ def test_course_does_not_move_the_final_result(paper_records, whole):
     assert run(paper_records)[0].history.t.size == 0
 
 
+@pytest.mark.slow
 def test_start_and_end_cut_the_records(paper_records):
     first = paper_records[0].t
     cut = [r for r in paper_records if 20.0 <= r.t - first <= 50.0]
@@ -121,6 +124,7 @@ def test_no_records_at_all():
     result.dumps()
 
 
+@pytest.mark.slow
 def test_velocity_is_not_needed(paper_records):
     _, result = run(without(paper_records, Stream.VELOCITY))
     assert result.parameters["linear_drag"].value is None
@@ -139,6 +143,7 @@ def test_nothing_is_estimated_while_it_does_not_fly(paper_records):
     assert chain.sampler.attitude is not None  # shown on the ground too
 
 
+@pytest.mark.slow
 def test_armed_and_turning_rotors_serve_where_in_air_is_not_told(paper_records, whole):
     _, result = run(without(paper_records, Stream.IN_AIR))
     for name in ("Ixx", "Izz", "k_T"):
@@ -157,6 +162,7 @@ def test_less_than_three_seconds_claim_nothing(paper_records):
     assert "Ixx" not in values(result)
 
 
+@pytest.mark.slow
 def test_reset_forgets_and_goes_on(paper_records):
     chain = Chain(load_airframe("paper"))
     half = len(paper_records) // 2
@@ -173,6 +179,7 @@ def test_reset_forgets_and_goes_on(paper_records):
     assert result.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("boot", [0.0, 1000.0])
 def test_a_reboot_in_the_middle_costs_little(paper_records, boot):
     """The vehicle's clock starts again, below or above where the log began."""
@@ -201,6 +208,7 @@ def test_a_gap_is_bridged(paper_records, whole):
         assert result.parameters[name].value == pytest.approx(estimate.value, abs=2 * estimate.std)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("smoother", ["window", "td"])
 def test_both_smoothers_identify(paper_records, paper_flight, smoother):
     _, result = run(paper_records, replace(END_ONLY, tuning=Tuning(smoother=smoother)))
@@ -208,6 +216,7 @@ def test_both_smoothers_identify(paper_records, paper_flight, smoother):
         assert result.parameters[name].value == pytest.approx(paper_flight.truth[name], rel=0.06)
 
 
+@pytest.mark.slow
 def test_an_anchor_in_k_T_gives_the_mass(paper_records, whole):
     k_T = whole.parameters["k_T"].value
     _, result = run(paper_records, airframe=load_airframe("paper").with_anchor("k_T", k_T))
@@ -221,6 +230,7 @@ def test_an_airframe_without_scale_is_refused():
         Chain(load_airframe("px4-quad-x"))
 
 
+@pytest.mark.slow
 def test_course_and_events_are_bounded(paper_records, monkeypatch):
     monkeypatch.setattr(course_module, "MAX_POINTS", 32)
     chain, _ = run(paper_records, ChainOptions(history_interval=0.5))
@@ -251,6 +261,7 @@ def test_a_course_given_out_does_not_change(monkeypatch):
             history.value["mass"][0] = 0.0
 
 
+@pytest.mark.slow
 def test_rotor_records_in_two_parts_are_one_set(paper_records, whole):
     split = []
     for r in paper_records:
@@ -264,6 +275,7 @@ def test_rotor_records_in_two_parts_are_one_set(paper_records, whole):
     assert values(run(split)[1]) == rounded(whole)
 
 
+@pytest.mark.slow
 def test_a_wrong_airframe_is_told_apart_from_a_short_flight(paper_records):
     airframe = load_airframe("paper")
     one, two, three, four = airframe.rotors

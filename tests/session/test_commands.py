@@ -100,6 +100,7 @@ def test_nothing_is_lost_while_the_input_is_undecided(both):
     assert result.telemetry["used_seconds"] > flown - 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("trap", "kind", "why"),
     [
@@ -131,6 +132,7 @@ def test_speeds_that_die_in_flight_give_way_to_commands(both):
     assert result.telemetry["used_seconds"] < 20.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cutoff", [pytest.param(20, marks=pytest.mark.thorough), 40])
 def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
     ardupilot = ("--autopilot", "ardupilot", "--param", f"INS_GYRO_FILTER={cutoff}")

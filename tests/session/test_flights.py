@@ -81,6 +81,7 @@ def test_mems_noise_at_250_hz(fly, airframe):
     assert max(wrong.values()) < 0.06
 
 
+@pytest.mark.slow
 def test_size_of_portions_does_not_matter(paper_flight, paper_result, airframe):
     pipeline = Pipeline(airframe, str(paper_flight.tlog), None, ChainOptions(history_interval=None))
     for _, frame in read_tlog(paper_flight.tlog):
@@ -181,6 +182,7 @@ def heavier(record):
     return record._replace(values=tuple(np.sqrt(1.1) * v for v in record.values))
 
 
+@pytest.mark.slow
 def test_two_flights_of_one_vehicle_are_joined(paper_records, paper_result):
     chain, result = follow(after_a_landing(paper_records))
     assert result.segments == ()
@@ -195,6 +197,7 @@ def test_two_flights_of_one_vehicle_are_joined(paper_records, paper_result):
     assert not any("differs" in event.text for event in chain.events)
 
 
+@pytest.mark.slow
 def test_another_vehicle_after_a_landing_is_a_segment(paper_records, paper_result):
     chain, result = follow(after_a_landing(paper_records, second=heavier))
     (segment,) = result.segments
@@ -216,6 +219,7 @@ def test_another_vehicle_after_a_landing_is_a_segment(paper_records, paper_resul
     assert "differs since the landing" in chain.events[-1].text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("second", [None, heavier])
 def test_flights_do_not_depend_on_the_size_of_blocks(paper_records, second):
     records = after_a_landing(paper_records, second=second)
@@ -228,12 +232,14 @@ def test_flights_do_not_depend_on_the_size_of_blocks(paper_records, second):
         )
 
 
+@pytest.mark.slow
 def test_a_hop_is_no_landing(paper_records, paper_result):
     _, result = follow(after_a_landing(paper_records, stay=1.5, second=heavier))
     # One flight, as far as the autopilot tells: the change is the detector's to find.
     assert not any(event["channel"] == "landing" for event in result.events)
 
 
+@pytest.mark.slow
 def test_a_short_second_flight_is_decided_at_its_end(paper_records, paper_result):
     first = paper_records[0].t
     records = after_a_landing(paper_records)

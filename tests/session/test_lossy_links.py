@@ -36,6 +36,7 @@ def assert_right(result, truth):
         assert abs(estimate.value - truth[name]) < 2.0 * Z95 * estimate.std, name
 
 
+@pytest.mark.slow
 def test_a_lossy_link_costs_little_more_than_what_it_loses(lossy):
     flight, records = lossy
     chain, result = run(records)

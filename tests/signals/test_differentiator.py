@@ -111,6 +111,7 @@ def test_restart_forgets():
     assert abs(z2[0, 0]) < 1e-9
 
 
+@pytest.mark.slow
 def test_nonlinear_one_with_exponent_one_is_the_linear_one():
     t = np.arange(200)[:, None] * 0.05
     v = np.sin(np.pi * t) + 0.5 * np.sin(10.7 * t + 1.0)
@@ -140,6 +141,7 @@ def test_damping_of_the_article():
     assert damping_of(ARTICLE_A) == pytest.approx(ARTICLE_B, abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("amplitude", [0.1, 1.0])
 def test_printed_form_is_almost_undamped(amplitude):
     """A step still swings between 0 and twice its height after 4 s; the usual form is at rest."""
@@ -153,6 +155,7 @@ def test_printed_form_is_almost_undamped(amplitude):
     assert np.abs(z1[last] - amplitude).max() < 0.02 * amplitude
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("substeps", [5, 20, 100])
 def test_printed_form_does_not_differentiate_at_the_articles_rate(substeps):
     t = np.arange(0.0, 20.0, 0.05)[:, None]

@@ -72,6 +72,7 @@ def test_clean_samples_are_not_touched(whole):
     assert whole.telemetry["imu_outliers"] == {"spikes": 0, "frozen": 0, "missing": 0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "kind"), [(spike, "spikes"), (repeat, "frozen"), (no_gyro, "missing")]
 )
@@ -86,6 +87,7 @@ def test_the_estimate_holds_and_the_faults_are_told(paper_records, whole, how, k
     assert any("spikes" in event.text for event in chain.events) == (kind == "spikes")
 
 
+@pytest.mark.slow
 def test_without_the_test_spikes_would_spoil_the_estimate(paper_records, whole, monkeypatch):
     monkeypatch.setattr(
         "gcs_sysid.signals.outliers.despiked", lambda t, x, *_: (x, np.zeros(x.shape, dtype=bool))
@@ -95,6 +97,7 @@ def test_without_the_test_spikes_would_spoil_the_estimate(paper_records, whole, 
     assert result.parameters["Izz"].std > 5.0 * whole.parameters["Izz"].std
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.02, 1.0])
 def test_an_accelerometer_that_fails_costs_nothing(paper_records, whole, share):
     """Momentum balance gives the scale."""
@@ -136,6 +139,7 @@ def test_grouping_of_samples_does_not_matter(rate):
     assert np.nanmax(np.abs(outcomes[0][0][40:])) < 2.0
 
 
+@pytest.mark.slow
 def test_a_sensor_that_stands_still_is_missing_and_holds_nothing_up(paper_records):
     first = paper_records[0].t
     stuck = None

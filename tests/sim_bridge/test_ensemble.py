@@ -16,6 +16,7 @@ from sim_bridge.simulated_vehicle import Vehicle, stack_vehicles
 FIELDS = ("gyro", "specific_force", "quaternion", "speeds", "commands", "velocity")
 
 
+@pytest.mark.slow
 def test_an_ensemble_equals_its_single_flights(paper_vehicle: Vehicle) -> None:
     vehicles = [
         replace(
@@ -61,6 +62,7 @@ def test_noise_equals_that_of_the_messages(
     np.testing.assert_allclose(quaternion, noisy.quaternion[0], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_one_flight_with_many_seeds(flights: dict[str, Flight]) -> None:
     noisy = flights["paper"].repeated(3).with_noise("mems", 0.0, [1, 2, 1])
     assert noisy.count == 3

@@ -259,6 +259,7 @@ def test_a_lost_tcp_connection_is_one_clear_line(start: Start) -> None:
     assert err == "sim-bridge: error: the ground station closed the TCP connection\n"
 
 
+@pytest.mark.slow
 def test_a_serial_port(start: Start) -> None:
     ours, theirs = os.openpty()
     try:
