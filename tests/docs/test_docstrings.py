@@ -18,7 +18,7 @@ MODULES = [
     "results.result_file",
     "signals.differentiator",
     "signals.recursions",
-    "signals.stream_buffer",
+    "signals.interpolation",
     "signals.windows",
 ]
 

@@ -111,8 +111,8 @@ def test_a_busy_session_loses_nothing_says_so_and_catches_up(
     options = LiveOptions(listen_only=True, refit_interval=0.2)
     session = LiveSession(source, airframe, options, path, sender_gone=sent.is_set)
     chain = session._estimate.chain
-    feed = chain.feed
-    monkeypatch.setattr(chain, "feed", lambda record: go_on.wait() and feed(record))
+    take = chain.take
+    monkeypatch.setattr(chain, "take", lambda block: go_on.wait() and take(block))
     session.start()
     raws = raws_of(paper_flight.tlog)
     half = len(raws) // 2
