@@ -17,7 +17,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.actuator_dynamics import WIDTH, ActuatorDynamics
-from gcs_sysid.estimation.priors import Prior
+from gcs_sysid.estimation.deviations import NO_DEVIATIONS, Deviations
+from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.search import N_X, Problem, residual_maker, scales
 from gcs_sysid.model import rigid_body as rb
 
@@ -47,7 +48,8 @@ class AxisPoint:
         gradient: (K, p) downhill, of half the cost, at the weights of this point.
         hessian: (K, p, p) of the same, Gauss-Newton.
         Q: (K, 3, N_X).
-        WG: (K, N_THETA, 3, N_X) derivatives of Q over the innovations' power.
+        WG: (K, N_THETA + m, 3, N_X) derivatives of Q by theta and the deviations, over the
+            innovations' power.
     """
 
     unknowns: Array
@@ -87,6 +89,7 @@ class AxisProblem(Problem):
         basis: of the elements; what it leaves free is fitted.
         prior: what else is known.
         noise: as `moments`, of one row: known noise of the inputs in it.
+        deviations: m of them, fitted too: unknowns after the coordinates.
     """
 
     def __init__(
@@ -96,8 +99,17 @@ class AxisProblem(Problem):
         basis: ActuatorDynamics,
         prior: Prior | None,
         noise: Array,
+        deviations: Deviations = NO_DEVIATIONS,
     ) -> None:
         super().__init__(moments, rows, basis, prior)
+        self.deviations = deviations
+        m = len(deviations.std)
+        self.linear = rb.N_THETA + m
+        """Theta and deviations, which come first among what is fitted."""
+        self.free = np.concatenate(
+            [self.free[: rb.N_THETA], N_UNKNOWNS + np.arange(m), self.free_coordinates]
+        )
+        self.p = len(self.free)
         self.without = moments - (TOLD * self.rows)[:, None, None, None] * noise
         """As `moments`, without the known noise."""
         self._noise_of_all = self.rows[:, None, None, None] * noise
@@ -105,17 +117,44 @@ class AxisProblem(Problem):
         self._usual = TOLD * basis.moments_at(noise, at)
         """(K, 3 or 1, WIDTH, WIDTH) known noise at coordinates that are always the same."""
 
+    def prior_information(self) -> Array:
+        """(p, p) of the prior, on what is fitted."""
+        assert self.prior is not None
+        information = np.zeros((self.p, self.p))
+        known = self.free < N_UNKNOWNS
+        places = self.free[known]
+        information[np.ix_(known, known)] = self.prior.information[np.ix_(places, places)]
+        return information
+
+    def prior_pull(self, unknowns: Array) -> Array:
+        """(..., p) of the prior, on what is fitted."""
+        assert self.prior is not None
+        known = self.free < N_UNKNOWNS
+        pull = np.zeros((*unknowns.shape[:-1], self.p))
+        pull[..., known] = self.prior.pull(unknowns[..., :N_UNKNOWNS])[..., self.free[known]]
+        return pull
+
+    def extended(self, unknowns: Array) -> Array:
+        """(..., N_UNKNOWNS + m) of (..., N_UNKNOWNS or more): deviations, if missing, zero."""
+        shape = (*unknowns.shape[:-1], N_UNKNOWNS + len(self.deviations.std))
+        if unknowns.shape[-1] == shape[-1]:
+            return unknowns
+        out = np.zeros(shape)
+        out[..., :N_UNKNOWNS] = unknowns[..., :N_UNKNOWNS]
+        return out
+
     def evaluate(self, unknowns: Array) -> AxisPoint:  # type: ignore[override]
-        """Cost and its derivatives at (K, N_UNKNOWNS), or at (1, N_UNKNOWNS) for all."""
-        K, n, f = len(self.bank), rb.N_THETA, len(self.basis.free)
+        """Cost and its derivatives at (K, N_UNKNOWNS + m), or at (1, N_UNKNOWNS + m) for all."""
+        K, n, f = len(self.bank), self.linear, len(self.basis.free)
         unknowns = np.broadcast_to(unknowns, (K, unknowns.shape[1]))
+        phi = unknowns[:, N_UNKNOWNS:]
         rows = self.rows[:, None]
         P = self.maps(unknowns)
         first, turned = P[:, :1], np.swapaxes(P[:, :1], -1, -2)
         shape = (K, _AXES, WIDTH, WIDTH)
         moments = np.broadcast_to(first @ self.bank @ turned, shape)
         told = np.broadcast_to(first @ self.without @ turned, shape)
-        Q, G = rb.forward_jacobian(unknowns[:, :n])
+        Q, G = self._model(unknowns[:, : rb.N_THETA], phi)
         T = residual_maker(Q)
         sizes = moments[..., _DIAGONAL, _DIAGONAL]
         own = _power(T, told)
@@ -132,6 +171,12 @@ class AxisProblem(Problem):
         downhill = WG @ (told[..., :N_X, :] @ T[..., None])
         gradient[:, :n] = downhill.sum(axis=1)[..., 0]
         weak = np.zeros(K)
+        if phi.shape[1]:
+            information = self.deviations.information
+            weak = weak + (phi * phi) @ information
+            places = np.arange(rb.N_THETA, n)
+            gradient[:, places] -= phi * information
+            hessian[:, places, places] += information
         if f:
             # Of residuals, by coordinate and axis: (K, f, 3, width), and with all columns.
             TP = T[:, None] @ P[:, 1:]
@@ -147,18 +192,26 @@ class AxisProblem(Problem):
             )
             columns = TPM @ np.swapaxes(P[:, :1, :N_X], -1, -2)  # (K, f, 3, N_X)
             cross = (WG @ np.moveaxis(columns, 1, -1)).sum(axis=1)  # (K, n, f)
-            away = unknowns[:, self.free[n:]] - self._mean
+            away = unknowns[:, self.free_coordinates] - self._mean
             gradient[:, n:] = -slopes - away * self._information
             hessian[:, :n, n:] = -cross
             hessian[:, n:, :n] = -np.swapaxes(cross, 1, 2)
             hessian[:, n:, n:] = bends + np.diag(self._information)
             weak = weak + self.weak_cost(unknowns)
         if self.prior is not None:
-            weak = weak + self.prior.cost(unknowns)
+            weak = weak + self.prior.cost(unknowns[:, :N_UNKNOWNS])
         return AxisPoint(
             unknowns, variance, own, weak, gradient, hessian, Q,
             np.swapaxes(WG, 1, 2),
         )  # fmt: skip
+
+    def _model(self, theta: Array, phi: Array) -> tuple[Array, Array]:
+        """Q and its derivatives by theta and phi, (K, N_THETA + m, 3, N_X)."""
+        if not phi.shape[1]:
+            return rb.forward_jacobian(theta)
+        Q, G = rb.forward_jacobian(theta, self.deviations.torque(phi))
+        J_inv = np.linalg.inv(rb.inertia_matrix(theta))
+        return Q, np.concatenate([G, J_inv[:, None] @ self.deviations.torques], axis=1)
 
 
 def minimise_axes(problem: AxisProblem, unknowns: Array, limit: int) -> tuple[AxisPoint, Mask]:

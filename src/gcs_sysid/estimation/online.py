@@ -119,7 +119,7 @@ class OnlineEstimator:
         """How the accelerometer reads against gravity, from an earlier segment."""
         self._record = FlightRecord(geometry, dt, tuning)
         self._basis = self._record.basis
-        self._whitened = WhitenedEstimator(self._record) if self._record.whitened else None
+        self._whitened = WhitenedEstimator(self._record, geometry) if self._record.whitened else None
         self._left_out: LeftOut | None = None
         self._settle_interval = tuning.settle_interval
         self._warm_starts: dict[str, _WarmStart] = {}
@@ -413,7 +413,11 @@ class OnlineEstimator:
             at: what else is known.
             momentum: (3, ...) moments of the momentum balance at that instant; None: of now.
         """
-        if fit is None or at is None or CURVE not in self._basis.free:
+        if fit is None or at is None:
+            return fit
+        if self._whitened is not None:
+            fit = self._whitened.of_mean_rotor(fit, at)
+        if CURVE not in self._basis.free:
             return fit
         total = self._record.momentum.total if momentum is None else momentum
         if fit.source == "accelerometer":
@@ -445,7 +449,7 @@ class OnlineEstimator:
             self._rigid_body_test = self._whitened.test_rigid_body(fit)
             return self._rigid_body_test
         P = self._basis.map_at(fit.coordinates)
-        self._rigid_body_test = judge_rigid_body(moments.batches[:, fit.leak], P, fit.theta)
+        self._rigid_body_test = judge_rigid_body(moments.batches[:, fit.leak], P, fit.Q)
         return self._rigid_body_test
 
     def _validate(self) -> Validation | None:

@@ -44,17 +44,16 @@ class RigidBodyTest:
         return bool(np.any((away > _OFF) & (away > _SURE * self.std)))
 
 
-def judge_rigid_body(batches: Array, P: Array, theta: Array) -> RigidBodyTest:
+def judge_rigid_body(batches: Array, P: Array, Q: Array) -> RigidBodyTest:
     """Compare the gyroscopic torque in the data with that of the fit.
 
     Args:
         batches: (k, width, width) moments of rows of elements; or (k, 3, width, width) where each
             axis has its own.
         P: (WIDTH, width) that makes rows [x, y] of these, rotors' signals as fitted.
-        theta: (N_THETA,) of the fit.
+        Q: (3, N_SIGNALS) of the fit.
     """
     n = rb.N_SIGNALS
-    Q = rb.forward_matrix(theta)
     each = (
         batches
         if batches.ndim == 4
@@ -71,7 +70,9 @@ def judge_rigid_body(batches: Array, P: Array, theta: Array) -> RigidBodyTest:
         if not power > _NONE * total[n + axis, n + axis]:
             continue
         predicted, residual = (_apart(total, v) for v in (predicted, residual))
-        power = max(float(predicted @ total @ predicted), _TINY)
+        power = float(predicted @ total @ predicted)
+        if not power > _NONE**2 * total[n + axis, n + axis]:
+            continue
         more = float(predicted @ total @ residual) / power
         # Neighbouring batches share slow noise, as in the sandwich of the fit.
         scores = (own @ ((residual - more * predicted) @ P)) @ (predicted @ P)

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation import actuator_dynamics as coordinate
 from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
+from gcs_sysid.estimation.deviations import NO_DEVIATIONS, Deviations
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.search import (
     N_X,
@@ -86,6 +87,9 @@ class RotationFit:
         full_covariance: (N_UNKNOWNS, N_UNKNOWNS) of theta and the coordinates; zeros where one
             was not estimated.
         warm start: what `follow_rotation` starts from.
+        deviations: (m,) values of those that were fitted, see `estimation.deviations`.
+        deviations_covariance: (m, m) of these.
+        deviating: which these are.
     """
 
     theta: Array
@@ -101,6 +105,9 @@ class RotationFit:
     warm_start: WarmStart | None = None
     whiteners: tuple[int, ...] = ()
     disturbance: Array = field(default_factory=lambda: np.full(3, np.nan))
+    deviations: Array = field(default_factory=lambda: np.zeros(0))
+    deviations_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    deviating: Deviations = NO_DEVIATIONS
 
     def __post_init__(self) -> None:
         if not self.data_std.size:
@@ -109,6 +116,11 @@ class RotationFit:
             full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
             full[: rb.N_THETA, : rb.N_THETA] = self.covariance
             object.__setattr__(self, "full_covariance", full)
+
+    @property
+    def Q(self) -> Array:
+        """(3, N_SIGNALS) of w' = Q x, deviations included."""
+        return rb.forward_matrix(self.theta, self.deviating.torque(self.deviations))
 
     @property
     def std(self) -> Array:
@@ -270,6 +282,7 @@ class Outcome:
 
     def __init__(self, problem: Problem, point: Point, noise: Array) -> None:
         self._problem = problem
+        self._linear = problem.p - len(problem.free_coordinates)
         self._noise = noise
         self._point = point
         self._unknowns: Array = point.unknowns
@@ -401,7 +414,7 @@ class Outcome:
             pull += self._gradient
             coordinates, basis = self._unknowns[:, COORDINATES], problem.basis
             inside = (coordinates > basis.low) & (coordinates < basis.high)
-            pull[:, n:] *= inside[:, list(basis.free)]
+            pull[:, self._linear :] *= inside[:, list(basis.free)]
             held = (root / widening[:, :, None]) @ np.linalg.inv(spread)
             covariance = np.linalg.inv(
                 held @ (root / widening[:, None, :])
@@ -411,8 +424,9 @@ class Outcome:
             told = _times(held, _times(inverse_root, pull / (d * widening)))
             step = _times(covariance, told + problem.prior_pull(self._unknowns) / d)
         unknowns = self._moved(step / d)
-        full = np.zeros((K, N_UNKNOWNS, N_UNKNOWNS))
-        full[:, problem.free[:, None], problem.free] = covariance / self._scales
+        every = np.zeros((K, unknowns.shape[1], unknowns.shape[1]))
+        every[:, problem.free[:, None], problem.free] = covariance / self._scales
+        full = every[:, :N_UNKNOWNS, :N_UNKNOWNS]
         data_std = np.sqrt(np.diagonal(data_covariance, axis1=1, axis2=2)) / d
         r_squared = self._explained()
         return [
@@ -428,6 +442,8 @@ class Outcome:
                 data_std=data_std[i, :n],
                 full_covariance=full[i],
                 warm_start=WarmStart(self._unknowns[i], spread[i], widening[i]),
+                deviations=unknowns[i, N_UNKNOWNS:],
+                deviations_covariance=every[i, N_UNKNOWNS:, N_UNKNOWNS:],
             )
             for i, (reached, leak) in enumerate(zip(converged, leaks, strict=True))
         ]

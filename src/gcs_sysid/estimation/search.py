@@ -101,9 +101,10 @@ class Problem:
         self.basis = basis
         self.prior = prior
         self._noise = None if noise is None else self.rows[:, None, None] * noise
-        coordinates = rb.N_THETA + np.array(basis.free, dtype=int)
-        self.free = np.concatenate([np.arange(rb.N_THETA), coordinates])
-        """(p,) indices of the unknowns that are fitted."""
+        self.free_coordinates = rb.N_THETA + np.array(basis.free, dtype=int)
+        """(f,) indices of those coordinates among the unknowns."""
+        self.free = np.concatenate([np.arange(rb.N_THETA), self.free_coordinates])
+        """(p,) indices of the unknowns that are fitted, coordinates last."""
         self.p = len(self.free)
         self._mean = COORDINATE_MEAN[list(basis.free)]
         self._information = COORDINATE_STD[list(basis.free)] ** -2.0
@@ -122,7 +123,7 @@ class Problem:
 
     def weak_cost(self, unknowns: Array) -> Array:
         """(...) of leaving the ordinary, see COORDINATE_STD."""
-        away = unknowns[..., self.free[rb.N_THETA :]] - self._mean
+        away = unknowns[..., self.free_coordinates] - self._mean
         cost: Array = (away * away) @ self._information
         return cost
 
@@ -146,7 +147,7 @@ class Problem:
         """
         free = list(self.basis.free)
         low, high = self.basis.low[free], self.basis.high[free]
-        at, way = unknowns[..., self.free[rb.N_THETA :]], step[..., rb.N_THETA :]
+        at, way = unknowns[..., self.free_coordinates], step[..., -len(free) :]
         room = np.where(way > 0.0, high - at, at - low)
         share = 0.9 * room / np.maximum(np.abs(way), 1e-300)
         # At the edge itself a coordinate is just held.
@@ -194,7 +195,7 @@ class Problem:
             WT = W[:, None] @ TP
             slopes = (WT[:, :1] * TPM[:, 1:]).sum(axis=(2, 3))
             bends = WT[:, 1:].reshape(K, f, -1) @ np.swapaxes(TPM[:, 1:].reshape(K, f, -1), 1, 2)
-            away = unknowns[:, self.free[n:]] - self._mean
+            away = unknowns[:, self.free_coordinates] - self._mean
             gradient[:, n:] = -slopes - away * self._information
             hessian[:, n:, :n] = -np.swapaxes(downhill[..., 1:], 1, 2)
             hessian[:, :n, n:] = -downhill[..., 1:]

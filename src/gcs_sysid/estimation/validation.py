@@ -23,7 +23,6 @@ from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotation import RotationFit, fit_rotation
 from gcs_sysid.estimation.search import N_X
-from gcs_sysid.model import rigid_body as rb
 
 FITTED_SHARE = 0.6
 """Share of the flight that is fitted; the rest is predicted."""
@@ -87,7 +86,7 @@ def validate(
     if fit is None:
         return None
     rest = basis.moments_at(batches[cut:, 0].sum(axis=0), fit.coordinates)
-    Q = rb.forward_matrix(fit.theta)
+    Q = fit.Q
     return judge_prediction(
         rest, fit, float(counts[:cut].sum() / counts.sum()),
         *_whiteness(batches[cut:], counts[cut:], basis, noise, gains, fit.coordinates, Q),
@@ -111,7 +110,7 @@ def judge_prediction(
         whiteness: (3,) of what it leaves.
         whiteness_p: (3,) its p-value.
     """
-    Q = rb.forward_matrix(fit.theta)
+    Q = fit.Q
     Rxx, Rxy, Ryy = rest[:N_X, :N_X], rest[:N_X, N_X:], rest[N_X:, N_X:]
     measured = np.diag(Ryy)
     predicted = np.diag(Q @ Rxx @ Q.T)

@@ -5,6 +5,7 @@ told on the rows of the symmetric window, which pass what is slower than some 5 
 that fits to the window give, and that verdicts rest on.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,11 +13,13 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, by_parts
 from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
+from gcs_sysid.estimation.deviations import DeviationChoice
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import residual_maker
+from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.validation import (
     Validation,
     judge_prediction,
@@ -68,10 +71,12 @@ class WhitenedEstimator:
 
     Args:
         record: that has such rows.
+        geometry: (3, rotors) of the airframe.
     """
 
-    def __init__(self, record: FlightRecord) -> None:
+    def __init__(self, record: FlightRecord, geometry: Array) -> None:
         assert record.whitened is not None
+        self._choice = DeviationChoice(geometry)
         self._record = record
         self._white = record.whitened
 
@@ -101,9 +106,10 @@ class WhitenedEstimator:
         if not rigid:
             data = replace(data, muted=tuple(self.basis.body_places(PRODUCTS)))
         doubt = self._record.noise_doubt
-        found = fit_whitened(data, self.basis, start, prior, doubt)
+        choice = self._choice
+        found = fit_whitened(data, self.basis, start, prior, doubt, choice)
         if start is not None and (found is None or not found.rotation.converged):
-            found = fit_whitened(data, self.basis, None, prior, doubt)
+            found = fit_whitened(data, self.basis, None, prior, doubt, choice)
         if found is None:
             return None
         judged = self._explained(found.rotation, self._record.rotation.total[0])
@@ -142,7 +148,7 @@ class WhitenedEstimator:
         data = self._data
         ends = np.cumsum(data.counts) * self._white.time
         first = int(np.searchsorted(ends, window.counts[:cut].sum() * row_time))
-        found = fit_whitened(data.first(first), self.basis, prior=prior)
+        found = fit_whitened(data.first(first), self.basis, prior=prior, choice=self._choice)
         if found is None:
             return None
         fit = found.rotation
@@ -153,13 +159,30 @@ class WhitenedEstimator:
             *self._whiteness(data, first, fit),
         )  # fmt: skip
 
+    def of_mean_rotor(self, thrust: TranslationFit, fit: RotationFit) -> TranslationFit:
+        """Thrust over mass with the mean rotor's coefficient, where rotors differ.
+
+        The whole vehicle's thrust weighs those most that carry most of it:
+        sum k_i O_i = k (1 + sum e_i share_i) sum O_i.
+        """
+        if not fit.deviating.thrusts.any():
+            return thrust
+        effect = fit.deviating.thrusts @ self._choice.shares(fit.unknowns)
+        factor = 1.0 / (1.0 + float(fit.deviations @ effect))
+        std = float(np.sqrt(effect @ fit.deviations_covariance @ effect)) * thrust.kappa
+        return replace(
+            thrust,
+            kappa=factor * thrust.kappa,
+            kappa_std=math.hypot(factor * thrust.kappa_std, std),
+        )
+
     def test_rigid_body(self, fit: RotationFit) -> RigidBodyTest:
         """Whether the body is rigid, see `estimation.rigid_body_test`."""
         data = self._data
         pick = list(fit.whiteners)
         batches, counts = grouped(data.of_axes(pick), data.counts, data.grouped)
         batches -= counts[:, None, None, None] * data.noise[pick]
-        return judge_rigid_body(batches, self.basis.map_at(fit.coordinates), fit.theta)
+        return judge_rigid_body(batches, self.basis.map_at(fit.coordinates), fit.Q)
 
     def gyro_density(self, fit: RotationFit, theta: Array) -> Array:
         """(3, 3) two-sided density of gyro noise, rad^2/s, that leaves a fit's innovations.
@@ -192,7 +215,7 @@ class WhitenedEstimator:
     def _explained(self, fit: RotationFit, window: Array) -> RotationFit:
         """The fit with the share of the window's acceleration that it explains."""
         moments = self._record.basis.moments_at(window, self._within(fit.coordinates))
-        T = residual_maker(rb.forward_matrix(fit.theta))
+        T = residual_maker(fit.Q)
         own = ((T @ moments) * T).sum(axis=1)
         share = 1.0 - own / np.maximum(np.diag(moments)[-3:], 1e-300)
         return replace(fit, r_squared=share)
@@ -209,7 +232,7 @@ class WhitenedEstimator:
         with W_b one for which what is slow counts more.
         """
         references = [slower(data.whiteners, i) for i in fit.whiteners]
-        TP = residual_maker(rb.forward_matrix(fit.theta)) @ self.basis.map_at(fit.coordinates)
+        TP = residual_maker(fit.Q) @ self.basis.map_at(fit.coordinates)
 
         def power(some: Array) -> Array:
             squares: Array = ((TP[:, None] @ some)[:, :, 0] * TP).sum(axis=-1)

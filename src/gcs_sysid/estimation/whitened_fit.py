@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.estimation.axis_problem import TOLD, AxisPoint, AxisProblem, minimise_axes
-from gcs_sysid.estimation.priors import COORDINATES, Prior
+from gcs_sysid.estimation.deviations import NO_DEVIATIONS, DeviationChoice, Deviations
+from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.rotation import RotationFit
-from gcs_sysid.estimation.search import first_guess, residual_maker
+from gcs_sysid.estimation.search import first_guess, residual_maker, scales
 from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor
 from gcs_sysid.estimation.whitened_moments import WhitenedMoments, grouped
 from gcs_sysid.estimation.whitened_outcome import WhitenedOutcome
@@ -38,6 +39,8 @@ _MOST_SHOCKS = 0.25
 _SCAN, _TRY, _AGAIN, _FIT, _FOLLOW = 5, 8, 4, 30, 3
 """Iterations: at a node; with a whitener, from there and from a fit; with those of the axes; of a
 fit that follows."""
+_CHOSEN = 3
+"""Times that deviations from the model are chosen anew."""
 _SCANNED = 64
 """Pairs of whitener and node that are looked at, about."""
 _REACH = 2
@@ -104,6 +107,7 @@ def fit_whitened(
     start: RotationFit | None = None,
     prior: Prior | None = None,
     doubt: float = 0.0,
+    choice: DeviationChoice | None = None,
 ) -> WhitenedFit | None:
     """Fit theta and the basis' coordinates to whitened moments.
 
@@ -113,10 +117,12 @@ def fit_whitened(
         start: an earlier fit of the same record; None: from the data alone.
         prior: what else is known.
         doubt: one standard deviation of the inputs' known noise, relative.
+        choice: of deviations from the model; None: there are none.
 
     Returns:
         The fit, or None while the data cannot even start one.
     """
+    deviations = NO_DEVIATIONS if start is None else start.deviating
     kept = np.ones(len(data.counts), dtype=bool)
     if int(data.counts.sum()) < 3 * rb.N_THETA:
         return None
@@ -126,10 +132,11 @@ def fit_whitened(
         trial = _scanned(total, rows, data, basis, prior)
     else:
         assert start.warm_start is not None
-        trial = _tried(total, rows, data, basis, prior, start.warm_start.unknowns)
+        unknowns = start.warm_start.unknowns
+        trial = _tried(total, rows, data, basis, prior, unknowns, deviations=deviations)
     if trial is None:
         return None
-    solved = _solved(total, rows, data, basis, prior, trial)
+    solved = _solved(total, rows, data, basis, prior, trial, deviations)
     batches = data.of_axes(solved.pick)
     for _ in range(_JUDGED):
         shocks = _shocks(solved.point, batches, data.counts, basis)
@@ -138,7 +145,18 @@ def fit_whitened(
         # The fit without the worst of them sees the rest.
         kept = ~shocks
         total, rows = data.total(kept), int(data.counts[kept].sum())
-        solved = _solved(total, rows, data, basis, prior, solved.trial)
+        solved = _solved(total, rows, data, basis, prior, solved.trial, deviations)
+        batches = data.of_axes(solved.pick)
+    for _ in range(_CHOSEN if choice is not None else 0):
+        assert choice is not None
+        chosen = _chosen(solved, rows, basis, prior, choice)
+        if chosen.like(deviations):
+            break
+        # Whiteners too: what the model lacked looked like a disturbance.
+        deviations = chosen
+        unknowns = solved.point.unknowns[0, :N_UNKNOWNS]
+        trial = _tried(total, rows, data, basis, prior, unknowns, deviations=deviations)
+        solved = _solved(total, rows, data, basis, prior, trial, deviations)
         batches = data.of_axes(solved.pick)
     noise = data.noise[list(solved.pick)]
     batches, counts = grouped(batches[kept], data.counts[kept], data.grouped)
@@ -148,13 +166,15 @@ def fit_whitened(
     spread = inflation(outcome.roots[1][0], scatter)[None]
     widening = student_factor(outcome.shares(0, batches), _REACH)[None]
     if doubt:
-        raw = AxisProblem(solved.problem.bank, rows, basis, prior, np.zeros_like(noise)[None])
+        silent = np.zeros_like(noise)[None]
+        raw = AxisProblem(solved.problem.bank, rows, basis, prior, silent, deviations)
         pull = raw.evaluate(solved.point.unknowns).gradient - solved.point.gradient
         spread = spread + outcome.spread_of(doubt * pull)
     fit = replace(
         outcome.fits(spread, widening, [solved.converged], [0])[0],
         whiteners=solved.pick,
         disturbance=solved.trial.detected(data.whiteners, data.time),
+        deviating=deviations,
     )
     pick = list(solved.pick)
     return WhitenedFit(fit, ~kept, everything[pick] - total[pick], all_rows - rows)
@@ -184,18 +204,20 @@ def follow_whitened(
     assert start.warm_start is not None
     scatter = start.warm_start.inflation, start.warm_start.widening
     unknowns = np.tile(start.warm_start.unknowns, (len(rows), 1))
-    problem = AxisProblem(totals, rows, basis, prior, noise)
+    deviations = start.deviating
+    problem = AxisProblem(totals, rows, basis, prior, noise, deviations)
     outcome = WhitenedOutcome(problem, problem.evaluate(unknowns))
     near = outcome.take_step(_BLIND_STEP)
     fits = outcome.fits(*scatter, [start.converged] * len(rows), [0] * len(rows))
     if not near.all():
         far = ~near
-        alone = AxisProblem(totals[far], rows[far], basis, prior, noise[far])
+        alone = AxisProblem(totals[far], rows[far], basis, prior, noise[far], deviations)
         point, converged = minimise_axes(alone, unknowns[far], _FOLLOW)
         better = WhitenedOutcome(alone, point).fits(*scatter, converged, [0] * len(converged))
         for i, fit in zip(np.flatnonzero(far), better, strict=True):
             fits[i] = fit
-    return [replace(fit, whiteners=start.whiteners, disturbance=start.disturbance) for fit in fits]
+    taken = {name: getattr(start, name) for name in ("whiteners", "disturbance", "deviating")}
+    return [replace(fit, **taken) for fit in fits]
 
 
 @dataclass(frozen=True)
@@ -255,18 +277,20 @@ def _solved(
     basis: ActuatorDynamics,
     prior: Prior | None,
     trial: Trial,
+    deviations: Deviations,
 ) -> _Solved:
     """Fit with the whiteners of a trial; and once more, should others be better there."""
     pick = trial.pick
     unknowns = trial.unknowns[list(pick)]
     for again in (True, False):
         bank, noise = total[list(pick)][None], data.noise[list(pick)][None]
-        problem = AxisProblem(bank, rows, basis, prior, noise)
+        problem = AxisProblem(bank, rows, basis, prior, noise, deviations)
         # From what the first axis or the others found, whichever is nearer to all of it.
         starts = [problem.evaluate(u[None]) for u in np.unique(unknowns, axis=0)]
         cost = [float(np.log(p.variance).sum() + p.weak[0] / rows) for p in starts]
         point, converged = minimise_axes(problem, starts[int(np.argmin(cost))].unknowns, _FIT)
-        trial = _tried(total, rows, data, basis, prior, point.unknowns[0])
+        found = point.unknowns[0]
+        trial = _tried(total, rows, data, basis, prior, found, deviations=deviations)
         solved = _Solved(problem, point, bool(converged[0]), pick, trial)
         if not again or trial.pick == pick:
             break
@@ -282,19 +306,58 @@ def _tried(
     prior: Prior | None,
     unknowns: Array,
     limit: int = _AGAIN,
+    deviations: Deviations = NO_DEVIATIONS,
 ) -> Trial:
     """Every whitener on all axes, coordinates as in (N_UNKNOWNS,) or (bank, N_UNKNOWNS)."""
     fitted = unknowns if unknowns.ndim == 1 else None
     unknowns = np.broadcast_to(unknowns, (len(total), unknowns.shape[-1]))
     at = unknowns[0, COORDINATES]
     moments, noise = (basis.moments_at(m, at)[:, None] for m in (total, data.noise))
-    problem = AxisProblem(moments, rows, PLAIN, prior, noise)
-    point, _ = minimise_axes(problem, unknowns, limit)
-    known = np.median(point.unknowns, axis=0) if fitted is None else fitted
-    return Trial(point.unknowns, _alike(point, rows, noise[:, 0], known))
+    problem = AxisProblem(moments, rows, PLAIN, prior, noise, deviations)
+    point, _ = minimise_axes(problem, problem.extended(unknowns), limit)
+    known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
+    return Trial(point.unknowns, _alike(point, rows, noise[:, 0], known, deviations))
 
 
-def _alike(point: AxisPoint, rows: int, noise: Array, known: Array) -> Array:
+def _chosen(
+    solved: _Solved, rows: int, basis: ActuatorDynamics, prior: Prior | None, choice: DeviationChoice
+) -> Deviations:
+    """The deviations for which there is evidence, from one look at all of them."""
+    before, point = solved.problem, solved.point
+    every = choice.every(point.unknowns[0])
+    n, m = rb.N_THETA, len(every.std)
+    noise = (before.bank - before.without) / (TOLD * rows)
+    problem = AxisProblem(before.bank, rows, basis, prior, noise, every)
+    unknowns = problem.extended(point.unknowns[:, :N_UNKNOWNS])
+    # Where the fit stands in terms of all deviations: the same torque.
+    flat = every.torques.reshape(m, -1)
+    torque = before.deviations.torque(point.unknowns[:, N_UNKNOWNS:]).reshape(-1)
+    phi = np.linalg.lstsq(flat.T, torque, rcond=None)[0]
+    unknowns[:, N_UNKNOWNS:] = phi
+    at = problem.evaluate(unknowns)
+    gradient, hessian = at.gradient[0], at.hessian[0]
+    if prior is not None:
+        gradient = gradient + problem.prior_pull(unknowns)[0]
+        hessian = hessian + problem.prior_information()
+    of = np.arange(n, n + m)
+    others = np.setdiff1d(np.arange(problem.p), of)
+    d = scales(hessian[None])[0][others]
+    cross = hessian[np.ix_(others, of)] / d[:, None]
+    inverse = np.linalg.pinv(
+        hessian[np.ix_(others, others)] / np.outer(d, d), rcond=1e-12, hermitian=True
+    )
+    information = hessian[np.ix_(of, of)] - cross.T @ inverse @ cross
+    score = gradient[of] - cross.T @ inverse @ (gradient[others] / d)
+    return choice.choose(every, point.unknowns[0], score + information @ phi, information)
+
+
+def _alike(
+    point: AxisPoint,
+    rows: int,
+    noise: Array,
+    known: Array,
+    deviations: Deviations = NO_DEVIATIONS,
+) -> Array:
     """(K, 3) power of the innovations as it would be if all had the same share of known noise.
 
     Noise of the inputs pulls the least power towards a vehicle that answers them less. Whoever
@@ -306,9 +369,11 @@ def _alike(point: AxisPoint, rows: int, noise: Array, known: Array) -> Array:
         point: K solutions.
         rows: that they are of.
         noise: (K, WIDTH, WIDTH) in one row.
-        known: (N_UNKNOWNS,) of that vehicle.
+        known: (N_UNKNOWNS + m,) of that vehicle.
+        deviations: m of them.
     """
-    T = residual_maker(rb.forward_matrix(known[: rb.N_THETA]))
+    torque = deviations.torque(known[N_UNKNOWNS:])
+    T = residual_maker(rb.forward_matrix(known[: rb.N_THETA], torque))
     of_noise = ((T @ noise) * T).sum(axis=-1)
     alike: Array = np.maximum(point.told / rows + TOLD * of_noise, _LEAST * point.variance)
     return alike

@@ -7,7 +7,6 @@ from gcs_sysid.arrays import Array, by_parts
 from gcs_sysid.estimation.axis_problem import AxisPoint, AxisProblem
 from gcs_sysid.estimation.rotation import Outcome
 from gcs_sysid.estimation.search import N_X, residual_maker
-from gcs_sysid.model import rigid_body as rb
 
 _AXES = 3
 
@@ -39,7 +38,7 @@ class WhitenedOutcome(Outcome):
         f, point = len(self._problem.basis.free), self._at
         P = self._problem.maps(self._unknowns[i : i + 1])[0]
         TP = residual_maker(point.Q[i]) @ P
-        WG = point.WG[i].reshape(rb.N_THETA, -1)
+        WG = point.WG[i].reshape(self._problem.linear, -1)
         slopes = (TP[1:] / point.variance[i][:, None]).reshape(f, -1)
 
         def some(batches: Array) -> Array:
@@ -61,7 +60,7 @@ class WhitenedOutcome(Outcome):
             i: of the hypothesis.
             batches: (k, 3, width, width) of this hypothesis.
         """
-        n, inverse_root, point = rb.N_THETA, self.roots[1][i], self._at
+        n, inverse_root, point = self._problem.linear, self.roots[1][i], self._at
         P = self._problem.maps(self._unknowns[i : i + 1])[0]
         inverse = (inverse_root @ inverse_root) / self._scales[i]
         moved = (inverse[:n, :n] @ point.WG[i].reshape(n, -1)).reshape(n, _AXES, N_X)

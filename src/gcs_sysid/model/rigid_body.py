@@ -155,20 +155,24 @@ def is_physical(elements: Array) -> bool:
     return bool(are_physical(elements))
 
 
-def forward_matrix(theta: Array) -> Array:
+def forward_matrix(theta: Array, torque: Array | float = 0.0) -> Array:
     """Q(theta) of w' = Q x, shape (..., 3, N_SIGNALS), theta of shape (..., N_THETA).
+
+    Args:
+        theta: (..., N_THETA).
+        torque: (..., 3, N_SIGNALS) that is added to B, see `estimation.deviations`.
 
     Raises:
         numpy.linalg.LinAlgError: an inertia matrix is singular.
     """
-    Q: Array = np.linalg.inv(inertia_matrix(theta)) @ _input_matrix(theta)
+    Q: Array = np.linalg.inv(inertia_matrix(theta)) @ (_input_matrix(theta) + torque)
     return Q
 
 
-def forward_jacobian(theta: Array) -> tuple[Array, Array]:
-    """Q(theta) and its derivative dQ/dtheta, shape (..., N_THETA, 3, N_SIGNALS)."""
+def forward_jacobian(theta: Array, torque: Array | float = 0.0) -> tuple[Array, Array]:
+    """Q(theta) and its derivative dQ/dtheta, shape (..., N_THETA, 3, N_SIGNALS); as above."""
     J_inv = np.linalg.inv(inertia_matrix(theta))
-    Q = J_inv @ _input_matrix(theta)
+    Q = J_inv @ (_input_matrix(theta) + torque)
     slope = np.empty((*theta.shape[:-1], N_THETA, 3, N_SIGNALS))
     slope[...] = INPUT_SLOPE
     slope[..., :N_INERTIA, :, :] -= INERTIA_BASIS @ Q[..., None, :, :]

@@ -1,0 +1,164 @@
+"""What vehicles have and the model has not: damping per axis, rotors that differ.
+
+    J w' + w x (J w + h) + h' = M + sum_k phi_k B_k x
+
+with B_k one deviation's torque by axis and signal:
+
+    damping     -d_a w_a on each axis a beside the damping that all share
+    thrust      k_T of rotor i is (1 + e_i) of the mean: torque e_i (-y_i, x_i) O_i
+    torque      k_M of rotor i is off the mean by c_i: yaw torque c_i s_i O_i
+
+e and c sum to zero, as their means are k_T and k_M themselves. An allocation of full rank drives
+the rotors' O = Omega^2 within the span of roll, pitch, thrust and yaw, so that O_i is a combination of
+these four signals: the pseudo-inverse of the mixer (exact for four rotors).
+
+Deviations are nuisance parameters: of each kind the size is unknown, phi ~ N(0, sigma^2). With g and
+H the score and information of phi at phi = 0, the other unknowns marginalised, the evidence for sigma is
+
+    ln p(data | sigma) - ln p(data | 0) = (g' (H + sigma^-2)^-1 g - ln det(1 + sigma H sigma)) / 2
+
+(empirical Bayes). A kind without evidence stays out: undisturbed flights of equal rotors lose
+nothing by it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.model import rigid_body as rb
+
+SIZES: Mapping[str, tuple[float, ...]] = {
+    "damping": (0.003, 0.01, 0.03, 0.1, 0.3, 1.0),
+    "thrust": (0.001, 0.003, 0.01, 0.03, 0.1),
+    "torque": (0.003, 0.01, 0.03, 0.1, 0.3, 1.0),
+}
+"""Standard deviations that are tried: of damping in moments of inertia per second, of thrust and torque
+relative to the mean over the rotors."""
+SURE = 3.0
+"""Nats of evidence from which a kind of deviation is believed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Deviations:
+    """Nuisance parameters of a fit.
+
+    Attributes:
+        torques: (m, 3, N_SIGNALS) B_k.
+        std: (m,) of their prior; infinite: only the data limit them.
+        thrusts: (m, rotors) change of each rotor's thrust coefficient, relative.
+    """
+
+    torques: Array
+    std: Array
+    thrusts: Array
+
+    @cached_property
+    def information(self) -> Array:
+        """(m,) of the prior."""
+        information: Array = self.std**-2.0
+        return information
+
+    def torque(self, phi: Array) -> Array:
+        """(..., 3, N_SIGNALS) that (..., m) deviations add to B of J w' = B x."""
+        torque: Array = np.tensordot(phi, self.torques, 1)
+        return torque
+
+    def like(self, other: "Deviations") -> bool:
+        """Whether they are the same, of the same size, and torques differ by next to nothing."""
+        return np.array_equal(self.std, other.std) and np.allclose(
+            self.torques, other.torques, atol=_SAME * np.abs(self.torques).max(initial=0.0)
+        )
+
+
+_SAME = 1e-3
+NO_DEVIATIONS = Deviations(np.zeros((0, 3, rb.N_SIGNALS)), np.zeros(0), np.zeros((0, 0)))
+
+
+class DeviationChoice:
+    """Which kinds of deviations a flight shows, and of what size.
+
+    Args:
+        geometry: (3, rotors) of the airframe.
+    """
+
+    def __init__(self, geometry: Array) -> None:
+        self._geometry = geometry
+        rotors = geometry.shape[1]
+        self._signal = np.linalg.pinv(rb.mixer(geometry))
+        """(4, rotors) of O in the four signals."""
+        # Orthonormal contrasts, so that their standard deviation is that of a rotor.
+        self._contrasts = np.linalg.svd(np.ones((1, rotors)))[2][1:]
+        self._kind = np.repeat(np.arange(3), [3, rotors - 1, rotors - 1])
+
+    def every(self, unknowns: Array) -> Deviations:
+        """All of them, limited by the data alone, at a (N_UNKNOWNS,) fit: thrust acts about its CG."""
+        x, y, s = self._geometry
+        rotors = len(s)
+        torques = np.zeros((3 + 2 * rotors, 3, rb.N_SIGNALS))
+        for axis, rate in enumerate("pqr"):
+            torques[axis, axis, rb.SIGNALS.index(rate)] = -1.0
+        torques[3 : 3 + rotors, 0, :4] = ((unknowns[rb.CG_Y] - y) * self._signal).T
+        torques[3 : 3 + rotors, 1, :4] = ((x - unknowns[rb.CG_X]) * self._signal).T
+        torques[3 + rotors :, 2, :4] = (s * self._signal).T
+        thrusts = np.zeros((len(self._kind), rotors))
+        thrusts[self._kind == _THRUST] = self._contrasts
+        per_rotor = (torques[3 : 3 + rotors], torques[3 + rotors :])
+        return Deviations(
+            np.concatenate([torques[:3], *(np.tensordot(self._contrasts, t, 1) for t in per_rotor)]),
+            np.full(len(self._kind), np.inf),
+            thrusts,
+        )
+
+    def shares(self, unknowns: Array) -> Array:
+        """(rotors,) of thrust at hover, where it acts at the CG of a (N_UNKNOWNS,) fit."""
+        trim = np.array([-unknowns[rb.CG_Y], unknowns[rb.CG_X], 1.0, 0.0])
+        shares: Array = trim @ self._signal
+        return shares
+
+    def choose(
+        self, every: Deviations, unknowns: Array, score: Array, information: Array
+    ) -> Deviations:
+        """Those with evidence.
+
+        Args:
+            every: of them.
+            unknowns: (N_UNKNOWNS,) of a fit without them, or with some.
+            score: (m,) gradient of the log likelihood by `every` at phi = 0, the others
+                marginalised.
+            information: (m, m) of the same.
+        """
+        kinds = self._kind
+        units = np.concatenate(
+            [
+                np.abs(unknowns[rb.MOMENTS]),
+                np.ones((kinds == _THRUST).sum()),
+                np.full((kinds == _TORQUE).sum(), max(abs(float(unknowns[rb.MOMENT_RATIO])), 1e-6)),
+            ]
+        )
+        g, H = score * units, information * np.outer(units, units)
+        best, found = 0.0, (0.0,) * len(SIZES)
+        for sizes in product(*((0.0, *tried) for tried in SIZES.values())):
+            std = np.array(sizes)[kinds]
+            use = std > 0.0
+            if not use.any():
+                continue
+            S = std[use]
+            values, vectors = np.linalg.eigh(S[:, None] * H[np.ix_(use, use)] * S)
+            values = np.maximum(values, 0.0)
+            along = vectors.T @ (S * g[use])
+            evidence = 0.5 * float(np.sum(along**2 / (1.0 + values) - np.log1p(values)))
+            evidence -= SURE * np.count_nonzero(sizes)
+            if evidence > best:
+                best, found = evidence, sizes
+        std = np.array(found)[kinds] * units
+        use = std > 0.0
+        if not use.any():
+            return NO_DEVIATIONS
+        return Deviations(every.torques[use], std[use], every.thrusts[use])
+
+
+_THRUST, _TORQUE = 1, 2
