@@ -39,6 +39,10 @@ _MOST_SHOCKS = 0.25
 _SCAN, _TRY, _AGAIN, _FIT, _FOLLOW = 5, 8, 4, 30, 3
 """Iterations: at a node; with a whitener, from there and from a fit; with those of the axes; of a
 fit that follows."""
+DISTURBED = 1.0
+"""Nats a second from which an unmodelled moment is there (`Trial.detected`)."""
+_SURE_APART = 2.0
+"""Standard deviations by which whiteners may differ where none is."""
 _CHOSEN = 3
 """Times that deviations from the model are chosen anew."""
 _SCANNED = 64
@@ -57,12 +61,14 @@ class Trial:
     """What every whitener makes of the data.
 
     Attributes:
-        unknowns: (bank, N_UNKNOWNS), all with the same coordinates.
+        unknowns: (bank, N_UNKNOWNS + m), all with the same coordinates.
         variance: (bank, 3) power of the innovations, see `_alike`.
+        information: (bank, N_THETA + m, N_THETA + m), if these are white.
     """
 
     unknowns: Array
     variance: Array
+    information: Array
 
     @property
     def pick(self) -> tuple[int, ...]:
@@ -82,6 +88,47 @@ class Trial:
         best, best_calm = self.variance.min(axis=0), self.variance[calm].min(axis=0)
         nats: Array = 0.5 * np.log(best_calm / best) / time
         return nats
+
+
+    def contrast(self, whiteners: Sequence[Whitener], time: float, fit: RotationFit) -> Array:
+        """(N_THETA,) how far whiteners of faster disturbances lead away, beyond chance.
+
+        If the rows' model is right all of them estimate the same; those that weigh low
+        frequencies less are only less sure (specification test: Hausman 1978, Econometrica 46,
+        1251-1271). What a controller answers, and what moves with the vehicle (aerodynamics),
+        biases slow motion most.
+
+        Args:
+            whiteners: of the bank.
+            time: s, that the rows last.
+            fit: with the whiteners of least innovation power.
+        """
+        pick = list(self.pick)
+        slowest = min(whiteners[i].below for i in pick)
+        faster = [i for i, whitener in enumerate(whiteners) if whitener.below > slowest]
+        n = rb.N_THETA
+        if not faster:
+            return np.zeros(n)
+        white = np.stack([_stds(self.information[i]) for i in {*pick, *faster}])
+        stds = dict(zip({*pick, *faster}, white[:, :n], strict=True))
+        # By how much scatter exceeds what white innovations would have.
+        excess = np.maximum(fit.std / np.min([stds[i] for i in pick], axis=0), 1.0)
+        std = excess * np.stack([stds[i] for i in faster])
+        weights = std**-2.0 / (std**-2.0).sum(axis=0)
+        apart = (weights * (self.unknowns[faster, :n] - fit.theta)).sum(axis=0)
+        chance = std.min(axis=0)
+        disturbed = self.detected(whiteners, time).max() > DISTURBED
+        beyond = apart**2 - chance**2 * (1.0 if disturbed else _SURE_APART**2)
+        part: Array = np.sign(apart) * np.sqrt(np.maximum(beyond, 0.0))
+        return part
+
+
+def _stds(information: Array) -> Array:
+    """(p,) standard deviations of (p, p) information; infinite where there is none."""
+    d = scales(information)
+    inverse = np.linalg.pinv(information / np.outer(d, d), rcond=1e-14, hermitian=True)
+    stds: Array = np.sqrt(np.maximum(np.diag(inverse), 1e-30)) / d
+    return stds
 
 
 @dataclass(frozen=True)
@@ -170,8 +217,16 @@ def fit_whitened(
         raw = AxisProblem(solved.problem.bank, rows, basis, prior, silent, deviations)
         pull = raw.evaluate(solved.point.unknowns).gradient - solved.point.gradient
         spread = spread + outcome.spread_of(doubt * pull)
+    # First as the scatter has it: how sure the contrasts are, it tells too.
+    told = outcome.fits(spread, widening, [solved.converged], [0])[0]
+    apart = solved.trial.contrast(data.whiteners, data.time, told)
+    if apart.any():
+        pull = np.zeros(solved.problem.p)
+        pull[: rb.N_THETA] = apart / widening[0, : rb.N_THETA]
+        spread = spread + outcome.spread_of(pull[None] @ solved.point.hessian[0])
+        told = outcome.fits(spread, widening, [solved.converged], [0])[0]
     fit = replace(
-        outcome.fits(spread, widening, [solved.converged], [0])[0],
+        told,
         whiteners=solved.pick,
         disturbance=solved.trial.detected(data.whiteners, data.time),
         deviating=deviations,
@@ -316,7 +371,8 @@ def _tried(
     problem = AxisProblem(moments, rows, PLAIN, prior, noise, deviations)
     point, _ = minimise_axes(problem, problem.extended(unknowns), limit)
     known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
-    return Trial(point.unknowns, _alike(point, rows, noise[:, 0], known, deviations))
+    alike = _alike(point, rows, noise[:, 0], known, deviations)
+    return Trial(point.unknowns, alike, point.hessian)
 
 
 def _chosen(
