@@ -181,7 +181,7 @@ def _told(rotation: RotationFit, prior_vehicle: PriorVehicle, free: Array) -> tu
         freedom[free] = np.interp(rotation.warm_start.widening, _FACTORS[::-1], _FREEDOMS[::-1])
     covariance = rotation.full_covariance / np.outer(widening, widening)
     for axis, told_by in enumerate(_OF_AXIS):
-        if rotation.r_squared[axis] < RULES.unobservable_below_r2:
+        if rotation.r_squared[axis] < RULES.explained(whitened=bool(rotation.whiteners))[1]:
             # Where gusts turn the vehicle more than its rotors do, the scatter is deceptive.
             covariance[told_by, told_by] += (10.0 * prior_vehicle.std[told_by]) ** 2
     information = np.zeros_like(covariance)

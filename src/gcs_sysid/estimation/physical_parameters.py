@@ -112,7 +112,11 @@ def physical_parameters(
         if p.fit == "actuator" and name in out:
             out[name] = _coordinate(rotation, name, doubt)
     r_squared = tuple(rotation.r_squared.tolist())
-    out = {name: doubted(value, REGISTRY[name], r_squared) for name, value in out.items()}
+    whitened = bool(rotation.whiteners)
+    out = {
+        name: doubted(value, REGISTRY[name], r_squared, whitened=whitened)
+        for name, value in out.items()
+    }
     contradicted = rigid_body_test is not None and rigid_body_test.contradicted
     return _not_rigid(out) if contradicted else out
 
@@ -219,7 +223,10 @@ def rests_on_prior(rotation: RotationFit) -> frozenset[str]:
 def timing_values(rotation: RotationFit | None, rotor_input: RotorInput) -> dict[str, Value]:
     """How far the rotor stream lags behind the IMU's, and with commands a motor's lag, s."""
     names = [name for name, p in TIMING.items() if rotor_input in p.inputs]
-    if rotation is None or rotation.r_squared.min() < RULES.unobservable_below_r2:
+    if rotation is None:
+        return dict.fromkeys(names, NOTHING)
+    _, least = RULES.explained(whitened=bool(rotation.whiteners))
+    if rotation.r_squared.min() < least:
         return dict.fromkeys(names, NOTHING)
     return {name: _coordinate(rotation, name) for name in names}
 

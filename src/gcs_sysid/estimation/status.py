@@ -26,6 +26,20 @@ class StatusRules:
     """R² below which nothing on that axis is identified."""
     unobservable_below_r2: float = 0.5
     """R² below which it is not even weak."""
+    weak_below_whitened: float = 0.65
+    unobservable_below_whitened: float = 0.2
+    """The same of whitened rows, of which slow disturbances are taken out and much is noise: gusts
+    at 0.6 leave errors of 6 to 10 %, a vehicle with two rotors swapped has 0.0 to 0.4."""
+
+    def explained(self, *, whitened: bool) -> tuple[float, float]:
+        """Shares of an axis' acceleration, below which nothing is identified, or even weak.
+
+        Args:
+            whitened: whether of whitened rows.
+        """
+        if whitened:
+            return self.weak_below_whitened, self.unobservable_below_whitened
+        return self.weak_below_r2, self.unobservable_below_r2
 
 
 RULES = StatusRules()
@@ -53,16 +67,20 @@ def judged(value: float, std: float, yardstick: float) -> Value:
     return Value(value, std, "weak" if ratio < RULES.unobservable_above else "unobservable")
 
 
-def doubted(value: Value, parameter: Parameter, r_squared: tuple[float, ...]) -> Value:
+def doubted(
+    value: Value, parameter: Parameter, r_squared: tuple[float, ...], *, whitened: bool = False
+) -> Value:
     """The value, its status lowered where the model explains too little on one of its axes.
 
     Args:
         value: of the parameter.
         parameter: which.
         r_squared: of roll, pitch and yaw.
+        whitened: whether it is of whitened rows.
     """
+    weak_below, lost_below = RULES.explained(whitened=whitened)
     axes = () if parameter.mean_torque else parameter.axes
     worst = min((r_squared[axis] for axis in axes), default=1.0)
-    if value.status in ("given", "unobservable") or worst >= RULES.weak_below_r2:
+    if value.status in ("given", "unobservable") or worst >= weak_below:
         return value
-    return replace(value, status="weak" if worst >= RULES.unobservable_below_r2 else "unobservable")
+    return replace(value, status="weak" if worst >= lost_below else "unobservable")

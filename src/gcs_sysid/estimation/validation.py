@@ -104,17 +104,20 @@ def judge_prediction(
     """Hold a fit against what it has not seen.
 
     Args:
-        rest: (WIDTH, WIDTH) moments of rows [x, y] that were not fitted, at its coordinates.
+        rest: (WIDTH, WIDTH) moments of rows [x, y] that were not fitted, at its coordinates; or
+            (3, WIDTH, WIDTH) where each axis has its own.
         fit: to the others.
         fitted_share: of the rows.
         whiteness: (3,) of what it leaves.
         whiteness_p: (3,) its p-value.
     """
     Q = fit.Q
-    Rxx, Rxy, Ryy = rest[:N_X, :N_X], rest[:N_X, N_X:], rest[N_X:, N_X:]
-    measured = np.diag(Ryy)
-    predicted = np.diag(Q @ Rxx @ Q.T)
-    error = np.maximum(measured - 2.0 * np.diag(Q @ Rxy) + predicted, 0.0)
+    each = np.broadcast_to(rest, (3, *rest.shape[-2:]))
+    axes = np.arange(3)
+    measured = each[axes, N_X + axes, N_X + axes]
+    predicted = np.einsum("ai,aij,aj->a", Q, each[:, :N_X, :N_X], Q)
+    shared = np.einsum("ai,ai->a", Q, each[axes, :N_X, N_X + axes])
+    error = np.maximum(measured - 2.0 * shared + predicted, 0.0)
     tiny = 1e-300
     return Validation(
         r_squared=1.0 - error / np.maximum(measured, tiny),

@@ -21,10 +21,10 @@ from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import residual_maker
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.validation import (
+    FITTED_SHARE,
     Validation,
     judge_prediction,
     told_whiteness,
-    validation_cut,
 )
 from gcs_sysid.estimation.whitened_fit import fit_whitened, follow_whitened
 from gcs_sysid.estimation.whitened_moments import WhitenedMoments, grouped
@@ -32,6 +32,9 @@ from gcs_sysid.estimation.whitening import slower
 from gcs_sysid.model import rigid_body as rb
 
 _FREQUENCIES = 4096
+_SHORTEST_VALIDATED = 4.0
+"""s of flight, of which the last part is predicted from the first."""
+_THRUST = rb.SIGNALS.index("thrust")
 _LEAST_OWN = 0.02
 """Of an innovation's power, what is the gyro's at least: the rotors' noise is known to so much."""
 
@@ -57,13 +60,11 @@ class Followed:
         moments: (3, width, width) with the whiteners that are followed, shocks left out.
         rows: in them.
         noise: (3, width, width) of the inputs in one row.
-        window: (width, width) of the window's rows.
     """
 
     moments: Array
     rows: int
     noise: Array
-    window: Array
 
 
 class WhitenedEstimator:
@@ -106,14 +107,13 @@ class WhitenedEstimator:
         if not rigid:
             data = replace(data, muted=tuple(self.basis.body_places(PRODUCTS)))
         doubt = self._record.noise_doubt
-        choice = self._choice
-        found = fit_whitened(data, self.basis, start, prior, doubt, choice)
+        known = prior, doubt, self._choice, self._hover
+        found = fit_whitened(data, self.basis, start, *known)
         if start is not None and (found is None or not found.rotation.converged):
-            found = fit_whitened(data, self.basis, None, prior, doubt, choice)
+            found = fit_whitened(data, self.basis, None, *known)
         if found is None:
             return None
-        judged = self._explained(found.rotation, self._record.rotation.total[0])
-        return judged, LeftOut(found.left_out, found.rows_left_out)
+        return found.rotation, LeftOut(found.left_out, found.rows_left_out)
 
     def instant(self, fit: RotationFit, left_out: LeftOut) -> Followed:
         """The moments of now, for `follow`."""
@@ -122,14 +122,13 @@ class WhitenedEstimator:
             white.total[pick] - left_out.moments,
             white.rows - left_out.rows,
             self._record.whitened_noise(pick),
-            self._record.rotation.total[0].copy(),
         )
 
     def follow(
         self, instants: Sequence[Followed], start: RotationFit, prior: Prior | None
     ) -> list[RotationFit]:
         """Quick fits at some instants, from an earlier one."""
-        fits = follow_whitened(
+        return follow_whitened(
             np.stack([i.moments for i in instants]),
             np.array([i.rows for i in instants]),
             self.basis,
@@ -137,27 +136,28 @@ class WhitenedEstimator:
             start,
             prior,
         )
-        return [self._explained(fit, i.window) for fit, i in zip(fits, instants, strict=True)]
 
     def validate(self, prior: Prior | None) -> Validation | None:
         """Fit the first part, predict the rest of the window's rows; whiteness of innovations."""
-        window, row_time = self._record.rotation, self._record.row_time
-        cut = validation_cut(len(window.counts))
+        cut = self._validation_cut()
         if cut is None:
             return None
         data = self._data
-        ends = np.cumsum(data.counts) * self._white.time
-        first = int(np.searchsorted(ends, window.counts[:cut].sum() * row_time))
-        found = fit_whitened(data.first(first), self.basis, prior=prior, choice=self._choice)
+        found = fit_whitened(data.first(cut), self.basis, prior=prior, choice=self._choice)
         if found is None:
             return None
         fit = found.rotation
-        rest = window.batches[cut:, 0].sum(axis=0)
-        moments = self._record.basis.moments_at(rest, self._within(fit.coordinates))
-        return judge_prediction(
-            moments, fit, float(window.counts[:cut].sum() / window.counts.sum()),
-            *self._whiteness(data, first, fit),
-        )  # fmt: skip
+        rest = data.of_axes(fit.whiteners)[cut:].sum(axis=0)
+        share = float(data.counts[:cut].sum() / data.counts.sum())
+        P = self.basis.map_at(fit.coordinates)
+        return judge_prediction(P @ rest @ P.T, fit, share, *self._whiteness(data, cut, fit))
+
+    def _validation_cut(self) -> int | None:
+        """How many of the oldest batches are fitted; None while there are too few."""
+        counts = self._data.counts
+        if counts.sum() * self._white.time < _SHORTEST_VALIDATED:
+            return None
+        return int(np.searchsorted(np.cumsum(counts), FITTED_SHARE * counts.sum()))
 
     def of_mean_rotor(self, thrust: TranslationFit, fit: RotationFit) -> TranslationFit:
         """Thrust over mass with the mean rotor's coefficient, where rotors differ.
@@ -212,13 +212,14 @@ class WhitenedEstimator:
         within: Array = np.clip(coordinates, basis.low, basis.high)
         return within
 
-    def _explained(self, fit: RotationFit, window: Array) -> RotationFit:
-        """The fit with the share of the window's acceleration that it explains."""
-        moments = self._record.basis.moments_at(window, self._within(fit.coordinates))
-        T = residual_maker(fit.Q)
-        own = ((T @ moments) * T).sum(axis=1)
-        share = 1.0 - own / np.maximum(np.diag(moments)[-3:], 1e-300)
-        return replace(fit, r_squared=share)
+    @property
+    def _hover(self) -> float:
+        """rad^2/s^2, thrust signal in hover: its rms."""
+        window = self._record.rotation
+        thrust = self._record.basis.moments_at(
+            window.total[0], self._record.basis.nodes[self._record.basis.middle]
+        )[_THRUST, _THRUST]
+        return math.sqrt(float(thrust) / window.rows) if window.rows else 0.0
 
     def _whiteness(
         self, data: WhitenedMoments, first: int, fit: RotationFit

@@ -11,7 +11,6 @@ A collision or a bump in the air is no stationary noise of any kind: batches of 
 second whose innovations are far stronger than the median are left out.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,13 +20,13 @@ from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.estimation.axis_problem import TOLD, AxisPoint, AxisProblem, minimise_axes
 from gcs_sysid.estimation.deviations import NO_DEVIATIONS, DeviationChoice, Deviations
+from gcs_sysid.estimation.disturbance import Trial
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import first_guess, residual_maker, scales
 from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor
 from gcs_sysid.estimation.whitened_moments import WhitenedMoments, grouped
 from gcs_sysid.estimation.whitened_outcome import WhitenedOutcome
-from gcs_sysid.estimation.whitening import Whitener
 from gcs_sysid.model import rigid_body as rb
 
 SHOCK = 6.0
@@ -39,10 +38,6 @@ _MOST_SHOCKS = 0.25
 _SCAN, _TRY, _AGAIN, _FIT, _FOLLOW = 5, 8, 4, 30, 3
 """Iterations: at a node; with a whitener, from there and from a fit; with those of the axes; of a
 fit that follows."""
-DISTURBED = 1.0
-"""Nats a second from which an unmodelled moment is there (`Trial.detected`)."""
-_SURE_APART = 2.0
-"""Standard deviations by which whiteners may differ where none is."""
 _CHOSEN = 3
 """Times that deviations from the model are chosen anew."""
 _SCANNED = 64
@@ -54,81 +49,6 @@ _BLIND_STEP = 3.0
 _LEAST = 0.05
 """Share of an innovation's power that no correction leaves it without."""
 _AXES = 3
-
-
-@dataclass(frozen=True)
-class Trial:
-    """What every whitener makes of the data.
-
-    Attributes:
-        unknowns: (bank, N_UNKNOWNS + m), all with the same coordinates.
-        variance: (bank, 3) power of the innovations, see `_alike`.
-        information: (bank, N_THETA + m, N_THETA + m), if these are white.
-    """
-
-    unknowns: Array
-    variance: Array
-    information: Array
-
-    @property
-    def pick(self) -> tuple[int, ...]:
-        """Whitener of least innovation power, of each axis."""
-        return tuple(int(i) for i in np.argmin(self.variance, axis=0))
-
-    def detected(self, whiteners: Sequence[Whitener], time: float) -> Array:
-        """(3,) nats a second by which some whitener of a disturbance explains an axis better.
-
-            g = ln(sigma of the best without disturbance / sigma of the best of all) / T
-
-        Args:
-            whiteners: of the bank.
-            time: s, T.
-        """
-        calm = [i for i, whitener in enumerate(whiteners) if not whitener.disturbed]
-        best, best_calm = self.variance.min(axis=0), self.variance[calm].min(axis=0)
-        nats: Array = 0.5 * np.log(best_calm / best) / time
-        return nats
-
-
-    def contrast(self, whiteners: Sequence[Whitener], time: float, fit: RotationFit) -> Array:
-        """(N_THETA,) how far whiteners of faster disturbances lead away, beyond chance.
-
-        If the rows' model is right all of them estimate the same; those that weigh low
-        frequencies less are only less sure (specification test: Hausman 1978, Econometrica 46,
-        1251-1271). What a controller answers, and what moves with the vehicle (aerodynamics),
-        biases slow motion most.
-
-        Args:
-            whiteners: of the bank.
-            time: s, that the rows last.
-            fit: with the whiteners of least innovation power.
-        """
-        pick = list(self.pick)
-        slowest = min(whiteners[i].below for i in pick)
-        faster = [i for i, whitener in enumerate(whiteners) if whitener.below > slowest]
-        n = rb.N_THETA
-        if not faster:
-            return np.zeros(n)
-        white = np.stack([_stds(self.information[i]) for i in {*pick, *faster}])
-        stds = dict(zip({*pick, *faster}, white[:, :n], strict=True))
-        # By how much scatter exceeds what white innovations would have.
-        excess = np.maximum(fit.std / np.min([stds[i] for i in pick], axis=0), 1.0)
-        std = excess * np.stack([stds[i] for i in faster])
-        weights = std**-2.0 / (std**-2.0).sum(axis=0)
-        apart = (weights * (self.unknowns[faster, :n] - fit.theta)).sum(axis=0)
-        chance = std.min(axis=0)
-        disturbed = self.detected(whiteners, time).max() > DISTURBED
-        beyond = apart**2 - chance**2 * (1.0 if disturbed else _SURE_APART**2)
-        part: Array = np.sign(apart) * np.sqrt(np.maximum(beyond, 0.0))
-        return part
-
-
-def _stds(information: Array) -> Array:
-    """(p,) standard deviations of (p, p) information; infinite where there is none."""
-    d = scales(information)
-    inverse = np.linalg.pinv(information / np.outer(d, d), rcond=1e-14, hermitian=True)
-    stds: Array = np.sqrt(np.maximum(np.diag(inverse), 1e-30)) / d
-    return stds
 
 
 @dataclass(frozen=True)
@@ -155,6 +75,7 @@ def fit_whitened(
     prior: Prior | None = None,
     doubt: float = 0.0,
     choice: DeviationChoice | None = None,
+    hover: float = 0.0,
 ) -> WhitenedFit | None:
     """Fit theta and the basis' coordinates to whitened moments.
 
@@ -165,6 +86,7 @@ def fit_whitened(
         prior: what else is known.
         doubt: one standard deviation of the inputs' known noise, relative.
         choice: of deviations from the model; None: there are none.
+        hover: rad^2/s^2, thrust signal in hover; 0: not known.
 
     Returns:
         The fit, or None while the data cannot even start one.
@@ -219,16 +141,17 @@ def fit_whitened(
         spread = spread + outcome.spread_of(doubt * pull)
     # First as the scatter has it: how sure the contrasts are, it tells too.
     told = outcome.fits(spread, widening, [solved.converged], [0])[0]
-    apart = solved.trial.contrast(data.whiteners, data.time, told)
-    if apart.any():
-        pull = np.zeros(solved.problem.p)
-        pull[: rb.N_THETA] = apart / widening[0, : rb.N_THETA]
-        spread = spread + outcome.spread_of(pull[None] @ solved.point.hessian[0])
+    errors = solved.trial.systematic(told, hover)
+    for error in errors:
+        way = np.zeros(solved.problem.p)
+        way[: rb.N_THETA] = error / widening[0, : rb.N_THETA]
+        spread = spread + outcome.spread_of(way[None] @ solved.point.hessian[0])
+    if len(errors):
         told = outcome.fits(spread, widening, [solved.converged], [0])[0]
     fit = replace(
         told,
         whiteners=solved.pick,
-        disturbance=solved.trial.detected(data.whiteners, data.time),
+        disturbance=solved.trial.detected,
         deviating=deviations,
     )
     pick = list(solved.pick)
@@ -372,7 +295,7 @@ def _tried(
     point, _ = minimise_axes(problem, problem.extended(unknowns), limit)
     known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
     alike = _alike(point, rows, noise[:, 0], known, deviations)
-    return Trial(point.unknowns, alike, point.hessian)
+    return Trial(data.whiteners, data.time, point.unknowns, alike, point.hessian)
 
 
 def _chosen(

@@ -24,8 +24,12 @@ class WhitenedOutcome(Outcome):
         return np.zeros_like(self._scale)
 
     def _explained(self) -> Array:
-        """(K, 3) nothing: of a single step noise is most of what there is."""
-        return np.full((len(self._scale), _AXES), np.nan)
+        """(K, 3) share of each axis' whitened acceleration that the model explains."""
+        problem, axes = self._problem, np.arange(_AXES)
+        places = problem.bank.shape[-1] - _AXES + axes
+        all_ = problem.bank[:, axes, places, places] / problem.rows[:, None]
+        share: Array = 1.0 - self._at.variance / np.maximum(all_, 1e-300)
+        return share
 
     def scores(self, i: int, batches: Array, counts: NDArray[np.int64]) -> Array:
         """(k, p) scaled downhill gradient of half the cost, batch by batch.

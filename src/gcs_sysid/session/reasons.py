@@ -48,8 +48,10 @@ def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[st
                 "order and rotor positions in the airframe file, and fly roll and pitch",
             )
         return ("too little flight in which all the needed data came together",)
-    if learner.fit.rotation.r_squared.min() < RULES.weak_below_r2:
-        share = max(100.0 * learner.fit.rotation.r_squared.min(), 0.0)
+    rotation = learner.fit.rotation
+    least, _ = RULES.explained(whitened=bool(rotation.whiteners))
+    if rotation.r_squared.min() < least:
+        share = max(100.0 * rotation.r_squared.min(), 0.0)
         return (
             f"the rotors explain only {share:.0f} % of the motion on one axis: "
             "fly it harder than the wind does, and check the motor order",
