@@ -22,7 +22,7 @@ sigma^2 the power of the innovations: every axis takes the whitener of least inn
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,19 +42,24 @@ BOTH = (
     (22.0, 120.0),
 )  # fmt: skip
 """Hz, of a disturbance and of torque noise beside it."""
+AVERAGED = (0.4, 0.9)
+"""b, of neighbouring samples of a gyro."""
+_AVERAGED = 5
+"""Whiteners without disturbance that are tried with them too: leaks, and the slower torque noise."""
 PIECE = 32
 """Rows whitened by one product."""
 
 
 @dataclass(frozen=True)
 class Whitener:
-    """w_k = z_k - a z_(k-1) - c1 w_(k-1) - c2 w_(k-2).
+    """w = (1 - a z^-1) / ((1 + c1 z^-1 + c2 z^-2) (1 + b z^-1)) z.
 
     Attributes:
         name: what it assumes.
         a: of the disturbance; 0: none is assumed.
         c1, c2: of the spectral factor 1 + c1 z^-1 + c2 z^-2.
         below: Hz, where the disturbance exceeds the gyro's noise.
+        b: of a gyro whose noise is averaged over neighbouring samples; 0: it is white.
     """
 
     name: str
@@ -62,6 +67,12 @@ class Whitener:
     c1: float
     c2: float
     below: float = 0.0
+    b: float = 0.0
+
+    @property
+    def factor(self) -> tuple[float, float, float]:
+        """Of z^-1, z^-2 and z^-3 in the whole denominator."""
+        return self.c1 + self.b, self.c2 + self.b * self.c1, self.b * self.c2
 
     @property
     def disturbed(self) -> bool:
@@ -70,17 +81,18 @@ class Whitener:
 
     @property
     def gyro_share(self) -> float:
-        """Variance of the gyro's noise over that of an innovation, r / sigma^2.
+        """Variance of the gyro's slow noise over that of an innovation, r / sigma^2.
 
         sigma^2 |C|^2 has the same coefficient of the highest lag as r |1 - z^-1|^2 |1 - a z^-1|^2:
         sigma^2 c2 = r a, or -sigma^2 c1 = r without disturbance.
         """
-        return self.c2 / self.a if self.a else -self.c1
+        return (1.0 + self.b) ** 2 * (self.c2 / self.a if self.a else -self.c1)
 
     def power(self, omega: Array) -> Array:
         """(n,) |(1 - a z^-1) / C|^2 at (n,) rad a row."""
         late = np.exp(-1j * omega)
-        passed = (1.0 - self.a * late) / (1.0 + self.c1 * late + self.c2 * late**2)
+        own = (1.0 + self.c1 * late + self.c2 * late**2) * (1.0 + self.b * late)
+        passed = (1.0 - self.a * late) / own
         power: Array = np.abs(passed) ** 2
         return power
 
@@ -144,6 +156,14 @@ def leak(T: float, memory: float) -> Whitener:
     return Whitener(f"leak {memory:g} s", 0.0, -float(np.exp(-T / memory)), 0.0)
 
 
+def averaged(whitener: Whitener, b: float) -> Whitener:
+    """The same for a gyro whose noise is that of 1 + b z^-1.
+
+    Filters, means over the samples sent and interpolation to even steps all make neighbours alike.
+    """
+    return replace(whitener, name=f"{whitener.name}, averaged {b:g}", b=b)
+
+
 NONE = Whitener("none", 0.0, 0.0, 0.0)
 
 
@@ -152,6 +172,7 @@ def bank_for(T: float) -> tuple[Whitener, ...]:
     calm = [NONE, *(leak(T, memory) for memory in LEAKS), *(torque_noise(T, f) for f in WALKS)]
     return (
         *calm,
+        *(averaged(whitener, b) for b in AVERAGED for whitener in calm[1:_AVERAGED]),
         *(gauss_markov(T, f) for f in DISTURBED),
         *(gauss_markov(T, f_d, f_u) for f_d, f_u in BOTH),
     )
@@ -163,7 +184,9 @@ def slower(whiteners: Sequence[Whitener], i: int) -> int:
     Of a disturbance, that of one up to about half its frequency; else a leak, the other one where
     i is a leak itself.
     """
-    short, long = (whiteners.index(w) for w in whiteners if w.name.startswith("leak"))
+    short, long = (
+        whiteners.index(w) for w in whiteners if w.name.startswith("leak") and not w.b
+    )
     if not whiteners[i].disturbed:
         return long if i == short else short
     below = [k for k, w in enumerate(whiteners) if 0.0 < w.below <= 0.6 * whiteners[i].below]
@@ -174,8 +197,8 @@ class WhitenerBank:
     """Whitens rows with all whiteners at once, over each run of complete ones.
 
     A piece of n rows z is whitened by one product with the Toeplitz matrix of the filter's
-    impulse response h, w = H z, to which the past adds the response of 1 / C to
-    (-a z_(-1) - c1 w_(-1) - c2 w_(-2), -c2 w_(-1)), the state of the transposed form.
+    impulse response h, w = H z, to which the past adds the response of 1 / C to the state of the
+    transposed form, (-a z_(-1) - c1 w_(-1) - c2 w_(-2) - c3 w_(-3), -c2 w_(-1) - c3 w_(-2), -c3 w_(-1)).
 
     Args:
         whiteners: of the bank.
@@ -183,18 +206,20 @@ class WhitenerBank:
 
     def __init__(self, whiteners: Sequence[Whitener]) -> None:
         self.whiteners = tuple(whiteners)
-        a, c1, c2 = (np.array([getattr(w, key) for w in whiteners]) for key in ("a", "c1", "c2"))
-        self._a, self._c1, self._c2 = a[:, None], c1[:, None], c2[:, None]
+        a = np.array([whitener.a for whitener in whiteners])
+        c1, c2, c3 = np.array([whitener.factor for whitener in whiteners]).T
+        self._a = a[:, None]
+        self._c = c1[:, None], c2[:, None], c3[:, None]
         # g: response of 1 / C; h: of (1 - a z^-1) / C.
-        g = np.zeros((len(a), PIECE + 1))
-        g[:, 1] = 1.0
-        for k in range(1, PIECE):
-            g[:, k + 1] = -c1 * g[:, k] - c2 * g[:, k - 1]
-        h = g[:, 1:] - a[:, None] * g[:, :-1]
+        g = np.zeros((len(a), PIECE + 2))
+        g[:, 2] = 1.0
+        for k in range(2, PIECE + 1):
+            g[:, k + 1] = -c1 * g[:, k] - c2 * g[:, k - 1] - c3 * g[:, k - 2]
+        h = g[:, 2:] - a[:, None] * g[:, 1:-1]
         age = np.arange(PIECE)[:, None] - np.arange(PIECE)
         self._toeplitz = np.where(age >= 0, h[:, np.maximum(age, 0)], 0.0)
-        self._past = np.stack([g[:, 1:], g[:, :-1]], axis=2)
-        """(bank, PIECE, 2) of what the past adds to the first row and to the second."""
+        self._past = np.stack([g[:, 2:], g[:, 1:-1], g[:, :-2]], axis=2)
+        """(bank, PIECE, 3) of what the past adds to the first three rows."""
         self._state: Array | None = None
 
     def restart(self) -> None:
@@ -218,14 +243,31 @@ class WhitenerBank:
         n = len(rows)
         out = np.empty((len(self.whiteners), n, rows.shape[1]))
         if self._state is None:
-            self._state = np.zeros((len(self.whiteners), 2, rows.shape[1]))
+            self._state = np.zeros((len(self.whiteners), 3, rows.shape[1]))
         for start in range(0, n, PIECE):
             part = rows[start : start + PIECE]
             m = len(part)
             w = np.matmul(self._toeplitz[:, :m, :m], part, out=out[:, start : start + m])
             w += self._past[:, :m] @ self._state
-            earlier = -self._c2 * w[:, -2] if m > 1 else self._state[:, 1]
-            self._state = np.stack(
-                [-self._a * part[-1] - self._c1 * w[:, -1] + earlier, -self._c2 * w[:, -1]], axis=1
-            )
+            self._state = self._next_state(part[-1], w)
         return out
+
+    def _next_state(self, last: Array, w: Array) -> Array:
+        """(bank, 3, width) after a piece: its last row, and its innovations."""
+        c1, c2, c3 = self._c
+        before = self._state
+        assert before is not None
+        m = w.shape[1]
+        zero = np.zeros_like(w[:, 0])
+        # State i after a row: -c_i w + state i + 1 before it.
+        second = before[:, 2] if m == 1 else -c3 * w[:, -2]
+        if m > 2:
+            first = -c2 * w[:, -2] - c3 * w[:, -3]
+        elif m == 2:
+            first = -c2 * w[:, -2] + before[:, 2]
+        else:
+            first = before[:, 1]
+        return np.stack(
+            [-self._a * last - c1 * w[:, -1] + first, -c2 * w[:, -1] + second, -c3 * w[:, -1] + zero],
+            axis=1,
+        )
