@@ -97,6 +97,6 @@ def _print(log: str, result: Result, truth: Mapping[str, float] | None, *, table
 def _tuning(method: str) -> Tuning:
     if method == "forward-td":
         return Tuning(smoother="td")
-    if method == "forward-whitened":
-        return Tuning(smoother="whitened")
+    if method == "forward-window":
+        return Tuning(smoother="window")
     return Tuning(method=method)  # type: ignore[arg-type]

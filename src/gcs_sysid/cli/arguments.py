@@ -231,7 +231,7 @@ def add_analyze(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--method",
-        choices=("forward", "forward-td", "forward-whitened", *ARTICLE_METHODS),
+        choices=("forward", "forward-td", "forward-window", *ARTICLE_METHODS),
         default="forward",
         help="forward (default), the same with a tracking differentiator instead of the window, "
         "or a variant of the article's own chain, for study",

@@ -24,7 +24,6 @@ nothing by it.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 
 import numpy as np
 
@@ -140,20 +139,18 @@ class DeviationChoice:
             ]
         )
         g, H = score * units, information * np.outer(units, units)
-        best, found = 0.0, (0.0,) * len(SIZES)
-        for sizes in product(*((0.0, *tried) for tried in SIZES.values())):
-            std = np.array(sizes)[kinds]
-            use = std > 0.0
-            if not use.any():
-                continue
-            S = std[use]
-            values, vectors = np.linalg.eigh(S[:, None] * H[np.ix_(use, use)] * S)
-            values = np.maximum(values, 0.0)
-            along = vectors.T @ (S * g[use])
-            evidence = 0.5 * float(np.sum(along**2 / (1.0 + values) - np.log1p(values)))
-            evidence -= SURE * np.count_nonzero(sizes)
-            if evidence > best:
-                best, found = evidence, sizes
+        found, best = [0.0] * len(SIZES), 0.0
+        for _ in range(_ROUNDS):
+            before = list(found)
+            for kind, tried in enumerate(SIZES.values()):
+                for size in (0.0, *tried):
+                    sizes = [*found[:kind], size, *found[kind + 1 :]]
+                    evidence = _evidence(g, H, np.array(sizes)[kinds])
+                    evidence -= SURE * np.count_nonzero(sizes)
+                    if evidence > best:
+                        best, found = evidence, sizes
+            if found == before:
+                break
         std = np.array(found)[kinds] * units
         use = std > 0.0
         if not use.any():
@@ -162,3 +159,16 @@ class DeviationChoice:
 
 
 _THRUST, _TORQUE = 1, 2
+_ROUNDS = 3
+
+
+def _evidence(g: Array, H: Array, std: Array) -> float:
+    """Nats for deviations of (m,) sizes over none, given score and information."""
+    use = std > 0.0
+    if not use.any():
+        return 0.0
+    S = std[use]
+    values, vectors = np.linalg.eigh(S[:, None] * H[np.ix_(use, use)] * S)
+    values = np.maximum(values, 0.0)
+    along = vectors.T @ (S * g[use])
+    return 0.5 * float(np.sum(along**2 / (1.0 + values) - np.log1p(values)))

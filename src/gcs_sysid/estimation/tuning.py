@@ -17,8 +17,8 @@ class Tuning:
 
     Attributes:
         method: "forward", or one of the article's variants, for study (`estimation.article`).
-        smoother: "window" (symmetric), "td" (linear tracking differentiator), or "whitened": rows
-            of one step through a bank of causal whiteners; the window then judges the fit.
+        smoother: "whitened" (rows of one step through a bank of causal whiteners), "window"
+            (symmetric), or "td" (linear tracking differentiator).
         half_width: s, half of the window, at high sample rates.
         min_half_samples: the window's half never has fewer samples than this.
         bandwidth: rad/s, R of the differentiator.
@@ -35,7 +35,7 @@ class Tuning:
     """
 
     method: Literal["forward"] | article.Method = "forward"
-    smoother: Literal["window", "td", "whitened"] = "window"
+    smoother: Literal["window", "td", "whitened"] = "whitened"
     half_width: float = 0.1
     min_half_samples: int = 4
     bandwidth: float = 10.0
