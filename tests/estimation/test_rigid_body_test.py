@@ -39,14 +39,14 @@ def batches(share, noise=0.05, rows=100, count=30, activity=1.0, seed=5):
 
 @pytest.mark.parametrize("share", [1.0, 0.0, 0.5])
 def test_share_is_found(share):
-    found = judge_rigid_body(batches(share), PLAIN, THETA)
+    found = judge_rigid_body(batches(share), PLAIN, rb.forward_matrix(THETA))
     assert np.all(np.abs(found.share - share) < 4.0 * found.std)
     assert np.all(found.std < 0.05)
     assert found.contradicted == (share < 1.0)
 
 
 def test_rotation_about_one_axis_at_a_time_contradicts_nothing():
-    found = judge_rigid_body(batches(0.0, activity=3e-3), PLAIN, THETA)
+    found = judge_rigid_body(batches(0.0, activity=3e-3), PLAIN, rb.forward_matrix(THETA))
     assert np.all(found.std > 0.2)
     assert not found.contradicted
 
@@ -82,7 +82,7 @@ def test_share_and_deviation_are_those_of_a_regression():
     """Rows written out: residual on predicted torque, both freed of all other inputs."""
     x, y, rows = coloured()
     z = np.column_stack([x, y]).reshape(-1, rows, x.shape[1] + 3)
-    found = judge_rigid_body(np.swapaxes(z, 1, 2) @ z, PLAIN, THETA)
+    found = judge_rigid_body(np.swapaxes(z, 1, 2) @ z, PLAIN, rb.forward_matrix(THETA))
     Q = rb.forward_matrix(THETA)
     others = np.delete(x, PRODUCTS, axis=1)
     for axis in range(3):
@@ -110,7 +110,7 @@ def test_a_share_of_next_to_nothing_is_not_told(axis, power, told):
     strength = np.sqrt(power * (y[:, axis] ** 2).mean()) / np.abs(Q[axis, PRODUCTS[0]])
     x[:, PRODUCTS[0]] = strength * np.sign(x[:, 0])
     z = np.column_stack([x, y]).reshape(-1, rows, x.shape[1] + 3)
-    found = judge_rigid_body(np.swapaxes(z, 1, 2) @ z, PLAIN, THETA)
+    found = judge_rigid_body(np.swapaxes(z, 1, 2) @ z, PLAIN, rb.forward_matrix(THETA))
     assert bool(np.isfinite(found.share[axis])) is told
 
 

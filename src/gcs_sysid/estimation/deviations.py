@@ -107,7 +107,9 @@ class DeviationChoice:
         thrusts[self._kind == _THRUST] = self._contrasts
         per_rotor = (torques[3 : 3 + rotors], torques[3 + rotors :])
         return Deviations(
-            np.concatenate([torques[:3], *(np.tensordot(self._contrasts, t, 1) for t in per_rotor)]),
+            np.concatenate(
+                [torques[:3], *(np.tensordot(self._contrasts, t, 1) for t in per_rotor)]
+            ),
             np.full(len(self._kind), np.inf),
             thrusts,
         )

@@ -109,6 +109,16 @@ class NormalEquations:
         self.total = self.batches.sum(axis=0)
         self.rows -= dropped
 
+    def narrowed(self, leading: Sequence[int], columns: Sequence[int]) -> Self:
+        """The same, of (n, m, m), with some of the leading index and of the columns alone."""
+        other = copy(self)
+        other.total = self.total[np.ix_(leading, columns, columns)]
+        other._batches = np.zeros((len(self._batches), *other.total.shape))
+        for old, new in zip(self.batches, other._batches, strict=False):
+            new[...] = old[np.ix_(leading, columns, columns)]
+        other._counts = self._counts.copy()
+        return other
+
     @property
     def _begun(self) -> int:
         return self._full + int(self._full < len(self._counts) and self._counts[self._full] > 0)

@@ -49,7 +49,7 @@ class Fit:
     seconds: float
     """Flight time that it rests on."""
     validation: Validation | None = None
-    """Only of full fits."""
+    """Of full fits; of running ones the latest, if any."""
     accelerometer: TranslationFit | None = None
     """The second source of k_T / m, whichever `translation` is; of full fits, for certain."""
     rigid_body_test: RigidBodyTest | None = None
@@ -119,11 +119,15 @@ class OnlineEstimator:
         """How the accelerometer reads against gravity, from an earlier segment."""
         self._record = FlightRecord(geometry, dt, tuning)
         self._basis = self._record.basis
-        self._whitened = WhitenedEstimator(self._record, geometry) if self._record.whitened else None
+        self._whitened = (
+            WhitenedEstimator(self._record, geometry) if self._record.whitened else None
+        )
         self._left_out: LeftOut | None = None
         self._settle_interval = tuning.settle_interval
         self._warm_starts: dict[str, _WarmStart] = {}
         self._rigid_body_test: RigidBodyTest | None = None
+        self._validation: Validation | None = None
+        """The latest of a running flight."""
         self._rigid_body_test_at = 0.0
 
     @property
@@ -234,6 +238,11 @@ class OnlineEstimator:
         fits: list[Fit] = []
         waiting: list[_Instant] = []
         for _ in stops:
+            if self._whitened is not None and self._whitened.was_narrowed():
+                if waiting:
+                    fits += self._followed(self._warm_starts[series], waiting)
+                    waiting = []
+                self._warm_starts.clear()
             warm_start = self._warm_starts.get(series)
             if warm_start is None or self.seconds >= warm_start.settle:
                 if warm_start is not None:
@@ -292,6 +301,7 @@ class OnlineEstimator:
                 rot,
                 self._with_slope(thrust, rot, i.momentum),
                 i.seconds,
+                self._validation,
                 rigid_body_test=self._rigid_body_test,
                 running=True,
             )
@@ -352,7 +362,16 @@ class OnlineEstimator:
             else self._rigid_body_test
         )
         trans = self._with_slope(trans, rot)
-        return Fit(rot, trans, self.seconds, rigid_body_test=rigid_body_test, running=True)
+        if self._whitened is not None and not series:
+            self._validation = self._validate()
+        return Fit(
+            rot,
+            trans,
+            self.seconds,
+            self._validation,
+            rigid_body_test=rigid_body_test,
+            running=True,
+        )
 
     def _renew_prior(self) -> None:
         if self.prior_source is not None:

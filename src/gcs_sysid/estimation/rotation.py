@@ -39,6 +39,7 @@ from gcs_sysid.estimation.search import (
     without_noise,
 )
 from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor, symmetric_roots
+from gcs_sysid.estimation.whitening import Whitener
 from gcs_sysid.model import rigid_body as rb
 
 _WARM_ITERATIONS, _FOLLOW_ITERATIONS = 12, 2
@@ -79,7 +80,7 @@ class RotationFit:
         converged: whether the minimiser was reached.
         coordinates: (3,) rotor delay (s), motor lag (s), thrust curve, see `estimation.basis`.
         leak: index of the leak that was taken, see `most_certain`.
-        whiteners: index of each axis' whitener, where rows were whitened; else empty.
+        whiteners: of each axis, where rows were whitened; else empty.
         disturbance: (3,) nats a second by which an unmodelled moment explains an axis better than
             sensor noise alone, see `whitened_fit.Trial.detected`; NaN where rows were not whitened.
         data_std: (N_THETA,) standard deviations without the prior: huge where the flight alone
@@ -103,7 +104,7 @@ class RotationFit:
     data_std: Array = field(default_factory=lambda: np.empty(0))
     full_covariance: Array = field(default_factory=lambda: np.empty((0, 0)))
     warm_start: WarmStart | None = None
-    whiteners: tuple[int, ...] = ()
+    whiteners: tuple[Whitener, ...] = ()
     disturbance: Array = field(default_factory=lambda: np.full(3, np.nan))
     deviations: Array = field(default_factory=lambda: np.zeros(0))
     deviations_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))

@@ -26,7 +26,7 @@ from gcs_sysid.estimation.search import N_X
 
 FITTED_SHARE = 0.6
 """Share of the flight that is fitted; the rest is predicted."""
-_MIN_BATCHES = 10
+_MIN_BATCHES = 6
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,8 @@ from gcs_sysid.estimation.whitening import slower
 from gcs_sysid.model import rigid_body as rb
 
 _FREQUENCIES = 4096
+_BELIEVED = 0.5
+"""Share of the motion explained, from which deviations are those of rotors."""
 _SHORTEST_VALIDATED = 4.0
 """s of flight, of which the last part is predicted from the first."""
 _THRUST = rb.SIGNALS.index("thrust")
@@ -57,11 +59,13 @@ class Followed:
     """Moments at one instant.
 
     Attributes:
+        basis: of the elements then.
         moments: (3, width, width) with the whiteners that are followed, shocks left out.
         rows: in them.
         noise: (3, width, width) of the inputs in one row.
     """
 
+    basis: ActuatorDynamics
     moments: Array
     rows: int
     noise: Array
@@ -115,10 +119,16 @@ class WhitenedEstimator:
             return None
         return found.rotation, LeftOut(found.left_out, found.rows_left_out)
 
+    def was_narrowed(self) -> bool:
+        """Whether whiteners and delays have become fewer since this was last asked."""
+        was, self._white.narrowed = self._white.narrowed, False
+        return was
+
     def instant(self, fit: RotationFit, left_out: LeftOut) -> Followed:
         """The moments of now, for `follow`."""
-        pick, white = list(fit.whiteners), self._white
+        pick, white = self._white.places(fit.whiteners), self._white
         return Followed(
+            self.basis,
             white.total[pick] - left_out.moments,
             white.rows - left_out.rows,
             self._record.whitened_noise(pick),
@@ -131,7 +141,7 @@ class WhitenedEstimator:
         return follow_whitened(
             np.stack([i.moments for i in instants]),
             np.array([i.rows for i in instants]),
-            self.basis,
+            instants[0].basis,
             np.stack([i.noise for i in instants]),
             start,
             prior,
@@ -147,7 +157,7 @@ class WhitenedEstimator:
         if found is None:
             return None
         fit = found.rotation
-        rest = data.of_axes(fit.whiteners)[cut:].sum(axis=0)
+        rest = data.of_axes(self._white.places(fit.whiteners))[cut:].sum(axis=0)
         share = float(data.counts[:cut].sum() / data.counts.sum())
         P = self.basis.map_at(fit.coordinates)
         return judge_prediction(P @ rest @ P.T, fit, share, *self._whiteness(data, cut, fit))
@@ -165,7 +175,7 @@ class WhitenedEstimator:
         The whole vehicle's thrust weighs those most that carry most of it:
         sum k_i O_i = k (1 + sum e_i share_i) sum O_i.
         """
-        if not fit.deviating.thrusts.any():
+        if not fit.deviating.thrusts.any() or fit.r_squared.min() < _BELIEVED:
             return thrust
         effect = fit.deviating.thrusts @ self._choice.shares(fit.unknowns)
         factor = 1.0 / (1.0 + float(fit.deviations @ effect))
@@ -179,7 +189,7 @@ class WhitenedEstimator:
     def test_rigid_body(self, fit: RotationFit) -> RigidBodyTest:
         """Whether the body is rigid, see `estimation.rigid_body_test`."""
         data = self._data
-        pick = list(fit.whiteners)
+        pick = self._white.places(fit.whiteners)
         batches, counts = grouped(data.of_axes(pick), data.counts, data.grouped)
         batches -= counts[:, None, None, None] * data.noise[pick]
         return judge_rigid_body(batches, self.basis.map_at(fit.coordinates), fit.Q)
@@ -191,14 +201,14 @@ class WhitenedEstimator:
             fit: of this record.
             theta: (N_THETA,) what the rotors' noise acts with.
         """
-        T, pick = self._white.time, list(fit.whiteners)
+        T, pick = self._white.time, self._white.places(fit.whiteners)
         own = np.diag(fit.residual_covariance)
         told = self._record.whitened_noise(pick)
         TP = residual_maker(rb.forward_matrix(theta)) @ self.basis.map_at(fit.coordinates)
         rotors = np.einsum("ai,aij,aj->a", TP, told, TP)
         left = np.maximum(own - rotors, _LEAST_OWN * own)
         # Without any whitener nothing tells what is the gyro's: half of a change, at most.
-        shares = np.array([self._white.whiteners[i].gyro_share or 0.5 for i in pick])
+        shares = np.array([whitener.gyro_share or 0.5 for whitener in fit.whiteners])
         density: Array = np.diag(left * shares) * T**3
         return density
 
@@ -232,7 +242,8 @@ class WhitenedEstimator:
 
         with W_b one for which what is slow counts more.
         """
-        references = [slower(data.whiteners, i) for i in fit.whiteners]
+        own_places = self._white.places(fit.whiteners)
+        references = [slower(data.whiteners, i) for i in own_places]
         TP = residual_maker(fit.Q) @ self.basis.map_at(fit.coordinates)
 
         def power(some: Array) -> Array:
@@ -243,11 +254,11 @@ class WhitenedEstimator:
         ratio = np.array(
             [
                 np.mean(data.whiteners[b].power(omega) / data.whiteners[a].power(omega))
-                for a, b in zip(fit.whiteners, references, strict=True)
+                for a, b in zip(own_places, references, strict=True)
             ]
         )
         powers = []
-        for pick in (fit.whiteners, references):
+        for pick in (own_places, references):
             batches, counts = data.of_axes(pick)[first:], data.counts[first:]
             batches, counts = grouped(batches, counts, data.grouped)
             powers.append(by_parts(power, batches))

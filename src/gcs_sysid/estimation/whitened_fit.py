@@ -33,6 +33,8 @@ SHOCK = 6.0
 """Times the median power of innovations, from which a batch is left out."""
 _JUDGED = 3
 """Rounds of judging them, each by the fit without those found before."""
+_JUDGED_ALIKE = 5
+"""Times that batches are judged by the whiteners found before, 5 s each: whoever is bumped, is by any."""
 _MOST_SHOCKS = 0.25
 """Share of the batches; what happens more often is no shock."""
 _SCAN, _TRY, _AGAIN, _FIT, _FOLLOW = 5, 8, 4, 30, 3
@@ -150,7 +152,7 @@ def fit_whitened(
         told = outcome.fits(spread, widening, [solved.converged], [0])[0]
     fit = replace(
         told,
-        whiteners=solved.pick,
+        whiteners=tuple(data.whiteners[i] for i in solved.pick),
         disturbance=solved.trial.detected,
         deviating=deviations,
     )
@@ -204,9 +206,13 @@ class Reference:
 
     Attributes:
         unknowns: (N_UNKNOWNS,) fitted to those before.
+        pick: whitener of each axis.
+        age: how many times others were judged by these whiteners.
     """
 
     unknowns: Array
+    pick: tuple[int, ...]
+    age: int = 0
 
 
 def shocks_in(
@@ -224,17 +230,23 @@ def shocks_in(
     """
     kept = np.ones(len(data.counts), dtype=bool)
     total, rows = data.total(kept), int(data.counts.sum())
-    if start is None:
-        trial = _scanned(total, rows, data, basis, None)
+    age = 0
+    if start is not None and start.age < _JUDGED_ALIKE:
+        pick, unknowns, age = start.pick, start.unknowns[None], start.age + 1
     else:
-        trial = _tried(total, rows, data, basis, None, start.unknowns)
-    if trial is None:
-        return ~kept, None
-    pick = list(trial.pick)
-    problem = AxisProblem(total[pick][None], rows, basis, None, data.noise[pick][None])
-    point, _ = minimise_axes(problem, trial.unknowns[pick[:1]], _TRY)
+        if start is None:
+            trial = _scanned(total, rows, data, basis, None)
+        else:
+            trial = _tried(total, rows, data, basis, None, start.unknowns)
+        if trial is None:
+            return ~kept, None
+        pick = trial.pick
+        unknowns = trial.unknowns[list(pick)[:1]]
+    places = list(pick)
+    problem = AxisProblem(total[places][None], rows, basis, None, data.noise[places][None])
+    point, _ = minimise_axes(problem, unknowns, _TRY)
     shocks = _shocks(point, data.of_axes(pick), data.counts, basis)
-    return shocks, Reference(point.unknowns[0])
+    return shocks, Reference(point.unknowns[0], pick, age)
 
 
 @dataclass(frozen=True)
@@ -299,7 +311,11 @@ def _tried(
 
 
 def _chosen(
-    solved: _Solved, rows: int, basis: ActuatorDynamics, prior: Prior | None, choice: DeviationChoice
+    solved: _Solved,
+    rows: int,
+    basis: ActuatorDynamics,
+    prior: Prior | None,
+    choice: DeviationChoice,
 ) -> Deviations:
     """The deviations for which there is evidence, from one look at all of them."""
     before, point = solved.problem, solved.point

@@ -7,15 +7,17 @@ batches. There are so many of those, and as they fill up neighbours are merged.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics, motor_filter
 from gcs_sysid.estimation.normal_equations import NormalEquations
+from gcs_sysid.estimation.priors import DELAY
 from gcs_sysid.estimation.whitened_fit import Reference, shocks_in
 from gcs_sysid.estimation.whitened_moments import WhitenedMoments
-from gcs_sysid.estimation.whitening import Whitener, WhitenerBank
+from gcs_sysid.estimation.whitening import Whitener, WhitenerBank, essential
 from gcs_sysid.signals.one_step import OneStep
 from gcs_sysid.signals.recursions import lfilter
 
@@ -28,6 +30,10 @@ _AT_ONCE = 256
 """Rows whitened at a time."""
 _SETTLED = 12.0
 """Time constants after which a motor's response has ended."""
+_LEARNT = 60.0
+"""s of flight, after which it is known what whiteners and delays are needed."""
+_DELAYS = 4
+"""Delays kept then: the one found lies between them."""
 _RUNG_OUT = 6.0
 """s after which a whitener's response has."""
 
@@ -64,6 +70,12 @@ class WhitenedRecord:
         self._counts = np.zeros(_RECENT, dtype=np.int64)
         self._full = 0
         self._overlaps: Array | None = None
+        self._delays = list(range(len(basis.delays)))
+        """Which of the step's each of the basis' delays is."""
+        self._columns: list[int] | None = None
+        """Those taken of the rows; None: all."""
+        self.narrowed = False
+        """Whether whiteners and delays are fewer than at first: their numbers changed."""
         self._reference: Reference | None = None
         self.total = np.zeros(shape)
         """(bank, width, width) sum over all rows, shocks included; not to be written to."""
@@ -87,11 +99,14 @@ class WhitenedRecord:
             noise: tells that of the inputs in one row, (bank, width, width), as known by now.
         """
         for start in range(0, len(rows), _AT_ONCE):
-            white = self._bank.update(rows[start : start + _AT_ONCE])
+            some = rows[start : start + _AT_ONCE]
+            white = self._bank.update(some if self._columns is None else some[:, self._columns])
             done, n = 0, white.shape[1]
             while done < n:
                 if self._full == _RECENT:
                     self._settle(noise())
+                    if self._columns is None and self.rows * self.time >= _LEARNT:
+                        white = self._narrow(white)
                 room = self._per_short - int(self._counts[self._full])
                 part = white[:, done : done + room]
                 for rows_of, total, recent in zip(
@@ -117,6 +132,11 @@ class WhitenedRecord:
             self.time,
             self._per_short,
         )
+
+    def places(self, whiteners: Sequence[Whitener]) -> list[int]:
+        """Where whiteners are in the bank; of those that were given up, where the first leak is."""
+        known = {whitener.name: i for i, whitener in enumerate(self.whiteners)}
+        return [known.get(whitener.name, known["leak 0.3 s"]) for whitener in whiteners]
 
     @property
     def batches(self) -> int:
@@ -155,6 +175,41 @@ class WhitenedRecord:
         self._recent[:half], self._counts[:half] = self._recent[half:], self._counts[half:]
         self._recent[half:], self._counts[half:] = 0.0, 0
         self._full = half
+
+    def _narrow(self, white: Array) -> Array:
+        """Go on with fewer whiteners, and with the delays about the one found.
+
+        Most of the cost of a long flight is for whiteners and delays that it does not need.
+
+        Args:
+            white: (bank, n, width) innovations that were made with all of them.
+
+        Returns:
+            Those that go on.
+        """
+        reference = self._reference
+        if reference is None:
+            return white
+        keep = essential(self.whiteners, reference.pick)
+        away = np.abs(self.basis.delays - reference.unknowns[DELAY])
+        delays = np.sort(np.argsort(away, kind="stable")[:_DELAYS])
+        per_delay = self.basis.sets * SIGNALS
+        rotors = np.arange(self.basis.width - BODY).reshape(-1, per_delay)[delays].ravel()
+        columns = [*rotors.tolist(), *range(self.basis.width - BODY, self.basis.width)]
+        self.basis = ActuatorDynamics(
+            self.basis.delays[delays], half_width=None, dt=self._dt, commands=self.basis.commands
+        )
+        self._delays, self._columns, self._overlaps = delays.tolist(), columns, None
+        self.whiteners = tuple(self.whiteners[i] for i in keep)
+        self._bank = self._bank.narrowed(keep, columns)
+        self._long = self._long.narrowed(keep, columns)
+        some = np.ix_(keep, columns, columns)
+        self._recent = np.stack([batch[some] for batch in self._recent])
+        self.total = self.total[some]
+        picked = tuple(keep.index(i) for i in reference.pick)
+        self._reference = replace(reference, pick=picked)
+        self.narrowed = True
+        return white[np.ix_(keep, range(white.shape[1]), columns)]
 
     def noise(
         self,
@@ -208,7 +263,7 @@ class WhitenedRecord:
         for i, element in enumerate(elements):
             a, b0, b1 = motor_filter(self._dt, self.basis.lags[element.lag])
             impulse = np.zeros((length, 2))
-            impulse[: taps.shape[2]] = taps[:, element.delay].T
+            impulse[: taps.shape[2]] = taps[:, self._delays[element.delay]].T
             driven[:, :, i] = lfilter([b0, b1], [1.0, -a], impulse)[0]
         out = np.zeros((len(self.whiteners), 3, len(elements), len(elements)))
         for phase in range(h):

@@ -178,15 +178,29 @@ def bank_for(T: float) -> tuple[Whitener, ...]:
     )
 
 
+def essential(whiteners: Sequence[Whitener], picked: Sequence[int]) -> list[int]:
+    """Indices of the whiteners to go on with once a flight has shown what it is like.
+
+    Those picked, what they are compared with, and some of every kind, should the weather change.
+    """
+    kept = {*picked, *(slower(whiteners, i) for i in picked)}
+    kept |= {i for i, whitener in enumerate(whiteners) if whitener.name in _OF_EVERY_KIND}
+    return sorted(kept)
+
+
+_OF_EVERY_KIND = frozenset(
+    ("leak 0.3 s", "leak 1 s", "torque noise to 18 Hz", "moment to 4 Hz", "moment to 11 Hz",
+     "moment to 23 Hz", "moment to 16 Hz, torque noise to 40 Hz")
+)  # fmt: skip
+
+
 def slower(whiteners: Sequence[Whitener], i: int) -> int:
     """Index of a whitener that weighs low frequencies more than the one of index i does.
 
     Of a disturbance, that of one up to about half its frequency; else a leak, the other one where
     i is a leak itself.
     """
-    short, long = (
-        whiteners.index(w) for w in whiteners if w.name.startswith("leak") and not w.b
-    )
+    short, long = (whiteners.index(w) for w in whiteners if w.name.startswith("leak") and not w.b)
     if not whiteners[i].disturbed:
         return long if i == short else short
     below = [k for k, w in enumerate(whiteners) if 0.0 < w.below <= 0.6 * whiteners[i].below]
@@ -225,6 +239,13 @@ class WhitenerBank:
     def restart(self) -> None:
         """Start from nothing: what is left undisturbed starts from nothing on both sides."""
         self._state = None
+
+    def narrowed(self, keep: Sequence[int], columns: Sequence[int]) -> "WhitenerBank":
+        """Some of the whiteners, of rows with some of the columns, from where this one stands."""
+        other = WhitenerBank([self.whiteners[i] for i in keep])
+        if self._state is not None:
+            other._state = self._state[np.ix_(keep, range(self._state.shape[1]), columns)]
+        return other
 
     def update(self, rows: Array) -> Array:
         """(n, width) rows to (bank, at most n, width) innovations, of the complete ones."""
@@ -268,6 +289,10 @@ class WhitenerBank:
         else:
             first = before[:, 1]
         return np.stack(
-            [-self._a * last - c1 * w[:, -1] + first, -c2 * w[:, -1] + second, -c3 * w[:, -1] + zero],
+            [
+                -self._a * last - c1 * w[:, -1] + first,
+                -c2 * w[:, -1] + second,
+                -c3 * w[:, -1] + zero,
+            ],
             axis=1,
         )

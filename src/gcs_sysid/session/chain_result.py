@@ -52,6 +52,10 @@ class Findings:
         values = self.learner.values(self.learner.fit, self._anchor)
         word, reasons = verdict(values, self.learner.rotor_input, self.learner.fit.rigid_body_test)
         first = data_reasons(self.sampler, self.learner, self.outdated)
+        doubts = self.learner.evidence(self.learner.fit).reasons
+        if word == "identified" and doubts:
+            word = "partial"
+        reasons = (*doubts, *reasons)
         if self.learner.fit.rotation is None:
             word, reasons = "refused", first or reasons
         else:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.evidence import Evidence, evidence_of
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotor_signals import RotorInput, low_pass_delay
@@ -20,6 +21,7 @@ from gcs_sysid.estimation.tracking import MOST_SEGMENTS, Segment, Tracker
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import COMMANDS, tuning_for_commands
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results import summary
 from gcs_sysid.results.history import HistoryRecorder
@@ -113,7 +115,15 @@ class Learner:
         priors, arm = self._airframe.priors, self._airframe.arm
         known = {} if anchor.origin else summary.priors_for(priors, self.rotor_input)
         late = low_pass_delay(self.cutoffs[0])
-        return summary.values_of(fit, anchor, arm, known, self.rotor_input, late)
+        values = summary.values_of(fit, anchor, arm, known, self.rotor_input, late)
+        evidence = self.evidence(fit)
+        return {name: evidence.cap(value, REGISTRY[name]) for name, value in values.items()}
+
+    def evidence(self, fit: Fit) -> Evidence:
+        """What speaks against a fit; nothing against the article's, which are for study."""
+        if self._options.tuning.method != "forward":
+            return Evidence()
+        return evidence_of(fit, self.rotor_input, filtered=self.cutoffs[0] is not None)
 
     def reset(self) -> None:
         """Forget the estimate; go on with the next samples."""

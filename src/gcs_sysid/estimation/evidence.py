@@ -1,0 +1,97 @@
+"""What speaks against a fit that looks good by itself: the last part of the flight, predicted.
+
+A standard deviation is the fit's own opinion. Where the held-out part of a flight is predicted badly,
+where what is left of it is no noise, or where nothing could be held out, no parameter of that axis is
+`identified`, however small its standard deviation is.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.status import Value
+from gcs_sysid.model.parameters import Parameter, RotorInput
+
+AXES = ("roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True)
+class EvidenceRules:
+    """From where the held-out part of a flight contradicts a fit."""
+
+    least_r2: float = 0.5
+    """Share of an axis' acceleration that must be predicted."""
+    whiteness: float = 3.0
+    """Slow power of residuals over that of white noise, with rotor speeds. Flights inside the model
+    have 0.5 to 2.5 in all simulators tried, biased ones mostly more."""
+    whiteness_commands: float = 3.0
+    """The same with commands: 0.8 to 1.4 inside the model, 4 to 8 where rotors have inertia or the
+    battery sags."""
+    whiteness_p: float = 0.05
+    """Probability of so much by chance, below which it counts."""
+
+
+RULES = EvidenceRules()
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What was found, as a cap on every axis.
+
+    Attributes:
+        capped: roll, pitch and yaw: whether nothing there is `identified`.
+        reasons: in words.
+    """
+
+    capped: tuple[bool, bool, bool] = (False, False, False)
+    reasons: tuple[str, ...] = ()
+
+    def cap(self, value: Value, parameter: Parameter) -> Value:
+        """The value, at most `weak` where an axis of the parameter is capped."""
+        if value.status == "identified" and any(self.capped[axis] for axis in parameter.axes):
+            return replace(value, status="weak")
+        return value
+
+
+def evidence_of(fit: Fit, rotor_input: RotorInput, *, filtered: bool = False) -> Evidence:
+    """Judge a fit by its validation.
+
+    Args:
+        fit: with a validation, or without while a flight goes on.
+        rotor_input: what it rests on.
+        filtered: whether the gyro comes through a low-pass, which colors its noise: whiteness then
+            says nothing.
+    """
+    if fit.rotation is None:
+        return Evidence()
+    found = fit.validation
+    if found is None:
+        if fit.running:
+            return Evidence()
+        why = "the flight is too short to hold a part of it out: nothing checks the fit"
+        return Evidence((True, True, True), (why,))
+    limit = RULES.whiteness if rotor_input == "speed" else RULES.whiteness_commands
+    unpredicted = ~(found.r_squared >= RULES.least_r2)
+    colored = (found.whiteness > limit) & (found.whiteness_p < RULES.whiteness_p)
+    colored &= not filtered
+    reasons = []
+    if unpredicted.any():
+        worst = int(np.argmin(found.r_squared))
+        share = max(100.0 * float(found.r_squared[worst]), 0.0)
+        reasons.append(
+            f"the held-out part of the flight is not predicted on {_named(unpredicted)} "
+            f"({share:.0f} % on {AXES[worst]})"
+        )
+    if colored.any():
+        worst = int(np.argmax(np.where(colored, found.whiteness, 0.0)))
+        reasons.append(
+            f"residuals on {_named(colored)} are not noise (whiteness {found.whiteness[worst]:.1f} "
+            f"on {AXES[worst]}): the model lacks something there"
+        )
+    capped = tuple(bool(c) for c in unpredicted | colored)
+    return Evidence(capped, tuple(reasons))  # type: ignore[arg-type]
+
+
+def _named(axes: object) -> str:
+    return ", ".join(name for name, there in zip(AXES, axes, strict=True) if there)  # type: ignore[call-overload]
