@@ -27,9 +27,9 @@ class DisturbanceRules:
     4 to 350, real ones 9 to 82."""
     apart: float = 2.0
     """Standard deviations by which whiteners may differ where there is none."""
-    floor: float = 0.1
-    """Error of a moment of inertia over the share of its axis' motion that the rotors do not
-    explain: gusts at a share of 0.6 leave 3 to 5 %, real flights at 0.75 some 3 %."""
+    floor: float = 0.04
+    """Error of a moment of inertia, or of thrust over mass, over the share of the motion that the
+    rotors do not explain: a moment of 7 rad/s^2 rms leaves 1 % at a share of 0.76."""
 
 
 RULES = DisturbanceRules()

@@ -435,7 +435,7 @@ class OnlineEstimator:
         if fit is None or at is None:
             return fit
         if self._whitened is not None:
-            fit = self._whitened.of_mean_rotor(fit, at)
+            fit = self._whitened.judged_thrust(fit, at)
         if CURVE not in self._basis.free:
             return fit
         total = self._record.momentum.total if momentum is None else momentum

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, by_parts
+from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.estimation.deviations import DeviationChoice
+from gcs_sysid.estimation.disturbance import RULES
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
@@ -21,12 +22,11 @@ from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import residual_maker
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.validation import (
-    FITTED_SHARE,
     Validation,
     judge_prediction,
     told_whiteness,
 )
-from gcs_sysid.estimation.whitened_fit import fit_whitened, follow_whitened
+from gcs_sysid.estimation.whitened_fit import find_shocks, fit_whitened, follow_whitened
 from gcs_sysid.estimation.whitened_moments import WhitenedMoments, grouped
 from gcs_sysid.estimation.whitening import slower
 from gcs_sysid.model import rigid_body as rb
@@ -35,7 +35,9 @@ _FREQUENCIES = 4096
 _BELIEVED = 0.5
 """Share of the motion explained, from which deviations are those of rotors."""
 _SHORTEST_VALIDATED = 4.0
-"""s of flight, of which the last part is predicted from the first."""
+"""s of flight."""
+_HELD_OUT = 1.0
+"""s: of five such stretches, two are predicted from the others."""
 _THRUST = rb.SIGNALS.index("thrust")
 _LEAST_OWN = 0.02
 """Of an innovation's power, what is the gyro's at least: the rotors' noise is known to so much."""
@@ -149,41 +151,47 @@ class WhitenedEstimator:
 
     def validate(self, prior: Prior | None) -> Validation | None:
         """Fit the first part, predict the rest of the window's rows; whiteness of innovations."""
-        cut = self._validation_cut()
-        if cut is None:
-            return None
         data = self._data
-        found = fit_whitened(data.first(cut), self.basis, prior=prior, choice=self._choice)
+        ends = np.cumsum(data.counts) * self._white.time
+        if not len(ends) or ends[-1] < _SHORTEST_VALIDATED:
+            return None
+        # Held out now and then: manoeuvres come one after the other, and a part must have its own.
+        held_out = np.isin((ends - 1e-9) // _HELD_OUT % 5, (1, 3))
+        found = fit_whitened(data, self.basis, prior=prior, choice=self._choice, only=~held_out)
         if found is None:
             return None
         fit = found.rotation
-        rest = data.of_axes(self._white.places(fit.whiteners))[cut:].sum(axis=0)
-        share = float(data.counts[:cut].sum() / data.counts.sum())
+        batches = data.of_axes(self._white.places(fit.whiteners))
         P = self.basis.map_at(fit.coordinates)
-        return judge_prediction(P @ rest @ P.T, fit, share, *self._whiteness(data, cut, fit))
-
-    def _validation_cut(self) -> int | None:
-        """How many of the oldest batches are fitted; None while there are too few."""
-        counts = self._data.counts
-        if counts.sum() * self._white.time < _SHORTEST_VALIDATED:
+        # Collisions and landings are not predicted by anybody.
+        shocks = find_shocks(residual_maker(fit.Q) @ P, fit, batches, data.counts)
+        kept = held_out & ~shocks
+        if not kept.any():
             return None
-        return int(np.searchsorted(np.cumsum(counts), FITTED_SHARE * counts.sum()))
+        rest = batches[kept].sum(axis=0)
+        share = 1.0 - float(data.counts[held_out].sum() / data.counts.sum())
+        return judge_prediction(P @ rest @ P.T, fit, share, *self._whiteness(data, kept, fit))
 
-    def of_mean_rotor(self, thrust: TranslationFit, fit: RotationFit) -> TranslationFit:
-        """Thrust over mass with the mean rotor's coefficient, where rotors differ.
+    def judged_thrust(self, thrust: TranslationFit, fit: RotationFit) -> TranslationFit:
+        """Thrust over mass of the mean rotor, where rotors differ; less sure in disturbed air.
 
         The whole vehicle's thrust weighs those most that carry most of it:
-        sum k_i O_i = k (1 + sum e_i share_i) sum O_i.
+        sum k_i O_i = k (1 + sum e_i share_i) sum O_i. What gusts do to thrust is not seen, but
+        what they do to the rotation.
         """
-        if not fit.deviating.thrusts.any() or fit.r_squared.min() < _BELIEVED:
+        factor, spread = 1.0, 0.0
+        explained = float(fit.r_squared.min())
+        if fit.deviating.thrusts.any() and explained >= _BELIEVED:
+            effect = fit.deviating.thrusts @ self._choice.shares(fit.unknowns)
+            factor = 1.0 / (1.0 + float(fit.deviations @ effect))
+            spread = float(np.sqrt(effect @ fit.deviations_covariance @ effect))
+        if fit.disturbance.max() > RULES.detected:
+            spread = math.hypot(spread, RULES.floor * (1.0 - max(explained, 0.0)))
+        if factor == 1.0 and not spread:
             return thrust
-        effect = fit.deviating.thrusts @ self._choice.shares(fit.unknowns)
-        factor = 1.0 / (1.0 + float(fit.deviations @ effect))
-        std = float(np.sqrt(effect @ fit.deviations_covariance @ effect)) * thrust.kappa
+        kappa = factor * thrust.kappa
         return replace(
-            thrust,
-            kappa=factor * thrust.kappa,
-            kappa_std=math.hypot(factor * thrust.kappa_std, std),
+            thrust, kappa=kappa, kappa_std=math.hypot(factor * thrust.kappa_std, spread * kappa)
         )
 
     def test_rigid_body(self, fit: RotationFit) -> RigidBodyTest:
@@ -232,7 +240,7 @@ class WhitenedEstimator:
         return math.sqrt(float(thrust) / window.rows) if window.rows else 0.0
 
     def _whiteness(
-        self, data: WhitenedMoments, first: int, fit: RotationFit
+        self, data: WhitenedMoments, kept: Mask, fit: RotationFit
     ) -> tuple[Array, Array]:
         """Of the innovations that were not fitted, and its p-value, per axis.
 
@@ -259,7 +267,7 @@ class WhitenedEstimator:
         )
         powers = []
         for pick in (own_places, references):
-            batches, counts = data.of_axes(pick)[first:], data.counts[first:]
+            batches, counts = data.of_axes(pick)[kept], data.counts[kept]
             batches, counts = grouped(batches, counts, data.grouped)
             powers.append(by_parts(power, batches))
         own, slow = powers

@@ -78,6 +78,7 @@ def fit_whitened(
     doubt: float = 0.0,
     choice: DeviationChoice | None = None,
     hover: float = 0.0,
+    only: Mask | None = None,
 ) -> WhitenedFit | None:
     """Fit theta and the basis' coordinates to whitened moments.
 
@@ -89,15 +90,17 @@ def fit_whitened(
         doubt: one standard deviation of the inputs' known noise, relative.
         choice: of deviations from the model; None: there are none.
         hover: rad^2/s^2, thrust signal in hover; 0: not known.
+        only: (k,) batches to fit; None: all.
 
     Returns:
         The fit, or None while the data cannot even start one.
     """
     deviations = NO_DEVIATIONS if start is None else start.deviating
-    kept = np.ones(len(data.counts), dtype=bool)
-    if int(data.counts.sum()) < 3 * rb.N_THETA:
+    wanted = np.ones(len(data.counts), dtype=bool) if only is None else only
+    kept = wanted
+    all_rows = rows = int(data.counts[kept].sum())
+    if rows < 3 * rb.N_THETA:
         return None
-    all_rows = rows = int(data.counts.sum())
     everything = total = data.total(kept)
     if start is None:
         trial = _scanned(total, rows, data, basis, prior)
@@ -111,10 +114,10 @@ def fit_whitened(
     batches = data.of_axes(solved.pick)
     for _ in range(_JUDGED):
         shocks = _shocks(solved.point, batches, data.counts, basis)
-        if (shocks == ~kept).all():
+        if (kept == (wanted & ~shocks)).all():
             break
         # The fit without the worst of them sees the rest.
-        kept = ~shocks
+        kept = wanted & ~shocks
         total, rows = data.total(kept), int(data.counts[kept].sum())
         solved = _solved(total, rows, data, basis, prior, solved.trial, deviations)
         batches = data.of_axes(solved.pick)
@@ -417,11 +420,30 @@ def _shocks(
 ) -> Mask:
     """(k,) whose innovations are far stronger than the median."""
     TP = residual_maker(point.Q[0]) @ basis.map_at(point.unknowns[0, COORDINATES])
+    return _far_stronger(TP, point.variance[0], batches, counts)
 
+
+def find_shocks(
+    TP: Array, fit: RotationFit, batches: Array, counts: NDArray[np.int64]
+) -> Mask:
+    """(k,) which batches hold shocks, by a fit.
+
+    Args:
+        TP: (3, width) what makes its innovations of rows of elements.
+        fit: that judges.
+        batches: (k, 3, width, width) with its whiteners.
+        counts: (k,) rows in each.
+    """
+    return _far_stronger(TP, np.diag(fit.residual_covariance), batches, counts)
+
+
+def _far_stronger(
+    TP: Array, variance: Array, batches: Array, counts: NDArray[np.int64]
+) -> Mask:
     def power(some: Array) -> Array:
         squares: Array = ((TP[:, None] @ some)[:, :, 0] * TP).sum(axis=-1)
         return squares
 
-    relative = (by_parts(power, batches) / counts[:, None] / point.variance[0]).mean(axis=1)
+    relative = (by_parts(power, batches) / counts[:, None] / variance).mean(axis=1)
     shocks: Mask = relative > SHOCK * np.median(relative)
     return shocks if shocks.mean() <= _MOST_SHOCKS else np.zeros(len(counts), dtype=bool)
