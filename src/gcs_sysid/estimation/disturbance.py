@@ -79,7 +79,7 @@ class Trial:
         errors = [self._contrast(fit)]
         for axis, strength in enumerate(self.detected):
             if strength > RULES.detected:
-                errors.append(self._floor(fit, axis))
+                errors.append(axis_floor(fit, axis))
                 if axis < 2:
                     errors.append(self._trim(fit, axis, hover))
         found = np.stack(errors)
@@ -111,14 +111,6 @@ class Trial:
         contrast: Array = np.sign(apart) * np.sqrt(np.maximum(beyond, 0.0))
         return contrast
 
-    def _floor(self, fit: RotationFit, axis: int) -> Array:
-        """(N_THETA,) of an axis whose motion is partly somebody else's."""
-        error = np.zeros(rb.N_THETA)
-        moved = (axis,) if axis < 2 else (axis, *_OF_YAW)
-        share = RULES.floor * (1.0 - max(float(fit.r_squared[axis]), 0.0))
-        error[list(moved)] = share * fit.theta[list(moved)]
-        return error
-
     def _trim(self, fit: RotationFit, axis: int, hover: float) -> Array:
         """(N_THETA,) offset of the CG that the moment would hold if it were constant.
 
@@ -132,6 +124,15 @@ class Trial:
             moment = fit.theta[axis] * np.sqrt(q / (1.0 - whitener.a**2))
             error[rb.CG_Y if axis == 0 else rb.CG_X] = moment / hover
         return error
+
+
+def axis_floor(fit: RotationFit, axis: int) -> Array:
+    """(N_THETA,) error of an axis whose motion is partly somebody else's."""
+    error = np.zeros(rb.N_THETA)
+    moved = (axis,) if axis < 2 else (axis, *_OF_YAW)
+    share = RULES.floor * (1.0 - max(float(fit.r_squared[axis]), 0.0))
+    error[list(moved)] = share * fit.theta[list(moved)]
+    return error
 
 
 _OF_YAW = (rb.MOMENT_RATIO, rb.ROTOR_INERTIA)

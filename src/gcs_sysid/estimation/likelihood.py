@@ -128,6 +128,7 @@ def maximise_likelihood(
     speed_std: float | Array | None = None,
     prior: Prior | None = None,
     delay: float | None = None,
+    torque: Array | float = 0.0,
 ) -> LikelihoodFit | None:
     """Fit theta, noise levels and noise colours to a whole record.
 
@@ -141,6 +142,7 @@ def maximise_likelihood(
         prior: on theta.
         delay: s, of the speeds' stamps behind the gyro's, as known from the online estimate; it is
             estimated too, within 3 DELAY_STD of that. None: there is none.
+        torque: (3, N_SIGNALS) of deviations from the model, as the online estimate has them.
 
     Returns:
         The fit, or None if there is no piece of MIN_RUN samples without a gap, or fewer samples
@@ -152,7 +154,7 @@ def maximise_likelihood(
     if not rb.is_physical(start):
         raise ValueError("the starting point has an inertia that no rigid body has")
     reach = 0.0 if delay is None else 3.0 * DELAY_STD
-    record = OfflineRecord(samples, geometry, dt, speed_std, delay or 0.0, reach)
+    record = OfflineRecord(samples, geometry, dt, speed_std, delay or 0.0, reach, torque)
     if record.rows < 2 * rb.N_THETA:
         return None
     return _search(record, start, prior)

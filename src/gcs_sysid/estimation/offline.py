@@ -6,9 +6,11 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.disturbance import RULES, axis_floor
 from gcs_sysid.estimation.likelihood import LikelihoodFit, maximise_likelihood
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
+from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
@@ -50,6 +52,7 @@ def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | str:
         speed_std=tracker.estimator.speed_std,
         prior=_on_theta(tracker.estimator.prior),
         delay=rotation.delay,
+        torque=rotation.deviating.torque(rotation.deviations),
     )
     if found is None:
         return "no stretch of flight without a gap is long enough"
@@ -58,10 +61,11 @@ def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | str:
     n = rb.N_THETA
     full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     full[: n + 1, : n + 1] = found.covariance
+    full[:n, :n] += _systematic(rotation, found.theta)
     fit = replace(
         rotation,
         theta=found.theta,
-        covariance=found.covariance[:n, :n],
+        covariance=full[:n, :n],
         full_covariance=full,
         coordinates=np.array([found.delay, *rotation.coordinates[1:]]),
         # Without a prior the data tell all there is, and more than they told online.
@@ -69,6 +73,24 @@ def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | str:
     )
     bounding = replace(fit, covariance=np.diag(found.bound**2))
     return OfflineFit(replace(online, rotation=fit), replace(online, rotation=bounding), found)
+
+
+def _systematic(online: RotationFit, theta: Array) -> Array:
+    """(N_THETA, N_THETA) of errors that the likelihood does not show.
+
+    In disturbed air, by what the two estimators are apart, and the floor of the online one. What
+    deviations from the model leave open is as open offline, where they are taken as given.
+    """
+    n = rb.N_THETA
+    out = np.zeros((n, n))
+    strong = online.disturbance > RULES.detected
+    if strong.any():
+        apart = theta - online.theta
+        out += np.outer(apart, apart)
+        for axis in np.flatnonzero(strong):
+            error = axis_floor(online, int(axis))
+            out += np.outer(error, error)
+    return out + online.open_covariance
 
 
 def join(parts: Sequence[Samples]) -> Samples:

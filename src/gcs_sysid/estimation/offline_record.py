@@ -33,6 +33,7 @@ class OfflineRecord:
         delay: s, of the rotor speeds, as aligned.
         delay_bounds: s, within which it may be moved.
         propagators: of each run.
+        torque: (3, N_SIGNALS) of deviations from the model.
     """
 
     def __init__(
@@ -43,8 +44,10 @@ class OfflineRecord:
         speed_std: float | Array | None,
         delay: float = 0.0,
         reach: float = 0.0,
+        torque: Array | float = 0.0,
     ) -> None:
         self.dt = dt
+        self.torque = torque
         self.geometry = geometry
         self.delay_bounds = delay - reach, delay + reach
         margin = SPLINE_END + math.ceil((abs(delay) + reach) / dt - 1e-9)
@@ -75,7 +78,7 @@ class OfflineRecord:
             return
         self.delay = delay
         self.propagators = [
-            Propagator(self.geometry, speeds, self.dt, self._margin, delay)
+            Propagator(self.geometry, speeds, self.dt, self._margin, delay, self.torque)
             for speeds in self._speeds
         ]
 
@@ -91,7 +94,7 @@ class OfflineRecord:
 
     def speed_process(self, theta: Array) -> Array:
         """(3, 3) covariance of the angular acceleration that noise of the speeds makes."""
-        effect = self.speed_inputs() @ rb.forward_matrix(theta).T
+        effect = self.speed_inputs() @ rb.forward_matrix(theta, self.torque).T
         covariance: Array = effect.T @ effect
         return covariance
 
@@ -209,7 +212,7 @@ def _speed_noise_terms(
     steps[n // 2, :, 3:] = -np.eye(3)
     white = whiteners[longest].whiten(np.zeros((n, 3, 6)), steps)
     energy = np.einsum("nik,nil->kl", white, white)
-    Q, G = rb.forward_jacobian(point.theta)
+    Q, G = rb.forward_jacobian(point.theta, record.torque)
     torque = record.speed_inputs()
     change = np.sqrt(record.speed_variance.sum())
     dH = rb.SIGNALS.index("dH")

@@ -53,6 +53,7 @@ class Propagator:
         dt: s between samples.
         margin: samples more at either end, SPLINE_END and as many as the delay may reach.
         delay: s, of the speeds' stamps behind the rates'.
+        torque: (3, N_SIGNALS) of deviations from the model, see `estimation.deviations`.
     """
 
     def __init__(
@@ -62,7 +63,9 @@ class Propagator:
         dt: float,
         margin: int = SPLINE_END,
         delay: float = 0.0,
+        torque: Array | float = 0.0,
     ) -> None:
+        self._torque = torque
         steps = _steps(dt)
         self._step = dt / steps
         at, slope = (v[:, margin:-margin] for v in _interpolate(speeds, steps, delay / dt))
@@ -72,7 +75,7 @@ class Propagator:
 
     def __call__(self, theta: Array, rates: Array) -> Transition:
         """Integrate from (n, 3) rates in rad/s; the last of them starts no interval."""
-        Q, G = rb.forward_jacobian(theta)
+        Q, G = rb.forward_jacobian(theta, self._torque)
         G_flat = G.transpose(1, 0, 2).reshape(-1, rb.N_SIGNALS)
         h = self._step
         # The state: w, then dw/dw0 and dw/dtheta side by side.

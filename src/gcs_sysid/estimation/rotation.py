@@ -90,6 +90,7 @@ class RotationFit:
         warm start: what `follow_rotation` starts from.
         deviations: (m,) values of those that were fitted, see `estimation.deviations`.
         deviations_covariance: (m, m) of these.
+        open_covariance: (N_THETA, N_THETA) what of the covariance is theirs.
         deviating: which these are.
     """
 
@@ -108,6 +109,7 @@ class RotationFit:
     disturbance: Array = field(default_factory=lambda: np.full(3, np.nan))
     deviations: Array = field(default_factory=lambda: np.zeros(0))
     deviations_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    open_covariance: Array = field(default_factory=lambda: np.zeros((rb.N_THETA, rb.N_THETA)))
     deviating: Deviations = NO_DEVIATIONS
 
     def __post_init__(self) -> None:
@@ -445,6 +447,7 @@ class Outcome:
                 warm_start=WarmStart(self._unknowns[i], spread[i], widening[i]),
                 deviations=unknowns[i, N_UNKNOWNS:],
                 deviations_covariance=every[i, N_UNKNOWNS:, N_UNKNOWNS:],
+                open_covariance=_explained_by(every[i]),
             )
             for i, (reached, leak) in enumerate(zip(converged, leaks, strict=True))
         ]
@@ -466,6 +469,17 @@ class Outcome:
             step = np.where(physical[:, None], step, 0.5 * step)
         physical = rb.are_physical(unknowns)
         return np.where(physical[:, None], unknowns, self._unknowns)
+
+
+def _explained_by(covariance: Array) -> Array:
+    """(N_THETA, N_THETA) of theta's covariance, what would vanish were the deviations known."""
+    across = covariance[: rb.N_THETA, N_UNKNOWNS:]
+    if not across.shape[1]:
+        return np.zeros((rb.N_THETA, rb.N_THETA))
+    d = np.sqrt(np.diag(covariance)[N_UNKNOWNS:])
+    own = covariance[N_UNKNOWNS:, N_UNKNOWNS:] / np.outer(d, d)
+    explained: Array = (across / d) @ np.linalg.pinv(own, hermitian=True) @ (across / d).T
+    return explained
 
 
 def _times(matrices: Array, vectors: Array) -> Array:
