@@ -54,6 +54,8 @@ class Fit:
     """The second source of k_T / m, whichever `translation` is; of full fits, for certain."""
     rigid_body_test: RigidBodyTest | None = None
     """Whether it moves like a rigid body; None while that cannot be told."""
+    other_layout: str | None = None
+    """What is wrong with the airframe's layout, where another explains the motion far better."""
     running: bool = False
     """Whether it is one of many looks at a running flight, see `uncertainty.watched_factor`."""
 
@@ -213,7 +215,11 @@ class OnlineEstimator:
         if rigid_body_test is not None and rigid_body_test.contradicted:
             # What rotors turn against remains to be told: inertia in roll and pitch.
             rot = self._fit_without_products()
-        return Fit(rot, trans, self.seconds, validation, accelerometer, rigid_body_test)
+        other_layout = None if self._whitened is None else self._whitened.other_layout(rot)
+        return Fit(
+            rot, trans, self.seconds, validation, accelerometer, rigid_body_test,
+            other_layout=other_layout,
+        )  # fmt: skip
 
     def fit_translation(
         self, at: RotationFit | None = None

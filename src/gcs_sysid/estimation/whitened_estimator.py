@@ -15,6 +15,7 @@ from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.estimation.deviations import DeviationChoice
 from gcs_sysid.estimation.disturbance import RULES
+from gcs_sysid.estimation.layout_test import SUSPECTED, find_other_layout
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
@@ -84,6 +85,7 @@ class WhitenedEstimator:
     def __init__(self, record: FlightRecord, geometry: Array) -> None:
         assert record.whitened is not None
         self._choice = DeviationChoice(geometry)
+        self._geometry = geometry
         self._record = record
         self._white = record.whitened
 
@@ -171,6 +173,15 @@ class WhitenedEstimator:
         rest = batches[kept].sum(axis=0)
         share = 1.0 - float(data.counts[held_out].sum() / data.counts.sum())
         return judge_prediction(P @ rest @ P.T, fit, share, *self._whiteness(data, kept, fit))
+
+    def other_layout(self, fit: RotationFit | None) -> str | None:
+        """What is wrong with the given layout, if another one explains the motion far better."""
+        given = 0.0 if fit is None else float(fit.r_squared[:2].min())
+        data = self._data
+        if given >= SUSPECTED or data.counts.sum() * self._white.time < _SHORTEST_VALIDATED:
+            return None
+        found = find_other_layout(data, self.basis, self._geometry, max(given, 0.0))
+        return None if found is None else found.says
 
     def judged_thrust(self, thrust: TranslationFit, fit: RotationFit) -> TranslationFit:
         """Thrust over mass of the mean rotor, where rotors differ; less sure in disturbed air.

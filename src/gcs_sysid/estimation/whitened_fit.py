@@ -203,6 +203,19 @@ def follow_whitened(
     return [replace(fit, **taken) for fit in fits]
 
 
+def explained_by(data: WhitenedMoments, basis: ActuatorDynamics) -> Array | None:
+    """(3,) shares of the whitened acceleration that a quick fit explains; None: there is none."""
+    kept = np.ones(len(data.counts), dtype=bool)
+    total, rows = data.total(kept), int(data.counts.sum())
+    trial = _scanned(total, rows, data, basis, None)
+    if trial is None:
+        return None
+    axes = np.arange(_AXES)
+    power = total[list(trial.pick), axes - _AXES, axes - _AXES] / rows
+    share: Array = 1.0 - trial.variance[list(trial.pick), axes] / np.maximum(power, 1e-300)
+    return share
+
+
 @dataclass(frozen=True)
 class Reference:
     """Where the fit starts by which the next batches are judged.

@@ -41,6 +41,8 @@ def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[st
         )
     if Stream.ATTITUDE not in seen:
         return ("no attitude (ATTITUDE or ATTITUDE_QUATERNION)",)
+    if learner.fit.other_layout is not None:
+        return (f"{learner.fit.other_layout}: so laid out, it would explain the motion far better",)
     if learner.fit.rotation is None:
         if learner.fit.seconds > _ENOUGH_TO_ANSWER:
             return (
