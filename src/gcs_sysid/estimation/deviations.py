@@ -49,11 +49,15 @@ class Deviations:
         torques: (m, 3, N_SIGNALS) B_k.
         std: (m,) of their prior; infinite: only the data limit them.
         thrusts: (m, rotors) change of each rotor's thrust coefficient, relative.
+        ratios: (m, rotors) change of each rotor's torque over the mean thrust coefficient, m.
+        dampings: (m, 3) change of the damping of each axis.
     """
 
     torques: Array
     std: Array
     thrusts: Array
+    ratios: Array
+    dampings: Array
 
     @cached_property
     def information(self) -> Array:
@@ -74,7 +78,13 @@ class Deviations:
 
 
 _SAME = 1e-3
-NO_DEVIATIONS = Deviations(np.zeros((0, 3, rb.N_SIGNALS)), np.zeros(0), np.zeros((0, 0)))
+NO_DEVIATIONS = Deviations(
+    np.zeros((0, 3, rb.N_SIGNALS)),
+    np.zeros(0),
+    np.zeros((0, 0)),
+    np.zeros((0, 0)),
+    np.zeros((0, 3)),
+)
 
 
 class DeviationChoice:
@@ -103,8 +113,9 @@ class DeviationChoice:
         torques[3 : 3 + rotors, 0, :4] = ((unknowns[rb.CG_Y] - y) * self._signal).T
         torques[3 : 3 + rotors, 1, :4] = ((x - unknowns[rb.CG_X]) * self._signal).T
         torques[3 + rotors :, 2, :4] = (s * self._signal).T
-        thrusts = np.zeros((len(self._kind), rotors))
+        thrusts, ratios = np.zeros((2, len(self._kind), rotors))
         thrusts[self._kind == _THRUST] = self._contrasts
+        ratios[self._kind == _TORQUE] = self._contrasts
         per_rotor = (torques[3 : 3 + rotors], torques[3 + rotors :])
         return Deviations(
             np.concatenate(
@@ -112,6 +123,8 @@ class DeviationChoice:
             ),
             np.full(len(self._kind), np.inf),
             thrusts,
+            ratios,
+            np.eye(len(self._kind), 3),
         )
 
     def shares(self, unknowns: Array) -> Array:
@@ -157,7 +170,9 @@ class DeviationChoice:
         use = std > 0.0
         if not use.any():
             return NO_DEVIATIONS
-        return Deviations(every.torques[use], std[use], every.thrusts[use])
+        return Deviations(
+            every.torques[use], std[use], every.thrusts[use], every.ratios[use], every.dampings[use]
+        )
 
 
 _THRUST, _TORQUE = 1, 2

@@ -89,8 +89,7 @@ class RotationFit:
             was not estimated.
         warm start: what `follow_rotation` starts from.
         deviations: (m,) values of those that were fitted, see `estimation.deviations`.
-        deviations_covariance: (m, m) of these.
-        open_covariance: (N_THETA, N_THETA) what of the covariance is theirs.
+        extended_covariance: (N_UNKNOWNS + m, N_UNKNOWNS + m) with theirs.
         deviating: which these are.
     """
 
@@ -108,8 +107,7 @@ class RotationFit:
     whiteners: tuple[Whitener, ...] = ()
     disturbance: Array = field(default_factory=lambda: np.full(3, np.nan))
     deviations: Array = field(default_factory=lambda: np.zeros(0))
-    deviations_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    open_covariance: Array = field(default_factory=lambda: np.zeros((rb.N_THETA, rb.N_THETA)))
+    extended_covariance: Array = field(default_factory=lambda: np.empty((0, 0)))
     deviating: Deviations = NO_DEVIATIONS
 
     def __post_init__(self) -> None:
@@ -119,6 +117,8 @@ class RotationFit:
             full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
             full[: rb.N_THETA, : rb.N_THETA] = self.covariance
             object.__setattr__(self, "full_covariance", full)
+        if not self.extended_covariance.size:
+            object.__setattr__(self, "extended_covariance", self.full_covariance)
 
     @property
     def Q(self) -> Array:
@@ -130,6 +130,23 @@ class RotationFit:
         """(N_THETA,) standard deviations."""
         std: Array = np.sqrt(np.diag(self.covariance))
         return std
+
+    @property
+    def deviations_covariance(self) -> Array:
+        """(m, m) of the deviations."""
+        return self.extended_covariance[N_UNKNOWNS:, N_UNKNOWNS:]
+
+    @property
+    def open_covariance(self) -> Array:
+        """(N_THETA, N_THETA) what of theta's covariance would vanish were the deviations known."""
+        across = self.extended_covariance[: rb.N_THETA, N_UNKNOWNS:]
+        if not across.shape[1]:
+            return np.zeros((rb.N_THETA, rb.N_THETA))
+        own = self.deviations_covariance
+        d = np.sqrt(np.diag(own))
+        inverse = np.linalg.pinv(own / np.outer(d, d), hermitian=True)
+        explained: Array = (across / d) @ inverse @ (across / d).T
+        return explained
 
     @property
     def unknowns(self) -> Array:
@@ -446,8 +463,7 @@ class Outcome:
                 full_covariance=full[i],
                 warm_start=WarmStart(self._unknowns[i], spread[i], widening[i]),
                 deviations=unknowns[i, N_UNKNOWNS:],
-                deviations_covariance=every[i, N_UNKNOWNS:, N_UNKNOWNS:],
-                open_covariance=_explained_by(every[i]),
+                extended_covariance=every[i],
             )
             for i, (reached, leak) in enumerate(zip(converged, leaks, strict=True))
         ]
@@ -469,17 +485,6 @@ class Outcome:
             step = np.where(physical[:, None], step, 0.5 * step)
         physical = rb.are_physical(unknowns)
         return np.where(physical[:, None], unknowns, self._unknowns)
-
-
-def _explained_by(covariance: Array) -> Array:
-    """(N_THETA, N_THETA) of theta's covariance, what would vanish were the deviations known."""
-    across = covariance[: rb.N_THETA, N_UNKNOWNS:]
-    if not across.shape[1]:
-        return np.zeros((rb.N_THETA, rb.N_THETA))
-    d = np.sqrt(np.diag(covariance)[N_UNKNOWNS:])
-    own = covariance[N_UNKNOWNS:, N_UNKNOWNS:] / np.outer(d, d)
-    explained: Array = (across / d) @ np.linalg.pinv(own, hermitian=True) @ (across / d).T
-    return explained
 
 
 def _times(matrices: Array, vectors: Array) -> Array:

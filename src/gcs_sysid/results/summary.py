@@ -69,6 +69,7 @@ def _widened(fit: Fit, factor: float) -> Fit:
             rotation,
             covariance=factor**2 * rotation.covariance,
             full_covariance=factor**2 * rotation.full_covariance,
+            extended_covariance=factor**2 * rotation.extended_covariance,
         )
     if translation is not None:
         translation = replace(
