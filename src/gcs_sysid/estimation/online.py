@@ -56,6 +56,9 @@ class Fit:
     """Whether it moves like a rigid body; None while that cannot be told."""
     running: bool = False
     """Whether it is one of many looks at a running flight, see `uncertainty.watched_factor`."""
+    moments: Array | None = None
+    """(WIDTH, WIDTH) sums of products of the window's rows [x, y] at the fit's coordinates: what
+    an error of what is given does to the fit, see `given_errors`."""
 
 
 @dataclass(frozen=True)
@@ -209,7 +212,10 @@ class OnlineEstimator:
         if rigid_body_test is not None and rigid_body_test.contradicted:
             # What rotors turn against remains to be told: inertia in roll and pitch.
             rot = self._fit_without_products()
-        return Fit(rot, trans, self.seconds, validation, accelerometer, rigid_body_test)
+        moments = self._moments_at(rot, record.rotation.total[0])
+        return Fit(
+            rot, trans, self.seconds, validation, accelerometer, rigid_body_test, moments=moments
+        )
 
     def fit_translation(
         self, at: RotationFit | None = None
@@ -294,6 +300,7 @@ class OnlineEstimator:
                 i.seconds,
                 rigid_body_test=self._rigid_body_test,
                 running=True,
+                moments=self._moments_at(rot, i.whitened.window if i.whitened else i.rotation),
             )
             for rot, thrust, i in zip(rotations, thrusts, instants, strict=True)
         ]
@@ -352,7 +359,25 @@ class OnlineEstimator:
             else self._rigid_body_test
         )
         trans = self._with_slope(trans, rot)
-        return Fit(rot, trans, self.seconds, rigid_body_test=rigid_body_test, running=True)
+        moments = self._moments_at(rot, self._record.rotation.total[0])
+        return Fit(
+            rot,
+            trans,
+            self.seconds,
+            rigid_body_test=rigid_body_test,
+            running=True,
+            moments=moments,
+        )
+
+    def _moments_at(self, fit: RotationFit | None, elements: Array) -> Array | None:
+        """(WIDTH, WIDTH) of the window's rows at a fit's coordinates."""
+        record = self._record
+        if fit is None or record.article is not None:
+            return None
+        # Whitened rows have a range of their own.
+        where = np.clip(fit.coordinates, record.basis.low, record.basis.high)
+        moments: Array = record.basis.moments_at(elements, where)
+        return moments
 
     def _renew_prior(self) -> None:
         if self.prior_source is not None:
