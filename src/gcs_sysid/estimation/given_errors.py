@@ -1,29 +1,35 @@
 """What errors of the given rotor positions, scale and IMU pose do to an estimate.
 
-To first order, and for the fit at hand. A scale that is off by a share e moves all that is in
-proportion to it by e: mass, k_T (T_max), inertia, k_M, damping and drag. An error eps of a rotor's
-place or of the IMU's alignment is one of the forward form's known signals,
+**What no flight tells** is the scale reference, the scale common to all arms, the middle of the
+rotors, and with the accelerometer as source of thrust over mass the IMU's place. A share e of the
+scale reference moves mass, k_T (T_max), inertia, k_M, damping and drag by e. A share e of all arms
+moves theta as a whole by e: inertia, CG, moment ratio, damping and rotor inertia, all over k_T. The
+CG is counted from the middle. These errors are the same in all flights of a vehicle.
 
-    x = (1 + eps L) x_true,  w' = (1 + eps E) w'_true    =>    residual = eps (E Q - Q L) x
+**What flights do tell** is how rotors lie to each other and how the IMU is turned, as unknowns eps
+with the given standard deviations as a prior. An error is one of the known signals,
 
-which least squares, with normal equations H = sum G' W G of the derivatives G = dQ/dtheta x,
-explains by
+    x = (1 + eps L) x_true,  w' = (1 + eps E) w'_true    =>    residual = eps D x,  D = E Q - Q L
 
-    dtheta/deps = H^-1 sum G' W (E Q - Q L) x
+With the derivatives G = dQ/dtheta, normal equations H = sum G' W G and C = sum G' W D, it moves the
+estimate by S eps, S = H^-1 C, and is known by the part of it that theta cannot explain:
 
-All sums follow from the moments of the rows. Where all arms are too long by one share this is
-theta itself: inertia, CG, moment ratio, damping and rotor inertia over k_T go with the arm.
+    I = sum D' W D - C' S,   P = (I / f + 1)^-1,   eps = P (sum D' W r - S' sum G' W r) / f
+
+with eps in its prior's standard deviations and f the factor by which coloured residuals widen the
+covariance of theta. All sums follow from the moments of the rows. An IMU that is turned by 1 degree
+makes Izz, Ixz and Iyz wrong by several percent; a minute of doublets tells it to 0.04 degrees.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.actuator_dynamics import WIDTH
 from gcs_sysid.estimation.online import Fit
-from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.scale import resolve_scale
 from gcs_sysid.estimation.search import N_X, residual_maker
 from gcs_sysid.estimation.status import RULES, Value
@@ -36,8 +42,19 @@ _RIDGE = 1.0
 """Of what an entry of theta matters to: an error of what is given is not taken to move it by more.
 It keeps directions that a flight does not tell from taking up everything; of an entry known to 5 %
 it changes the outcome by a quarter of a percent."""
+_KNOWN_TO = 0.2
+"""Of the same: entries that are known better show how much coloured residuals widen intervals."""
+_STEPS = 3
+"""Of Gauss-Newton; a degree needs two."""
 _COLUMN = {name: i for i, name in enumerate(rb.SIGNALS)}
+_AXES = 3
 _RATES = [_COLUMN[name] for name in "pqr"]
+_MOMENTUM = [_COLUMN["pH"], _COLUMN["qH"]]
+_CROSS = np.array(
+    [[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]],
+     [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]], float
+)  # fmt: skip
+"""What an IMU that is turned about each axis makes of rates, to first order: w - turn x w."""
 _PAIRS = [(1, 2), (2, 0), (0, 1), (0, 0), (1, 1), (2, 2)]
 _PRODUCT = {frozenset(pair): _COLUMN["qr"] + i for i, pair in enumerate(_PAIRS)}
 """Column of the product of two rates."""
@@ -61,7 +78,7 @@ class Given:
 
 
 def given_stds(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[str, float]:
-    """Standard deviations that come from what was given, SI.
+    """Standard deviations that come from what was given, and which no flight makes smaller.
 
     Args:
         values: parameters by name.
@@ -69,35 +86,44 @@ def given_stds(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[str,
         given: what they rest on.
 
     Returns:
-        Name -> standard deviation, of parameters that have a value.
+        Name -> standard deviation, SI, of parameters that have a value.
     """
     scale = resolve_scale(given.anchor, fit.translation, given.priors)
-    lever = _lever_arm_share(fit, given.airframe)
-    of_mass = of_thrust = 0.0
-    if scale.mass is not None:
-        own = given.anchor.kind == "mass"
-        of_mass = math.hypot(scale.mass_given, 0.0 if own else lever)
-    if scale.thrust is not None:
-        own = given.anchor.kind in ("k_T", "T_max")
-        of_thrust = math.hypot(scale.thrust_given, 0.0 if own else lever)
-    theta_std, weight = _theta_stds(fit, given)
+    lever, airframe = _lever_arm_share(fit, given.airframe), given.airframe
+    arm, middle = _common_errors(airframe)
+    own = given.anchor.kind
+    of_mass = math.hypot(scale.mass_given, 0.0 if own == "mass" else lever)
+    of_thrust = math.hypot(scale.thrust_given, 0.0 if own in ("k_T", "T_max") else lever)
+    weight = np.ones(rb.N_THETA)
+    if fit.rotation is not None and not given.anchor.origin:
+        # What comes from a prior does not move with the arm. Before a change in flight it does.
+        std, by_data = fit.rotation.std, np.maximum(fit.rotation.data_std, 1e-300)
+        weight = np.minimum((std / by_data) ** 2, 1.0)
     out = {}
     for name, told in values.items():
         p = PARAMETERS.get(name)
         if p is None or told.value is None:
             continue
-        if p.fit == "scale":
-            out[name] = abs(told.value) * (of_mass if p.scale == "mass" else of_thrust)
-        elif p.fit == "translation":
-            out[name] = abs(told.value) * of_mass
-        elif p.theta:
+        share = 0.0
+        if p.theta:
+            share = math.hypot(arm, of_thrust if p.scale == "thrust" else 0.0)
             at = rb.THETA.index(p.theta)
-            relative = p.scale == "thrust"
-            size = float(theta_std[at])
-            if relative:
-                size = math.hypot(size * (scale.thrust or 0.0), told.value * of_thrust)
-            out[name] = float(weight[at]) * size
+            offset = middle if p.mean_torque else 0.0
+            out[name] = float(weight[at]) * math.hypot(share * told.value, offset)
+        elif p.fit in ("scale", "translation"):
+            share = of_mass if p.scale == "mass" else of_thrust
+            out[name] = share * abs(told.value)
     return out
+
+
+def _common_errors(airframe: Airframe) -> tuple[float, float]:
+    """Standard deviations of the scale of all arms, relative, and of the rotors' middle, m."""
+    sigma, n = airframe.uncertainty, len(airframe.rotors)
+    single = sigma.rotor_position.of(airframe.arm)
+    places = airframe.geometry[:2]
+    reach = float(np.linalg.norm(places - places.mean(axis=1, keepdims=True)))
+    arm = math.hypot(sigma.arm.of(airframe.arm) / airframe.arm, single / reach)
+    return arm, single / math.sqrt(n)
 
 
 def with_given(values: Mapping[str, Value], stds: Mapping[str, float], arm: float) -> dict[str, Value]:
@@ -124,87 +150,189 @@ def with_given(values: Mapping[str, Value], stds: Mapping[str, float], arm: floa
     return out
 
 
-def _theta_stds(fit: Fit, given: Given) -> tuple[Array, Array]:
-    """(N_THETA,) standard deviations of theta, and what the flight weighs beside priors."""
-    n = rb.N_THETA
-    rotation, airframe = fit.rotation, given.airframe
-    if rotation is None:
-        return np.zeros(n), np.ones(n)
-    sigma = airframe.uncertainty
-    columns = [rotation.theta * (sigma.arm.of(airframe.arm) / airframe.arm)]
-    if fit.moments is not None:
-        columns += list(sensitivities(rotation, fit.moments, airframe).T)
-    weight = np.ones(n)
-    if not given.anchor.origin:
-        # What comes from a prior does not move with the arm. Before a change in flight it does.
-        weight = np.minimum((rotation.std / np.maximum(rotation.data_std, 1e-300)) ** 2, 1.0)
-    return np.sqrt(np.sum(np.square(columns), axis=0)), weight
+@dataclass(frozen=True)
+class Alignment:
+    """Where rotors and IMU are, as a flight tells, and what that does to its estimate.
+
+    Attributes:
+        shift: (N_THETA,) to be added to theta.
+        covariance: (N_THETA, N_THETA) of the shift.
+        turned: (3,) rotation of the IMU about roll, pitch and yaw, rad.
+        turned_std: (3,) its standard deviation.
+    """
+
+    shift: Array
+    covariance: Array
+    turned: Array
+    turned_std: Array
 
 
-def sensitivities(rotation: RotationFit, moments: Array, airframe: Airframe) -> Array:
-    """(N_THETA, 2 rotors + 3) changes of theta with one standard deviation of each error.
+def alignment_of(fit: Fit, airframe: Airframe) -> Alignment | None:
+    """Find rotors and IMU from the moments of a fit; None where they are exact or nothing tells.
 
     Args:
-        rotation: the fit.
-        moments: (WIDTH, WIDTH) sums of products of rows [x, y].
-        airframe: with the uncertainty of each rotor's x and y, and of the IMU's alignment about
-            each axis, in this order.
+        fit: with moments.
+        airframe: where they are given, and how well.
     """
-    sigma = airframe.uncertainty
-    place, turn = sigma.rotor_position.of(airframe.arm), math.radians(sigma.imu_rotation.amount)
-    errors = [place * L for L in _rotor_errors(airframe)]
-    Q, G = rb.forward_jacobian(rotation.theta)
-    off = [-Q @ L for L in errors]
-    off += [turn * (E @ Q - Q @ L) for E, L in map(_rotation_error, range(3))]
-    T = residual_maker(Q)
-    residual = T @ moments @ T.T
-    W = np.linalg.inv(residual / max(rotation.rows, 1) + 1e-12 * np.trace(residual) * np.eye(3))
-    inputs = moments[:N_X, :N_X]
-    WG = W @ G  # (n, 3, N_X)
-    # H = sum G' W G, and a ridge
-    H = np.einsum("kix,xz,liz->kl", WG, inputs, G)
-    size = _RIDGE * rb.counterparts(rotation.theta, airframe.arm)
-    d = 1.0 / np.sqrt(np.diag(H) + 1.0 / size**2)
-    H = H + np.diag(1.0 / size**2)
-    downhill = np.einsum("kix,xz,siz->ks", WG, inputs, np.stack(off))
-    # dtheta = H^-1 sum G' W (E Q - Q L) x
-    moved: Array = d[:, None] * np.linalg.solve(d[:, None] * H * d, d[:, None] * downhill)
-    return moved
+    rotation, moments = fit.aligned_by or fit.rotation, fit.moments
+    errors = _errors(airframe)
+    if rotation is None or moments is None or not any(error.any() for error in errors):
+        return None
+    size = rb.counterparts(rotation.theta, airframe.arm)
+    W = 1.0 / np.diag(rotation.residual_covariance)
+    theta, eps = rotation.theta, np.zeros(len(errors))
+    now = first = _Normal.at(theta, moments.rows, W, errors, size)
+    known = rotation.data_std < _KNOWN_TO * size
+    f = float(np.median((rotation.data_std**2 / first.variance)[known])) if known.any() else np.inf
+    for _ in range(_STEPS):
+        # eps = (I / f + 1)^-1 g / f, from where it stands
+        step = np.linalg.solve(now.information / f + np.eye(len(eps)), now.gradient / f - eps)
+        moved = theta - now.S @ step + (now.pull - first.pull)
+        if not rb.is_physical(moved):
+            break
+        theta, eps = moved, eps + step
+        A = _undoing(errors, eps)
+        now = _Normal.at(theta, A @ moments.rows @ A.T, W, errors, size)
+    P = np.linalg.inv(now.information / f + np.eye(len(eps)))
+    turn = math.radians(airframe.uncertainty.imu_rotation.amount)
+    return Alignment(
+        theta - rotation.theta,
+        now.S @ P @ now.S.T,
+        turn * eps[-_AXES:],
+        turn * np.sqrt(np.diag(P)[-_AXES:]),
+    )
 
 
-def _rotor_errors(airframe: Airframe) -> list[Array]:
-    """L, (N_X, N_X), of x and of y of each rotor, 1 m off.
+def aligned(fit: Fit, alignment: Alignment | None) -> Fit:
+    """The fit with rotors and IMU where the flight tells that they are."""
+    rotation, n = fit.rotation, rb.N_THETA
+    if rotation is None or alignment is None:
+        return fit
+    theta = rotation.theta + alignment.shift
+    full = rotation.full_covariance.copy()
+    full[:n, :n] += alignment.covariance
+    rotation = replace(
+        rotation,
+        theta=theta if rb.is_physical(theta) else rotation.theta,
+        covariance=rotation.covariance + alignment.covariance,
+        full_covariance=full,
+        data_std=np.sqrt(rotation.data_std**2 + np.diag(alignment.covariance)),
+    )
+    return replace(fit, rotation=rotation)
 
-    Thrusts of single rotors are not in the rows, only their sums; of more than four rotors they
-    are taken to share what they make as evenly as can be, as mixers have them do.
+
+@dataclass(frozen=True)
+class _Normal:
+    """The normal equations of theta and errors at a point; symbols as above.
+
+    Attributes:
+        variance: (N_THETA,) diagonal of H^-1.
+        S: (N_THETA, errors).
+        pull: (N_THETA,) step to the minimum in theta, H^-1 sum G' W r.
+        information: (errors, errors), I.
+        gradient: (errors,) downhill, sum D' W r - S' sum G' W r.
     """
-    mixer = rb.mixer(airframe.geometry)
-    thrusts = np.linalg.pinv(mixer.T)  # (rotors, 4)
+
+    variance: Array
+    S: Array
+    pull: Array
+    information: Array
+    gradient: Array
+
+    @classmethod
+    def at(
+        cls, theta: Array, rows: Array, W: Array, errors: Sequence[Array], size: Array
+    ) -> "_Normal":
+        """At theta.
+
+        Args:
+            theta: (N_THETA,).
+            rows: (3, WIDTH, WIDTH) moments.
+            W: (3,) weight of each axis.
+            errors: (WIDTH, WIDTH) each, what one standard deviation does to a row.
+            size: (N_THETA,) what each entry matters to.
+        """
+        Q, G = rb.forward_jacobian(theta)
+        # D = E Q - Q L
+        D = np.stack([e[N_X:, N_X:] @ Q - Q @ e[:N_X, :N_X] for e in errors])
+        inputs = W[:, None, None] * rows[:, :N_X, :N_X]
+        left = W[:, None] * (residual_maker(Q)[:, None] @ rows)[:, 0, :N_X]  # W r x', by axis
+        weighted = np.einsum("kax,axz->kaz", G, inputs)
+        own = np.einsum("kaz,laz->kl", weighted, G)
+        ridge = (_RIDGE * size) ** -2.0
+        d = 1.0 / np.sqrt(np.maximum(np.diag(own), 0.0) + ridge)
+        H = _not_negative(d[:, None] * own * d) + np.diag(d * d * ridge)
+        inverse = np.linalg.inv(H) * np.outer(d, d)
+        C = np.einsum("kaz,saz->ks", weighted, D)
+        S = inverse @ C
+        downhill = np.einsum("kax,ax->k", G, left)
+        information = np.einsum("sax,axz,taz->st", D, inputs, D) - C.T @ S
+        gradient = np.einsum("sax,ax->s", D, left) - S.T @ downhill
+        information = _not_negative(information)
+        return cls(np.diag(inverse), S, inverse @ downhill, information, gradient)
+
+
+def _not_negative(information: Array) -> Array:
+    """(p, p) without what is negative: where inputs are hardly more than the noise taken out."""
+    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
+    positive: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return positive
+
+
+def _errors(airframe: Airframe) -> list[Array]:
+    """(WIDTH, WIDTH) each: what one standard deviation does to a row [x, y], to first order.
+
+    Of the 2 rotors - 3 ways in which rotors can lie wrongly beside a common shift and scale, then
+    of the IMU's rotation about roll, pitch and yaw. Thrusts of single rotors are not in the rows,
+    only their sums; of more than four rotors they are taken to share what they make as evenly as
+    can be, as mixers have them do.
+    """
+    sigma, n = airframe.uncertainty, len(airframe.rotors)
+    places = airframe.geometry[:2]
+    centered = places - places.mean(axis=1, keepdims=True)
+    common = np.stack([np.repeat([1.0, 0.0], n), np.repeat([0.0, 1.0], n), centered.ravel()])
+    ways = np.linalg.svd(common)[2][len(common) :].reshape(-1, 2, n)  # the null space
+    thrusts = np.linalg.pinv(rb.mixer(airframe.geometry).T)  # (rotors, 4)
     out = []
-    for signal, sign in (("pitch", 1.0), ("roll", -1.0)):
-        for own in thrusts:
-            L = np.zeros((N_X, N_X))
-            L[_COLUMN[signal], :4] = sign * own
-            out.append(L)
+    for x, y in sigma.rotor_position.of(airframe.arm) * ways:
+        error = np.zeros((WIDTH, WIDTH))
+        error[_COLUMN["pitch"], :4] = x @ thrusts
+        error[_COLUMN["roll"], :4] = -y @ thrusts
+        out.append(error)
+    turn = math.radians(sigma.imu_rotation.amount)
+    # The map is of second order in R, so that this difference is its derivative.
+    out += [
+        0.5 * turn * (_turned(np.eye(_AXES) + E) - _turned(np.eye(_AXES) - E)) for E in _CROSS
+    ]
     return out
 
 
-def _rotation_error(axis: int) -> tuple[Array, Array]:
-    """E, (3, 3), and L, (N_X, N_X), of an IMU turned about an axis by 1 rad."""
-    E = np.zeros((3, 3))
-    first, second = (axis + 1) % 3, (axis + 2) % 3
-    E[first, second], E[second, first] = 1.0, -1.0
-    L = np.zeros((N_X, N_X))
-    L[np.ix_(_RATES, _RATES)] = E
+def _undoing(errors: Sequence[Array], eps: Array) -> Array:
+    """(WIDTH, WIDTH) that makes rows without errors of rows with them."""
+    rotors = sum((e * L for e, L in zip(eps[:-_AXES], errors, strict=False)), np.eye(WIDTH))
+    K = sum(
+        (e * L[N_X:, N_X:] for e, L in zip(eps[-_AXES:], errors[-_AXES:], strict=True)),
+        np.zeros((_AXES, _AXES)),
+    )
+    # Cayley's transform: a rotation, which (1 + K)^-1 would not be
+    R = np.linalg.solve(np.eye(_AXES) + 0.5 * K, np.eye(_AXES) - 0.5 * K)
+    undone: Array = _turned(R) @ np.linalg.inv(rotors)
+    return undone
+
+
+def _turned(R: Array) -> Array:
+    """(WIDTH, WIDTH) what becomes of a row where rates are R times what they were, (3, 3)."""
+    out = np.eye(WIDTH)
+    out[np.ix_(_RATES, _RATES)] = out[N_X:, N_X:] = R
     for i, j in _PAIRS:
-        at = _PRODUCT[frozenset((i, j))]
-        for k in range(3):
-            L[at, _PRODUCT[frozenset((k, j))]] += E[i, k]
-            L[at, _PRODUCT[frozenset((i, k))]] += E[j, k]
-    # r H is not among the signals, and rotors' angular momentum is small.
-    pH, qH = _COLUMN["pH"], _COLUMN["qH"]
-    L[pH, qH], L[qH, pH] = E[0, 1], E[1, 0]
-    return E, L
+        own = out[_PRODUCT[frozenset((i, j))]]
+        own[:] = 0.0
+        for k in range(_AXES):
+            for m in range(_AXES):
+                own[_PRODUCT[frozenset((k, m))]] += R[i, k] * R[j, m]
+    # r H is not among the signals; rotors' angular momentum is small.
+    out[np.ix_(_MOMENTUM, _MOMENTUM)] = R[:2, :2]
+    return out
 
 
 def _lever_arm_share(fit: Fit, airframe: Airframe) -> float:
@@ -213,10 +341,10 @@ def _lever_arm_share(fit: Fit, airframe: Airframe) -> float:
     What it reads too much along z, x (r p - q') + y (q r + p') - z (p^2 + q^2), is taken for
     thrust as far as it goes with thrust.
     """
-    translation, moments = fit.translation, fit.moments
-    if translation is None or translation.source != "accelerometer" or moments is None:
+    translation = fit.translation
+    if translation is None or translation.source != "accelerometer" or fit.moments is None:
         return 0.0
-    own = moments[_COLUMN["thrust"]]
+    own = fit.moments.window[_COLUMN["thrust"]]
     power = translation.kappa * own[_COLUMN["thrust"]]
     if not power:
         return 0.0

@@ -8,6 +8,7 @@ fits of one warm start do not depend on one another, so that a block with many o
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,6 +41,18 @@ PriorSource = Callable[[TranslationFit | None], Prior | None]
 """What is known beforehand, given k_T / m as far as it is known."""
 
 
+class FitMoments(NamedTuple):
+    """Sums of products of rows [x, y] at a fit's coordinates.
+
+    Attributes:
+        rows: (3, WIDTH, WIDTH) of each axis' rows, without the inputs' known noise.
+        window: (WIDTH, WIDTH) of the rows of the symmetric window.
+    """
+
+    rows: Array
+    window: Array
+
+
 @dataclass(frozen=True)
 class Fit:
     """What the estimator knows at one instant, relative to k_T."""
@@ -56,9 +69,10 @@ class Fit:
     """Whether it moves like a rigid body; None while that cannot be told."""
     running: bool = False
     """Whether it is one of many looks at a running flight, see `uncertainty.watched_factor`."""
-    moments: Array | None = None
-    """(WIDTH, WIDTH) sums of products of the window's rows [x, y] at the fit's coordinates: what
-    an error of what is given does to the fit, see `given_errors`."""
+    moments: FitMoments | None = None
+    """What tells where the IMU and the rotors are, see `given_errors`."""
+    aligned_by: RotationFit | None = None
+    """The fit that the moments are of, where `rotation` is another estimator's."""
 
 
 @dataclass(frozen=True)
@@ -212,7 +226,7 @@ class OnlineEstimator:
         if rigid_body_test is not None and rigid_body_test.contradicted:
             # What rotors turn against remains to be told: inertia in roll and pitch.
             rot = self._fit_without_products()
-        moments = self._moments_at(rot, record.rotation.total[0])
+        moments = self._moments(rot)
         return Fit(
             rot, trans, self.seconds, validation, accelerometer, rigid_body_test, moments=moments
         )
@@ -300,7 +314,7 @@ class OnlineEstimator:
                 i.seconds,
                 rigid_body_test=self._rigid_body_test,
                 running=True,
-                moments=self._moments_at(rot, i.whitened.window if i.whitened else i.rotation),
+                moments=self._moments_at(rot, i),
             )
             for rot, thrust, i in zip(rotations, thrusts, instants, strict=True)
         ]
@@ -359,25 +373,33 @@ class OnlineEstimator:
             else self._rigid_body_test
         )
         trans = self._with_slope(trans, rot)
-        moments = self._moments_at(rot, self._record.rotation.total[0])
         return Fit(
             rot,
             trans,
             self.seconds,
             rigid_body_test=rigid_body_test,
             running=True,
-            moments=moments,
+            moments=self._moments(rot),
         )
 
-    def _moments_at(self, fit: RotationFit | None, elements: Array) -> Array | None:
-        """(WIDTH, WIDTH) of the window's rows at a fit's coordinates."""
-        record = self._record
-        if fit is None or record.article is not None:
+    def _moments(self, fit: RotationFit | None) -> FitMoments | None:
+        """Of all that was learnt, at a fit of it."""
+        if fit is None or self._record.article is not None:
             return None
-        # Whitened rows have a range of their own.
-        where = np.clip(fit.coordinates, record.basis.low, record.basis.high)
-        moments: Array = record.basis.moments_at(elements, where)
-        return moments
+        warm_start = _WarmStart(fit, None, self._record.batches, 0.0, self._left_out)
+        return self._moments_at(fit, self._instant(warm_start))
+
+    def _moments_at(self, fit: RotationFit, instant: _Instant) -> FitMoments:
+        basis, at = self._record.basis, fit.coordinates
+        if instant.whitened is not None and self._whitened is not None:
+            white, own = instant.whitened, self._whitened.basis
+            without = white.moments - white.rows * white.noise
+            # Whitened rows have a range of their own.
+            within = np.clip(at, basis.low, basis.high)
+            return FitMoments(own.moments_at(without, at), basis.moments_at(white.window, within))
+        window = basis.moments_at(instant.rotation, at)
+        without = window - instant.rows * basis.noise_at(instant.noise, at)
+        return FitMoments(np.broadcast_to(without, (3, *without.shape)), window)
 
     def _renew_prior(self) -> None:
         if self.prior_source is not None:

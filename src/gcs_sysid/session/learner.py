@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.given_errors import aligned, alignment_of
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotor_signals import RotorInput, low_pass_delay
@@ -113,6 +114,7 @@ class Learner:
         priors, arm = self._airframe.priors, self._airframe.arm
         known = {} if anchor.origin else summary.priors_for(priors, self.rotor_input)
         late = low_pass_delay(self.cutoffs[0])
+        fit = aligned(fit, alignment_of(fit, self._airframe))
         return summary.values_of(fit, anchor, arm, known, self.rotor_input, late)
 
     def reset(self) -> None:
