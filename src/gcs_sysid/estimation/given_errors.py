@@ -14,11 +14,12 @@ with the given standard deviations as a prior. An error is one of the known sign
 With the derivatives G = dQ/dtheta, normal equations H = sum G' W G and C = sum G' W D, it moves the
 estimate by S eps, S = H^-1 C, and is known by the part of it that theta cannot explain:
 
-    I = sum D' W D - C' S,   P = (I / f + 1)^-1,   eps = P (sum D' W r - S' sum G' W r) / f
+    I = sum D' W D - C' S,   g = sum D' W r - S' sum G' W r
+    P = ((f I^-1 + F)^-1 + 1)^-1,   eps = P (1 + I F / f)^-1 g / f
 
-with eps in its prior's standard deviations and f the factor by which coloured residuals widen the
-covariance of theta. All sums follow from the moments of the rows. An IMU that is turned by 1 degree
-makes Izz, Ixz and Iyz wrong by several percent; a minute of doublets tells it to 0.04 degrees.
+with eps in its prior's standard deviations, f the factor by which coloured residuals widen the
+covariance of theta, and F what air and unequal rotors imitate. All sums follow from the moments of the rows. An IMU that is turned by 1 degree
+makes Izz, Ixz and Iyz wrong by several percent; a minute of doublets tells it to 0.3 degrees.
 """
 
 import math
@@ -44,6 +45,9 @@ It keeps directions that a flight does not tell from taking up everything; of an
 it changes the outcome by a quarter of a percent."""
 _KNOWN_TO = 0.2
 """Of the same: entries that are known better show how much coloured residuals widen intervals."""
+_IMITATED = math.radians(0.3)
+"""rad, what air and unequal rotors may look like: rotorpy's vehicles, whose IMU is not turned at
+all, are read as if it were by 0.1 to 1 degree, where noise alone would leave 0.1."""
 _STEPS = 3
 """Of Gauss-Newton; a degree needs two."""
 _COLUMN = {name: i for i, name in enumerate(rb.SIGNALS)}
@@ -182,25 +186,40 @@ def alignment_of(fit: Fit, airframe: Airframe) -> Alignment | None:
     W = 1.0 / np.diag(rotation.residual_covariance)
     theta, eps = rotation.theta, np.zeros(len(errors))
     now = first = _Normal.at(theta, moments.rows, W, errors, size)
-    known = rotation.data_std < _KNOWN_TO * size
-    f = float(np.median((rotation.data_std**2 / first.variance)[known])) if known.any() else np.inf
+    told = rotation.data_std < _KNOWN_TO * size
+    told[[rb.CG_X, rb.CG_Y, rb.DAMPING]] = False  # of slow errors of their own
+    f = float((rotation.data_std**2 / first.variance)[told].max()) if told.any() else np.inf
+    turn = math.radians(airframe.uncertainty.imu_rotation.amount)
+    imitated = np.zeros(len(errors))
+    imitated[-_AXES:] = (_IMITATED / turn) ** 2 if turn else 0.0
     for _ in range(_STEPS):
-        # eps = (I / f + 1)^-1 g / f, from where it stands
-        step = np.linalg.solve(now.information / f + np.eye(len(eps)), now.gradient / f - eps)
+        P, weight = _weighed(now.information / f, imitated)
+        step = P @ (weight @ now.gradient / f - eps)
         moved = theta - now.S @ step + (now.pull - first.pull)
         if not rb.is_physical(moved):
             break
         theta, eps = moved, eps + step
         A = _undoing(errors, eps)
         now = _Normal.at(theta, A @ moments.rows @ A.T, W, errors, size)
-    P = np.linalg.inv(now.information / f + np.eye(len(eps)))
-    turn = math.radians(airframe.uncertainty.imu_rotation.amount)
+    P, _ = _weighed(now.information / f, imitated)
     return Alignment(
         theta - rotation.theta,
         now.S @ P @ now.S.T,
         turn * eps[-_AXES:],
         turn * np.sqrt(np.diag(P)[-_AXES:]),
     )
+
+
+def _weighed(information: Array, imitated: Array) -> tuple[Array, Array]:
+    """Covariance of errors whose prior is 1, and what weighs the gradient.
+
+    Args:
+        information: (p, p) of the flight.
+        imitated: (p,) variance of what else looks like these errors.
+    """
+    # (I^-1 + F)^-1 = (1 + I F)^-1 I
+    weight = np.linalg.inv(np.eye(len(imitated)) + information * imitated)
+    return np.linalg.inv(weight @ information + np.eye(len(imitated))), weight
 
 
 def aligned(fit: Fit, alignment: Alignment | None) -> Fit:
