@@ -18,8 +18,9 @@ estimate by S eps, S = H^-1 C, and is known by the part of it that theta cannot 
     P = ((f I^-1 + F)^-1 + 1)^-1,   eps = P (1 + I F / f)^-1 g / f
 
 with eps in its prior's standard deviations, f the factor by which coloured residuals widen the
-covariance of theta, and F what air and unequal rotors imitate. All sums follow from the moments of the rows. An IMU that is turned by 1 degree
-makes Izz, Ixz and Iyz wrong by several percent; a minute of doublets tells it to 0.3 degrees.
+covariance of theta, and F what air and unequal rotors imitate. All sums follow from the moments of
+the rows. An IMU that is turned by 1 degree makes Izz, Ixz and Iyz wrong by several percent; a
+minute of doublets tells it to 0.3 degrees.
 """
 
 import math
@@ -130,7 +131,9 @@ def _common_errors(airframe: Airframe) -> tuple[float, float]:
     return arm, single / math.sqrt(n)
 
 
-def with_given(values: Mapping[str, Value], stds: Mapping[str, float], arm: float) -> dict[str, Value]:
+def with_given(
+    values: Mapping[str, Value], stds: Mapping[str, float], arm: float
+) -> dict[str, Value]:
     """Values with the whole of their uncertainty: the flight's and that of what was given.
 
     What is no longer known to a twentieth of its yardstick is no longer identified; it remains
@@ -320,9 +323,7 @@ def _errors(airframe: Airframe) -> list[Array]:
         out.append(error)
     turn = math.radians(sigma.imu_rotation.amount)
     # The map is of second order in R, so that this difference is its derivative.
-    out += [
-        0.5 * turn * (_turned(np.eye(_AXES) + E) - _turned(np.eye(_AXES) - E)) for E in _CROSS
-    ]
+    out += [0.5 * turn * (_turned(np.eye(_AXES) + E) - _turned(np.eye(_AXES) - E)) for E in _CROSS]
     return out
 
 

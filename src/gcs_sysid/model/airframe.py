@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import read_text
-from gcs_sysid.model.given_uncertainty import GivenUncertainty
+from gcs_sysid.model.given_uncertainty import USUAL, GivenUncertainty, check_share
 from gcs_sysid.model.parameters import REGISTRY
 
 RotorInput = Literal["auto", "speed", "command"]
@@ -93,7 +93,7 @@ class Airframe:
     imu_position: tuple[float, float, float] | None = None
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Parameters known beforehand: name -> value and standard deviation, SI."""
-    uncertainty: GivenUncertainty = GivenUncertainty()
+    uncertainty: GivenUncertainty = USUAL
 
     @property
     def geometry(self) -> NDArray[np.float64]:
@@ -144,7 +144,7 @@ class Airframe:
         return replace(self, **cleared)  # type: ignore[arg-type]
 
     def check_scale_fits(self) -> None:
-        """Refuse a scale that means nothing with the rotor input.
+        """Refuse a scale that means nothing with the rotor input, or is hardly known.
 
         Raises:
             InputError: it does not fit.
@@ -159,6 +159,27 @@ class Airframe:
                 "k_T cannot set the scale with commands as the input; give mass or T_max "
                 "(--mass, --t-max)"
             )
+
+        own = self.anchor()
+        if own is not None:
+            check_share(*own, getattr(self.uncertainty, own[0]))
+        check_share("arm", self.arm, self.uncertainty.arm)
+
+    def with_uncertainty(self, entries: Mapping[str, object], where: str) -> "Airframe":
+        """The same airframe with other standard deviations of what is given.
+
+        Args:
+            entries: as in a file's `[uncertainty]`.
+            where: for messages.
+
+        Raises:
+            InputError: see `GivenUncertainty.altered`.
+
+        Example:
+            >>> load_airframe("paper").with_uncertainty({"mass": 0.01}, "here").uncertainty.mass
+            Sigma(amount=0.01, relative=False)
+        """
+        return replace(self, uncertainty=self.uncertainty.altered(entries, where))
 
     def with_prior(self, name: str, value: float, std: float) -> "Airframe":
         """The same airframe with one more (or another) prior.
@@ -279,7 +300,7 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
 def _uncertainty(table: object, where: str) -> GivenUncertainty:
     if not isinstance(table, dict):
         raise InputError(f"{where} must be a table")
-    return GivenUncertainty().altered(table, where)
+    return USUAL.altered(table, where)
 
 
 def _priors(table: object, where: str) -> dict[str, tuple[float, float]]:

@@ -9,12 +9,13 @@ import math
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import NamedTuple, Self
+from typing import Self
 
 from gcs_sysid.errors import InputError
 
 
-class Sigma(NamedTuple):
+@dataclass(frozen=True)
+class Sigma:
     """A standard deviation, in the unit of its value or as a share of it."""
 
     amount: float
@@ -75,7 +76,7 @@ class GivenUncertainty:
             InputError: there is none of that name, or it is no standard deviation.
 
         Example:
-            >>> GivenUncertainty().altered({"arm": "3%", "mass": 0.01}, "here").arm.of(0.25)
+            >>> USUAL.altered({"arm": "3%", "mass": 0.01}, "here").arm.of(0.25)
             0.0075
         """
         for name in entries:
@@ -89,6 +90,8 @@ class GivenUncertainty:
         return replace(self, **sigmas)
 
 
+USUAL = GivenUncertainty()
+"""Where nothing is said."""
 UNCERTAIN = tuple(field.name for field in fields(GivenUncertainty))
 """Keys of `[uncertainty]`."""
 _MOST = {"imu_position": (1.0, "m"), "imu_rotation": (30.0, "degrees")}
@@ -121,8 +124,8 @@ def parse_sigma(entry: object, where: str) -> Sigma:
         or (relative and number > 100.0 * _MOST_SHARE)
     ):
         raise InputError(
-            f"{where} must be a standard deviation of zero or more, or a percentage up to "
-            f"{100.0 * _MOST_SHARE:g} such as '1%', got {entry!r:.40}"
+            f"{where}: the standard deviation must be a number from zero on, or a percentage up "
+            f"to {100.0 * _MOST_SHARE:g} such as '1%', got {entry!r:.40}"
         )
     return Sigma(float(number) / 100.0, relative=True) if relative else Sigma(float(number))
 
@@ -134,6 +137,4 @@ def check_share(name: str, value: float, sigma: Sigma) -> None:
         InputError: its standard deviation is more than half of it.
     """
     if not (math.isfinite(value) and sigma.of(value) <= _MOST_SHARE * abs(value)):
-        raise InputError(
-            f"{name}: a standard deviation of {sigma} is more than half of {value:g}"
-        )
+        raise InputError(f"{name}: a standard deviation of {sigma} is more than half of {value:g}")

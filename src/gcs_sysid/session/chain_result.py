@@ -3,7 +3,9 @@
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from gcs_sysid.estimation.given_errors import Given, given_stds, with_given
+import numpy as np
+
+from gcs_sysid.estimation.given_errors import Given, alignment_of, given_stds, with_given
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.physical_parameters import (
     timing_values,
@@ -52,9 +54,7 @@ class Findings:
     def result(self) -> Result:
         """All of it."""
         values = self.learner.values(self.learner.fit, self._anchor)
-        parameters, whole = self._estimates(
-            values, self.learner.fit, self._anchor, self._bounds()
-        )
+        parameters, whole = self._estimates(values, self.learner.fit, self._anchor, self._bounds())
         word, reasons = verdict(whole, self.learner.rotor_input, self.learner.fit.rigid_body_test)
         reasons = (*reasons, *limit_by_given(values, whole))
         first = data_reasons(self.sampler, self.learner, self.outdated)
@@ -173,6 +173,17 @@ class Findings:
             "rotor_outliers": base.wild_speeds,
             "rotor_still": base.still_speeds,
             "rotor_input": self._input_telemetry(),
+            "imu_rotation": self._imu_rotation(),
+        }
+
+    def _imu_rotation(self) -> dict[str, Any] | None:
+        """How the IMU is turned, in degrees; None where that is given as exact or not told."""
+        found = alignment_of(self.learner.fit, self.airframe)
+        if found is None or not found.turned_std.any():
+            return None
+        return {
+            "value": np.degrees(found.turned).tolist(),
+            "std": np.degrees(found.turned_std).tolist(),
         }
 
     @property
