@@ -154,7 +154,9 @@ SCENARIOS = (
         lambda _: Physics(ou_moment=(1.0, 1.0), ou_force=(0.3, 1.0)),
     ),
     Scenario("arm", "arms given 3 % too long, with a standard deviation of 3 %", known=_scaled),
-    Scenario("mass", "mass given 5 % too large, with a standard deviation of 5 %", known=_misweighed),
+    Scenario(
+        "mass", "mass given 5 % too large, with a standard deviation of 5 %", known=_misweighed
+    ),
     Scenario("swap", "two rotors taken for each other", known=_swapped),
     Scenario("spins", "all spins the wrong way round", known=_spun),
     Scenario("turned", "front taken for the right-hand side", known=_turned),

@@ -186,7 +186,7 @@ def alignment_of(fit: Fit, airframe: Airframe) -> Alignment | None:
     if rotation is None or moments is None or not any(error.any() for error in errors):
         return None
     size = rb.counterparts(rotation.theta, airframe.arm)
-    W = 1.0 / np.diag(rotation.residual_covariance)
+    W = np.linalg.inv(rotation.residual_covariance)
     theta, eps = rotation.theta, np.zeros(len(errors))
     now = first = _Normal.at(theta, moments.rows, W, errors, size)
     told = rotation.data_std < _KNOWN_TO * size
@@ -270,16 +270,16 @@ class _Normal:
         Args:
             theta: (N_THETA,).
             rows: (3, WIDTH, WIDTH) moments.
-            W: (3,) weight of each axis.
+            W: (3, 3) weight; diagonal where axes have rows of their own.
             errors: (WIDTH, WIDTH) each, what one standard deviation does to a row.
             size: (N_THETA,) what each entry matters to.
         """
         Q, G = rb.forward_jacobian(theta)
         # D = E Q - Q L
         D = np.stack([e[N_X:, N_X:] @ Q - Q @ e[:N_X, :N_X] for e in errors])
-        inputs = W[:, None, None] * rows[:, :N_X, :N_X]
-        left = W[:, None] * (residual_maker(Q)[:, None] @ rows)[:, 0, :N_X]  # W r x', by axis
-        weighted = np.einsum("kax,axz->kaz", G, inputs)
+        inputs = rows[:, :N_X, :N_X]
+        left = W @ (residual_maker(Q)[:, None] @ rows)[:, 0, :N_X]  # W r x', by axis
+        weighted = W @ (G[:, :, None] @ inputs)[:, :, 0]
         own = np.einsum("kaz,laz->kl", weighted, G)
         ridge = (_RIDGE * size) ** -2.0
         d = 1.0 / np.sqrt(np.maximum(np.diag(own), 0.0) + ridge)
@@ -288,7 +288,7 @@ class _Normal:
         C = np.einsum("kaz,saz->ks", weighted, D)
         S = inverse @ C
         downhill = np.einsum("kax,ax->k", G, left)
-        information = np.einsum("sax,axz,taz->st", D, inputs, D) - C.T @ S
+        information = np.einsum("saz,taz->st", W @ (D[:, :, None] @ inputs)[:, :, 0], D) - C.T @ S
         gradient = np.einsum("sax,ax->s", D, left) - S.T @ downhill
         information = _not_negative(information)
         return cls(np.diag(inverse), S, inverse @ downhill, information, gradient)
