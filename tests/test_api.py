@@ -182,3 +182,30 @@ def test_the_package_alone_loads_no_numpy():
     assert run.stdout.split() == ["numpy"]
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         _ = gcs_sysid.nothing
+
+
+def test_what_is_given_widens_every_interval_and_is_told_apart(paper_flight, analysed):
+    """Arms 3 % too long and a mass 5 % too large, given so: the truth is within the intervals."""
+    long = 1.03 * gcs_sysid.load_airframe("paper").arm
+    uncertainty = {"arm": "3%", "mass": "5%", "imu_rotation": 1.0}
+    told = gcs_sysid.analyze(
+        paper_flight.tlog, "paper", arm=long, mass=1.05 * 1.5, uncertainty=uncertainty
+    )
+    exact = gcs_sysid.analyze(paper_flight.tlog, "paper", arm=long, mass=1.05 * 1.5)
+    for name, factor in (("Ixx", 1.03 * 1.05), ("cg_x", 1.03), ("k_T", 1.05), ("k_M", 1.03 * 1.05)):
+        right, wide = analysed.parameters[name], told.parameters[name]
+        assert exact.parameters[name].value == pytest.approx(factor * right.value, rel=2e-4), name
+        assert not exact.parameters[name].std_given
+        low, high = wide.ci95
+        assert low < right.value < high, name
+        assert wide.std_given == pytest.approx(
+            abs(wide.value) * {"Ixx": 0.05831, "k_M": 0.05831, "cg_x": 0.03, "k_T": 0.05}[name],
+            rel=1e-3,
+        )
+        assert wide.std == pytest.approx(np.hypot(wide.std_data, wide.std_given))
+    mass = told.parameters["mass"]
+    assert (mass.status, mass.std) == ("given", pytest.approx(0.05 * 1.575))
+    turned = told.telemetry["imu_rotation"]
+    assert np.all(np.abs(turned["value"]) < 2.0 * np.array(turned["std"]))
+    assert told.verdict == "partial"
+    assert any("what was given limits" in reason for reason in told.reasons)

@@ -44,12 +44,13 @@ def as_it_is(airframe: Airframe) -> Airframe:
 
 
 def _scaled(airframe: Airframe) -> Airframe:
-    return airframe.with_arm(1.03 * airframe.arm)
+    return airframe.with_arm(1.03 * airframe.arm).with_uncertainty({"arm": "3%"}, "--arm")
 
 
 def _misweighed(airframe: Airframe) -> Airframe:
     assert airframe.mass is not None
-    return replace(airframe, mass=1.05 * airframe.mass)
+    wrong = replace(airframe, mass=1.05 * airframe.mass)
+    return wrong.with_uncertainty({"mass": "5%"}, "--mass")
 
 
 def _swapped(airframe: Airframe) -> Airframe:
@@ -152,8 +153,10 @@ SCENARIOS = (
         "a moment of 1 rad/s² rms that nobody models",
         lambda _: Physics(ou_moment=(1.0, 1.0), ou_force=(0.3, 1.0)),
     ),
-    Scenario("arm", "arms given 3 % too long", known=_scaled),
-    Scenario("mass", "mass given 5 % too large", known=_misweighed),
+    Scenario("arm", "arms given 3 % too long, with a standard deviation of 3 %", known=_scaled),
+    Scenario(
+        "mass", "mass given 5 % too large, with a standard deviation of 5 %", known=_misweighed
+    ),
     Scenario("swap", "two rotors taken for each other", known=_swapped),
     Scenario("spins", "all spins the wrong way round", known=_spun),
     Scenario("turned", "front taken for the right-hand side", known=_turned),

@@ -144,6 +144,7 @@ class Known(TypedDict, total=False):
         k_T: N s^2, as the scale; with measured speeds.
         T_max: N, a rotor's thrust at full command, as the scale; with commands.
         priors: name -> value and standard deviation, SI.
+        uncertainty: of arm, mass, ...: number or percentage, as in a file's `[uncertainty]`.
     """
 
     arm: float
@@ -151,6 +152,7 @@ class Known(TypedDict, total=False):
     k_T: float
     T_max: float
     priors: Mapping[str, tuple[float, float]]
+    uncertainty: Mapping[str, float | str]
 
 
 def load_airframe(
@@ -183,6 +185,7 @@ def load_airframe(
         raise InputError(f"give one scale only, not {' and '.join(scales)} together")
     for name in scales:
         out = out.with_anchor(name, known[name])
+    out = out.with_uncertainty(known.get("uncertainty", {}), "uncertainty")
     for prior, (value, std) in known.get("priors", {}).items():
         out = out.with_prior(prior, value, std)
     if out.anchor() is None:

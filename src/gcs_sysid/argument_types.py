@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import re
 from collections.abc import Callable
 from typing import NoReturn
 
@@ -55,10 +56,47 @@ def between(least: float, most: float, unit: str) -> Callable[[str], float]:
     return checked
 
 
+class Measured(float):
+    """A number, with the standard deviation that was given behind it as it was written, or None."""
+
+    sigma: str | None = None
+
+
+def measured(check: Callable[[str], float]) -> Callable[[str], Measured]:
+    """An argparse type: VALUE or VALUE±STD, the latter perhaps in percent; +- and +/- do as well.
+
+    Args:
+        check: the type of the value.
+    """
+
+    def checked(text: str) -> Measured:
+        value, sign, sigma = _plus_minus(text)
+        out = Measured(check(value))
+        if sign:
+            if not _SIGMA.fullmatch(sigma):
+                raise argparse.ArgumentTypeError(
+                    f"must be VALUE or VALUE±STD (or +-), such as 0.25+-0.003 or 0.25+-1%, "
+                    f"got {text!r}"
+                )
+            out.sigma = sigma
+        return out
+
+    return checked
+
+
+_SIGMA = re.compile(r"(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*%?", re.IGNORECASE | re.ASCII)
+
+
+def _plus_minus(text: str) -> tuple[str, str, str]:
+    """What stands before and behind ±, and that sign; empty where there is none."""
+    for sign in ("+/-", "+-"):
+        text = text.replace(sign, "±")
+    value, sign, std = text.partition("±")
+    return value.strip(), sign, std.strip()
+
+
 def split_prior(text: str) -> tuple[str, str, str] | None:
     """Name, value and standard deviation of NAME=VALUE±STD; +- and +/- do as well."""
     name, equals, rest = text.partition("=")
-    for sign in ("+/-", "+-"):
-        rest = rest.replace(sign, "±")
-    value, plus_minus, std = rest.partition("±")
-    return (name.strip(), value.strip(), std.strip()) if equals and plus_minus else None
+    value, plus_minus, std = _plus_minus(rest)
+    return (name.strip(), value, std) if equals and plus_minus else None

@@ -50,6 +50,9 @@ CASES = {
     "missing airframe file": (["analyze", "a.tlog", "--airframe", "no.toml"], "no.toml"),
     "wrong key": (["analyze", "a.tlog", "--airframe", "wrong-key.toml"], "'colour'"),
     "broken airframe": (["analyze", "a.tlog", "--airframe", "broken.toml"], "broken.toml"),
+    "arm without its deviation": (["analyze", "a.tlog", *PAPER, "--arm", "0.2+-"], "'0.2+-'"),
+    "mass known to 60 %": (["analyze", "a.tlog", *PAPER, "--mass", "1.5+-60%"], "'60%'"),
+    "mass hardly known": (["analyze", "a.tlog", *PAPER, "--mass", "1.5±1"], "more than half"),
     "no scale": (["analyze", "a.tlog", "--airframe", "px4-quad-x"], "--mass"),
     "T_max for speeds": (["analyze", "a.tlog", "--airframe", "speeds.toml"], "T_max"),
     "k_T for commands": (["analyze", "a.tlog", "--airframe", "commands.toml"], "k_T"),
@@ -258,3 +261,17 @@ def test_what_the_system_cannot_look_up_is_no_defect_of_the_program(files, capsy
     assert "internal" not in said
     assert "File name too long" in said
     assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("sign", ["±", "+-", "+/-", " ± "])
+def test_what_is_given_may_have_a_standard_deviation(sign):
+    parser = argparse.ArgumentParser()
+    arguments.add_analyze(parser)
+    words = ["a.tlog", *PAPER, "--arm", f"0.3{sign}3%", "--mass", f"1.6{sign}0.01"]
+    airframe = arguments.airframe_of(parser.parse_args(words))
+    assert airframe.arm == pytest.approx(0.3)
+    assert airframe.uncertainty.arm.of(0.3) == pytest.approx(0.009)
+    assert airframe.uncertainty.scale_share("mass", 1.6) == pytest.approx(0.01 / 1.6)
+    # Nothing said: as the file has it.
+    plain = arguments.airframe_of(parser.parse_args(["a.tlog", *PAPER, "--mass", "1.6"]))
+    assert plain.uncertainty.scale_share("mass", 1.6) == 0.0

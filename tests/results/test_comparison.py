@@ -162,3 +162,19 @@ def test_what_else_differs_is_told():
     assert "taken for granted" in "\n".join(compare(result(Ixx=1.0), bare).notes)
     moved = replace(result(source="b"), events=({"t": 9.0, "kind": "payload", "detected": 9.1},))
     assert "B changed in flight" in "\n".join(compare(result(), moved).notes)
+
+
+def test_what_was_given_is_the_same_in_both():
+    """An arm known to 30 % does not hide a change of 10 % that both flights tell."""
+    before, after = (result(Ixx=1.0), result(Ixx=1.0 + 10.0 * STD, source="b"))
+    narrow = compare(before, after).differences["Ixx"]
+    wide = [
+        replace(
+            r,
+            parameters={"Ixx": replace(r.parameters["Ixx"], std=np.hypot(STD, 0.3), std_given=0.3)},
+        )
+        for r in (before, after)
+    ]
+    found = compare(*wide).differences["Ixx"]
+    assert found.std == pytest.approx(narrow.std)
+    assert found.verdict == narrow.verdict == "changed"

@@ -24,8 +24,19 @@ def test_interval_is_the_normal_95_percent():
 def test_json_is_strict_whatever_the_numbers(bad):
     text = result(a=Estimate(bad, 1.0, "m", "weak"), b=Estimate(1.0, bad, "m", "weak")).dumps()
     table = json.loads(text, parse_constant=pytest.fail)["parameters"]
-    assert table["a"] == {"value": None, "std": 1.0, "ci95": None, "unit": "m", "status": "weak"}
-    assert table["b"] == {"value": 1.0, "std": None, "ci95": None, "unit": "m", "status": "weak"}
+    rest = {"std_given": 0.0, "ci95": None, "unit": "m", "status": "weak"}
+    assert table["a"] == {"value": None, "std": 1.0, "std_data": 1.0} | rest
+    assert table["b"] == {"value": 1.0, "std": None, "std_data": None} | rest
+
+
+def test_what_was_given_is_told_apart():
+    whole = Estimate(2.0, 0.5, "kg", "identified", std_given=0.4)
+    assert whole.std_data == pytest.approx(0.3)
+    assert whole.as_json()["std_given"] == 0.4
+    assert whole.ci95 == pytest.approx((2.0 - 0.97998199, 2.0 + 0.97998199))
+    # A given value shows its interval where it is not exact.
+    assert Estimate(1.5, 0.0, "kg", "given").half is None
+    assert Estimate(1.5, 0.01, "kg", "given", std_given=0.01).half == pytest.approx(0.01959964)
 
 
 def test_one_line_and_file(tmp_path):

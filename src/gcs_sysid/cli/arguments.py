@@ -4,7 +4,14 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
-from gcs_sysid.argument_types import between, not_negative, number, positive, split_prior
+from gcs_sysid.argument_types import (
+    between,
+    measured,
+    not_negative,
+    number,
+    positive,
+    split_prior,
+)
 from gcs_sysid.cli import option_groups
 from gcs_sysid.errors import InputError
 
@@ -33,6 +40,14 @@ def vehicle_address(text: str) -> tuple[int, int | None]:
         )
     return address
 
+
+SCALE_OPTIONS = {
+    "arm": ("--arm", "arm"),
+    "mass": ("--mass", "mass"),
+    "k_t": ("--k-t", "k_T"),
+    "t_max": ("--t-max", "T_max"),
+}
+"""Attribute -> option and key of `[uncertainty]`, of those that may have a standard deviation."""
 
 mass = between(0.001, 1e5, "kg")
 """Of something that flies."""
@@ -76,12 +91,31 @@ def _add_layout(parser: argparse.ArgumentParser, default: str | None = None) -> 
         help="built-in name (paper, px4-quad-x, ...) or .toml file"
         + (f" (default {default})" if default else ""),
     )
-    group.add_argument("--arm", type=positive, metavar="M", help="scale rotor distance to M metres")
+    group.add_argument(
+        "--arm",
+        type=measured(positive),
+        metavar="M[±STD]",
+        help="scale rotor distance to M metres; its standard deviation behind +-, such as "
+        "0.25+-0.003 or 0.25+-1%% (default 1%%), as for all that follow",
+    )
     scale = group.add_mutually_exclusive_group()
-    scale.add_argument("--mass", type=mass, metavar="KG", help="weighed mass as the scale")
-    scale.add_argument("--k-t", type=positive, metavar="N_S2", help="known k_T as the scale")
     scale.add_argument(
-        "--t-max", type=positive, metavar="N", help="known thrust of a rotor at full command"
+        "--mass",
+        type=measured(mass),
+        metavar="KG[±STD]",
+        help="weighed mass as the scale (default +-0.5%%)",
+    )
+    scale.add_argument(
+        "--k-t",
+        type=measured(positive),
+        metavar="N_S2[±STD]",
+        help="known k_T as the scale (default +-2%%)",
+    )
+    scale.add_argument(
+        "--t-max",
+        type=measured(positive),
+        metavar="N[±STD]",
+        help="known thrust of a rotor at full command (default +-2%%)",
     )
     return group
 
@@ -358,6 +392,11 @@ def layout_of(options: argparse.Namespace) -> "Airframe":
     airframe = load_airframe(options.airframe)
     if options.arm is not None:
         airframe = airframe.with_arm(options.arm)
+    for name in SCALE_OPTIONS:
+        sigma = getattr(getattr(options, name), "sigma", None)
+        if sigma is not None:
+            option, key = SCALE_OPTIONS[name]
+            airframe = airframe.with_uncertainty({key: sigma}, option)
     if options.mass is not None:
         return airframe.with_anchor("mass", options.mass)
     if options.k_t is not None:

@@ -19,12 +19,14 @@ class _Style(NamedTuple):
     """Columns left out."""
 
 
+_GIVEN = "given 95 %"
 _STYLES = (
     _Style(6, 2, frozenset()),
     _Style(6, 2, frozenset({"%"})),
     _Style(5, 1, frozenset({"%"})),
-    _Style(5, 1, frozenset({"%", "bound 95 %"})),
-    _Style(4, 1, frozenset({"%", "bound 95 %"})),
+    _Style(5, 1, frozenset({"%", _GIVEN})),
+    _Style(5, 1, frozenset({"%", _GIVEN, "bound 95 %"})),
+    _Style(4, 1, frozenset({"%", _GIVEN, "bound 95 %"})),
 )
 """The roomiest first."""
 _TOLD = ("rotor_input", "senders")
@@ -49,6 +51,9 @@ def result_table(
             break
     lines += rows
     notes = _notes(result)
+    if _GIVEN in rows[0]:
+        notes.insert(0, f"{_GIVEN}: the part of ± by errors of arm, scale and IMU as given, which "
+                     "no flight makes smaller")  # fmt: skip
     if notes:
         lines.append("")
     for note in notes:
@@ -67,6 +72,12 @@ def _rows(result: Result, truth: Mapping[str, float] | None, style: _Style) -> l
         ],
         "± 95 %": [_half(e) for e in estimates],
         "%": [_share(e) for e in estimates],
+    }
+    if any(e.std_given for e in estimates):
+        columns[_GIVEN] = [
+            significant(Z95 * e.std_given, 2) if e.std_given else "" for e in estimates
+        ]
+    columns |= {
         "unit": [PARAMETERS[name].unit for name in names],
         "status": [e.status for e in estimates],
     }

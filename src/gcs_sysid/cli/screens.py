@@ -111,15 +111,22 @@ def _command(
     """The command line that makes the same report of the finished recording."""
     words = ["gcs-sysid", "analyze", str(recording), "--airframe", str(options.airframe)]
     if options.arm is not None:
-        words += ["--arm", f"{options.arm:.9g}"]
+        words += ["--arm", f"{options.arm:.9g}" + _sigma(options.arm)]
     anchor = airframe.anchor()
     if anchor is not None:
-        words += [_SCALE_OPTIONS[anchor[0]], f"{anchor[1]:.9g}"]
+        told = "".join(map(_sigma, (options.mass, options.k_t, options.t_max)))
+        words += [_SCALE_OPTIONS[anchor[0]], f"{anchor[1]:.9g}{told}"]
     for name, value, std in options.prior:
         words += ["--prior", f"{name}={value:.9g}+-{std:.9g}"]
     if vehicle is not None:
         words += ["--vehicle", ":".join(str(part) for part in vehicle if part is not None)]
     return (*words, "--report", str(target))
+
+
+def _sigma(value: float | None) -> str:
+    """What was given behind an option's value."""
+    sigma = getattr(value, "sigma", None)
+    return "" if sigma is None else f"+-{sigma}"
 
 
 def live_actions(

@@ -72,6 +72,7 @@ def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | str:
         data_std=rotation.data_std if tracker.estimator.prior is not None else found.std,
     )
     bounding = replace(fit, covariance=np.diag(found.bound**2))
+    online = replace(online, aligned_by=rotation)
     return OfflineFit(replace(online, rotation=fit), replace(online, rotation=bounding), found)
 
 

@@ -8,6 +8,7 @@ fits of one warm start do not depend on one another, so that a block with many o
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,6 +41,18 @@ PriorSource = Callable[[TranslationFit | None], Prior | None]
 """What is known beforehand, given k_T / m as far as it is known."""
 
 
+class FitMoments(NamedTuple):
+    """Sums of products of rows [x, y] at a fit's coordinates.
+
+    Attributes:
+        rows: (3, WIDTH, WIDTH) of each axis' rows, without the inputs' known noise.
+        window: (WIDTH, WIDTH) of the rows of the symmetric window.
+    """
+
+    rows: Array
+    window: Array
+
+
 @dataclass(frozen=True)
 class Fit:
     """What the estimator knows at one instant, relative to k_T."""
@@ -58,6 +71,10 @@ class Fit:
     """What is wrong with the airframe's layout, where another explains the motion far better."""
     running: bool = False
     """Whether it is one of many looks at a running flight, see `uncertainty.watched_factor`."""
+    moments: FitMoments | None = None
+    """What tells where the IMU and the rotors are, see `given_errors`."""
+    aligned_by: RotationFit | None = None
+    """The fit that the moments are of, where `rotation` is another estimator's."""
 
 
 @dataclass(frozen=True)
@@ -217,9 +234,15 @@ class OnlineEstimator:
             rot = self._fit_without_products()
         other_layout = None if self._whitened is None else self._whitened.other_layout(rot)
         return Fit(
-            rot, trans, self.seconds, validation, accelerometer, rigid_body_test,
+            rot,
+            trans,
+            self.seconds,
+            validation,
+            accelerometer,
+            rigid_body_test,
             other_layout=other_layout,
-        )  # fmt: skip
+            moments=self._moments(rot),
+        )
 
     def fit_translation(
         self, at: RotationFit | None = None
@@ -310,6 +333,7 @@ class OnlineEstimator:
                 self._validation,
                 rigid_body_test=self._rigid_body_test,
                 running=True,
+                moments=self._moments_at(rot, i),
             )
             for rot, thrust, i in zip(rotations, thrusts, instants, strict=True)
         ]
@@ -377,7 +401,29 @@ class OnlineEstimator:
             self._validation,
             rigid_body_test=rigid_body_test,
             running=True,
+            moments=self._moments(rot),
         )
+
+    def _moments(self, fit: RotationFit | None) -> FitMoments | None:
+        """Of all that was learnt, at a fit of it."""
+        if fit is None or self._record.article is not None:
+            return None
+        warm_start = _WarmStart(fit, None, self._record.batches, 0.0, self._left_out)
+        return self._moments_at(fit, self._instant(warm_start))
+
+    def _moments_at(self, fit: RotationFit, instant: _Instant) -> FitMoments:
+        basis, at = self._record.basis, fit.coordinates
+        if instant.whitened is not None and self._whitened is not None:
+            white = instant.whitened
+            without = white.moments - white.rows * white.noise
+            # Whitened rows have a range of their own.
+            within = np.clip(at, basis.low, basis.high)
+            return FitMoments(
+                white.basis.moments_at(without, at), basis.moments_at(instant.rotation, within)
+            )
+        window = basis.moments_at(instant.rotation, at)
+        without = window - instant.rows * basis.noise_at(instant.noise, at)
+        return FitMoments(np.broadcast_to(without, (3, *without.shape)), window)
 
     def _renew_prior(self) -> None:
         if self.prior_source is not None:

@@ -25,12 +25,22 @@ class Scale:
     """Mass and thrust with relative standard deviations; None: not known.
 
     Thrust is k_T with rotor speeds, T_max with commands.
+
+    Attributes:
+        mass: kg.
+        mass_share: relative standard deviation by the flight and priors.
+        thrust: N s^2 or N.
+        thrust_share: the same.
+        mass_given: relative standard deviation by the error of the anchor that was given.
+        thrust_given: the same.
     """
 
     mass: float | None
     mass_share: float
     thrust: float | None
     thrust_share: float
+    mass_given: float = 0.0
+    thrust_given: float = 0.0
 
 
 def resolve_scale(
@@ -52,11 +62,12 @@ def resolve_scale(
         return _added_mass(anchor, kappa, share)
     own = anchor.std / anchor.value
     other = math.hypot(own, share)
+    given = anchor.given
     if anchor.kind == "mass":
-        k_T, k_T_share = _combined(anchor.value * kappa, other, known.get("k_T"))
-        return Scale(anchor.value, own, k_T, k_T_share)
-    mass, mass_share = _combined(anchor.value / kappa, other, known.get("mass"))
-    return Scale(mass, mass_share, anchor.value, own)
+        k_T, k_T_share, k_T_given = _combined(anchor.value * kappa, other, given, known.get("k_T"))
+        return Scale(anchor.value, own, k_T, k_T_share, given, k_T_given)
+    mass, mass_share, mass_given = _combined(anchor.value / kappa, other, given, known.get("mass"))
+    return Scale(mass, mass_share, anchor.value, own, mass_given, given)
 
 
 def _added_mass(anchor: ScaleReference, kappa: float, share: float) -> Scale:
@@ -72,18 +83,27 @@ def _added_mass(anchor: ScaleReference, kappa: float, share: float) -> Scale:
     k_T_share = math.hypot(loaded / apart * share, kappa / apart * loaded_share, own)
     mass_share = math.hypot(kappa / apart * share, kappa / apart * loaded_share, own)
     mass = anchor.value * loaded / apart
-    return Scale(mass, mass_share, mass * kappa, k_T_share)
+    return Scale(mass, mass_share, mass * kappa, k_T_share, anchor.given, anchor.given)
 
 
-def _combined(value: float, share: float, prior: Known | None) -> tuple[float | None, float]:
-    """A measured value and a prior on it, weighed by their variances."""
-    if prior is not None:
-        if not math.isfinite(value):
-            return prior[0], prior[1] / prior[0]
-        measured, given = 1.0 / (share * value) ** 2, 1.0 / prior[1] ** 2
-        value = (measured * value + given * prior[0]) / (measured + given)
-        return value, math.sqrt(1.0 / (measured + given)) / value
-    return (value, share) if math.isfinite(value) else (None, math.inf)
+def _combined(
+    value: float, share: float, given: float, prior: Known | None
+) -> tuple[float | None, float, float]:
+    """A measured value and a prior on it, weighed by their variances.
+
+    Returns:
+        The value, and the shares that it may be off by as measured, and by what was given.
+    """
+    if prior is None:
+        return (value, share, given) if math.isfinite(value) else (None, math.inf, 0.0)
+    if not math.isfinite(value):
+        return prior[0], prior[1] / prior[0], 0.0
+    own = math.hypot(share, given) * value
+    measured, known = 1.0 / own**2, 1.0 / prior[1] ** 2
+    mean = (measured * value + known * prior[0]) / (measured + known)
+    off_by = measured / (measured + known) * given * value
+    variance = 1.0 / (measured + known) - off_by**2
+    return mean, math.sqrt(max(variance, 0.0)) / mean, off_by / mean
 
 
 _UNKNOWNS = (*THETA, *COORDINATE_NAMES)
@@ -101,7 +121,7 @@ def relative_prior(known: Mapping[str, Known], scale: Scale) -> Prior | None:
             if scale.thrust is None:
                 continue
             value, std = value / scale.thrust, std / scale.thrust
-            std = math.hypot(std, value * scale.thrust_share)
+            std = math.hypot(std, value * scale.thrust_share, value * scale.thrust_given)
         # Two priors on one unknown (k_M and moment_ratio) add up.
         weight = 1.0 / std**2
         total = information[index] + weight

@@ -16,7 +16,7 @@ from gcs_sysid.model.parameters import REGISTRY
 SCHEMA = "gcs-sysid/fleet/1"
 MOST_BYTES = 2**30
 """Of a table: some hundred thousand logs."""
-_ESTIMATE = ("value", "std", "unit", "status", "rests_on")
+_ESTIMATE = ("value", "std", "std_given", "unit", "status", "rests_on")
 _SCALE = ("anchor", "value", "unit", "std")
 
 Row = dict[str, Any]
@@ -97,7 +97,7 @@ def _schema() -> Any:
     import pyarrow as pa
 
     def struct(parts: tuple[str, ...]) -> Any:
-        numbers = ("value", "std")
+        numbers = ("value", "std", "std_given")
         return pa.struct([(n, pa.float64() if n in numbers else pa.string()) for n in parts])
 
     columns = [

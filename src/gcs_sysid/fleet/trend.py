@@ -183,7 +183,12 @@ def result_of(row: Row) -> Result:
 
 def _estimate(entry: dict[str, Any]) -> Estimate:
     return Estimate(
-        entry["value"], entry["std"], entry["unit"], entry["status"], rests_on=entry["rests_on"]
+        entry["value"],
+        entry["std"],
+        entry["unit"],
+        entry["status"],
+        rests_on=entry["rests_on"],
+        std_given=entry.get("std_given") or 0.0,
     )
 
 
@@ -215,7 +220,7 @@ def predicted(flights: Sequence[Result], scatter: Scatter) -> Result:
         if sound:
             value, variance = mean(sound, scatter[name])
             std = math.sqrt(variance + scatter[name])
-            expected[name] = replace(sound[-1], value=value, std=std)
+            expected[name] = replace(sound[-1], value=value, std=std, std_given=0.0)
     return replace(
         last,
         source=source,
@@ -233,7 +238,7 @@ def is_sound(estimate: Estimate) -> bool:
     return (
         estimate.status == "identified"
         and estimate.value is not None
-        and bool(estimate.std)
+        and bool(estimate.std_data)
         and estimate.rests_on is None
     )
 
@@ -256,4 +261,5 @@ def _value(estimate: Estimate) -> float:
 
 
 def _std(estimate: Estimate) -> float:
-    return math.nan if estimate.std is None else estimate.std
+    # What was given is wrong by as much in every flight.
+    return math.nan if estimate.std_data is None else estimate.std_data

@@ -192,7 +192,9 @@ class LiveSession:
         name: AnchorName = kind  # type: ignore[assignment]
         airframe = self._airframe.with_anchor(name, value)
         self._estimate.chain.check_anchor(name)
-        self._commands.ask(lambda: self._set_anchor(airframe, ScaleReference(name, value)))
+        given = airframe.uncertainty.scale_share(name, value)
+        anchor = ScaleReference(name, value, given=given)
+        self._commands.ask(lambda: self._set_anchor(airframe, anchor))
         return f"scale from {kind} = {value:.6g} {ANCHORS[name]}"
 
     def choose_vehicle(self, address: tuple[int, int]) -> str:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import read_text
+from gcs_sysid.model.given_uncertainty import USUAL, GivenUncertainty, check_share
 from gcs_sysid.model.parameters import REGISTRY
 
 RotorInput = Literal["auto", "speed", "command"]
@@ -78,6 +79,7 @@ class Airframe:
         gyro_filter: Hz, second-order low-pass that the gyro has passed; 0 for none, None for what
             the autopilot does.
         imu_position: m, forward, right and down from the geometric centre, or None.
+        uncertainty: of rotor positions, scale and IMU.
     """
 
     name: str
@@ -91,6 +93,7 @@ class Airframe:
     imu_position: tuple[float, float, float] | None = None
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Parameters known beforehand: name -> value and standard deviation, SI."""
+    uncertainty: GivenUncertainty = USUAL
 
     @property
     def geometry(self) -> NDArray[np.float64]:
@@ -141,7 +144,7 @@ class Airframe:
         return replace(self, **cleared)  # type: ignore[arg-type]
 
     def check_scale_fits(self) -> None:
-        """Refuse a scale that means nothing with the rotor input.
+        """Refuse a scale that means nothing with the rotor input, or is hardly known.
 
         Raises:
             InputError: it does not fit.
@@ -156,6 +159,27 @@ class Airframe:
                 "k_T cannot set the scale with commands as the input; give mass or T_max "
                 "(--mass, --t-max)"
             )
+
+        own = self.anchor()
+        if own is not None:
+            check_share(*own, getattr(self.uncertainty, own[0]))
+        check_share("arm", self.arm, self.uncertainty.arm)
+
+    def with_uncertainty(self, entries: Mapping[str, object], where: str) -> "Airframe":
+        """The same airframe with other standard deviations of what is given.
+
+        Args:
+            entries: as in a file's `[uncertainty]`.
+            where: for messages.
+
+        Raises:
+            InputError: see `GivenUncertainty.altered`.
+
+        Example:
+            >>> load_airframe("paper").with_uncertainty({"mass": 0.01}, "here").uncertainty.mass
+            Sigma(amount=0.01, relative=False)
+        """
+        return replace(self, uncertainty=self.uncertainty.altered(entries, where))
 
     def with_prior(self, name: str, value: float, std: float) -> "Airframe":
         """The same airframe with one more (or another) prior.
@@ -241,8 +265,8 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
     Raises:
         InputError: a key is unknown, missing or has a value that makes no sense.
     """
-    known = {"name", "rotor_input", "command", "imu", "rotor", "prior", *ANCHORS, SIMULATION_TABLE}
-    _reject_unknown(table, known, where)
+    tables = {"command", "imu", "rotor", "prior", "uncertainty", SIMULATION_TABLE}
+    _reject_unknown(table, {"name", "rotor_input", *ANCHORS, *tables}, where)
     name = table.get("name", Path(where).stem)
     if not isinstance(name, str):
         raise InputError(f"{where}: name must be text, got {name!r}")
@@ -268,8 +292,15 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
         gyro_filter=gyro_filter,
         imu_position=imu_position,
         priors=_priors(table.get("prior", {}), where),
+        uncertainty=_uncertainty(table.get("uncertainty", {}), f"{where}: [uncertainty]"),
         **anchors,
     )
+
+
+def _uncertainty(table: object, where: str) -> GivenUncertainty:
+    if not isinstance(table, dict):
+        raise InputError(f"{where} must be a table")
+    return USUAL.altered(table, where)
 
 
 def _priors(table: object, where: str) -> dict[str, tuple[float, float]]:

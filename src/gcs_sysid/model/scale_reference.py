@@ -18,6 +18,8 @@ class ScaleReference:
         std: of the value; zero as given by a user, not where it comes from an earlier segment.
         origin: where it comes from; empty for a user.
         loaded: of "added_mass", k_T / m of the flight with the mass added, and its deviation.
+        given: share by which what was given at first may be wrong, which no flight tells: all
+            that is in proportion to the scale is off by it, after changes in flight too.
     """
 
     kind: ScaleKind
@@ -25,3 +27,4 @@ class ScaleReference:
     std: float = 0.0
     origin: str = ""
     loaded: Known | None = None
+    given: float = 0.0

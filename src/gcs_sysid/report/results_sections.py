@@ -109,6 +109,9 @@ def parameters(data: ReportData) -> Markup:
         Column("Status"),
         Column("Rests on"),
     ]
+    # What no flight makes smaller, where there is any.
+    limited = any(e.get("std_given") for e in entries.values())
+    columns += [Column("Of it given, 95 %", numbers=True)] if limited else []
     columns += [Column("Cramér-Rao bound, 95 %", numbers=True)] if bounded else []
     columns += [Column("Truth", numbers=True)] if data.truth else []
     core = CORE_OF[result["rotor_input"]]
@@ -118,8 +121,10 @@ def parameters(data: ReportData) -> Markup:
         status: Status = estimate["status"]
         cells = [_name(name), *_numbers(estimate), _status(status, words.STATUS[status])]
         cells.append(words.told_by(name, estimate, result["scale"]))
+        if limited:
+            cells.append(_half_of(estimate.get("std_given")))
         if bounded:
-            cells.append(_bound(estimate))
+            cells.append(_half_of(estimate.get("bound")))
         if data.truth:
             cells.append(_truth(estimate, data.truth.get(name)))
         rows.append(cells)
@@ -134,6 +139,12 @@ def parameters(data: ReportData) -> Markup:
         "Parameters",
         table("Parameters with their 95 % intervals, SI units", columns, rows),
         element("ul", *meanings, class_="meanings"),
+        note(
+            "Of it given: the part by errors of arm, scale and IMU as given, which no flight "
+            "makes smaller."
+        )
+        if limited
+        else None,
         _timing(result),
         _segments(result),
     )
@@ -158,7 +169,7 @@ def _numbers(estimate: Mapping[str, Any]) -> list[Child]:
     if value is None or half is None:
         return [PAGE.nothing] * 2
     text, half_text, power, exponent = PAGE.value_and_half(value, half)
-    if estimate["status"] == "given":
+    if estimate["status"] == "given" and not half:
         return [f"{PAGE.number(value, 6)} {unit}", PAGE.nothing]
     decimals = decimals_for(half / 10.0**exponent, abs(value) / 10.0**exponent)
     ends = [PAGE.fixed(end / 10.0**exponent, decimals) for end in estimate["ci95"] or ()]
@@ -178,11 +189,9 @@ def _numbers(estimate: Mapping[str, Any]) -> list[Child]:
     return [shown, interval]
 
 
-def _bound(estimate: Mapping[str, Any]) -> str:
-    bound = estimate.get("bound")
-    if not bound:
-        return PAGE.nothing
-    return f"± {PAGE.number(Z95 * bound, 2)}"
+def _half_of(std: float | None) -> str:
+    """Half of a 95 % interval; nothing where there is none."""
+    return f"± {PAGE.number(Z95 * std, 2)}" if std else PAGE.nothing
 
 
 def _truth(estimate: Mapping[str, Any], true: float | None) -> Child:

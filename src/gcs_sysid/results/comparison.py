@@ -163,7 +163,8 @@ def _difference(name: str, before: Result, after: Result) -> Difference:
         elif result.scale is None and _KNOWN[name].scale != "none":
             why = f"{which} has no scale"
         else:
-            values.append((estimate.value, estimate.std))
+            # What was given is wrong by as much in both.
+            values.append((estimate.value, estimate.std_data or 0.0))
         if why:
             return Difference(name, first, second, None, None, None, None, "cannot_tell", why)
     value = values[1][0] - values[0][0]
@@ -257,7 +258,10 @@ def _scale_notes(before: Result, after: Result, found: Mapping[str, Difference])
     else:
         yield f"A rests on {_anchor(first)}, B on {_anchor(second)}, as given"
     if first.std == 0.0 or second.std == 0.0:
-        yield "the error of a weighed or given anchor itself is not in the intervals"
+        yield (
+            "errors of what was given (arm, mass, ...) are not in the intervals of differences: "
+            "they are the same in both flights if it is the same vehicle, given alike"
+        )
     if first.anchor == second.anchor == "mass":
         yield from _suspicion(second.value, found)
 

@@ -19,7 +19,8 @@ Verdict = Literal["identified", "partial", "refused"]
 class Estimate:
     """One parameter's value with its uncertainty.
 
-    `value` and `std` are None where the data say nothing at all; `std` is 0 for a given value.
+    `value` and `std` are None where the data say nothing at all; `std` is 0 for a given value that
+    is exact.
 
     Example:
         >>> from gcs_sysid import Estimate
@@ -36,6 +37,16 @@ class Estimate:
     """The least standard deviation that any estimator could have on this flight."""
     rests_on: str | None = None
     """What more than half of the knowledge comes from, if not from this flight's data."""
+    std_given: float = 0.0
+    """The part of `std` that comes from what was given (arm, scale, IMU): the same in every flight
+    analyzed with it, however long. `std` is the root of the sum of both squares."""
+
+    @property
+    def std_data(self) -> float | None:
+        """The part of `std` that comes from this flight, and tells it from others."""
+        if self.std is None or not self.std_given:
+            return self.std
+        return math.sqrt(max(self.std**2 - self.std_given**2, 0.0))
 
     @property
     def ci95(self) -> tuple[float, float] | None:
@@ -48,7 +59,7 @@ class Estimate:
     @property
     def half(self) -> float | None:
         """Half the width of the 95 % interval; None where there is none, or nothing to say."""
-        if self.value is None or self.std is None or self.status == "given":
+        if self.value is None or self.std is None or (self.status == "given" and not self.std):
             return None
         half = Z95 * self.std
         return half if math.isfinite(half) else None
@@ -67,6 +78,8 @@ class Estimate:
         out = {
             "value": _finite(self.value),
             "std": _finite(self.std),
+            "std_data": _finite(self.std_data),
+            "std_given": None if self.std is None else self.std_given,
             "ci95": None if ci is None or not all(map(math.isfinite, ci)) else list(ci),
             "unit": self.unit,
             "status": self.status,
@@ -89,12 +102,16 @@ class Scale:
     """Of the value; zero where it was given."""
     origin: str = ""
     """Where the value comes from, if it was not given."""
+    std_given: float = 0.0
+    """Of the value, by the error of what was given at first."""
 
     def as_json(self) -> dict[str, Any]:
         """The scale as the result file writes it."""
         out: dict[str, Any] = {"anchor": self.anchor, "value": self.value, "unit": self.unit}
         if self.origin:
             out |= {"std": self.std, "from": self.origin}
+        if self.std_given:
+            out["std_given"] = self.std_given
         return out
 
 

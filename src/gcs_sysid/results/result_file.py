@@ -140,6 +140,7 @@ def _estimates(table: _Table, known: Mapping[str, Any]) -> dict[str, Estimate]:
             cast(Status, entry.one_of("status", get_args(Status))),
             entry.number("bound"),
             entry.text("rests_on") or None,
+            min(entry.number("std_given") or 0.0, std or 0.0),
         )
     return out
 
@@ -158,6 +159,7 @@ def _scale(table: _Table) -> Scale | None:
         scale.text("unit"),
         scale.number("std") or 0.0,
         scale.text("from"),
+        scale.number("std_given") or 0.0,
     )
 
 

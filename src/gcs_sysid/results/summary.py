@@ -85,6 +85,7 @@ def estimates_of(
     fit: Fit,
     anchor: ScaleReference,
     bounds: Mapping[str, Value] | None = None,
+    given: Mapping[str, float] | None = None,
 ) -> dict[str, Estimate]:
     """Values as a result's estimates.
 
@@ -93,6 +94,7 @@ def estimates_of(
         fit: that they come from.
         anchor: in force.
         bounds: parameters whose `std` are the Cramer-Rao bounds, if they were computed.
+        given: the part of each `std` that comes from what was given.
     """
     leaning = rests_on_prior(fit.rotation) if fit.rotation is not None else frozenset()
     support = anchor.origin or "prior"
@@ -104,6 +106,7 @@ def estimates_of(
             v.status,
             bound=bounds[name].std if bounds and name in bounds else None,
             rests_on=support if name in leaning else None,
+            std_given=given.get(name, 0.0) if given else 0.0,
         )
         for name, v in values.items()
     }
@@ -112,7 +115,9 @@ def estimates_of(
 def scale_of(anchor: ScaleReference) -> Scale:
     """The anchor as a result names it."""
     unit = REGISTRY["mass" if anchor.kind == "added_mass" else anchor.kind].unit
-    return Scale(anchor.kind, anchor.value, unit, anchor.std, anchor.origin)
+    return Scale(
+        anchor.kind, anchor.value, unit, anchor.std, anchor.origin, anchor.given * anchor.value
+    )
 
 
 def next_anchor(
@@ -129,10 +134,10 @@ def next_anchor(
     thrust = values[kind]
     origin = f"the flight before {until:.1f} s"
     if anchor.kind == kind:
-        return ScaleReference(kind, anchor.value, anchor.std, origin)
+        return ScaleReference(kind, anchor.value, anchor.std, origin, given=anchor.given)
     if thrust.value is None or thrust.std is None:
         return anchor
-    return ScaleReference(kind, thrust.value, thrust.std, origin)
+    return ScaleReference(kind, thrust.value, thrust.std, origin, given=anchor.given)
 
 
 def validation_of(fit: Fit) -> dict[str, Any]:

@@ -100,7 +100,7 @@ def value_and_half(estimate: Estimate, exponent: int) -> tuple[str, str]:
     half = None if half is None else half * factor
     decimals = decimals_for(half or 0.0, most=FRACTION_WIDTH - 1)
     value = aligned(None if estimate.value is None else estimate.value * factor, decimals)
-    if estimate.status == "given":
+    if estimate.status == "given" and half is None:
         return value, "exact".ljust(NUMBER_WIDTH - 1)
     return value, aligned(half, decimals, WHOLE_WIDTH - 1)
 

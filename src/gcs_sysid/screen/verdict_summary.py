@@ -20,7 +20,8 @@ Known = tuple[str, float | None]
 def shares(result: Result) -> dict[str, float | None]:
     """Half of each 95 % interval over what it is measured against, see `coach.targets`."""
     told = result.parameters
-    values = {name: Value(e.value, e.std, e.status) for name, e in told.items()}
+    # Flying on makes no interval narrower by what was given.
+    values = {name: Value(e.value, e.std_data, e.status) for name, e in told.items()}
     complete = dict.fromkeys(CORE_OF[result.rotor_input], NOTHING) | values
     places = [(rotor["x"], rotor["y"]) for rotor in result.airframe.get("rotors", ())]
     arm = sum(math.hypot(x, y) for x, y in places) / max(len(places), 1)

@@ -115,16 +115,18 @@ def analyze_pair(
             f"{paths[1]} was not flown heavier than {paths[0]}, as far as the data tell: "
             "give the light flight first, and add more mass"
         )
+    given = airframe.uncertainty.scale_share("added_mass", added_mass)
     first = analyze_log(
         paths[0],
         airframe,
         wanted,
         options,
         progress,
-        ScaleReference("added_mass", added_mass, loaded=(heavy, heavy_std)),
+        ScaleReference("added_mass", added_mass, loaded=(heavy, heavy_std), given=given),
     )
     k_T = first.parameters["k_T"]
     assert k_T.value is not None
-    assert k_T.std is not None
-    shared = ScaleReference("k_T", k_T.value, k_T.std, f"two flights, {added_mass:g} kg apart")
+    assert k_T.std_data is not None
+    origin = f"two flights, {added_mass:g} kg apart"
+    shared = ScaleReference("k_T", k_T.value, k_T.std_data, origin, given=given)
     return [first, analyze_log(paths[1], airframe, wanted, options, progress, shared)]

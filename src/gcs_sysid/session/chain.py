@@ -55,7 +55,7 @@ class Chain:
     ) -> None:
         own = airframe.anchor()
         if anchor is None and own is not None:
-            anchor = ScaleReference(*own)
+            anchor = ScaleReference(*own, given=airframe.uncertainty.scale_share(*own))
         if anchor is None:
             raise ValueError("the airframe has no scale anchor (mass, k_T or T_max)")
         self.airframe = airframe

@@ -3,6 +3,10 @@
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from gcs_sysid.estimation.given_errors import Given, alignment_of, given_stds, with_given
+from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.physical_parameters import (
     timing_values,
     verdict,
@@ -15,7 +19,7 @@ from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results import summary
 from gcs_sysid.results.result import Estimate, Result
 from gcs_sysid.session.learner import Learner
-from gcs_sysid.session.reasons import data_reasons
+from gcs_sysid.session.reasons import data_reasons, limit_by_given
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 from gcs_sysid.signals.sampling import Sampler
 
@@ -50,7 +54,9 @@ class Findings:
     def result(self) -> Result:
         """All of it."""
         values = self.learner.values(self.learner.fit, self._anchor)
-        word, reasons = verdict(values, self.learner.rotor_input, self.learner.fit.rigid_body_test)
+        parameters, whole = self._estimates(values, self.learner.fit, self._anchor, self._bounds())
+        word, reasons = verdict(whole, self.learner.rotor_input, self.learner.fit.rigid_body_test)
+        reasons = (*reasons, *limit_by_given(values, whole))
         first = data_reasons(self.sampler, self.learner, self.outdated)
         doubts = self.learner.evidence(self.learner.fit).reasons
         if word == "identified" and doubts:
@@ -71,12 +77,7 @@ class Findings:
             vehicle={},
             scale=summary.scale_of(self._anchor),
             rotor_input=self.learner.rotor_input,
-            parameters=summary.estimates_of(
-                with_clock_error(values, self.clock_error),
-                self.learner.fit,
-                self._anchor,
-                self._bounds(),
-            ),
+            parameters=parameters,
             estimator="online" if isinstance(self.offline, str | None) else "offline",
             timing=self._timing(),
             events=(*self.learner.input_events, *self._changes([*past, values])),
@@ -89,6 +90,23 @@ class Findings:
             telemetry=self._telemetry(),
             airframe=self.airframe.as_json(),
         )
+
+    def _estimates(
+        self,
+        values: dict[str, Value],
+        fit: Fit,
+        anchor: ScaleReference,
+        bounds: dict[str, Value] | None = None,
+    ) -> tuple[dict[str, Estimate], dict[str, Value]]:
+        """Estimates with all of their uncertainty; the values of the same, for the verdict."""
+        rotor_input, airframe = self.learner.rotor_input, self.airframe
+        known = {} if anchor.origin else summary.priors_for(airframe.priors, rotor_input)
+        stds = given_stds(values, fit, Given(airframe, anchor, rotor_input, known))
+        timed = with_clock_error(values, self.clock_error)
+        estimates = summary.estimates_of(
+            with_given(timed, stds, airframe.arm), fit, anchor, bounds, stds
+        )
+        return estimates, with_given(values, stds, airframe.arm)
 
     def _timing(self) -> dict[str, Estimate]:
         timing = timing_values(self.learner.fit.rotation, self.learner.rotor_input)
@@ -138,9 +156,7 @@ class Findings:
                 "scale": summary.scale_of(anchor).as_json(),
                 "parameters": {
                     name: estimate.as_json()
-                    for name, estimate in summary.estimates_of(
-                        with_clock_error(values, self.clock_error), segment.fit, anchor
-                    ).items()
+                    for name, estimate in self._estimates(values, segment.fit, anchor)[0].items()
                 },
                 "validation": summary.validation_of(segment.fit),
             }
@@ -161,6 +177,17 @@ class Findings:
             "rotor_outliers": base.wild_speeds,
             "rotor_still": base.still_speeds,
             "rotor_input": self._input_telemetry(),
+            "imu_rotation": self._imu_rotation(),
+        }
+
+    def _imu_rotation(self) -> dict[str, Any] | None:
+        """How the IMU is turned, in degrees; None where that is given as exact or not told."""
+        found = alignment_of(self.learner.fit, self.airframe)
+        if found is None or not found.turned_std.any():
+            return None
+        return {
+            "value": np.degrees(found.turned).tolist(),
+            "std": np.degrees(found.turned_std).tolist(),
         }
 
     @property

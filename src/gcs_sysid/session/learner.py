@@ -12,6 +12,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.evidence import Evidence, evidence_of
+from gcs_sysid.estimation.given_errors import aligned, alignment_of
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.rotor_signals import RotorInput, low_pass_delay
@@ -115,7 +116,8 @@ class Learner:
         priors, arm = self._airframe.priors, self._airframe.arm
         known = {} if anchor.origin else summary.priors_for(priors, self.rotor_input)
         late = low_pass_delay(self.cutoffs[0])
-        values = summary.values_of(fit, anchor, arm, known, self.rotor_input, late)
+        aligned_fit = aligned(fit, alignment_of(fit, self._airframe))
+        values = summary.values_of(aligned_fit, anchor, arm, known, self.rotor_input, late)
         evidence = self.evidence(fit)
         return {name: evidence.cap(value, REGISTRY[name]) for name, value in values.items()}
 

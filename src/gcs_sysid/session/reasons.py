@@ -1,6 +1,8 @@
 """Why the data do not tell more: the words of a verdict below `identified`."""
 
-from gcs_sysid.estimation.status import RULES
+from collections.abc import Mapping
+
+from gcs_sysid.estimation.status import RULES, Value
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.session.learner import Learner
 from gcs_sysid.signals.records import Stream
@@ -59,6 +61,22 @@ def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[st
             "fly it harder than the wind does, and check the motor order",
         )
     return ()
+
+
+def limit_by_given(by_flight: Mapping[str, Value], whole: Mapping[str, Value]) -> tuple[str, ...]:
+    """What the flight tells well enough, and what was given does not.
+
+    Args:
+        by_flight: values with the uncertainty of the flight alone.
+        whole: the same with that of what was given.
+    """
+    limited = [n for n, v in by_flight.items() if v.status == "identified" != whole[n].status]
+    if not limited:
+        return ()
+    return (
+        f"what was given limits {', '.join(limited)}, not the flight: measure rotors, mass and "
+        "IMU better and say so in [uncertainty]",
+    )
 
 
 def _input_reasons(rotor_selector: RotorSourceSelector, anchor: ScaleReference) -> tuple[str, ...]:

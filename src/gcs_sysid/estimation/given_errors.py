@@ -1,0 +1,384 @@
+"""What errors of the given rotor positions, scale and IMU pose do to an estimate.
+
+**What no flight tells** is the scale reference, the scale common to all arms, the middle of the
+rotors, and with the accelerometer as source of thrust over mass the IMU's place. A share e of the
+scale reference moves mass, k_T (T_max), inertia, k_M, damping and drag by e. A share e of all arms
+moves theta as a whole by e: inertia, CG, moment ratio, damping and rotor inertia, all over k_T. The
+CG is counted from the middle. These errors are the same in all flights of a vehicle.
+
+**What flights do tell** is how rotors lie to each other and how the IMU is turned, as unknowns eps
+with the given standard deviations as a prior. An error is one of the known signals,
+
+    x = (1 + eps L) x_true,  w' = (1 + eps E) w'_true    =>    residual = eps D x,  D = E Q - Q L
+
+With the derivatives G = dQ/dtheta, normal equations H = sum G' W G and C = sum G' W D, it moves the
+estimate by S eps, S = H^-1 C, and is known by the part of it that theta cannot explain:
+
+    I = sum D' W D - C' S,   g = sum D' W r - S' sum G' W r
+    P = ((f I^-1 + F)^-1 + 1)^-1,   eps = P (1 + I F / f)^-1 g / f
+
+with eps in its prior's standard deviations, f the factor by which coloured residuals widen the
+covariance of theta, and F what air and unequal rotors imitate. All sums follow from the moments of
+the rows. An IMU that is turned by 1 degree makes Izz, Ixz and Iyz wrong by several percent; a
+minute of doublets tells it to 0.3 degrees.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.actuator_dynamics import WIDTH
+from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.scale import resolve_scale
+from gcs_sysid.estimation.search import N_X, residual_maker
+from gcs_sysid.estimation.status import RULES, Value
+from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.parameters import ARM, PARAMETERS, RotorInput
+from gcs_sysid.model.scale_reference import Known, ScaleReference
+
+_RIDGE = 1.0
+"""Of what an entry of theta matters to: an error of what is given is not taken to move it by more.
+It keeps directions that a flight does not tell from taking up everything; of an entry known to 5 %
+it changes the outcome by a quarter of a percent."""
+_KNOWN_TO = 0.2
+"""Of the same: entries that are known better show how much coloured residuals widen intervals."""
+_IMITATED = math.radians(0.3)
+"""rad, what air and unequal rotors may look like: rotorpy's vehicles, whose IMU is not turned at
+all, are read as if it were by 0.1 to 1 degree, where noise alone would leave 0.1."""
+_STEPS = 3
+"""Of Gauss-Newton; a degree needs two."""
+_COLUMN = {name: i for i, name in enumerate(rb.SIGNALS)}
+_AXES = 3
+_RATES = [_COLUMN[name] for name in "pqr"]
+_MOMENTUM = [_COLUMN["pH"], _COLUMN["qH"]]
+_CROSS = np.array(
+    [[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]],
+     [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]], float
+)  # fmt: skip
+"""What an IMU that is turned about each axis makes of rates, to first order: w - turn x w."""
+_PAIRS = [(1, 2), (2, 0), (0, 1), (0, 0), (1, 1), (2, 2)]
+_PRODUCT = {frozenset(pair): _COLUMN["qr"] + i for i, pair in enumerate(_PAIRS)}
+"""Column of the product of two rates."""
+
+
+@dataclass(frozen=True)
+class Given:
+    """What was given, as far as its errors matter.
+
+    Attributes:
+        airframe: with rotor positions and the uncertainty of all.
+        anchor: that sets the scale.
+        rotor_input: what the fit is relative to.
+        priors: on mass and k_T.
+    """
+
+    airframe: Airframe
+    anchor: ScaleReference
+    rotor_input: RotorInput
+    priors: Mapping[str, Known]
+
+
+def given_stds(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[str, float]:
+    """Standard deviations that come from what was given, and which no flight makes smaller.
+
+    Args:
+        values: parameters by name.
+        fit: that they come from.
+        given: what they rest on.
+
+    Returns:
+        Name -> standard deviation, SI, of parameters that have a value.
+    """
+    scale = resolve_scale(given.anchor, fit.translation, given.priors)
+    lever, airframe = _lever_arm_share(fit, given.airframe), given.airframe
+    arm, middle = _common_errors(airframe)
+    own = given.anchor.kind
+    of_mass = math.hypot(scale.mass_given, 0.0 if own == "mass" else lever)
+    of_thrust = math.hypot(scale.thrust_given, 0.0 if own in ("k_T", "T_max") else lever)
+    weight = np.ones(rb.N_THETA)
+    if fit.rotation is not None and not given.anchor.origin:
+        # What comes from a prior does not move with the arm. Before a change in flight it does.
+        std, by_data = fit.rotation.std, np.maximum(fit.rotation.data_std, 1e-300)
+        weight = np.minimum((std / by_data) ** 2, 1.0)
+    out = {}
+    for name, told in values.items():
+        p = PARAMETERS.get(name)
+        if p is None or told.value is None:
+            continue
+        share = 0.0
+        if p.theta:
+            share = math.hypot(arm, of_thrust if p.scale == "thrust" else 0.0)
+            at = rb.THETA.index(p.theta)
+            offset = middle if p.mean_torque else 0.0
+            out[name] = float(weight[at]) * math.hypot(share * told.value, offset)
+        elif p.fit in ("scale", "translation"):
+            share = of_mass if p.scale == "mass" else of_thrust
+            out[name] = share * abs(told.value)
+    return out
+
+
+def _common_errors(airframe: Airframe) -> tuple[float, float]:
+    """Standard deviations of the scale of all arms, relative, and of the rotors' middle, m."""
+    sigma, n = airframe.uncertainty, len(airframe.rotors)
+    single = sigma.rotor_position.of(airframe.arm)
+    places = airframe.geometry[:2]
+    reach = float(np.linalg.norm(places - places.mean(axis=1, keepdims=True)))
+    arm = math.hypot(sigma.arm.of(airframe.arm) / airframe.arm, single / reach)
+    return arm, single / math.sqrt(n)
+
+
+def with_given(
+    values: Mapping[str, Value], stds: Mapping[str, float], arm: float
+) -> dict[str, Value]:
+    """Values with the whole of their uncertainty: the flight's and that of what was given.
+
+    What is no longer known to a twentieth of its yardstick is no longer identified; it remains
+    weak, however wrong what was given may be, because the flight does tell it.
+
+    Args:
+        values: with standard deviations by the flight alone.
+        stds: see `given_stds`.
+        arm: m, mean rotor distance.
+    """
+    sizes = {n: v.value for n, v in values.items() if v.value is not None} | {ARM: arm}
+    out = dict(values)
+    for name, own in stds.items():
+        told = values[name]
+        if not own or told.value is None or told.std is None:
+            continue
+        std = math.hypot(told.std, own)
+        wide = std >= RULES.identified_below * PARAMETERS[name].yardstick.size(told.value, sizes)
+        status = "weak" if told.status == "identified" and wide else told.status
+        out[name] = replace(told, std=std, status=status)
+    return out
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Where rotors and IMU are, as a flight tells, and what that does to its estimate.
+
+    Attributes:
+        shift: (N_THETA,) to be added to theta.
+        covariance: (N_THETA, N_THETA) of the shift.
+        turned: (3,) rotation of the IMU about roll, pitch and yaw, rad.
+        turned_std: (3,) its standard deviation.
+    """
+
+    shift: Array
+    covariance: Array
+    turned: Array
+    turned_std: Array
+
+
+def alignment_of(fit: Fit, airframe: Airframe) -> Alignment | None:
+    """Find rotors and IMU from the moments of a fit; None where they are exact or nothing tells.
+
+    Args:
+        fit: with moments.
+        airframe: where they are given, and how well.
+    """
+    rotation, moments = fit.aligned_by or fit.rotation, fit.moments
+    errors = _errors(airframe)
+    if rotation is None or moments is None or not any(error.any() for error in errors):
+        return None
+    size = rb.counterparts(rotation.theta, airframe.arm)
+    W = np.linalg.inv(rotation.residual_covariance)
+    theta, eps = rotation.theta, np.zeros(len(errors))
+    torque = rotation.deviating.torque(rotation.deviations)
+    now = first = _Normal.at(theta, moments.rows, W, errors, size, torque)
+    told = rotation.data_std < _KNOWN_TO * size
+    told[[rb.CG_X, rb.CG_Y, rb.DAMPING]] = False  # of slow errors of their own
+    f = float((rotation.data_std**2 / first.variance)[told].max()) if told.any() else np.inf
+    turn = math.radians(airframe.uncertainty.imu_rotation.amount)
+    imitated = np.zeros(len(errors))
+    imitated[-_AXES:] = (_IMITATED / turn) ** 2 if turn else 0.0
+    for _ in range(_STEPS):
+        P, weight = _weighed(now.information / f, imitated)
+        step = P @ (weight @ now.gradient / f - eps)
+        moved = theta - now.S @ step + (now.pull - first.pull)
+        if not rb.is_physical(moved):
+            break
+        theta, eps = moved, eps + step
+        A = _undoing(errors, eps)
+        now = _Normal.at(theta, A @ moments.rows @ A.T, W, errors, size, torque)
+    P, _ = _weighed(now.information / f, imitated)
+    return Alignment(
+        theta - rotation.theta,
+        now.S @ P @ now.S.T,
+        turn * eps[-_AXES:],
+        turn * np.sqrt(np.diag(P)[-_AXES:]),
+    )
+
+
+def _weighed(information: Array, imitated: Array) -> tuple[Array, Array]:
+    """Covariance of errors whose prior is 1, and what weighs the gradient.
+
+    Args:
+        information: (p, p) of the flight.
+        imitated: (p,) variance of what else looks like these errors.
+    """
+    # (I^-1 + F)^-1 = (1 + I F)^-1 I
+    weight = np.linalg.inv(np.eye(len(imitated)) + information * imitated)
+    return np.linalg.inv(weight @ information + np.eye(len(imitated))), weight
+
+
+def aligned(fit: Fit, alignment: Alignment | None) -> Fit:
+    """The fit with rotors and IMU where the flight tells that they are."""
+    rotation, n = fit.rotation, rb.N_THETA
+    if rotation is None or alignment is None:
+        return fit
+    theta = rotation.theta + alignment.shift
+    full = rotation.full_covariance.copy()
+    full[:n, :n] += alignment.covariance
+    rotation = replace(
+        rotation,
+        theta=theta if rb.is_physical(theta) else rotation.theta,
+        covariance=rotation.covariance + alignment.covariance,
+        full_covariance=full,
+        data_std=np.sqrt(rotation.data_std**2 + np.diag(alignment.covariance)),
+    )
+    return replace(fit, rotation=rotation)
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """The normal equations of theta and errors at a point; symbols as above.
+
+    Attributes:
+        variance: (N_THETA,) diagonal of H^-1.
+        S: (N_THETA, errors).
+        pull: (N_THETA,) step to the minimum in theta, H^-1 sum G' W r.
+        information: (errors, errors), I.
+        gradient: (errors,) downhill, sum D' W r - S' sum G' W r.
+    """
+
+    variance: Array
+    S: Array
+    pull: Array
+    information: Array
+    gradient: Array
+
+    @classmethod
+    def at(
+        cls,
+        theta: Array,
+        rows: Array,
+        W: Array,
+        errors: Sequence[Array],
+        size: Array,
+        torque: Array,
+    ) -> "_Normal":
+        """At theta.
+
+        Args:
+            theta: (N_THETA,).
+            rows: (3, WIDTH, WIDTH) moments.
+            W: (3, 3) weight; diagonal where axes have rows of their own.
+            errors: (WIDTH, WIDTH) each, what one standard deviation does to a row.
+            size: (N_THETA,) what each entry matters to.
+            torque: (3, N_X) of deviations from the model.
+        """
+        Q, G = rb.forward_jacobian(theta, torque)
+        # D = E Q - Q L
+        D = np.stack([e[N_X:, N_X:] @ Q - Q @ e[:N_X, :N_X] for e in errors])
+        inputs = rows[:, :N_X, :N_X]
+        left = W @ (residual_maker(Q)[:, None] @ rows)[:, 0, :N_X]  # W r x', by axis
+        weighted = W @ (G[:, :, None] @ inputs)[:, :, 0]
+        own = np.einsum("kaz,laz->kl", weighted, G)
+        ridge = (_RIDGE * size) ** -2.0
+        d = 1.0 / np.sqrt(np.maximum(np.diag(own), 0.0) + ridge)
+        H = _not_negative(d[:, None] * own * d) + np.diag(d * d * ridge)
+        inverse = np.linalg.inv(H) * np.outer(d, d)
+        C = np.einsum("kaz,saz->ks", weighted, D)
+        S = inverse @ C
+        downhill = np.einsum("kax,ax->k", G, left)
+        information = np.einsum("saz,taz->st", W @ (D[:, :, None] @ inputs)[:, :, 0], D) - C.T @ S
+        gradient = np.einsum("sax,ax->s", D, left) - S.T @ downhill
+        information = _not_negative(information)
+        return cls(np.diag(inverse), S, inverse @ downhill, information, gradient)
+
+
+def _not_negative(information: Array) -> Array:
+    """(p, p) without what is negative: where inputs are hardly more than the noise taken out."""
+    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
+    positive: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return positive
+
+
+def _errors(airframe: Airframe) -> list[Array]:
+    """(WIDTH, WIDTH) each: what one standard deviation does to a row [x, y], to first order.
+
+    Of the 2 rotors - 3 ways in which rotors can lie wrongly beside a common shift and scale, then
+    of the IMU's rotation about roll, pitch and yaw. Thrusts of single rotors are not in the rows,
+    only their sums; of more than four rotors they are taken to share what they make as evenly as
+    can be, as mixers have them do.
+    """
+    sigma, n = airframe.uncertainty, len(airframe.rotors)
+    places = airframe.geometry[:2]
+    centered = places - places.mean(axis=1, keepdims=True)
+    common = np.stack([np.repeat([1.0, 0.0], n), np.repeat([0.0, 1.0], n), centered.ravel()])
+    ways = np.linalg.svd(common)[2][len(common) :].reshape(-1, 2, n)  # the null space
+    thrusts = np.linalg.pinv(rb.mixer(airframe.geometry).T)  # (rotors, 4)
+    out = []
+    for x, y in sigma.rotor_position.of(airframe.arm) * ways:
+        error = np.zeros((WIDTH, WIDTH))
+        error[_COLUMN["pitch"], :4] = x @ thrusts
+        error[_COLUMN["roll"], :4] = -y @ thrusts
+        out.append(error)
+    turn = math.radians(sigma.imu_rotation.amount)
+    # The map is of second order in R, so that this difference is its derivative.
+    out += [0.5 * turn * (_turned(np.eye(_AXES) + E) - _turned(np.eye(_AXES) - E)) for E in _CROSS]
+    return out
+
+
+def _undoing(errors: Sequence[Array], eps: Array) -> Array:
+    """(WIDTH, WIDTH) that makes rows without errors of rows with them."""
+    rotors = sum((e * L for e, L in zip(eps[:-_AXES], errors, strict=False)), np.eye(WIDTH))
+    K = sum(
+        (e * L[N_X:, N_X:] for e, L in zip(eps[-_AXES:], errors[-_AXES:], strict=True)),
+        np.zeros((_AXES, _AXES)),
+    )
+    # Cayley's transform: a rotation, which (1 + K)^-1 would not be
+    R = np.linalg.solve(np.eye(_AXES) + 0.5 * K, np.eye(_AXES) - 0.5 * K)
+    undone: Array = _turned(R) @ np.linalg.inv(rotors)
+    return undone
+
+
+def _turned(R: Array) -> Array:
+    """(WIDTH, WIDTH) what becomes of a row where rates are R times what they were, (3, 3)."""
+    out = np.eye(WIDTH)
+    out[np.ix_(_RATES, _RATES)] = out[N_X:, N_X:] = R
+    for i, j in _PAIRS:
+        own = out[_PRODUCT[frozenset((i, j))]]
+        own[:] = 0.0
+        for k in range(_AXES):
+            for m in range(_AXES):
+                own[_PRODUCT[frozenset((k, m))]] += R[i, k] * R[j, m]
+    # r H is not among the signals; rotors' angular momentum is small.
+    out[np.ix_(_MOMENTUM, _MOMENTUM)] = R[:2, :2]
+    return out
+
+
+def _lever_arm_share(fit: Fit, airframe: Airframe) -> float:
+    """Relative error of thrust over mass by an IMU that is elsewhere; of an accelerometer's alone.
+
+    What it reads too much along z, x (r p - q') + y (q r + p') - z (p^2 + q^2), is taken for
+    thrust as far as it goes with thrust.
+    """
+    translation = fit.translation
+    if translation is None or translation.source != "accelerometer" or fit.moments is None:
+        return 0.0
+    own = fit.moments.window[_COLUMN["thrust"]]
+    power = translation.kappa * own[_COLUMN["thrust"]]
+    if not power:
+        return 0.0
+    along = (
+        own[_COLUMN["rp"]] - own[N_X + 1],
+        own[_COLUMN["qr"]] + own[N_X],
+        own[_COLUMN["pp"]] + own[_COLUMN["qq"]],
+    )
+    return airframe.uncertainty.imu_position.amount * math.hypot(*along) / abs(float(power))
