@@ -78,7 +78,7 @@ def evidence_of(fit: Fit, rotor_input: RotorInput, *, filtered: bool = False) ->
     reasons = []
     if unpredicted.any():
         worst = int(np.argmin(found.r_squared))
-        share = max(100.0 * float(found.r_squared[worst]), 0.0)
+        share = max(0.0, 100.0 * float(found.r_squared[worst]))
         reasons.append(
             f"the held-out part of the flight is not predicted on {_named(unpredicted)} "
             f"({share:.0f} % on {AXES[worst]})"
