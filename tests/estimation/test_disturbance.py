@@ -131,3 +131,12 @@ def test_under_a_disturbance_any_distance_beyond_one_standard_deviation_counts()
     stds = [1.0, 1.0, 1.0, 1.0]
     errors = trial(2, 1.5, stds, gain=5.0).systematic(fit_of(), HOVER)
     np.testing.assert_allclose(errors[0], np.sqrt(1.5**2 - 1.0) * STD, rtol=1e-6)
+
+
+@pytest.mark.parametrize("lost", [0.0, -1.0])
+def test_whiteners_without_information_are_compared_with_nobody(lost):
+    """Known noise taken out may leave no information, or less than none."""
+    whiteners = trial(0, 50.0, [1.0, 1.0, 1.0, 1.0])
+    assert len(whiteners.systematic(fit_of(), HOVER)) == 1
+    whiteners.information[-1] *= lost
+    assert len(whiteners.systematic(fit_of(), HOVER)) == 0
