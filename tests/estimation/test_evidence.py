@@ -29,9 +29,9 @@ AXES = ("roll", "pitch", "yaw")
 CLAIMS = {name: p for name, p in REGISTRY.items() if p.axes}
 
 
-def found(validation, *, running=False, rotor_input="speed", filtered=False):
+def found(validation, *, running=False, rotor_input="speed", dt=0.004, filtered=False):
     fit = Fit(ROTATION, None, 30.0, validation, running=running)
-    return evidence_of(fit, rotor_input, filtered=filtered)
+    return evidence_of(fit, rotor_input, dt, filtered=filtered)
 
 
 def on(axis, usual, value):
@@ -98,13 +98,23 @@ def test_a_filtered_gyro_says_nothing_of_whiteness(rotor_input):
     assert found(colored, rotor_input=rotor_input, filtered=True) == Evidence()
 
 
+@pytest.mark.parametrize("rotor_input", ["speed", "command"])
+def test_slow_samples_say_nothing_of_whiteness(rotor_input):
+    """What happened between them colors residuals: no model would leave noise."""
+    colored = replace(GOOD, whiteness=np.full(3, 20.0), whiteness_p=np.full(3, 1e-9))
+    assert found(colored, rotor_input=rotor_input, dt=0.008).capped == (True, True, True)
+    assert found(colored, rotor_input=rotor_input, dt=0.01) == Evidence()
+    unpredicted = replace(colored, r_squared=np.full(3, 0.3))
+    assert found(unpredicted, rotor_input=rotor_input, dt=0.02).capped == (True, True, True)
+
+
 def test_without_validation_nothing_is_identified():
     evidence = found(None)
     assert capped(evidence) == set(CLAIMS)
     assert "too short" in evidence.reasons[0]
     # A flight that goes on will have one.
     assert found(None, running=True) == Evidence()
-    assert evidence_of(Fit(None, None, 0.0), "speed") == Evidence()
+    assert evidence_of(Fit(None, None, 0.0), "speed", 0.004) == Evidence()
 
 
 @pytest.mark.parametrize("status", ["given", "weak", "unobservable"])
