@@ -54,7 +54,7 @@ def test_rotation_about_one_axis_at_a_time_contradicts_nothing():
 def test_no_coupling_is_no_contradiction():
     same = THETA.copy()
     same[:6] = [100.0, 100.0, 100.0, 0.0, 0.0, 0.0]
-    found = judge_rigid_body(batches(1.0), PLAIN, same)
+    found = judge_rigid_body(batches(1.0), PLAIN, rb.forward_matrix(same))
     assert np.isnan(found.share).all()
     assert not found.contradicted
 

@@ -71,7 +71,7 @@ def test_another_vehicle_is_not_predicted():
 
 
 def test_a_flight_too_short_to_be_divided_is_not_validated():
-    assert judged(batches_of(THETA)[:9]) is None
+    assert judged(batches_of(THETA)[:5]) is None
 
 
 def test_one_leak_alone_does_not_tell_the_colour():
@@ -85,7 +85,7 @@ RPM = 2.0 * np.pi / 60.0
 
 
 def colours(truth, flight, seeds, disturb):
-    """(seeds, 3) whiteness and p-values with gyro noise that `disturb` makes of white noise."""
+    """(seeds, 3) whiteness and p-values of the window, with noise that `disturb` makes of white."""
     found = []
     for seed in range(seeds):
         random = np.random.default_rng(seed)
@@ -96,7 +96,7 @@ def colours(truth, flight, seeds, disturb):
             rates=flight.rates + noise,
             speeds=np.round(flight.speeds / RPM) * RPM,
         )
-        estimator = OnlineEstimator(truth.geometry, DT, Tuning())
+        estimator = OnlineEstimator(truth.geometry, DT, Tuning(smoother="window"))
         estimator.update(samples)
         found.append(estimator.fit().validation)
     return np.array([f.whiteness for f in found]), np.array([f.whiteness_p for f in found])

@@ -20,7 +20,7 @@ from gcs_sysid.estimation.whitening import (
 from gcs_sysid.signals.one_step import OneStep, step_for
 
 T = 0.004
-WHITENED = Tuning(smoother="whitened")
+WHITENED, WINDOW = Tuning(), Tuning(smoother="window")
 
 
 @pytest.mark.parametrize("rho_d", [1e-6, 1e-3, 0.1])
@@ -171,7 +171,7 @@ def fitted(samples, tuning, size=5000):
 def test_no_bias_under_feedback(disturbed):
     vehicle, flights = disturbed
     for samples in flights:
-        old, new = (fitted(samples, t).rotation for t in (Tuning(), WHITENED))
+        old, new = (fitted(samples, t).rotation for t in (WINDOW, WHITENED))
         error, before = (np.abs(f.theta[:2] / vehicle.theta[:2] - 1.0) for f in (new, old))
         assert np.all(error < 0.03)
         assert np.all(before > 0.08)
@@ -237,6 +237,6 @@ def test_quick_fits_stay_near_the_full_one(disturbed):
 def test_where_the_window_takes_over():
     assert WHITENED.whitens(0.004)
     assert not WHITENED.whitens(0.02)
-    assert not Tuning(smoother="whitened", gyro_cutoff=20.0).whitens(0.004)
-    assert not Tuning().whitens(0.004)
+    assert not Tuning(gyro_cutoff=20.0).whitens(0.004)
+    assert not WINDOW.whitens(0.004)
     assert not COMMANDS.whitens(0.004)

@@ -177,8 +177,10 @@ def _told(rotation: RotationFit, prior_vehicle: PriorVehicle, free: Array) -> tu
     freedom = np.full(N_UNKNOWNS, _FREEDOMS[-1])
     widening = np.ones(N_UNKNOWNS)
     if rotation.warm_start is not None:
-        widening[free] = rotation.warm_start.widening
-        freedom[free] = np.interp(rotation.warm_start.widening, _FACTORS[::-1], _FREEDOMS[::-1])
+        # Deviations from the model are fitted between theta and the coordinates.
+        deviating = slice(rb.N_THETA, rb.N_THETA + len(rotation.deviations))
+        widening[free] = np.delete(rotation.warm_start.widening, deviating)
+        freedom[free] = np.interp(widening[free], _FACTORS[::-1], _FREEDOMS[::-1])
     covariance = rotation.full_covariance / np.outer(widening, widening)
     for axis, told_by in enumerate(_OF_AXIS):
         if rotation.r_squared[axis] < RULES.explained(whitened=bool(rotation.whiteners))[1]:

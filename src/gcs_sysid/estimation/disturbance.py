@@ -140,8 +140,12 @@ _OF_YAW = (rb.MOMENT_RATIO, rb.ROTOR_INERTIA)
 
 
 def _stds(information: Array) -> Array:
-    """(p,) standard deviations of (p, p) information; huge where there is none."""
+    """(p,) standard deviations of (p, p) information; huge where there is none, or less than none."""
     d = scales(information)
-    inverse = np.linalg.pinv(information / np.outer(d, d), rcond=1e-14, hermitian=True)
-    stds: Array = np.sqrt(np.maximum(np.diag(inverse), 1e-30)) / d
+    values, vectors = np.linalg.eigh(information / np.outer(d, d))
+    stds: Array = np.sqrt((vectors**2 / np.maximum(values, _NONE)).sum(axis=1)) / d
     return stds
+
+
+_NONE = 1e-14
+"""Information, relative to its diagonal, that is rounding."""

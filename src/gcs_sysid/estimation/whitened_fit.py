@@ -323,7 +323,19 @@ def _tried(
     point, _ = minimise_axes(problem, problem.extended(unknowns), limit)
     known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
     alike = _alike(point, rows, noise[:, 0], known, deviations)
-    return Trial(data.whiteners, data.time, point.unknowns, alike, point.hessian)
+    # Whoever was lost is compared with nobody.
+    information = np.where(_lost(point, rows).any(axis=1)[:, None, None], 0.0, point.hessian)
+    return Trial(data.whiteners, data.time, point.unknowns, alike, information)
+
+
+def _lost(point: AxisPoint, rows: int) -> Mask:
+    """(K, 3) whose search followed the known noise until next to nothing else was left.
+
+    Filters of fast disturbances leave little but noise of rotors that turn smoothly; where it is
+    overrated, ever larger responses to it seem to explain ever more.
+    """
+    lost: Mask = point.told <= _LEAST * rows * point.variance
+    return lost
 
 
 def _chosen(
@@ -386,7 +398,8 @@ def _alike(
     torque = deviations.torque(known[N_UNKNOWNS:])
     T = residual_maker(rb.forward_matrix(known[: rb.N_THETA], torque))
     of_noise = ((T @ noise) * T).sum(axis=-1)
-    alike: Array = np.maximum(point.told / rows + TOLD * of_noise, _LEAST * point.variance)
+    told = point.told / rows + TOLD * of_noise
+    alike: Array = np.where(_lost(point, rows), point.variance, told)
     return alike
 
 

@@ -123,9 +123,10 @@ class Learner:
 
     def evidence(self, fit: Fit) -> Evidence:
         """What speaks against a fit; nothing against the article's, which are for study."""
-        if self._options.tuning.method != "forward":
+        if self._options.tuning.method != "forward" or self.tracker is None:
             return Evidence()
-        return evidence_of(fit, self.rotor_input, filtered=self.cutoffs[0] is not None)
+        filtered = self.cutoffs[0] is not None
+        return evidence_of(fit, self.rotor_input, self.tracker.dt, filtered=filtered)
 
     def reset(self) -> None:
         """Forget the estimate; go on with the next samples."""

@@ -1,0 +1,148 @@
+"""What speaks against a fit: caps on statuses, and on nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.estimation.evidence import RULES, Evidence, evidence_of
+from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.status import Value
+from gcs_sysid.estimation.validation import Validation
+from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.parameters import REGISTRY
+
+ROTATION = RotationFit(
+    np.ones(rb.N_THETA), np.eye(rb.N_THETA), np.eye(3), np.full(3, 0.99), 5000, converged=True
+)
+GOOD = Validation(
+    r_squared=np.full(3, 0.95),
+    theil=np.full(3, 0.1),
+    fitted_share=0.6,
+    whiteness=np.ones(3),
+    whiteness_p=np.full(3, 0.4),
+    theta=ROTATION.theta,
+    coordinates=np.array([0.0, 0.0, 1.0]),
+)
+AXES = ("roll", "pitch", "yaw")
+CLAIMS = {name: p for name, p in REGISTRY.items() if p.axes}
+
+
+def found(validation, *, running=False, rotor_input="speed", dt=0.004, filtered=False):
+    fit = Fit(ROTATION, None, 30.0, validation, running=running)
+    return evidence_of(fit, rotor_input, dt, filtered=filtered)
+
+
+def on(axis, usual, value):
+    out = np.full(3, usual)
+    out[axis] = value
+    return out
+
+
+def capped(evidence):
+    """Names of the parameters that are `identified` no longer."""
+    sure = Value(1.0, 1e-6, "identified")
+    return {name for name, p in CLAIMS.items() if evidence.cap(sure, p).status != "identified"}
+
+
+def test_nothing_speaks_against_a_flight_that_is_predicted():
+    assert found(GOOD) == Evidence()
+    assert capped(found(GOOD)) == set()
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize(
+    ("bad", "word"),
+    [
+        (lambda axis: {"r_squared": on(axis, 0.95, 0.49)}, "not predicted"),
+        (lambda axis: {"r_squared": on(axis, 0.95, -3.0)}, "not predicted"),
+        (lambda axis: {"r_squared": on(axis, 0.95, np.nan)}, "not predicted"),
+        (
+            lambda axis: {"whiteness": on(axis, 1.0, 3.1), "whiteness_p": on(axis, 0.4, 0.04)},
+            "not noise",
+        ),
+    ],
+)
+def test_nothing_of_a_contradicted_axis_is_identified(axis, bad, word):
+    evidence = found(replace(GOOD, **bad(axis)))
+    assert evidence.capped == tuple(i == axis for i in range(3))
+    assert capped(evidence) == {name for name, p in CLAIMS.items() if axis in p.axes}
+    (reason,) = evidence.reasons
+    assert word in reason
+    assert AXES[axis] in reason
+    assert "nan" not in reason
+    assert not any(name in reason for i, name in enumerate(AXES) if i != axis)
+
+
+@pytest.mark.parametrize(
+    "near",
+    [
+        {"r_squared": np.full(3, RULES.least_r2)},
+        {"whiteness": np.full(3, RULES.whiteness), "whiteness_p": np.full(3, 1e-9)},
+        {"whiteness": np.full(3, 9.0), "whiteness_p": np.full(3, RULES.whiteness_p)},
+        # Less slow power than white noise has: vibration, which biases little.
+        {"whiteness": np.full(3, 0.1), "whiteness_p": np.full(3, 1e-9)},
+        # Where no second filter is carried nothing is told.
+        {"whiteness": np.full(3, np.nan), "whiteness_p": np.full(3, np.nan)},
+    ],
+)
+def test_at_the_limits_there_is_no_cap(near):
+    assert found(replace(GOOD, **near)) == Evidence()
+
+
+@pytest.mark.parametrize("rotor_input", ["speed", "command"])
+def test_a_filtered_gyro_says_nothing_of_whiteness(rotor_input):
+    colored = replace(GOOD, whiteness=np.full(3, 20.0), whiteness_p=np.full(3, 1e-9))
+    assert found(colored, rotor_input=rotor_input).capped == (True, True, True)
+    assert found(colored, rotor_input=rotor_input, filtered=True) == Evidence()
+
+
+@pytest.mark.parametrize("rotor_input", ["speed", "command"])
+def test_slow_samples_say_nothing_of_whiteness(rotor_input):
+    """What happened between them colors residuals: no model would leave noise."""
+    colored = replace(GOOD, whiteness=np.full(3, 20.0), whiteness_p=np.full(3, 1e-9))
+    assert found(colored, rotor_input=rotor_input, dt=0.008).capped == (True, True, True)
+    assert found(colored, rotor_input=rotor_input, dt=0.01) == Evidence()
+    unpredicted = replace(colored, r_squared=np.full(3, 0.3))
+    assert found(unpredicted, rotor_input=rotor_input, dt=0.02).capped == (True, True, True)
+
+
+def test_without_validation_nothing_is_identified():
+    evidence = found(None)
+    assert capped(evidence) == set(CLAIMS)
+    assert "too short" in evidence.reasons[0]
+    # A flight that goes on will have one.
+    assert found(None, running=True) == Evidence()
+    assert evidence_of(Fit(None, None, 0.0), "speed", 0.004) == Evidence()
+
+
+@pytest.mark.parametrize("status", ["given", "weak", "unobservable"])
+def test_a_cap_raises_nothing_and_changes_no_number(status):
+    evidence = found(None)
+    value = Value(2.0, 0.1, status)
+    assert evidence.cap(value, REGISTRY["Ixx"]) == value
+    sure = Value(2.0, 0.1, "identified")
+    assert evidence.cap(sure, REGISTRY["Ixx"]) == replace(sure, status="weak")
+
+
+def test_what_rests_on_forces_is_not_capped():
+    sure = Value(2.0, 0.1, "identified")
+    free = [p for p in REGISTRY.values() if not p.axes]
+    assert free
+    assert all(found(None).cap(sure, p) == sure for p in free)
+
+
+def test_both_reasons_are_given():
+    bad = replace(
+        GOOD,
+        r_squared=np.array([0.3, 0.95, 0.1]),
+        whiteness=np.array([1.0, 7.0, 1.0]),
+        whiteness_p=np.array([0.4, 0.001, 0.4]),
+    )
+    evidence = found(bad)
+    assert evidence.capped == (True, True, True)
+    assert evidence.reasons == (
+        "the held-out part of the flight is not predicted on roll, yaw (10 % on yaw)",
+        "residuals on pitch are not noise (whiteness 7.0 on pitch): the model lacks something there",
+    )
