@@ -1,15 +1,20 @@
 """The estimator over a flight in which the vehicle may change.
 
-An online estimator learns; a change detector watches what its fits leave unexplained. When the
-vehicle changes, what was learnt before closes as a segment and a fresh estimator starts. The
-rotors are still the same, so it starts with what is theirs: torque over thrust, damping, rotor
-inertia, delay, and how the accelerometer reads against gravity. Inertia and CG start from what
-they were, but loosely. All is relative to k_T, which stays.
+An online estimator learns; a change detector watches what its fits leave unexplained. What it
+raises an alarm for is looked at for up to six seconds (`change_hypotheses`) while the estimate goes
+on. A disturbance is told, and no more. When the vehicle changed, what was learnt since is taken
+back, what was learnt before closes as a segment, and a fresh estimator starts. The rotors are
+still the same, so it starts with what is theirs: torque over thrust, damping, rotor inertia, delay,
+and how the accelerometer reads against gravity. Inertia and CG start from what they were, but
+loosely. All is relative to k_T, which stays. What is undecided at the end is left out: the result
+is that of the flight before.
 
 A landing ends a flight. The next is estimated apart until it can be told whether the vehicle is
-the same (`estimation.flights`): if so, the estimate goes on with both; else a segment has ended.
+the same (`estimation.flight_comparison`): if so, the estimate goes on with both; else a segment has
+ended.
 """
 
+from collections import deque
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -18,7 +23,9 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, runs
 from gcs_sysid.estimation.change_detection import Change, ChangeDetector, ChangeTuning
+from gcs_sysid.estimation.change_hypotheses import TUNING, Frames, Judgement, judge
 from gcs_sysid.estimation.change_kinds import Cause
+from gcs_sysid.estimation.change_reference import Reference
 from gcs_sysid.estimation.flight_comparison import Trial, is_another
 from gcs_sysid.estimation.online import Fit, OnlineEstimator, PriorSource
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
@@ -50,6 +57,12 @@ MOST_PASSING = 200
 """Events kept that ended no segment, the latest: a day of gusts may bring many."""
 _TOUCHDOWN = 1.0
 """s before the autopilot tells of a landing that are left out: it tells late."""
+_REMEMBERED = TUNING.before + TUNING.ages[-1] + 1.0
+"""s of samples that are kept to look at alarms."""
+_MOST_ALARMS = 8
+"""Looked at together."""
+_BLURRED = 0.1
+"""s after a change's onset that are left out where the onset is known to no more."""
 
 
 @dataclass(frozen=True)
@@ -73,11 +86,12 @@ class Event:
 
     Attributes:
         onset: estimated time of the change.
-        detected: time of the newest sample that the detection rests on.
+        detected: time of the newest sample that the alarm rests on.
         change: as detected; None where two flights differ: then the onset is the landing between.
         cause: what the residuals say of it; None when they say nothing.
         segment: index of the segment that it ended; None where the estimate goes on (a passing
             disturbance) or stops (a failing rotor).
+        decided: time at which it was told what it was; None between flights.
     """
 
     onset: float
@@ -85,6 +99,25 @@ class Event:
     change: Change | None
     cause: Cause | None
     segment: int | None
+    decided: float | None = None
+
+
+@dataclass
+class _Alarm:
+    """Something that may be a change.
+
+    Attributes:
+        change: as detected.
+        onset: s, session time; detected likewise.
+        reference: in force then.
+        looks: how often it was looked at.
+    """
+
+    change: Change
+    onset: float
+    detected: float
+    reference: Reference
+    looks: int = 0
 
 
 @dataclass(frozen=True)
@@ -134,15 +167,14 @@ class Tracker:
         self._keep = keep
         self._estimator = OnlineEstimator(geometry, dt, tuning)
         self._estimator.prior_source = prior
-        self._next: OnlineEstimator | None = None
-        self._next_start = 0.0
-        self._next_kept: list[Samples] = []
-        self._pending: Event | None = None
+        self._alarms: list[_Alarm] = []
+        self._recent: deque[tuple[Array, Samples]] = deque()
+        self._frames = Frames()
         self._arm_at = 0.0
         self._count = self._hasty = 0
         self._frame = max(round(_LOOK_EVERY / dt), 1)
         self._changes = changes
-        self._detector = None if changes is None else ChangeDetector(geometry, dt, changes)
+        self._detector = self._new_detector()
         self._trial: Trial | None = None
         self._landed: float | None = None
         self._newest = -np.inf
@@ -158,10 +190,22 @@ class Tracker:
             self._trial.restart()
         self._break()
 
+    def _new_detector(self) -> ChangeDetector | None:
+        if self._changes is None:
+            return None
+        return ChangeDetector(
+            self.geometry,
+            self.dt,
+            self._changes,
+            commands=self._tuning.rotor_input == "command",
+            moments=self._tuning.gyro_cutoff is None,
+        )
+
     def _break(self) -> None:
         self._estimator.restart()
-        if self._next is not None:
-            self._next.restart()
+        if self._recent and np.isfinite(self._recent[-1][1].gyro).any():
+            t, samples = self._recent[-1]
+            self._recent.append((t[-1:] + self.dt, _gap(samples)))
         if self._detector is not None:
             self._detector.restart()
         if self._keep and self.kept:
@@ -199,6 +243,7 @@ class Tracker:
     def finish(self) -> None:
         """Decide what is undecided, because nothing more will come."""
         self._end_trial()
+        self._leave_undecided()
 
     def _stand(self, t: Array) -> None:
         """Take the (n,) times of samples on the ground."""
@@ -216,22 +261,27 @@ class Tracker:
 
     def _touch_down(self) -> None:
         """Leave out how the flight ended, and what looked like a change there."""
-        self._pending, self._next, self._next_kept = None, None, []
+        self._leave_undecided()
+        self._recent.clear()
         self._break()
         if self._detector is not None:
             self._detector.disarm()
         self._arm_at = 0.0
         if self.stopped:
             return
-        self._estimator.forget_last(_TOUCHDOWN)
-        left = round(_TOUCHDOWN / self.dt)
+        self._forget_last(_TOUCHDOWN)
+        if self.kept:
+            self.kept.append(_gap(self.kept[-1]))
+
+    def _forget_last(self, seconds: float) -> None:
+        """Leave out the last seconds, of what was learnt and of what is kept."""
+        self._estimator.forget_last(seconds)
+        left = round(seconds / self.dt)
         while left > 0 and self.kept:
             last = self.kept.pop()
             if len(last.gyro) > left:
                 self.kept.append(last.part(slice(0, -left)))
             left -= len(last.gyro)
-        if self.kept:
-            self.kept.append(_gap(self.kept[-1]))
 
     def _fly(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[Point]:
         """Take samples of flight."""
@@ -282,8 +332,7 @@ class Tracker:
             fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
             self._go_on_with(fresh, [])
             self.start = trial.start
-            if self._changes is not None:
-                self._detector = ChangeDetector(self.geometry, self.dt, self._changes)
+            self._watch_anew()
         self.stopped = False
         for part in trial.parts:
             if part is None:
@@ -310,7 +359,7 @@ class Tracker:
             self._count += stop - done
             done = stop
             if self._count % self._frame == 0:
-                self._look()
+                self._look(float(t[stop - 1]))
         return points + self._idle(len(stops) - len(points))
 
     def _quiet_samples(self) -> int:
@@ -318,52 +367,102 @@ class Tracker:
         frame = self._frame - self._count % self._frame
         if self._detector is None:
             return _MOST_AT_ONCE
-        if self._next is not None or self._hasty:
+        if self._alarms or self._hasty:
             return frame
         quiet = self._arm_at - self._estimator.seconds - _HELD_BACK
         return frame + self._frame * max(int(quiet / (self._frame * self.dt)) - 1, 0)
 
     def _take(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[Point] | None:
-        """Take samples; None where many were tried at once, and there is a change in them."""
+        """Take samples; None where many were tried at once, and there is an alarm in them."""
         detector = self._detector
         if detector is None:
             return self._learn(samples, stops)
         at_once = len(t) > self._frame
         known = deepcopy(detector) if at_once else detector
         found = detector.update(samples)
-        points: list[Point] = []
-        if found:
-            if at_once:
-                self._detector = known
-                return None
-            after = round((detector.seconds - found[0].detected) / self.dt)
-            self._suspect(found[0], float(t[-1]))
-            before = len(t) - min(after, len(t))
-            here = [stop for stop in stops if stop <= before]
-            points = self._learn(samples.part(slice(0, before)), here)
-            self._next_start = float(t[min(before, len(t) - 1)])
-            samples = samples.part(slice(before, None))
-        if self._next is None:
-            return self._learn(samples, stops)
-        if len(samples.gyro):
-            self._next.update(samples)
-            if self._keep:
-                self._next_kept.append(samples)
-        return points + self._idle(len(stops) - len(points))
+        if found and at_once:
+            self._detector = known
+            return None
+        self._frames.add(detector.frames)
+        detector.frames = []
+        self._remember(t, samples)
+        for change in found:
+            self._suspect(change, float(t[-1]))
+        return self._learn(samples, stops)
 
-    def _look(self) -> None:
+    def _remember(self, t: Array, samples: Samples) -> None:
+        # Longer blocks come without an alarm: their end is enough.
+        most = round(_REMEMBERED / self.dt)
+        self._recent.append((t[-most:], samples.part(slice(-most, None))))
+        while self._recent[0][0][-1] < t[-1] - _REMEMBERED:
+            self._recent.popleft()
+
+    def _suspect(self, change: Change, now: float) -> None:
+        """Take note of an alarm; what it was is told later."""
+        assert self._detector is not None
+        seconds = self._detector.seconds
+        onset = now - (seconds - change.onset)
+        if any(abs(onset - alarm.onset) < TUNING.search for alarm in self._alarms):
+            return
+        detected = now - (seconds - change.detected)
+        self._alarms.append(_Alarm(change, onset, detected, self._detector.reference))
+        del self._alarms[:-_MOST_ALARMS]
+
+    def _look(self, now: float) -> None:
         """Decide what there is to decide; give the detector a better reference."""
         detector = self._detector
         if detector is None:
             return
-        if self._next is not None:
-            if not detector.deciding:
-                self._decide(detector.cause)
-        elif self._estimator.seconds >= self._arm_at:
+        for alarm in list(self._alarms):
+            if now - alarm.onset >= TUNING.ages[alarm.looks] - 0.5 * self.dt:
+                found = self._judged(alarm, alarm.looks, now)
+                alarm.looks += 1
+                if found.verdict == "changed":
+                    self._change(alarm, found, now)
+                    return
+                if found.verdict == "disturbance":
+                    self._alarms.remove(alarm)
+                    self._pass(alarm, found, now)
+        if self._estimator.seconds >= self._arm_at:
             self._arm_at = max(
                 self._estimator.seconds + _ARM_EVERY, _ARM_GROWTH * self._estimator.seconds
             )
             detector.arm(self.fit(quick=True, series="watch"))
+
+    def _judged(self, alarm: _Alarm, look: int, now: float) -> Judgement:
+        assert self._changes is not None
+        step = self._changes.frame
+        history = self._frames.residuals(alarm.reference.matrix)
+        history = history[: max(len(history) - int(np.ceil((now - alarm.onset) / step)), 0)]
+        t = np.concatenate([part[0] for part in self._recent])
+        samples = _joined([part[1] for part in self._recent])
+        start = int(np.searchsorted(t, alarm.onset - TUNING.before - 2.0 * TUNING.frame))
+        return judge(
+            t[start:],
+            samples.part(slice(start, None)),
+            self.dt,
+            alarm.reference,
+            history,
+            step,
+            alarm.onset,
+            look,
+        )
+
+    def _leave_undecided(self) -> None:
+        """What may be a change and is no longer to be decided is left out."""
+        alarms, self._alarms = self._alarms, []
+        if self.stopped or not self._recent:
+            return
+        now = float(self._recent[-1][0][-1])
+        for alarm in alarms:
+            found = self._judged(alarm, len(TUNING.ages) - 1, now)
+            if found.cause.disturbance is None:
+                continue
+            self._forget_last(now - found.onset + _CONTAMINATED)
+            self._add(
+                Event(found.onset, alarm.detected, alarm.change, found.cause, None, decided=now)
+            )
+            return
 
     def fit(self, *, quick: bool = False, series: str = "") -> Fit:
         """The fit in force; see `OnlineEstimator.fit`."""
@@ -375,50 +474,48 @@ class Tracker:
         fits = self._estimator.follow(samples, stops)
         return [Point(fit, len(self.segments)) for fit in fits]
 
-    def _suspect(self, change: Change, now: float) -> None:
-        assert self._detector is not None
-        seconds = self._detector.seconds
-        self._pending = Event(
-            onset=now - (seconds - change.onset),
-            detected=now - (seconds - change.detected),
-            change=change,
-            cause=None,
-            segment=None,
-        )
-        self._next = OnlineEstimator(self.geometry, self.dt, self._tuning)
-        self._next_kept = []
+    def _pass(self, alarm: _Alarm, found: Judgement, now: float) -> None:
+        """It was a disturbance: the vehicle is what it was."""
+        if found.cause.disturbance == "contact":
+            # What holds the vehicle is no part of it.
+            self._forget_last(now - found.onset + _CONTAMINATED)
+            self._break()
+        self._add(Event(found.onset, alarm.detected, alarm.change, found.cause, None, decided=now))
 
-    def _decide(self, cause: Cause | None) -> None:
-        """What the pending change was is known as well as it can be: go on accordingly."""
-        assert self._pending is not None
-        assert self._next is not None
+    def _change(self, alarm: _Alarm, found: Judgement, now: float) -> None:
+        """The vehicle is another one since; go on accordingly."""
         assert self.start is not None
-        event = replace(self._pending, cause=cause)
-        fresh, fresh_kept = self._next, self._next_kept
-        self._pending, self._next, self._next_kept = None, None, []
-        if cause is not None and cause.kind == "passing":
-            # The vehicle is what it was; the moment is left out.
-            self._estimator.restart()
-            self._arm_at = 0.0
-        else:
-            known_for = event.detected - event.onset
-            self._estimator.forget_last(known_for + _CONTAMINATED)
-            before = self.fit()
-            if cause is not None and cause.kind == "rotor_failure":
-                self.stopped = True
-            else:
-                event = replace(event, segment=len(self.segments))
-                self.segments.append(Segment(self.start, event.onset, before))
-                fresh.prior = _after_change(before, self.geometry)
-                fresh.accelerometer_gain = accelerometer_gain(
-                    before.translation, before.accelerometer
-                )
-                self._go_on_with(fresh, fresh_kept)
-                self.start = self._next_start
-                self._arm_at = 0.0
+        sharp = alarm.change.scale == "fast" and abs(found.onset - alarm.onset) <= TUNING.frame
+        onset = alarm.onset if sharp else found.onset
+        event = Event(onset, alarm.detected, alarm.change, found.cause, None, decided=now)
+        self._forget_last(now - onset + _CONTAMINATED)
+        before = self.fit()
+        self._alarms = []
+        if found.cause.kind == "rotor_failure":
+            self.stopped = True
+            self._add(event)
+            return
+        event = replace(event, segment=len(self.segments))
+        self.segments.append(Segment(self.start, onset, before))
+        fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
+        fresh.prior = _after_change(before, self.geometry)
+        fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
+        since = alarm.detected if sharp else onset + _BLURRED
+        kept = [part.part(t > since) for t, part in self._recent if t[-1] > since]
+        self.start = since
+        for part in kept:
+            fresh.update(part)
+        self._go_on_with(fresh, kept if self._keep else [])
+        self._watch_anew()
         self._add(event)
+
+    def _watch_anew(self) -> None:
+        """Another vehicle: residuals of the last one tell nothing of it."""
+        self._alarms, self._frames, self._arm_at = [], Frames(), 0.0
+        self._recent.clear()
         if len(self.segments) >= MOST_SEGMENTS:
-            self._changes = self._detector = None
+            self._changes = None
+        self._detector = self._new_detector()
 
     def reserve(self) -> None:
         """Have all memory now that a long flight will need."""
@@ -458,6 +555,12 @@ def _after_change(before: Fit, geometry: Array) -> Prior | None:
     information = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     information[np.ix_(known, known)] = scaled / np.outer(d, d)
     return Prior(before.rotation.unknowns, information)
+
+
+def _joined(parts: Sequence[Samples]) -> Samples:
+    """One block of many."""
+    signals = zip(*(part.signals for part in parts), strict=True)
+    return Samples(*(np.concatenate(signal) for signal in signals))
 
 
 def _gap(samples: Samples) -> Samples:
