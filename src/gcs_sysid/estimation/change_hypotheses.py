@@ -317,7 +317,7 @@ class _Trial:
         thrust = self._thrust
         later, before = slice(at, None), slice(0, at)
         if self._watched[0]:
-            if not self._flies(-1.0):
+            if self._stands():
                 return "contact"
             most, usual = float(thrust[later].max()), float(np.median(thrust[before]))
             if most > _PUNCH * usual or float(thrust[later].min()) < usual / _PUNCH:
@@ -365,14 +365,18 @@ class _Trial:
         measured, thrust = self._window.y[later, 0], self._thrust[later]
         if len(thrust) < 4:
             return True
-        thrust = thrust * (1.0 - min(share, 0.5))
-        alone = measured - measured.mean()
+        left = measured + (1.0 - share) * thrust
         # The median, as what hits the ground rings.
-        with_thrust = np.median(np.abs(measured + thrust - np.median(measured + thrust)))
-        without = np.median(np.abs(measured - np.median(measured)))
-        flat = float(np.median(np.abs(measured + GRAVITY))) < 0.1 * GRAVITY
-        del alone
-        return not (flat and without < with_thrust)
+        answers = np.median(np.abs(left - np.median(left)))
+        stands = np.median(np.abs(measured - np.median(measured)))
+        return bool(answers < stands) or not self._stands()
+
+    def _stands(self) -> bool:
+        """Whether something carries the vehicle that the rotors alone do not."""
+        later = slice(self.at + 1, None)
+        off = np.abs(self._window.y[later, 0] + GRAVITY)
+        carried = float(np.median(self._thrust[later])) < _CARRIED * GRAVITY
+        return carried and float(np.median(off)) < 0.5 * (1.0 - _CARRIED) * GRAVITY
 
     # ---- fits ---------------------------------------------------------------------------------
 
@@ -542,6 +546,8 @@ _SURE = 3.0
 """Standard deviations that name a cause."""
 _MIN_CG = 0.002
 """m, least shift of the CG that is named from a second."""
+_CARRIED = 0.8
+"""Share of the weight; rotors that make less do not carry a vehicle that does not fall."""
 _PUNCH, _CLIMB, _SPEED = 1.5, 0.7, 1.5
 """Thrust over the usual one; m/s of vertical and of horizontal velocity."""
 _TENTHS = 10.0

@@ -61,6 +61,8 @@ _REMEMBERED = TUNING.before + TUNING.ages[-1] + 1.0
 """s of samples that are kept to look at alarms."""
 _MOST_ALARMS = 8
 """Looked at together."""
+_SAME = 10.0
+"""s within which a disturbance of one name is told once."""
 _BLURRED = 0.1
 """s after a change's onset that are left out where the onset is known to no more."""
 
@@ -480,7 +482,10 @@ class Tracker:
             # What holds the vehicle is no part of it.
             self._forget_last(now - found.onset + _CONTAMINATED)
             self._break()
-        self._add(Event(found.onset, alarm.detected, alarm.change, found.cause, None, decided=now))
+        event = Event(found.onset, alarm.detected, alarm.change, found.cause, None, decided=now)
+        last = self.events[-1] if self.events else None
+        if last is None or not _goes_on(last, event):
+            self._add(event)
 
     def _change(self, alarm: _Alarm, found: Judgement, now: float) -> None:
         """The vehicle is another one since; go on accordingly."""
@@ -555,6 +560,14 @@ def _after_change(before: Fit, geometry: Array) -> Prior | None:
     information = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     information[np.ix_(known, known)] = scaled / np.outer(d, d)
     return Prior(before.rotation.unknowns, information)
+
+
+def _goes_on(last: Event, event: Event) -> bool:
+    """Whether a disturbance is that of the event before."""
+    if last.cause is None or event.cause is None or last.decided is None:
+        return False
+    same = last.cause.disturbance == event.cause.disturbance
+    return same and last.cause.kind == "passing" and event.onset - last.decided < _SAME
 
 
 def _joined(parts: Sequence[Samples]) -> Samples:
