@@ -26,6 +26,7 @@ from gcs_sysid.estimation.change_reference import (
     TOTAL,
     Reference,
     Rotors,
+    body_velocity,
     form_rows,
     reference_of,
 )
@@ -107,12 +108,12 @@ class ChangeDetector:
         self.dt = dt
         self.tuning = tuning = tuning or ChangeTuning()
         self.frames: list[Array] = []
-        """Means [y (4), x (N_X)] over closed frames, until somebody takes them."""
+        """Means over closed frames, as `Frames` takes them, until somebody does."""
         self._geometry = geometry
         self._commands, self._moments = commands, moments
         self._rotors = Rotors(dt, None)
         self._history = int(np.ceil(MAX_DELAY / dt)) + 3
-        self._width = TABLE + geometry.shape[1]
+        self._width = TABLE + geometry.shape[1] + 3
         self._frame = max(round(tuning.frame / dt), 4)
         self._frames_needed = max(round(tuning.warm_up / tuning.frame), 2)
         self._silence = round(tuning.silence / dt)
@@ -180,7 +181,9 @@ class ChangeDetector:
     def update(self, samples: Samples) -> list[Change]:
         """Take a block of samples; the alarms in it."""
         speeds = self._rotors.update(samples.speeds)
-        rows = np.column_stack([samples.gyro, samples.rates, samples.force[:, 2], speeds])
+        rows = np.column_stack(
+            [samples.gyro, samples.rates, samples.force[:, 2], speeds, body_velocity(samples)]
+        )
         self._count += len(rows)
         self._table = np.concatenate([self._table, rows])
         found: list[Change] = []
@@ -189,8 +192,8 @@ class ChangeDetector:
         stop = max(self._count - late, self._next)
         if self.armed:
             at, n = self._next - 1 - self._base, stop - self._next
-            y, x, _ = form_rows(self._geometry, self._table, at, n, shift, self.dt)
-            found = self._test(y, x)
+            y, x, _ = form_rows(self._geometry, self._table[:, :-3], at, n, shift, self.dt)
+            found = self._test(y, x, self._table[at + 1 : at + 1 + n, -3:])
             # A late rotor stream makes the detection wait for it; the onset is the IMU's time.
             found = [replace(c, detected=c.detected + late * self.dt) for c in found]
         self._next = stop
@@ -212,6 +215,7 @@ class ChangeDetector:
         self._e, self._jumps = self._both[:, :4], self._both[:, 4:]
         self._x = np.zeros((self._frame, N_X))
         self._y = np.full((self._frame, 4), np.nan)
+        self._air = np.full((self._frame, 3), np.nan)
         self._silent: list[Array] = []
         self._left = 0  # samples of silence to come
         self._floors = np.zeros(8)
@@ -219,7 +223,7 @@ class ChangeDetector:
         self._fast.clear()
         self._slow.clear()
 
-    def _test(self, y: Array, x: Array) -> list[Change]:
+    def _test(self, y: Array, x: Array, air: Array) -> list[Change]:
         e = y - x @ np.nan_to_num(self.reference.matrix).T
         e[:, np.isnan(self.reference.matrix).any(axis=1)] = np.nan
         found = []
@@ -240,7 +244,7 @@ class ChangeDetector:
             if change is None:
                 here = slice(self._filled, self._filled + n)
                 self._e[here], self._x[here] = part, x[done : done + n]
-                self._y[here] = y[done : done + n]
+                self._y[here], self._air[here] = y[done : done + n], air[done : done + n]
                 self._filled += n
                 self._next += n
                 done += n
@@ -263,10 +267,15 @@ class ChangeDetector:
         e = np.concatenate(self._silent)
         self._silent = []
         e = e[len(e) // 2 :]
+        least = self.tuning.slow[0] * self._level_of_means.std(0.5 * self._floor)
         for c in range(4):
             there = e[np.isfinite(e[:, c]), c]
-            if 2 * len(there) > len(e):
-                self._levels.mean[c] = self._baseline.last[c] = np.median(there)
+            if 2 * len(there) <= len(e):
+                continue
+            middle = float(np.median(there))
+            if abs(middle - self._levels.mean[c]) > least[c]:
+                self._levels.mean[c] = middle
+            self._baseline.last[c] = middle
 
     def _tested(self, level: Level) -> Mask:
         return np.asarray(level.frames >= self._frames_needed)
@@ -311,7 +320,7 @@ class ChangeDetector:
             enough = 2 * count > self._frame
             mean = np.where(enough, total / np.maximum(count, 1), np.nan)
             mean -= self._levels.mean[:4]
-        self.frames.append(_mean_row(self._y, self._x))
+        self.frames.append(_mean_row(self._y, self._x, self._air))
         self._move_floor()
         # A frame's mean of white noise is this much quieter; colour keeps it louder.
         floor = 0.5 * self._floor
@@ -358,11 +367,15 @@ class ChangeDetector:
         self._least = self.tuning.least_share * np.tile(reference.floors(1.0), 2)
 
 
-def _mean_row(y: Array, x: Array) -> Array:
-    """(4 + N_X,) means of a frame; NaN where half of it is missing."""
-    there = np.isfinite(y)
+def _mean_row(y: Array, x: Array, air: Array) -> Array:
+    """(4 + N_X + 3,) means of a frame; NaN where half of it is missing."""
+    rows = max(int(np.isfinite(y).any(axis=1).sum()), 1)
+    return np.concatenate([_mean(y), x.sum(axis=0) / rows, _mean(air)])
+
+
+def _mean(values: Array) -> Array:
+    there = np.isfinite(values)
     count = there.sum(axis=0)
-    mean = np.where(there, y, 0.0).sum(axis=0) / np.maximum(count, 1)
-    mean[2 * count <= len(y)] = np.nan
-    rows = max(int(there.any(axis=1).sum()), 1)
-    return np.concatenate([mean, x.sum(axis=0) / rows])
+    mean: Array = np.where(there, values, 0.0).sum(axis=0) / np.maximum(count, 1)
+    mean[2 * count <= len(values)] = np.nan
+    return mean

@@ -74,6 +74,8 @@ class HypothesisTuning:
 TUNING = HypothesisTuning()
 
 Verdict = Literal["changed", "disturbance", "undecided"]
+_REGRESSED = 40
+"""Means of a flight from which it is told how the air moves its residuals."""
 _OU_TIMES = (0.15, 0.5, 1.5, 5.0)
 """s, correlation times of disturbances."""
 _FORCE_FLOOR, _MOMENT_FLOOR = 0.01, 0.004
@@ -98,6 +100,21 @@ class Judgement:
     cause: Cause
 
 
+@dataclass(frozen=True)
+class History:
+    """How residuals wandered before an alarm.
+
+    Attributes:
+        level: (4,) medians; NaN where a channel was never there.
+        left: (n, 4) what the air's part, thrust and torque leave of means over `step`.
+        step: s.
+    """
+
+    level: Array
+    left: Array
+    step: float
+
+
 class Frames:
     """Means of a flight, from which it is known how its residuals wander.
 
@@ -109,27 +126,40 @@ class Frames:
     def __init__(self) -> None:
         self._rows: list[Array] = []
 
-    def __len__(self) -> int:
-        return len(self._rows)
-
     def add(self, rows: list[Array]) -> None:
-        """Take rows [y (4), x (N_X)], means over `ChangeTuning.frame`."""
+        """Take rows [y (4), x (N_X), velocity along the body axes (3)], means of a frame."""
         self._rows += rows
         if len(self._rows) > self.MOST:
             del self._rows[: self.MOST // 2]
 
-    def drop_last(self, count: int) -> None:
-        """Forget the newest."""
-        if count > 0:
-            del self._rows[-count:]
+    def before(self, seconds: float, step: float, reference: Reference) -> History:
+        """Of all but the last seconds.
 
-    def residuals(self, matrix: Array) -> Array:
-        """(n, 4) of a (4, N_X) matrix, NaN where something was missing."""
-        if not self._rows:
-            return np.empty((0, 4))
-        rows = np.array(self._rows)
-        residuals: Array = rows[:, :4] - rows[:, 4:] @ np.nan_to_num(matrix).T
-        return residuals
+        Args:
+            seconds: to leave out.
+            step: s, length of a frame.
+            reference: that residuals are of.
+        """
+        count = max(len(self._rows) - int(np.ceil(seconds / step)), 0)
+        if not count:
+            return History(np.full(4, np.nan), np.empty((0, 4)), step)
+        y, x, air = np.split(np.array(self._rows[:count]), [4, 4 + N_X], axis=1)
+        matrix = np.nan_to_num(reference.matrix)
+        made = x @ matrix.T
+        residuals = y - made
+        air = np.nan_to_num(air)
+        left = np.full_like(residuals, np.nan)
+        for c in range(4):
+            there = np.isfinite(residuals[:, c])
+            if there.sum() < _REGRESSED:
+                left[there, c] = residuals[there, c]
+                continue
+            moved = (air[:, 2], np.sum(air[:, :2] ** 2, axis=1)) if c == 0 else air.T
+            columns = np.column_stack([np.ones(count), made[:, c], *moved])[there]
+            columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-12)
+            fit = np.linalg.lstsq(columns, residuals[there, c], rcond=1e-6)[0]
+            left[there, c] = residuals[there, c] - columns @ fit
+        return History(_median(residuals), left, step)
 
 
 def judge(
@@ -137,8 +167,7 @@ def judge(
     samples: Samples,
     dt: float,
     reference: Reference,
-    history: Array,
-    history_step: float,
+    history: History,
     onset: float,
     age_index: int,
     tuning: HypothesisTuning = TUNING,
@@ -150,8 +179,7 @@ def judge(
         samples: n of them.
         dt: s between samples.
         reference: the fit before the alarm.
-        history: (k, 4) residual means of the flight before it.
-        history_step: s between these.
+        history: of the flight before it.
         onset: s, session time at which the alarm's sum left zero.
         age_index: which of `tuning.ages` has come.
         tuning: settings.
@@ -161,7 +189,7 @@ def judge(
     nothing = Cause("passing", None, 0.0, 0.0, 1.0, (0.0, 0.0), 0.0)
     if window.after < 6 or window.at < 10 or not np.isfinite(reference.matrix).any():
         return Judgement("disturbance" if last else "undecided", onset, nothing)
-    trial = _Trial(window, reference, history, history_step, tuning)
+    trial = _Trial(window, reference, history, tuning)
     cause, sure = trial.best(tuning.sure[age_index])
     onset = window.time_of(trial.at)
     if sure:
@@ -235,8 +263,7 @@ class _Trial:
         self,
         window: _Window,
         reference: Reference,
-        history: Array,
-        history_step: float,
+        history: History,
         tuning: HypothesisTuning,
     ) -> None:
         self._window, self._reference, self._tuning = window, reference, tuning
@@ -245,10 +272,10 @@ class _Trial:
         hover = float(np.mean(window.x[: window.at, TOTAL]))
         self._floors = reference.floors(hover)
         self._Q = np.nan_to_num(reference.matrix[1:, : rb.N_SIGNALS])
-        self._level = np.nan_to_num(_median(history))
+        self._level = np.nan_to_num(history.level)
         self._moved = self._covariates()
         self._roots = {
-            c: self._root(c, _spectrum(window, history, history_step, c))
+            c: self._root(c, _spectrum(window, history, c))
             for c in np.flatnonzero(self._watched)
         }
         self._scale = np.ones(4)
@@ -565,7 +592,7 @@ def _ou(lags: Array, h: float, tau: float) -> Array:
     return np.where(lags == 0, same, apart)
 
 
-def _spectrum(window: _Window, history: Array, step: float, c: int) -> Array:
+def _spectrum(window: _Window, history: History, c: int) -> Array:
     """(2 + k,) strengths of white noise (/Hz), of differentiated noise, and variances of the OUs.
 
     Variances of differences of neighboring means are matched at all scales, by their degrees of
@@ -576,7 +603,8 @@ def _spectrum(window: _Window, history: Array, step: float, c: int) -> Array:
         (m * h, *_haar(window.e[: window.at, c], window.index[: window.at], m)) for m in (1, 2, 4)
     ]
     found += [
-        (m * step, *_haar(history[:, c], np.arange(len(history)), m)) for m in (1, 2, 4, 8, 16)
+        (m * history.step, *_haar(history.left[:, c], np.arange(len(history.left)), m))
+        for m in (1, 2, 4, 8, 16)
     ]
     found = [row for row in found if row[2] >= 3 and row[1] > 0.0]
     if not found:

@@ -37,7 +37,7 @@ class Cause:
         loss: share of its thrust that is gone, else 0.
         loss_std: of the loss.
         mass_ratio: mass after over mass before, were it the mass.
-        cg_shift: m, forward and right.
+        cg_shift: m, forward and right, at the inertia before.
         explained: likelihood over that of any force and moment.
         disturbance: of "passing", what passed.
     """

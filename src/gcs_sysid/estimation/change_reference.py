@@ -18,6 +18,7 @@ from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.estimation.actuator_dynamics import CURVE, LAG, motor_filter
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.model import attitude
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.samples import Samples
@@ -143,6 +144,15 @@ class Reference:
         return tuple(  # type: ignore[return-value]
             np.concatenate([np.broadcast_to(gone, (early, a.shape[1])), a]) for a in (y, x, squares)
         )
+
+
+def body_velocity(samples: Samples) -> Array:
+    """(n, 3) velocity along the body axes, m/s; NaN where none is told."""
+    velocity = samples.velocity
+    if not np.isfinite(velocity).any():
+        return velocity
+    along: Array = (velocity[:, None, :] @ attitude.matrices(samples.attitude))[:, 0]
+    return along
 
 
 def form_rows(

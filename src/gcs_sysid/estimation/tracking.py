@@ -29,12 +29,13 @@ from gcs_sysid.estimation.change_reference import Reference
 from gcs_sysid.estimation.flight_comparison import Trial, is_another
 from gcs_sysid.estimation.online import Fit, OnlineEstimator, PriorSource
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
+from gcs_sysid.estimation.rotor_signals import RotorInput
 from gcs_sysid.estimation.translation import accelerometer_gain
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 
-_ARM_EVERY, _ARM_GROWTH = 1.0, 1.2
+_ARM: dict[RotorInput, tuple[float, float]] = {"speed": (1.0, 1.2), "command": (5.0, 1.5)}
 """s between new references of the detector, and growth of the record, whichever is later."""
 _LOOK_EVERY = 0.1
 """s between decisions."""
@@ -426,16 +427,14 @@ class Tracker:
                     self._alarms.remove(alarm)
                     self._pass(alarm, found, now)
         if self._estimator.seconds >= self._arm_at:
-            self._arm_at = max(
-                self._estimator.seconds + _ARM_EVERY, _ARM_GROWTH * self._estimator.seconds
-            )
+            pause, growth = _ARM[self._tuning.rotor_input]
+            known = self._estimator.seconds
+            self._arm_at = max(known + pause, growth * known)
             detector.arm(self.fit(quick=True, series="watch"))
 
     def _judged(self, alarm: _Alarm, look: int, now: float) -> Judgement:
         assert self._changes is not None
-        step = self._changes.frame
-        history = self._frames.residuals(alarm.reference.matrix)
-        history = history[: max(len(history) - int(np.ceil((now - alarm.onset) / step)), 0)]
+        history = self._frames.before(now - alarm.onset, self._changes.frame, alarm.reference)
         t = np.concatenate([part[0] for part in self._recent])
         samples = _joined([part[1] for part in self._recent])
         start = int(np.searchsorted(t, alarm.onset - TUNING.before - 2.0 * TUNING.frame))
@@ -445,7 +444,6 @@ class Tracker:
             self.dt,
             alarm.reference,
             history,
-            step,
             alarm.onset,
             look,
         )
