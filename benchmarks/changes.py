@@ -167,8 +167,8 @@ def quiet(hours: float, only: Sequence[str]) -> int:
         f"{'flight':<16}{'input':<9}{'hours':>6}{'changes':>9}{'disturbances':>14}"
         f"{'used %':>8}  called"
     )
-    flown = {key: 0.0 for key in INPUTS}
-    false = {key: 0 for key in INPUTS}
+    flown = dict.fromkeys(INPUTS, 0.0)
+    false = dict.fromkeys(INPUTS, 0)
     seed = 0
     each = hours / (len(names) * len(INPUTS))
     for name in names:
@@ -190,7 +190,9 @@ def quiet(hours: float, only: Sequence[str]) -> int:
                     samples = samples_of(flight, i, commands=commands)
                     tracker = follow(samples, flight.t, commands=commands)
                     changes = [
-                        e for e in tracker.events if is_change(e.cause.kind if e.cause else "change")
+                        e
+                        for e in tracker.events
+                        if is_change(e.cause.kind if e.cause else "change")
                     ]
                     row = counts[key]
                     row[0] += float(flight.t[-1])
@@ -293,7 +295,9 @@ def logs(paths: Sequence[Path]) -> int:
         false += len(changes)
         told = " ".join(f"{e['kind']}@{e['t']:.1f}" for e in changes)
         used = result.telemetry["used_seconds"]
-        print(f"{log.name:<40} used {used:6.1f} s  disturbances {len(names):3d}  {told}", flush=True)
+        print(
+            f"{log.name:<40} used {used:6.1f} s  disturbances {len(names):3d}  {told}", flush=True
+        )
     print(f"changes called: {false}")
     return false
 

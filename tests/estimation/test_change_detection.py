@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.change_detection import ChangeDetector
-from gcs_sysid.estimation.change_hypotheses import TUNING, Frames, judge
+from gcs_sysid.estimation.change_hypotheses import judge
 from gcs_sysid.estimation.change_kinds import Cause, describe
+from gcs_sysid.estimation.change_window import TUNING, Frames
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.sequential_tests import Cusum, Level

@@ -162,9 +162,9 @@ class ChangeDetector:
         before = self.reference
         matrix = found.matrix.copy()
         # A channel that was watched already stays so, with the reference it had.
-        keep = np.isnan(matrix).any(axis=1)
+        keep = ~found.watched
         matrix[keep] = before.matrix[keep]
-        new = np.asarray(np.isnan(before.matrix).any(axis=1))
+        new = ~before.watched
         moved = np.where(new[:, None], 0.0, before.matrix - np.where(keep[:, None], 0.0, matrix))
         moved[keep] = 0.0
         # What the new reference explains otherwise on average is no jump of the vehicle.
@@ -225,7 +225,7 @@ class ChangeDetector:
 
     def _test(self, y: Array, x: Array, air: Array) -> list[Change]:
         e = y - x @ np.nan_to_num(self.reference.matrix).T
-        e[:, np.isnan(self.reference.matrix).any(axis=1)] = np.nan
+        e[:, ~self.reference.watched] = np.nan
         found = []
         done = 0
         while done < len(e):

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, complete_rows, runs
+from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.estimation.actuator_dynamics import CURVE, LAG, motor_filter
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.rotation import RotationFit
@@ -113,6 +113,11 @@ class Reference:
         return -float(self.matrix[0, TOTAL])
 
     @property
+    def watched(self) -> Mask:
+        """(4,) which channels are."""
+        return np.asarray(np.isfinite(self.matrix).all(axis=1))
+
+    @property
     def arm(self) -> float:
         """m, mean distance of the rotors."""
         return float(np.mean(np.hypot(self.geometry[0], self.geometry[1])))
@@ -168,6 +173,8 @@ def form_rows(
         shift: samples by which speeds are late.
         dt: s between samples.
     """
+    if n <= 0:
+        return np.empty((0, 4)), np.empty((0, N_X)), np.empty((0, geometry.shape[1]))
     imu = table[at : at + n + 1]
     whole = int(np.floor(shift))
     part = shift - whole
@@ -231,5 +238,3 @@ def _axes_known(rot: RotationFit) -> Array:
     """(3,) the axes on which a fit is good enough to be held against the flight."""
     sharp = rot.std[:3] < MAX_INERTIA_SHARE * rot.theta[:3]
     return np.asarray(sharp & (rot.r_squared > MIN_R_SQUARED))
-
-

@@ -14,29 +14,24 @@ the same (`estimation.flight_comparison`): if so, the estimate goes on with both
 ended.
 """
 
-from collections import deque
 from collections.abc import Sequence
-from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, runs
-from gcs_sysid.estimation.change_detection import Change, ChangeDetector, ChangeTuning
-from gcs_sysid.estimation.change_hypotheses import TUNING, Frames, Judgement, judge
+from gcs_sysid.estimation.change_detection import Change, ChangeTuning
+from gcs_sysid.estimation.change_hypotheses import Judgement
 from gcs_sysid.estimation.change_kinds import Cause
-from gcs_sysid.estimation.change_reference import Reference
+from gcs_sysid.estimation.change_watch import Alarm, ChangeWatch, gap
 from gcs_sysid.estimation.flight_comparison import Trial, is_another
 from gcs_sysid.estimation.online import Fit, OnlineEstimator, PriorSource
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
-from gcs_sysid.estimation.rotor_signals import RotorInput
 from gcs_sysid.estimation.translation import accelerometer_gain
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 
-_ARM: dict[RotorInput, tuple[float, float]] = {"speed": (1.0, 1.2), "command": (5.0, 1.5)}
-"""s between new references of the detector, and growth of the record, whichever is later."""
 _LOOK_EVERY = 0.1
 """s between decisions."""
 _MOST_AT_ONCE = 4096
@@ -58,14 +53,8 @@ MOST_PASSING = 200
 """Events kept that ended no segment, the latest: a day of gusts may bring many."""
 _TOUCHDOWN = 1.0
 """s before the autopilot tells of a landing that are left out: it tells late."""
-_REMEMBERED = TUNING.before + TUNING.ages[-1] + 1.0
-"""s of samples that are kept to look at alarms."""
-_MOST_ALARMS = 8
-"""Looked at together."""
 _SAME = 10.0
 """s within which a disturbance of one name is told once."""
-_BLURRED = 0.1
-"""s after a change's onset that are left out where the onset is known to no more."""
 
 
 @dataclass(frozen=True)
@@ -103,24 +92,6 @@ class Event:
     cause: Cause | None
     segment: int | None
     decided: float | None = None
-
-
-@dataclass
-class _Alarm:
-    """Something that may be a change.
-
-    Attributes:
-        change: as detected.
-        onset: s, session time; detected likewise.
-        reference: in force then.
-        looks: how often it was looked at.
-    """
-
-    change: Change
-    onset: float
-    detected: float
-    reference: Reference
-    looks: int = 0
 
 
 @dataclass(frozen=True)
@@ -170,14 +141,10 @@ class Tracker:
         self._keep = keep
         self._estimator = OnlineEstimator(geometry, dt, tuning)
         self._estimator.prior_source = prior
-        self._alarms: list[_Alarm] = []
-        self._recent: deque[tuple[Array, Samples]] = deque()
-        self._frames = Frames()
-        self._arm_at = 0.0
         self._count = self._hasty = 0
         self._frame = max(round(_LOOK_EVERY / dt), 1)
         self._changes = changes
-        self._detector = self._new_detector()
+        self._watch = self._new_watch()
         self._trial: Trial | None = None
         self._landed: float | None = None
         self._newest = -np.inf
@@ -193,26 +160,17 @@ class Tracker:
             self._trial.restart()
         self._break()
 
-    def _new_detector(self) -> ChangeDetector | None:
+    def _new_watch(self) -> ChangeWatch | None:
         if self._changes is None:
             return None
-        return ChangeDetector(
-            self.geometry,
-            self.dt,
-            self._changes,
-            commands=self._tuning.rotor_input == "command",
-            moments=self._tuning.gyro_cutoff is None,
-        )
+        return ChangeWatch(self.geometry, self.dt, self._changes, self._tuning)
 
     def _break(self) -> None:
         self._estimator.restart()
-        if self._recent and np.isfinite(self._recent[-1][1].gyro).any():
-            t, samples = self._recent[-1]
-            self._recent.append((t[-1:] + self.dt, _gap(samples)))
-        if self._detector is not None:
-            self._detector.restart()
+        if self._watch is not None:
+            self._watch.restart()
         if self._keep and self.kept:
-            self.kept.append(_gap(self.kept[-1]))
+            self.kept.append(gap(self.kept[-1]))
 
     def update(
         self,
@@ -265,16 +223,14 @@ class Tracker:
     def _touch_down(self) -> None:
         """Leave out how the flight ended, and what looked like a change there."""
         self._leave_undecided()
-        self._recent.clear()
         self._break()
-        if self._detector is not None:
-            self._detector.disarm()
-        self._arm_at = 0.0
+        if self._watch is not None:
+            self._watch.land()
         if self.stopped:
             return
         self._forget_last(_TOUCHDOWN)
         if self.kept:
-            self.kept.append(_gap(self.kept[-1]))
+            self.kept.append(gap(self.kept[-1]))
 
     def _forget_last(self, seconds: float) -> None:
         """Leave out the last seconds, of what was learnt and of what is kept."""
@@ -368,101 +324,40 @@ class Tracker:
     def _quiet_samples(self) -> int:
         """Samples in which nothing is decided, if no change is detected."""
         frame = self._frame - self._count % self._frame
-        if self._detector is None:
+        if self._watch is None:
             return _MOST_AT_ONCE
-        if self._alarms or self._hasty:
+        if self._watch.busy or self._hasty:
             return frame
-        quiet = self._arm_at - self._estimator.seconds - _HELD_BACK
+        quiet = self._watch.arm_at - self._estimator.seconds - _HELD_BACK
         return frame + self._frame * max(int(quiet / (self._frame * self.dt)) - 1, 0)
 
     def _take(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[Point] | None:
         """Take samples; None where many were tried at once, and there is an alarm in them."""
-        detector = self._detector
-        if detector is None:
-            return self._learn(samples, stops)
         at_once = len(t) > self._frame
-        known = deepcopy(detector) if at_once else detector
-        found = detector.update(samples)
-        if found and at_once:
-            self._detector = known
+        if self._watch is not None and not self._watch.take(t, samples, tentative=at_once):
             return None
-        self._frames.add(detector.frames)
-        detector.frames = []
-        self._remember(t, samples)
-        for change in found:
-            self._suspect(change, float(t[-1]))
         return self._learn(samples, stops)
 
-    def _remember(self, t: Array, samples: Samples) -> None:
-        # Longer blocks come without an alarm: their end is enough.
-        most = round(_REMEMBERED / self.dt)
-        self._recent.append((t[-most:], samples.part(slice(-most, None))))
-        while self._recent[0][0][-1] < t[-1] - _REMEMBERED:
-            self._recent.popleft()
-
-    def _suspect(self, change: Change, now: float) -> None:
-        """Take note of an alarm; what it was is told later."""
-        assert self._detector is not None
-        seconds = self._detector.seconds
-        onset = now - (seconds - change.onset)
-        if any(abs(onset - alarm.onset) < TUNING.search for alarm in self._alarms):
-            return
-        detected = now - (seconds - change.detected)
-        self._alarms.append(_Alarm(change, onset, detected, self._detector.reference))
-        del self._alarms[:-_MOST_ALARMS]
-
     def _look(self, now: float) -> None:
-        """Decide what there is to decide; give the detector a better reference."""
-        detector = self._detector
-        if detector is None:
+        """Decide what there is to decide; give the watch a better reference."""
+        watch = self._watch
+        if watch is None:
             return
-        for alarm in list(self._alarms):
-            if now - alarm.onset >= TUNING.ages[alarm.looks] - 0.5 * self.dt:
-                found = self._judged(alarm, alarm.looks, now)
-                alarm.looks += 1
-                if found.verdict == "changed":
-                    self._change(alarm, found, now)
-                    return
-                if found.verdict == "disturbance":
-                    self._alarms.remove(alarm)
-                    self._pass(alarm, found, now)
-        if self._estimator.seconds >= self._arm_at:
-            pause, growth = _ARM[self._tuning.rotor_input]
-            known = self._estimator.seconds
-            self._arm_at = max(known + pause, growth * known)
-            detector.arm(self.fit(quick=True, series="watch"))
-
-    def _judged(self, alarm: _Alarm, look: int, now: float) -> Judgement:
-        assert self._changes is not None
-        history = self._frames.before(now - alarm.onset, self._changes.frame, alarm.reference)
-        t = np.concatenate([part[0] for part in self._recent])
-        samples = _joined([part[1] for part in self._recent])
-        start = int(np.searchsorted(t, alarm.onset - TUNING.before - 2.0 * TUNING.frame))
-        return judge(
-            t[start:],
-            samples.part(slice(start, None)),
-            self.dt,
-            alarm.reference,
-            history,
-            alarm.onset,
-            look,
-        )
+        for alarm, found in watch.decided(now):
+            if found.verdict == "changed":
+                self._change(alarm, found, now)
+                return
+            self._pass(alarm, found, now)
+        if self._estimator.seconds >= watch.arm_at:
+            watch.arm(self.fit(quick=True, series="watch"), self._estimator.seconds)
 
     def _leave_undecided(self) -> None:
         """What may be a change and is no longer to be decided is left out."""
-        alarms, self._alarms = self._alarms, []
-        if self.stopped or not self._recent:
-            return
-        now = float(self._recent[-1][0][-1])
-        for alarm in alarms:
-            found = self._judged(alarm, len(TUNING.ages) - 1, now)
-            if found.cause.disturbance is None:
-                continue
-            self._forget_last(now - found.onset + _CONTAMINATED)
-            self._add(
-                Event(found.onset, alarm.detected, alarm.change, found.cause, None, decided=now)
-            )
-            return
+        left = None if self._watch is None or self.stopped else self._watch.undecided()
+        if left is not None:
+            alarm, found = left
+            self._forget_last(self._newest - found.onset + _CONTAMINATED)
+            self._add(Event(found.onset, alarm.detected, alarm.change, found.cause, None))
 
     def fit(self, *, quick: bool = False, series: str = "") -> Fit:
         """The fit in force; see `OnlineEstimator.fit`."""
@@ -474,7 +369,7 @@ class Tracker:
         fits = self._estimator.follow(samples, stops)
         return [Point(fit, len(self.segments)) for fit in fits]
 
-    def _pass(self, alarm: _Alarm, found: Judgement, now: float) -> None:
+    def _pass(self, alarm: Alarm, found: Judgement, now: float) -> None:
         """It was a disturbance: the vehicle is what it was."""
         if found.cause.disturbance == "contact":
             # What holds the vehicle is no part of it.
@@ -485,15 +380,14 @@ class Tracker:
         if last is None or not _goes_on(last, event):
             self._add(event)
 
-    def _change(self, alarm: _Alarm, found: Judgement, now: float) -> None:
+    def _change(self, alarm: Alarm, found: Judgement, now: float) -> None:
         """The vehicle is another one since; go on accordingly."""
         assert self.start is not None
-        sharp = alarm.change.scale == "fast" and abs(found.onset - alarm.onset) <= TUNING.frame
-        onset = alarm.onset if sharp else found.onset
+        assert self._watch is not None
+        onset, since = alarm.step_of(found)
         event = Event(onset, alarm.detected, alarm.change, found.cause, None, decided=now)
         self._forget_last(now - onset + _CONTAMINATED)
         before = self.fit()
-        self._alarms = []
         if found.cause.kind == "rotor_failure":
             self.stopped = True
             self._add(event)
@@ -503,8 +397,7 @@ class Tracker:
         fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
         fresh.prior = _after_change(before, self.geometry)
         fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
-        since = alarm.detected if sharp else onset + _BLURRED
-        kept = [part.part(t > since) for t, part in self._recent if t[-1] > since]
+        kept = self._watch.since(since)
         self.start = since
         for part in kept:
             fresh.update(part)
@@ -514,11 +407,9 @@ class Tracker:
 
     def _watch_anew(self) -> None:
         """Another vehicle: residuals of the last one tell nothing of it."""
-        self._alarms, self._frames, self._arm_at = [], Frames(), 0.0
-        self._recent.clear()
         if len(self.segments) >= MOST_SEGMENTS:
             self._changes = None
-        self._detector = self._new_detector()
+        self._watch = self._new_watch()
 
     def reserve(self) -> None:
         """Have all memory now that a long flight will need."""
@@ -566,14 +457,3 @@ def _goes_on(last: Event, event: Event) -> bool:
         return False
     same = last.cause.disturbance == event.cause.disturbance
     return same and last.cause.kind == "passing" and event.onset - last.decided < _SAME
-
-
-def _joined(parts: Sequence[Samples]) -> Samples:
-    """One block of many."""
-    signals = zip(*(part.signals for part in parts), strict=True)
-    return Samples(*(np.concatenate(signal) for signal in signals))
-
-
-def _gap(samples: Samples) -> Samples:
-    """One missing sample."""
-    return Samples(*(np.full_like(signal[:1], np.nan) for signal in samples.signals))
