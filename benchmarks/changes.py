@@ -49,7 +49,7 @@ AT, AFTER, FACTOR, LOSS = 30.0, 17.0, 1.2, 0.15
 rotor loses."""
 SOON = 2.0
 """s within which a change is to be found."""
-VEHICLES = 8
+VEHICLES = 4
 """Flown at once."""
 BLOCK = 50
 """Samples fed at a time."""

@@ -91,7 +91,10 @@ def judged(samples, change, detector, look):
     t = np.arange(len(samples.gyro)) * DT
     reference = detector.reference
     history = frames.before(0.0, detector.tuning.frame, reference)
-    return judge(t[part], samples.part(part), DT, reference, history, change.onset, look)
+    force = change.channel == "thrust"
+    return judge(
+        t[part], samples.part(part), DT, reference, history, change.onset, look, force=force
+    )
 
 
 def watch(samples, fit=None, block=25, detector=None):

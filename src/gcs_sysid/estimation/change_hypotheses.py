@@ -50,11 +50,13 @@ class Judgement:
         verdict: "undecided" until more has been seen.
         onset: s, session time of the step.
         cause: what changed, or the disturbance's name.
+        doubtful: whether thrust is off by what a change may be.
     """
 
     verdict: Verdict
     onset: float
     cause: Cause
+    doubtful: bool = False
 
 
 def judge(
@@ -65,6 +67,8 @@ def judge(
     history: History,
     onset: float,
     age_index: int,
+    *,
+    force: bool = True,
     tuning: HypothesisTuning = TUNING,
 ) -> Judgement:
     """Explain what an alarm was raised for.
@@ -77,6 +81,7 @@ def judge(
         history: of the flight before it.
         onset: s, session time at which the alarm's sum left zero.
         age_index: which of `tuning.ages` has come.
+        force: whether the alarm was one of thrust, for the disturbance's name.
         tuning: settings.
     """
     window = Window(t, samples, dt, reference, onset, tuning)
@@ -90,7 +95,8 @@ def judge(
     if sure:
         return Judgement("changed", onset, cause)
     over = last or trial.is_over()
-    return Judgement("disturbance" if over else "undecided", onset, trial.disturbance(cause))
+    told = trial.disturbance(cause, force=force)
+    return Judgement("disturbance" if over else "undecided", onset, told, not trial.is_over())
 
 
 class _Trial:
@@ -171,34 +177,29 @@ class _Trial:
 
     def is_over(self) -> bool:
         """Whether nothing is left of the step."""
-        fit = self._fit(self._free(self._since(self.at)))
-        return bool((np.abs(fit.value) < _SURE * fit.std).all())
+        if not self._watched[0]:
+            return True
+        fit = self._fit({0: self._mass(self._since(self.at))})
+        return bool(abs(fit.value[0]) < _SURE * fit.std[0])
 
-    def disturbance(self, cause: Cause) -> Cause:
+    def disturbance(self, cause: Cause, *, force: bool) -> Cause:
         """The name of what is no change."""
-        return Cause(
-            "passing", None, 0.0, 0.0, 1.0, (0.0, 0.0), cause.explained, disturbance=self._name()
-        )
+        name = self._name() if force and self._watched[0] else "moment"
+        return Cause("passing", None, 0.0, 0.0, 1.0, (0.0, 0.0), cause.explained, disturbance=name)
 
     def _name(self) -> Disturbance:
-        window, at = self._window, self.at
-        thrust = self._thrust
-        later, before = slice(at, None), slice(0, at)
-        if self._watched[0]:
-            if self._stands():
-                return "contact"
-            most, usual = float(thrust[later].max()), float(np.median(thrust[before]))
-            if most > _PUNCH * usual or float(thrust[later].min()) < usual / _PUNCH:
-                return "thrust"
-            whole = self._fit({0: self._mass(self._since(at))}).likelihood
-            if whole > 0.5 * _SURE**2:
-                drop = window.air[later, 2]
-                if np.abs(drop).max() > _CLIMB:
-                    return "climb"
-                if np.linalg.norm(window.air[later, :2], axis=1).max() > _SPEED:
-                    return "airspeed"
-                return "force"
-        return "moment" if self._watched[1:].any() else "force"
+        window, thrust = self._window, self._thrust
+        later, before = slice(self.at, None), slice(0, self.at)
+        if self._stands():
+            return "contact"
+        usual = float(np.median(thrust[before]))
+        if thrust[later].max() > _PUNCH * usual or thrust[later].min() < usual / _PUNCH:
+            return "thrust"
+        if np.abs(window.air[later, 2]).max() > _CLIMB:
+            return "climb"
+        if np.linalg.norm(window.air[later, :2], axis=1).max() > _SPEED:
+            return "airspeed"
+        return "force"
 
     # ---- conditions ---------------------------------------------------------------------------
 
@@ -310,7 +311,9 @@ class _Trial:
         window = self._window
         reach = round(self._tuning.search / window.step)
         places = [
-            i for i in range(len(window.e) - 4) if abs(window.index[i]) <= reach and i >= 4
+            i
+            for i in range(4, len(window.e) - 4)
+            if abs(window.index[i]) <= reach or i == window.at
         ] or [min(window.at, len(window.e) - 1)]
         gains = [self._fit(self._free(self._since(i))).likelihood for i in places]
         return places[int(np.argmax(gains))]

@@ -155,7 +155,7 @@ class ChangeWatch:
             now = float(self._recent[-1][0][-1])
             for alarm in alarms:
                 found = self._judged(alarm, len(TUNING.ages) - 1, now)
-                if found.cause.disturbance not in (None, "moment"):
+                if found.doubtful:
                     return alarm, found
         return None
 
@@ -169,7 +169,10 @@ class ChangeWatch:
         samples = _joined([part[1] for part in self._recent])
         start = int(np.searchsorted(t, alarm.onset - TUNING.before - 2.0 * TUNING.frame))
         part = samples.part(slice(start, None))
-        return judge(t[start:], part, self._dt, alarm.reference, history, alarm.onset, look)
+        force = alarm.change.channel == "thrust"
+        return judge(
+            t[start:], part, self._dt, alarm.reference, history, alarm.onset, look, force=force
+        )
 
 
 def _joined(parts: Sequence[Samples]) -> Samples:

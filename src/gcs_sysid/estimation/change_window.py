@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.change_reference import N_X, TOTAL, Reference, body_velocity
 from gcs_sysid.model import attitude
 from gcs_sysid.model import rigid_body as rb
@@ -32,6 +32,8 @@ _WIDE = 1.0
 """Prior of the mean level: the weight, or the moment that it would make at a rotor's arm."""
 _TENTHS = 10.0
 """`Reference.floors` are moments of a tenth of the arm."""
+_FEWEST_SCALES = 3
+"""Of a flight, that tell its noise without the window's own."""
 _VELOCITY_SENT = 0.5
 """Share of samples with a velocity."""
 
@@ -259,37 +261,55 @@ class Frames:
 def strengths(window: Window, history: History, c: int) -> Array:
     """(2 + k,) strengths of white noise (/Hz), of differentiated noise, and variances of the OUs.
 
-    Variances of differences of neighboring means are matched at all scales, by their degrees of
-    freedom; where they exceed the match, all is raised to them.
+    Those of the flight before; where differences of the window's means before the alarm exceed
+    what these make of them, the rest is white and differentiated noise.
     """
-    h = window.step
-    found = [
-        (m * h, *_haar(window.e[: window.at, c], window.index[: window.at], m)) for m in (1, 2, 4)
-    ]
-    found += [
-        (m * history.step, *_haar(history.left[:, c], np.arange(len(history.left)), m))
-        for m in (1, 2, 4, 8, 16)
-    ]
-    found = [row for row in found if row[2] >= 3 and row[1] > 0.0]
-    if not found:
-        return np.zeros(2 + len(_OU_TIMES))
-    scale, variance, count = (np.array(column) for column in zip(*found, strict=True))
-    # Student: a variance from few values is as likely too small as it is uncertain.
-    variance = variance * count / np.maximum(count - 2.0, 1.0)
+    before = window.e[: window.at, c], window.index[: window.at]
+    flight = history.left[:, c], np.arange(len(history.left))
+    long = _scales(*flight, history.step, (1, 2, 4, 8, 16))
+    short = _scales(*before, window.step, (1, 2, 4))
+    if len(long) < _FEWEST_SCALES:
+        return _matched(np.concatenate([long, short]), np.ones(2 + len(_OU_TIMES), dtype=bool))
+    every = _matched(long, np.ones(2 + len(_OU_TIMES), dtype=bool))
+    if len(short):
+        short[:, 1] -= _made(short[:, 0]) @ every
+        every = every + _matched(short[short[:, 1] > 0.0], np.arange(len(every)) < 2)
+    return every
+
+
+def _scales(values: Array, index: Array, step: float, sizes: tuple[int, ...]) -> Array:
+    """(k, 3) scales in s, variances of differences of means over them, and how many are apart."""
+    found = [(m * step, *_haar(values, index, m)) for m in sizes]
+    rows: Array = np.array([row for row in found if row[2] >= 3 and row[1] > 0.0]).reshape(-1, 3)
+    return rows
+
+
+def _made(scale: Array) -> Array:
+    """(k, p) variances of differences of means over (k,) scales, of each noise of unit strength."""
     made = [2.0 / scale, 6.0 / scale**2]
     for tau in _OU_TIMES:
         k = tau / scale
         lost = 1.0 - np.exp(-1.0 / k)
         made.append(4.0 * k * (1.0 - k * lost) - 2.0 * (k * lost) ** 2)
-    A = np.column_stack(made) / variance[:, None]
+    return np.column_stack(made)
+
+
+def _matched(rows: Array, some: Mask) -> Array:
+    """(p,) strengths of some noises that match (k, 3) rows of `_scales`, at no scale too weak."""
+    strength = np.zeros(len(some))
+    if not len(rows):
+        return strength
+    scale, variance, count = rows.T
+    # Student: a variance from few values is as likely too small as it is uncertain.
+    variance = variance * count / np.maximum(count - 2.0, 1.0)
+    A = _made(scale)[:, some] / variance[:, None]
     weight = np.sqrt(np.minimum(count, 40.0))
     size = np.maximum(A.max(axis=0), 1e-300)
-    strength = nnls(A / size * weight[:, None], weight)[0] / size
-    matched = A @ strength
+    found = nnls(A / size * weight[:, None], weight)[0] / size
     sound = count >= 6.0
-    short = float(np.max(1.0 / np.maximum(matched[sound], 0.1), initial=1.0))
-    raised: Array = strength * short
-    return raised
+    raised = float(np.max(1.0 / np.maximum((A @ found)[sound], 0.1), initial=1.0))
+    strength[some] = found * raised
+    return strength
 
 
 def _ou(lags: Array, h: float, tau: float) -> Array:

@@ -83,7 +83,8 @@ class Event:
         cause: what the residuals say of it; None when they say nothing.
         segment: index of the segment that it ended; None where the estimate goes on (a passing
             disturbance) or stops (a failing rotor).
-        decided: time at which it was told what it was; None between flights.
+        decided: time at which it was told what it was; None between flights, and where the end
+            came before: then the estimate is that of the flight until the onset.
     """
 
     onset: float
