@@ -74,7 +74,7 @@ def quiet(force=0.01, moment=0.02, seconds=40.0, level=0.0, seed=2):
 
 
 def looked(samples, look=0, known=None, history=None, onset=AT, **others):
-    now = TIME <= onset + TUNING.ages[look]
+    now = onset + TUNING.ages[look] >= TIME
     return judge(
         TIME[now],
         samples.part(now),
@@ -111,7 +111,7 @@ def test_less_than_four_per_cent_is_not_called(share, called):
 
 def test_what_passes_is_no_change():
     for length in (0.3, 0.7, 1.5):
-        share = np.where(LATER & (TIME < AT + length), 0.15, 0.0)
+        share = np.where(LATER & (AT + length > TIME), 0.15, 0.0)
         found = verdicts(fly(share=share))
         assert found[-1] == "disturbance", length
         if length < TUNING.ages[0]:
@@ -137,7 +137,7 @@ def test_a_climb_moves_thrust_as_slowly_as_the_vehicle(sign):
 def test_the_ground_is_not_a_lighter_vehicle():
     """It carries what the rotors no longer do: specific force stays, whatever they turn at."""
     thrust = np.where(LATER, 0.6 - 0.2 * np.clip((TIME - AT) / 2.0, 0.0, 1.0), 1.0)
-    thrust = np.where(LATER & (TIME < AT + 0.1), 1.0 - 4.0 * (TIME - AT), thrust)
+    thrust = np.where(LATER & (AT + 0.1 > TIME), 1.0 - 4.0 * (TIME - AT), thrust)
     samples = fly(thrust, 1.0 - 1.0 / thrust)
     assert "changed" not in verdicts(samples)
     assert looked(samples, LAST).cause.disturbance == "contact"

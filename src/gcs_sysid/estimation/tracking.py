@@ -54,7 +54,7 @@ MOST_PASSING = 200
 _TOUCHDOWN = 1.0
 """s before the autopilot tells of a landing that are left out: it tells late."""
 _SAME = 10.0
-"""s within which a disturbance of one name is told once."""
+"""s within which a disturbance is told once."""
 
 
 @dataclass(frozen=True)
@@ -456,5 +456,8 @@ def _goes_on(last: Event, event: Event) -> bool:
     """Whether a disturbance is that of the event before."""
     if last.cause is None or event.cause is None or last.decided is None:
         return False
-    same = last.cause.disturbance == event.cause.disturbance
+    # What moves thrust has many names in rough air, one after the other.
+    own = {"contact", "moment"}
+    name, before = event.cause.disturbance, last.cause.disturbance
+    same = name == before or own.isdisjoint((name, before))
     return same and last.cause.kind == "passing" and event.onset - last.decided < _SAME
