@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.unchanged import airframe_for, logs_in
+from gcs_sysid.argument_types import positive
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.change_detection import ChangeTuning
 from gcs_sysid.estimation.tracking import Tracker
@@ -160,7 +161,7 @@ def is_change(kind: str) -> bool:
     return kind != "passing"
 
 
-def quiet(hours: float, only: Sequence[str]) -> int:
+def quiet(hours: float, count: int, only: Sequence[str]) -> int:
     """Print false changes; how many there were."""
     names = [name for name in QUIET if not only or name in only]
     print(
@@ -178,15 +179,13 @@ def quiet(hours: float, only: Sequence[str]) -> int:
         called: dict[str, list[str]] = {key: [] for key in INPUTS}
         while counts["speed"][0] < 3600.0 * each:
             seed += 1
-            fleet = stack_vehicles(vehicles(VEHICLES, seed))
+            fleet = stack_vehicles(vehicles(count, seed))
             flown_mission = GroundCycle(mission, 3.0) if lands else mission
             clean = fly_ensemble(fleet, flown_mission, RATE, seed=seed, physics=physics)
-            flight = clean.with_noise("mems", 0.0, [100 * seed + i for i in range(VEHICLES)])
-            for i in range(VEHICLES):
+            flight = clean.with_noise("mems", 0.0, [100 * seed + i for i in range(count)])
+            for i in range(count):
                 for key in INPUTS:
                     commands = key == "command"
-                    if commands and physics.slosh[0]:
-                        pass
                     samples = samples_of(flight, i, commands=commands)
                     tracker = follow(samples, flight.t, commands=commands)
                     changes = [
@@ -302,6 +301,17 @@ def logs(paths: Sequence[Path]) -> int:
     return false
 
 
+def whole(text: str) -> int:
+    """A number of vehicles or flights.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none.
+    """
+    if not text.isdecimal() or not int(text):
+        raise argparse.ArgumentTypeError(f"{text}: must be a whole number from 1")
+    return int(text)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point."""
     parser = argparse.ArgumentParser(
@@ -309,17 +319,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     commands = parser.add_subparsers(dest="what", required=True)
     part = commands.add_parser("quiet", help="flights in which nothing changes")
-    part.add_argument("--hours", type=float, default=1.0, metavar="H", help="in all")
+    part.add_argument("--hours", type=positive, default=1.0, metavar="H", help="in all")
+    part.add_argument(
+        "--vehicles", type=whole, default=VEHICLES, metavar="N", help="flown at once (%(default)s)"
+    )
     part.add_argument("--only", nargs="+", default=[], choices=list(QUIET), metavar="NAME")
     part = commands.add_parser("steps", help="flights with a change")
-    part.add_argument("--seeds", type=int, default=5, metavar="N", help="of each kind")
+    part.add_argument("--seeds", type=whole, default=5, metavar="N", help="of each kind")
     part.add_argument("--only", nargs="+", default=[], choices=list(STEPS), metavar="NAME")
     part = commands.add_parser("logs", help="recorded flights")
     part.add_argument("paths", type=Path, nargs="+", metavar="FOLDER")
     args = parser.parse_args(argv)
     try:
         if args.what == "quiet":
-            quiet(args.hours, args.only)
+            quiet(args.hours, args.vehicles, args.only)
         elif args.what == "steps":
             steps(args.seeds, args.only)
         else:
