@@ -177,6 +177,7 @@ def test_force_and_moment_of_no_rotors_direction_are_a_disturbance():
     # Pitch alone, with the thrust that a rotor's loss would go with.
     samples = fly(share=np.where(LATER, 0.03, 0.0), turn=[0.0, np.where(LATER, 4.0, 0.0), 0.0])
     assert "changed" not in verdicts(samples)
+    assert "changed" not in verdicts(samples, known=reference(watched=(0, 2)))
     only = fly(turn=[0.0, np.where(LATER, 4.0, 0.0), 0.0])
     found = looked(only, LAST, force=False)
     assert (found.verdict, found.cause.disturbance) == ("disturbance", "moment")
@@ -206,6 +207,13 @@ def test_of_commands_an_uncertain_curve_is_in_the_margin():
         known = Reference(GEOMETRY, matrix, 0.0, Actuator(0.0, 0.0, 0.0, curve_std))
         shares.append(looked(samples, 1, known=known))
     assert [found.verdict for found in shares] == ["changed", "undecided"]
+
+
+def test_where_nothing_is_to_be_decided_a_step_is_doubtful():
+    """As at the end of a flight."""
+    for share, doubtful in ((0.15, True), (0.0, False)):
+        found = looked(fly(share=np.where(LATER, share, 0.0)), LAST, decide=False)
+        assert (found.verdict, found.doubtful) == ("disturbance", doubtful)
 
 
 def test_with_little_to_look_at_nothing_is_said():

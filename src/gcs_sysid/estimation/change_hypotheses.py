@@ -69,6 +69,7 @@ def judge(
     age_index: int,
     *,
     force: bool = True,
+    decide: bool = True,
     tuning: HypothesisTuning = TUNING,
 ) -> Judgement:
     """Explain what an alarm was raised for.
@@ -82,6 +83,7 @@ def judge(
         onset: s, session time at which the alarm's sum left zero.
         age_index: which of `tuning.ages` has come.
         force: whether the alarm was one of thrust, for the disturbance's name.
+        decide: whether a change may be called; else nothing is known but whether it is doubtful.
         tuning: settings.
     """
     window = Window(t, samples, dt, reference, onset, tuning)
@@ -92,11 +94,11 @@ def judge(
     trial = _Trial(window, reference, history, tuning)
     cause, sure = trial.best(tuning.sure[age_index])
     onset = window.time_of(trial.at)
-    if sure:
+    if sure and decide:
         return Judgement("changed", onset, cause)
-    over = last or trial.is_over()
+    over = trial.is_over() and not sure
     told = trial.disturbance(cause, force=force)
-    return Judgement("disturbance" if over else "undecided", onset, told, not trial.is_over())
+    return Judgement("disturbance" if over or last else "undecided", onset, told, not over)
 
 
 class _Trial:
@@ -149,13 +151,17 @@ class _Trial:
         rotor = losses[i]
         penalty = 0.5 * float(np.log(max(window.after, 2)))
         body = mass.likelihood + max(moved.likelihood - 2.0 * penalty, 0.0)
-        explained = max(mass.likelihood + moved.likelihood, 1e-9) / max(free.likelihood, 1e-9)
-        if self._watched.sum() > 1 and rotor.likelihood > body and rotor.value[0] > 0.0:
+        whole = max(free.likelihood, 1e-9)
+        # With an axis less, one rotor or another points where any moment does.
+        if self._watched[:3].all() and rotor.likelihood > body and rotor.value[0] > 0.0:
             loss, std = float(rotor.value[0]), float(rotor.std[0])
-            cause = Cause("rotor_failure", i, loss, std, 1.0, (0.0, 0.0), rotor.likelihood)
+            share = rotor.likelihood / whole
+            cause = Cause("rotor_failure", i, loss, std, 1.0, (0.0, 0.0), share)
+            lift = self._fit({0: self._rotor(i, self._since(self.at))[0]})
             holds = (
                 loss >= max(tuning.least_loss, sure * std)
-                and rotor.likelihood > tuning.explained * free.likelihood
+                and bool(lift.value[0] > _SURE * lift.std[0])
+                and share > tuning.explained
                 and self._stays(lambda since: self._rotor(i, since), loss)
             )
             return cause, holds
@@ -166,7 +172,8 @@ class _Trial:
         kind = kind_of(True, moves, False) if self._watched[1:3].all() else "change"
         shift = (float(moved.value[0]), float(moved.value[1])) if moved.std.any() else (0.0, 0.0)
         ratio = 1.0 / max(1.0 - share, 0.1)
-        cause = Cause(kind, None, 0.0, 0.0, ratio, shift, explained)
+        told = (mass.likelihood + moved.likelihood) / whole
+        cause = Cause(kind, None, 0.0, 0.0, ratio, shift, told)
         holds = (
             abs(share) >= max(tuning.least_mass, sure * std)
             and self._stays(lambda since: {0: self._mass(since)}, share)

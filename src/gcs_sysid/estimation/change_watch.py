@@ -154,7 +154,7 @@ class ChangeWatch:
         if self._recent:
             now = float(self._recent[-1][0][-1])
             for alarm in alarms:
-                found = self._judged(alarm, len(TUNING.ages) - 1, now)
+                found = self._judged(alarm, len(TUNING.ages) - 1, now, decide=False)
                 if found.doubtful:
                     return alarm, found
         return None
@@ -163,15 +163,22 @@ class ChangeWatch:
         """The samples after a session time."""
         return [part.part(t > time) for t, part in self._recent if t[-1] > time]
 
-    def _judged(self, alarm: Alarm, look: int, now: float) -> Judgement:
+    def _judged(self, alarm: Alarm, look: int, now: float, *, decide: bool = True) -> Judgement:
         history = self._frames.before(now - alarm.onset, self._changes.frame, alarm.reference)
         t = np.concatenate([part[0] for part in self._recent])
         samples = _joined([part[1] for part in self._recent])
         start = int(np.searchsorted(t, alarm.onset - TUNING.before - 2.0 * TUNING.frame))
         part = samples.part(slice(start, None))
-        force = alarm.change.channel == "thrust"
         return judge(
-            t[start:], part, self._dt, alarm.reference, history, alarm.onset, look, force=force
+            t[start:],
+            part,
+            self._dt,
+            alarm.reference,
+            history,
+            alarm.onset,
+            look,
+            force=alarm.change.channel == "thrust",
+            decide=decide,
         )
 
 
