@@ -217,7 +217,7 @@ class Frames:
     Those of long flights are thinned out by forgetting the oldest half.
     """
 
-    MOST = 4096
+    MOST = 2048
 
     def __init__(self) -> None:
         self._rows: list[Array] = []
