@@ -100,13 +100,14 @@ def _follow(change: Change, seed: int) -> dict[str, Any]:
                 values[1:] = fit.rotation.theta[:6] * k_T
         out["t"].append(round(float(since), 4))
         out["error"].append([float(f"{e:.4g}") for e in 100.0 * (values / truth - 1.0)])
-    detected = [e.detected for e in tracker.events]
+    changes = [e for e in tracker.events if e.cause is None or e.cause.kind != "passing"]
+    detected = [e.detected for e in changes]
     found = [round(d - AT, 4) for d in detected if d >= AT]
     out["delay"] = found[0] if found else None
     out["false"] = sum(d < AT for d in detected)
     out["minutes"] = float(flight.t[-1]) / 60.0
     out["again"] = len(found[1:])
-    causes = [e.cause.kind for e in tracker.events if e.cause is not None and e.detected >= AT]
+    causes = [e.cause.kind for e in changes if e.cause is not None and e.detected >= AT]
     out["cause"] = causes[0] if causes else None
     out["motion"] = motion(flight)
     return out
@@ -127,5 +128,6 @@ def quiet(seed: int) -> dict[str, Any]:
         for k in range(0, len(flight.t), BLOCK):
             now = slice(k, k + BLOCK)
             tracker.update(flight.t[now], samples.part(now))
-        out[mission] = {"alarms": len(tracker.events), "minutes": float(flight.t[-1]) / 60.0}
+        changes = [e for e in tracker.events if e.cause is None or e.cause.kind != "passing"]
+        out[mission] = {"alarms": len(changes), "minutes": float(flight.t[-1]) / 60.0}
     return out

@@ -110,3 +110,33 @@ def test_a_second_flight_on_commands_goes_on(name):
         assert result.parameters["T_max"].value == pytest.approx(8.2, rel=0.01)
         for axis, true in (("Ixx", 0.03), ("Iyy", 0.024), ("Izz", 0.046)):
             assert result.parameters[axis].value == pytest.approx(true, rel=0.02)
+    else:
+        (segment,) = result.segments
+        (change,) = (e for e in result.events if e["kind"] != "disturbance")
+        # 1.15 to 1.4 kg at 83.2 s; no landing after it changes the vehicle again.
+        assert change["kind"] == "mass_change"
+        assert segment["end"] == pytest.approx(83.2, abs=0.6)
+        assert change["decided"] < 83.2 + 2.5
+        assert result.parameters["mass"].value == pytest.approx(1.4, rel=0.03)
+        for axis, true in (("Ixx", 0.019), ("Iyy", 0.0255), ("Izz", 0.037)):
+            assert result.parameters[axis].value == pytest.approx(true, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("name", "airframe"),
+    [
+        ("real/LOG00264", "real/cinerat"),  # a landing in the log
+        ("real/LOG00281", "real/cinerat"),  # full throttle
+        ("foreign/aclimb_0", "foreign/aclimb_0"),  # a climb of 2 m
+        ("foreign/rp1_4", "foreign/rp1_4"),  # aerodynamics
+    ],
+)
+def test_what_changes_no_vehicle_cuts_no_flight(name, airframe):
+    log = LOGS / f"{name}.tlog"
+    if not log.exists():
+        pytest.skip("not among the logs")
+    result = analyze_log(log, load_airframe(str(LOGS / f"{airframe}.toml")))
+    assert result.segments == ()
+    assert {event["kind"] for event in result.events} <= {"disturbance"}
+    flown = {"real/LOG00264": 6.5, "real/LOG00281": 41.0}.get(name, 63.0)
+    assert result.telemetry["used_seconds"] > flown

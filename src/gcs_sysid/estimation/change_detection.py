@@ -1,17 +1,13 @@
-"""Change detection in flight: sequential tests on what a reference fit leaves unexplained.
+"""Alarms in flight: sequential tests on what a reference fit leaves unexplained.
 
-Four residuals a sample, each the outcome of one measured quantity minus what the fit in force
-says of it, without a window that would add lag:
+Two-sided CUSUM tests run on the four residuals of a reference (`change_reference`), on two scales.
+The fast one looks at every sample's jump from a short baseline (bias, trim and gusts are in both)
+with a large allowance: a mass step or payload shows within three samples, a spike of one or two
+does not. The slow one looks at means over a quarter of a second, freed of the slowly tracked mean:
+smaller steps. Both divide by the scatter that just such values had in the flight so far, so that
+gusts and coloured noise raise the level, not the alarm rate.
 
-    thrust:            f_z + kappa sum Omega^2                     (m/s^2)
-    roll, pitch, yaw:  increment of the gyro / dt - Q(theta) x     (rad/s^2, x by the trapezoid)
-
-Two-sided CUSUM tests run on two scales. The fast one looks at every sample's jump from a short
-baseline (bias, trim and gusts are in both) with a large allowance: a mass step or payload shows
-within three samples, a spike of one or two does not. The slow one looks at means over a quarter
-of a second, freed of the slowly tracked mean: smaller steps. Both divide by the scatter that
-just such values had in the flight so far, so that gusts and coloured noise raise the level, not
-the alarm rate.
+An alarm is no change: `change_hypotheses` tells what it was.
 
 Mean and level move at frame borders only, and from whole frames: how samples are grouped into
 blocks changes nothing.
@@ -23,21 +19,23 @@ from typing import Literal, get_args
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.change_kinds import Cause, Evidence, find_cause
+from gcs_sysid.estimation.change_reference import (
+    MAX_DELAY,
+    N_X,
+    TABLE,
+    TOTAL,
+    Reference,
+    Rotors,
+    body_velocity,
+    form_rows,
+    reference_of,
+)
 from gcs_sysid.estimation.online import Fit
-from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.sequential_tests import Baseline, Cusum, Level
-from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 
 Channel = Literal["thrust", "roll", "pitch", "yaw"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
-
-MIN_R_SQUARED = 0.8
-MAX_INERTIA_SHARE = 0.1
-"""An axis is watched when the fit explains this share of its motion and knows its inertia so."""
-MAX_KAPPA_SHARE = 0.05
-"""Thrust is watched when k_T / m is known to this."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +51,7 @@ class ChangeTuning:
         slow: the same on frame means.
         least_share: floor of the noise level, as a share of the hover's thrust or of the
             torque that all of it would make at a rotor's arm.
-        after: s of residuals after a detection from which its cause is told.
-        max_delay: s, largest delay of the rotor stream that can be made up for.
+        silence: s after an alarm without another; then levels are those of these seconds.
     """
 
     frame: float = 0.25
@@ -64,8 +61,7 @@ class ChangeTuning:
     fast: tuple[float, float, float] = (4.0, 9.0, 11.0)
     slow: tuple[float, float, float] = (3.0, 8.0, 10.0)
     least_share: float = 0.005
-    after: float = 0.4
-    max_delay: float = 0.1
+    silence: float = 0.4
 
 
 @dataclass(frozen=True)
@@ -96,28 +92,40 @@ class ChangeDetector:
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
         tuning: settings.
+        commands: whether commands are the rotors' input.
+        moments: whether the angular channels can be watched: not where the gyro is filtered.
     """
 
-    def __init__(self, geometry: Array, dt: float, tuning: ChangeTuning | None = None) -> None:
+    def __init__(
+        self,
+        geometry: Array,
+        dt: float,
+        tuning: ChangeTuning | None = None,
+        *,
+        commands: bool = False,
+        moments: bool = True,
+    ) -> None:
         self.dt = dt
         self.tuning = tuning = tuning or ChangeTuning()
-        self.cause: Cause | None = None
-        """Of the last detection, as soon as enough has been seen after it."""
+        self.frames: list[Array] = []
+        """Means over closed frames, as `Frames` takes them, until somebody does."""
         self._geometry = geometry
-        self._arm = float(np.mean(np.hypot(geometry[0], geometry[1])))
-        self._rotors = geometry.shape[1]
-        self._history = int(np.ceil(tuning.max_delay / dt)) + 3
-        self._width = 7 + self._rotors
+        self._commands, self._moments = commands, moments
+        self._rotors = Rotors(dt, None)
+        self._history = int(np.ceil(MAX_DELAY / dt)) + 3
+        self._width = TABLE + geometry.shape[1] + 3
         self._frame = max(round(tuning.frame / dt), 4)
         self._frames_needed = max(round(tuning.warm_up / tuning.frame), 2)
+        self._silence = round(tuning.silence / dt)
         self._fast = Cusum(4, *tuning.fast)
         self._slow = Cusum(4, *tuning.slow)
         self._count = 0
         self._table = np.full((self._history, self._width), np.nan)
         self._base = -self._history  # index of the table's first row
         self._next = 0  # index of the next sample to form a residual of
-        self._shift = 0.0
-        self._set_matrix(np.full((4, _N_X), np.nan))
+        self.reference = Reference(geometry, np.full((4, N_X), np.nan))
+        """In force."""
+        self._use(self.reference)
         self._forget()
 
     @property
@@ -127,51 +135,37 @@ class ChangeDetector:
 
     @property
     def armed(self) -> bool:
-        """Whether a reference is in force and no detection is pending."""
-        return bool(np.isfinite(self._matrix).any()) and self._evidence is None
-
-    @property
-    def deciding(self) -> bool:
-        """Whether something was detected and its cause is still being told."""
-        return self._evidence is not None
+        """Whether a reference is in force."""
+        return bool(np.isfinite(self.reference.matrix).any())
 
     def restart(self) -> None:
         """A gap: the next sample does not join on to the last one."""
         self._table[:] = np.nan
+        self._rotors.restart()
         self._fast.clear()
         self._slow.clear()
 
     def disarm(self) -> None:
         """Forget the reference and what was learnt with it."""
-        self._set_matrix(np.full((4, _N_X), np.nan))
+        self._use(Reference(self._geometry, np.full((4, N_X), np.nan)))
         self._forget()
 
     def arm(self, fit: Fit) -> bool:
         """Put a fit in force, as far as it is good enough; levels learnt so far are kept.
 
         Returns:
-            Whether anything is watched now. While the cause of a detection is being told, the
-            old reference stays.
+            Whether anything is watched now.
         """
-        if self._evidence is not None:
-            return self.armed
-        matrix = np.full((4, _N_X), np.nan)
-        trans, rot = fit.translation, fit.rotation
-        if trans is not None and 0.0 < trans.kappa_std < MAX_KAPPA_SHARE * trans.kappa:
-            matrix[0] = 0.0
-            matrix[0, _SUM] = -trans.kappa
-        if rot is not None:
-            watch = _axes_known(rot)
-            Q = np.column_stack([rb.forward_matrix(rot.theta), np.zeros(3)])
-            matrix[1:] = np.where(watch[:, None], Q, np.nan)
-            if watch.any() and abs(rot.delay) < self.tuning.max_delay:
-                # To a quarter of a sample: a finer shift gains nothing, a whole one adds no lag.
-                self._shift = round(4.0 * rot.delay / self.dt) / 4.0
+        found = reference_of(
+            fit, self._geometry, self.dt, commands=self._commands, moments=self._moments
+        )
+        before = self.reference
+        matrix = found.matrix.copy()
         # A channel that was watched already stays so, with the reference it had.
-        keep = np.isnan(matrix).any(axis=1)
-        matrix[keep] = self._matrix[keep]
-        new = np.asarray(np.isnan(self._matrix).any(axis=1))
-        moved = np.where(new[:, None], 0.0, self._matrix - np.where(keep[:, None], 0.0, matrix))
+        keep = ~found.watched
+        matrix[keep] = before.matrix[keep]
+        new = ~before.watched
+        moved = np.where(new[:, None], 0.0, before.matrix - np.where(keep[:, None], 0.0, matrix))
         moved[keep] = 0.0
         # What the new reference explains otherwise on average is no jump of the vehicle.
         self._levels.mean[:4] += moved @ self._mean_x
@@ -180,26 +174,26 @@ class ChangeDetector:
         self._levels.forget(np.tile(new, 2))
         self._baseline.last[new] = np.nan
         self._level_of_means.forget(new)
-        self._set_matrix(matrix)
+        kept = replace(found, shift=before.shift, actuator=before.actuator)
+        self._use(replace(kept if keep.all() else found, matrix=matrix))
         return self.armed
 
     def update(self, samples: Samples) -> list[Change]:
-        """Take a block of samples; at most one change comes of an armed spell.
-
-        After a detection the detector falls silent, tells the cause `after` seconds later, and
-        waits for `arm` (a fresh estimator's fit).
-        """
+        """Take a block of samples; the alarms in it."""
+        speeds = self._rotors.update(samples.speeds)
         rows = np.column_stack(
-            [samples.gyro, samples.rates, samples.force[:, 2], samples.speeds],
+            [samples.gyro, samples.rates, samples.force[:, 2], speeds, body_velocity(samples)]
         )
         self._count += len(rows)
         self._table = np.concatenate([self._table, rows])
         found: list[Change] = []
-        late = max(int(np.ceil(self._shift)), 0)
+        shift = self.reference.shift
+        late = max(int(np.ceil(shift)), 0)
         stop = max(self._count - late, self._next)
-        if np.isfinite(self._matrix).any():
-            y, x, squares = self._rows(self._next, stop)
-            found = self._test(y - x @ np.nan_to_num(self._matrix).T, x, squares)
+        if self.armed:
+            at, n = self._next - 1 - self._base, stop - self._next
+            y, x, _ = form_rows(self._geometry, self._table[:, :-3], at, n, shift, self.dt)
+            found = self._test(y, x, self._table[at + 1 : at + 1 + n, -3:])
             # A late rotor stream makes the detection wait for it; the onset is the IMU's time.
             found = [replace(c, detected=c.detected + late * self.dt) for c in found]
         self._next = stop
@@ -215,57 +209,42 @@ class ChangeDetector:
         self._level_of_means = Level(4, gain)
         seconds, samples = self.tuning.baseline
         self._baseline = Baseline(4, max(seconds / self.dt, samples))
-        self._mean_x = np.zeros(_N_X)
+        self._mean_x = np.zeros(N_X)
         self._filled = 0
         self._both = np.full((self._frame, 8), np.nan)
         self._e, self._jumps = self._both[:, :4], self._both[:, 4:]
-        self._x = np.zeros((self._frame, _N_X))
-        self._evidence: Evidence | None = None
+        self._x = np.zeros((self._frame, N_X))
+        self._y = np.full((self._frame, 4), np.nan)
+        self._air = np.full((self._frame, 3), np.nan)
+        self._silent: list[Array] = []
+        self._left = 0  # samples of silence to come
         self._floors = np.zeros(8)
         self._floor = self._floors[:4]
         self._fast.clear()
         self._slow.clear()
 
-    def _rows(self, start: int, stop: int) -> tuple[Array, Array, Array]:
-        """Outputs (n, 4), inputs (n, _N_X) and squared rotor speeds (n, rotors)."""
-        n = stop - start
-        at = start - 1 - self._base
-        imu = self._table[at : at + n + 1]
-        whole = int(np.floor(self._shift))
-        part = self._shift - whole
-        rotor = self._table[at + whole : at + whole + n + 1, 7:]
-        if part:
-            later = self._table[at + whole + 1 : at + whole + n + 2, 7:]
-            rotor = (1.0 - part) * rotor + part * later
-        signals, H = rb.rotor_signals(self._geometry, rotor)
-        rates = imu[:, 3:6]
-        columns = np.column_stack(
-            [signals, rb.rate_products(rates), rates, rates[:, 1] * H, rates[:, 0] * H]
-        )
-        x = np.empty((n, _N_X))
-        x[:, : rb.N_SIGNALS - 1] = 0.5 * (columns[1:] + columns[:-1])
-        x[:, rb.N_SIGNALS - 1] = np.diff(H) / self.dt
-        x[:, _SUM] = signals[1:, 2]
-        y = np.column_stack([imu[1:, 6], np.diff(imu[:, :3], axis=0) / self.dt])
-        # Held: a channel with anything missing. Zero inputs keep the product defined.
-        gone = ~np.isfinite(x).all(axis=1)
-        y[gone] = np.nan
-        x[gone] = 0.0
-        return y, x, rotor[1:] ** 2
-
-    def _test(self, e: Array, x: Array, squares: Array) -> list[Change]:
-        e[:, np.isnan(self._matrix).any(axis=1)] = np.nan
+    def _test(self, y: Array, x: Array, air: Array) -> list[Change]:
+        e = y - x @ np.nan_to_num(self.reference.matrix).T
+        e[:, ~self.reference.watched] = np.nan
+        found = []
         done = 0
         while done < len(e):
-            if self._evidence is not None:
-                self._gather(e[done:], x[done:], squares[done:])
-                return []
+            if self._left:
+                n = min(self._left, len(e) - done)
+                self._silent.append(e[done : done + n])
+                self._left -= n
+                self._next += n
+                done += n
+                if not self._left:
+                    self._settle()
+                continue
             n = min(self._frame - self._filled, len(e) - done)
             part = e[done : done + n]
             change = self._test_samples(part)
             if change is None:
                 here = slice(self._filled, self._filled + n)
                 self._e[here], self._x[here] = part, x[done : done + n]
+                self._y[here], self._air[here] = y[done : done + n], air[done : done + n]
                 self._filled += n
                 self._next += n
                 done += n
@@ -277,10 +256,26 @@ class ChangeDetector:
                 self._next += n
                 done += n
             if change is not None:
-                self._start_gathering()
-                self._gather(e[done:], x[done:], squares[done:])
-                return [change]
-        return []
+                found.append(change)
+                self._fast.clear()
+                self._slow.clear()
+                self._filled, self._left = 0, self._silence
+        return found
+
+    def _settle(self) -> None:
+        """After an alarm: go on from what the residuals are now, with the scatter they had."""
+        e = np.concatenate(self._silent)
+        self._silent = []
+        e = e[len(e) // 2 :]
+        least = self.tuning.slow[0] * self._level_of_means.std(0.5 * self._floor)
+        for c in range(4):
+            there = e[np.isfinite(e[:, c]), c]
+            if 2 * len(there) <= len(e):
+                continue
+            middle = float(np.median(there))
+            if abs(middle - self._levels.mean[c]) > least[c]:
+                self._levels.mean[c] = middle
+            self._baseline.last[c] = middle
 
     def _tested(self, level: Level) -> Mask:
         return np.asarray(level.frames >= self._frames_needed)
@@ -325,6 +320,7 @@ class ChangeDetector:
             enough = 2 * count > self._frame
             mean = np.where(enough, total / np.maximum(count, 1), np.nan)
             mean -= self._levels.mean[:4]
+        self.frames.append(_mean_row(self._y, self._x, self._air))
         self._move_floor()
         # A frame's mean of white noise is this much quieter; colour keeps it louder.
         floor = 0.5 * self._floor
@@ -356,48 +352,30 @@ class ChangeDetector:
 
     def _move_floor(self) -> None:
         """The mean inputs, and the levels that nothing real stays below."""
-        present = self._x[:, _SUM] > 0.0
+        present = self._x[:, TOTAL] > 0.0
         count = np.count_nonzero(present)
         if 2 * count > self._frame:
             gain = 1.0 if not self._mean_x.any() else self.tuning.frame / self.tuning.memory
             x = self._x if count == self._frame else self._x[present]
             self._mean_x += gain * (x.sum(axis=0) / count - self._mean_x)
-        self._floors = self._mean_x[_SUM] * self._least
+        self._floors = self._mean_x[TOTAL] * self._least
         self._floor = self._floors[:4]
 
-    def _set_matrix(self, matrix: Array) -> None:
-        self._matrix = matrix
-        known = np.abs(np.nan_to_num(matrix))
-        least = [known[0, _SUM], 0.2 * self._arm * known[1, 0], 0.2 * self._arm * known[2, 1],
-                 0.2 * known[3, 3]]  # fmt: skip
-        self._least = self.tuning.least_share * np.array(2 * least)
-
-    def _start_gathering(self) -> None:
-        self.cause = None
-        self._fast.clear()
-        self._slow.clear()
-        std = self._levels.std(self._floors)[4:]
-        std[~self._tested(self._levels)[4:]] = np.inf
-        self._evidence = Evidence(
-            self._geometry, self._matrix[1:, : rb.N_SIGNALS], -float(self._matrix[0, _SUM]), std
-        )
-
-    def _gather(self, e: Array, x: Array, squares: Array) -> None:
-        assert self._evidence is not None
-        wanted = round(self.tuning.after / self.dt) - len(self._evidence)
-        part = slice(0, wanted)
-        self._evidence.add(e[part] - self._levels.mean[:4], x[part, : rb.N_SIGNALS], squares[part])
-        if len(self._evidence) >= round(self.tuning.after / self.dt):
-            self.cause = find_cause(self._evidence)
-            self.disarm()
+    def _use(self, reference: Reference) -> None:
+        self.reference = reference
+        self._rotors.actuator = reference.actuator
+        self._least = self.tuning.least_share * np.tile(reference.floors(1.0), 2)
 
 
-def _axes_known(rot: RotationFit) -> Mask:
-    """(3,) the axes on which a fit is good enough to be held against the flight."""
-    sharp = rot.std[:3] < MAX_INERTIA_SHARE * rot.theta[:3]
-    return np.asarray(sharp & (rot.r_squared > MIN_R_SQUARED))
+def _mean_row(y: Array, x: Array, air: Array) -> Array:
+    """(4 + N_X + 3,) means of a frame; NaN where half of it is missing."""
+    rows = max(int(np.isfinite(y).any(axis=1).sum()), 1)
+    return np.concatenate([_mean(y), x.sum(axis=0) / rows, _mean(air)])
 
 
-_SUM = rb.N_SIGNALS
-"""Column of the instantaneous sum of squared speeds, after the forward form's inputs."""
-_N_X = rb.N_SIGNALS + 1
+def _mean(values: Array) -> Array:
+    there = np.isfinite(values)
+    count = there.sum(axis=0)
+    mean: Array = np.where(there, values, 0.0).sum(axis=0) / np.maximum(count, 1)
+    mean[2 * count <= len(values)] = np.nan
+    return mean

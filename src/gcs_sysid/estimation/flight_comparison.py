@@ -96,11 +96,24 @@ def is_another(before: Fit, now: Fit, arm: float) -> bool:
         known = [i for i in _COMPARED if max(a.std[i], b.std[i]) < _KNOWN_TO * size[i]]
         if known:
             difference = (b.theta - theta)[known]
-            covariance = (a.covariance + b.covariance)[np.ix_(known, known)]
+            covariance = _color(before) * a.covariance + _color(now) * b.covariance
+            covariance = covariance[np.ix_(known, known)]
             covariance += np.diag((_MODEL_ERROR * size[known]) ** 2)
             square += float(difference @ np.linalg.solve(covariance, difference))
             freedom += len(known)
     return freedom > 0 and bool(chdtrc(freedom, square) < SURE)
+
+
+def _color(fit: Fit) -> float:
+    """By how much power at low frequency exceeds what the residuals' noise allows; 1 if unknown.
+
+    Slow moments that nobody models draw the fits of two flights apart by more than either's
+    interval, which rests on how residuals scatter.
+    """
+    if fit.validation is None:
+        return 1.0
+    known = fit.validation.whiteness[np.isfinite(fit.validation.whiteness)]
+    return float(np.max(known, initial=1.0))
 
 
 def _thrust(before: Fit, now: Fit) -> tuple[float, int]:

@@ -1,24 +1,29 @@
 """The estimator over a flight in which the vehicle may change.
 
-An online estimator learns; a change detector watches what its fits leave unexplained. When the
-vehicle changes, what was learnt before closes as a segment and a fresh estimator starts. The
-rotors are still the same, so it starts with what is theirs: torque over thrust, damping, rotor
-inertia, delay, and how the accelerometer reads against gravity. Inertia and CG start from what
-they were, but loosely. All is relative to k_T, which stays.
+An online estimator learns; a change detector watches what its fits leave unexplained. What it
+raises an alarm for is looked at for up to six seconds (`change_hypotheses`) while the estimate goes
+on. A disturbance is told, and no more. When the vehicle changed, what was learnt since is taken
+back, what was learnt before closes as a segment, and a fresh estimator starts. The rotors are
+still the same, so it starts with what is theirs: torque over thrust, damping, rotor inertia, delay,
+and how the accelerometer reads against gravity. Inertia and CG start from what they were, but
+loosely. All is relative to k_T, which stays. What is undecided at the end is left out: the result
+is that of the flight before.
 
 A landing ends a flight. The next is estimated apart until it can be told whether the vehicle is
-the same (`estimation.flights`): if so, the estimate goes on with both; else a segment has ended.
+the same (`estimation.flight_comparison`): if so, the estimate goes on with both; else a segment has
+ended.
 """
 
 from collections.abc import Sequence
-from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, runs
-from gcs_sysid.estimation.change_detection import Change, ChangeDetector, ChangeTuning
+from gcs_sysid.estimation.change_detection import Change, ChangeTuning
+from gcs_sysid.estimation.change_hypotheses import Judgement
 from gcs_sysid.estimation.change_kinds import Cause
+from gcs_sysid.estimation.change_watch import Alarm, ChangeWatch, gap
 from gcs_sysid.estimation.flight_comparison import Trial, is_another
 from gcs_sysid.estimation.online import Fit, OnlineEstimator, PriorSource
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
@@ -27,8 +32,6 @@ from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 
-_ARM_EVERY, _ARM_GROWTH = 1.0, 1.2
-"""s between new references of the detector, and growth of the record, whichever is later."""
 _LOOK_EVERY = 0.1
 """s between decisions."""
 _MOST_AT_ONCE = 4096
@@ -50,6 +53,8 @@ MOST_PASSING = 200
 """Events kept that ended no segment, the latest: a day of gusts may bring many."""
 _TOUCHDOWN = 1.0
 """s before the autopilot tells of a landing that are left out: it tells late."""
+_SAME = 10.0
+"""s within which a disturbance is told once."""
 
 
 @dataclass(frozen=True)
@@ -73,11 +78,13 @@ class Event:
 
     Attributes:
         onset: estimated time of the change.
-        detected: time of the newest sample that the detection rests on.
+        detected: time of the newest sample that the alarm rests on.
         change: as detected; None where two flights differ: then the onset is the landing between.
         cause: what the residuals say of it; None when they say nothing.
         segment: index of the segment that it ended; None where the estimate goes on (a passing
             disturbance) or stops (a failing rotor).
+        decided: time at which it was told what it was; None between flights, and where the end
+            came before: then the estimate is that of the flight until the onset.
     """
 
     onset: float
@@ -85,6 +92,7 @@ class Event:
     change: Change | None
     cause: Cause | None
     segment: int | None
+    decided: float | None = None
 
 
 @dataclass(frozen=True)
@@ -134,15 +142,10 @@ class Tracker:
         self._keep = keep
         self._estimator = OnlineEstimator(geometry, dt, tuning)
         self._estimator.prior_source = prior
-        self._next: OnlineEstimator | None = None
-        self._next_start = 0.0
-        self._next_kept: list[Samples] = []
-        self._pending: Event | None = None
-        self._arm_at = 0.0
         self._count = self._hasty = 0
         self._frame = max(round(_LOOK_EVERY / dt), 1)
         self._changes = changes
-        self._detector = None if changes is None else ChangeDetector(geometry, dt, changes)
+        self._watch = self._new_watch()
         self._trial: Trial | None = None
         self._landed: float | None = None
         self._newest = -np.inf
@@ -158,14 +161,17 @@ class Tracker:
             self._trial.restart()
         self._break()
 
+    def _new_watch(self) -> ChangeWatch | None:
+        if self._changes is None:
+            return None
+        return ChangeWatch(self.geometry, self.dt, self._changes, self._tuning)
+
     def _break(self) -> None:
         self._estimator.restart()
-        if self._next is not None:
-            self._next.restart()
-        if self._detector is not None:
-            self._detector.restart()
+        if self._watch is not None:
+            self._watch.restart()
         if self._keep and self.kept:
-            self.kept.append(_gap(self.kept[-1]))
+            self.kept.append(gap(self.kept[-1]))
 
     def update(
         self,
@@ -199,6 +205,7 @@ class Tracker:
     def finish(self) -> None:
         """Decide what is undecided, because nothing more will come."""
         self._end_trial()
+        self._leave_undecided()
 
     def _stand(self, t: Array) -> None:
         """Take the (n,) times of samples on the ground."""
@@ -216,22 +223,25 @@ class Tracker:
 
     def _touch_down(self) -> None:
         """Leave out how the flight ended, and what looked like a change there."""
-        self._pending, self._next, self._next_kept = None, None, []
+        self._leave_undecided()
         self._break()
-        if self._detector is not None:
-            self._detector.disarm()
-        self._arm_at = 0.0
+        if self._watch is not None:
+            self._watch.land()
         if self.stopped:
             return
-        self._estimator.forget_last(_TOUCHDOWN)
-        left = round(_TOUCHDOWN / self.dt)
+        self._forget_last(_TOUCHDOWN)
+        if self.kept:
+            self.kept.append(gap(self.kept[-1]))
+
+    def _forget_last(self, seconds: float) -> None:
+        """Leave out the last seconds, of what was learnt and of what is kept."""
+        self._estimator.forget_last(seconds)
+        left = round(seconds / self.dt)
         while left > 0 and self.kept:
             last = self.kept.pop()
             if len(last.gyro) > left:
                 self.kept.append(last.part(slice(0, -left)))
             left -= len(last.gyro)
-        if self.kept:
-            self.kept.append(_gap(self.kept[-1]))
 
     def _fly(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[Point]:
         """Take samples of flight."""
@@ -282,8 +292,7 @@ class Tracker:
             fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
             self._go_on_with(fresh, [])
             self.start = trial.start
-            if self._changes is not None:
-                self._detector = ChangeDetector(self.geometry, self.dt, self._changes)
+            self._watch_anew()
         self.stopped = False
         for part in trial.parts:
             if part is None:
@@ -310,60 +319,46 @@ class Tracker:
             self._count += stop - done
             done = stop
             if self._count % self._frame == 0:
-                self._look()
+                self._look(float(t[stop - 1]))
         return points + self._idle(len(stops) - len(points))
 
     def _quiet_samples(self) -> int:
         """Samples in which nothing is decided, if no change is detected."""
         frame = self._frame - self._count % self._frame
-        if self._detector is None:
+        if self._watch is None:
             return _MOST_AT_ONCE
-        if self._next is not None or self._hasty:
+        if self._watch.busy or self._hasty:
             return frame
-        quiet = self._arm_at - self._estimator.seconds - _HELD_BACK
+        quiet = self._watch.arm_at - self._estimator.seconds - _HELD_BACK
         return frame + self._frame * max(int(quiet / (self._frame * self.dt)) - 1, 0)
 
     def _take(self, t: Array, samples: Samples, stops: Sequence[int]) -> list[Point] | None:
-        """Take samples; None where many were tried at once, and there is a change in them."""
-        detector = self._detector
-        if detector is None:
-            return self._learn(samples, stops)
+        """Take samples; None where many were tried at once, and there is an alarm in them."""
         at_once = len(t) > self._frame
-        known = deepcopy(detector) if at_once else detector
-        found = detector.update(samples)
-        points: list[Point] = []
-        if found:
-            if at_once:
-                self._detector = known
-                return None
-            after = round((detector.seconds - found[0].detected) / self.dt)
-            self._suspect(found[0], float(t[-1]))
-            before = len(t) - min(after, len(t))
-            here = [stop for stop in stops if stop <= before]
-            points = self._learn(samples.part(slice(0, before)), here)
-            self._next_start = float(t[min(before, len(t) - 1)])
-            samples = samples.part(slice(before, None))
-        if self._next is None:
-            return self._learn(samples, stops)
-        if len(samples.gyro):
-            self._next.update(samples)
-            if self._keep:
-                self._next_kept.append(samples)
-        return points + self._idle(len(stops) - len(points))
+        if self._watch is not None and not self._watch.take(t, samples, tentative=at_once):
+            return None
+        return self._learn(samples, stops)
 
-    def _look(self) -> None:
-        """Decide what there is to decide; give the detector a better reference."""
-        detector = self._detector
-        if detector is None:
+    def _look(self, now: float) -> None:
+        """Decide what there is to decide; give the watch a better reference."""
+        watch = self._watch
+        if watch is None:
             return
-        if self._next is not None:
-            if not detector.deciding:
-                self._decide(detector.cause)
-        elif self._estimator.seconds >= self._arm_at:
-            self._arm_at = max(
-                self._estimator.seconds + _ARM_EVERY, _ARM_GROWTH * self._estimator.seconds
-            )
-            detector.arm(self.fit(quick=True, series="watch"))
+        for alarm, found in watch.decided(now):
+            if found.verdict == "changed":
+                self._change(alarm, found, now)
+                return
+            self._pass(alarm, found, now)
+        if self._estimator.seconds >= watch.arm_at:
+            watch.arm(self.fit(quick=True, series="watch"), self._estimator.seconds)
+
+    def _leave_undecided(self) -> None:
+        """What may be a change and is no longer to be decided is left out."""
+        left = None if self._watch is None or self.stopped else self._watch.undecided()
+        if left is not None:
+            alarm, found = left
+            self._forget_last(self._newest - found.onset + _CONTAMINATED)
+            self._add(Event(found.onset, alarm.detected, alarm.change, found.cause, None))
 
     def fit(self, *, quick: bool = False, series: str = "") -> Fit:
         """The fit in force; see `OnlineEstimator.fit`."""
@@ -375,50 +370,47 @@ class Tracker:
         fits = self._estimator.follow(samples, stops)
         return [Point(fit, len(self.segments)) for fit in fits]
 
-    def _suspect(self, change: Change, now: float) -> None:
-        assert self._detector is not None
-        seconds = self._detector.seconds
-        self._pending = Event(
-            onset=now - (seconds - change.onset),
-            detected=now - (seconds - change.detected),
-            change=change,
-            cause=None,
-            segment=None,
-        )
-        self._next = OnlineEstimator(self.geometry, self.dt, self._tuning)
-        self._next_kept = []
+    def _pass(self, alarm: Alarm, found: Judgement, now: float) -> None:
+        """It was a disturbance: the vehicle is what it was."""
+        if found.cause.disturbance == "contact":
+            # What holds the vehicle is no part of it.
+            self._forget_last(now - found.onset + _CONTAMINATED)
+            self._break()
+        event = Event(found.onset, alarm.detected, alarm.change, found.cause, None, decided=now)
+        last = self.events[-1] if self.events else None
+        if last is None or not _goes_on(last, event):
+            self._add(event)
 
-    def _decide(self, cause: Cause | None) -> None:
-        """What the pending change was is known as well as it can be: go on accordingly."""
-        assert self._pending is not None
-        assert self._next is not None
+    def _change(self, alarm: Alarm, found: Judgement, now: float) -> None:
+        """The vehicle is another one since; go on accordingly."""
         assert self.start is not None
-        event = replace(self._pending, cause=cause)
-        fresh, fresh_kept = self._next, self._next_kept
-        self._pending, self._next, self._next_kept = None, None, []
-        if cause is not None and cause.kind == "passing":
-            # The vehicle is what it was; the moment is left out.
-            self._estimator.restart()
-            self._arm_at = 0.0
-        else:
-            known_for = event.detected - event.onset
-            self._estimator.forget_last(known_for + _CONTAMINATED)
-            before = self.fit()
-            if cause is not None and cause.kind == "rotor_failure":
-                self.stopped = True
-            else:
-                event = replace(event, segment=len(self.segments))
-                self.segments.append(Segment(self.start, event.onset, before))
-                fresh.prior = _after_change(before, self.geometry)
-                fresh.accelerometer_gain = accelerometer_gain(
-                    before.translation, before.accelerometer
-                )
-                self._go_on_with(fresh, fresh_kept)
-                self.start = self._next_start
-                self._arm_at = 0.0
+        assert self._watch is not None
+        onset, since = alarm.step_of(found)
+        event = Event(onset, alarm.detected, alarm.change, found.cause, None, decided=now)
+        self._forget_last(now - onset + _CONTAMINATED)
+        before = self.fit()
+        if found.cause.kind == "rotor_failure":
+            self.stopped = True
+            self._add(event)
+            return
+        event = replace(event, segment=len(self.segments))
+        self.segments.append(Segment(self.start, onset, before))
+        fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
+        fresh.prior = _after_change(before, self.geometry)
+        fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
+        kept = self._watch.since(since)
+        self.start = since
+        for part in kept:
+            fresh.update(part)
+        self._go_on_with(fresh, kept if self._keep else [])
+        self._watch_anew()
         self._add(event)
+
+    def _watch_anew(self) -> None:
+        """Another vehicle: residuals of the last one tell nothing of it."""
         if len(self.segments) >= MOST_SEGMENTS:
-            self._changes = self._detector = None
+            self._changes = None
+        self._watch = self._new_watch()
 
     def reserve(self) -> None:
         """Have all memory now that a long flight will need."""
@@ -460,6 +452,12 @@ def _after_change(before: Fit, geometry: Array) -> Prior | None:
     return Prior(before.rotation.unknowns, information)
 
 
-def _gap(samples: Samples) -> Samples:
-    """One missing sample."""
-    return Samples(*(np.full_like(signal[:1], np.nan) for signal in samples.signals))
+def _goes_on(last: Event, event: Event) -> bool:
+    """Whether a disturbance is that of the event before."""
+    if last.cause is None or event.cause is None or last.decided is None:
+        return False
+    # What moves thrust has many names in rough air, one after the other.
+    own = {"contact", "moment"}
+    name, before = event.cause.disturbance, last.cause.disturbance
+    same = name == before or own.isdisjoint((name, before))
+    return same and last.cause.kind == "passing" and event.onset - last.decided < _SAME

@@ -18,6 +18,7 @@ from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import REGISTRY, THRUST_OF, RotorInput
 from gcs_sysid.model.scale_reference import Known, ScaleReference
 from gcs_sysid.results.result import Estimate, Scale
+from gcs_sysid.results.words import disturbance_text
 
 _AXES = ("roll", "pitch", "yaw")
 MIN_SECONDS = 3.0
@@ -29,7 +30,7 @@ _WORDS = {
     "cg_shift": "the centre of gravity moved",
     "inertia_change": "the inertia changed",
     "rotor_failure": "a rotor lost thrust",
-    "passing": "a disturbance passed",
+    "passing": "a disturbance",
     "change": "the vehicle changed",
 }
 
@@ -183,8 +184,12 @@ def event_of(
         "detected": event.detected,
         "channel": "landing" if event.change is None else event.change.channel,
     }
-    if out["kind"] == "passing":
+    if event.decided is not None:
+        out["decided"] = event.decided
+    if event.cause is not None and event.cause.kind == "passing":
         out["kind"] = "disturbance"
+        out["cause"] = event.cause.disturbance
+        out["undecided"] = event.decided is None
     if event.cause is not None and event.cause.kind == "rotor_failure":
         half = Z95 * event.cause.loss_std
         out["rotor"] = event.cause.rotor
@@ -214,9 +219,10 @@ def note_of(event: Event, rotor_input: RotorInput = "speed") -> str:
     cause = event.cause
     kind = "change" if cause is None else cause.kind
     text = f"{_WORDS[kind]} at {event.onset:.2f} s"
+    if cause is not None and cause.disturbance is not None:
+        passed = {"cause": cause.disturbance, "undecided": event.decided is None}
+        return f"{event.onset:.2f} s: {disturbance_text(passed)}"
     if cause is not None and cause.rotor is not None:
         return f"{text}: rotor {cause.rotor + 1}, {100.0 * cause.loss:.0f} %; identification stops"
-    if kind == "passing":
-        return f"{text}; the estimate goes on"
     ratio = "" if cause is None else f" (mass x {cause.mass_ratio:.3f})"
     return f"{text}{ratio}: {thrust} stays, the rest is identified anew"

@@ -75,10 +75,31 @@ def told_by(name: str, estimate: Mapping[str, Any], scale: Mapping[str, Any] | N
     return PARAMETERS[name].told_by
 
 
+_DISTURBANCES = {
+    "contact": "contact with the ground",
+    "thrust": "thrust far from the usual",
+    "climb": "a climb or descent",
+    "airspeed": "forward flight",
+    "force": "a force, as of a gust",
+    "moment": "a moment, as of a gust",
+}
+"""Words of a disturbance's `cause`."""
+
+
+def disturbance_text(event: Mapping[str, Any]) -> str:
+    """What moved the vehicle without changing it."""
+    cause = _DISTURBANCES.get(str(event.get("cause")), "a disturbance")
+    if event.get("undecided"):
+        return f"{cause} or a change, undecided at the end: the result is of the flight before"
+    return f"{cause}; the vehicle is unchanged"
+
+
 def event_text(event: Mapping[str, Any], notation: Notation = PLAIN) -> str:
     """What happened, in one line: of a change all parameters that surely changed with it."""
     if event.get("text"):
         return str(event["text"])
+    if event["kind"] == "disturbance":
+        return disturbance_text(event)
     text = str(event["kind"]).replace("_", " ")
     if "loss" in event:
         low, high = (100.0 * v for v in event["loss"]["ci95"])

@@ -267,10 +267,6 @@ class Learner:
                 bandwidth=own.bandwidth,
                 curves=COMMANDS.curves if curve is None else (curve,),
             )
-        if self.rotors.kind == "command" or gyro is not None:
-            # Thrust at a command goes with the battery's voltage, and the detector compares
-            # speeds with a gyro that is not filtered.
-            changes = None
         return Tracker(
             self._airframe.geometry,
             dt,

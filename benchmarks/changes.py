@@ -1,0 +1,347 @@
+"""Changes in flight: how many are called that were none, how soon true ones are found.
+
+    python -m benchmarks.changes quiet [--hours H] [--only NAME ...]
+    python -m benchmarks.changes steps [--seeds N] [--only NAME ...]
+    python -m benchmarks.changes logs FOLDER ...
+
+`quiet` flies vehicles of which none changes, through climbs, landings, gusts, full throttle,
+saturation and aerodynamics, on speeds and on commands, and counts the changes called. `steps` adds
+a fifth of the mass in flight, or takes 15 % of one rotor's thrust, and prints how many were found,
+when it was decided, and errors 15 s later. `logs` lists what is called in recorded flights, whose
+airframes are found as by `benchmarks.unchanged`.
+
+Flights come from the emulator's ensemble, with noise of MEMS sensors at 250 Hz; times are of the
+vehicle. Everything is seeded: the same command prints the same.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.unchanged import airframe_for, logs_in
+from gcs_sysid.argument_types import positive
+from gcs_sysid.errors import InputError
+from gcs_sysid.estimation.change_detection import ChangeTuning
+from gcs_sysid.estimation.tracking import Tracker
+from gcs_sysid.estimation.tuning import Tuning, tuning_for_commands
+from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.signals.flight_detection import FlightDetector
+from gcs_sysid.signals.samples import Samples
+from sim_bridge.choices import Span
+from sim_bridge.doublets import ALL_MISSIONS
+from sim_bridge.ensemble import Flight, fly_ensemble
+from sim_bridge.ground_cycle import GroundCycle
+from sim_bridge.physics import IDEAL, Physics, Weakening
+from sim_bridge.simulated_vehicle import Vehicle, stack_vehicles
+from sim_bridge.simulation import Change, mass_step
+from sim_bridge.vehicle_files import load_vehicle
+
+RATE = 250
+DT = 1.0 / RATE
+PAPER = load_vehicle("paper")
+GEOMETRY = np.array([[r.x, r.y, float(r.spin)] for r in PAPER.rotors]).T
+AT, AFTER, FACTOR, LOSS = 30.0, 17.0, 1.2, 0.15
+"""s at which a vehicle changes, and of flight after it; what the mass is multiplied by; what one
+rotor loses."""
+SOON = 2.0
+"""s within which a change is to be found."""
+VEHICLES = 4
+"""Flown at once."""
+BLOCK = 50
+"""Samples fed at a time."""
+
+_AIR = Physics(
+    rotor_drag=0.3, inflow=0.6, flapping=1.0, forward_lift=0.003, quadratic_drag=20.0,
+    rotor_height=-0.02,
+)  # fmt: skip
+QUIET: dict[str, tuple[str, Physics, bool]] = {
+    "climbs": ("climbs", IDEAL, False),
+    "climbs, air": ("climbs", _AIR, False),
+    "landings, air": ("gentle", replace(_AIR, ground_effect=0.5), True),
+    "gusts": ("doublets", replace(_AIR, wind=(5.0, 0.5), gusts=1.5), False),
+    "forces": ("gentle", Physics(ou_force=(0.5, 1.0), ou_moment=(1.0, 1.0)), False),
+    "punch-outs": ("gentle", replace(_AIR, punch_out=Span(12.0, 0.5, 15.0)), False),
+    "cuts": ("gentle", replace(_AIR, throttle_cut=Span(12.0, 0.3, 15.0)), False),
+    "saturation": ("acro", replace(_AIR, weak=1.4), False),
+    "aggressive": ("aggressive", _AIR, False),
+    "battery": ("doublets", Physics(battery=(0.1, 60.0), battery_drop=0.05), False),
+    "slosh": ("climbs", Physics(slosh=(0.15, 1.2)), False),
+}
+"""Mission, physics, and whether it takes off and lands."""
+INPUTS = ("speed", "command")
+
+
+@dataclass(frozen=True)
+class Step:
+    """A true change.
+
+    Attributes:
+        commands: whether these are the rotors' input.
+        curve: of thrust.
+        mission: flown.
+        rotor: loses thrust instead of a mass that grows.
+        physics: besides.
+    """
+
+    commands: bool
+    curve: float = 0.5
+    mission: str = "all-axes"
+    rotor: bool = False
+    physics: Physics = IDEAL
+
+
+STEPS: dict[str, Step] = {
+    **{f"commands, curve {c:g}": Step(True, c) for c in (0.0, 0.3, 0.7, 1.0)},
+    "commands, doublets": Step(True, 0.5, "doublets"),
+    "commands, air": Step(True, 0.5, "doublets", physics=_AIR),
+    "speeds": Step(False),
+    "speeds, doublets": Step(False, mission="doublets"),
+    "speeds, gusts": Step(False, mission="doublets", physics=QUIET["gusts"][1]),
+    "rotor, speeds": Step(False, rotor=True),
+    "rotor, commands": Step(True, rotor=True),
+}
+
+
+def vehicles(count: int, seed: int, curve: float | None = None) -> list[Vehicle]:
+    """Vehicles around the emulator's own."""
+    random = np.random.default_rng([seed, 0xC4A])
+    drawn = []
+    for _ in range(count):
+        mass, size, lift = random.uniform((0.7, 0.8, 2.2), (1.4, 1.25, 3.5))
+        inertia = {n: mass * size * getattr(PAPER, n) for n in ("Ixx", "Iyy", "Izz")}
+        drawn.append(
+            replace(
+                PAPER,
+                mass=mass * PAPER.mass,
+                k_T=mass * PAPER.k_T,
+                k_M=mass * PAPER.k_M * random.uniform(0.8, 1.25),
+                T_max=lift * mass * PAPER.mass * GRAVITY / len(PAPER.rotors),
+                thrust_curve=random.uniform(0.0, 1.0) if curve is None else curve,
+                motor_lag=random.uniform(0.02, 0.06),
+                **inertia,
+            )
+        )
+    return drawn
+
+
+def samples_of(flight: Flight, i: int, *, commands: bool) -> Samples:
+    """One vehicle's samples."""
+    return Samples(
+        gyro=flight.gyro[i],
+        rates=flight.gyro[i] - flight.gyro[i].mean(axis=0),
+        speeds=flight.commands[i] if commands else flight.speeds[i],
+        attitude=flight.quaternion[i],
+        force=flight.specific_force[i],
+        velocity=flight.velocity[i],
+    )
+
+
+def follow(samples: Samples, t: np.ndarray, *, commands: bool) -> Tracker:
+    """The estimate of a flight."""
+    tuning = tuning_for_commands(DT) if commands else Tuning()
+    tracker = Tracker(GEOMETRY, DT, tuning, ChangeTuning())
+    unknown = np.full(len(t), np.nan)
+    flying = FlightDetector().update(
+        t, unknown, unknown, samples.speeds, np.full((len(t), 3), np.nan)
+    )
+    for k in range(0, len(t), BLOCK):
+        now = slice(k, k + BLOCK)
+        tracker.update(t[now], samples.part(now), flying[now])
+    tracker.finish()
+    return tracker
+
+
+def is_change(kind: str) -> bool:
+    """Whether an event of this kind says that the vehicle changed."""
+    return kind != "passing"
+
+
+def quiet(hours: float, count: int, only: Sequence[str]) -> int:
+    """Print false changes; how many there were."""
+    names = [name for name in QUIET if not only or name in only]
+    print(
+        f"{'flight':<16}{'input':<9}{'hours':>6}{'changes':>9}{'disturbances':>14}"
+        f"{'used %':>8}  called"
+    )
+    flown = dict.fromkeys(INPUTS, 0.0)
+    false = dict.fromkeys(INPUTS, 0)
+    seed = 0
+    each = hours / (len(names) * len(INPUTS))
+    for name in names:
+        mission_name, physics, lands = QUIET[name]
+        mission = ALL_MISSIONS[mission_name]
+        counts: dict[str, list[float]] = {key: [0.0, 0, 0, 0.0] for key in INPUTS}
+        called: dict[str, list[str]] = {key: [] for key in INPUTS}
+        while counts["speed"][0] < 3600.0 * each:
+            seed += 1
+            fleet = stack_vehicles(vehicles(count, seed))
+            flown_mission = GroundCycle(mission, 3.0) if lands else mission
+            clean = fly_ensemble(fleet, flown_mission, RATE, seed=seed, physics=physics)
+            flight = clean.with_noise("mems", 0.0, [100 * seed + i for i in range(count)])
+            for i in range(count):
+                for key in INPUTS:
+                    commands = key == "command"
+                    samples = samples_of(flight, i, commands=commands)
+                    tracker = follow(samples, flight.t, commands=commands)
+                    changes = [
+                        e
+                        for e in tracker.events
+                        if is_change(e.cause.kind if e.cause else "change")
+                    ]
+                    row = counts[key]
+                    row[0] += float(flight.t[-1])
+                    row[1] += len(changes)
+                    row[2] += len(tracker.events) - len(changes)
+                    row[3] += tracker.fit(quick=True).seconds
+                    called[key] += [
+                        f"{e.cause.kind if e.cause else 'landing'}@{e.onset:.1f}" for e in changes
+                    ]
+        for key in INPUTS:
+            seconds, changes_, passing, used = counts[key]
+            flown[key] += seconds
+            false[key] += int(changes_)
+            print(
+                f"{name:<16}{key:<9}{seconds / 3600.0:6.2f}{int(changes_):9d}{int(passing):14d}"
+                f"{100.0 * used / seconds:8.1f}  {' '.join(called[key][:6])}",
+                flush=True,
+            )
+    for key in INPUTS:
+        rate = 10.0 * 3600.0 * false[key] / max(flown[key], 1e-9)
+        print(f"{key}: {false[key]} false in {flown[key] / 3600.0:.2f} h, {rate:.1f} in 10 h")
+    return sum(false.values())
+
+
+def steps(seeds: int, only: Sequence[str]) -> None:
+    """Print how true changes were found."""
+    print(
+        f"{'change':<24}{'flights':>8}{'found':>7}{'in 2 s %':>10}{'median s':>10}{'named':>7}"
+        f"{'others':>8}{'mass %':>8}{'inertia %':>11}"
+    )
+    for name, step in STEPS.items():
+        if only and name not in only:
+            continue
+        fleet = stack_vehicles(vehicles(seeds, 7, step.curve))
+        physics, changes = step.physics, (mass_step(AT, FACTOR),)
+        if step.rotor:
+            physics = replace(physics, weakening=Weakening(2, AT, LOSS, 0.0))
+            changes = ()
+        flight = fly_step(fleet, step, physics, changes)
+        flight = flight.with_noise("mems", 0.0, list(range(1, seeds + 1)))
+        delays, named, others, mass, inertia = [], 0, 0, [], []
+        for i in range(seeds):
+            tracker = follow(
+                samples_of(flight, i, commands=step.commands), flight.t, commands=step.commands
+            )
+            found = [e for e in tracker.events if e.cause and is_change(e.cause.kind)]
+            hits = [e for e in found if e.decided is not None and abs(e.onset - AT) < 1.0]
+            others += len(found) - len(hits[:1])
+            if not hits or hits[0].decided is None or hits[0].cause is None:
+                continue
+            delays.append(hits[0].decided - AT)
+            named += hits[0].cause.kind == ("rotor_failure" if step.rotor else "mass_change")
+            before = tracker.segments[0].fit if tracker.segments else None
+            fit = tracker.fit()
+            if before is None or before.translation is None or fit.translation is None:
+                continue
+            truth = {n: np.broadcast_to(getattr(fleet, n), seeds)[i] for n in _TRUTH}
+            scale = before.translation.kappa * truth["mass"]
+            mass.append(scale / fit.translation.kappa / (FACTOR * truth["mass"]) - 1.0)
+            if fit.rotation is not None:
+                known = np.array([truth[n] for n in _TRUTH[1:]])
+                inertia.append(np.abs(fit.rotation.theta[:3] * scale / known - 1.0).max())
+        soon = 100.0 * sum(d <= SOON for d in delays) / seeds
+        print(
+            f"{name:<24}{seeds:8d}{len(delays):7d}{soon:10.0f}"
+            f"{float(np.median(delays)) if delays else np.nan:10.2f}{named:7d}{others:8d}"
+            f"{_worst(mass):>8}{_worst(inertia):>11}",
+            flush=True,
+        )
+
+
+_TRUTH = ("mass", "Ixx", "Iyy", "Izz")
+
+
+def fly_step(fleet: Vehicle, step: Step, physics: Physics, changes: Sequence[Change]) -> Flight:
+    """The flight with its change, without noise."""
+    return fly_ensemble(
+        fleet, ALL_MISSIONS[step.mission], RATE, AT + AFTER, changes=changes, physics=physics
+    )
+
+
+def _worst(errors: Sequence[float]) -> str:
+    return f"{100.0 * float(np.max(np.abs(errors))):.2f}" if errors else "-"
+
+
+def logs(paths: Sequence[Path]) -> int:
+    """List changes called in recorded flights; how many there were."""
+    missing = [path for path in paths if not path.exists()]
+    if missing:
+        raise InputError(f"{missing[0]}: no such file or folder")
+    false = 0
+    for log in logs_in(list(paths)):
+        try:
+            result = analyze_log(log, airframe_for(log))
+        except InputError as error:
+            print(f"{log.name:<40} {error}")
+            continue
+        changes = [e for e in result.events if "detected" in e and e["kind"] != "disturbance"]
+        names = [e for e in result.events if e["kind"] == "disturbance"]
+        false += len(changes)
+        told = " ".join(f"{e['kind']}@{e['t']:.1f}" for e in changes)
+        used = result.telemetry["used_seconds"]
+        print(
+            f"{log.name:<40} used {used:6.1f} s  disturbances {len(names):3d}  {told}", flush=True
+        )
+    print(f"changes called: {false}")
+    return false
+
+
+def whole(text: str) -> int:
+    """A number of vehicles or flights.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none.
+    """
+    if not text.isdecimal() or not int(text):
+        raise argparse.ArgumentTypeError(f"{text}: must be a whole number from 1")
+    return int(text)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.changes", description=(__doc__ or "").partition("\n")[0]
+    )
+    commands = parser.add_subparsers(dest="what", required=True)
+    part = commands.add_parser("quiet", help="flights in which nothing changes")
+    part.add_argument("--hours", type=positive, default=1.0, metavar="H", help="in all")
+    part.add_argument(
+        "--vehicles", type=whole, default=VEHICLES, metavar="N", help="flown at once (%(default)s)"
+    )
+    part.add_argument("--only", nargs="+", default=[], choices=list(QUIET), metavar="NAME")
+    part = commands.add_parser("steps", help="flights with a change")
+    part.add_argument("--seeds", type=whole, default=5, metavar="N", help="of each kind")
+    part.add_argument("--only", nargs="+", default=[], choices=list(STEPS), metavar="NAME")
+    part = commands.add_parser("logs", help="recorded flights")
+    part.add_argument("paths", type=Path, nargs="+", metavar="FOLDER")
+    args = parser.parse_args(argv)
+    try:
+        if args.what == "quiet":
+            quiet(args.hours, args.vehicles, args.only)
+        elif args.what == "steps":
+            steps(args.seeds, args.only)
+        else:
+            logs(args.paths)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

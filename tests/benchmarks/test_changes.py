@@ -1,0 +1,44 @@
+"""The benchmark of changes in flight: its vehicles, and what it says of bad input."""
+
+import argparse
+
+import numpy as np
+import pytest
+
+from benchmarks.changes import PAPER, follow, main, samples_of, stack_vehicles, vehicles, whole
+from gcs_sysid.model.parameters import GRAVITY
+from sim_bridge.ensemble import fly_ensemble
+from sim_bridge.missions import MISSIONS
+
+
+def test_vehicles_are_drawn_anew_by_each_seed_and_can_fly():
+    one, again, other = vehicles(3, 1), vehicles(3, 1), vehicles(3, 2)
+    assert one == again != other
+    assert len({v.mass for v in one}) == 3
+    for v in vehicles(5, 3, curve=0.3):
+        assert v.thrust_curve == 0.3
+        assert v.T_max * len(v.rotors) > 2.0 * v.mass * GRAVITY
+        # Hover takes the speed that it takes the emulator's own: k_T goes with the mass.
+        assert v.k_T / v.mass == pytest.approx(PAPER.k_T / PAPER.mass)
+
+
+@pytest.mark.parametrize("commands", [False, True])
+def test_a_short_hover_is_followed(commands):
+    fleet = stack_vehicles(vehicles(2, 1))
+    flight = fly_ensemble(fleet, MISSIONS["hover"], 250, 2.0).with_noise("mems", 0.0, [1, 2])
+    tracker = follow(samples_of(flight, 1, commands=commands), flight.t, commands=commands)
+    assert tracker.events == []
+    assert np.isfinite(tracker.fit(quick=True).seconds)
+
+
+def test_a_log_that_is_not_there_is_said(capsys, tmp_path):
+    assert main(["logs", str(tmp_path / "none")]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.strip() == f"{tmp_path / 'none'}: no such file or folder"
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "1.5", "many"])
+def test_flights_are_counted_in_whole_numbers(text):
+    with pytest.raises(argparse.ArgumentTypeError, match="must be a whole number from 1"):
+        whole(text)
