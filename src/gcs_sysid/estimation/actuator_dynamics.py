@@ -41,6 +41,14 @@ ROTOR_COLUMNS = (0, 1, 2, 3, rb.SIGNALS.index("dH"))
 _BODY_COLUMNS = tuple(i for i in range(WIDTH) if i not in ROTOR_COLUMNS)
 SIGNALS, BODY = len(ROTOR_COLUMNS), len(_BODY_COLUMNS)
 
+_COUPLED = tuple(rb.SIGNALS.index(name) for name in ("qH", "pH"))
+"""Columns of x that are products of the rates with H."""
+_COUPLED_LAGS = 4
+"""Lags of commands at which these products are formed, at most."""
+_PAST = 0.02
+"""s between the past values of H that products are formed with, where speeds are the input: about
+the time in which torque changes by an eighth of a radian at 1 Hz."""
+
 _RIDGE = 1e-12
 
 
@@ -141,7 +149,13 @@ class ActuatorDynamics:
     """Elements, and the maps from rows that hold them all to rows [x, y].
 
     A row of elements is laid out element by element, each with its `sets` (of w and of w^2 where
-    commands are the input) of SIGNALS, then the BODY columns.
+    commands are the input) of SIGNALS, then the further products, then the BODY columns.
+
+    Products q H and p H are no filtered signals: H must have its lag and delay before it is
+    multiplied. Rotors that speed up turn the body against them, J_r H is most of what Izz r is, and
+    q J_r H as large as the gyroscopic torque that tells Izz. So the products are formed with H at
+    several lags (commands), or with present and past H (speeds), and mixed as H would be. Those
+    with the first form of H are among the BODY columns, the others are the further products.
 
     Args:
         delays: s, rising.
@@ -150,6 +164,8 @@ class ActuatorDynamics:
         commands: whether commands are the input.
         half_width: s, of the window that rows pass; None: they are of one step.
         dt: s between samples; 0: so little that motors are filtered as they are.
+        coupled: whether there are further products of rates and H; else H has neither lag nor
+            delay in them.
     """
 
     def __init__(
@@ -161,6 +177,7 @@ class ActuatorDynamics:
         commands: bool = False,
         half_width: float | None = 0.1,
         dt: float = 0.0,
+        coupled: bool = False,
     ) -> None:
         self.delays, self.lags = np.asarray(delays, float), np.asarray(lags, float)
         curve = np.asarray(curves, float)
@@ -172,7 +189,22 @@ class ActuatorDynamics:
         self.free = tuple(i for i, axis in enumerate(axes) if len(axis) > 1)
         """The coordinates that are unknown; the others are given."""
         self.elements = self._chosen()
-        self.width = len(self.elements) * self.sets * SIGNALS + BODY
+        self.late = len(self.elements) * self.sets * SIGNALS
+        """Columns of the elements."""
+        self.coupled_lags: tuple[int, ...] = ()
+        """Indices of the lags of H in the products, with commands."""
+        self.coupled_shifts: tuple[int, ...] = ()
+        """By how many samples H is past in the products, with speeds."""
+        if coupled and commands:
+            places = np.linspace(0, len(self.lags) - 1, min(len(self.lags), _COUPLED_LAGS))
+            self.coupled_lags = tuple(dict.fromkeys(np.rint(places).astype(int).tolist()))
+        elif coupled and len(self.delays) > 1:
+            step = max(round(_PAST / dt), 1)
+            self.coupled_shifts = (0, step, 2 * step)
+        forms = len(self.coupled_lags) * self.sets + len(self.coupled_shifts)
+        self.products = max(forms - 1, 0) * len(_COUPLED)
+        """Columns of the further products."""
+        self.width = self.late + self.products + BODY
         """Of a row of elements."""
         self._span = _Span(
             half_width,
@@ -180,6 +212,12 @@ class ActuatorDynamics:
             np.array([self.lags[e.lag] for e in self.elements]),
             dt,
         )
+        self._coupled_span: _Span | None = None
+        if forms:
+            past = -dt * np.array(self.coupled_shifts or (0,))
+            lags_of_H = self.lags[list(self.coupled_lags)] if commands else np.zeros(len(past))
+            past = np.broadcast_to(past, lags_of_H.shape)
+            self._coupled_span = _Span(half_width, past, lags_of_H, dt)
         self._lag_span = _Span(half_width, np.zeros_like(self.lags), self.lags, dt)
         scan = [_thinned(axis, most) for axis, most in zip(axes, _SCANNED, strict=True)]
         self.nodes = np.array(list(product(*scan)))
@@ -214,8 +252,15 @@ class ActuatorDynamics:
         rotors = (filters[..., None] * mixtures[:, :, None]).reshape(K, len(by), -1)
         maps = np.zeros((K, len(by), WIDTH, self.width))
         for place, column in enumerate(ROTOR_COLUMNS):
-            maps[:, :, column, place : self.width - BODY : SIGNALS] = rotors
+            maps[:, :, column, place : self.late : SIGNALS] = rotors
         maps[:, 0, _BODY_COLUMNS, range(self.width - BODY, self.width)] = 1.0
+        if self._coupled_span is not None:
+            filters = np.stack([self._coupled_span.weights(delay, lag, i) for i in by], axis=1)
+            forms = (filters[..., None] * mixtures[:, :, None]).reshape(K, len(by), -1)
+            for place, column in enumerate(_COUPLED):
+                first = self.width - BODY + _BODY_COLUMNS.index(column)
+                further = range(self.late + place, self.late + self.products, len(_COUPLED))
+                maps[:, :, column, [first, *further]] = forms
         return maps
 
     def map_at(self, at: Array) -> Array:

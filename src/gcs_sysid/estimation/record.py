@@ -69,6 +69,7 @@ class FlightRecord:
             commands=commands,
             half_width=half_width,
             dt=dt,
+            coupled=True,
         )
         path = RotorPath(geometry, dt, basis, tuning.gyro_cutoff)
         self.whitened: WhitenedRecord | None = None
