@@ -43,8 +43,6 @@ SIGNALS, BODY = len(ROTOR_COLUMNS), len(_BODY_COLUMNS)
 
 _COUPLED = tuple(rb.SIGNALS.index(name) for name in ("qH", "pH"))
 """Columns of x that are products of the rates with H."""
-_COUPLED_LAGS = 4
-"""Lags of commands at which these products are formed, at most."""
 _PAST = 0.02
 """s between the past values of H that products are formed with, where speeds are the input: about
 the time in which torque changes by an eighth of a radian at 1 Hz."""
@@ -84,9 +82,47 @@ def _passed(half_width: float | None, dt: float) -> tuple[Array, Array]:
     omega = np.linspace(0.0, 10.0 / half_width, 80)
     window = cosine_window(100, half_width / 100.0).average
     places = np.linspace(-half_width, half_width, len(window))
-    # What the window lets pass; commands and their noise grow with frequency.
-    passed = np.abs(np.cos(np.outer(omega, places)) @ window)
-    return omega, passed * (1.0 + (0.5 * half_width * omega) ** 2)
+    # What the window lets pass. The motion lies in its lower half: weights that grow with
+    # frequency leave four times the error there.
+    return omega, np.abs(np.cos(np.outer(omega, places)) @ window)
+
+
+_PAIRED = 2.0 * np.pi * np.array([0.4, 1.0, 2.0, 3.5])
+"""rad/s, of motion whose products count."""
+_SHARE = 0.01
+"""Weight of these products beside the signals themselves: brings them from 0.4 to 0.005, and costs
+the signals next to nothing (1e-5)."""
+
+
+def _wanted(omega: Array, delay: Array, lag: Array, by: int | None) -> Array:
+    """(K, n) `response` at (K,) delays and lags, differentiated by one of them or not."""
+    passed = response(omega, delay, lag)
+    if by == DELAY:
+        passed = passed * (1j * omega)
+    elif by == LAG:
+        passed = passed * (-1j * omega / (1.0 + 1j * omega * lag[:, None]))
+    return passed
+
+
+def _second_order(passed: Array, change: Array | None = None) -> Array:
+    """(..., m) products of (..., n) responses at `_PAIRED`, real and imaginary parts.
+
+    Args:
+        passed: the responses.
+        change: their derivative; the products' derivative then. None: the products themselves.
+    """
+    i, j = np.triu_indices(len(_PAIRED))
+    other = np.conj(passed)
+    if change is None:
+        products = passed[..., i] * passed[..., j], passed[..., i] * other[..., j]
+    else:
+        turned = np.conj(change)
+        products = (
+            change[..., i] * passed[..., j] + passed[..., i] * change[..., j],
+            change[..., i] * other[..., j] + passed[..., i] * turned[..., j],
+        )
+    both = np.concatenate(products, axis=-1)
+    return _SHARE * np.concatenate([both.real, both.imag], axis=-1)
 
 
 class _Span:
@@ -97,11 +133,25 @@ class _Span:
         delays: (k,) s.
         lags: (k,) s.
         dt: s between samples; 0: next to nothing.
+        squared: whether the same weights shall make the other one's square of their squares. To
+            first order they do. What is of second order, on which the thrust curve rests, is that
+            of the response at two frequencies at once, H(w1) H(w2) and H(w1) H(-w2).
     """
 
-    def __init__(self, half_width: float | None, delays: Array, lags: Array, dt: float) -> None:
+    def __init__(
+        self,
+        half_width: float | None,
+        delays: Array,
+        lags: Array,
+        dt: float,
+        *,
+        squared: bool = False,
+    ) -> None:
         self.omega, self._passed = _passed(half_width, dt)
-        A = self._stacked(self._made(delays, lags, dt)).T
+        self._squared = squared
+        A = self._stacked(self._made(self.omega, delays, lags, dt)).T
+        if squared:
+            A = np.concatenate([A, _second_order(self._made(_PAIRED, delays, lags, dt)).T])
         # Weighted least squares with the weights' sum given, for all right-hand sides. Filters
         # resemble each other in a long window: the sum is put right by itself, as rounding in a
         # bordered system would leave it off by 3e-4, and with it every moment of inertia.
@@ -112,23 +162,25 @@ class _Span:
 
     def weights(self, delay: Array, lag: Array, by: int | None = None) -> Array:
         """(K, k) for (K,) delays and lags, differentiated by one of them or not."""
-        target, total = response(self.omega, delay, lag), 1.0
-        if by == DELAY:
-            target, total = target * (1j * self.omega), 0.0
-        elif by == LAG:
-            target = target * (-1j * self.omega / (1.0 + 1j * self.omega * lag[:, None]))
-            total = 0.0
-        weights: Array = self._stacked(target) @ self._of_target.T + total * self._of_sum
+        slope = by in (DELAY, LAG)
+        target = self._stacked(_wanted(self.omega, delay, lag, by if slope else None))
+        if self._squared:
+            paired = _wanted(_PAIRED, delay, lag, None)
+            change = _wanted(_PAIRED, delay, lag, by) if slope else None
+            target = np.concatenate([target, _second_order(paired, change)], axis=-1)
+        total = 0.0 if slope else 1.0
+        weights: Array = target @ self._of_target.T + total * self._of_sum
         return weights
 
-    def _made(self, delays: Array, lags: Array, dt: float) -> Array:
+    @staticmethod
+    def _made(omega: Array, delays: Array, lags: Array, dt: float) -> Array:
         """(k, n) what the filters really pass: those of motors lose some between slow samples."""
         if not dt:
-            return response(self.omega, delays, lags)
-        late = np.exp(-1j * self.omega * dt)
+            return response(omega, delays, lags)
+        late = np.exp(-1j * omega * dt)
         coefficients = np.array([motor_filter(dt, lag) for lag in lags])
         a, b0, b1 = coefficients.T[:, :, None]
-        moved = np.exp(1j * self.omega * delays[:, None])
+        moved = np.exp(1j * omega * delays[:, None])
         made: Array = moved * (b0 + b1 * late) / (1.0 - a * late)
         return made
 
@@ -196,8 +248,7 @@ class ActuatorDynamics:
         self.coupled_shifts: tuple[int, ...] = ()
         """By how many samples H is past in the products, with speeds."""
         if coupled and commands:
-            places = np.linspace(0, len(self.lags) - 1, min(len(self.lags), _COUPLED_LAGS))
-            self.coupled_lags = tuple(dict.fromkeys(np.rint(places).astype(int).tolist()))
+            self.coupled_lags = tuple(range(len(self.lags)))
         elif coupled and len(self.delays) > 1:
             step = max(round(_PAST / dt), 1)
             self.coupled_shifts = (0, step, 2 * step)
@@ -211,6 +262,7 @@ class ActuatorDynamics:
             np.array([self.delays[e.delay] for e in self.elements]),
             np.array([self.lags[e.lag] for e in self.elements]),
             dt,
+            squared=commands,
         )
         self._coupled_span: _Span | None = None
         if forms:
@@ -218,7 +270,9 @@ class ActuatorDynamics:
             lags_of_H = self.lags[list(self.coupled_lags)] if commands else np.zeros(len(past))
             past = np.broadcast_to(past, lags_of_H.shape)
             self._coupled_span = _Span(half_width, past, lags_of_H, dt)
-        self._lag_span = _Span(half_width, np.zeros_like(self.lags), self.lags, dt)
+        self._lag_span = _Span(
+            half_width, np.zeros_like(self.lags), self.lags, dt, squared=commands
+        )
         scan = [_thinned(axis, most) for axis, most in zip(axes, _SCANNED, strict=True)]
         self.nodes = np.array(list(product(*scan)))
         """(n, 3) coordinates from which a search may start."""
@@ -228,7 +282,9 @@ class ActuatorDynamics:
             return tuple(Element(0, j) for j in range(len(self.delays)))
         middle = len(self.delays) // 2
         lagged = [Element(i, middle) for i in range(len(self.lags))]
-        moved = [Element(0, j) for j in range(len(self.delays)) if j != middle]
+        # At a usual lag: then their squares are nearly those of any lag that is as late.
+        usual = len(self.lags) // 2
+        moved = [Element(usual, j) for j in range(len(self.delays)) if j != middle]
         return (*lagged, *moved)
 
     @cached_property
