@@ -234,6 +234,8 @@ class ActuatorDynamics:
         self.delays, self.lags = np.asarray(delays, float), np.asarray(lags, float)
         curve = np.asarray(curves, float)
         self.commands = commands
+        self.curve_doubt = 0.0
+        """One standard deviation of the thrust curve that no scatter shows; may change."""
         self.sets = 2 if commands else 1
         axes = (self.delays, self.lags, curve)
         self.low = np.array([axis[0] for axis in axes])

@@ -15,6 +15,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask, runs
 from gcs_sysid.estimation.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics
 from gcs_sysid.estimation.rotor_signals import RotorPath
+from gcs_sysid.estimation.thrust_drift import ThrustDrift
 from gcs_sysid.model import attitude, rigid_body
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.one_step import OneStep
@@ -48,6 +49,7 @@ class RowMaker:
         basis: that they are for.
         smoother: the filter on both sides.
         one_step: makes rows of one step beside them, and the basis of these; None: nobody asks.
+        drift: of thrust at a given command, which commands are rid of; None: they are as they are.
     """
 
     def __init__(
@@ -56,8 +58,10 @@ class RowMaker:
         basis: ActuatorDynamics,
         smoother: Smoother,
         one_step: tuple[OneStep, ActuatorDynamics] | None = None,
+        drift: ThrustDrift | None = None,
     ) -> None:
         self._path = path
+        self._drift = drift
         self._basis = basis
         self._smoother = smoother
         self._one_step = one_step
@@ -130,7 +134,10 @@ class RowMaker:
         return out
 
     def _signals(self, s: Samples) -> Array:
-        rotors, thrust = self._path.signals(s.speeds)
+        inputs = s.speeds
+        if self._drift is not None:
+            inputs = inputs * self._drift.update(inputs, s.force[:, 2])[:, None]
+        rotors, thrust = self._path.signals(inputs)
         n, late = len(s.gyro), self._late
         H = rotors[0, :, 4]
         out = np.empty((n, self._width))
@@ -149,7 +156,6 @@ class RowMaker:
         out[:, -4:-1] = s.velocity
         out[:, -1] = s.force[:, 2]
         return out
-
 
     def _forms(self, H: Array) -> Array:
         """(forms, n) of the (lags * sets, n) H that the products of rates and H are formed with."""

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation import actuator_dynamics as coordinate
 from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
-from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
+from gcs_sysid.estimation.priors import COORDINATES, CURVE, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.search import (
     N_X,
     Point,
@@ -413,6 +413,10 @@ class Outcome:
         unknowns = self._moved(step / d)
         full = np.zeros((K, N_UNKNOWNS, N_UNKNOWNS))
         full[:, problem.free[:, None], problem.free] = covariance / self._scales
+        if problem.basis.curve_doubt and CURVE in problem.free:
+            # Were the curve another, all unknowns would go with it.
+            along = full[:, :, CURVE] / full[:, CURVE, CURVE, None] * problem.basis.curve_doubt
+            full += along[:, :, None] * along[:, None, :]
         data_std = np.sqrt(np.diagonal(data_covariance, axis1=1, axis2=2)) / d
         r_squared = self._explained()
         return [
