@@ -28,7 +28,7 @@ def hover(drift, curve, mass=None, noise=0.0):
     return commands, -force + noise * random.normal(size=len(T))
 
 
-def whole(commands, force, block=len(T)):
+def whole(commands, force, block=6000):
     drift = ThrustDrift(DT)
     return np.concatenate(
         [

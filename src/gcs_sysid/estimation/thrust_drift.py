@@ -151,7 +151,7 @@ class ThrustDrift:
         rough = max(power / force**2 - 1.0, 0.0) / self._count
         noise = t.colour * (self._noise + rough)
         variance = float(row @ spread) + noise
-        # In units of its own variance an innovation has unit power; a jump tells of more noise, too.
+        # Over its own variance an innovation has unit power; a jump tells of more noise, too.
         self._worth = min(self._worth + 1.0, t.memory)
         surplus = min(t.colour * innovation**2 / variance, _JUMP**2) - 1.0
         self._noise *= 1.0 + surplus / self._worth
