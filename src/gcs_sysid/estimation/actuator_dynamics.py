@@ -41,6 +41,12 @@ ROTOR_COLUMNS = (0, 1, 2, 3, rb.SIGNALS.index("dH"))
 _BODY_COLUMNS = tuple(i for i in range(WIDTH) if i not in ROTOR_COLUMNS)
 SIGNALS, BODY = len(ROTOR_COLUMNS), len(_BODY_COLUMNS)
 
+_COUPLED = tuple(rb.SIGNALS.index(name) for name in ("qH", "pH"))
+"""Columns of x that are products of the rates with H."""
+_PAST = 0.02
+"""s between the past values of H that products are formed with, where speeds are the input: about
+the time in which torque changes by an eighth of a radian at 1 Hz."""
+
 _RIDGE = 1e-12
 
 
@@ -76,9 +82,47 @@ def _passed(half_width: float | None, dt: float) -> tuple[Array, Array]:
     omega = np.linspace(0.0, 10.0 / half_width, 80)
     window = cosine_window(100, half_width / 100.0).average
     places = np.linspace(-half_width, half_width, len(window))
-    # What the window lets pass; commands and their noise grow with frequency.
-    passed = np.abs(np.cos(np.outer(omega, places)) @ window)
-    return omega, passed * (1.0 + (0.5 * half_width * omega) ** 2)
+    # What the window lets pass. The motion lies in its lower half: weights that grow with
+    # frequency leave four times the error there.
+    return omega, np.abs(np.cos(np.outer(omega, places)) @ window)
+
+
+_PAIRED = 2.0 * np.pi * np.array([0.4, 1.0, 2.0, 3.5])
+"""rad/s, of motion whose products count."""
+_SHARE = 0.01
+"""Weight of these products beside the signals themselves: brings them from 0.4 to 0.005, and costs
+the signals next to nothing (1e-5)."""
+
+
+def _wanted(omega: Array, delay: Array, lag: Array, by: int | None) -> Array:
+    """(K, n) `response` at (K,) delays and lags, differentiated by one of them or not."""
+    passed = response(omega, delay, lag)
+    if by == DELAY:
+        passed = passed * (1j * omega)
+    elif by == LAG:
+        passed = passed * (-1j * omega / (1.0 + 1j * omega * lag[:, None]))
+    return passed
+
+
+def _second_order(passed: Array, change: Array | None = None) -> Array:
+    """(..., m) products of (..., n) responses at `_PAIRED`, real and imaginary parts.
+
+    Args:
+        passed: the responses.
+        change: their derivative; the products' derivative then. None: the products themselves.
+    """
+    i, j = np.triu_indices(len(_PAIRED))
+    other = np.conj(passed)
+    if change is None:
+        products = passed[..., i] * passed[..., j], passed[..., i] * other[..., j]
+    else:
+        turned = np.conj(change)
+        products = (
+            change[..., i] * passed[..., j] + passed[..., i] * change[..., j],
+            change[..., i] * other[..., j] + passed[..., i] * turned[..., j],
+        )
+    both = np.concatenate(products, axis=-1)
+    return _SHARE * np.concatenate([both.real, both.imag], axis=-1)
 
 
 class _Span:
@@ -89,11 +133,25 @@ class _Span:
         delays: (k,) s.
         lags: (k,) s.
         dt: s between samples; 0: next to nothing.
+        squared: whether the same weights shall make the other one's square of their squares. To
+            first order they do. What is of second order, on which the thrust curve rests, is that
+            of the response at two frequencies at once, H(w1) H(w2) and H(w1) H(-w2).
     """
 
-    def __init__(self, half_width: float | None, delays: Array, lags: Array, dt: float) -> None:
+    def __init__(
+        self,
+        half_width: float | None,
+        delays: Array,
+        lags: Array,
+        dt: float,
+        *,
+        squared: bool = False,
+    ) -> None:
         self.omega, self._passed = _passed(half_width, dt)
-        A = self._stacked(self._made(delays, lags, dt)).T
+        self._squared = squared
+        A = self._stacked(self._made(self.omega, delays, lags, dt)).T
+        if squared:
+            A = np.concatenate([A, _second_order(self._made(_PAIRED, delays, lags, dt)).T])
         # Weighted least squares with the weights' sum given, for all right-hand sides. Filters
         # resemble each other in a long window: the sum is put right by itself, as rounding in a
         # bordered system would leave it off by 3e-4, and with it every moment of inertia.
@@ -104,23 +162,25 @@ class _Span:
 
     def weights(self, delay: Array, lag: Array, by: int | None = None) -> Array:
         """(K, k) for (K,) delays and lags, differentiated by one of them or not."""
-        target, total = response(self.omega, delay, lag), 1.0
-        if by == DELAY:
-            target, total = target * (1j * self.omega), 0.0
-        elif by == LAG:
-            target = target * (-1j * self.omega / (1.0 + 1j * self.omega * lag[:, None]))
-            total = 0.0
-        weights: Array = self._stacked(target) @ self._of_target.T + total * self._of_sum
+        slope = by in (DELAY, LAG)
+        target = self._stacked(_wanted(self.omega, delay, lag, by if slope else None))
+        if self._squared:
+            paired = _wanted(_PAIRED, delay, lag, None)
+            change = _wanted(_PAIRED, delay, lag, by) if slope else None
+            target = np.concatenate([target, _second_order(paired, change)], axis=-1)
+        total = 0.0 if slope else 1.0
+        weights: Array = target @ self._of_target.T + total * self._of_sum
         return weights
 
-    def _made(self, delays: Array, lags: Array, dt: float) -> Array:
+    @staticmethod
+    def _made(omega: Array, delays: Array, lags: Array, dt: float) -> Array:
         """(k, n) what the filters really pass: those of motors lose some between slow samples."""
         if not dt:
-            return response(self.omega, delays, lags)
-        late = np.exp(-1j * self.omega * dt)
+            return response(omega, delays, lags)
+        late = np.exp(-1j * omega * dt)
         coefficients = np.array([motor_filter(dt, lag) for lag in lags])
         a, b0, b1 = coefficients.T[:, :, None]
-        moved = np.exp(1j * self.omega * delays[:, None])
+        moved = np.exp(1j * omega * delays[:, None])
         made: Array = moved * (b0 + b1 * late) / (1.0 - a * late)
         return made
 
@@ -141,7 +201,13 @@ class ActuatorDynamics:
     """Elements, and the maps from rows that hold them all to rows [x, y].
 
     A row of elements is laid out element by element, each with its `sets` (of w and of w^2 where
-    commands are the input) of SIGNALS, then the BODY columns.
+    commands are the input) of SIGNALS, then the further products, then the BODY columns.
+
+    Products q H and p H are no filtered signals: H must have its lag and delay before it is
+    multiplied. Rotors that speed up turn the body against them, J_r H is most of what Izz r is, and
+    q J_r H as large as the gyroscopic torque that tells Izz. So the products are formed with H at
+    several lags (commands), or with present and past H (speeds), and mixed as H would be. Those
+    with the first form of H are among the BODY columns, the others are the further products.
 
     Args:
         delays: s, rising.
@@ -150,6 +216,8 @@ class ActuatorDynamics:
         commands: whether commands are the input.
         half_width: s, of the window that rows pass; None: they are of one step.
         dt: s between samples; 0: so little that motors are filtered as they are.
+        coupled: whether there are further products of rates and H; else H has neither lag nor
+            delay in them.
     """
 
     def __init__(
@@ -161,10 +229,13 @@ class ActuatorDynamics:
         commands: bool = False,
         half_width: float | None = 0.1,
         dt: float = 0.0,
+        coupled: bool = False,
     ) -> None:
         self.delays, self.lags = np.asarray(delays, float), np.asarray(lags, float)
         curve = np.asarray(curves, float)
         self.commands = commands
+        self.curve_doubt = 0.0
+        """One standard deviation of the thrust curve that no scatter shows; may change."""
         self.sets = 2 if commands else 1
         axes = (self.delays, self.lags, curve)
         self.low = np.array([axis[0] for axis in axes])
@@ -172,15 +243,38 @@ class ActuatorDynamics:
         self.free = tuple(i for i, axis in enumerate(axes) if len(axis) > 1)
         """The coordinates that are unknown; the others are given."""
         self.elements = self._chosen()
-        self.width = len(self.elements) * self.sets * SIGNALS + BODY
+        self.late = len(self.elements) * self.sets * SIGNALS
+        """Columns of the elements."""
+        self.coupled_lags: tuple[int, ...] = ()
+        """Indices of the lags of H in the products, with commands."""
+        self.coupled_shifts: tuple[int, ...] = ()
+        """By how many samples H is past in the products, with speeds."""
+        if coupled and commands:
+            self.coupled_lags = tuple(range(len(self.lags)))
+        elif coupled and len(self.delays) > 1:
+            step = max(round(_PAST / dt), 1)
+            self.coupled_shifts = (0, step, 2 * step)
+        forms = len(self.coupled_lags) * self.sets + len(self.coupled_shifts)
+        self.products = max(forms - 1, 0) * len(_COUPLED)
+        """Columns of the further products."""
+        self.width = self.late + self.products + BODY
         """Of a row of elements."""
         self._span = _Span(
             half_width,
             np.array([self.delays[e.delay] for e in self.elements]),
             np.array([self.lags[e.lag] for e in self.elements]),
             dt,
+            squared=commands,
         )
-        self._lag_span = _Span(half_width, np.zeros_like(self.lags), self.lags, dt)
+        self._coupled_span: _Span | None = None
+        if forms:
+            past = -dt * np.array(self.coupled_shifts or (0,))
+            lags_of_H = self.lags[list(self.coupled_lags)] if commands else np.zeros(len(past))
+            past = np.broadcast_to(past, lags_of_H.shape)
+            self._coupled_span = _Span(half_width, past, lags_of_H, dt)
+        self._lag_span = _Span(
+            half_width, np.zeros_like(self.lags), self.lags, dt, squared=commands
+        )
         scan = [_thinned(axis, most) for axis, most in zip(axes, _SCANNED, strict=True)]
         self.nodes = np.array(list(product(*scan)))
         """(n, 3) coordinates from which a search may start."""
@@ -190,7 +284,9 @@ class ActuatorDynamics:
             return tuple(Element(0, j) for j in range(len(self.delays)))
         middle = len(self.delays) // 2
         lagged = [Element(i, middle) for i in range(len(self.lags))]
-        moved = [Element(0, j) for j in range(len(self.delays)) if j != middle]
+        # At a usual lag: then their squares are nearly those of any lag that is as late.
+        usual = len(self.lags) // 2
+        moved = [Element(usual, j) for j in range(len(self.delays)) if j != middle]
         return (*lagged, *moved)
 
     @cached_property
@@ -214,8 +310,15 @@ class ActuatorDynamics:
         rotors = (filters[..., None] * mixtures[:, :, None]).reshape(K, len(by), -1)
         maps = np.zeros((K, len(by), WIDTH, self.width))
         for place, column in enumerate(ROTOR_COLUMNS):
-            maps[:, :, column, place : self.width - BODY : SIGNALS] = rotors
+            maps[:, :, column, place : self.late : SIGNALS] = rotors
         maps[:, 0, _BODY_COLUMNS, range(self.width - BODY, self.width)] = 1.0
+        if self._coupled_span is not None:
+            filters = np.stack([self._coupled_span.weights(delay, lag, i) for i in by], axis=1)
+            forms = (filters[..., None] * mixtures[:, :, None]).reshape(K, len(by), -1)
+            for place, column in enumerate(_COUPLED):
+                first = self.width - BODY + _BODY_COLUMNS.index(column)
+                further = range(self.late + place, self.late + self.products, len(_COUPLED))
+                maps[:, :, column, [first, *further]] = forms
         return maps
 
     def map_at(self, at: Array) -> Array:

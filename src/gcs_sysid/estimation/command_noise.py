@@ -16,7 +16,6 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.estimation.actuator_dynamics import (
-    BODY,
     SIGNALS,
     WIDTH,
     ActuatorDynamics,
@@ -180,8 +179,7 @@ class CommandNoise(InputNoise):
             self._overlaps[memory] = _overlaps(basis, smoother, self._dt, memory)
         # Of w^2 the noise is 2 w times that of w.
         gains = np.array([1.0, 2.0 * self._sum.mean() / self._count])
-        rotors = basis.width - BODY
-        out[:rotors, :rotors] = np.kron(
+        out[: basis.late, : basis.late] = np.kron(
             self._overlaps[memory], np.kron(np.outer(gains, gains), signals)
         )
         return out

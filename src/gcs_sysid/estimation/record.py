@@ -13,6 +13,7 @@ from gcs_sysid.estimation.normal_equations import NormalEquations
 from gcs_sysid.estimation.regression import LeakySums, RowMaker, Rows
 from gcs_sysid.estimation.rotor_signals import RotorPath
 from gcs_sysid.estimation.speed_noise import SpeedNoise
+from gcs_sysid.estimation.thrust_drift import ThrustDrift
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.estimation.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.whitening import bank_for
@@ -69,6 +70,7 @@ class FlightRecord:
             commands=commands,
             half_width=half_width,
             dt=dt,
+            coupled=True,
         )
         path = RotorPath(geometry, dt, basis, tuning.gyro_cutoff)
         self.whitened: WhitenedRecord | None = None
@@ -82,7 +84,8 @@ class FlightRecord:
             self.whitened = WhitenedRecord(
                 elements, step, bank_for(step.time), dt, tuning.batch_time
             )
-        self._rows = RowMaker(path, basis, smoother, steps)
+        self._drift = ThrustDrift(dt) if commands else None
+        self._rows = RowMaker(path, basis, smoother, steps, self._drift)
         self.row_time = smoother.step * dt
         per_batch = max(round(tuning.batch_time / self.row_time), 1)
         self._leaks = LeakySums(self.row_time, self.memories)
@@ -147,6 +150,8 @@ class FlightRecord:
         counts = [self._rows.count_after(end) for end in edges]
         steps = [self._rows.steps_after(end) for end in edges]
         made = self._rows.update(samples)
+        if self._drift is not None:
+            self.basis.curve_doubt = self._drift.curve_doubt
         sections = _Sections(made, self._leaks)
         parts = zip(pairwise(edges), pairwise(counts), pairwise(steps), strict=True)
         for number, (part, rows, few) in enumerate(parts):

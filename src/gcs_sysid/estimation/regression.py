@@ -15,6 +15,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask, runs
 from gcs_sysid.estimation.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics
 from gcs_sysid.estimation.rotor_signals import RotorPath
+from gcs_sysid.estimation.thrust_drift import ThrustDrift
 from gcs_sysid.model import attitude, rigid_body
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.one_step import OneStep
@@ -48,6 +49,7 @@ class RowMaker:
         basis: that they are for.
         smoother: the filter on both sides.
         one_step: makes rows of one step beside them, and the basis of these; None: nobody asks.
+        drift: of thrust at a given command, which commands are rid of; None: they are as they are.
     """
 
     def __init__(
@@ -56,8 +58,10 @@ class RowMaker:
         basis: ActuatorDynamics,
         smoother: Smoother,
         one_step: tuple[OneStep, ActuatorDynamics] | None = None,
+        drift: ThrustDrift | None = None,
     ) -> None:
         self._path = path
+        self._drift = drift
         self._basis = basis
         self._smoother = smoother
         self._one_step = one_step
@@ -66,11 +70,14 @@ class RowMaker:
         # Columns of what is smoothed: after the rotors' signals those of the body, then the rest.
         self._lift = slice(late + BODY, late + BODY + 3 * thrusts)
         self._thrust = slice(self._lift.stop, self._lift.stop + thrusts)
-        self._width = self._thrust.stop + 4
+        self._products = slice(self._thrust.stop, self._thrust.stop + basis.products)
+        self._width = self._products.stop + 4
+        self._past: Array = np.empty(0)
 
     def restart(self) -> None:
         """Forget what a gap separates from the next samples."""
         self._path.restart()
+        self._past = np.empty(0)
         self._smoother.restart()
         if self._one_step is not None:
             self._one_step[0].restart()
@@ -119,17 +126,26 @@ class RowMaker:
         out = np.empty((n, basis.width))
         delays, lags = [e.delay for e in basis.elements], [e.lag for e in basis.elements]
         chosen = rotors[delays, :, lags]
-        out[:, :-BODY] = np.swapaxes(chosen, 0, 1).reshape(n, basis.width - BODY)
+        out[:, : basis.late] = np.swapaxes(chosen, 0, 1).reshape(n, basis.late)
+        if basis.products:
+            out[:, basis.late : -BODY] = rows.average[:, self._products]
         out[:, -BODY:-3] = rows.average[:, late : late + BODY - 3]
         out[:, -3:] = rows.derivative[:, late + BODY - 3 : late + BODY]
         return out
 
     def _signals(self, s: Samples) -> Array:
-        rotors, thrust = self._path.signals(s.speeds)
+        inputs = s.speeds
+        if self._drift is not None:
+            inputs = inputs * self._drift.update(inputs, s.force[:, 2])[:, None]
+        rotors, thrust = self._path.signals(inputs)
         n, late = len(s.gyro), self._late
         H = rotors[0, :, 4]
         out = np.empty((n, self._width))
         out[:, :late] = np.swapaxes(rotors, 0, 1).reshape(n, late)
+        if self._basis.products:
+            forms = self._forms(rotors[..., 4])[1:]
+            products = s.rates[None, :, 1::-1] * forms[..., None]
+            out[:, self._products] = np.swapaxes(products, 0, 1).reshape(n, -1)
         out[:, late : late + 6] = rigid_body.rate_products(s.rates)
         out[:, late + 6 : late + 9] = s.rates
         out[:, late + 9 : late + 11] = s.rates[:, 1::-1] * H[:, None]  # q H, p H
@@ -140,6 +156,21 @@ class RowMaker:
         out[:, -4:-1] = s.velocity
         out[:, -1] = s.force[:, 2]
         return out
+
+    def _forms(self, H: Array) -> Array:
+        """(forms, n) of the (lags * sets, n) H that the products of rates and H are formed with."""
+        basis = self._basis
+        if basis.coupled_lags:
+            sets = range(basis.sets)
+            forms: Array = H[[lag * basis.sets + i for lag in basis.coupled_lags for i in sets]]
+            return forms
+        before, n, most = self._past, H.shape[1], basis.coupled_shifts[-1]
+        joined = np.concatenate([before, H[0]])
+        self._past = joined[-most:]
+        # Where there is no past, after a gap, H has not changed.
+        padded = np.concatenate([np.full(most - len(before), np.nan), joined])
+        shifted = np.stack([padded[most - k : most - k + n] for k in basis.coupled_shifts])
+        return np.where(np.isnan(shifted), H[0], shifted)
 
 
 _PIECE = 16

@@ -25,7 +25,7 @@ from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation import actuator_dynamics as coordinate
 from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.estimation.deviations import NO_DEVIATIONS, Deviations
-from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
+from gcs_sysid.estimation.priors import COORDINATES, CURVE, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.search import (
     N_X,
     Point,
@@ -447,6 +447,11 @@ class Outcome:
         every = np.zeros((K, unknowns.shape[1], unknowns.shape[1]))
         every[:, problem.free[:, None], problem.free] = covariance / self._scales
         full = every[:, :N_UNKNOWNS, :N_UNKNOWNS]
+        full = every[:, :N_UNKNOWNS, :N_UNKNOWNS]
+        if problem.basis.curve_doubt and CURVE in problem.free:
+            # Were the curve another, all unknowns would go with it.
+            along = full[:, :, CURVE] / full[:, CURVE, CURVE, None] * problem.basis.curve_doubt
+            full += along[:, :, None] * along[:, None, :]
         data_std = np.sqrt(np.diagonal(data_covariance, axis1=1, axis2=2)) / d
         r_squared = self._explained()
         return [

@@ -70,7 +70,7 @@ COMMANDS = Tuning(
     rotor_input="command",
     leaks=(0.0, 0.3),
     delays=(-0.015, -0.00375, 0.0075, 0.01875, 0.03),
-    lags=(0.0, 0.015, 0.035, 0.06, 0.09, 0.13),
+    lags=(0.0, 0.012, 0.025, 0.04, 0.06, 0.085, 0.13),
     curves=(-0.2, 1.2),
 )
 """Tuning for commands as the rotors' input."""

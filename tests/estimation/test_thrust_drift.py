@@ -1,0 +1,84 @@
+"""Thrust that falls with the battery, told from the accelerometer."""
+
+import numpy as np
+import pytest
+
+from gcs_sysid.estimation.thrust_drift import ThrustDrift
+from gcs_sysid.model.parameters import GRAVITY
+
+DT, SECONDS = 0.01, 60.0
+T = DT * np.arange(round(SECONDS / DT))
+
+
+def hover(drift, curve, mass=None, noise=0.0):
+    """(n, 4) commands and (n,) specific force of a vehicle that bobs and rolls in hover.
+
+    Args:
+        drift: (n,) share of full thrust that is lost.
+        curve: of thrust.
+        mass: (n,) over the first one; None: it stays.
+        noise: m/s^2, of the accelerometer.
+    """
+    force = GRAVITY * (1.0 + 0.05 * np.sin(1.7 * T))
+    share = 0.4 * force / GRAVITY / (1.0 - drift) * (1.0 if mass is None else mass)
+    shares = share[:, None] * (1.0 + 0.1 * np.sin(2.3 * T)[:, None] * np.array([1, -1, 1, -1]))
+    linear = 1.0 - curve
+    commands = 2.0 * shares / (linear + np.sqrt(linear**2 + 4.0 * curve * shares))
+    random = np.random.default_rng(1)
+    return commands, -force + noise * random.normal(size=len(T))
+
+
+def whole(commands, force, block=6000):
+    drift = ThrustDrift(DT)
+    return np.concatenate(
+        [
+            drift.update(commands[i : i + block], force[i : i + block])
+            for i in range(0, len(force), block)
+        ]
+    )
+
+
+@pytest.mark.parametrize("curve", [0.0, 0.4, 1.0])
+def test_commands_make_thrust_as_at_the_start(curve):
+    commands, force = hover(0.1 * T / SECONDS, curve, noise=0.1)
+    # The command of a share of 0.4, then of 0.4 / 0.9.
+    first, last = (
+        2.0 * share / (1.0 - curve + np.sqrt((1.0 - curve) ** 2 + 4.0 * curve * share))
+        for share in (0.4, 0.4 / 0.9)
+    )
+    assert whole(commands, force)[-1] == pytest.approx(first / last, rel=0.004)
+
+
+@pytest.mark.parametrize("block", [1, 7, 250])
+def test_factors_do_not_depend_on_how_samples_come(block):
+    commands, force = hover(0.1 * T / SECONDS, 0.5)
+    commands[1000:1500] = np.nan
+    np.testing.assert_allclose(whole(commands, force, block), whole(commands, force), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("drift", "mass", "noise"),
+    [
+        (np.zeros_like(T), None, 0.0),
+        (np.zeros_like(T), None, 3.0),
+        (-0.05 * T / SECONDS, None, 0.1),  # no battery gains
+        (np.zeros_like(T), np.where(T < 30.0, 1.0, 1.2), 0.1),
+        (np.zeros_like(T), np.where(T < 30.0, 1.0, 0.8), 0.1),
+    ],
+    ids=["steady", "rough accelerometer", "rising thrust", "payload taken", "payload dropped"],
+)
+def test_nothing_else_is_a_drift(drift, mass, noise):
+    np.testing.assert_array_equal(whole(*hover(drift, 0.5, mass, noise)), 1.0)
+
+
+def test_without_an_accelerometer_commands_are_as_they_are():
+    commands, force = hover(0.1 * T / SECONDS, 0.5)
+    np.testing.assert_array_equal(whole(commands, np.full_like(force, np.nan)), 1.0)
+
+
+def test_a_battery_that_sags_makes_the_curve_doubtful():
+    steady, sagging = ThrustDrift(DT), ThrustDrift(DT)
+    steady.update(*hover(np.zeros_like(T), 0.5))
+    sagging.update(*hover(0.1 * T / SECONDS, 0.5))
+    assert steady.curve_doubt == 0.0
+    assert sagging.curve_doubt == pytest.approx(0.05)
