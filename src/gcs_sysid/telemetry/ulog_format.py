@@ -11,6 +11,7 @@ out. Where the chain of entries breaks, the next one is found by what a row of a
 subscription or a SYNC must look like: in linear time whatever lies between.
 """
 
+import math
 import struct
 from array import array
 from bisect import bisect_right
@@ -18,6 +19,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,13 +31,16 @@ MOST_NESTING = 8
 """Formats inside each other; PX4 nests once."""
 MOST_FIELDS = 1024
 """Of a format; PX4's largest has some 60."""
-MOST_COLUMNS = 4096
+MOST_COLUMNS = 1024
 """Of a topic that is read, its arrays laid out."""
+MOST_INSTANCES = 16
+"""Of a topic; PX4 has 10 at most."""
 MOST_FORMATS = 4096
 MOST_SUBSCRIPTIONS = 1024
 """PX4 logs some 200 topics."""
 _LONGEST_ROW = 2**16 - 3
 """Bytes; what an entry can hold beside the topic's number."""
+_MOST_FAULTS = 100
 _MOST_NEW_KINDS = 1000
 """Entries of kinds that nobody here knows."""
 _OTHERS, _BYTES_AN_OTHER = 2**16, 64
@@ -100,11 +105,11 @@ class Formats:
         Raises:
             InputError: it is not of that form, or exceeds a bound.
         """
+        if len(self._formats) >= MOST_FORMATS:
+            raise InputError(f"more than {MOST_FORMATS} formats")
         name, colon, rest = text.partition(":")
         if not colon or not name or not name.isprintable():
             raise InputError("a format without a name")
-        if len(self._formats) >= MOST_FORMATS:
-            raise InputError(f"more than {MOST_FORMATS} formats")
         words = rest.split(";", MOST_FIELDS)
         if len(words) > MOST_FIELDS:
             raise InputError(f"{name:.80} has more than {MOST_FIELDS} fields")
@@ -386,9 +391,13 @@ class UlogFile:
             try:
                 self._formats.add(body.decode("utf-8", "ignore"))
             except InputError as error:
-                self.damaged = True
-                self.faults[body[:80].decode("utf-8", "ignore").partition(":")[0]] = str(error)
+                self._fault(body[:80].decode("utf-8", "ignore").partition(":")[0], str(error))
         return letter != "S" or content.startswith(_SYNC, at)
+
+    def _fault(self, name: str, why: str) -> None:
+        self.damaged = True
+        if len(self.faults) < _MOST_FAULTS:
+            self.faults.setdefault(name, why)
 
     def _take_parameter(self, body: bytes, at: int) -> None:
         key = body[1 : 1 + body[0]]
@@ -400,7 +409,7 @@ class UlogFile:
         if form is None or len(value) != form.size or not name or not name.isprintable():
             return
         (number,) = form.unpack(value)
-        if not np.isfinite(number):
+        if not math.isfinite(number):
             return
         if self._defining:
             self.initial[name] = float(number)
@@ -413,7 +422,7 @@ class UlogFile:
         name = body[3:].decode("utf-8", "ignore")
         if number in self._learned:
             self._learned.remove(number)
-        elif number in self._subscriptions:
+        elif number in self._subscriptions or name in self.faults:
             return
         if len(self._subscriptions) - len(self._learned) >= MOST_SUBSCRIPTIONS:
             self.damaged = True
@@ -422,7 +431,7 @@ class UlogFile:
         try:
             size = self._formats.size(name) + 2
             padding = self._formats.padding(name)
-            if name not in self._wanted:
+            if name not in self._wanted or multi_id >= MOST_INSTANCES:
                 self._subscribe(number, size - padding, size, None)
                 return
             rows = self._rows.get((name, multi_id))
@@ -435,8 +444,7 @@ class UlogFile:
                 rows = self._rows[name, multi_id] = _Rows(layout)
             self._subscribe(number, size - padding, size, rows.places)
         except InputError as error:
-            self.damaged = True
-            self.faults.setdefault(name, str(error))
+            self._fault(name, str(error))
 
     def _is_cut_short(self, content: bytes, at: int, following: int, end: int, kind: int) -> bool:
         """Whether the file ends inside of this entry."""
@@ -503,11 +511,18 @@ class UlogFile:
         places, times = joined[:, np.argsort(joined[0])]
         latest = np.maximum.accumulate(np.concatenate([[self._last_us], times]))
 
-        def told(at: int) -> float:
-            return float(latest[np.searchsorted(places, at)]) * 1e-6
+        def told(entries: list[Any]) -> list[float]:
+            at = np.searchsorted(places, [entry[0] for entry in entries])
+            seconds: list[float] = (latest[at] * 1e-6).tolist()
+            return seconds
 
-        self.changed += [(told(at), name, value) for at, name, value in self._parameters]
-        self.dropouts += [(told(at), length) for at, length in self._pauses]
+        self.changed += [
+            (t, name, value)
+            for t, (_, name, value) in zip(told(self._parameters), self._parameters, strict=True)
+        ]
+        self.dropouts += [
+            (t, length) for t, (_, length) in zip(told(self._pauses), self._pauses, strict=True)
+        ]
         self._parameters.clear()
         self._pauses.clear()
         self._last_us = float(latest[-1])
