@@ -20,7 +20,7 @@ from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.onboard_table import OnboardMessage
 from gcs_sysid.telemetry.rotor_messages import RPM
 from gcs_sysid.telemetry.track_collector import Recording
-from gcs_sysid.telemetry.ulog_format import Topic, UlogFile
+from gcs_sysid.telemetry.ulog_scan import Topic, UlogFile
 
 _AUTO_TAKEOFF, _AUTO_LAND = 17, 18
 """vehicle_status.nav_state while EXTENDED_SYS_STATE says taking off or landing."""
