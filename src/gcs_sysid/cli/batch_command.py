@@ -1,6 +1,7 @@
 """`gcs-sysid batch`: identify from many logs."""
 
 import argparse
+import functools
 import os
 import shutil
 import sys
@@ -15,6 +16,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.fleet import batch_table as table
 from gcs_sysid.fleet.batch import Batch, Tally
 from gcs_sysid.fleet.jobs import Job
+from gcs_sysid.fleet.limits import Limits, analyze_within
 from gcs_sysid.fleet.log_files import AIRFRAME_FILE, find_logs, nearest_airframe
 from gcs_sysid.fleet.pools import ClusterPool, LocalPool, Pool
 from gcs_sysid.fleet.store import Store
@@ -33,11 +35,12 @@ def run(options: argparse.Namespace) -> int:
     jobs = [Job(log, airframes[log], options.vehicle, options.offline) for log in logs]
     store = Store(Path(options.output), force=options.force)
     stop = threading.Event()
+    work = functools.partial(analyze_within, Limits(options.log_timeout, options.log_memory))
     pool: Pool
     if options.scheduler is not None:
-        pool = ClusterPool(options.scheduler)
+        pool = ClusterPool(options.scheduler, work)
     else:
-        pool = LocalPool(min(options.workers or os.cpu_count() or 1, len(jobs)))
+        pool = LocalPool(min(options.workers or os.cpu_count() or 1, len(jobs)), work)
     with on_signals(stop.set):
         try:
             batch = Batch(jobs, store, pool, _shower(), stop.is_set)
