@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gcs_sysid.cli import arguments
+from gcs_sysid.cli.output import Deliveries, say
 from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet import batch_table as table
@@ -41,14 +42,18 @@ def run(options: argparse.Namespace) -> int:
         pool = ClusterPool(options.scheduler, work)
     else:
         pool = LocalPool(min(options.workers or os.cpu_count() or 1, len(jobs)), work)
+    batch = Batch(jobs, store, pool, _shower(), stop.is_set)
+    rows = batch.tally.rows
+    deliveries = Deliveries()
     with on_signals(stop.set):
         try:
-            batch = Batch(jobs, store, pool, _shower(), stop.is_set)
-            rows = batch.run()
+            deliveries.give(batch.run)
         finally:
             pool.close()
-        table.write_table(store.table, rows)
-    print(f"gcs-sysid: {_summary(batch.tally)}: {store.table}", file=sys.stderr)
+        written = deliveries.give(lambda: table.write_table(store.table, rows))
+    where = f": {store.table}" if written else ""
+    say(f"gcs-sysid: {_summary(batch.tally)}{where}")
+    deliveries.check()
     if len(rows) < len(jobs):
         print(
             f"gcs-sysid: interrupted; the same command does the other {len(jobs) - len(rows)}",
