@@ -9,7 +9,7 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TextIO
+from typing import TextIO, TypeGuard
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target, read_text, write_whole
@@ -28,7 +28,8 @@ class Deliveries:
         try:
             part()
         except (OSError, InputError) as error:
-            self._errors.append(error)
+            told = InputError(f"cannot write: {error.strerror}") if is_full(error) else error
+            self._errors.append(told)
             return False
         return True
 
@@ -36,12 +37,14 @@ class Deliveries:
         """Tell what could not be delivered.
 
         Raises:
-            InputError: the first of them; the others are lines on standard error.
+            InputError: the first of them; others are lines on standard error, unless they are
+                of the same kind: one full disk is one line.
             OSError: the same; BrokenPipeError where a reader has gone and nothing else is wrong.
         """
         lost = [error for error in self._errors if not isinstance(error, BrokenPipeError)]
         for error in lost[1:]:
-            say(f"gcs-sysid: error: {error}")
+            if _kind(error) != _kind(lost[0]):
+                say(f"gcs-sysid: error: {error}")
         for error in (lost or self._errors)[:1]:
             raise error
 
@@ -62,7 +65,11 @@ def show(text: str) -> None:
         raise InputError(f"standard output: cannot write: {error.strerror}") from error
 
 
-def is_full(error: Exception) -> bool:
+def _kind(error: Exception) -> str:
+    return str(error).rpartition(": ")[2]
+
+
+def is_full(error: Exception) -> TypeGuard[OSError]:
     """Whether a file without a name, as standard output is, could not be written."""
     return (
         isinstance(error, OSError)

@@ -151,9 +151,8 @@ def run(argv: Sequence[str]) -> int:
             abandon_stdout()
             return DONE
         if is_full(error):
-            abandon_stdout()
-            reason = error.strerror if isinstance(error, OSError) else ""
-            say(f"{PROGRAM}: error: standard output: cannot write: {reason}")
+            where = "standard output: " if _stdout_is_full() else ""
+            say(f"{PROGRAM}: error: {where}cannot write: {error.strerror}")
             return USAGE
         if isinstance(error, MemoryError):
             say(f"{PROGRAM}: error: not enough memory for this")
@@ -172,6 +171,16 @@ def run(argv: Sequence[str]) -> int:
             "please report it, with GCS_SYSID_DEBUG=1 set"
         )
         return USAGE
+
+
+def _stdout_is_full() -> bool:
+    """Whether something waits there that cannot be written; it is given up."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        abandon_stdout()
+        return True
+    return False
 
 
 def _run(argv: Sequence[str]) -> int:
