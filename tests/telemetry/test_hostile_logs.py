@@ -182,7 +182,7 @@ def test_garbage_costs_no_more_than_a_log(shared_logs, tmp_path, kind):
 def as_pyulog(path):
     """What pyulog reads of a log, as `UlogFile` has it."""
     pyulog = pytest.importorskip("pyulog")
-    log = pyulog.ULog(str(path), sorted(ulog._READ))
+    log = pyulog.ULog(str(path), sorted(ulog.READ))
     topics = {(d.name, d.multi_id): d.data for d in log.data_list if len(d.data["timestamp"])}
     changed = [(t * 1e-6, name, value) for t, name, value in log.changed_parameters]
     dropouts = [(d.timestamp * 1e-6, d.duration * 1e-3) for d in log.dropouts]
@@ -193,7 +193,7 @@ def as_pyulog(path):
 def test_a_log_is_read_as_by_pyulog(shared_logs, name):
     path = shared_logs / name
     topics, initial, changed, dropouts = as_pyulog(path)
-    file = UlogFile(path, ulog._READ)
+    file = UlogFile(path, ulog.READ)
     assert set(file.topics) == set(topics)
     for key, columns in topics.items():
         assert set(file.topics[key]) == set(columns)

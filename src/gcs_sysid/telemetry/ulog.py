@@ -47,10 +47,11 @@ TOPICS = (
     OnboardMessage(_STATUS, Stream.ARMED, ("arming_state",), is_equal_to=_ARMED),
 )  # fmt: skip
 """Topics whose fields are the values. Motors, ESCs and flight take more, see `_add_topic`."""
-_READ = {
+READ = {
     _MOTORS, _ESCS, _LANDED,
     *(row.name for row in TOPICS), *(row.offset[0] for row in TOPICS if row.offset is not None),
 }  # fmt: skip
+"""Topics that are read at all."""
 
 
 def read_ulog(path: Path) -> Recording:
@@ -59,7 +60,7 @@ def read_ulog(path: Path) -> Recording:
     Raises:
         InputError: it cannot be read, is no ULog, or holds no data.
     """
-    log = UlogFile(path, _READ)
+    log = UlogFile(path, READ)
     topics = log.topics
     if not topics:
         fault = next((f"{name}: {why}" for name, why in log.faults.items()), "")
@@ -84,7 +85,7 @@ def read_ulog(path: Path) -> Recording:
         damaged=log.damaged,
         dropouts=log.dropouts,
     )
-    recording.dropped |= {f"{name}: {why}": 0 for name, why in log.faults.items() if name in _READ}
+    recording.dropped |= {f"{name}: {why}": 0 for name, why in log.faults.items() if name in READ}
     for (name, multi_id), topic in topics.items():
         t = topic["timestamp"] * 1e-6
         try:
