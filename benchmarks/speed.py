@@ -88,7 +88,7 @@ def read_pyulog(path: str) -> None:
 
 
 def read_dataflash(path: str) -> None:
-    """pymavlink's reader of .bin, for the entries that the chain takes most of."""
+    """Pymavlink's reader of .bin, for the entries that the chain takes most of."""
     from pymavlink.DFReader import DFReader_binary
 
     log = DFReader_binary(path)

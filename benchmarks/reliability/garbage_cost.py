@@ -3,7 +3,7 @@
 python -m benchmarks.reliability.garbage_cost --folder ../shared/logs
 
 Into the middle of a log of each kind go megabytes of one pattern; times are of opening and reading
-all records, the least of three turns.
+all records, the less of two turns.
 """
 
 import argparse
@@ -31,10 +31,10 @@ PATTERNS = {
 
 
 def measure(path: Path, content: bytes) -> tuple[float, int]:
-    """ms of processor time per megabyte, and IMU samples."""
+    """Ms of processor time per megabyte, and IMU samples."""
     path.write_bytes(content)
     times, samples = [], 0
-    for _ in range(3):
+    for _ in range(2):
         began = time.process_time()
         blocks = list(open_log(path).blocks())
         times.append(time.process_time() - began)
