@@ -172,7 +172,7 @@ def follow(
     if not writer.to_stdout:
         deliveries.give(lambda: output.show(table))
     writer.write(session.final)
-    if not deliveries.give(writer.close) and writer.to_stdout:
+    if not deliveries.give(writer.close) and writer.to_stdout and not deliveries.unread:
         output.say(table)  # the numbers of a flight are not lost with a disk
     for line in session.recordings():
         output.say(line)

@@ -33,6 +33,11 @@ class Deliveries:
             return False
         return True
 
+    @property
+    def unread(self) -> bool:
+        """Whether all that was not delivered has a reader that has gone."""
+        return all(isinstance(error, BrokenPipeError) for error in self._errors)
+
     def check(self) -> None:
         """Tell what could not be delivered.
 
