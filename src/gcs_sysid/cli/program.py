@@ -20,6 +20,8 @@ from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.sanitize import one_line
 
 PROGRAM = "gcs-sysid"
+_STRICT = ("strict", "surrogateescape")
+"""Ways to fail at a sign that an encoding lacks; the latter is what Python does in LANG=C."""
 DONE, NO_ANSWER, USAGE = 0, 1, 2
 """Exit statuses: done; the data do not allow an answer; wrong usage, unreadable input or a defect.
 A command that Ctrl-C ended at once has 130; see also `signals.BY_SIGNAL`."""
@@ -217,5 +219,5 @@ def _never_fail_to_print() -> None:
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+        if isinstance(stream, io.TextIOWrapper) and stream.errors in _STRICT:
             stream.reconfigure(errors="replace")
