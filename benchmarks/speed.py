@@ -78,6 +78,24 @@ def read_pymavlink(path: str) -> int:
     return count
 
 
+def read_pyulog(path: str) -> None:
+    """The topics that the chain takes."""
+    from pyulog import ULog
+
+    from gcs_sysid.telemetry.ulog import READ
+
+    ULog(path, sorted(READ))
+
+
+def read_dataflash(path: str) -> None:
+    """Pymavlink's reader of .bin, for the entries that the chain takes most of."""
+    from pymavlink.DFReader import DFReader_binary
+
+    log = DFReader_binary(path)
+    while log.recv_match(type=["IMU", "ATT", "RCOU", "XKF1", "ESC"]) is not None:
+        pass
+
+
 def read_fasttlogparser(path: str) -> int:
     """C++ behind pybind11."""
     import fasttlogparser
@@ -114,13 +132,26 @@ class Reader(NamedTuple):
     """Whether it takes so long that one turn must do."""
     long_only: bool = False
     """Whether it reads the long log alone."""
+    kinds: tuple[str, ...] = (".tlog",)
+    """Of logs that it reads."""
 
 
 READERS = {
-    "file": Reader("reading the file", read_file, ()),
+    "file": Reader("reading the file", read_file, (), kinds=(".tlog", ".ulg", ".bin")),
     "decoder": Reader("this decoder, whole", read_decoder, ("gcs_sysid.telemetry.tlog",)),
     "windows": Reader("this decoder, windows", read_windows, ("gcs_sysid.telemetry.tlog",)),
-    "records": Reader("records of the chain", read_records, ("gcs_sysid.telemetry.logs",)),
+    "records": Reader(
+        "records of the chain",
+        read_records,
+        ("gcs_sysid.telemetry.logs",),
+        kinds=(".tlog", ".ulg", ".bin"),
+    ),
+    "pyulog": Reader(
+        "pyulog", read_pyulog, ("pyulog", "gcs_sysid.telemetry.ulog"), kinds=(".ulg",)
+    ),
+    "DFReader": Reader(
+        "pymavlink's DFReader", read_dataflash, ("pymavlink.DFReader",), once=True, kinds=(".bin",)
+    ),
     "fasttlogparser": Reader("fasttlogparser", read_fasttlogparser, ("fasttlogparser",)),
     "pymavlink": Reader(
         "pymavlink", read_pymavlink, ("pymavlink.mavutil", "gcs_sysid.telemetry.dialect"), once=True
@@ -182,6 +213,8 @@ def compare(path: Path, names: list[str], repeats: int, *, long: bool) -> dict[s
         for name in names:
             reader = READERS[name]
             if (turn and reader.once) or (reader.long_only and not long):
+                continue
+            if path.suffix not in reader.kinds:
                 continue
             seen = best.get(name)
             if isinstance(seen, str):
@@ -265,7 +298,8 @@ def main() -> None:
     log = long_log(options.cache / f"speed-{size}.tlog", size)
     measured = compare(log, options.only, options.repeats, long=True)
     print("\n".join([*table(log, measured), "", *verdicts(log, measured)]), flush=True)
-    for recorded in sorted(options.folder.rglob("*.tlog")):
+    logs = (path for path in options.folder.rglob("*") if path.suffix in (".tlog", ".ulg", ".bin"))
+    for recorded in sorted(logs):
         rows = compare(recorded, options.only, options.repeats, long=False)
         print("\n".join(["", *table(recorded, rows)]), flush=True)
 

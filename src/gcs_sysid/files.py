@@ -81,6 +81,7 @@ def check_target(path: Path, *, replace: bool, sources: tuple[Path, ...] = ()) -
         raise InputError(f"{path}: cannot write: no such folder as {path.parent}")
     if path.is_dir():
         raise InputError(f"{path}: cannot write: it is a folder")
+    _check_no_device(path)
     if path.resolve() in (source.resolve() for source in sources):
         raise InputError(f"{path} is what is to be read or written besides; name another file")
     if path.exists() and not replace:
@@ -98,6 +99,7 @@ def write_whole(path: Path, content: str | bytes, *, replace: bool) -> None:
     Raises:
         InputError: it cannot be written, or exists and must not be replaced.
     """
+    _check_no_device(path)
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
     except (OSError, ValueError) as error:  # ValueError: a name with a null character
@@ -119,6 +121,12 @@ def write_whole(path: Path, content: str | bytes, *, replace: bool) -> None:
         raise InputError(f"{path}: cannot write: {error.strerror}") from error
     finally:
         part.unlink(missing_ok=True)
+
+
+def _check_no_device(path: Path) -> None:
+    """See that no pipe or device gives way to a file, as `/dev/full` would for the superuser."""
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: cannot write: it is a pipe or a device; name a file")
 
 
 def _put_new(part: Path, path: Path) -> None:

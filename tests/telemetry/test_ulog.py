@@ -205,7 +205,6 @@ def test_one_flight_recorded_both_ways_gives_the_same_records(shared_logs):
 
 
 def test_zeros_at_the_end_as_a_power_cut_leaves_them_cost_no_time(tmp_path, path):
-    """pyulog needs two seconds for each megabyte of them."""
     padded = tmp_path / "padded.ulg"
     padded.write_bytes(path.read_bytes())
     with open(padded, "ab") as file:

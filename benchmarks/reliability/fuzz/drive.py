@@ -136,7 +136,7 @@ def _with_atheris(name: str, make: "argparse.Namespace") -> None:
     """Inputs led by what code they reach."""
     import atheris
 
-    with atheris.instrument_imports(include=["gcs_sysid", "sim_bridge", "pyulog", "tomllib"]):
+    with atheris.instrument_imports(include=["gcs_sysid", "sim_bridge", "tomllib"]):
         harness = _harness(name)
     driver = Driver(harness, make.inputs, make.seconds, make.folder)
     driver.engine = "atheris"

@@ -36,7 +36,8 @@ _ulg, _bin, _bbl = Scratch(".ulg"), Scratch(".bin"), Scratch(".bbl")
 _toml, _json, _key = Scratch(".toml"), Scratch(".json"), Scratch(".key")
 
 
-def _check_recording(recording: Recording) -> None:
+def check_recording(recording: Recording) -> None:
+    """What a reader has made of a log is sound."""
     block = recording.block()
     for track in block.tracks:
         assert np.isfinite(track.t).all()
@@ -51,7 +52,7 @@ def check_ulg(data: bytes) -> None:
     """A PX4 log is read or refused."""
     path = _ulg.put(data)
     with one_line_errors():
-        _check_recording(read_ulog(path))
+        check_recording(read_ulog(path))
 
 
 def check_bin(data: bytes) -> None:
@@ -59,7 +60,7 @@ def check_bin(data: bytes) -> None:
     path = _bin.put(data)
     with one_line_errors():
         recording = read_dataflash(path)
-        _check_recording(recording)
+        check_recording(recording)
         assert 0 <= recording.garbage_bytes <= len(data)
 
 
@@ -79,11 +80,11 @@ def check_bbl(data: bytes) -> None:
             assert frames.home.values.tolist() == plain.home, "home frames"
             assert frames.damaged == plain.damaged, "damaged frames"
             recording = read_blackbox(path, number)
-            _check_recording(recording)
+            check_recording(recording)
             assert 0 <= recording.garbage_bytes <= len(data)
     if data.count(MAGIC) != 1:
         with one_line_errors():
-            _check_recording(read_blackbox(path))
+            check_recording(read_blackbox(path))
 
 
 def check_airframe(data: bytes) -> None:

@@ -1,5 +1,6 @@
 """All harnesses."""
 
+from benchmarks.reliability.fuzz import definition_harnesses as definitions
 from benchmarks.reliability.fuzz import file_harnesses as files
 from benchmarks.reliability.fuzz import link_harnesses as link
 from benchmarks.reliability.fuzz.harness import Harness
@@ -40,6 +41,18 @@ HARNESSES = (
     Harness("ulg", "logs of PX4", files.check_ulg, files.ulg_seeds, 4.0, _ULOG, 4096),
     Harness("bin", "logs of ArduPilot", files.check_bin, files.bin_seeds, 3.0, _FMT, 4096),
     Harness("bbl", "blackbox logs", files.check_bbl, files.bbl_seeds, 3.0, _BBL, 4096),
+    Harness(
+        "ulg-definitions", "formats of .ulg", definitions.check_ulg_definitions,
+        definitions.choices, 3.0, (), 600,
+    ),
+    Harness(
+        "bin-definitions", "FMT entries of .bin", definitions.check_bin_definitions,
+        definitions.choices, 3.0, (), 600,
+    ),
+    Harness(
+        "bbl-definitions", "headers of .bbl", definitions.check_bbl_definitions,
+        definitions.choices, 1.0, (), 600,
+    ),
     Harness("airframe", "airframe files", files.check_airframe, files.toml_seeds, 6.0, _TOML),
     Harness(
         "result", "results, baselines", files.check_result, files.result_seeds, 8.0, _JSON, 4096

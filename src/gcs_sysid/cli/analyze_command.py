@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import functools
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -39,10 +40,11 @@ def run(options: argparse.Namespace) -> int:
     output.check_json(options.json, force=options.force)
     results: list[Result] = []
     unreadable = 0
+    deliveries = output.Deliveries()
     if options.added_mass is not None:
         results = _pair(options, airframe, chain)
         for log, result in zip(options.logs, results, strict=True):
-            _print(log, result, truth, table=options.json != "-")
+            _print(log, result, truth, deliveries, table=options.json != "-")
     for log in options.logs if not results else ():
         bar = output.progress_bar(log)
         with contextlib.nullcontext() if reporter is None else reporter as observer:
@@ -56,14 +58,14 @@ def run(options: argparse.Namespace) -> int:
                 unreadable += 1
                 continue
             results.append(result)
+            _print(log, result, truth, deliveries, table=options.json != "-")
             if reporter is not None:
-                reporter.write(result)
-            # Last: whoever reads it may go away.
-            _print(log, result, truth, table=options.json != "-")
+                deliveries.give(functools.partial(reporter.write, result))
     if results:
         documents = [result.as_json() for result in results]
         document = documents[0] if len(options.logs) == 1 else documents
-        output.write_json(options.json, document, force=options.force)
+        deliveries.give(lambda: output.write_json(options.json, document, force=options.force))
+    deliveries.check()
     if unreadable:
         return 2
     return 1 if any(result.verdict == "refused" for result in results) else 0
@@ -85,13 +87,20 @@ def _pair(options: argparse.Namespace, airframe: Airframe, chain: ChainOptions) 
     )
 
 
-def _print(log: str, result: Result, truth: Mapping[str, float] | None, *, table: bool) -> None:
+def _print(
+    log: str,
+    result: Result,
+    truth: Mapping[str, float] | None,
+    deliveries: output.Deliveries,
+    *,
+    table: bool,
+) -> None:
     if result.verdict == "refused":
         why = "; ".join(result.reasons)
-        print(f"gcs-sysid: {log}: cannot identify from this: {why}", file=sys.stderr)
+        output.say(f"gcs-sysid: {log}: cannot identify from this: {why}")
     known = any(e.value is not None and e.status != "given" for e in result.parameters.values())
     if table and known:
-        print(result_table(result, truth, output.terminal_width()))
+        deliveries.give(lambda: output.show(result_table(result, truth, output.terminal_width())))
 
 
 def _tuning(method: str) -> Tuning:

@@ -367,6 +367,20 @@ def add_batch(parser: argparse.ArgumentParser) -> None:
     processes.add_argument(
         "--scheduler", metavar="URL", help="work on a Dask cluster, such as tcp://10.0.0.1:8786"
     )
+    parser.add_argument(
+        "--log-timeout",
+        type=between(0.01, 1e6, "s"),
+        default=1800.0,
+        metavar="S",
+        help="that one log may take, else it is given up (default 1800)",
+    )
+    parser.add_argument(
+        "--log-memory",
+        type=between(10.0, 1e6, "MB"),
+        default=4000.0,
+        metavar="MB",
+        help="that one log may take, on Linux (default 4000)",
+    )
     _add_airframe(parser)
     parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
     parser.add_argument(

@@ -1,6 +1,7 @@
 """`gcs-sysid batch`: identify from many logs."""
 
 import argparse
+import functools
 import os
 import shutil
 import sys
@@ -10,11 +11,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gcs_sysid.cli import arguments
+from gcs_sysid.cli.output import Deliveries, say
 from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet import batch_table as table
 from gcs_sysid.fleet.batch import Batch, Tally
 from gcs_sysid.fleet.jobs import Job
+from gcs_sysid.fleet.limits import Limits, analyze_within
 from gcs_sysid.fleet.log_files import AIRFRAME_FILE, find_logs, nearest_airframe
 from gcs_sysid.fleet.pools import ClusterPool, LocalPool, Pool
 from gcs_sysid.fleet.store import Store
@@ -33,19 +36,24 @@ def run(options: argparse.Namespace) -> int:
     jobs = [Job(log, airframes[log], options.vehicle, options.offline) for log in logs]
     store = Store(Path(options.output), force=options.force)
     stop = threading.Event()
+    work = functools.partial(analyze_within, Limits(options.log_timeout, options.log_memory))
     pool: Pool
     if options.scheduler is not None:
-        pool = ClusterPool(options.scheduler)
+        pool = ClusterPool(options.scheduler, work)
     else:
-        pool = LocalPool(min(options.workers or os.cpu_count() or 1, len(jobs)))
+        pool = LocalPool(min(options.workers or os.cpu_count() or 1, len(jobs)), work)
+    batch = Batch(jobs, store, pool, _shower(), stop.is_set)
+    rows = batch.tally.rows
+    deliveries = Deliveries()
     with on_signals(stop.set):
         try:
-            batch = Batch(jobs, store, pool, _shower(), stop.is_set)
-            rows = batch.run()
+            deliveries.give(batch.run)
         finally:
             pool.close()
-        table.write_table(store.table, rows)
-    print(f"gcs-sysid: {_summary(batch.tally)}: {store.table}", file=sys.stderr)
+        written = deliveries.give(lambda: table.write_table(store.table, rows))
+    where = f": {store.table}" if written else ""
+    say(f"gcs-sysid: {_summary(batch.tally)}{where}")
+    deliveries.check()
     if len(rows) < len(jobs):
         print(
             f"gcs-sysid: interrupted; the same command does the other {len(jobs) - len(rows)}",

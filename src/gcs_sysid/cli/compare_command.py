@@ -19,9 +19,13 @@ _WIDTH = 100
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when the results do not allow an answer."""
     comparison = compare(read_result(Path(options.before)), read_result(Path(options.after)))
-    output.write_json(options.json, comparison.as_json(), force=options.force)
+    deliveries = output.Deliveries()
     if options.json != "-":
-        print(report(comparison))
+        deliveries.give(lambda: output.show(report(comparison)))
+    deliveries.give(
+        lambda: output.write_json(options.json, comparison.as_json(), force=options.force)
+    )
+    deliveries.check()
     if comparison.verdict != "cannot_tell":
         return 0
     print("gcs-sysid: cannot compare: no parameter is identified in both", file=sys.stderr)

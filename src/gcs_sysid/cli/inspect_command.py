@@ -31,10 +31,12 @@ def run(options: argparse.Namespace) -> int:
     is_log = _is_log(options.target)
     output.check_json(options.json, force=options.force)
     found = _log(options) if is_log else _link(options)
-    output.write_json(options.json, found.as_json(), force=options.force)
+    deliveries = output.Deliveries()
     if options.json != "-":
         width = min(shutil.get_terminal_size((80, 24)).columns, WIDEST)
-        print(report(found, width))
+        deliveries.give(lambda: output.show(report(found, width)))
+    deliveries.give(lambda: output.write_json(options.json, found.as_json(), force=options.force))
+    deliveries.check()
     return 0 if found.heard else 1
 
 

@@ -85,4 +85,5 @@ class JsonLines:
                 say(f"{self._problem(error)}; the session goes on")
 
     def _problem(self, error: OSError) -> str:
-        return f"{self._path}: cannot write: {error.strerror}"
+        name = "standard output" if self.to_stdout else self._path
+        return f"{name}: cannot write: {error.strerror}"

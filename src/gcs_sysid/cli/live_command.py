@@ -167,16 +167,18 @@ def follow(
         raise session.problem
     if late_truth is not None:
         truth = late_truth() or truth
-    try:
-        writer.write(session.final)
-        writer.close()
-        if not writer.to_stdout:
-            print(result_table(session.final, truth, output.terminal_width()), flush=True)
-    finally:
-        for line in session.recordings():
-            output.say(line)
+    table = result_table(session.final, truth, output.terminal_width())
+    deliveries = output.Deliveries()
+    if not writer.to_stdout:
+        deliveries.give(lambda: output.show(table))
+    writer.write(session.final)
+    if not deliveries.give(writer.close) and writer.to_stdout and not deliveries.unread:
+        output.say(table)  # the numbers of a flight are not lost with a disk
+    for line in session.recordings():
+        output.say(line)
     if session.problem is not None:
         raise session.problem
+    deliveries.check()
     return 1 if session.final.verdict == "refused" else 0
 
 

@@ -1,18 +1,92 @@
 """What commands read and write beside their results: truth files, JSON, progress."""
 
 import contextlib
+import errno
 import io
 import json
+import os
 import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TextIO
+from typing import TextIO, TypeGuard
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target, read_text, write_whole
 
 _MAX_TRUTH_BYTES = 1_000_000
+
+
+class Deliveries:
+    """What a command gives at its end: each part is tried, whatever becomes of the others."""
+
+    def __init__(self) -> None:
+        self._errors: list[Exception] = []
+
+    def give(self, part: Callable[[], object]) -> bool:
+        """Try one part; whether it was delivered."""
+        try:
+            part()
+        except (OSError, InputError) as error:
+            told = InputError(f"cannot write: {error.strerror}") if is_full(error) else error
+            self._errors.append(told)
+            return False
+        return True
+
+    @property
+    def unread(self) -> bool:
+        """Whether all that was not delivered has a reader that has gone."""
+        return all(isinstance(error, BrokenPipeError) for error in self._errors)
+
+    def check(self) -> None:
+        """Tell what could not be delivered.
+
+        Raises:
+            InputError: the first of them; others are lines on standard error, unless they are
+                of the same kind: one full disk is one line.
+            OSError: the same; BrokenPipeError where a reader has gone and nothing else is wrong.
+        """
+        lost = [error for error in self._errors if not isinstance(error, BrokenPipeError)]
+        for error in lost[1:]:
+            if _kind(error) != _kind(lost[0]):
+                say(f"gcs-sysid: error: {error}")
+        for error in (lost or self._errors)[:1]:
+            raise error
+
+
+def show(text: str) -> None:
+    """Print at once, so that what cannot be printed is known here.
+
+    Raises:
+        InputError: standard output takes no more, as on a full disk.
+        OSError: who read it has gone.
+    """
+    try:
+        print(text, flush=True)
+    except OSError as error:
+        if not is_full(error):
+            raise
+        abandon_stdout()
+        raise InputError(f"standard output: cannot write: {error.strerror}") from error
+
+
+def _kind(error: Exception) -> str:
+    return str(error).rpartition(": ")[2]
+
+
+def is_full(error: Exception) -> TypeGuard[OSError]:
+    """Whether a file without a name, as standard output is, could not be written."""
+    return (
+        isinstance(error, OSError)
+        and error.filename is None
+        and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
+    )
+
+
+def abandon_stdout() -> None:
+    """What waits there goes nowhere, and Python does not complain of it at exit."""
+    with contextlib.suppress(OSError, ValueError):  # ValueError: it is no file, as in tests
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def read_truth(path: str) -> dict[str, float]:
@@ -75,10 +149,15 @@ def write_json(path: str | None, document: object, *, force: bool) -> None:
         return
     text = json.dumps(document, indent=2, allow_nan=False) + "\n"
     if path == "-":
-        print(text, end="")
+        show(text.rstrip("\n"))
     elif _is_device(path):
-        with open_output(path, force=force) as file:
-            file.write(text)
+        try:
+            with open_output(path, force=force) as file:
+                file.write(text)
+        except OSError as error:
+            if isinstance(error, BrokenPipeError):
+                raise
+            raise InputError(f"{path}: cannot write: {error.strerror}") from error
     else:
         write_whole(Path(path), text, replace=force)
 
@@ -102,7 +181,7 @@ def print_file(text: str) -> None:
     """Print a file's text as the file has it, whatever a pipe on Windows would make of it."""
     if isinstance(sys.stdout, io.TextIOWrapper) and not sys.stdout.isatty():
         sys.stdout.reconfigure(encoding="utf-8", newline="\n")
-    print(text, end="")
+    show(text.removesuffix("\n"))
 
 
 def terminal_width() -> int | None:

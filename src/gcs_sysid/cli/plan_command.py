@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gcs_sysid.cli import arguments
 from gcs_sysid.cli.option_groups import limits_of
-from gcs_sysid.cli.output import print_file, save
+from gcs_sysid.cli.output import Deliveries, print_file, save, show
 from gcs_sysid.coach.flight_plan import make_plan
 from gcs_sysid.coach.interval_targets import shares
 from gcs_sysid.coach.plan_picture import plan_svg, plan_text
@@ -41,12 +41,15 @@ def run(options: argparse.Namespace) -> int:
 
     known = prior_vehicle(airframe, commands=rotor_input == "command")
     plan = make_plan(airframe.name, known, judge, options.target, limits_of(options))
-    if options.svg:
-        _write(options.svg, plan_svg(plan), options)
-    if options.json:
-        _write(options.json, json.dumps(plan.as_json(), indent=1) + "\n", options)
+    deliveries = Deliveries()
     if options.json != "-" and options.svg != "-":
-        print(plan_text(plan, unicode=can_show("▁▂▃▄▅▆▇█±°")))
+        deliveries.give(lambda: show(plan_text(plan, unicode=can_show("▁▂▃▄▅▆▇█±°"))))
+    if options.svg:
+        deliveries.give(lambda: _write(options.svg, plan_svg(plan), options))
+    if options.json:
+        document = json.dumps(plan.as_json(), indent=1) + "\n"
+        deliveries.give(lambda: _write(options.json, document, options))
+    deliveries.check()
     return 0 if plan.enough else 1
 
 

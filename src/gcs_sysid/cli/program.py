@@ -15,10 +15,13 @@ from collections.abc import Sequence
 from gcs_sysid import __version__
 from gcs_sysid.argument_types import OneLineParser
 from gcs_sysid.cli import arguments, option_groups
+from gcs_sysid.cli.output import abandon_stdout, is_full, say
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.sanitize import one_line
 
 PROGRAM = "gcs-sysid"
+_STRICT = ("strict", "surrogateescape")
+"""Ways to fail at a sign that an encoding lacks; the latter is what Python does in LANG=C."""
 DONE, NO_ANSWER, USAGE = 0, 1, 2
 """Exit statuses: done; the data do not allow an answer; wrong usage, unreadable input or a defect.
 A command that Ctrl-C ended at once has 130; see also `signals.BY_SIGNAL`."""
@@ -136,6 +139,53 @@ def build_parser() -> argparse.ArgumentParser:
 def run(argv: Sequence[str]) -> int:
     """Parse and run; errors become one line on standard error and a status."""
     _never_fail_to_print()
+    try:
+        status = _run(argv)
+        sys.stdout.flush()
+        return status
+    except GcsSysidError as error:
+        say(f"{PROGRAM}: error: {error}")
+        return USAGE
+    except KeyboardInterrupt:
+        return 130
+    except Exception as error:
+        if _reader_has_gone(error):
+            abandon_stdout()
+            return DONE
+        if is_full(error):
+            where = "standard output: " if _stdout_is_full() else ""
+            say(f"{PROGRAM}: error: {where}cannot write: {error.strerror}")
+            return USAGE
+        if isinstance(error, MemoryError):
+            say(f"{PROGRAM}: error: not enough memory for this")
+            return USAGE
+        # A defect. The user gets one line; whoever mends it sets GCS_SYSID_DEBUG.
+        if os.environ.get("GCS_SYSID_DEBUG"):
+            raise
+        if isinstance(error, OSError) and error.filename is not None:
+            # The machine's: a folder that may not be looked into, a name that is too long.
+            said = one_line(f"{error.filename}: {error.strerror}")
+            say(f"{PROGRAM}: error: {said}")
+            return USAGE
+        kind = type(error).__name__
+        say(
+            f"{PROGRAM}: error: internal error ({kind}: {one_line(str(error))}); "
+            "please report it, with GCS_SYSID_DEBUG=1 set"
+        )
+        return USAGE
+
+
+def _stdout_is_full() -> bool:
+    """Whether something waits there that cannot be written; it is given up."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        abandon_stdout()
+        return True
+    return False
+
+
+def _run(argv: Sequence[str]) -> int:
     parser = build_parser()
     try:
         options = parser.parse_args(argv)
@@ -147,36 +197,9 @@ def run(argv: Sequence[str]) -> int:
 
         print(welcome(parser))
         return DONE
-    try:
-        command = importlib.import_module(f"gcs_sysid.cli.{options.command}_command")
-        status: int = command.run(options)
-        sys.stdout.flush()
-        return status
-    except GcsSysidError as error:
-        print(f"{PROGRAM}: error: {error}", file=sys.stderr)
-        return USAGE
-    except KeyboardInterrupt:
-        return 130
-    except Exception as error:
-        if _reader_has_gone(error):
-            # Keep Python from complaining at exit.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return DONE
-        # A defect. The user gets one line; whoever mends it sets GCS_SYSID_DEBUG.
-        if os.environ.get("GCS_SYSID_DEBUG"):
-            raise
-        if isinstance(error, OSError) and error.filename is not None:
-            # The machine's: a folder that may not be looked into, a name that is too long.
-            said = one_line(f"{error.filename}: {error.strerror}")
-            print(f"{PROGRAM}: error: {said}", file=sys.stderr)
-            return USAGE
-        kind = type(error).__name__
-        print(
-            f"{PROGRAM}: error: internal error ({kind}: {one_line(str(error))}); "
-            "please report it, with GCS_SYSID_DEBUG=1 set",
-            file=sys.stderr,
-        )
-        return USAGE
+    command = importlib.import_module(f"gcs_sysid.cli.{options.command}_command")
+    status: int = command.run(options)
+    return status
 
 
 def _reader_has_gone(error: Exception) -> bool:
@@ -189,7 +212,12 @@ def _reader_has_gone(error: Exception) -> bool:
 
 
 def _never_fail_to_print() -> None:
-    """A sign that standard output's encoding lacks (cp1252, ASCII) becomes a question mark."""
+    """A sign that standard output's encoding lacks (cp1252, ASCII) becomes a question mark.
+
+    What was closed before the start, as by `>&-`, leads nowhere.
+    """
+    sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+        if isinstance(stream, io.TextIOWrapper) and stream.errors in _STRICT:
             stream.reconfigure(errors="replace")

@@ -72,7 +72,9 @@ def _mistakes(geometry: Array) -> list[tuple[str, Array]]:
     for i, j in combinations(range(geometry.shape[1]), 2):
         order = np.arange(geometry.shape[1])
         order[[i, j]] = j, i
-        found.append((f"rotors {i + 1} and {j + 1} look swapped in the airframe file", geometry[:, order]))
+        found.append(
+            (f"rotors {i + 1} and {j + 1} look swapped in the airframe file", geometry[:, order])
+        )
     x, y, s = geometry
     turned = ((90, -y, x), (180, -x, -y), (270, y, -x))
     found += [

@@ -449,9 +449,7 @@ def _shocks(
     return _far_stronger(TP, point.variance[0], batches, counts)
 
 
-def find_shocks(
-    TP: Array, fit: RotationFit, batches: Array, counts: NDArray[np.int64]
-) -> Mask:
+def find_shocks(TP: Array, fit: RotationFit, batches: Array, counts: NDArray[np.int64]) -> Mask:
     """(k,) which batches hold shocks, by a fit.
 
     Args:
@@ -463,9 +461,7 @@ def find_shocks(
     return _far_stronger(TP, np.diag(fit.residual_covariance), batches, counts)
 
 
-def _far_stronger(
-    TP: Array, variance: Array, batches: Array, counts: NDArray[np.int64]
-) -> Mask:
+def _far_stronger(TP: Array, variance: Array, batches: Array, counts: NDArray[np.int64]) -> Mask:
     def power(some: Array) -> Array:
         squares: Array = ((TP[:, None] @ some)[:, :, 0] * TP).sum(axis=-1)
         return squares

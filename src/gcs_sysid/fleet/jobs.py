@@ -89,7 +89,8 @@ def analyze(task: Task) -> Document:
     """The result of one log, or why it is none, as the file that is kept.
 
     Raises:
-        InputError: the log cannot be opened just now; that says nothing of its content.
+        InputError: the log cannot be opened just now, or memory does not suffice; that says
+            nothing of its content.
     """
     job = task.job
     made: Document
@@ -97,7 +98,7 @@ def analyze(task: Task) -> Document:
         options = ChainOptions(history_interval=None, offline=job.offline)
         made = analyze_log(Path(task.path), job.airframe, job.vehicle, options).as_json()
     except InputError as error:
-        if isinstance(error.__cause__, OSError):
+        if isinstance(error.__cause__, OSError | MemoryError):
             raise
         reason = str(error).replace(task.path, str(job.log))
         made = {"schema": FAILURE, "error": reason}

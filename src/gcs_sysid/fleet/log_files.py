@@ -7,7 +7,7 @@ from typing import NoReturn
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_regular, split_session
-from gcs_sysid.telemetry import blackbox_format, dataflash_format, ulog
+from gcs_sysid.telemetry import blackbox_format, dataflash_format, ulog_scan
 from gcs_sysid.telemetry.blackbox import flight_sessions
 from gcs_sysid.telemetry.frames import Validity, read_frame
 from gcs_sysid.telemetry.tlog_scan import STAMP
@@ -83,7 +83,7 @@ def _is_log(path: Path) -> bool:
         return False
     if blackbox_format.MAGIC in head:
         return True
-    if head.startswith((ulog.MAGIC[:4], dataflash_format.HEAD)):
+    if head.startswith((ulog_scan.MAGIC[:4], dataflash_format.HEAD)):
         return True
     frame = read_frame(head, STAMP)
     return frame is not None and frame.valid is Validity.OK

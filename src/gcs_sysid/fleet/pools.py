@@ -119,12 +119,14 @@ class ClusterPool:
 
     Args:
         address: of the scheduler, such as tcp://10.0.0.1:8786.
+        work: what is done with a task.
 
     Raises:
         InputError: Dask is not installed, there is no scheduler, or its workers cannot do it.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, work: Callable[[Task], Document] = analyze) -> None:
+        self._work = work
         try:
             import distributed
         except ImportError as error:
@@ -168,7 +170,7 @@ class ClusterPool:
         """
         if self._client.status != "running":
             raise InputError("the Dask scheduler is gone; the same command does what is left")
-        future: Future[Document] = self._executor.submit(analyze, task)
+        future: Future[Document] = self._executor.submit(self._work, task)
         return future
 
     def close(self) -> None:
@@ -228,7 +230,7 @@ def reason(error: BaseException) -> str:
     """In a line, why a task has no document."""
     kind: Any = type(error)
     if isinstance(error, BrokenExecutor) or kind.__name__ == "KilledWorker":
-        return "the process that analysed it died, again when tried anew (out of memory?)"
+        return "the process that analysed it died, again when tried anew (out of memory or time?)"
     if isinstance(error, InputError):
         return str(error)
     if isinstance(error, CancelledError):

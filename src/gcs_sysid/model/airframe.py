@@ -22,6 +22,15 @@ AnchorName = Literal["mass", "k_T", "T_max"]
 ANCHORS: dict[AnchorName, str] = {name: REGISTRY[name].unit for name in get_args(AnchorName)}
 """The values that can set the scale, with their units."""
 
+_SCALES: dict[str, tuple[float, float]] = {
+    "mass": (1e-3, 1e5), "k_T": (1e-12, 1e3), "T_max": (1e-3, 1e6),
+}  # fmt: skip
+"""Least and most that a multirotor can have; beyond lie the squares that overflow."""
+_MOST_PRIOR, _LEAST_STD = 1e9, 1e-15
+"""Of a prior, in whatever unit; also the least of one that must be positive."""
+_LEAST_CUTOFF = 0.1
+"""Hz, of a gyro filter."""
+
 PRIORS = tuple(name for name, parameter in REGISTRY.items() if parameter.prior)
 """Parameters that may be known beforehand."""
 
@@ -139,6 +148,7 @@ class Airframe:
         """
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"{name} must be a positive number ({ANCHORS[name]}), got {value}")
+        _check_scale(name, value, name)
         cleared: dict[str, float | None] = dict.fromkeys(ANCHORS)
         cleared[name] = value
         return replace(self, **cleared)  # type: ignore[arg-type]
@@ -269,15 +279,17 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
     _reject_unknown(table, {"name", "rotor_input", *ANCHORS, *tables}, where)
     name = table.get("name", Path(where).stem)
     if not isinstance(name, str):
-        raise InputError(f"{where}: name must be text, got {name!r}")
+        raise InputError(f"{where}: name must be text, got {_shown(name)}")
     rotor_input = table.get("rotor_input", "auto")
     if rotor_input not in ("auto", "speed", "command"):
         raise InputError(
-            f"{where}: rotor_input must be 'auto', 'speed' or 'command', got {rotor_input!r}"
+            f"{where}: rotor_input must be 'auto', 'speed' or 'command', got {_shown(rotor_input)}"
         )
     anchors: dict[str, float] = {
         name: _positive(table[name], f"{where}: {name}") for name in ANCHORS if name in table
     }
+    for anchor, value in anchors.items():
+        _check_scale(anchor, value, f"{where}: {anchor}")
     if len(anchors) > 1:
         raise InputError(
             f"{where}: give one scale only, not {' and '.join(anchors)} together; "
@@ -303,6 +315,12 @@ def _uncertainty(table: object, where: str) -> GivenUncertainty:
     return USUAL.altered(table, where)
 
 
+def _check_scale(name: str, value: float, where: str) -> None:
+    least, most = _SCALES[name]
+    if not least <= value <= most:
+        raise InputError(f"{where} must lie in {least:g}..{most:g}, got {value:g}")
+
+
 def _priors(table: object, where: str) -> dict[str, tuple[float, float]]:
     if not isinstance(table, dict):
         raise InputError(f"{where}: [prior] must be a table of name = [value, std]")
@@ -310,7 +328,7 @@ def _priors(table: object, where: str) -> dict[str, tuple[float, float]]:
     for name, entry in table.items():
         at = f"{where}: [prior] {name}"
         if not isinstance(entry, list) or len(entry) != 2:
-            raise InputError(f"{at}: must be [value, standard deviation], got {entry!r:.40}")
+            raise InputError(f"{at}: must be [value, standard deviation], got {_shown(entry)}")
         value, std = (_number(number, at) for number in entry)
         _check_prior(name, value, std, where)
         out[name] = (value, std)
@@ -322,7 +340,9 @@ def _check_prior(name: str, value: float, std: float, where: str) -> None:
         raise InputError(f"{where}: no prior on {name!r}; known are {', '.join(PRIORS)}")
     if not (math.isfinite(value) and math.isfinite(std) and std > 0.0):
         raise InputError(f"{where}: the standard deviation of {name} must be positive")
-    if REGISTRY[name].sign == "positive" and value <= 0.0:
+    if abs(value) > _MOST_PRIOR or not _LEAST_STD <= std <= _MOST_PRIOR:
+        raise InputError(f"{where}: {name} cannot be {value:g} with a deviation of {std:g}")
+    if REGISTRY[name].sign == "positive" and value < _LEAST_STD:
         raise InputError(f"{where}: {name} must be positive, got {value:g}")
 
 
@@ -342,7 +362,7 @@ def _rotors(entries: object, where: str) -> tuple[Rotor, ...]:
                 raise InputError(f"{at}: {key} is missing")
         spin = {"ccw": 1, "cw": -1}.get(str(entry["spin"]).lower())
         if spin is None:
-            raise InputError(f"{at}: spin must be 'ccw' or 'cw', got {entry['spin']!r}")
+            raise InputError(f"{at}: spin must be 'ccw' or 'cw', got {_shown(entry['spin'])}")
         x, y = (_number(entry[key], f"{at}: {key}") for key in ("x", "y"))
         if math.hypot(x, y) > MOST_ARM:
             raise InputError(f"{at}: x and y are metres; {math.hypot(x, y):g} m is too far out")
@@ -385,10 +405,10 @@ def _imu_position(entry: object, where: str) -> tuple[float, float, float] | Non
     if entry is None:
         return None
     if not isinstance(entry, list) or len(entry) != 3:
-        raise InputError(f"{where} must be [x, y, z] in m, got {entry!r:.40}")
+        raise InputError(f"{where} must be [x, y, z] in m, got {_shown(entry)}")
     x, y, z = (_number(value, where) for value in entry)
     if max(abs(x), abs(y), abs(z)) > MOST_ARM:
-        raise InputError(f"{where} must be in m, got {entry!r:.40}")
+        raise InputError(f"{where} must be in m, got {_shown(entry)}")
     return x, y, z
 
 
@@ -396,8 +416,10 @@ def _gyro_filter(table: Mapping[str, Any], where: str) -> float | None:
     if "gyro_filter" not in table:
         return None
     cutoff = _number(table["gyro_filter"], f"{where} gyro_filter")
-    if not 0.0 <= cutoff <= 1000.0:
-        raise InputError(f"{where}: gyro_filter must lie in 0..1000 Hz, got {cutoff:g}")
+    if cutoff and not _LEAST_CUTOFF <= cutoff <= 1000.0:
+        raise InputError(
+            f"{where}: gyro_filter must be 0 or {_LEAST_CUTOFF}..1000 Hz, got {cutoff:g}"
+        )
     return cutoff
 
 
@@ -414,8 +436,16 @@ def _number(value: object, where: str) -> float:
         or not isinstance(value, int | float)
         or not abs(value) <= sys.float_info.max
     ):
-        raise InputError(f"{where} must be a number, got {value!r:.40}")
+        raise InputError(f"{where} must be a number, got {_shown(value)}")
     return float(value)
+
+
+def _shown(value: object) -> str:
+    """What a file has in place of something else, cut to a bearable length."""
+    try:
+        return f"{value!r:.40}"
+    except (ValueError, RecursionError):  # Python writes no whole number of 4300 digits
+        return "a number of thousands of digits"
 
 
 def _positive(value: object, where: str) -> float:

@@ -144,9 +144,10 @@ def are_physical(elements: Array) -> Mask:
     """
     xx, yy, zz, xy, yz, xz = (elements[..., i] for i in range(N_INERTIA))
     # Sylvester's criterion on tr(J)/2 - J.
-    a, b, c = 0.5 * (yy + zz - xx), 0.5 * (zz + xx - yy), 0.5 * (xx + yy - zz)
-    minor = a * b - xy * xy
-    determinant = c * minor - a * yz * yz - b * xz * xz - 2.0 * xy * yz * xz
+    with np.errstate(over="ignore", invalid="ignore"):  # of numbers like 1e308: no rigid body
+        a, b, c = 0.5 * (yy + zz - xx), 0.5 * (zz + xx - yy), 0.5 * (xx + yy - zz)
+        minor = a * b - xy * xy
+        determinant = c * minor - a * yz * yz - b * xz * xz - 2.0 * xy * yz * xz
     return np.asarray((a > 0.0) & (minor > 0.0) & (determinant > 0.0))
 
 

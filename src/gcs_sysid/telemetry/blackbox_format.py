@@ -52,6 +52,9 @@ _PREDICTORS = {
     "H": _ALWAYS - {MOTOR_0}, "S": _ALWAYS - {MOTOR_0},
 }  # fmt: skip
 _LINE = re.compile(rb"H ([\x20-\x39\x3b-\x7e]{1,64}):([\x20-\x7e\x80-\xff]*)\r?")
+_TEXT = bytes([0x0D, *range(0x20, 0x7F), *range(0x80, 0x100)])
+"""What a line may consist of."""
+_LINE_OR_FRAME = re.compile(rb"H |[IPGSE]")
 _DIGITS = re.compile(r"[+-]?\d{1,9}")
 
 
@@ -141,22 +144,28 @@ def read_header(data: bytes, start: int, stop: int) -> Header:
     values: dict[str, str] = {}
     fields: dict[str, dict[str, str]] = {}
     at, last = start, min(stop, start + _LONGEST_HEADER)
-    while at < last:
-        if data[at : at + 2] == b"H ":
-            end = data.find(b"\n", at, min(at + _LONGEST_LINE, last))
-            match = _LINE.fullmatch(data, at, end) if end >= 0 else None
-            if match:
-                name, value = match[1].decode("ascii"), match[2].decode("utf-8", "replace")
-                _, letter, what = (*name.split(" ", 2), "", "")[:3]
-                if name.startswith("Field ") and len(letter) == 1:
-                    fields.setdefault(letter, {})[what] = value
-                else:
-                    values[name] = value
-            at = end + 1 if match else at + 1
-        elif data[at] in MARKERS and data[at] != ord("H"):
+    end = wrong = start  # of the line, and what is in it before which none can begin
+    while found := _LINE_OR_FRAME.search(data, at, last):
+        at = found.start()
+        if data[at] != ord("H"):
             break
-        else:  # between header and frames
-            at += 1
+        if at >= end:
+            end = data.find(b"\n", at, last)
+            end = last + _LONGEST_LINE if end < 0 else end
+        fits = at >= wrong and end - at < _LONGEST_LINE
+        match = _LINE.fullmatch(data, at, end) if fits else None
+        if match:
+            name, value = match[1].decode("ascii"), match[2].decode("utf-8", "replace")
+            _, letter, what = (*name.split(" ", 2), "", "")[:3]
+            if name.startswith("Field ") and len(letter) == 1:
+                fields.setdefault(letter, {})[what] = value
+            else:
+                values[name] = value
+        elif fits:
+            wrong = at + len(data[at:end].rstrip(_TEXT))
+        at = end + 1 if match else at + 1
+    else:
+        at = last
     if "I" not in fields or "P" not in fields:
         raise InputError("its header does not describe the frames: it is damaged, or cut short")
     fields["P"] = {**fields["I"], **fields["P"]}

@@ -6,6 +6,8 @@ type at once with NumPy: a log of 20 MB takes half a second where a decoder that
 of every entry takes twelve.
 """
 
+from array import array
+from bisect import bisect_left
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +23,10 @@ MOST_BYTES = 2**32
 _FMT = 0x80
 _FMT_SIZE = 89
 _HEADER = 3
+_MOST_FMT = 4096
+"""FMT entries looked into; there are 256 types."""
+_SEARCHED = 2**16
+"""Bytes searched at once where the chain of entries is broken."""
 
 _TYPES: dict[str, tuple[str, float | None]] = {
     "a": ("(32,)<i2", None), "b": ("i1", None), "B": ("u1", None), "h": ("<i2", None),
@@ -69,6 +75,8 @@ class DataflashLog:
             raise InputError(f"{path}: too large for this machine's memory") from error
         self.garbage_bytes = 0
         self._types: dict[int, EntryType] = {}
+        self._found: list[int] = []  # entries in what was searched, and up to where that was
+        self._searched = 0
         self._places = self._find()
         self._by_name = {entry.name: number for number, entry in self._types.items()}
         if not any(places for number, places in self._places.items() if number != _FMT):
@@ -89,7 +97,8 @@ class DataflashLog:
     def places(self, name: str) -> NDArray[np.int64]:
         """Positions in the file of all entries of a name, rising."""
         number = self._by_name.get(name)
-        return np.array(self._places.get(-1 if number is None else number, ()), dtype=np.int64)
+        places = self._places.get(-1 if number is None else number, ())
+        return np.array(places, dtype=np.int64)
 
     def columns(self, name: str) -> dict[str, Array]:
         """All entries of a name as column -> (n,) values, scaled; {} when there are none.
@@ -121,11 +130,11 @@ class DataflashLog:
                 if values.ndim == 1 and values.dtype.kind in "iuf"
             }
 
-    def _find(self) -> dict[int, list[int]]:
+    def _find(self) -> "dict[int, array[int]]":
         """Type number -> positions of its entries; learns the types on the way."""
         data = self._data
         end = len(data)
-        places: dict[int, list[int]] = {_FMT: []}
+        places = {_FMT: array("q")}
         sizes = {_FMT: _FMT_SIZE}
         at = 0
         while at + _HEADER <= end:
@@ -146,17 +155,35 @@ class DataflashLog:
 
     def _resync(self, at: int, sizes: dict[int, int]) -> int:
         """Position of the next entry that another one, or the end, follows."""
-        data = self._data
-        while (at := data.find(HEAD, at)) >= 0:
-            size = sizes.get(data[at + 2]) if at + 2 < len(data) else None
-            if size is not None and data[at + size : at + size + 2] in (HEAD, b""):
-                return at
-            at += 1
-        return len(data)
+        while at < len(self._data):
+            if at >= self._searched:
+                self._search(at, sizes)
+            index = bisect_left(self._found, at)
+            if index < len(self._found):
+                return self._found[index]
+            at = self._searched
+        return len(self._data)
 
-    def _learn(self, at: int, sizes: dict[int, int], places: dict[int, list[int]]) -> None:
+    def _search(self, start: int, sizes: dict[int, int]) -> None:
+        """Find all such entries in a stretch: of garbage, every third byte may begin one."""
+        end = len(self._data)
+        self._searched = min(start + _SEARCHED, end)
+        data = np.frombuffer(self._data, np.uint8)
+        first = np.flatnonzero(data[start : min(self._searched, end - 2)] == HEAD[0]) + start
+        first = first[data[first + 1] == HEAD[1]]
+        size_of = np.zeros(256, np.int64)
+        size_of[list(sizes)] = list(sizes.values())
+        size = size_of[data[first + 2]]
+        first, follows = first[size > 0], (first + size)[size > 0]
+        last = np.minimum(follows, end - 2)
+        headed = (data[last] == HEAD[0]) & (data[last + 1] == HEAD[1]) & (follows < end - 1)
+        self._found = first[headed | (follows >= end)].tolist()
+
+    def _learn(self, at: int, sizes: dict[int, int], places: "dict[int, array[int]]") -> None:
         """Take up a FMT entry, if it can be true."""
         number, size = self._data[at + 3], self._data[at + 4]
+        if number in sizes or len(places[_FMT]) > _MOST_FMT:
+            return
         texts = [
             self._data[at + start : at + stop].split(b"\0", 1)[0].decode("ascii", "replace")
             for start, stop in ((5, 9), (9, 25), (25, _FMT_SIZE))
@@ -165,12 +192,14 @@ class DataflashLog:
         columns = tuple(labels.split(",")) if labels else ()
         if not (name + labels).isprintable():
             return
-        if number == _FMT or len(letters) != len(columns) or set(letters) - set(_TYPES):
+        if not letters or len(letters) != len(columns):
+            return
+        if set(letters) - set(_TYPES):
             return
         width = sum(np.dtype(_TYPES[letter][0]).itemsize for letter in letters)
         if width + _HEADER != size or len({*columns, ""}) != len(columns) + 1:
             return
-        if number not in sizes:
-            sizes[number] = size
-            places[number] = []
-            self._types[number] = EntryType(name, size, letters, columns)
+        sizes[number] = size
+        places[number] = array("q")
+        self._searched = 0  # what was found was found without it
+        self._types[number] = EntryType(name, size, letters, columns)

@@ -20,7 +20,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_regular, split_session
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.records import Record, Stream
-from gcs_sysid.telemetry import blackbox_format, dataflash_format, ulog
+from gcs_sysid.telemetry import blackbox_format, dataflash_format, ulog_scan
 from gcs_sysid.telemetry.blackbox import read_blackbox
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.dataflash import read_dataflash
@@ -297,7 +297,7 @@ def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
         return OnboardLog("blackbox", read_blackbox(file_path, session), wanted)
     if session is not None:
         raise InputError(f"{path}: only blackbox logs hold sessions; give {file_path.name}")
-    if head.startswith(ulog.MAGIC[:4]):
+    if head.startswith(ulog_scan.MAGIC[:4]):
         return OnboardLog("ulog", read_ulog(path), wanted)
     if head.startswith(dataflash_format.HEAD):
         return OnboardLog("dataflash", read_dataflash(path), wanted)

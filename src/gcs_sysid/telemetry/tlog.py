@@ -12,9 +12,9 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_regular
 from gcs_sysid.telemetry.frame_block import FrameBlock
-from gcs_sysid.telemetry.frames import Frame, find_frame
+from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.message_arrays import message_arrays
-from gcs_sysid.telemetry.tlog_scan import STAMP, ScanCounts, Scanner, record_follows
+from gcs_sysid.telemetry.tlog_scan import ScanCounts, Scanner, shows_a_record
 
 WINDOW = 2**21
 """Bytes read at once. Working on them takes about ten times as much memory."""
@@ -53,7 +53,7 @@ class TlogReader:
             raise InputError(f"cannot read {self.path}: {error.strerror}") from error
         if size == 0:
             raise InputError(f"{self.path} is empty: nothing was recorded in it")
-        if not _looks_like_tlog(head):
+        if not shows_a_record(head):
             raise InputError(f"{self.path} is not a .tlog: no MAVLink record found in it")
 
     @property
@@ -133,18 +133,3 @@ def read_messages(
             parts.setdefault(name, []).append(messages)
     # One type after the other, so that the pieces of the others are not held twice.
     return {name: np.concatenate(parts.pop(name)) for name in list(parts)}, reader.counts
-
-
-def _looks_like_tlog(head: bytes) -> bool:
-    """Whether a record whose checksum is right, followed by another or the end, is in there."""
-    at = 0
-    while at < len(head):
-        at, frame = find_frame(head, at, len(head), final=True)
-        if frame is None:
-            return False
-        if at >= STAMP and (
-            record_follows(head, at, frame) or at + len(frame.raw) + STAMP > len(head)
-        ):
-            return True
-        at += 1
-    return False

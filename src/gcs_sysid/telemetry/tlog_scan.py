@@ -44,6 +44,10 @@ CLOCK_STEP = 60_000_000
 other, is damaged."""
 FAR_STEP = 86_400_000_000
 """us. The same where there is only one neighbour."""
+_TRIED = 4096
+"""Bytes of a piece hunted through one by one, before all its good frames are found together."""
+_AT_ONCE = 2**19
+"""Candidates judged together."""
 ALONE = 2**20
 """Bytes of garbage after which no neighbour is waited for, however long it goes on."""
 
@@ -245,6 +249,22 @@ class _Chain:
         linked = magic[follows]
         self._linked = self._whole[linked]  # after which another record's magic byte stands
         self._follows = follows[linked]  # and where it stands
+        self._tried = 0
+        self._good: Array | None = None
+
+    def good(self) -> Array:
+        """(n,) where a frame with a right checksum begins, inside of others too."""
+        if self._good is None:
+            self._good = self._whole[self._are_good(self._whole)]
+        return self._good
+
+    def _are_good(self, at: Array) -> Mask:
+        """(n,) whether the checksum of each candidate is right."""
+        parts = [
+            _Headers(self._data, at[first : first + _AT_ONCE]).validity == OK
+            for first in range(0, len(at), _AT_ONCE)
+        ]
+        return np.concatenate([np.empty(0, bool), *parts])
 
     def frames(self, *, hunting: bool) -> tuple[Array, _Headers]:
         """Where the frames begin, and what they say.
@@ -274,28 +294,39 @@ class _Chain:
         """The chain as the lengths tell it, checksums aside."""
         linked, follows = self._linked, self._follows
         # Runs of candidates that lead to each other, and where the last of each leads.
-        last = np.flatnonzero(np.append(follows[:-1] != linked[1:], [True] * min(len(linked), 1)))
-        target = np.searchsorted(linked, follows[last])
-        known = linked[np.minimum(target, len(linked) - 1)] == follows[last]
-        runs_of_targets = np.searchsorted(last, target).tolist()
-        targets = np.where(known, target, -1).tolist()
-        lasts, leads_to = last.tolist(), follows[last].tolist()
-        pieces: list[Array] = []
+        ends = np.append(follows[:-1] != linked[1:], [True] * min(len(linked), 1))
+        last = np.flatnonzero(ends)
+        index_of = np.full(len(self._data), -1, np.int32)
+        index_of[linked] = np.arange(len(linked))
+        target = index_of[follows[last]]
+        run_of = np.cumsum(ends) - ends
+        # Read in place: in garbage there are as many runs as bytes, most of which none is led to.
+        targets, runs_of_targets = target.data, run_of[target].data
+        lasts, leads_to = last.data, follows[last].data
+        begins: list[int] = []  # in `linked`, or ~position of a frame that is not of it
+        stops: list[int] = []
         record: int | None = 0
         while record is not None and record <= self._limit:
-            first = int(np.searchsorted(linked, record + STAMP))
-            if not hunting and first < len(linked) and linked[first] == record + STAMP:
-                run = int(np.searchsorted(last, first))
+            first = -1 if hunting else int(index_of[record + STAMP])
+            if first >= 0:
+                run = int(run_of[first])
                 while first >= 0:
-                    pieces.append(linked[first : lasts[run] + 1])
+                    begins.append(first)
+                    stops.append(lasts[run] + 1)
                     record = leads_to[run] - STAMP
                     first, run = targets[run], runs_of_targets[run]
             else:
                 position, record = self._next(record, hunting=hunting)
                 if record is not None:
-                    pieces.append(np.array([position]))
+                    begins.append(~position)
+                    stops.append(-position)
             hunting = False
-        return np.concatenate([np.empty(0, np.intp), *pieces])
+        begin, stop = np.array(begins, np.intp), np.array(stops, np.intp)
+        count = stop - begin
+        index = np.repeat(begin - np.cumsum(count) + count, count) + np.arange(count.sum())
+        chain = ~index
+        chain[index >= 0] = linked[index[index >= 0]]
+        return chain
 
     def _next(self, record: int, *, hunting: bool) -> tuple[int, int | None]:
         """Where the next frame begins, and the record after it; None when there is none."""
@@ -306,7 +337,19 @@ class _Chain:
                 frame.valid is Validity.OK or record_follows(content, record + STAMP, frame)
             ):
                 return record + STAMP, record + STAMP + len(frame.raw)
-        position, frame = find_frame(content, record, len(content), final=True)
+        stop = min(record + _TRIED - self._tried, len(content))
+        if stop > record:
+            position, frame = find_frame(content, record, stop, final=True)
+            self._tried += position - record
+            if frame is not None:
+                return position, position + len(frame.raw)
+        # Much of the piece is garbage, of which every byte may look like a frame's first.
+        found = self.good()
+        index = int(np.searchsorted(found, record))
+        if index == len(found):
+            return len(content), None
+        position = int(found[index])
+        frame = read_frame(content, position)
         return position, None if frame is None else position + len(frame.raw)
 
     def _detour(self, chain: Array, record: int) -> tuple[list[int], int]:
@@ -335,12 +378,17 @@ class _Chain:
             return bad
         first = np.searchsorted(self._whole, chain[bad], side="right")
         count = np.searchsorted(self._whole, chain[bad] + head.size[bad]) - first
+        if int(count.sum()) > len(self._whole) // 2:
+            good = self.good()
+            before = np.searchsorted(good, chain[bad], side="right")
+            rejected: Array = bad[np.searchsorted(good, chain[bad] + head.size[bad]) > before]
+            return rejected
         owner = np.repeat(np.arange(len(bad)), count)
         nth = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
         inside = self._whole[first[owner] + nth]
-        good = _Headers(self._data, inside).validity == OK
-        rejected: Array = bad[np.unique(owner[good])]
-        return rejected
+        good = self._are_good(inside)
+        holding: Array = bad[np.unique(owner[good])]
+        return holding
 
 
 def _is_cut_short(rest: bytes) -> bool:
@@ -352,6 +400,25 @@ def _is_cut_short(rest: bytes) -> bool:
         return HEADER_1 + frame[1] + CHECKSUM > len(frame)
     size = HEADER_2 + frame[1] + CHECKSUM + SIGNATURE * frame[2]
     return frame[0] == MAGIC_2 and frame[2] <= FLAG_SIGNED and size > len(frame)
+
+
+def shows_a_record(head: bytes) -> bool:
+    """Whether a record whose checksum is right, followed by another or the end, is in there."""
+    position, frame = find_frame(head, 0, min(_TRIED, len(head)), final=True)
+    places = [position] if frame is not None else []
+    if not places or not _begins_record(head, position):
+        data = np.frombuffer(head + bytes(LONGEST_FRAME + STAMP), np.uint8)
+        places = _Chain(head, data, len(head)).good().tolist()
+    return any(_begins_record(head, at) for at in places)
+
+
+def _begins_record(head: bytes, at: int) -> bool:
+    frame = read_frame(head, at)
+    return (
+        frame is not None
+        and at >= STAMP
+        and (record_follows(head, at, frame) or at + len(frame.raw) + STAMP > len(head))
+    )
 
 
 def record_follows(data: bytes, at: int, frame: Frame) -> bool:

@@ -9,17 +9,9 @@ Which topic is which message was measured on a flight recorded both ways:
   unit, is usually thinned to 10 Hz.
 """
 
-import contextlib
-import errno
-import io
-import struct
-from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
-from pyulog import ULog
-from pyulog.exceptions import ULogException
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
@@ -28,14 +20,7 @@ from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.onboard_table import OnboardMessage
 from gcs_sysid.telemetry.rotor_messages import RPM
 from gcs_sysid.telemetry.track_collector import Recording
-
-MAGIC = b"ULog\x01\x12\x35"
-_ENTRY_HEAD = 3
-"""Bytes before the content of an entry."""
-_ZEROS = 2**16
-"""Bytes of zeros that are kept at the end: as many as an entry can hold."""
-_PIECE = 2**20
-"""Bytes looked at together."""
+from gcs_sysid.telemetry.ulog_scan import Topic, UlogFile
 
 _AUTO_TAKEOFF, _AUTO_LAND = 17, 18
 """vehicle_status.nav_state while EXTENDED_SYS_STATE says taking off or landing."""
@@ -62,12 +47,11 @@ TOPICS = (
     OnboardMessage(_STATUS, Stream.ARMED, ("arming_state",), is_equal_to=_ARMED),
 )  # fmt: skip
 """Topics whose fields are the values. Motors, ESCs and flight take more, see `_add_topic`."""
-_READ = {
+READ = {
     _MOTORS, _ESCS, _LANDED,
     *(row.name for row in TOPICS), *(row.offset[0] for row in TOPICS if row.offset is not None),
 }  # fmt: skip
-
-Topic = dict[str, Array]
+"""Topics that are read at all."""
 
 
 def read_ulog(path: Path) -> Recording:
@@ -76,15 +60,15 @@ def read_ulog(path: Path) -> Recording:
     Raises:
         InputError: it cannot be read, is no ULog, or holds no data.
     """
-    log = _load(path)
-    topics: dict[tuple[str, int], Topic] = {}
-    for dataset in log.data_list:
-        if len(dataset.data.get("timestamp", ())):
-            topics.setdefault((dataset.name, dataset.multi_id), dataset.data)
+    log = UlogFile(path, READ)
+    topics = log.topics
     if not topics:
-        raise InputError(f"{path} holds no flight data: the log ends before any was written")
+        fault = next((f"{name}: {why}" for name, why in log.faults.items()), "")
+        why = fault or "the log ends before any was written"
+        raise InputError(f"{path} holds no flight data: {why}")
     status = topics.get(("vehicle_status", 0), {})
-    parameters = _parameters(log)
+    initial = [(log.start, name, value) for name, value in log.initial.items()]
+    parameters = [*initial, *log.changed]
     first = {name: value for _, name, value in reversed(parameters)}
     recording = Recording(
         tracks=[],
@@ -97,9 +81,11 @@ def read_ulog(path: Path) -> Recording:
             name if not multi_id else f"{name}_{multi_id}": len(topic["timestamp"])
             for (name, multi_id), topic in sorted(topics.items())
         },
-        damaged=bool(log.file_corruption),
-        dropouts=[(d.timestamp * 1e-6, d.duration * 1e-3) for d in log.dropouts],
+        garbage_bytes=log.garbage_bytes,
+        damaged=log.damaged,
+        dropouts=log.dropouts,
     )
+    recording.dropped |= {f"{name}: {why}": 0 for name, why in log.faults.items() if name in READ}
     for (name, multi_id), topic in topics.items():
         t = topic["timestamp"] * 1e-6
         try:
@@ -107,67 +93,6 @@ def read_ulog(path: Path) -> Recording:
         except KeyError as error:  # of another age, or its description is damaged
             recording.dropped[f"{name} has no field {error}"] = len(t)
     return recording
-
-
-def _load(path: Path) -> ULog:
-    said = io.StringIO()  # pyulog prints what it finds wrong
-    try:
-        with open(path, "rb") as file, contextlib.redirect_stdout(said):
-            return ULog(_Handle(_without_zeros(file)), sorted(_READ))
-    except OSError as error:
-        if error.errno == errno.EINVAL:  # pyulog went back by a damaged length, out of the file
-            raise InputError(f"{path} cannot be read as a PX4 log: it is damaged") from error
-        raise InputError(f"cannot read {path}: {error.strerror}") from error
-    except (
-        ULogException, struct.error, ValueError, KeyError, IndexError, TypeError, AttributeError,
-        OverflowError, RecursionError, MemoryError,
-    ) as error:  # fmt: skip
-        raise InputError(f"{path} cannot be read as a PX4 log: {error}") from error
-
-
-def _without_zeros(file: BinaryIO) -> BinaryIO:
-    """A log without the zeros behind it, as a power cut leaves them.
-
-    pyulog takes every three of them for a message: two seconds a megabyte.
-    """
-    size = end = file.seek(0, io.SEEK_END)
-    content = b""
-    while end and not content:
-        start = max(end - _PIECE, 0)
-        file.seek(start)
-        content = file.read(end - start).rstrip(b"\0")
-        end = start
-    file.seek(0)
-    kept = end + len(content) + _ZEROS
-    return file if size <= kept else io.BytesIO(file.read(kept))
-
-
-class _Handle:
-    """A file for pyulog, which goes back by the length of what it wanted, not of what it got.
-
-    Where a damaged length leads out of the file, it would begin again somewhere in the middle,
-    and often without end.
-    """
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self._asked = self._missing = 0
-        self.tell, self.close = file.tell, file.close
-        self.read: Callable[[int], bytes] = self._read_definition
-
-    def _read_definition(self, size: int) -> bytes:
-        data = self._file.read(size)
-        self._asked, self._missing = size, size - len(data)
-        return data
-
-    def seek(self, offset: int, whence: int = 0) -> int:
-        """As files do, from where all that was asked for would have ended."""
-        if whence == 1:
-            if offset == -(_ENTRY_HEAD + self._asked):
-                self.read = self._file.read  # the definitions end: what follows must be fast
-            offset += self._missing
-        self._missing = 0
-        return self._file.seek(offset, whence)
 
 
 def _add_topic(
@@ -208,17 +133,6 @@ def _values(
             last = np.searchsorted(told["timestamp"] * 1e-6, t, side="right") - 1
             values -= np.where(last[:, None] >= 0, offsets[np.maximum(last, 0)], 0.0)
     return values
-
-
-def _parameters(log: ULog) -> list[tuple[float, str, float]]:
-    start = log.start_timestamp * 1e-6
-    initial = ((start, name, value) for name, value in log.initial_parameters.items())
-    changed = ((t * 1e-6, name, value) for t, name, value in log.changed_parameters)
-    return [
-        (t, name, float(value))
-        for t, name, value in (*initial, *changed)
-        if isinstance(value, int | float) and np.isfinite(value) and name.isprintable()
-    ]
 
 
 def _constant(topic: Topic, field: str) -> int | None:

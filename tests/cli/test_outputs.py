@@ -1,0 +1,313 @@
+"""Every output option where nothing can be written, nobody reads, or the terminal is poor.
+
+What cannot be delivered is one line and a status; what can be is delivered all the same.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import shutil
+import struct
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from gcs_sysid.cli.program import build_parser, run
+
+pytestmark = [
+    pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here"),
+]
+
+READ = {"truth", "signing_key", "airframe", "baseline"}
+"""Options with a FILE that is read."""
+FLIGHT = ("--airframe", "paper", "--headless", "--speed", "max", "--duration", "12")
+
+
+class Case(NamedTuple):
+    """A command with one of its output options.
+
+    Attributes:
+        argv: the command; `{flight}`, `{a}`, `{b}`, `{logs}`, `{fleet}` and `{out}` are filled in.
+        suffix: of the output; none: a folder.
+        prints: what standard output shows besides, where the option names a file.
+        dash: whether `-` is standard output.
+        seconds: whether it takes that long.
+    """
+
+    argv: tuple[str, ...]
+    suffix: str
+    prints: str = ""
+    dash: bool = True
+    seconds: bool = True
+
+
+ON_LOG = ("{flight}", "--airframe", "paper")
+CASES = {
+    ("analyze", "json"): Case(("analyze", *ON_LOG, "--json", "{out}"), ".json", "Ixx"),
+    ("analyze", "report"): Case(
+        ("analyze", *ON_LOG, "--report", "{out}"), ".html", "Ixx", dash=False
+    ),
+    ("replay", "json"): Case(
+        ("replay", *ON_LOG, "--headless", "--json", "{out}"), ".jsonl", "Ixx"
+    ),
+    ("demo", "json"): Case(("demo", *FLIGHT, "--json", "{out}"), ".jsonl", "Ixx"),
+    ("demo", "record"): Case(("demo", *FLIGHT, "--record", "{out}"), ".tlog", "Ixx", dash=False),
+    ("inspect", "json"): Case(("inspect", "{flight}", "--json", "{out}"), ".json", "HIGHRES_IMU"),
+    ("plan", "json"): Case(("plan", "--airframe", "paper", "--json", "{out}"), ".json", "Ixx"),
+    ("plan", "svg"): Case(("plan", "--airframe", "paper", "--svg", "{out}"), ".svg", "Ixx"),
+    ("compare", "json"): Case(
+        ("compare", "{a}", "{b}", "--json", "{out}"), ".json", "Ixx", seconds=False
+    ),
+    ("export", "output"): Case(
+        ("export", "--to", "urdf", "{a}", "-o", "{out}"), ".urdf", seconds=False
+    ),
+    ("airframe new", "output"): Case(
+        ("airframe", "new", "--layout", "px4-quad-x", "--arm", "0.2", "-o", "{out}"),
+        ".toml", seconds=False,
+    ),
+    ("batch", "output"): Case(("batch", "{logs}", "--airframe", "paper", "-o", "{out}"), "",
+        dash=False),
+    ("trend", "output"): Case(("trend", "{fleet}", "-o", "{out}"), ".html", dash=False),
+}  # fmt: skip
+LIVE = {("live", "json"), ("live", "record")}
+"""The same code as of `demo`, which has a vehicle."""
+
+
+def output_options(parser, name=()):
+    """(command, option) of all that name a file or folder to be written."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for word, part in action.choices.items():
+                yield from output_options(part, (*name, word))
+        elif (
+            action.option_strings
+            and action.dest not in READ
+            and str(action.metavar).startswith(("FILE", "DIR"))
+        ):
+            yield " ".join(name), action.dest
+
+
+def test_every_output_option_is_in_the_sweep():
+    assert set(output_options(build_parser())) == set(CASES) | LIVE
+
+
+@pytest.fixture(scope="session")
+def places(fly, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("outputs")
+    flight = folder / "flight.tlog"
+    mission = ("--mission", "all-axes", "--noise", "paper", "--sigma", "0.002", "--rate", "20")
+    shutil.copy(fly(*mission, "--duration", "30", "--seed", "1").tlog, flight)
+    (folder / "logs").mkdir()
+    shutil.copy(flight, folder / "logs")
+    found = {"flight": flight, "logs": folder / "logs", "fleet": folder / "fleet"}
+    for name in "ab":
+        found[name] = folder / f"{name}.json"
+        assert run(["analyze", str(flight), "--airframe", "paper", "--json", str(found[name])]) == 0
+    batch = ["batch", str(found["logs"]), "--airframe", "paper", "-o", str(found["fleet"])]
+    assert run(batch) == 0
+    return found
+
+
+@pytest.fixture
+def call(places, tmp_path):
+    """Runs a case with its output at a place; (status, standard output, standard error)."""
+
+    def call(case, out, environment=None, **streams):
+        words = [word.format(out=out, **places) for word in case.argv]
+        streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **streams}
+        done = subprocess.run(
+            [sys.executable, "-m", "gcs_sysid", *words],
+            stdin=subprocess.DEVNULL, cwd=tmp_path, timeout=240, check=False,
+            env={**os.environ, **(environment or {})}, **streams,
+        )  # fmt: skip
+        said = [(stream or b"").decode("utf-8", "replace") for stream in (done.stdout, done.stderr)]
+        assert "Traceback" not in said[1]
+        assert "internal error" not in said[1]
+        assert "Exception ignored" not in said[1]
+        return done.returncode, *said
+
+    return call
+
+
+def check_refusal(status, err):
+    assert status not in (0, 120)
+    assert status > 0
+    assert err.count("error: ") == 1, err
+    (line,) = (line for line in err.splitlines() if "error: " in line)
+    assert len(line) < 400
+
+
+def check_written(case, path):
+    if not case.suffix:
+        assert (path / "fleet.parquet").stat().st_size > 1000
+        return
+    data = path.read_bytes()
+    assert len(data) > 100
+    if case.suffix == ".json":
+        json.loads(data)
+    elif case.suffix == ".jsonl":
+        assert [json.loads(line) for line in data.splitlines()][-1]["verdict"]
+
+
+def swept(which):
+    """Cases as parameters: those that take seconds are not in `make quick`."""
+    return [
+        pytest.param(
+            case, id="-".join(name).replace(" ", "-"),
+            marks=[pytest.mark.slow] if case.seconds else [],
+        )
+        for name, case in CASES.items()
+        if which(case)
+    ]  # fmt: skip
+
+
+def thorough(which):
+    """The same; those that take seconds are in `make test-all` alone."""
+    return [
+        pytest.param(
+            case, id="-".join(name).replace(" ", "-"),
+            marks=[pytest.mark.thorough] if case.seconds else [],
+        )
+        for name, case in CASES.items()
+        if which(case)
+    ]  # fmt: skip
+
+
+def limited():
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_FSIZE, (64, 64))  # what semaphores take
+
+
+@pytest.mark.parametrize("case", swept(lambda case: True))
+def test_a_full_disk_takes_a_file_and_not_the_numbers(call, tmp_path, case):
+    if case.dash or case.suffix == ".tlog":
+        status, out, err = call(case, "/dev/full")
+    else:  # no file grows
+        status, out, err = call(case, tmp_path / f"out{case.suffix}", preexec_fn=limited)
+    check_refusal(status, err)
+    if case.suffix != ".tlog":  # which is refused before the flight
+        assert case.prints in out
+
+
+@pytest.mark.parametrize("case", thorough(lambda case: True))
+@pytest.mark.parametrize("place", ["gone", "read-only"])
+def test_a_folder_that_is_gone_or_read_only_is_a_line(call, tmp_path, case, place):
+    folder = tmp_path / "gone"
+    if place == "read-only":
+        # Nobody makes files in /proc; the superuser writes wherever a mode forbids it.
+        folder = Path("/proc/self/task") if os.path.exists("/proc/self/task") else Path("/")
+    if not case.suffix and place == "gone":
+        folder = tmp_path / "flat" / "x"
+        (tmp_path / "flat").write_text("a file, no folder")
+    path = folder / f"out{case.suffix}"
+    status, _, err = call(case, path)
+    if case.suffix == ".tlog" and place == "gone":  # the recorder makes the folder
+        assert status == 0
+        check_written(case, path)
+    else:
+        check_refusal(status, err)
+
+
+@pytest.mark.parametrize("case", thorough(lambda case: True))
+def test_standard_output_on_a_full_disk_costs_no_file(call, tmp_path, case):
+    path = tmp_path / f"out{case.suffix}"
+    with open("/dev/full", "w") as full:
+        status, _, err = call(case, path, stdout=full)
+    check_written(case, path)
+    if case.prints:
+        check_refusal(status, err)
+        assert "standard output: cannot write: No space left on device" in err
+
+
+@pytest.mark.parametrize("case", thorough(lambda case: case.dash))
+def test_output_to_a_full_standard_output_is_a_line(call, case):
+    with open("/dev/full", "w") as full:
+        status, _, err = call(case, "-", stdout=full)
+    check_refusal(status, err)
+
+
+def closed_pipe():
+    reading, writing = os.pipe()
+    os.close(reading)
+    return writing
+
+
+@pytest.mark.parametrize("case", thorough(lambda case: True))
+def test_a_reader_that_has_gone_costs_no_file(call, tmp_path, case):
+    path = tmp_path / f"out{case.suffix}"
+    with open(closed_pipe(), "wb") as pipe:
+        status, _, err = call(case, path, stdout=pipe)
+    assert status == 0
+    assert "error" not in err
+    check_written(case, path)
+
+
+@pytest.mark.parametrize("case", thorough(lambda case: case.dash))
+def test_output_to_a_reader_that_has_gone_is_silent(call, case):
+    with open(closed_pipe(), "wb") as pipe:
+        status, _, err = call(case, "-", stdout=pipe)
+    assert status == 0
+    assert "error" not in err
+
+
+POOR = {
+    "LANG=C": {"LC_ALL": "C", "LANG": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+    "TERM=dumb": {"TERM": "dumb"},
+}
+
+
+@pytest.mark.parametrize("case", thorough(lambda case: True))
+@pytest.mark.parametrize("poor", POOR)
+def test_poor_terminals_cost_nothing(call, tmp_path, case, poor):
+    path = tmp_path / f"out{case.suffix}"
+    status, out, err = call(case, path, POOR[poor])
+    assert status == 0, err
+    assert case.prints in out
+    check_written(case, path)
+
+
+@pytest.mark.parametrize("case", thorough(lambda case: True))
+def test_a_terminal_one_column_wide_costs_nothing(call, tmp_path, case):
+    import fcntl
+    import pty
+    import termios
+    import threading
+
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 1, 1, 0, 0))
+    pieces = []
+
+    def drain():
+        with contextlib.suppress(OSError):
+            while piece := os.read(ours, 65536):
+                pieces.append(piece)
+
+    thread = threading.Thread(target=drain)
+    thread.start()
+    path = tmp_path / f"out{case.suffix}"
+    try:
+        status, _, err = call(case, path, {"COLUMNS": "1"}, stdout=theirs)
+    finally:
+        os.close(theirs)
+        thread.join()
+        os.close(ours)
+    assert status == 0, err
+    assert "".join(case.prints.split()) in "".join(b"".join(pieces).decode().split())
+    check_written(case, path)
+
+
+@pytest.mark.parametrize("case", thorough(lambda case: True))
+def test_closed_streams_cost_nothing(places, tmp_path, case):
+    path = tmp_path / f"out{case.suffix}"
+    words = [word.format(out=path, **places) for word in case.argv]
+    shell = ["/bin/sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh"]
+    done = subprocess.run(
+        [*shell, sys.executable, "-m", "gcs_sysid", *words], cwd=tmp_path, timeout=240, check=False
+    )
+    assert done.returncode == 0
+    check_written(case, path)

@@ -1,0 +1,215 @@
+"""Logs that were made to harm, and garbage of every kind inside of good ones."""
+
+import struct
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.signals.records import Stream
+from gcs_sysid.telemetry import ulog
+from gcs_sysid.telemetry.blackbox import read_blackbox
+from gcs_sysid.telemetry.blackbox_format import MAGIC
+from gcs_sysid.telemetry.dataflash import read_dataflash
+from gcs_sysid.telemetry.logs import open_log
+from gcs_sysid.telemetry.ulog import read_ulog
+from gcs_sysid.telemetry.ulog_scan import UlogFile
+
+HEAD = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1_000_000)
+SECONDS, MEGABYTES = 1.0, 200.0
+
+
+def entry(kind, content):
+    return struct.pack("<HB", len(content), ord(kind)) + content
+
+
+def formats(*texts):
+    return HEAD + b"".join(entry("F", text.encode()) for text in texts)
+
+
+def subscribed(*names):
+    return b"".join(
+        entry("A", struct.pack("<BH", 0, number) + name.encode())
+        for number, name in enumerate(names)
+    )
+
+
+def row(size, number=0):
+    return entry("D", struct.pack("<H", number) + bytes(size))
+
+
+def nested(depth, count, leaf="uint8_t x;"):
+    return [*(f"n{i}:n{i + 1}[{count}] a;" for i in range(depth)), f"n{depth}:{leaf}"]
+
+
+TOP = "sensor_combined:uint64_t timestamp;"
+HOSTILE = {
+    "arrays of arrays": formats(*nested(8, 9), TOP + "n0[99] x;"),
+    "arrays of arrays of nothing": formats(
+        *nested(6, 65535, "uint8_t[0] x;"), TOP + "n0[65535] x;"
+    ),
+    "no fields": formats("z:;", *nested(6, 65535, "z x;"), TOP + "n0[65535] x;"),
+    "itself": formats(TOP + "sensor_combined x;"),
+    "each other": formats("a:b x;", "b:a[2] y;", TOP + "a x;"),
+    "a chain": formats(
+        *(f"d{i}:d{i + 1} a;" for i in range(3000)), "d3000:float x;", TOP + "d0 x;"
+    ),
+    "a tree": formats(
+        *(f"d{i}:d{i + 1} a;d{i + 1} b;" for i in range(60)), "d60:bool x;", TOP + "d0 x;"
+    ),
+    "a long array": formats(TOP + "float[65535] x;"),
+    "a count without end": formats(TOP + f"float[{'9' * 4000}] x;"),
+    "many columns": formats(TOP + "uint8_t[65000] x;"),
+    "many fields": formats(TOP + "float x;" * 7000),
+    "many formats": formats(*(f"f{i}:float x;" for i in range(40_000)), TOP + "float x;"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_definitions_made_to_harm_are_refused_at_once(tmp_path, name):
+    path = tmp_path / "hostile.ulg"
+    path.write_bytes(HOSTILE[name] + subscribed(*["sensor_combined"] * 50))
+    before, began = peak_memory(), time.process_time()
+    with pytest.raises(InputError, match="holds no flight data") as caught:
+        read_ulog(path)
+    assert time.process_time() - began < SECONDS
+    assert peak_memory() - before < MEGABYTES
+    assert len(str(caught.value)) < 400
+
+
+def peak_memory():
+    """MB that this process has held at most."""
+    resource = pytest.importorskip("resource")
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+def test_a_header_line_that_never_ends_well_costs_no_time(tmp_path):
+    path = tmp_path / "hostile.bbl"
+    path.write_bytes(MAGIC + b"\n" + (b"H a:" * 4000 + b"\x01\n") * 16)
+    began = time.process_time()
+    with pytest.raises(InputError, match="does not describe the frames"):
+        read_blackbox(path)
+    assert time.process_time() - began < SECONDS
+
+
+def test_rows_of_a_topic_that_nobody_subscribed_are_passed_over(tmp_path):
+    path = tmp_path / "some.ulg"
+    layout = formats(TOP + "float x;")
+    path.write_bytes(layout + subscribed("sensor_combined") + (row(12, 7) + row(12)) * 9)
+    file = UlogFile(path, {"sensor_combined"})
+    assert len(file.topics["sensor_combined", 0]["x"]) == 9
+    assert file.damaged
+    assert file.garbage_bytes == 0
+
+
+def test_rows_behind_garbage_are_found_without_a_sync(tmp_path):
+    path = tmp_path / "some.ulg"
+    layout = formats(TOP + "float x;") + subscribed("sensor_combined")
+    for garbage in (b"\0", b"D" * 100, b"\x0e\0D\0", b"\xff" * 5000, b"\0\0\x5a" * 70_000):
+        path.write_bytes(layout + row(12) * 3 + garbage + row(12) * 5)
+        file = UlogFile(path, {"sensor_combined"})
+        assert len(file.topics["sensor_combined", 0]["x"]) >= 7, garbage[:4]
+        assert file.damaged
+
+
+def test_a_subscription_behind_garbage_is_found(tmp_path):
+    path = tmp_path / "some.ulg"
+    path.write_bytes(
+        formats(TOP + "float x;") + b"\0\0Z" * 50 + subscribed("sensor_combined") + row(12) * 4
+    )
+    assert len(UlogFile(path, {"sensor_combined"}).topics["sensor_combined", 0]["x"]) == 4
+
+
+def test_data_appended_after_a_crash_are_read(tmp_path):
+    path = tmp_path / "some.ulg"
+
+    def flags(offset):
+        return entry("B", bytes(8) + b"\1" + bytes(7) + struct.pack("<3Q", offset, 0, 0))
+
+    layout = formats(TOP + "float x;")[16:] + subscribed("sensor_combined")
+    first = HEAD + flags(0) + layout + row(12) * 3 + row(12)[:7]  # torn
+    first = HEAD + flags(len(first)) + first[len(HEAD + flags(0)) :]
+    path.write_bytes(first + row(12) * 2)
+    assert len(UlogFile(path, {"sensor_combined"}).topics["sensor_combined", 0]["x"]) == 5
+    path.write_bytes(HEAD + entry("B", bytes(8) + b"\4" + bytes(31)) + layout)
+    with pytest.raises(InputError, match="version of the format"):
+        read_ulog(path)
+
+
+GARBAGE = {
+    "FD": b"\xfd", "FE": b"\xfe", "FD 09": b"\xfd\x09\0\0", "FE 00": b"\xfe\0", "zeros": b"\0",
+    "00 00 5a": b"\0\0\x5a", "D": b"D", "A3 95": b"\xa3\x95", "A3 95 80": b"\xa3\x95\x80",
+    "A3 95 01": b"\xa3\x95\x01",
+}  # fmt: skip
+MOST_TIMES = {("tlog", "FE"): 8.0, ("tlog", "FE 00"): 4.0}
+"""CPU time per MB against a clean log's: twice, but where every byte begins what may be a frame."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["tlog", "ulg", "bin"])
+def test_garbage_costs_no_more_than_a_log(shared_logs, tmp_path, kind):
+    source = {"tlog": "ap_euler_two_flights.tlog", "ulg": "px4-sih-default.ulg",
+              "bin": "ardupilot-sitl.bin"}[kind]  # fmt: skip
+    data = (shared_logs / source).read_bytes()[:6_000_000]
+    path = tmp_path / f"log.{kind}"
+
+    def read(content):
+        """Samples of the IMU, and s of processor time per byte: the least of two turns."""
+        path.write_bytes(content)
+        least = np.inf
+        for _ in range(2):
+            began = time.process_time()
+            blocks = list(open_log(path).blocks())
+            least = min(least, time.process_time() - began)
+        imu = sum(
+            len(track.t) for block in blocks for track in block.tracks
+            if track.stream is Stream.IMU
+        )  # fmt: skip
+        return imu, least / len(content)
+
+    samples, clean = read(data)
+    for name, pattern in GARBAGE.items():
+        middle = len(data) // 2
+        hurt = data[:middle] + (pattern * 6_000_000)[:6_000_000] + data[middle:]
+        found, cost = read(hurt)
+        assert found >= 0.99 * samples, name
+        assert cost <= MOST_TIMES.get((kind, name), 2.0) * clean, name
+
+
+def as_pyulog(path):
+    """What pyulog reads of a log, as `UlogFile` has it."""
+    pyulog = pytest.importorskip("pyulog")
+    log = pyulog.ULog(str(path), sorted(ulog.READ))
+    topics = {(d.name, d.multi_id): d.data for d in log.data_list if len(d.data["timestamp"])}
+    changed = [(t * 1e-6, name, value) for t, name, value in log.changed_parameters]
+    dropouts = [(d.timestamp * 1e-6, d.duration * 1e-3) for d in log.dropouts]
+    return topics, log.initial_parameters, changed, dropouts
+
+
+@pytest.mark.parametrize("name", ["px4-sih-default.ulg", "public/px4-sitl.ulg"])
+def test_a_log_is_read_as_by_pyulog(shared_logs, name):
+    path = shared_logs / name
+    topics, initial, changed, dropouts = as_pyulog(path)
+    file = UlogFile(path, ulog.READ)
+    assert set(file.topics) == set(topics)
+    for key, columns in topics.items():
+        assert set(file.topics[key]) == set(columns)
+        for column, values in columns.items():
+            np.testing.assert_array_equal(file.topics[key][column], values)
+    assert file.initial == {k: v for k, v in initial.items() if isinstance(v, int | float)}
+    assert file.changed == changed
+    assert file.dropouts == dropouts
+    assert not file.damaged
+
+
+def test_a_dataflash_log_of_wrong_types_alone_is_refused(tmp_path):
+    path = tmp_path / "hostile.bin"
+    one = b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", 7, 3, b"X", b"", b"")
+    path.write_bytes(one * 20_000 + b"\xa3\x95\x07" * 100_000)
+    began = time.process_time()
+    with pytest.raises(InputError, match="no entry found"):
+        read_dataflash(path)
+    assert time.process_time() - began < SECONDS
