@@ -9,6 +9,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Protocol
 
+import platformdirs
+
 from gcs_sysid.cli import arguments, output
 from gcs_sysid.cli.json_lines import JsonLines
 from gcs_sysid.cli.option_groups import coach_options
@@ -58,6 +60,7 @@ def run(options: argparse.Namespace) -> int:
                 refit_interval=refit_interval(options),
                 signing_key=signing_key,
                 coach=coach_options(options),
+                state_folder=state_folder(),
                 predict=is_watched(options),
             ),
             record_to=record_to,
@@ -81,6 +84,11 @@ def baseline_of(options: argparse.Namespace) -> Result | None:
 def refit_interval(options: argparse.Namespace) -> float:
     """Vehicle time between estimates in s: as often as somebody looks."""
     return 0.5 if options.headless else 0.2
+
+
+def state_folder() -> Path:
+    """Where what a killed session leaves is kept for the next one."""
+    return platformdirs.user_state_path("gcs-sysid", appauthor=False)
 
 
 def recording_path(options: argparse.Namespace) -> Path | None:

@@ -96,7 +96,11 @@ class LiveSession:
         self._source: Source = source
         self._options = options
         self._station = GroundStation(
-            source, len(airframe.rotors), options.rate, connects_once=sender_gone is not None
+            source,
+            len(airframe.rotors),
+            options.rate,
+            connects_once=sender_gone is not None,
+            state_folder=options.state_folder,
         )
         self._airframe = airframe
         self._stem = record_to or Path("logs") / "session.tlog"

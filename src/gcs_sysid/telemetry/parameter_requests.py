@@ -51,6 +51,7 @@ _SIH = (
     "SIH_T_TAU",
 )
 _ARDUPILOT = (
+    "SCHED_LOOP_RATE",  # before the rates have settled
     "FRAME_CLASS",
     "FRAME_TYPE",
     "INS_GYRO_FILTER",
@@ -65,7 +66,6 @@ _ARDUPILOT = (
     "MOT_PWM_MIN",
     "MOT_PWM_MAX",
     "MOT_THST_HOVER",
-    "SCHED_LOOP_RATE",
     "SIM_SPEEDUP",
 )
 _ARDUPILOT_PER_OUTPUT = ("SERVO{0}_FUNCTION",)
