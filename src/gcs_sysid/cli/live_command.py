@@ -11,7 +11,7 @@ from typing import Protocol
 
 import platformdirs
 
-from gcs_sysid.cli import arguments, output
+from gcs_sysid.cli import arguments, output, told_airframe
 from gcs_sysid.cli.json_lines import JsonLines
 from gcs_sysid.cli.option_groups import coach_options
 from gcs_sysid.cli.result_table import result_table
@@ -35,7 +35,9 @@ _SAY_EVERY = 1.0
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    airframe = arguments.airframe_of(options)
+    airframe = None if arguments.is_auto(options) else arguments.airframe_of(options)
+    if airframe is None:
+        arguments.check_scale_given(options)
     truth = output.read_truth(options.truth) if options.truth else None
     baseline = baseline_of(options)
     if options.record and options.no_record:
@@ -49,6 +51,8 @@ def run(options: argparse.Namespace) -> int:
         record_to=record_to,
     )
     try:
+        if airframe is None:
+            airframe = told_airframe.of_link(receiver, options)
         session = LiveSession(
             receiver,
             airframe,
@@ -66,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
             record_to=record_to,
             on_result=(writer := JsonLines(options.json, force=options.force)).write,
         )
-    except GcsSysidError:
+    except (GcsSysidError, KeyboardInterrupt):
         receiver.close()
         raise
     return follow(session, writer, truth, options, baseline)
@@ -286,9 +290,12 @@ def status_line(snapshot: Snapshot) -> str:
         estimate = snapshot.result.parameters.get(name)
         if REGISTRY[name].sign != "positive" or (estimate and estimate.status == "given"):
             continue
-        if estimate is None or estimate.half is None:
+        if estimate is None or estimate.half is None or estimate.status == "unobservable":
             words.append(f"{name} -")
         else:
             value = rounded(estimate.value, estimate.half, 4)
             words.append(f"{name} {value} ±{PLAIN.percent(estimate.relative_half)}")
+    reasons = snapshot.result.reasons
+    if snapshot.result.verdict == "refused" and reasons:
+        words.append(f"({reasons[0]})")
     return "  ".join(words)

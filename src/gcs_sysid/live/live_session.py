@@ -349,7 +349,7 @@ class LiveSession:
             return
         self._told_result_at = t
         try:
-            result = self._complete(estimate.pipeline.result())
+            result = estimate.advised(self._complete(estimate.pipeline.result()))
         except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
             estimate.retreat(defect)
             return

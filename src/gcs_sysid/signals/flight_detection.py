@@ -120,7 +120,7 @@ class FlightDetector:
         ground, stood_at = self._grounds(t, np.where(stands, position[:, 2], np.nan), least)
         # Where height or ground is not known, turning rotors must do.
         low = ground - down < _HEIGHT
-        heard: Mask = np.isfinite(speeds).any(axis=1)
+        heard: Mask = np.logical_or.reduce(np.isfinite(speeds), axis=1)
         silent = self._since(t, heard, "_rotors_at") >= _UNHEARD
         told = np.isfinite(in_air)
         change = np.select(
