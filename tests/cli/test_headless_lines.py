@@ -56,9 +56,7 @@ def test_a_wrong_airframe_is_no_reason_to_fly(estimate, monkeypatch):
     monkeypatch.setattr(Coach, "think", lambda self: None)
     monkeypatch.setattr(Coach, "look", lambda self: advice())
     wrong = ("wrong airframe paper: it has 4 rotors, the vehicle 6",)
-    monkeypatch.setattr(
-        live_estimate.Pipeline, "airframe_problems", property(lambda self: wrong)
-    )
+    monkeypatch.setattr(live_estimate.Pipeline, "airframe_problems", property(lambda self: wrong))
     estimate.think()
     said = estimate.snapshot(result(), link())
     assert said.advice is None

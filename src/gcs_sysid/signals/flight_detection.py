@@ -22,10 +22,9 @@ _REST, _REST_FOR = (2.5, 0.35), 0.25
 """m/s^2 from 1 g and rad/s within which it rests, and s of it. Idling rotors shake it by 0.7 m/s^2
 (LOG00259 of indiflightSupport); hovering it leaves these bounds several times in that time."""
 _STILL = (0.6, 0.05)
-"""The same of means over `_SMOOTH`, from which a record begins on the ground: in hover real flights
-read 0.07 rad/s and more, with idling rotors on the ground 0.02."""
-_PENDING = 0.3
-"""s after it first moves in which it turns out whether it stood until then, or hovered."""
+"""The same of means over `_SMOOTH`, within which a record may begin on the ground: in hover real
+flights read 0.07 rad/s and more, with idling rotors on the ground 0.02. Simulated ones may hover as
+quietly, so it counts as flight until thrust has grown several times, and the ground is known."""
 _FALL, _FALL_FOR = 4.0, 0.1
 """m/s^2 below which it falls, and s of it."""
 _ONE_G = (7.0, 13.0)
@@ -56,8 +55,7 @@ class FlightDetector:
         """1 in the air, -1 on the ground, 0 not known."""
         self._stood_at = self._restless_at = self._carried_at = self._rotors_at = -np.inf
         self._unfallen_at = self._fell_at = -np.inf
-        self._placed_at = self._still_at = -np.inf
-        self._began_still = False
+        self._placed_at = -np.inf
         self._ground = self._down = np.nan
         self._began: float | None = None
         self._smooth = np.full(4, np.nan)
@@ -116,7 +114,7 @@ class FlightDetector:
         stands = disarmed | (zero & (rests | ~had_imu)) | (idles & had_imu)
         down = self._lately(t, position[:, 2])
         stood = np.logical_or.accumulate(np.append(self._stood, stands | zero))[1:]
-        still = self._begins_still(t, smooth, had_imu & ~stood, down, ratio)
+        self._note_beginning(t, smooth, had_imu & ~stood, down, ratio)
         ground, stood_at = self._grounds(t, np.where(stands, position[:, 2], np.nan), least)
         # Where height or ground is not known, turning rotors must do.
         low = ground - down < _HEIGHT
@@ -124,7 +122,7 @@ class FlightDetector:
         silent = self._since(t, heard, "_rotors_at") >= _UNHEARD
         told = np.isfinite(in_air)
         change = np.select(
-            [stands, told, falls, low | silent, turn & ~still],
+            [stands, told, falls, low | silent, turn],
             [-1.0, np.where(in_air > 0.5, 1.0, -1.0), 1.0, -1.0, 1.0],
             0.0,
         )
@@ -201,18 +199,17 @@ class FlightDetector:
         age = self._since(t, np.isfinite(down), "_placed_at")
         return np.where(age < _PLACED_FOR, held, np.nan)
 
-    def _begins_still(
+    def _note_beginning(
         self, t: Array, smooth: Array, judged: Mask, down: Array, ratio: Array
-    ) -> Mask:
-        """(n,) whether nothing has moved since the record began: it may stand, or hover."""
+    ) -> None:
+        """Keep where it was until it first moved: there it stood, or hovered."""
         gentle = (np.abs(smooth[:, 0] - _G) < _STILL[0]) & (smooth[:, 1] < _STILL[1])
         if self._began is None:
             self._began = float(t[0])
         gentle |= t - self._began < 2.0 * _SMOOTH
         moved = np.logical_or.accumulate(np.append(self._moved, judged & ~gentle))[1:]
         self._moved = bool(moved[-1])
-        still: Mask = judged & ~moved
-        lately = self._since(t, still, "_still_at") < _PENDING
+        still = judged & ~moved
         if still.any():
             last = int(np.flatnonzero(still)[-1])
             # The greatest: commands lead the motion that they make.
@@ -220,10 +217,6 @@ class FlightDetector:
             if self._still is not None:
                 greatest = np.fmax(greatest, self._still[2])
             self._still = float(t[last]), float(down[last]), greatest
-            self._began_still = True
-        if self._began_still:
-            still = still | (lately & judged)
-        return still
 
     def _grounds(self, t: Array, stood: Array, least: Array) -> tuple[Array, Array]:
         """(n,) down of where it stood last, m, and when it turned out to have stood until then.
