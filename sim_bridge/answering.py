@@ -62,6 +62,9 @@ class AnsweringAutopilot(ABC):
         self._jump_tick = self._tick_of(self._sensor_faults.clock_jump[0])
         self._reset_tick = self._tick_of(self._sensor_faults.rate_reset)
         self._silent_until = 0
+        # After the first heartbeats and samples: what comes before them is nobody's.
+        tells = round(0.5 / self._sim.step_size) if self._sensor_faults.parameters else -1
+        self._tells_tick = tells
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
         if writer.signer is not None:
@@ -106,6 +109,9 @@ class AnsweringAutopilot(ABC):
         frames: list[bytes] = []
         if tick < self._silent_until:
             return frames
+        if tick >= self._tells_tick >= 0:
+            self._tells_tick = -1
+            frames += self._parameter_list(None)
         for stream in self.schedule.take(tick):
             if self._is_sent(stream):
                 frames += stream.make()
@@ -179,6 +185,8 @@ class AnsweringAutopilot(ABC):
             case mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
                 return ACCEPTED, [self._interval(round(message.param1))]
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
+                if round(message.param1) == mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL:
+                    return ACCEPTED, [self._interval(round(message.param2))]
                 stream = self.schedule.streams.get(round(message.param1))
                 if stream is None:
                     return self._no_such_message, []
@@ -198,11 +206,29 @@ class AnsweringAutopilot(ABC):
     def _set_interval(self, message: Any) -> int:
         """Do what SET_MESSAGE_INTERVAL asks; its MAV_RESULT."""
 
+    _off = -1
+    """What MESSAGE_INTERVAL tells of a message that is not sent."""
+
     def _interval(self, msgid: int) -> bytes:
-        """MESSAGE_INTERVAL: 0 for a message there is none of, -1 for one that is off."""
+        """MESSAGE_INTERVAL: 0 for a message there is none of."""
         stream = self.schedule.streams.get(msgid)
-        interval = 0 if stream is None else round(stream.interval) or -1
+        interval = 0 if stream is None else round(stream.interval) or self._off
         return self.writer.frame(mavlink.MAVLink_message_interval_message, interval, msgid & 0xFFFF)
+
+    def set_rate(self, msgid: int, hertz: float) -> None:
+        """Have a message sent so often, as if another ground station had asked; 0: never.
+
+        Raises:
+            KeyError: there is no such message here.
+        """
+        if msgid not in self.schedule.streams:
+            raise KeyError(msgid)
+        interval = 1e6 / hertz if hertz else -1.0
+        self._execute(
+            mavlink.MAVLink_command_long_message(
+                0, 0, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, msgid, interval, 0, 0, 0, 0, 0
+            )
+        )
 
     # Time, parameters, mission
 

@@ -1,5 +1,8 @@
 """The few parameters an emulated ArduCopter shows."""
 
+import math
+
+from gcs_sysid.model.airframe import load_airframe
 from sim_bridge.ardupilot_instruments import FILTER_HZ
 from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.vehicle_parameters import INT8, INT16, INT32, REAL32, Parameter
@@ -10,10 +13,29 @@ PWM_MIN, PWM_MAX = 1000, 2000
 SPIN_MIN, SPIN_MAX = 0.15, 0.95
 """Usual MOT_SPIN_MIN and MOT_SPIN_MAX: where in the PWM range thrust begins and ends."""
 
+_X = {4: "ardupilot-quad-x", 6: "ardupilot-hexa-x", 8: "ardupilot-octo-x"}
+_NEAR = math.radians(20.0)
 _FRAME_CLASSES = {4: 1, 6: 2, 8: 3}
 _MOTOR_1 = 33
 """SERVOn_FUNCTION of the first motor; those from the ninth on are numbered apart."""
 _MOTOR_9 = 82
+
+
+_SCRIPTED = 15
+"""FRAME_CLASS of motors that are nowhere usual."""
+
+
+def _is_x(vehicle: Vehicle) -> bool:
+    """Whether the rotors are those of FRAME_TYPE 1, X, in ArduPilot's order."""
+    name = _X.get(len(vehicle.rotors))
+    if name is None:
+        return False
+    return all(
+        ours.spin == usual.spin
+        and abs(math.remainder(math.atan2(ours.y, ours.x) - math.atan2(usual.y, usual.x), math.tau))
+        < _NEAR
+        for ours, usual in zip(vehicle.rotors, load_airframe(name).rotors, strict=True)
+    )
 
 
 def spin_range(vehicle: Vehicle) -> tuple[float, float]:
@@ -41,7 +63,7 @@ def ardupilot_parameters(vehicle: Vehicle, sysid: int) -> list[Parameter]:
         "ATC_ANG_YAW_P": (4.5, REAL32),
         "BATT_CAPACITY": (3300, INT32),
         "FORMAT_VERSION": (120, INT16),
-        "FRAME_CLASS": (_FRAME_CLASSES.get(n, 15), INT8),
+        "FRAME_CLASS": (_FRAME_CLASSES[n] if _is_x(vehicle) else _SCRIPTED, INT8),
         "FRAME_TYPE": (1, INT8),
         "INS_ACCEL_FILTER": (int(FILTER_HZ), INT16),
         "INS_GYRO_FILTER": (int(FILTER_HZ), INT16),

@@ -16,6 +16,7 @@ from gcs_sysid import __version__
 from gcs_sysid.argument_types import OneLineParser, between, not_negative, number, positive
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.files import read_bytes
+from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge import ardupilot
 from sim_bridge.answering import AnsweringAutopilot
@@ -101,6 +102,13 @@ def _parameter(text: str) -> tuple[str, float]:
     return name, number(value)
 
 
+def _stream(text: str) -> tuple[int, float]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise argparse.ArgumentTypeError(f"write MESSAGE=HZ, such as ATTITUDE=15, got {text!r}")
+    return message_number(name), between(0.0, 1000.0, "Hz")(value)
+
+
 def make_parser() -> argparse.ArgumentParser:
     """The command line."""
     parser = OneLineParser(
@@ -181,6 +189,14 @@ def make_parser() -> argparse.ArgumentParser:
         default=[],
         metavar="NAME=VALUE",
         help="set a parameter of the autopilot, such as INS_GYRO_FILTER=40; may be given again",
+    )
+    add(
+        "--stream",
+        type=_stream,
+        action="append",
+        default=[],
+        metavar="MESSAGE=HZ",
+        help="send a message at this rate, which another ground station asked for; 0: never",
     )
     add(
         "--trap",
@@ -276,6 +292,12 @@ def run(args: argparse.Namespace) -> None:
             autopilot.set_parameter(name, value)
         except KeyError:
             raise InputError(f"--param: {args.autopilot} here has no {name!r}") from None
+    for msgid, hertz in args.stream:
+        try:
+            autopilot.set_rate(msgid, hertz)
+        except KeyError:
+            name = mavlink.mavlink_map[msgid].msgname
+            raise InputError(f"--stream: {args.autopilot} here sends no {name}") from None
     _check_truth(args)
     truth = TruthFile(args.truth, simulation, autopilot)
     links: list[Link] = []

@@ -119,10 +119,15 @@ class Px4(AnsweringAutopilot):
             ]
         )
 
+    _off = 0
+
     def _set_interval(self, message: Any) -> int:
         if any((message.param3, message.param4, getattr(message, "param7", 0.0))):
             return DENIED
         msgid = round(message.param1)
+        stream = self.schedule.streams.get(msgid)
+        if stream is not None and message.param2 == 0 and stream.default == 0:
+            return ACCEPTED  # not in the link's mode: PX4 leaves it as it is
         if not self.schedule.set_interval(msgid, message.param2, self._sim.tick):
             return FAILED
         streams = self.schedule.streams

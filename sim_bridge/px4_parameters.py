@@ -27,6 +27,7 @@ def px4_parameters(vehicle: Vehicle, sysid: int) -> list[Parameter]:
         "THR_MDL_FAC": 0.0,
     }
     for i, rotor in enumerate(vehicle.rotors):
+        table[f"PWM_MAIN_FUNC{i + 1}"] = 101 + i
         table[f"CA_ROTOR{i}_PX"] = rotor.x
         table[f"CA_ROTOR{i}_PY"] = rotor.y
         # PX4's moment ratio: positive for counter-clockwise; the number is its default.

@@ -63,6 +63,7 @@ class SensorFaults:
     rate_reset: float = 0.0
     never_sent: tuple[int, ...] = ()
     groups_only: bool = False
+    parameters: bool = False
     active_count: int = 0
     ground: float = 0.0
     flights: int = 1
@@ -173,6 +174,7 @@ KINDS: dict[str, Kind] = {
     "groups-only": Kind(
         "ArduPilot before 4.0: no SET_MESSAGE_INTERVAL, no HIGHRES_IMU, groups at 50 Hz at most"
     ),
+    "parameters": Kind("sends all its parameters first, for another ground station that asked"),
     "active-count": Kind(
         "ACTUATOR_OUTPUT_STATUS counts outputs that drive nothing, too", whole(32), "N", "16"
     ),

@@ -8,7 +8,10 @@ from gcs_sysid.telemetry.frames import FrameScanner
 from gcs_sysid.telemetry.messages import message_name, unpack
 
 SETS, GROUPS, READS = "SET_MESSAGE_INTERVAL", "REQUEST_DATA_STREAM", "PARAM_REQUEST_READ"
-_COMMANDS = {511: SETS, 510: "GET_MESSAGE_INTERVAL"}
+INTERVALS, MESSAGES = "GET_MESSAGE_INTERVAL", "REQUEST_MESSAGE"
+_COMMANDS = {511: SETS, 510: INTERVALS, 512: MESSAGES}
+_DATA_US = 50_000
+"""us between two messages of those that are sent; all others are off."""
 _ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 
 
@@ -93,6 +96,7 @@ class Autopilot:
             if frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
                 said = mavlink.MAV_RESULT_UNSUPPORTED if self._old else mavlink.MAV_RESULT_ACCEPTED
                 answer = mavlink.MAVLink_command_ack_message(fields["command"], said)
+                answers += self._intervals(fields)
             elif frame.message_id == mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ:
                 name = fields["param_id"].encode()
                 answer = mavlink.MAVLink_param_value_message(name, 1.5, 9, 900, 1)
@@ -101,6 +105,21 @@ class Autopilot:
             answers.append(self._packed(answer))
         return answers
 
+    def _intervals(self, fields):
+        """MESSAGE_INTERVAL, where it is asked for and known."""
+        if self._mute or self._old or fields["command"] not in (510, 512):
+            return
+        asked = int(fields["param1" if fields["command"] == 510 else "param2"])
+        own = self._own(message_name(asked))
+        yield self._packed(mavlink.MAVLink_message_interval_message(asked, own))
+
+    def _own(self, name):
+        """us between two messages, as SET_MESSAGE_INTERVAL has it; 0 where nobody can know."""
+        imu = "RAW_IMU" if self._old else "HIGHRES_IMU"
+        if not self._mute and name in (imu, "ATTITUDE"):
+            return _DATA_US
+        return 0 if self._mute or self._old else -1
+
     def _judge(self, frame, fields):
         """Count what was sent by kind: none is harmful."""
         check_sent(frame.raw)
@@ -108,7 +127,9 @@ class Autopilot:
         kind, what = message_name(frame.message_id), None
         if kind == "COMMAND_LONG":
             kind, what = _COMMANDS[fields["command"]], message_name(int(fields["param1"]))
-            self.own_rate[what] = kind == SETS and fields["param2"] == 0.0
+            if kind == SETS:
+                own = self._own(what)
+                self.own_rate[what] = abs(fields["param2"] - own) <= 0.05 * max(own, 0)
         elif kind == GROUPS:
             what = fields["req_stream_id"]
         elif kind == READS:

@@ -29,7 +29,7 @@ from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import parse_url
 from gcs_sysid.web.share import VARIABLE, Door, RemoteSource
-from tests.autopilots import GROUPS, READS, SETS, Autopilot
+from tests.autopilots import GROUPS, INTERVALS, MESSAGES, READS, SETS, Autopilot
 
 HEARTBEAT = "HEARTBEAT"
 AIRFRAME = ("--airframe", "paper")
@@ -96,9 +96,12 @@ def pass_time(monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("manners", "kinds"),
     [
-        ({}, {HEARTBEAT, SETS, READS}),
-        ({"mute": True}, {HEARTBEAT, SETS, READS}),
-        ({"autopilot": 3, "old": True, "version": 1}, {HEARTBEAT, SETS, READS, GROUPS}),
+        ({}, {HEARTBEAT, SETS, READS, INTERVALS}),
+        ({"mute": True}, {HEARTBEAT, SETS, READS, INTERVALS, MESSAGES}),
+        (
+            {"autopilot": 3, "old": True, "version": 1},
+            {HEARTBEAT, SETS, READS, GROUPS, INTERVALS, MESSAGES},
+        ),
     ],
     ids=["px4", "mute", "old-ardupilot"],
 )
@@ -274,7 +277,7 @@ def streams_and_parameters(asked):
 
 def assert_harmless(vehicle):
     """And left as it was found."""
-    assert vehicle.asked.keys() == {HEARTBEAT, SETS, READS}
+    assert vehicle.asked.keys() == {HEARTBEAT, SETS, READS, INTERVALS}
     assert vehicle.received == vehicle.understood
     assert all(vehicle.own_rate.values())
 

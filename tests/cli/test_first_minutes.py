@@ -221,7 +221,7 @@ def test_the_doctor_hears_a_vehicle_and_is_not_heard(ports, capsys, monkeypatch)
             vehicle.recv(1)
     out = capsys.readouterr().out
     assert f"ArduPilot quadrotor 3:1 on udpin:127.0.0.1:{free}" in out
-    assert f"-> gcs-sysid live udpin:127.0.0.1:{free} --airframe ardupilot-quad-x --arm M" in out
+    assert f"-> gcs-sysid live udpin:127.0.0.1:{free} --airframe auto --arm M" in out
     assert re.search(r"^(✓|\+) ok +Python: ", out, re.MULTILINE)
 
 

@@ -1,5 +1,7 @@
 """Flights that do what the coach says, by the whole path: emulator, frames, chain."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -54,6 +56,40 @@ def test_progress_is_of_motion_and_not_of_time():
     assert after is not None
     assert after.enough or after.text != waiting.text
     assert after.enough or all(gain.expected < (gain.now or 1.0) for gain in after.gains)
+
+
+@pytest.mark.slow
+def test_a_swing_that_the_autopilot_damps_is_told_and_expected_no_more():
+    mission = ManoeuvreMission()
+    flight = Flight("px4-sih", mission, 2)
+    coach = Coach(flight.pipeline.chain, CoachOptions(TARGET))
+    flight.fly(4.5)
+    assert coach.advise() is not None
+    assert coach.choice is not None
+    asked = coach.choice.manoeuvre
+    assert asked.roll > 0.0
+    expected = coach.choice.motion.rates.copy()
+    # The pilot gives the whole stick; a third of the swing comes.
+    came = replace(asked, roll=asked.roll / 3.0, pitch=asked.pitch / 3.0).lasting(11.0)
+    mission.add(Swings.from_json(came.as_json()), flight.simulation.time)
+    told = []
+    while not any("comes" in text for text in told) and len(told) < 12:
+        flight.fly(1.0)
+        advice = coach.advise()
+        told.append(advice.text if advice else "")
+    words = next(text for text in told if "comes" in text).partition(";")[0]
+    degrees = round(np.degrees(asked.roll))
+    assert words.startswith(f"at about {asked.pace:g} Hz only ±")
+    assert words.endswith(f"of ±{degrees}° comes")
+    share = float(words.partition("±")[2].partition("°")[0]) / degrees
+    assert share == pytest.approx(1.0 / 3.0, abs=0.12)
+    assert coach.choice is not None
+    after = coach.choice
+    if after.manoeuvre.pace == asked.pace and after.manoeuvre.roll == asked.roll:
+        # The same once more, but no more is expected of it than came.
+        assert np.abs(after.motion.rates[:, 0]).max() < 0.6 * np.abs(expected[:, 0]).max()
+    else:
+        assert (after.manoeuvre.pace, after.manoeuvre.name) != (asked.pace, asked.name)
 
 
 @pytest.mark.slow

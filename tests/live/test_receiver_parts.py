@@ -18,6 +18,7 @@ from gcs_sysid.live.reception import (
 )
 from gcs_sysid.live.request_relay import RequestsDone, RequestsTold
 from gcs_sysid.telemetry.frames import read_frame
+from gcs_sysid.telemetry.messages import unpack
 from gcs_sysid.telemetry.outgoing import Gate, NotAllowedError
 from gcs_sysid.telemetry.receiver import Batch
 from gcs_sysid.telemetry.senders import Rival
@@ -110,10 +111,15 @@ def test_rates_that_are_asked_for_are_given_back(relay):
     for message_id in (105, 30, 291):
         told.set_message_interval((1, 1), message_id, 4000)
     told.set_message_interval((1, 1), 30, 0)
+    told.set_message_interval((1, 1), 32, 20000, 20408)
+    told.set_message_interval((1, 1), 245, 500000, -1)
+    told.set_message_interval((1, 1), 245, -1, -1)
     del sent[:]
     done.restore()
     done.restore()
-    assert len(sent) == 2
+    restored = [unpack(76, read_frame(raw).payload) for raw in sent]
+    # Said twice: nobody is there to say it again.
+    assert [(f["param1"], f["param2"]) for f in restored] == [(105, 0), (291, 0), (32, 20408)] * 2
 
 
 def test_a_session_that_does_not_take_costs_it_data_and_not_the_recording(frames, monkeypatch):

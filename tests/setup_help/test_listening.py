@@ -60,7 +60,7 @@ def test_a_vehicle_with_the_command_to_start():
     assert finding.sign is Sign.OK
     assert finding.text == "PX4 quadrotor 1:1 on udpin:0.0.0.0:14550, 2 messages in 3 s"
     assert finding.advice == [
-        "gcs-sysid live udpin:0.0.0.0:14550 --airframe px4-quad-x --arm M --mass KG"
+        "gcs-sysid live udpin:0.0.0.0:14550 --airframe auto --arm M --mass KG"
     ]
 
 
@@ -72,7 +72,7 @@ def test_several_vehicles_on_several_links():
     assert len(findings) == 3
     assert "--vehicle 2:1" in findings[1].advice[0]
     assert "--vehicle" not in findings[2].advice[0]
-    assert "udpin:0.0.0.0:14445 --airframe ardupilot-hexa-x" in findings[2].advice[0]
+    assert "udpin:0.0.0.0:14445 --airframe auto" in findings[2].advice[0]
 
 
 def test_nobody_and_nobody_that_flies():

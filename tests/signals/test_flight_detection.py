@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.signals.flight_detection import TAKE_OFF, FlightDetector
+from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
+from gcs_sysid.signals.sampling import Sampler
+from gcs_sysid.telemetry.logs import open_log
 
 RATE = 50.0
 T = np.arange(0.0, 30.0, 1.0 / RATE)
@@ -100,3 +105,189 @@ def test_a_single_rotor_that_stands_is_no_landing_and_no_flight():
 
 def test_take_off_is_a_second():
     assert TAKE_OFF == 1.0
+
+
+# --- with an IMU: rotors at zero are not the ground, rotors that turn are not flight
+
+HOVER, IDLE = 800.0, 250.0
+G = 9.81
+
+
+def sensed(speed, force=None, rate=None, block=10**6, commands=False, **told):
+    """Times of the samples that count, with what an IMU tells.
+
+    Args:
+        speed: (n,) of all rotors.
+        force: (n,) specific force along the body's z axis; None: rotors carry what they can, from
+            a ground that carries the rest.
+        rate: (n,) body rate; None: that of a hover where it is in the air, else none.
+        block: samples at once.
+        commands: whether the speeds are commands, 0 to 1.
+        told: as of `flown`.
+    """
+    rng = np.random.default_rng(1)
+    thrust = G * (speed / HOVER) ** (1 if commands else 2)
+    force = np.maximum(thrust, G) if force is None else force
+    rate = np.where(thrust > 0.8 * G, 0.2, 0.01) if rate is None else rate
+    noise = rng.normal(size=(len(T), 2)) * [0.3, 0.01]
+    forces = np.stack([0.0 * T, 0.0 * T, -force + noise[:, 0]], axis=1)
+    rates = np.stack([rate + noise[:, 1], 0.0 * T, 0.0 * T], axis=1)
+    effort = np.stack([UNKNOWN, speed] if commands else [speed**2, UNKNOWN], axis=1)
+    in_air, armed, height = (told.get(n, UNKNOWN) for n in ("in_air", "armed", "height"))
+    detector = FlightDetector()
+    speeds = np.repeat(speed[:, None], 4, axis=1)
+    position = np.stack([0.0 * T, 0.0 * T, -height], axis=1)
+    flies = [
+        detector.update(
+            T[k], in_air[k], armed[k], speeds[k], position[k], forces[k], rates[k], effort[k]
+        )
+        for k in (slice(i, i + block) for i in range(0, len(T), block))
+    ]
+    return T[np.concatenate(flies)]
+
+
+def falling(start, end, drag=0.8):
+    """Speed and specific force of a flight from 5 to 25 s whose throttle is cut in between."""
+    cut = (start <= T) & (end > T)
+    speed = np.where(cut, 0.0, between(5.0, 25.0, HOVER))
+    return speed, np.where(cut, drag, G)
+
+
+@pytest.mark.parametrize("in_air", [UNKNOWN, between(5.0, 25.0)], ids=["untold", "told"])
+@pytest.mark.parametrize("length", [0.04, 0.5, 1.5])
+def test_a_throttle_that_is_cut_in_the_air_is_no_landing(length, in_air):
+    speed, force = falling(15.0, 15.0 + length)
+    found = sensed(speed, force, in_air=in_air)
+    spans(found, 5.0 + TAKE_OFF, min(found[-1], 25.3))
+    assert found[-1] >= 24.97
+
+
+def test_a_mixer_that_saturates_at_zero_while_it_tumbles_is_no_landing():
+    speed, _ = falling(15.0, 16.0)
+    rate = np.where((T > 14.9) & (T < 16.1), 8.0, 0.01)
+    spans(sensed(speed, np.full(len(T), G), rate), 5.0 + TAKE_OFF, 25.22)
+
+
+@pytest.mark.parametrize("in_air", [UNKNOWN, between(5.0, 27.0)], ids=["untold", "told late"])
+@pytest.mark.parametrize("after", [0.0, IDLE], ids=["stopped", "idling"])
+def test_a_landing_is_found_within_half_a_second(after, in_air):
+    speed = np.where(T >= 25.0, after, between(5.0, 25.0, HOVER))
+    found = sensed(speed, in_air=in_air)
+    assert found[0] == pytest.approx(5.0 + TAKE_OFF, abs=0.05)
+    assert 25.0 <= found[-1] < 25.5
+
+
+def test_where_a_record_begins_with_idling_rotors_is_known_once_it_has_left():
+    speed = np.where(T < 5.0, IDLE, HOVER)
+    found = sensed(speed)
+    spans(found[found > 5.2], 5.0 + TAKE_OFF, T[-1])
+    # Where it stood becomes known too, and with it the landing on the same ground.
+    height = 12.0 + between(6.0, 20.0, 2.0)
+    found = sensed(speed, height=height)
+    spans(found[found > 5.2], 6.0 + TAKE_OFF, 20.0)
+
+
+@pytest.mark.parametrize("curve", [1.0, 2.0], ids=["linear", "square"])
+def test_commands_that_idle_are_told_from_those_that_carry(curve):
+    """As thrust over command is: a punch-out is no landing, nor is the gentle hover after it."""
+    command = np.where(T < 5.0, 0.1, 0.5) + between(10.0, 11.0, 0.45)
+    thrust = G * (command / 0.5) ** curve
+    idles = T >= 25.0
+    force = np.where(idles | (T < 5.0), G, thrust)
+    rate = np.where(idles | (T < 5.0), 0.01, 0.2)
+    command[idles] = 0.1
+    found = sensed(command * HOVER, force, rate, commands=True)
+    found = found[found > 5.2]
+    assert found[0] == pytest.approx(5.0 + TAKE_OFF, abs=0.1)
+    assert 25.0 <= found[-1] < 25.5
+    assert len(found) == pytest.approx((found[-1] - found[0]) * RATE, abs=2)
+
+
+def test_a_hand_throw_counts_from_its_free_fall():
+    """Rotors stand while it is thrown, and are told to turn in the air (LOG00230)."""
+    speed = between(10.3, 20.0, HOVER)
+    force = np.select([(T > 9.5) & (T < 9.8), (T >= 9.8) & (T < 10.3)], [30.0, 0.9], G)
+    rate = np.select([(T > 8.0) & (T < 9.8), (T >= 9.8) & (T < 20.0)], [1.5, 4.0], 0.01)
+    found = sensed(speed, force, rate)
+    assert found[0] == pytest.approx(9.9, abs=0.1)
+    assert 20.0 <= found[-1] < 20.5
+
+
+def test_carrying_it_about_is_no_flight():
+    rate = np.where((T > 5.0) & (T < 15.0), 2.0, 0.01)
+    force = G + np.where((T > 5.0) & (T < 15.0), 3.0 * np.sin(7.0 * T), 0.0)
+    assert len(sensed(0.0 * T, force, rate)) == 0
+
+
+def test_an_accelerometer_that_reads_nothing_tells_no_fall():
+    assert len(sensed(0.0 * T, 1e-3 + 0.0 * T, 0.01 + 0.0 * T)) == 0
+
+
+def test_hops_are_flights_of_their_own():
+    height = between(5.0, 12.0, 1.0) + between(14.0, 20.0, 1.0)
+    found = sensed(between(3.0, 22.0, HOVER), height=height)
+    for start, end in ((5.0, 12.0), (14.0, 20.0)):
+        inside = found[(found > start - 0.5) & (found < end + 0.5)]
+        spans(inside, start + TAKE_OFF, end)
+
+
+def test_a_height_that_is_lost_for_a_while_neither_lands_it_nor_lets_it_take_off():
+    height = between(5.0, 12.0, 0.5) + between(20.0, 25.0, 0.5)
+    height[(T > 8.0) & (T < 9.0) | (T > 12.5) & (T < 13.5)] = np.nan
+    found = sensed(between(3.0, 29.0, HOVER), height=height)
+    spans(found[found < 15.0], 5.0 + TAKE_OFF, 12.0)
+
+
+def test_without_any_rotor_for_a_second_nothing_says_that_it_flies():
+    speed = np.where((T > 15.0) & (T < 18.0), np.nan, between(5.0, 25.0, HOVER))
+    force = np.full(len(T), G)
+    found = sensed(speed, force, 0.2 + 0.0 * T)
+    assert not np.any((found > 16.1) & (found < 18.9))
+    assert np.any(found > 19.1)
+
+
+@pytest.mark.parametrize("block", [1, 7, 100])
+def test_size_of_blocks_does_not_matter_with_an_imu(block):
+    speed, force = falling(15.0, 15.5)
+    speed = np.where(T < 5.0, IDLE, speed)
+    height = 3.0 + between(6.0, 14.0, 2.0) + between(15.2, 25.0, 2.0)
+    for told in ({}, {"height": height}, {"in_air": between(5.5, 25.2)}):
+        whole = sensed(speed, force, **told)
+        np.testing.assert_array_equal(sensed(speed, force, block=block, **told), whole)
+
+
+# --- real flights
+
+AIR = {
+    "LOG00230": [(9.65, 20.21)], "LOG00259": [(0.96, 6.65)], "LOG00264": [(0.93, 7.38)],
+    "LOG00267": [(0.96, 24.17), (24.93, 31.12)], "LOG00269": [(0.96, 19.88), (20.58, 23.08)],
+    "LOG00271": [(0.95, 7.97)], "LOG00277": [(0.95, 11.39), (12.83, 14.28)],
+    "LOG00281": [(0.94, 42.79)], "LOG00340": [(2.63, 17.60)], "LOG00267_cmd": [
+        (0.96, 24.17), (24.93, 31.12)], "LOG00267_cmd_floor1000": [(0.96, 24.17), (24.93, 31.12)],
+}  # fmt: skip
+"""s in the air, by height above the ground; of the hand throw (230), from its release on."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", AIR)
+def test_real_flights_use_their_air_time(name, shared_logs):
+    folder = shared_logs / "real"
+    if not (folder / f"{name}.tlog").exists():
+        pytest.skip("this flight is not there")
+    commands = "_cmd" if "cmd" in name else ""
+    airframe = load_airframe(str(folder / f"cinerat{commands}.toml"))
+    selector = RotorSourceSelector(airframe, ScaleReference(*airframe.anchor()))
+    sampler = Sampler(selector, len(airframe.rotors))
+    blocks = []
+    for block in open_log(folder / f"{name}.tlog", None).blocks():
+        for part in block.windows():
+            blocks += sampler.take(part.tracks)
+    blocks += sampler.finish()
+    t = np.concatenate([block.t for block in blocks])
+    flies = np.concatenate([block.flying for block in blocks])
+    for start, end in AIR[name]:
+        inside = t[flies & (t > start + 0.5) & (t < end + 0.5)]
+        # At most the second of the take-off is left out; the landing is found in time.
+        assert inside[0] < start + TAKE_OFF + 0.2
+        assert inside[-1] == pytest.approx(end, abs=0.5)
+        assert len(inside) > 0.97 * (inside[-1] - inside[0]) / np.median(np.diff(t))

@@ -111,6 +111,26 @@ def test_unsound_speeds_give_way_to_commands(spoil, why):
     assert alone.refused == {"ESC_STATUS": why}
 
 
+def test_a_motor_at_its_limit_is_no_dead_telemetry():
+    """A payload far out: one motor at full throttle, while the others fly the vehicle."""
+    t, u, v = signals()
+    u[:, 1] = 1.0
+    assert judged(commands(u, t)).choice.kind == "command"
+    # Another one has been as fast, or this one would only be the fastest there is.
+    top = 1.2 * v.max()
+    v[:, 1] = top
+    assert judged(speeds(v, t)).choice is None
+    v[5:9, 0] = top
+    assert judged(speeds(v, t)).choice.name == "ESC_STATUS"
+
+
+def test_a_command_that_stays_below_the_others_is_no_limit():
+    t, u, _ = signals()
+    u[:, 1] = 0.5
+    refused = judged(commands(u, t)).refused
+    assert refused == {"ACTUATOR_OUTPUT_STATUS": "rotor 2 stands still while the others move"}
+
+
 @pytest.mark.parametrize("rate", [4.0, 20.0])
 def test_slow_speeds_do_not_follow_the_rotors(rate):
     t, u, v = signals()

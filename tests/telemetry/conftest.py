@@ -35,6 +35,9 @@ class Sender:
         } | changes
         return self.frame(mavlink.MAVLink_heartbeat_message(**fields, mavlink_version=3))
 
+    def message_interval(self, message_id, interval):
+        return self.frame(mavlink.MAVLink_message_interval_message(message_id, interval))
+
     def imu(self, t, gyro=(0.1, 0.2, 0.3), acc=(0.0, 0.0, -9.8), imu_id=0):
         return self.frame(
             mavlink.MAVLink_highres_imu_message(

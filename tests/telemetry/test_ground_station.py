@@ -10,7 +10,8 @@ from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.ground_station import LOST_AFTER, GroundStation
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.link import Chunk, Link
-from gcs_sysid.telemetry.messages import message_name, unpack
+from gcs_sysid.telemetry.messages import MESSAGE_IDS, message_name, unpack
+from gcs_sysid.telemetry.stream_restoration import OBSERVED_FOR
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import LinkUrl, parse_url
 
@@ -185,12 +186,18 @@ def test_a_sender_that_connects_once_has_finished_when_it_hangs_up(sender):
 def test_rates_are_given_back_at_the_end_and_the_port_too(sender):
     talk = Talk()
     talk.hear(sender.heartbeat())
+    own = {"HIGHRES_IMU": 0, "ATTITUDE": 20408, "LOCAL_POSITION_NED": -1}
+    for name, interval in own.items():
+        talk.hear(sender.message_interval(MESSAGE_IDS[name], interval))
+    talk.turn(5.0)
     asked = set(talk.station.asked)
+    assert len(asked) == 6
     talk.link.sent.clear()
     talk.station.close()
     back = [unpack(76, frame.payload) for _, frame in talk.link.sent]
-    assert {message_name(int(fields["param1"])) for fields in back} == asked
-    assert {fields["param2"] for fields in back} == {0.0}
+    told = {message_name(int(fields["param1"])): fields["param2"] for fields in back}
+    # PX4 tells 0 of what it does not send; of the others, which it does not tell, its defaults.
+    assert told == dict.fromkeys(asked, 0.0) | own | {"HIGHRES_IMU": -1.0}
     assert talk.link.closed
 
 
@@ -198,6 +205,7 @@ def test_a_slow_radio_is_a_problem_told_in_words(sender):
     url = LinkUrl("serial", "/dev/ttyUSB0", device="/dev/ttyUSB0", baud=57600)
     talk = Talk(Ether(url))
     talk.hear(sender.heartbeat())
+    talk.turn(OBSERVED_FOR + 0.2)
     (problem,) = talk.station.problems
     assert problem.startswith("57600 baud carries about")
     assert "identification needs 50 Hz" in problem

@@ -19,7 +19,7 @@ ALLOWED = {
     "PARAM_REQUEST_LIST",
 }  # fmt: skip
 """In harmless forms alone."""
-ALLOWED_COMMANDS = {510, 511}
+ALLOWED_COMMANDS = {510, 511, 512}
 
 
 @pytest.fixture
@@ -51,8 +51,24 @@ def test_no_other_message_can_be_sent(cls, gate, sent, make_message):
 def test_no_other_command_can_be_sent():
     numbers = set(everything.enums["MAV_CMD"]) | set(range(0, 65536, 7)) | ALLOWED_COMMANDS
     names = set(mavlink.mavlink_map) | {0.0, 1.0, 148.0, 300.0}
-    passing = {n for n in numbers for p1 in names if is_allowed(command(n, float(p1)))}
-    assert passing == ALLOWED_COMMANDS
+    forms = {(n, float(p1), p2) for n in numbers for p1 in names for p2 in (0.0, 105.0)}
+    passing = {form for form in forms if is_allowed(command(*form))}
+    assert {n for n, *_ in passing} == ALLOWED_COMMANDS
+    # Of all messages only the one that tells an interval may be asked for, of a known message.
+    assert {form for form in passing if form[0] == 512} == {(512, 244.0, 0.0), (512, 244.0, 105.0)}
+
+
+STOPPED = {
+    "HIGHRES_IMU", "RAW_IMU", "ATTITUDE", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE",
+    "ESC_STATUS", "ESC_TELEMETRY_1_TO_4", "ESC_TELEMETRY_5_TO_8", "ESC_TELEMETRY_9_TO_12",
+    "ESC_TELEMETRY_13_TO_16", "ACTUATOR_OUTPUT_STATUS", "SERVO_OUTPUT_RAW",
+}  # fmt: skip
+"""What the tool itself asks for may be stopped again, and nothing else."""
+
+
+def test_no_other_message_can_be_stopped():
+    names = {c.msgname for n, c in mavlink.mavlink_map.items() if is_allowed(command(511, n, -1.0))}
+    assert names == STOPPED
 
 
 def group(stream, rate, start=1, target=(1, 1)):
@@ -74,7 +90,10 @@ def test_no_other_group_can_be_asked_for():
     [
         group(0, 4),  # all of them
         group(1, 50, target=(0, 0)),
-        command(511, 105.0, -1.0),  # would switch a message off
+        command(511, 33.0, -1.0),  # would switch off what somebody else asked for
+        command(511, 0.0, -1.0),
+        command(512, 244.0, 60_999.0),
+        command(512, 244.0, 105.0, rest=(0.0, 0.0, 0.0, 0.0, 2.0)),
         command(511, 105.0, 1e9),
         command(511, 60_999.0, 4000.0),
         command(511, 105.5, 4000.0),
@@ -108,7 +127,9 @@ def speak(gate):
         gate.heartbeat(),
         gate.set_message_interval((1, 1), 105, 4000),
         gate.set_message_interval((1, 1), 105, 0),
+        gate.set_message_interval((1, 1), 105, -1),
         gate.get_message_interval((1, 1), 105),
+        gate.request_message_interval((1, 1), 105),
         gate.request_group((1, 1), 1, 50),
         gate.request_group((1, 1), 1, 0),
         gate.timesync(123),
@@ -122,7 +143,7 @@ def test_everything_the_gate_offers_passes_and_is_ours(gate, sent):
     frames = [read_frame(raw) for raw in sent]
     assert all(frame.valid == "ok" for frame in frames)
     assert {(frame.system, frame.component) for frame in frames} == {(245, 190)}
-    assert [frame.sequence for frame in frames] == list(range(9))
+    assert [frame.sequence for frame in frames] == list(range(11))
     interval = unpack(76, frames[1].payload)
     assert (interval["command"], interval["param1"], interval["param2"]) == (511, 105.0, 4000.0)
 

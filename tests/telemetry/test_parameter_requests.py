@@ -8,6 +8,7 @@ from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.parameter_requests import (
     ROUNDS,
     ParameterRequests,
+    layout_parameters,
     wanted_parameters,
 )
 from gcs_sysid.telemetry.vehicles import Vehicle
@@ -40,7 +41,7 @@ class Autopilot:
 
 def drive(requests, autopilot, vehicle, seconds, start=0.0):
     for i in range(round(seconds / 0.1)):
-        requests.tick(start + 0.1 * i, vehicle, autopilot.told)
+        requests.tick(start + 0.1 * i, vehicle, dict.fromkeys(autopilot.told, 4.0))
 
 
 @pytest.mark.parametrize("vehicle", [PX4, ARDUPILOT])
@@ -59,8 +60,12 @@ def test_they_are_asked_for_a_few_a_second_and_those_not_there_given_up():
     autopilot = Autopilot(())
     requests = ParameterRequests(autopilot.gate)
     drive(requests, autopilot, PX4, 2.0)
-    assert 6 <= len(autopilot.asked) <= 9
-    drive(requests, autopilot, PX4, 200.0, start=2.0)
+    # The layout within two seconds, then four a second.
+    layout = layout_parameters("px4", 4)
+    assert set(autopilot.asked[: len(layout)]) == set(layout)
+    drive(requests, autopilot, PX4, 3.0, start=2.0)
+    assert len(layout) + 6 <= len(autopilot.asked) <= len(layout) + 14
+    drive(requests, autopilot, PX4, 200.0, start=5.0)
     wanted = wanted_parameters("px4", 4)
     assert sorted(autopilot.asked) == sorted(wanted * ROUNDS)
     assert set(requests.missing) == set(wanted)
@@ -101,3 +106,23 @@ def test_names_fit_their_field(autopilot, rotors):
     names = wanted_parameters(autopilot, rotors)
     assert len(set(names)) == len(names)
     assert all(len(name) <= 16 for name in names)
+
+
+def test_a_vehicle_with_more_rotors_is_asked_for_all_of_them():
+    autopilot = Autopilot(wanted_parameters("px4", 6))
+    requests = ParameterRequests(autopilot.gate, 4)
+    for i in range(300):
+        told = dict.fromkeys(autopilot.told, 1.0)
+        if "CA_ROTOR_COUNT" in told:
+            told["CA_ROTOR_COUNT"] = 6.0
+        requests.tick(0.1 * i, PX4, told)
+    assert set(layout_parameters("px4", 6)) <= autopilot.told
+
+
+@pytest.mark.parametrize("count", [1e9, -1.0, 13.0, float("nan")])
+def test_a_count_that_cannot_be_is_not_followed(count):
+    autopilot = Autopilot(("CA_ROTOR_COUNT",))
+    requests = ParameterRequests(autopilot.gate, 4)
+    for i in range(300):
+        requests.tick(0.1 * i, PX4, {"CA_ROTOR_COUNT": count})
+    assert set(autopilot.asked) <= set(wanted_parameters("px4", 4))

@@ -143,7 +143,7 @@ def test_ardupilot_is_asked_for_its_own_messages_in_whole_milliseconds(wire):
         "EXTENDED_SYS_STATE",
     }
     assert all(interval % 1000.0 == 0.0 for interval in said.values())
-    assert said["HIGHRES_IMU"] == 3000.0
+    assert said["HIGHRES_IMU"] == 5000.0  # two turns of its loop of 400 Hz
 
 
 def test_a_radio_is_asked_for_what_it_carries_and_that_is_said(wire):

@@ -66,11 +66,33 @@ def test_sizes_are_at_most_what_the_definitions_allow():
     [
         ("px4", 250.0, 4000),
         ("px4", 300.0, 3333),
-        ("ardupilot", 250.0, 4000),
-        ("ardupilot", 300.0, 3000),
-        ("ardupilot", 60.0, 17000),
-        ("ardupilot", 1000.0, 3000),
+        ("ardupilot", 200.0, 5000),
+        ("ardupilot", 250.0, 5000),
+        ("ardupilot", 300.0, 5000),
+        ("ardupilot", 60.0, 20000),
+        ("ardupilot", 2.0, 500_000),
+        ("ardupilot", 1000.0, 5000),
     ],
 )
 def test_intervals_suit_the_autopilot(autopilot, hertz, interval):
     assert interval_us(autopilot, hertz) == interval
+
+
+@pytest.mark.parametrize(
+    ("loop", "interval"),
+    [(400.0, 5000), (500.0, 4000), (1000.0, 4000), (800.0, 5000), (250.0, 8000), (200.0, 10000)],
+)
+def test_ardupilot_is_asked_for_whole_turns_of_its_loop(loop, interval):
+    assert interval_us("ardupilot", 250.0, loop) == interval
+    assert (1e-6 * interval * loop) % 1.0 == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("loop", [300.0, 333.0])
+def test_a_loop_without_an_even_rate_is_asked_for_the_next_slower_one(loop):
+    step = 10_000 if loop == 300.0 else 4000
+    assert interval_us("ardupilot", 250.0, loop) == step
+
+
+@pytest.mark.parametrize("loop", [None, 0.0, -1.0, 3.0, 1e9])
+def test_a_loop_rate_that_cannot_be_is_not_believed(loop):
+    assert interval_us("ardupilot", 250.0, loop) == 5000

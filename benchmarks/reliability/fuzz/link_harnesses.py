@@ -240,6 +240,10 @@ class _FakeLink(Link):
         """As `Link` says."""
 
 
+STOPPED = (27, 30, 32, 36, 105, 245, 291, 375, 11030, 11031, 11032, 11033)
+"""Messages that may be switched off: those that it asks for."""
+
+
 def check_sent(raw: bytes) -> None:
     """What is sent is harmless: judged by bytes, with nothing of the gate's own rules."""
     frame = read_frame(raw)
@@ -254,8 +258,12 @@ def check_sent(raw: bytes) -> None:
             assert (fields["type"], fields["autopilot"], fields["base_mode"]) == (6, 8, 0)
         case 76:  # COMMAND_LONG
             assert fields["target_system"] != 0
-            assert fields["command"] in (510, 511), fields
-            assert fields["command"] == 510 or 0 <= fields["param2"] <= 6e7
+            command, p1, p2 = fields["command"], fields["param1"], fields["param2"]
+            assert command in (510, 511, 512), fields
+            assert command != 510 or p2 == 0, fields
+            # Stopped is only what this tool asks for; requested is only MESSAGE_INTERVAL.
+            assert command != 511 or 0 <= p2 <= 6e7 or (p2 == -1 and p1 in STOPPED), fields
+            assert command != 512 or p1 == 244, fields
             assert not any(fields[f"param{i}"] for i in range(3, 8))
         case 66:  # REQUEST_DATA_STREAM
             assert fields["target_system"] != 0

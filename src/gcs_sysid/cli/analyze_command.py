@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from gcs_sysid.cli import arguments, output
+from gcs_sysid.cli import arguments, output, told_airframe
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.tuning import Tuning
@@ -21,7 +21,11 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when a log does not allow an answer."""
     if options.end <= options.start:
         raise InputError(f"--end {options.end:g} must come after --start {options.start:g}")
-    airframe = arguments.airframe_of(options)
+    if arguments.is_auto(options):
+        arguments.check_scale_given(options)
+        airframe = told_airframe.of_log(Path(options.logs[0]), options)
+    else:
+        airframe = arguments.airframe_of(options)
     truth = output.read_truth(options.truth) if options.truth else None
     reporter = None
     if options.report is not None:

@@ -21,6 +21,12 @@ ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-d
 EXPORT_TARGETS = ("px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy")
 """Names of `exports.formats.TARGETS` (a test compares); not imported either."""
 
+NO_SCALE = (
+    "nothing sets the scale: weigh the vehicle and give --mass KG (or --k-t VALUE, or "
+    "--t-max VALUE with commands), because IMU and rotors alone do not tell heavy and "
+    "strong from light and weak"
+)
+
 _Group = argparse._ArgumentGroup
 
 if TYPE_CHECKING:
@@ -88,7 +94,8 @@ def _add_layout(parser: argparse.ArgumentParser, default: str | None = None) -> 
         "--airframe",
         metavar="NAME|FILE",
         default=default,
-        help="built-in name (paper, px4-quad-x, ...) or .toml file"
+        help="built-in name (paper, px4-quad-x, ...) or .toml file; live and analyze: auto, which "
+        "is what the vehicle's parameters tell, and the default there"
         + (f" (default {default})" if default else ""),
     )
     group.add_argument(
@@ -395,15 +402,15 @@ def add_trend(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="write over FILE if it exists")
 
 
-def layout_of(options: argparse.Namespace) -> "Airframe":
-    """The airframe that is named, with the scale that is given, if any.
+def layout_of(options: argparse.Namespace, told: "Airframe | None" = None) -> "Airframe":
+    """The airframe that is named, or the one told, with the scale that is given, if any.
 
     Raises:
         InputError: there is none of that name, or it is no airframe.
     """
     from gcs_sysid.model.airframe import load_airframe
 
-    airframe = load_airframe(options.airframe)
+    airframe = load_airframe(options.airframe) if told is None else told
     if options.arm is not None:
         airframe = airframe.with_arm(options.arm)
     for name in SCALE_OPTIONS:
@@ -420,21 +427,44 @@ def layout_of(options: argparse.Namespace) -> "Airframe":
     return airframe
 
 
-def airframe_of(options: argparse.Namespace) -> "Airframe":
+def is_auto(options: argparse.Namespace) -> bool:
+    """Whether the vehicle is to tell its layout."""
+    return options.airframe in (None, "auto")
+
+
+def check_scale_given(options: argparse.Namespace) -> None:
+    """See that something sets the scale of an airframe that the vehicle tells.
+
+    Raises:
+        InputError: nothing does.
+    """
+    given = (options.mass, options.k_t, options.t_max, getattr(options, "added_mass", None))
+    if given.count(None) == len(given):
+        raise InputError(
+            f"{NO_SCALE}; the rotors are those that the vehicle tells, unless --airframe names "
+            "others"
+        )
+
+
+def airframe_of(options: argparse.Namespace, told: "Airframe | None" = None) -> "Airframe":
     """The airframe with its anchor, as the options say.
+
+    Args:
+        options: of the command line.
+        told: the layout that the vehicle tells, which stands for `--airframe`.
 
     Raises:
         InputError: there is none, or nothing sets the scale.
     """
     from gcs_sysid.model.airframe import builtin_names
 
-    if options.airframe is None:
+    if told is None and is_auto(options):
         raise InputError(
             "which airframe? Give --airframe FILE.toml or one of "
             + ", ".join(builtin_names())
             + " (with --arm for its size)"
         )
-    airframe = layout_of(options)
+    airframe = layout_of(options, told)
     given = (options.mass, options.k_t, options.t_max)
     if given.count(None) == len(given) and getattr(options, "added_mass", None) is not None:
         # Of the two flights; until they are compared any mass does.
@@ -442,10 +472,6 @@ def airframe_of(options: argparse.Namespace) -> "Airframe":
     for name, value, std in options.prior:
         airframe = airframe.with_prior(name, value, std)
     if airframe.anchor() is None:
-        raise InputError(
-            "nothing sets the scale: weigh the vehicle and give --mass KG (or --k-t VALUE, or "
-            "--t-max VALUE with commands), because IMU and rotors alone do not tell heavy and "
-            "strong from light and weak"
-        )
+        raise InputError(NO_SCALE)
     airframe.check_scale_fits()
     return airframe

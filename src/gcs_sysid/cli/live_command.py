@@ -9,7 +9,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Protocol
 
-from gcs_sysid.cli import arguments, output
+import platformdirs
+
+from gcs_sysid.cli import arguments, output, told_airframe
 from gcs_sysid.cli.json_lines import JsonLines
 from gcs_sysid.cli.option_groups import coach_options
 from gcs_sysid.cli.result_table import result_table
@@ -33,7 +35,9 @@ _SAY_EVERY = 1.0
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    airframe = arguments.airframe_of(options)
+    airframe = None if arguments.is_auto(options) else arguments.airframe_of(options)
+    if airframe is None:
+        arguments.check_scale_given(options)
     truth = output.read_truth(options.truth) if options.truth else None
     baseline = baseline_of(options)
     if options.record and options.no_record:
@@ -47,6 +51,8 @@ def run(options: argparse.Namespace) -> int:
         record_to=record_to,
     )
     try:
+        if airframe is None:
+            airframe = told_airframe.of_link(receiver, options)
         session = LiveSession(
             receiver,
             airframe,
@@ -58,12 +64,13 @@ def run(options: argparse.Namespace) -> int:
                 refit_interval=refit_interval(options),
                 signing_key=signing_key,
                 coach=coach_options(options),
+                state_folder=state_folder(),
                 predict=is_watched(options),
             ),
             record_to=record_to,
             on_result=(writer := JsonLines(options.json, force=options.force)).write,
         )
-    except GcsSysidError:
+    except (GcsSysidError, KeyboardInterrupt):
         receiver.close()
         raise
     return follow(session, writer, truth, options, baseline)
@@ -81,6 +88,11 @@ def baseline_of(options: argparse.Namespace) -> Result | None:
 def refit_interval(options: argparse.Namespace) -> float:
     """Vehicle time between estimates in s: as often as somebody looks."""
     return 0.5 if options.headless else 0.2
+
+
+def state_folder() -> Path:
+    """Where what a killed session leaves is kept for the next one."""
+    return platformdirs.user_state_path("gcs-sysid", appauthor=False)
 
 
 def recording_path(options: argparse.Namespace) -> Path | None:
@@ -280,9 +292,12 @@ def status_line(snapshot: Snapshot) -> str:
         estimate = snapshot.result.parameters.get(name)
         if REGISTRY[name].sign != "positive" or (estimate and estimate.status == "given"):
             continue
-        if estimate is None or estimate.half is None:
+        if estimate is None or estimate.half is None or estimate.status == "unobservable":
             words.append(f"{name} -")
         else:
             value = rounded(estimate.value, estimate.half, 4)
             words.append(f"{name} {value} ±{PLAIN.percent(estimate.relative_half)}")
+    reasons = snapshot.result.reasons
+    if snapshot.result.verdict == "refused" and reasons:
+        words.append(f"({reasons[0]})")
     return "  ".join(words)

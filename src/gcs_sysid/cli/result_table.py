@@ -70,7 +70,7 @@ def _rows(result: Result, truth: Mapping[str, float] | None, style: _Style) -> l
     columns: dict[str, list[str]] = {
         "parameter": names,
         "value": [
-            rounded(e.value if e.std is not None else None, e.half, style.digits) for e in estimates
+            rounded(e.value if _is_known(e) else None, e.half, style.digits) for e in estimates
         ],
         "± 95 %": [_half(e) for e in estimates],
         "%": [_share(e) for e in estimates],
@@ -103,14 +103,20 @@ def _column(head: str, cells: Sequence[str]) -> list[str]:
     return [f"{cell:{side}{wide}}" for cell in (head, *cells)]
 
 
+def _is_known(estimate: Estimate) -> bool:
+    """Whether there is a number worth printing: one that the data cannot tell is none."""
+    known = estimate.value is not None and estimate.std is not None
+    return known and estimate.status != "unobservable"
+
+
 def _half(estimate: Estimate) -> str:
-    if estimate.value is None or estimate.std is None:
+    if not _is_known(estimate):
         return "-"
     return "" if estimate.half is None else significant(estimate.half, 2)
 
 
 def _share(estimate: Estimate) -> str:
-    if estimate.value is None or estimate.std is None:
+    if not _is_known(estimate):
         return "-"
     return percent_column(estimate.relative_half).removesuffix(" %")
 

@@ -8,7 +8,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.coach.information import information
 from gcs_sysid.coach.interval_targets import excess, is_enough
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre
-from gcs_sysid.coach.motion import Motion, within_reach
+from gcs_sysid.coach.motion import Motion, motion_of, within_reach
 from gcs_sysid.coach.predicted_information import PredictedInformation
 from gcs_sysid.estimation.actuator_dynamics import LAG
 from gcs_sysid.estimation.online import Fit
@@ -60,7 +60,11 @@ class Choice:
 
 
 def choose(
-    prospect: PredictedInformation, library: Iterable[Manoeuvre], judge: Judge, target: float
+    prospect: PredictedInformation,
+    library: Iterable[Manoeuvre],
+    judge: Judge,
+    target: float,
+    achieved: Callable[[Manoeuvre], Manoeuvre] | None = None,
 ) -> Choice | None:
     """The manoeuvre that brings the widest intervals nearest to the target; None: none can.
 
@@ -69,6 +73,8 @@ def choose(
         library: to choose from.
         judge: tells the shares of a fit.
         target: share to reach.
+        achieved: what the vehicle makes of a manoeuvre, as far as it was seen: the same with
+            smaller swings. What is expected, is of that.
     """
     now = judge(prospect.after())
     far = excess(now, _CLOSE * target)
@@ -78,6 +84,8 @@ def choose(
         if found is None:
             continue
         reached, motion = found
+        if achieved is not None and (flown := achieved(reached)) != reached:
+            motion = motion_of(flown, prospect.craft)
         if prospect.fit.rotation is None and not _starts(motion):
             continue
         told = information(motion, prospect.craft, prospect.noise, float(prospect.coordinates[LAG]))

@@ -40,6 +40,13 @@ def _angle(angle: float) -> str:
     return f"±{math.degrees(angle):.0f}°"
 
 
+def damped_words(manoeuvre: Manoeuvre, share: float) -> str:
+    """What came of a manoeuvre: "at about 1.4 Hz only ±8° of ±20° comes"."""
+    asked = max(manoeuvre.roll, manoeuvre.pitch, manoeuvre.yaw)
+    pace = manoeuvre.pace if asked > manoeuvre.yaw else manoeuvre.yaw_pace
+    return f"at about {pace:g} Hz only {_angle(share * asked)} of {_angle(asked)} comes"
+
+
 def gain_words(name: str, now: float | None, expected: float) -> str:
     """What a parameter gains, such as "Izz from 12 % to about 3 %"."""
     if now is None or now > 1.0:

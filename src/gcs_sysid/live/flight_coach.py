@@ -13,8 +13,8 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.coach.choice import Choice, choose
 from gcs_sysid.coach.information import Noise, speed_noise
 from gcs_sysid.coach.interval_targets import is_enough, shares
-from gcs_sysid.coach.manoeuvre_library import Limits, library
-from gcs_sysid.coach.manoeuvre_words import motion_words, sentence
+from gcs_sysid.coach.manoeuvre_library import Limits, Manoeuvre, library
+from gcs_sysid.coach.manoeuvre_words import damped_words, motion_words, sentence
 from gcs_sysid.coach.predicted_information import PredictedInformation, predicted_information
 from gcs_sysid.coach.prior_vehicle import prior_noise, prior_vehicle
 from gcs_sysid.estimation.online import Fit
@@ -41,6 +41,17 @@ _FIRST = 6.0
 _MATTERS = 0.1
 """Share of a manoeuvre's motion from which an axis belongs to it."""
 _MOST_GAINS = 4
+_WINDOW = 1.0
+"""s of flight in which motion is compared with what was asked: a period and more."""
+_SWINGING = 0.02
+"""Share of the asked squared rates from which somebody is at it: a seventh of the swing."""
+_TRIED_FOR = 4.0
+"""s of that after which what comes is what the autopilot lets through."""
+_REACTS_WITHIN = 2.0
+"""s in which a pilot reads the advice and goes over to it."""
+_DAMPED = 0.6
+"""Share of the asked swing below which another pace may tell more."""
+_AXES = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True)
@@ -81,6 +92,12 @@ class Coach:
         self._chosen_at = -np.inf
         self._seconds = 0.0
         self._gathered = np.zeros(4)
+        # (axis, Hz) -> share of the asked swing that came.
+        self._swings: dict[tuple[str, float], float] = {}
+        self._window = np.zeros(4)  # squared rates and s of the window that fills
+        self._tried = np.zeros(4)  # the same of those in which somebody swings
+        self._asked = np.zeros(3)  # squared rates, mean over what is advised
+        self._damped = ""
         chain.observers.append(self.take)
 
     def take(self, block: SampleBlock) -> None:
@@ -89,10 +106,23 @@ class Coach:
         rates = samples.rates[np.isfinite(samples.rates).all(axis=1)]
         down = samples.velocity[:, 2]
         down = down[np.isfinite(down)]
-        self._gathered[:3] += (rates * rates).sum(axis=0) * block.dt
+        squares = (rates * rates).sum(axis=0) * block.dt
+        self._gathered[:3] += squares
+        self._compare(squares, len(rates) * block.dt)
         if down.size:
             # Velocity comes more slowly than the samples it is placed on.
             self._gathered[3] += float(np.mean(down * down)) * len(samples.gyro) * block.dt
+
+    def _compare(self, squares: Array, seconds: float) -> None:
+        """Keep what motion there is while somebody flies what was advised."""
+        if self._chain.t - self._chosen_at < _REACTS_WITHIN:
+            return  # what was advised before
+        self._window += (*squares, seconds)
+        if self._window[3] < _WINDOW:
+            return
+        if self._window[:3].sum() >= _SWINGING * self._asked.sum() * self._window[3] > 0.0:
+            self._tried += self._window
+        self._window[:] = 0.0
 
     def advise(self) -> Advice | None:
         """What to fly next; about once a second it is thought over."""
@@ -134,6 +164,9 @@ class Coach:
             return
         if self._thought is not None:
             return
+        if self._is_damped():
+            self._begin(fit, now)
+            return
         progress = self._progress()
         since = self._chain.t - self._chosen_at
         if (
@@ -146,6 +179,35 @@ class Coach:
         else:
             self._advice = self._told(now, progress)
         self._seconds = fit.seconds
+
+    def _is_damped(self) -> bool:
+        """Whether much less comes of the advised manoeuvre than was asked; then it is learnt."""
+        if self.choice is None or self._tried[3] < _TRIED_FOR:
+            return False
+        asked = self.choice.manoeuvre
+        share = np.sqrt(self._tried[:3] / self._tried[3] / np.maximum(self._asked, 1e-12))
+        self._tried[:] = 0.0
+        found = False
+        for axis, came, squares in zip(_AXES, share, self._asked, strict=True):
+            if squares <= _MATTERS * self._asked.max():
+                continue
+            key = axis, asked.yaw_pace if axis == "yaw" else asked.pace
+            before = self._swings.get(key, 1.0)
+            if came < _DAMPED or came > before:
+                self._swings[key] = float(min(came, 1.0))
+            if came < _DAMPED * before:
+                found = True
+                self._damped = damped_words(asked, float(came))
+        return found
+
+    def _achieved(self, manoeuvre: Manoeuvre) -> Manoeuvre:
+        """What the vehicle makes of a manoeuvre: what is damped at a pace, is at a brisker one."""
+        shares = {}
+        for axis in _AXES:
+            pace = manoeuvre.yaw_pace if axis == "yaw" else manoeuvre.pace
+            seen = [s for (name, hz), s in self._swings.items() if name == axis and hz <= pace]
+            shares[axis] = min(seen, default=1.0) * getattr(manoeuvre, axis)
+        return replace(manoeuvre, **shares)
 
     def _begin(self, fit: Fit, now: dict[str, float | None]) -> None:
         """Begin to think about what to fly next."""
@@ -160,15 +222,17 @@ class Coach:
         with suppress(np.linalg.LinAlgError):
             prospect = self._prospect(fit)
             target = self.options.target
-            found = choose(prospect, self._library, self._judge, target)
+            found = choose(prospect, self._library, self._judge, target, self._achieved)
         self._settle(found, fit, now)
 
     def _settle(self, found: Choice | None, fit: Fit, now: dict[str, float | None]) -> None:
         """Advise what was found."""
         self._chosen_at = self._chain.t
         self._gathered[:] = 0.0
+        self._window[:] = self._tried[:] = 0.0
         self._gains = ()
         self.choice = found
+        self._asked[:] = 0.0 if found is None else self._asked_squares(found)
         if found is not None and fit.rotation is None:
             # A rule of thumb picks the manoeuvre, but promises nothing.
             self.choice = replace(found, manoeuvre=found.manoeuvre.lasting(_FIRST))
@@ -178,7 +242,19 @@ class Coach:
             self.choice = found = replace(found, now=now)
             self._gains = tuple(found.names[:_MOST_GAINS])
             self._text = sentence(found.manoeuvre, found.names, now, found.expected)
+        if self._damped and self.choice is not None:
+            self._text, self._damped = f"{self._damped}; {self._text}", ""
         self._advice = self._told(now, 0.0)
+
+    def _asked_squares(self, choice: Choice) -> Array:
+        """(3,) squared body rates, mean over the manoeuvre as it is asked."""
+        came = self._achieved(choice.manoeuvre)
+        squares = (choice.motion.rates**2).mean(axis=0)
+        for k, axis in enumerate(_AXES):
+            swing = getattr(came, axis)
+            squares[k] *= (getattr(choice.manoeuvre, axis) / swing) ** 2 if swing else 1.0
+        asked: Array = squares
+        return asked
 
     def _told(self, now: Mapping[str, float | None], progress: float) -> Advice | None:
         choice = self.choice

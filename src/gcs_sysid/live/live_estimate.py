@@ -12,7 +12,7 @@ from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.live.live_view import picture
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.snapshot import Advice, LinkStatus, Snapshot
+from gcs_sysid.results.snapshot import Advice, LinkState, LinkStatus, Snapshot
 from gcs_sysid.session.chain import Chain
 from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
@@ -136,8 +136,11 @@ class LiveEstimate:
         if self._coach is None:
             return
         try:
-            self._coach.think()
-            self._advised = self._coach.look()
+            # What is wrong on the ground is not mended by flying.
+            wrong = bool(self.pipeline.airframe_problems)
+            if not wrong:
+                self._coach.think()
+            self._advised = None if wrong else self._coach.look()
         except Exception as defect:  # noqa: BLE001 - words alone are lost
             self._coach = self._advised = None
             self.note(f"{in_words(defect)}: the coach falls silent")
@@ -169,9 +172,18 @@ class LiveEstimate:
             result: the latest, with what only the link knows.
             link: health of it.
         """
+        self.pipeline.check_airframe()
         acceleration = self._prediction.acceleration()
         target = (self._options.coach or CoachOptions()).target
-        return picture(self.chain, result, link, acceleration, target, self._advised)
+        # Nobody is told to fly what nobody sees.
+        advised = self._advised if link.state is LinkState.CONNECTED else None
+        return picture(self.chain, result, link, acceleration, target, advised)
+
+    def advised(self, result: Result) -> Result:
+        """A result with what the coach says now."""
+        if self._advised is None:
+            return result
+        return replace(result, advice=self._advised.as_json())
 
     def know(self, others: Sequence[Vehicle]) -> None:
         """Keep other vehicles in mind, to be chosen."""

@@ -18,6 +18,7 @@ class LiveOptions:
         refit_interval: s of vehicle time between estimates.
         signing_key: file with the key of MAVLink 2 signing; None: nothing is signed or checked.
         coach: what the flight coach aims at; None: no advice.
+        state_folder: where the rates to restore are kept while the session lasts; None: nowhere.
         predict: whether snapshots show the acceleration that was predicted.
     """
 
@@ -28,4 +29,5 @@ class LiveOptions:
     refit_interval: float = 0.2
     signing_key: Path | None = None
     coach: CoachOptions | None = None
+    state_folder: Path | None = None
     predict: bool = True

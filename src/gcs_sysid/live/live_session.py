@@ -96,7 +96,11 @@ class LiveSession:
         self._source: Source = source
         self._options = options
         self._station = GroundStation(
-            source, len(airframe.rotors), options.rate, connects_once=sender_gone is not None
+            source,
+            len(airframe.rotors),
+            options.rate,
+            connects_once=sender_gone is not None,
+            state_folder=options.state_folder,
         )
         self._airframe = airframe
         self._stem = record_to or Path("logs") / "session.tlog"
@@ -347,7 +351,7 @@ class LiveSession:
             return
         self._told_result_at = t
         try:
-            result = self._complete(estimate.pipeline.result())
+            result = estimate.advised(self._complete(estimate.pipeline.result()))
         except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
             estimate.retreat(defect)
             return

@@ -59,6 +59,7 @@ class ReceiverProcess:
         self._size = 0
         self._newest = self._taken = 0  # us since 1970
         self._over = False
+        self._returned: list[Item] = []
         self._report = wire.Report()
         self._events: deque[str] = deque(maxlen=_MOST_EVENTS)
         self._flushes = 0
@@ -133,6 +134,9 @@ class ReceiverProcess:
         Raises:
             LinkError: the receiver has died.
         """
+        if self._returned:
+            returned, self._returned = self._returned, []
+            return returned
         with self._wake:
             self._wake.wait_for(lambda: self._messages or self._over, timeout)
             count = min(len(self._messages), AT_ONCE)
@@ -145,6 +149,10 @@ class ReceiverProcess:
             if kind == wire.FRAMES:
                 self._taken = max(self._taken, *wire.TIME.unpack_from(body))
         return [wire.read_item(kind, body) for kind, body in some]
+
+    def put_back(self, items: Sequence[Item]) -> None:
+        """Have the next `take` give these, which were taken before."""
+        self._returned = [*items, *self._returned]
 
     def take_events(self) -> list[str]:
         """What happened to the recording since this was last asked, one line each."""

@@ -27,10 +27,18 @@ class RequestsTold:
         return self._ask("heartbeat")
 
     def set_message_interval(
-        self, target: tuple[int, int], message_id: int, interval_us: int
+        self, target: tuple[int, int], message_id: int, interval_us: int, own_us: int = 0
     ) -> bool:
         """As of `Gate`."""
-        return self._ask("set_message_interval", target, message_id, interval_us)
+        return self._ask("set_message_interval", target, message_id, interval_us, own_us)
+
+    def get_message_interval(self, target: tuple[int, int], message_id: int) -> bool:
+        """As of `Gate`."""
+        return self._ask("get_message_interval", target, message_id)
+
+    def request_message_interval(self, target: tuple[int, int], message_id: int) -> bool:
+        """As of `Gate`."""
+        return self._ask("request_message_interval", target, message_id)
 
     def request_group(self, target: tuple[int, int], group: int, hertz: int) -> bool:
         """As of `Gate`."""
@@ -55,10 +63,13 @@ class RequestsDone:
 
     def __init__(self, gate: Gate) -> None:
         self._gate = gate
-        self._intervals: dict[tuple[tuple[int, int], int], int] = {}
+        # (vehicle, message) -> version of MAVLink, and the interval to put back.
+        self._changed: dict[tuple[tuple[int, int], int], tuple[int, int]] = {}
         self._may: dict[str, Callable[..., bool]] = {
             "heartbeat": gate.heartbeat,
             "set_message_interval": self._set_message_interval,
+            "get_message_interval": gate.get_message_interval,
+            "request_message_interval": gate.request_message_interval,
             "request_group": gate.request_group,
             "read_parameter": gate.read_parameter,
         }
@@ -74,16 +85,18 @@ class RequestsDone:
         self._may[name](*(tuple(a) if isinstance(a, list) else a for a in arguments))
 
     def _set_message_interval(
-        self, target: tuple[int, int], message_id: int, interval_us: int
+        self, target: tuple[int, int], message_id: int, interval_us: int, own_us: int = 0
     ) -> bool:
-        if interval_us:
-            self._intervals[target, message_id] = self._gate.version
+        if interval_us == own_us:
+            self._changed.pop((target, message_id), None)
         else:
-            self._intervals.pop((target, message_id), None)
+            self._changed[target, message_id] = self._gate.version, own_us
         return self._gate.set_message_interval(target, message_id, interval_us)
 
     def restore(self) -> None:
         """Give the vehicle its own rates back: nobody is there any more who would."""
-        for (target, message_id), version in list(self._intervals.items()):
-            self._gate.version = version
-            self._set_message_interval(target, message_id, 0)
+        changed, self._changed = self._changed, {}
+        for _ in range(2):  # nobody is there to say it again either
+            for (target, message_id), (version, own_us) in changed.items():
+                self._gate.version = version
+                self._gate.set_message_interval(target, message_id, own_us)

@@ -146,8 +146,12 @@ class Result:
     airframe: dict[str, Any] = field(default_factory=dict)
     """Name and rotors that the identification rests on, as in airframe files."""
 
+    advice: dict[str, Any] | None = None
+    """What to fly next, of a running session: see `Advice`."""
+
     def as_json(self) -> dict[str, Any]:
         """The result as the dictionary that `--json` writes."""
+        advice = {} if self.advice is None else {"advice": self.advice}
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
@@ -165,6 +169,7 @@ class Result:
             "validation": self.validation,
             "priors": self.priors,
             "telemetry": self.telemetry,
+            **advice,
         }
 
     def dumps(self, indent: int | None = 2) -> str:

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,6 +157,18 @@ class Advice:
     progress: float = 0.0
     gains: tuple[Gain, ...] = ()
     enough: bool = False
+
+    def as_json(self) -> dict[str, Any]:
+        """For the lines of `--json`; shares as in `Gain`."""
+        gains = [{"name": g.name, "now": g.now, "expected": g.expected} for g in self.gains]
+        return {
+            "manoeuvre": self.manoeuvre,
+            "text": self.text,
+            "seconds": self.seconds,
+            "progress": self.progress,
+            "gains": gains,
+            "enough": self.enough,
+        }
 
 
 def speed_text(speed: float) -> str:

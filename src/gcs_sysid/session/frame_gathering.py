@@ -18,7 +18,7 @@ MOST = 1024
 """Frames that wait: those of a tenth of a second on the fastest link."""
 LONGEST = 0.2
 """s of the receiving computer's clock that they wait where the vehicle's does not tell the time."""
-_AWAITED = frozenset(MESSAGE_IDS[name] for name in ("HEARTBEAT", "PARAM_VALUE"))
+_AWAITED = frozenset(MESSAGE_IDS[name] for name in ("HEARTBEAT", "PARAM_VALUE", "MESSAGE_INTERVAL"))
 """Messages that somebody waits for: who speaks, and what was asked for."""
 _ROUNDING = 2e-6
 """s, of stamps and ticks."""

@@ -13,10 +13,11 @@ from typing import Any
 
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.scale_reference import ScaleReference
-from gcs_sysid.results.result import Result
+from gcs_sysid.results.result import Estimate, Result
 from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
 from gcs_sysid.session.clock_check import clock_doubt
 from gcs_sysid.session.frame_gathering import FrameGathering
+from gcs_sysid.session.told_layout import ToldLayout, differences, notes, told_layout
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame
@@ -56,6 +57,28 @@ class Pipeline:
         self._events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
         self._recorded: datetime | None = None
         self._waiting = FrameGathering()
+        self._contradicted: tuple[str, ...] = ()
+
+    @property
+    def told(self) -> ToldLayout | None:
+        """The layout that the vehicle tells by its parameters, as far as they have come."""
+        vehicle = self._telemetry.vehicle
+        return None if vehicle is None else told_layout(vehicle.key, self._telemetry.parameters)
+
+    @property
+    def airframe_problems(self) -> tuple[str, ...]:
+        """What the airframe says otherwise than the vehicle; empty where they agree."""
+        told = self.told
+        return () if told is None else differences(self.chain.airframe, told)
+
+    def check_airframe(self) -> tuple[str, ...]:
+        """`airframe_problems`, told in the event log as soon as there are any."""
+        found = self.airframe_problems
+        if found != self._contradicted:
+            self._contradicted = found
+            for line in found:
+                self.chain.note(line)
+        return found
 
     def take(self, frames: Iterable[Frame] | FrameBlock, wall: float | None = None) -> bool:
         """Take frames in the order received. Returns whether the estimate was renewed.
@@ -174,6 +197,14 @@ class Pipeline:
         elif result.verdict != "identified":
             reasons = (*reasons, *self._telemetry.problems)
         telemetry = {**self._telemetry.as_dict(), **result.telemetry}
+        told = self.told
+        if told is not None:
+            wrong = differences(self.chain.airframe, told)
+            remarks = notes(self.chain.airframe, told)
+            telemetry["layout"] = {**told.as_json(), "differences": [*wrong], "notes": [*remarks]}
+            if wrong:
+                # Whatever was fitted rests on rotors that are elsewhere.
+                result, reasons = _without_numbers(result), (*wrong, *reasons)
         loss, serious = loss_reason(telemetry)
         if loss and result.verdict != "refused":
             reasons = (*reasons, loss)
@@ -189,3 +220,12 @@ class Pipeline:
             events=tuple(sorted([*self._events, *result.events], key=lambda event: event["t"])),
             telemetry=telemetry,
         )
+
+
+def _without_numbers(result: Result) -> Result:
+    """The same, refused: of what is not given nothing is known."""
+    parameters = {
+        name: e if e.status == "given" else Estimate(None, None, e.unit, "unobservable")
+        for name, e in result.parameters.items()
+    }
+    return replace(result, verdict="refused", parameters=parameters)

@@ -24,7 +24,7 @@ USUAL_PORTS = {
 }
 """UDP port -> what it is for."""
 
-_LAYOUT_BY_ROTORS = {4: "quad-x", 6: "hexa-x", 8: "octo-x"}
+_TRICOPTER = 3
 _SLICE = 0.05
 """s of waiting on one link before the next has its turn."""
 
@@ -140,9 +140,10 @@ def heard(ears: Sequence[Ear], seconds: float) -> list[Finding]:
 
 def start_command(vehicle: Vehicle, url: str, several: bool = False) -> str:
     """What to type to identify a vehicle; the size and the mass are for the user to fill in."""
-    shape = _LAYOUT_BY_ROTORS.get(rotor_count(vehicle) or 0)
-    maker = "ardupilot" if vehicle.key == "ardupilot" else "px4"
-    frame = f"--airframe {maker}-{shape} --arm M" if shape else "--airframe FILE.toml"
+    # The type in its heartbeat tells no order of motors, and of many a hexa not even the number;
+    # its parameters do, once it may be asked.
+    told = vehicle.key in ("px4", "ardupilot") and rotor_count(vehicle) != _TRICOPTER
+    frame = "--airframe auto --arm M" if told else "--airframe FILE.toml"
     which = f" --vehicle {vehicle.system}:{vehicle.component}" if several else ""
     return f"gcs-sysid live {quoted(url)} {frame} --mass KG{which}"
 

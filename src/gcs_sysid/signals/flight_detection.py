@@ -1,23 +1,79 @@
-"""When the vehicle flies: what the autopilot says, else what armed rotors and height say."""
+"""When the vehicle flies: what the autopilot says, else what rotors, IMU and height say.
+
+Rotors at zero are not the ground: a throttle is cut and a mixer saturates in the air too, and a
+hand throws a vehicle whose rotors stand. On the ground the accelerometer reads 1 g and nothing
+turns; in free fall it reads next to nothing. Rotors that turn are not flight either: what idles
+on its feet reads 1 g at a fraction of the thrust that carries it.
+"""
+
+import math
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.signals.recursions import lfilter
 
 TAKE_OFF = 1.0
 """s after leaving the ground that do not count yet: ground effect, and feet that slip."""
 _HEIGHT = 0.3
 """m above where it stood, from which a vehicle that does not tell is believed to fly."""
+_G = 9.81
+_REST, _REST_FOR = (2.5, 0.35), 0.25
+"""m/s^2 from 1 g and rad/s within which it rests, and s of it. Idling rotors shake it by 0.7 m/s^2
+(LOG00259 of indiflightSupport); hovering it leaves these bounds several times in that time."""
+_STILL = (0.6, 0.05)
+"""The same of means over `_SMOOTH`, within which a record may begin on the ground: in hover real
+flights read 0.07 rad/s and more, with idling rotors on the ground 0.02. Simulated ones may hover as
+quietly, so it counts as flight until thrust has grown several times, and the ground is known."""
+_FALL, _FALL_FOR = 4.0, 0.1
+"""m/s^2 below which it falls, and s of it."""
+_ONE_G = (7.0, 13.0)
+"""m/s^2 that an accelerometer must have read before it is believed to tell a fall."""
+_CARRIED = np.log([5.0, 2.5])
+"""Logarithms of specific force over squared speeds and over commands, against their least in
+flight, from which the ground carries it. Over squared speeds: 9 to 10 with idling rotors, at most
+2 in flight. Over commands: 3.6 and more with idling rotors, 1.6 in flight, be thrust linear or
+square in the command."""
+_LEAST_FORCE = 5.0
+"""m/s^2 from which that ratio is taken."""
+_FORGETS = 60.0
+"""s in which the least ratio grows by e: a payload, or a spike that was taken for thrust."""
+_SMOOTH = 0.1
+"""s."""
+_PLACED_FOR = 2.0
+"""s that a height stays the last one told."""
+_UNHEARD = 1.0
+"""s without any rotor after which nothing tells that it flies."""
 
 
 class FlightDetector:
     """Marks flight on the grid, block by block; how samples are grouped does not matter."""
 
     def __init__(self) -> None:
-        self._stood_at = -np.inf
-        self._ground = np.nan
+        self._t = np.nan
+        self._state = 0.0
+        """1 in the air, -1 on the ground, 0 not known."""
+        self._stood_at = self._restless_at = self._carried_at = self._rotors_at = -np.inf
+        self._unfallen_at = self._fell_at = -np.inf
+        self._placed_at = -np.inf
+        self._ground = self._down = np.nan
+        self._began: float | None = None
+        self._smooth = np.full(4, np.nan)
+        self._log_least = np.full(2, np.inf)
+        self._sensed = self._stood = self._moved = self._weighed = False
+        self._still: tuple[float, float, Array] | None = None
 
-    def update(self, t: Array, in_air: Array, armed: Array, speeds: Array, position: Array) -> Mask:
+    def update(
+        self,
+        t: Array,
+        in_air: Array,
+        armed: Array,
+        speeds: Array,
+        position: Array,
+        force: Array | None = None,
+        rates: Array | None = None,
+        thrust: Array | None = None,
+    ) -> Mask:
         """Take a block.
 
         Args:
@@ -26,24 +82,163 @@ class FlightDetector:
             armed: (n,) the same for arming.
             speeds: (n, rotors) speeds or commands, zero where a rotor stands; NaN: not told.
             position: (n, 3) north, east, down in m; NaN: not told.
+            force: (n, 3) specific force in m/s^2; NaN: not told.
+            rates: (n, 3) body rates in rad/s; NaN: not told.
+            thrust: (n, 2) mean of squared speeds, and of commands from that of no thrust on, both
+                in any unit; NaN: not told.
 
         Returns:
             (n,) whether it flies.
         """
+        unknown = np.full((len(t), 3), np.nan)
+        force = np.linalg.norm(unknown if force is None else force, axis=1)
+        rates = np.linalg.norm(unknown if rates is None else rates, axis=1)
+        thrust = unknown[:, :2] if thrust is None else thrust
+        zero = (speeds == 0.0).all(axis=1)
         turn = (speeds > 0.0).all(axis=1)
+        sensed = np.isfinite(force) & np.isfinite(rates)
+        had_imu = np.logical_or.accumulate(np.append(self._sensed, sensed))[1:]
+        smooth = self._smoothed(t, np.column_stack([force, rates, thrust]))
+        ratio = self._ratios(smooth)
+        least = self._least(t, ratio)
+        with np.errstate(invalid="ignore"):
+            restless: Mask = sensed & ((np.abs(force - _G) > _REST[0]) | (rates > _REST[1]))
+            carried = (ratio > _CARRIED + least).any(axis=1)
+            carried &= ~(ratio <= _CARRIED + least).any(axis=1)
+            falls = sensed & (force < _FALL) & (force > 0.0)
+        rests = self._since(t, restless | ~zero, "_restless_at") >= _REST_FOR
+        idles = self._since(t, restless | zero | ~carried, "_carried_at") >= _REST_FOR
+        falls = (self._since(t, ~falls, "_unfallen_at") >= _FALL_FOR) & self._once_weighed(force)
         # Whoever says disarmed of a vehicle that says it flies, with all rotors turning, is not it.
         disarmed = (armed < 0.5) & ~(turn & (in_air > 0.5))
-        stands = disarmed | (speeds == 0.0).all(axis=1)
-        ground = _held(np.where(stands, position[:, 2], np.nan), self._ground)
-        self._ground = float(ground[-1])
+        stands = disarmed | (zero & (rests | ~had_imu)) | (idles & had_imu)
+        down = self._lately(t, position[:, 2])
+        stood = np.logical_or.accumulate(np.append(self._stood, stands | zero))[1:]
+        self._note_beginning(t, smooth, had_imu & ~stood, down, ratio)
+        ground, stood_at = self._grounds(t, np.where(stands, position[:, 2], np.nan), least)
         # Where height or ground is not known, turning rotors must do.
-        low = ground - position[:, 2] < _HEIGHT
-        guess = turn & ~low
-        aloft = np.where(np.isfinite(in_air), in_air > 0.5, guess) & ~stands
-        stood_at = np.maximum.accumulate(np.append(self._stood_at, np.where(aloft, -np.inf, t)))
-        self._stood_at = float(stood_at[-1])
-        flies: Mask = aloft & (t - stood_at[1:] >= TAKE_OFF)
+        low = ground - down < _HEIGHT
+        heard: Mask = np.logical_or.reduce(np.isfinite(speeds), axis=1)
+        silent = self._since(t, heard, "_rotors_at") >= _UNHEARD
+        told = np.isfinite(in_air)
+        change = np.select(
+            [stands, told, falls, low | silent, turn],
+            [-1.0, np.where(in_air > 0.5, 1.0, -1.0), 1.0, -1.0, 1.0],
+            0.0,
+        )
+        state = _held(np.where(change == 0.0, np.nan, change), self._state)
+        flies = self._counts(t, np.where(state < 0.0, t, stood_at), state, falls & (state > 0.0))
+        self._state, self._t = float(state[-1]), float(t[-1])
+        self._sensed, self._stood = bool(had_imu[-1]), bool(stood[-1])
         return flies
+
+    def _counts(self, t: Array, stood_at: Array, state: Array, falls: Mask) -> Mask:
+        """Where it flies, and has left the ground long enough ago or was seen to fall since."""
+        stood_at = np.maximum.accumulate(np.append(self._stood_at, stood_at))
+        fell_at = np.maximum.accumulate(np.append(self._fell_at, np.where(falls, t, -np.inf)))
+        self._stood_at, self._fell_at = float(stood_at[-1]), float(fell_at[-1])
+        counts: Mask = (t - stood_at[1:] >= TAKE_OFF) | (fell_at > stood_at)[1:]
+        return (state > 0.0) & counts
+
+    def _since(self, t: Array, happens: Mask, name: str) -> Array:
+        """(n,) s since something happened last; the time of it is kept under a name."""
+        before: float = getattr(self, name)
+        if math.isinf(before):
+            before = float(t[0])
+        last = np.maximum.accumulate(np.append(before, np.where(happens, t, -np.inf)))
+        setattr(self, name, float(last[-1]))
+        since: Array = t - last[1:]
+        return since
+
+    def _once_weighed(self, force: Array) -> Mask:
+        """(n,) whether the accelerometer has read about 1 g before: it is not dead."""
+        weighs = (force > _ONE_G[0]) & (force < _ONE_G[1])
+        weighed: Mask = np.logical_or.accumulate(np.append(self._weighed, weighs))[1:]
+        self._weighed = bool(weighed[-1])
+        return weighed
+
+    def _smoothed(self, t: Array, x: Array) -> Array:
+        """(n, k) means over `_SMOOTH`; what is missing holds the value before."""
+        x = np.column_stack([_held(x[:, k], self._smooth[k]) for k in range(x.shape[1])])
+        step = float(t[1] - t[0]) if len(t) > 1 else float(t[0]) - self._t
+        # Before the first sample nothing is smoothed, whatever the step.
+        decay = math.exp(-max(step, 0.0) / _SMOOTH) if step == step else 0.0
+        out = x.copy()
+        for k in range(x.shape[1]):
+            first = int(np.argmax(np.isfinite(x[:, k])))
+            if np.isfinite(x[first, k]):
+                before = self._smooth[k] if np.isfinite(self._smooth[k]) else x[first, k]
+                part, _ = lfilter(
+                    [1.0 - decay], [1.0, -decay], x[first:, k], np.array([decay * before])
+                )
+                out[first:, k] = part
+        self._smooth = out[-1].copy()
+        return out
+
+    @staticmethod
+    def _ratios(smooth: Array) -> Array:
+        """(n, 2) logarithm of specific force over thrust, by speeds and by commands."""
+        force, thrust = smooth[:, :1], smooth[:, 2:]
+        good = (force > _LEAST_FORCE) & (thrust > 0.0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(good, np.log(force / thrust), np.nan)
+
+    def _least(self, t: Array, ratio: Array) -> Array:
+        """(n, 2) the least of the ratios so far, which grows while none is less."""
+        drift = t[:, None] / _FORGETS
+        found = np.where(np.isfinite(ratio), ratio, np.inf) - drift
+        least = np.minimum.accumulate(np.vstack([self._log_least, found]), axis=0)[1:]
+        self._log_least = least[-1].copy()
+        grown: Array = least + drift
+        return grown
+
+    def _lately(self, t: Array, down: Array) -> Array:
+        """(n,) down in m, for a while after it was told last."""
+        held = _held(down, self._down)
+        self._down = float(held[-1])
+        age = self._since(t, np.isfinite(down), "_placed_at")
+        return np.where(age < _PLACED_FOR, held, np.nan)
+
+    def _note_beginning(
+        self, t: Array, smooth: Array, judged: Mask, down: Array, ratio: Array
+    ) -> None:
+        """Keep where it was until it first moved: there it stood, or hovered."""
+        gentle = (np.abs(smooth[:, 0] - _G) < _STILL[0]) & (smooth[:, 1] < _STILL[1])
+        if self._began is None:
+            self._began = float(t[0])
+        gentle |= t - self._began < 2.0 * _SMOOTH
+        moved = np.logical_or.accumulate(np.append(self._moved, judged & ~gentle))[1:]
+        self._moved = bool(moved[-1])
+        still = judged & ~moved
+        if still.any():
+            last = int(np.flatnonzero(still)[-1])
+            # The greatest: commands lead the motion that they make.
+            greatest = np.fmax.reduce(ratio[still], axis=0)
+            if self._still is not None:
+                greatest = np.fmax(greatest, self._still[2])
+            self._still = float(t[last]), float(down[last]), greatest
+
+    def _grounds(self, t: Array, stood: Array, least: Array) -> tuple[Array, Array]:
+        """(n,) down of where it stood last, m, and when it turned out to have stood until then.
+
+        Whether it stood where the record began is seen when it has left that place.
+        """
+        stood_at = np.full(len(t), -np.inf)
+        if self._still is not None and self._moved:
+            at, down, ratio = self._still
+            with np.errstate(invalid="ignore"):
+                carried = (ratio > _CARRIED + least).any(axis=1) & (t >= at)
+            if carried.any():
+                self._still = None
+                first = int(np.argmax(carried))
+                # Thrust has grown several times: it stood there, and has left the ground since.
+                if np.isnan(self._ground) and np.isnan(stood[: first + 1]).all():
+                    stood = stood.copy()
+                    stood[first] = down
+                    stood_at[first] = at
+        ground = _held(stood, self._ground)
+        self._ground = float(ground[-1])
+        return ground, stood_at
 
 
 def _held(values: Array, before: float) -> Array:

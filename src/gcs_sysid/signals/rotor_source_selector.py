@@ -31,6 +31,10 @@ _MOST = 2048
 """Samples of a source kept in a stretch."""
 _MOVES = 0.01
 """Change in a stretch, relative to the mean, from which a rotor counts as alive."""
+_FULL_SCALES = (1.0, 2000.0, 2047.0, 8191.0, 65535.0)
+"""Greatest commands of the usual units."""
+_TOUCHES = 0.998
+"""Share of the greatest speed or command from which another rotor has been at the same limit."""
 _SAME = 0.02
 """Error, relative to the change, below which speeds are a function of the command."""
 _RPM = 2.0 * math.pi / 60.0
@@ -244,7 +248,7 @@ class RotorSourceSelector:
             fresh = max(map(_readings, values)) / seconds
             return f"repeats old readings, {fresh:.0f} new ones a second"
         moves = np.array([np.ptp(v) / max(np.abs(v).mean(), 1e-9) for v in values])
-        still = [i for i, v in enumerate(values) if np.ptp(v) == 0.0]
+        still = [i for i, v in enumerate(values) if np.ptp(v) == 0.0 and not _saturates(i, values)]
         if still and np.median(np.delete(moves, still) if len(still) < count else 0.0) > _MOVES:
             rotor = still[0]
             reads = f"reads {values[rotor][0]:.0f}" if values[rotor][0] == 0.0 else "stands still"
@@ -343,6 +347,19 @@ def _readings(values: Array) -> float:
     if not len(jumps) or float(np.median(jumps)) <= 2.0 * _step(values):
         return math.inf
     return float(len(jumps))
+
+
+def _saturates(rotor: int, values: Sequence[Array]) -> bool:
+    """Whether a rotor that does not move is at its limit, and not dead.
+
+    It stays at the greatest value of all, which is a full scale or where another has been too.
+    """
+    value = float(values[rotor][0])
+    others = [float(v.max()) for i, v in enumerate(values) if i != rotor]
+    greatest = max(others, default=0.0)
+    if value <= 0.0 or value < greatest:
+        return False
+    return value in _FULL_SCALES or greatest >= _TOUCHES * value
 
 
 def _until_landing(

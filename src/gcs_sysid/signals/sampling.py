@@ -324,6 +324,9 @@ class Sampler:
             _stream(block, Stream.ARMED, n, 1)[:, 0],
             self._turning(block, n),
             velocity[:, 3:],
+            force,
+            gyro,
+            self._thrust(block, n),
         )
         self.time_base.flown += dt * int(np.count_nonzero(flying))
         gyro = np.where(flying[:, None], gyro, np.nan)
@@ -375,11 +378,26 @@ class Sampler:
             if stream in (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND) and offset < self._rotors:
                 if stream is Stream.ROTOR_COMMAND:
                     # Pulses of stopped motors are at most 1000 us; other units start from zero.
-                    stopped = (values >= 600.0) & (values <= 1000.0)
+                    # The half is for what interpolation adds.
+                    stopped = (values >= 600.0) & (values <= 1000.5)
                     values = np.where(stopped, 0.0, values)
+                values = np.where(values <= _STOPPED, 0.0, values)
                 part = turning[:, offset : offset + values.shape[1]]
                 np.fmax(part, values[:, : part.shape[1]], out=part)
         return turning
+
+    def _thrust(self, block: Block, n: int) -> Array:
+        """(n, 2) mean of squared speeds and of commands: what thrust grows with."""
+        out = np.full((n, 2), np.nan)
+        for (stream, _, offset), values in block.values.items():
+            if stream in (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND) and offset < self._rotors:
+                k = int(stream is Stream.ROTOR_COMMAND)
+                # Pulses start from 1000 us.
+                pulse = (values >= 600.0) & (values <= 2400.0) if k else np.zeros(1, bool)
+                values = np.where(pulse, np.maximum(values - 1000.0, 0.0), values)
+                mean = (values[:, : self._rotors - offset] ** (2 - k)).mean(axis=1)
+                out[:, k] = np.fmax(out[:, k], mean)
+        return out
 
     def _show(self, samples: Samples) -> None:
         if np.isfinite(samples.attitude[-1]).all():
@@ -388,6 +406,10 @@ class Sampler:
         if np.isfinite(samples.rates[-1]).all():
             p, q, r = samples.rates[-1]
             self.rates = (float(p), float(q), float(r))
+
+
+_STOPPED = 1e-6
+"""Of a speed or command, beside a rotor that stands; interpolation goes below zero too."""
 
 
 class _Unseen:

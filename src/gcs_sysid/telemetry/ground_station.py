@@ -5,6 +5,7 @@ that are believed, which is why the analysis of a recording ends with the live s
 """
 
 from collections import deque
+from pathlib import Path
 from typing import Any
 
 from gcs_sysid.telemetry.intake import Intake
@@ -13,6 +14,7 @@ from gcs_sysid.telemetry.parameter_requests import ParameterRequests
 from gcs_sysid.telemetry.requests import StreamRequests
 from gcs_sysid.telemetry.senders import Rival
 from gcs_sysid.telemetry.signing import Refusal
+from gcs_sysid.telemetry.stream_restoration import StreamRestoration
 from gcs_sysid.telemetry.transceiver import Port
 
 LOST_AFTER = 3.0
@@ -36,6 +38,7 @@ class GroundStation:
         rotors: how many the airframe has.
         rate: Hz wished for IMU and rotors.
         connects_once: whether a connection that is closed means that the sender has finished.
+        state_folder: where the rates to restore are kept, see `stream_restoration`; None: nowhere.
 
     Attributes:
         lost: whether a vehicle that spoke before is silent now, or the link is gone.
@@ -43,13 +46,20 @@ class GroundStation:
     """
 
     def __init__(
-        self, port: Port, rotors: int, rate: float, *, connects_once: bool = False
+        self,
+        port: Port,
+        rotors: int,
+        rate: float,
+        *,
+        connects_once: bool = False,
+        state_folder: Path | None = None,
     ) -> None:
         self.lost = False
         self.heard_at: float | None = None
         self._port = port
         self._connects_once = connects_once
-        self._streams = StreamRequests(port.gate, rate, rotors, port.url.line_rate)
+        restoration = StreamRestoration(port.gate, rotors, state_folder, str(port.url))
+        self._streams = StreamRequests(port.gate, rate, rotors, port.url.line_rate, restoration)
         self._parameters = ParameterRequests(port.gate, rotors)
         self._events: deque[str] = deque(maxlen=_MOST_EVENTS)
         self._told: set[str] = set()
@@ -112,7 +122,13 @@ class GroundStation:
         """Send what is due. Call it a few times a second."""
         monitor = intake.monitor
         self._streams.tick(
-            now, intake.vehicle, monitor.rates(), intake.turning, (monitor.lost, monitor.sent)
+            now,
+            intake.vehicle,
+            monitor.rates(),
+            intake.turning,
+            (monitor.lost, monitor.sent),
+            intake.intervals,
+            intake.parameters.get("SCHED_LOOP_RATE"),
         )
         self._parameters.tick(now, intake.vehicle, intake.parameters)
         self._events += self._streams.take_events()

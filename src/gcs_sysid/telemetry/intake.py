@@ -80,6 +80,11 @@ class Intake:
         return self.decoder.parameters
 
     @property
+    def intervals(self) -> dict[int, tuple[int, int]]:
+        """What MESSAGE_INTERVAL told, see `VehicleStates`."""
+        return self.decoder.states.intervals
+
+    @property
     def clock(self) -> float | None:
         """The latest time on the vehicle's clock, s."""
         return self.decoder.clock.now

@@ -36,6 +36,24 @@ SHORTEST_INTERVAL = 500
 """us. No autopilot sends faster, and one that tried would have no time left to fly."""
 LONGEST_INTERVAL = 60_000_000
 """us. Nobody needs a stream slower than one a minute."""
+_MAY_BE_STOPPED = frozenset(
+    getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
+    for name in (
+        "HIGHRES_IMU",
+        "RAW_IMU",
+        "ATTITUDE",
+        "LOCAL_POSITION_NED",
+        "EXTENDED_SYS_STATE",
+        "ESC_STATUS",
+        "ESC_TELEMETRY_1_TO_4",
+        "ESC_TELEMETRY_5_TO_8",
+        "ESC_TELEMETRY_9_TO_12",
+        "ESC_TELEMETRY_13_TO_16",
+        "ACTUATOR_OUTPUT_STATUS",
+        "SERVO_OUTPUT_RAW",
+    )
+)
+"""Messages that this tool asks for, and that it may therefore have to stop again."""
 _PARAMETER_NAME = re.compile(r"[A-Z0-9_]{1,16}")
 
 
@@ -60,8 +78,15 @@ def _is_harmless_command(message: Any) -> bool:
     if wanted not in mavlink.mavlink_map or any(rest) or message.confirmation != 0:
         return False
     if message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
-        # 0 asks for the vehicle's own rate, -1 would switch the message off.
+        # 0 asks for the vehicle's default, -1 stops what was not sent before either.
+        if value == -1:
+            return wanted in _MAY_BE_STOPPED
         return bool(value == 0 or SHORTEST_INTERVAL <= value <= LONGEST_INTERVAL)
+    if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
+        # Of all messages only the one that tells an interval.
+        return bool(
+            wanted == mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL and value in mavlink.mavlink_map
+        )
     return bool(message.command == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL and value == 0)
 
 
@@ -184,14 +209,23 @@ class Gate:
         )
 
     def set_message_interval(
-        self, target: tuple[int, int], message_id: int, interval_us: int
+        self, target: tuple[int, int], message_id: int, interval_us: int, own_us: int = 0
     ) -> bool:
-        """Ask for a message every `interval_us`; 0 restores the vehicle's own rate."""
+        """Ask for a message every `interval_us`; 0 restores the vehicle's default, -1 stops it.
+
+        `own_us` was its interval before: not sent, but known to whoever outlives the session.
+        """
+        del own_us
         return self._command(target, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, interval_us)
 
     def get_message_interval(self, target: tuple[int, int], message_id: int) -> bool:
         """Ask at which interval a message is sent."""
         return self._command(target, mavlink.MAV_CMD_GET_MESSAGE_INTERVAL, message_id)
+
+    def request_message_interval(self, target: tuple[int, int], message_id: int) -> bool:
+        """Ask the same by REQUEST_MESSAGE, which supersedes the command for it."""
+        told = mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL
+        return self._command(target, mavlink.MAV_CMD_REQUEST_MESSAGE, told, message_id)
 
     def request_group(self, target: tuple[int, int], group: int, hertz: int) -> bool:
         """Ask for a group of messages (REQUEST_DATA_STREAM) at a rate; 0 Hz stops it."""

@@ -1,26 +1,29 @@
 """Reads the parameters that tell what the vehicle and its filters are, a few a second.
 
-They are read by name, never written. What arrives is recorded like everything else, so that a
-recording holds them too. There is no clock in here: the caller says what time it is.
+Those that tell the layout come first and faster: what is wrong with an airframe is to be said
+before take-off. They are read by name, never written. What arrives is recorded like everything
+else, so that a recording holds them too. There is no clock in here: the caller says what time it
+is.
 """
 
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 from gcs_sysid.telemetry.transceiver import Requests
 from gcs_sysid.telemetry.vehicles import Vehicle
 
 ASK_EVERY = 0.25
 """s between two requests: a slow radio carries that beside the streams."""
+LAYOUT_AT_ONCE = 3
+"""Requests at a time while the layout is not told."""
 ROUNDS = 5
 """Requests for a parameter that is not answered; the vehicle may not have it."""
 ROUND_EVERY = 3.0
 """s at least between two requests for the same one."""
 
+_PX4_LAYOUT = ("CA_AIRFRAME", "CA_ROTOR_COUNT", "SYS_AUTOSTART")
 _PX4 = (
-    "SYS_AUTOSTART",
     "SYS_HITL",
-    "CA_ROTOR_COUNT",
     "THR_MDL_FAC",
     "IMU_GYRO_CUTOFF",
     "IMU_ACCEL_CUTOFF",
@@ -33,7 +36,8 @@ _PX4 = (
     "SIM_GZ_EN",
 )
 _PX4_PER_ROTOR = ("CA_ROTOR{0}_PX", "CA_ROTOR{0}_PY", "CA_ROTOR{0}_KM")
-_PX4_PER_OUTPUT = ("PWM_MAIN_FUNC{0}", "PWM_MAIN_MIN{0}", "PWM_MAIN_MAX{0}")
+_PX4_PER_OUTPUT = ("PWM_MAIN_FUNC{0}",)
+_PX4_RANGES = ("PWM_MAIN_MIN{0}", "PWM_MAIN_MAX{0}")
 # The simulator inside PX4: its own values are the truth.
 _SIH = (
     "SIH_IXX",
@@ -50,9 +54,9 @@ _SIH = (
     "SIH_KDW",
     "SIH_T_TAU",
 )
+# The loop's rate before the rates have settled.
+_ARDUPILOT_LAYOUT = ("SCHED_LOOP_RATE", "FRAME_CLASS", "FRAME_TYPE")
 _ARDUPILOT = (
-    "FRAME_CLASS",
-    "FRAME_TYPE",
     "INS_GYRO_FILTER",
     "INS_ACCEL_FILTER",
     "INS_POS1_X",
@@ -65,11 +69,12 @@ _ARDUPILOT = (
     "MOT_PWM_MIN",
     "MOT_PWM_MAX",
     "MOT_THST_HOVER",
-    "SCHED_LOOP_RATE",
     "SIM_SPEEDUP",
 )
 _ARDUPILOT_PER_OUTPUT = ("SERVO{0}_FUNCTION",)
 
+MOST_ROTORS = 12
+"""PX4 has no parameters for more."""
 FOLLOW_UPS = {"SIH_MASS": _SIH}
 """What the answer to one makes worth asking."""
 
@@ -81,13 +86,21 @@ def wanted_parameters(autopilot: str, rotors: int) -> tuple[str, ...]:
         autopilot: "px4", "ardupilot", ...
         rotors: how many the airframe has.
     """
+    layout = layout_parameters(autopilot, rotors)
+    if autopilot == "px4":
+        return (*layout, *_PX4, *[n.format(i + 1) for i in range(rotors) for n in _PX4_RANGES])
+    return (*layout, *_ARDUPILOT) if autopilot == "ardupilot" else ()
+
+
+def layout_parameters(autopilot: str, rotors: int) -> tuple[str, ...]:
+    """Those of `wanted_parameters` that tell the layout: places, spins, outputs."""
     if autopilot == "px4":
         per_rotor = [n.format(i) for i in range(rotors) for n in _PX4_PER_ROTOR]
         per_output = [n.format(i + 1) for i in range(rotors) for n in _PX4_PER_OUTPUT]
-        return (*_PX4, *per_rotor, *per_output)
+        return (*_PX4_LAYOUT, *per_rotor, *per_output)
     if autopilot == "ardupilot":
         per_output = [n.format(i + 1) for i in range(rotors) for n in _ARDUPILOT_PER_OUTPUT]
-        return (*_ARDUPILOT, *per_output)
+        return (*_ARDUPILOT_LAYOUT, *per_output)
     return ()
 
 
@@ -111,15 +124,16 @@ class ParameterRequests:
         self._asks: dict[str, int] = {}
         self._asked_at: dict[str, float] = {}
         self._followed_up: set[str] = set()
+        self._layout: set[str] = set()
         self._last = -ASK_EVERY
 
-    def tick(self, now: float, vehicle: Vehicle | None, arrived: Collection[str]) -> None:
+    def tick(self, now: float, vehicle: Vehicle | None, arrived: Mapping[str, float]) -> None:
         """Ask for one where that is due.
 
         Args:
             now: any steady clock, s. Call it a few times a second.
             vehicle: the chosen vehicle, None while there is none.
-            arrived: names of the vehicle's parameters that have arrived.
+            arrived: name -> value of the vehicle's parameters that have arrived.
         """
         if vehicle is None:
             return
@@ -130,17 +144,34 @@ class ParameterRequests:
             if trigger in arrived and trigger not in self._followed_up:
                 self._followed_up.add(trigger)
                 self._queue.extend(names)
+        self._follow_count(vehicle, arrived)
         if now - self._last < ASK_EVERY:
             return
-        name = self._next(now, arrived)
-        if name is not None:
+        for _ in range(LAYOUT_AT_ONCE):
+            name = self._next(now, arrived)
+            if name is None:
+                return
             self._last = self._asked_at[name] = now
             self._asks[name] = self._asks.get(name, 0) + 1
             self._gate.read_parameter(vehicle.address, name)
+            if name not in self._layout:
+                return
+
+    def _follow_count(self, vehicle: Vehicle, arrived: Mapping[str, float]) -> None:
+        """Ask for the rotors that the vehicle has beyond those of the airframe."""
+        count = arrived.get("CA_ROTOR_COUNT", 0.0)
+        if not self._rotors < count <= MOST_ROTORS:
+            return
+        known = set(wanted_parameters(vehicle.key, self._rotors))
+        self._rotors = round(count)
+        more = [n for n in layout_parameters(vehicle.key, self._rotors) if n not in known]
+        self._layout.update(more)
+        self._queue.extendleft(reversed(more))
 
     def _begin(self, vehicle: Vehicle) -> None:
         self.missing = []
         self._queue = deque(wanted_parameters(vehicle.key, self._rotors))
+        self._layout = set(layout_parameters(vehicle.key, self._rotors))
         self._asks.clear()
         self._asked_at.clear()
         self._followed_up.clear()

@@ -6,14 +6,17 @@ caller says what time it is.
 """
 
 from collections.abc import Collection, Mapping
+from types import MappingProxyType
 
 from gcs_sysid.signals.samples import NEEDED_RATE
 from gcs_sysid.telemetry.group_requests import GroupRequests
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.outgoing import MOST_OF_GROUP
+from gcs_sysid.telemetry.stream_restoration import StreamRestoration
 from gcs_sysid.telemetry.transceiver import Requests
 from gcs_sysid.telemetry.vehicles import Vehicle
 from gcs_sysid.telemetry.wanted_streams import (
+    ARDUPILOT_LOOP_RATE,
     IMU,
     USABLE,
     bytes_per_second,
@@ -57,6 +60,8 @@ class StreamRequests:
         rate: Hz wished for IMU and rotors.
         rotors: how many the airframe has.
         baud: of the serial line, where that limits; None elsewhere.
+        restoration: finds out and keeps the vehicle's own rates before others are asked for; None:
+            its defaults are restored.
 
     Attributes:
         asked: message name -> Hz asked for; empty before the vehicle is known.
@@ -64,7 +69,12 @@ class StreamRequests:
     """
 
     def __init__(
-        self, gate: Requests, rate: float, rotors: int = 4, baud: int | None = None
+        self,
+        gate: Requests,
+        rate: float,
+        rotors: int = 4,
+        baud: int | None = None,
+        restoration: StreamRestoration | None = None,
     ) -> None:
         self.asked: dict[str, float] = {}
         self.problem = ""
@@ -86,6 +96,8 @@ class StreamRequests:
         self._events: list[str] = []
         self._loss = _LossCut()
         self._groups: GroupRequests | None = None
+        self._restoration = restoration
+        self._loop_rate: float | None = None
 
     def tick(
         self,
@@ -94,6 +106,8 @@ class StreamRequests:
         arriving: Mapping[str, float],
         turning: Collection[str] = (),
         lost_of: tuple[int, int] = (0, 0),
+        intervals: Mapping[int, tuple[int, int]] = MappingProxyType({}),
+        loop_rate: float | None = None,
     ) -> None:
         """Do what is due.
 
@@ -103,12 +117,16 @@ class StreamRequests:
             arriving: message name -> Hz observed, as `Monitor.rates` gives it.
             turning: messages that have told of all their rotors turning.
             lost_of: messages of the vehicle lost and sent so far.
+            intervals: as of `StreamRestoration.tick`.
+            loop_rate: ArduPilot's SCHED_LOOP_RATE, Hz; None: not known.
         """
         if self._gate.listen_only:
             return
         if vehicle is not None and (
             self._vehicle is None or vehicle.address != self._vehicle.address
         ):
+            if self._restoration is not None:
+                self._restoration.follow(vehicle)
             self.reboot()
             self.asked = {}
             self._groups = None
@@ -116,6 +134,10 @@ class StreamRequests:
         self._vehicle = vehicle
         self._heartbeat(now, vehicle)
         if vehicle is None:
+            return
+        self._loop_rate = loop_rate
+        restoration = self._restoration
+        if restoration is not None and not restoration.tick(now, arriving, intervals):
             return
         self._came |= {name for name, hz in arriving.items() if hz > 0.0}
         self._turning |= set(turning)
@@ -153,23 +175,48 @@ class StreamRequests:
         wanted: tuple[str, ...] = (*speeds, commands)
         if capacity is not None and speeds and self._turning.issuperset(speeds):
             wanted = speeds  # no room for both, and speeds are the better input
-        if self._planned == (wanted, absent, capacity, signed):
+        if self._planned == (wanted, absent, capacity, signed, self._loop_rate):
             return
-        self._planned = (wanted, absent, capacity, signed)
+        self._planned = (wanted, absent, capacity, signed, self._loop_rate)
         present = tuple(name for name in wanted if name not in absent) or wanted
         rates = fitting_rates(present, self._rate, self._rotors, capacity, signed)
         # An absent one takes no room, and may still begin: some ESCs report once they turn.
         rates |= {name: rates["HIGHRES_IMU"] for name in wanted if name not in rates}
         if vehicle.key == "ardupilot" and self._is_absent("HIGHRES_IMU"):
             rates["RAW_IMU"] = rates["HIGHRES_IMU"]  # as it came before 4.6
+        if vehicle.key == "ardupilot":
+            rates = self._even(rates)
         for name, hz in rates.items():
             if hz != self._rates.get(name):
                 self._asked_at.pop(name, None)
         for name in self._rates.keys() - rates.keys():
             self._restore(name)
+        if self._restoration is not None:
+            for name in self._restoration.left_over(rates):
+                self._restore(name, asked=True)
+            self._restoration.remember({n: self._interval(hz) for n, hz in rates.items()})
         before, self._rates = self._rates, rates
         if self._baud is not None and not self._loss.capacity:
             self._tell_line(before.get("HIGHRES_IMU"), rates["HIGHRES_IMU"])
+
+    def _even(self, rates: Mapping[str, float]) -> dict[str, float]:
+        """The rates that ArduPilot's loop sends evenly."""
+        even = {name: 1e6 / self._interval(hz) for name, hz in rates.items()}
+        hertz, wished = even["HIGHRES_IMU"], rates["HIGHRES_IMU"]
+        if hertz < ENOUGH * wished or (hertz < wished and wished == self._rate):
+            self._tell(
+                f"asking for {hertz:.0f} Hz instead of {wished:.0f} Hz: the autopilot's loop of "
+                f"{self._loop_rate or ARDUPILOT_LOOP_RATE:.0f} Hz would send that unevenly"
+            )
+        return even
+
+    def _interval(self, hertz: float) -> int:
+        assert self._vehicle is not None
+        return interval_us(self._vehicle.key, hertz, self._loop_rate)
+
+    def _own_interval(self, name: str) -> int:
+        """To be put back, us."""
+        return 0 if self._restoration is None else self._restoration.own(name)
 
     def _knows_groups_alone(self, vehicle: Vehicle, arriving: Mapping[str, float]) -> bool:
         """Whether this is ArduPilot before 4.0, by what does not come although asked for.
@@ -275,13 +322,19 @@ class StreamRequests:
     def _ask(self, name: str, hz: float, now: float) -> None:
         assert self._vehicle is not None
         self._asked_at[name] = now
-        interval = interval_us(self._vehicle.key, hz)
-        if self._gate.set_message_interval(self._vehicle.address, MESSAGE_IDS[name], interval):
+        interval, own = self._interval(hz), self._own_interval(name)
+        address = self._vehicle.address
+        if self._gate.set_message_interval(address, MESSAGE_IDS[name], interval, own):
             self.asked[name] = hz
 
-    def _restore(self, name: str) -> None:
-        if self._vehicle is not None and self.asked.pop(name, None) is not None:
-            self._gate.set_message_interval(self._vehicle.address, MESSAGE_IDS[name], 0)
+    def _restore(self, name: str, *, asked: bool = False) -> None:
+        """Put a stream's own interval back, if another was asked for."""
+        asked |= self.asked.pop(name, None) is not None
+        if self._vehicle is not None and asked:
+            own = self._own_interval(name)
+            self._gate.set_message_interval(self._vehicle.address, MESSAGE_IDS[name], own, own)
+            if self._restoration is not None:
+                self._restoration.restored(name)
 
     def _tell(self, text: str) -> None:
         if text not in self._events:
@@ -290,19 +343,23 @@ class StreamRequests:
     def take_events(self) -> list[str]:
         """What there is to tell since this was last asked, one line each."""
         events, self._events = self._events, []
+        if self._restoration is not None:
+            events += self._restoration.take_events()
         return events
 
     def reboot(self) -> None:
         """Ask anew: the vehicle has forgotten, or may have while it was not heard."""
         if self._groups is not None:
             self._groups.again()
+        if self._restoration is not None:
+            self._restoration.again()
         self._asked_at.clear()
         self._asks.clear()
         self._told.clear()
         self._introductions = 0
 
     def close(self) -> None:
-        """Give the vehicle its own rates back. Said twice: nobody is there to say it again."""
+        """Give the vehicle back the rates it had. Said twice: nobody is there to say it again."""
         asked = dict(self.asked)
         for _ in range(2):
             if self._groups is not None:
@@ -311,6 +368,8 @@ class StreamRequests:
             self.asked = dict(asked)
             for name in asked:
                 self._restore(name)
+        if self._restoration is not None:
+            self._restoration.close()
 
 
 class _LossCut:

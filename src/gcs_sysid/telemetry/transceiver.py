@@ -60,8 +60,14 @@ class Requests(Protocol):
         """As of `Gate`."""
 
     def set_message_interval(
-        self, target: tuple[int, int], message_id: int, interval_us: int
+        self, target: tuple[int, int], message_id: int, interval_us: int, own_us: int = 0
     ) -> bool:
+        """As of `Gate`."""
+
+    def get_message_interval(self, target: tuple[int, int], message_id: int) -> bool:
+        """As of `Gate`."""
+
+    def request_message_interval(self, target: tuple[int, int], message_id: int) -> bool:
         """As of `Gate`."""
 
     def request_group(self, target: tuple[int, int], group: int, hertz: int) -> bool:

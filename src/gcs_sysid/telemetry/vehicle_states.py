@@ -18,12 +18,16 @@ a second, came for this long."""
 MOST_PARAMETERS = 4096
 """Names kept: a hostile sender can make up more than any autopilot has."""
 STATE_IDS = frozenset(
-    MESSAGE_IDS[name] for name in ("HEARTBEAT", "EXTENDED_SYS_STATE", "PARAM_VALUE")
+    MESSAGE_IDS[name]
+    for name in ("HEARTBEAT", "EXTENDED_SYS_STATE", "PARAM_VALUE", "MESSAGE_INTERVAL")
 )
 """Ids of the messages that are read here."""
 
+KNOWN_IDS = frozenset(MESSAGE_IDS.values())
+"""A hostile sender can tell of 65 536 messages."""
 _ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 _landed = picker("EXTENDED_SYS_STATE", "landed_state")
+_interval = picker("MESSAGE_INTERVAL", "message_id", "interval_us")
 _heartbeat = picker("HEARTBEAT", "autopilot", "base_mode", "system_status")
 
 
@@ -33,13 +37,17 @@ class VehicleStates:
     Attributes:
         autopilot: MAV_AUTOPILOT of the latest heartbeat; None before the first.
         parameters: name -> value of the autopilot's parameters heard so far.
+        intervals: message number -> us between two of them as MESSAGE_INTERVAL told last, and how
+            many of these had come by then.
         untimed: messages that gave no record because no stamp had been heard.
     """
 
     def __init__(self) -> None:
         self.autopilot: int | None = None
         self.parameters: dict[str, float] = {}
+        self.intervals: dict[int, tuple[int, int]] = {}
         self.untimed = 0
+        self._intervals_heard = 0
         self._armed: bool | None = None
         self._landed_heard = -math.inf
 
@@ -56,9 +64,18 @@ class VehicleStates:
         """
         if frame.message_id == MESSAGE_IDS["PARAM_VALUE"]:
             return self._take_parameter(frame.payload, now)
+        if frame.message_id == MESSAGE_IDS["MESSAGE_INTERVAL"]:
+            self._take_interval(frame.payload)
+            return None
         if frame.message_id == MESSAGE_IDS["HEARTBEAT"]:
             return self._take_heartbeat(frame.payload, now)
         return self._take_landed(frame.payload, now)
+
+    def _take_interval(self, payload: bytes) -> None:
+        number, interval = _interval(payload)
+        if number in KNOWN_IDS:
+            self._intervals_heard += 1
+            self.intervals[number] = interval, self._intervals_heard
 
     def _take_landed(self, payload: bytes, now: float | None) -> Record | None:
         (state,) = _landed(payload)

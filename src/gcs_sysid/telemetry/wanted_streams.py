@@ -1,5 +1,6 @@
 """Which messages identification needs of an autopilot, and at which rates they fit a link."""
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -49,8 +50,12 @@ ESC_GROUP = Group(mavlink.MAV_DATA_STREAM_EXTRA3, 300, MOST_OF_GROUP)
 """The group with ESC_TELEMETRY, which brings much besides."""
 
 _LAST_ID_OF_VERSION_1 = 255
-_ARDUPILOT_SHORTEST = 3
-"""ms. It sends nothing faster than 0.8 of its loop rate, which is 400 Hz."""
+_ARDUPILOT_SHARE = 0.8
+"""Of its loop rate: ArduPilot sends nothing faster."""
+ARDUPILOT_LOOP_RATE = 400.0
+"""Hz: SCHED_LOOP_RATE of a copter, unless it tells another."""
+_LONGEST_STEP = 20
+"""ms. A loop whose turns fit into no fewer whole ones has no even rate of use."""
 _ATTITUDE, _POSITION = 100.0, 50.0
 """Hz: more than these adds nothing."""
 _LANDED_STATE = 2.0
@@ -160,11 +165,26 @@ def fitting_groups(speeds: str | None, rate: float, capacity: float | None) -> d
         low -= 1
 
 
-def interval_us(autopilot: str, hertz: float) -> int:
-    """What to ask for in SET_MESSAGE_INTERVAL, us: ArduPilot knows whole milliseconds."""
-    if autopilot == "ardupilot":
-        return 1000 * max(_ARDUPILOT_SHORTEST, round(1e3 / hertz))
-    return round(1e6 / hertz)
+def interval_us(autopilot: str, hertz: float, loop_rate: float | None = None) -> int:
+    """What to ask for in SET_MESSAGE_INTERVAL, us, so that it is sent evenly.
+
+    ArduPilot knows whole milliseconds and sends once a turn of its main loop: asked for 4 ms, a
+    loop of 400 Hz alternates between 2.5 and 5 ms. So it is asked for the shortest interval not
+    below the one wished for that is a whole number both of milliseconds and of turns.
+
+    Args:
+        autopilot: "px4", "ardupilot", ...
+        hertz: wished for.
+        loop_rate: ArduPilot's SCHED_LOOP_RATE, Hz; None: not known.
+    """
+    if autopilot != "ardupilot":
+        return round(1e6 / hertz)
+    loop = loop_rate if loop_rate and 50.0 <= loop_rate <= 10_000.0 else ARDUPILOT_LOOP_RATE
+    shortest = max(1e3 / hertz, 1e3 / (_ARDUPILOT_SHARE * loop))
+    for step in range(1, _LONGEST_STEP + 1):
+        if (step * loop) % 1e3 < 1e-6:
+            return 1000 * step * math.ceil(shortest / step - 1e-9)
+    return 1000 * math.ceil(shortest - 1e-9)
 
 
 def too_slow(what: str, hertz: float, needed: float = NEEDED_RATE) -> str:

@@ -1,0 +1,95 @@
+"""`--airframe auto`: the airframe that the vehicle's own parameters propose."""
+
+import argparse
+import time
+from pathlib import Path
+
+from gcs_sysid.cli import arguments, output
+from gcs_sysid.errors import InputError
+from gcs_sysid.live.receiver_process import ReceiverProcess
+from gcs_sysid.live.reception import Item
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.session.told_layout import ToldLayout, airframe_told, proposal, told_layout
+from gcs_sysid.telemetry.intake import Intake
+from gcs_sysid.telemetry.logs import open_log
+from gcs_sysid.telemetry.parameter_requests import ParameterRequests
+from gcs_sysid.telemetry.receiver import Batch
+from gcs_sysid.telemetry.requests import HEARTBEAT_EVERY
+
+_POLL = 0.05
+"""s."""
+_TELLS_WITHIN = 8.0
+"""s in which a vehicle that was heard answers for its layout: some 20 parameters."""
+_USUAL = 4
+"""Rotors that are asked for until the vehicle says how many it has."""
+
+
+def of_log(path: Path, options: argparse.Namespace) -> Airframe:
+    """The airframe for a log, by the parameters in it.
+
+    Raises:
+        InputError: the log cannot be read, or does not tell; nothing sets the scale.
+    """
+    log = open_log(path, options.vehicle)
+    for _ in log.blocks():
+        pass
+    told = None if log.vehicle is None else told_layout(log.vehicle.key, log.parameters)
+    return _airframe(told, options, f"{path} does not tell the vehicle's layout")
+
+
+def of_link(receiver: ReceiverProcess, options: argparse.Namespace) -> Airframe:
+    """The airframe for a vehicle on a link, which is asked; what comes meanwhile is kept.
+
+    Raises:
+        InputError: the vehicle does not tell; nothing sets the scale.
+        LinkError: the receiver has died.
+    """
+    output.say(f"listening on {receiver.url} for the vehicle's own layout (--airframe auto)")
+    intake = Intake(options.vehicle)
+    requests = ParameterRequests(receiver.gate, _USUAL)
+    taken: list[Item] = []
+    began, heard, beat_at, told = time.monotonic(), None, -HEARTBEAT_EVERY, None
+    while told is None:
+        items = receiver.take(_POLL)
+        taken += items
+        for item in items:
+            if isinstance(item, Batch):
+                intake.frames(item.frames, 1e-6 * item.time_us)
+        now, vehicle = time.monotonic(), intake.vehicle
+        if now - beat_at >= HEARTBEAT_EVERY:
+            receiver.gate.heartbeat()
+            beat_at = now
+        if vehicle is not None:
+            if heard is None:
+                heard = now
+                receiver.follow(vehicle.address)
+            requests.tick(now, vehicle, intake.parameters)
+            told = _complete(vehicle.key, intake.parameters, now - heard)
+        waited = now - (began if heard is None else heard)
+        limit = options.duration if heard is None else _TELLS_WITHIN
+        if receiver.link_report.ended or (limit is not None and waited >= limit):
+            break
+    receiver.put_back(taken)
+    who = "no vehicle was heard" if intake.vehicle is None else f"{intake.vehicle} does not tell"
+    return _airframe(told, options, f"{who}: its layout is not known")
+
+
+def _complete(autopilot: str, parameters: dict[str, float], waited: float) -> ToldLayout | None:
+    """What is told, once its outputs are too, or have not come in time."""
+    told = told_layout(autopilot, parameters)
+    if told is not None and len(told.outputs) < len(told.rotors) and waited < 0.5 * _TELLS_WITHIN:
+        return None
+    return told
+
+
+def _airframe(told: ToldLayout | None, options: argparse.Namespace, problem: str) -> Airframe:
+    if told is None:
+        # Says which airframes there are.
+        try:
+            arguments.airframe_of(options)
+        except InputError as error:
+            raise InputError(f"{problem}. {str(error)[:1].upper()}{str(error)[1:]}") from None
+    assert told is not None
+    airframe = arguments.airframe_of(options, airframe_told(told, options.arm))
+    output.say(f"airframe: {proposal(told)}")
+    return airframe

@@ -1,0 +1,313 @@
+"""The layout that a vehicle tells by its parameters, and what an airframe says otherwise.
+
+PX4 tells each rotor's place and spin (CA_ROTORn_*), ArduPilot the name of a frame (FRAME_CLASS,
+FRAME_TYPE); both tell which output drives which motor. A vehicle flies by what it tells, so an
+airframe that contradicts it is wrong, and that can be said while it stands.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import MOST_ARM, Airframe, Rotor, load_airframe
+
+_MOST_ROTORS = 12
+_UNIT = 1e-3
+"""Of a mean distance of 1 or sqrt(2): what simulators and mixers tell, who need no lengths."""
+_SAME_ARM = 0.1
+"""Share by which arms may differ before it is worth a word."""
+_MULTIROTOR = 0.0
+"""CA_AIRFRAME."""
+_AUTOSTART = {
+    4001: "quad-x", 5001: "quad-plus", 6001: "hexa-x", 7001: "hexa-plus",
+    8001: "octo-x", 9001: "octo-plus",
+}  # fmt: skip
+"""PX4's generic airframes, by SYS_AUTOSTART."""
+_TURNS, _TURNS_OF_SIX = (90, 180, -90, 45, -45), (60, -60, 30, -30, 120, -120)
+"""Degrees to the right by which an autopilot, or an airframe file, is turned by mistake."""
+_FRAME_CLASSES = {1: "quad", 2: "hexa", 3: "octo"}
+# Degrees clockwise from the front and spin (+1 counter-clockwise seen from above), in motor order:
+# AP_MotorsMatrix.cpp of ArduPilot. PX4's generic airframes have the same.
+_SHAPES: dict[str, tuple[tuple[int, int], ...]] = {
+    "quad-x": ((45, +1), (-135, +1), (-45, -1), (135, -1)),
+    "quad-plus": ((90, +1), (-90, +1), (0, -1), (180, -1)),
+    "hexa-x": ((90, -1), (-90, +1), (-30, -1), (150, +1), (30, +1), (-150, -1)),
+    "hexa-plus": ((0, -1), (180, +1), (-120, -1), (60, +1), (-60, +1), (120, -1)),
+    "octo-plus": (
+        (0, -1), (180, -1), (45, +1), (135, +1), (-45, +1), (-135, +1), (-90, -1), (90, -1),
+    ),
+    "quad-plus-reversed": ((90, -1), (-90, -1), (0, +1), (180, +1)),
+    "quad-h": ((45, -1), (-135, -1), (-45, +1), (135, +1)),
+    "quad-bf-x": ((135, -1), (45, +1), (-135, +1), (-45, -1)),
+    "quad-bf-x-reversed": ((135, +1), (45, -1), (-135, -1), (-45, +1)),
+    "quad-dji-x": ((45, +1), (-45, -1), (-135, +1), (135, -1)),
+    "quad-cw-x": ((45, +1), (135, -1), (-135, +1), (-45, -1)),
+}  # fmt: skip
+_FRAME_TYPES = {
+    "quad": {
+        0: "plus", 1: "x", 3: "h", 6: "plus-reversed", 12: "bf-x", 13: "dji-x", 14: "cw-x",
+        18: "bf-x-reversed",
+    },
+    "hexa": {0: "plus", 1: "x"},
+    "octo": {0: "plus", 1: "x"},
+}  # fmt: skip
+"""FRAME_TYPE -> shape, of each class; others have motors elsewhere than on a circle."""
+_PX4_MOTOR_1, _MOTOR_1, _MOTOR_9 = 101, 33, 82
+"""Numbers of motors as functions of an output: PX4's first; ArduPilot's first and ninth."""
+
+
+@dataclass(frozen=True)
+class ToldLayout:
+    """What a vehicle tells of its rotors.
+
+    Attributes:
+        rotors: in motor order; of mean distance 1 where no size is told.
+        sized: whether the distances are meters.
+        by: the parameters that tell it.
+        outputs: motor that each output drives, from 0, as far as outputs drive motors.
+    """
+
+    rotors: tuple[Rotor, ...]
+    sized: bool
+    by: str
+    outputs: tuple[int, ...] = ()
+
+    @property
+    def reordered(self) -> bool:
+        """Whether outputs are not in the order of motors."""
+        return self.outputs != tuple(range(len(self.outputs)))
+
+    @property
+    def by_output(self) -> tuple[Rotor, ...]:
+        """The rotors in the order of outputs, where they are told; else in motor order."""
+        whole = sorted(self.outputs) == list(range(len(self.rotors)))
+        return tuple(self.rotors[i] for i in self.outputs) if whole else self.rotors
+
+    def as_json(self) -> dict[str, object]:
+        """For the result's `telemetry`."""
+        rotors = Airframe("told", self.rotors).as_json()["rotors"]
+        told: dict[str, object] = {"by": self.by, "sized": self.sized, "rotors": rotors}
+        if self.outputs:
+            told["outputs"] = [motor + 1 for motor in self.outputs]
+        return told
+
+
+def told_layout(autopilot: str, parameters: Mapping[str, float]) -> ToldLayout | None:
+    """What the parameters that have come tell; None: not enough of them, or no usual frame.
+
+    Args:
+        autopilot: "px4", "ardupilot", ...
+        parameters: name -> value.
+    """
+    if autopilot == "px4":
+        told = _px4(parameters)
+    elif autopilot == "ardupilot":
+        told = _ardupilot(parameters)
+    else:
+        return None
+    if told is None:
+        return None
+    return replace(told, outputs=_outputs(autopilot, parameters, len(told.rotors)))
+
+
+def _px4(parameters: Mapping[str, float]) -> ToldLayout | None:
+    if parameters.get("CA_AIRFRAME", _MULTIROTOR) != _MULTIROTOR:
+        return None
+    count = parameters.get("CA_ROTOR_COUNT", 0.0)
+    if count == 0.0:  # before 1.13, or a mixer file
+        shape = _AUTOSTART.get(round(parameters.get("SYS_AUTOSTART", 0.0)))
+        name = f"SYS_AUTOSTART {parameters.get('SYS_AUTOSTART', 0.0):.0f}"
+        return None if shape is None else ToldLayout(_circle(shape), False, name)
+    if not 4 <= count <= _MOST_ROTORS:
+        return None
+    rotors = []
+    for i in range(round(count)):
+        x, y, ratio = (parameters.get(f"CA_ROTOR{i}_{name}") for name in ("PX", "PY", "KM"))
+        if x is None or y is None or not ratio or not math.hypot(x, y) <= MOST_ARM:
+            return None
+        rotors.append(Rotor(x, y, 1 if ratio > 0.0 else -1))
+    arm = Airframe("told", tuple(rotors)).arm
+    if arm == 0.0:
+        return None
+    sized = min(abs(arm - 1.0), abs(arm - math.sqrt(2.0))) > _UNIT
+    scale = 1.0 if sized else 1.0 / arm
+    placed = tuple(Rotor(r.x * scale, r.y * scale, r.spin) for r in rotors)
+    return ToldLayout(placed, sized, "CA_ROTORn_PX, _PY and _KM")
+
+
+def _ardupilot(parameters: Mapping[str, float]) -> ToldLayout | None:
+    numbers = parameters.get("FRAME_CLASS"), parameters.get("FRAME_TYPE")
+    if None in numbers:
+        return None
+    kind, form = (round(number or 0.0) for number in numbers)
+    name = _FRAME_CLASSES.get(kind, "")
+    shape = _FRAME_TYPES.get(name, {}).get(form)
+    if shape is None:
+        return None
+    rotors = _circle(f"{name}-{shape}")
+    return ToldLayout(rotors, False, f"FRAME_CLASS {kind} and FRAME_TYPE {form}")
+
+
+def _circle(shape: str) -> tuple[Rotor, ...]:
+    """Rotors of a usual frame, at a distance of 1."""
+    if shape not in _SHAPES:
+        return load_airframe(f"ardupilot-{shape}").with_arm(1.0).rotors
+    circle = [(math.radians(angle), spin) for angle, spin in _SHAPES[shape]]
+    return tuple(Rotor(math.cos(a), math.sin(a), spin) for a, spin in circle)
+
+
+def _outputs(autopilot: str, parameters: Mapping[str, float], count: int) -> tuple[int, ...]:
+    name = "PWM_MAIN_FUNC{0}" if autopilot == "px4" else "SERVO{0}_FUNCTION"
+    motors = []
+    for i in range(1, 17):
+        function = round(parameters.get(name.format(i), 0.0))
+        if autopilot == "px4":
+            motor = function - _PX4_MOTOR_1
+        else:
+            motor = function - (_MOTOR_1 if function < _MOTOR_9 else _MOTOR_9 - 8)
+        if 0 <= motor < count:
+            motors.append(motor)
+    return tuple(motors)
+
+
+# --- the airframe for it
+
+
+def airframe_told(told: ToldLayout, arm: float | None) -> Airframe:
+    """The airframe that a vehicle's own layout proposes.
+
+    Args:
+        told: of it.
+        arm: m, mean distance of the rotors from the center; None: as it is told.
+
+    Raises:
+        InputError: neither tells its size.
+    """
+    airframe = Airframe("auto", told.by_output)
+    if arm is not None:
+        return airframe.with_arm(arm)
+    if not told.sized:
+        raise InputError(
+            f"--airframe auto: the vehicle tells its layout ({told.by}) but no lengths: "
+            "give --arm M, from the center to each motor"
+        )
+    return airframe
+
+
+def proposal(told: ToldLayout) -> str:
+    """The layout in words, for who takes it."""
+    spins = ", ".join(
+        f"{i} {place_words(r)} {'ccw' if r.spin > 0 else 'cw'}"
+        for i, r in enumerate(told.rotors, 1)
+    )
+    size = f", arm {_arm(told.rotors):.3g} m" if told.sized else ""
+    return f"{len(told.rotors)} rotors by {told.by}: {spins}{size}"
+
+
+def differences(airframe: Airframe, told: ToldLayout) -> tuple[str, ...]:
+    """What an airframe says otherwise than the vehicle, in words; empty where they agree.
+
+    Rotors may be listed in the order of motors or in that of outputs.
+    """
+    found = [_differences(airframe.rotors, rotors) for rotors in (told.rotors, told.by_output)]
+    least = min(found, key=len)
+    if not least:
+        return ()
+    first = _differences(airframe.rotors, told.rotors)
+    return tuple(
+        f"wrong airframe {airframe.name}: {what} (the vehicle: {told.by})" for what in first
+    )
+
+
+def notes(airframe: Airframe, told: ToldLayout) -> tuple[str, ...]:
+    """What is worth knowing where they agree in kind."""
+    out = []
+    ours, theirs = airframe.arm, _arm(told.rotors)
+    if told.sized and abs(ours / theirs - 1.0) > _SAME_ARM:
+        out.append(
+            f"arms of {ours:.3g} m, where the vehicle's {told.by} say {theirs:.3g} m: inertia "
+            "goes with the arm, so measure it"
+        )
+    if told.reordered and not _differences(airframe.rotors, told.rotors):
+        order = ", ".join(str(motor + 1) for motor in told.outputs)
+        out.append(
+            f"outputs 1 to {len(told.outputs)} drive motors {order}: where commands are the input, "
+            "list the rotors in the order of outputs (--airframe auto does)"
+        )
+    return tuple(out)
+
+
+def _arm(rotors: Sequence[Rotor]) -> float:
+    return Airframe("", tuple(rotors)).arm
+
+
+def _differences(ours: Sequence[Rotor], theirs: Sequence[Rotor]) -> tuple[str, ...]:
+    """What `ours` says otherwise than `theirs`, the plainest explanation first."""
+    if len(ours) != len(theirs):
+        return (f"it has {len(ours)} rotors, the vehicle {len(theirs)}",)
+    a, b = _bearings(ours), _bearings(theirs)
+    near = 0.4 * _narrowest(b)
+    spins = np.array([r.spin for r in ours]), np.array([r.spin for r in theirs])
+    if _apart(a, b).max() < near:
+        return _spin_differences(ours, *spins)
+    for degrees in _TURNS if len(ours) == 4 else (*_TURNS, *_TURNS_OF_SIX):
+        apart = _apart(a, b + math.radians(degrees)).max()
+        if apart < 0.6 * near and (spins[0] == spins[1]).all():
+            way = "" if degrees == 180 else " to the right" if degrees > 0 else " to the left"
+            return (f"it is turned by {abs(degrees)} degrees{way}",)
+    match = [int(np.argmin(_apart(angle, b))) for angle in a]
+    if sorted(match) == list(range(len(b))) and _apart(a, b[match]).max() < near:
+        moved = [i for i, j in enumerate(match) if i != j]
+        words = "; ".join(
+            f"motor {i + 1} is {place_words(ours[i])}, on the vehicle {place_words(theirs[i])}"
+            for i in moved
+        )
+        out = [f"motor order: {words}"]
+        if (spins[0] != spins[1][match]).any():
+            wrong = [i for i in range(len(ours)) if ours[i].spin != theirs[match[i]].spin]
+            out.append(f"spins by place: {', '.join(place_words(ours[i]) for i in wrong)}")
+        return tuple(out)
+    elsewhere = np.flatnonzero(_apart(a, b) >= near)
+    words = "; ".join(
+        f"motor {i + 1} is {place_words(ours[i])}, on the vehicle {place_words(theirs[i])}"
+        for i in elsewhere.tolist()
+    )
+    return (f"rotors elsewhere: {words}",)
+
+
+def _spin_differences(rotors: Sequence[Rotor], ours: Array, theirs: Array) -> tuple[str, ...]:
+    wrong = np.flatnonzero(ours != theirs)
+    if not len(wrong):
+        return ()
+    if len(wrong) == len(ours):
+        return ("all its rotors spin the other way",)
+    names = ", ".join(f"{i + 1} ({place_words(rotors[i])})" for i in wrong.tolist())
+    many = len(wrong) > 1
+    return (f"motor{'s' if many else ''} {names} spin{'' if many else 's'} the other way",)
+
+
+def _bearings(rotors: Sequence[Rotor]) -> Array:
+    return np.array([math.atan2(r.y, r.x) for r in rotors])
+
+
+def _apart(a: Array, b: Array) -> Array:
+    apart: Array = np.abs((a - b + np.pi) % (2.0 * np.pi) - np.pi)
+    return apart
+
+
+def _narrowest(bearings: Array) -> float:
+    """The least angle between two arms, rad; coaxial rotors share theirs."""
+    apart = np.abs(_apart(bearings[:, None], bearings))
+    return float(min(apart[apart > 0.1].min(), math.pi / 2.0)) if (apart > 0.1).any() else 0.5
+
+
+def place_words(rotor: Rotor) -> str:
+    """Where a rotor is: "front right", "left", ..."""
+    reach = math.hypot(rotor.x, rotor.y)
+    along = "front" if rotor.x > 0.17 * reach else "rear" if rotor.x < -0.17 * reach else ""
+    across = "right" if rotor.y > 0.17 * reach else "left" if rotor.y < -0.17 * reach else ""
+    return " ".join(filter(None, (along, across))) or "center"

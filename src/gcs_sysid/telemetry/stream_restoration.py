@@ -1,0 +1,238 @@
+"""What each stream's interval was before the first request, so that it can be put back.
+
+The vehicle is asked for its intervals before anything is changed. Where it does not answer, the
+rates that arrived until then count. What was found is kept in a small file for each vehicle and
+link while the session lasts: a session that is killed with everything else leaves it behind, and
+the next one puts back what it finds there. There is no clock in here: the caller says what time
+it is.
+"""
+
+import json
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.files import read_text, write_whole
+from gcs_sysid.telemetry.messages import MESSAGE_IDS
+from gcs_sysid.telemetry.outgoing import LONGEST_INTERVAL, SHORTEST_INTERVAL
+from gcs_sysid.telemetry.transceiver import Requests
+from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.telemetry.wanted_streams import default_rates, rotor_streams
+
+VEHICLE_DEFAULT, OFF = 0, -1
+"""Intervals of SET_MESSAGE_INTERVAL that are none."""
+ROUND_EVERY = 0.6
+"""s between two rounds of questions; a telemetry radio answers within it."""
+ROUNDS = 3
+"""Of questions, by GET_MESSAGE_INTERVAL and REQUEST_MESSAGE in turn: some know only one."""
+OBSERVED_FOR = 3.0
+"""s after which what arrived must do, where a question is not answered."""
+SAME = 0.02
+"""Share by which an interval may differ and still be the one asked for: autopilots round."""
+SCHEMA = "gcs-sysid-streams/1"
+_MOST_BYTES = 100_000
+_LAST_ID_OF_VERSION_1 = 255
+
+
+class StreamRestoration:
+    """Finds out each stream's own interval, and keeps it.
+
+    Args:
+        gate: sends.
+        rotors: how many the airframe has.
+        folder: for the file; None: nothing is kept beyond the session.
+        link: the link's URL: PX4 has rates for each link.
+    """
+
+    def __init__(
+        self, gate: Requests, rotors: int, folder: Path | None = None, link: str = ""
+    ) -> None:
+        self._gate = gate
+        self._rotors = rotors
+        self._folder = folder
+        self._link = link
+        self._vehicle: Vehicle | None = None
+        self._names: tuple[str, ...] = ()
+        self._began: float | None = None
+        self._heard_before = 0
+        self._rounds = 0
+        self._known = False
+        self._own: dict[str, int] = {}
+        self._asked: dict[str, int] = {}
+        self._kept: object = None
+        self._events: list[str] = []
+
+    def follow(self, vehicle: Vehicle) -> None:
+        """Begin with another vehicle."""
+        self._vehicle = vehicle
+        speeds, commands = rotor_streams(vehicle.key, self._rotors, vehicle.version)
+        names = [*default_rates((*speeds, commands), 1.0)]
+        if vehicle.key == "ardupilot":
+            names.append("RAW_IMU")
+        self._names = tuple(
+            n for n in names if vehicle.version == 2 or MESSAGE_IDS[n] <= _LAST_ID_OF_VERSION_1
+        )
+        self._own, self._asked = {}, {}
+        self._read()
+        self._names += tuple(self._asked.keys() - set(self._names))
+        self.again()
+
+    def again(self) -> None:
+        """Ask anew: the vehicle has forgotten, or may have while it was not heard."""
+        self._began = None
+        self._known = False
+
+    def tick(
+        self,
+        now: float,
+        arriving: Mapping[str, float],
+        intervals: Mapping[int, tuple[int, int]],
+    ) -> bool:
+        """Ask where that is due; whether all is known, so that rates may be changed.
+
+        Args:
+            now: any steady clock, s.
+            arriving: message name -> Hz observed.
+            intervals: message number -> us that MESSAGE_INTERVAL told, and how many had come.
+        """
+        if self._known or self._vehicle is None:
+            return self._known
+        if self._began is None:
+            self._began = now
+            self._rounds = 0
+            self._heard_before = max((count for _, count in intervals.values()), default=0)
+        answers = {
+            name: intervals[MESSAGE_IDS[name]][0]
+            for name in self._names
+            if intervals.get(MESSAGE_IDS[name], (0, 0))[1] > self._heard_before
+        }
+        missing = [name for name in self._names if name not in answers]
+        waited = now - self._began
+        if missing and waited < OBSERVED_FOR:
+            if self._rounds < ROUNDS and waited >= self._rounds * ROUND_EVERY:
+                self._ask(missing)
+            return False
+        for name in self._names:
+            self._settle(name, answers.get(name), arriving.get(name, 0.0))
+        self._known = True
+        return True
+
+    def _ask(self, names: Iterable[str]) -> None:
+        assert self._vehicle is not None
+        gate, address = self._gate, self._vehicle.address
+        ask = gate.request_message_interval if self._rounds % 2 else gate.get_message_interval
+        self._rounds += 1
+        for name in names:
+            ask(address, MESSAGE_IDS[name])
+
+    def _settle(self, name: str, answer: int | None, hertz: float) -> None:
+        """Decide what a stream's own interval is."""
+        assert self._vehicle is not None
+        now = self._meaning(self._vehicle.key, answer, hertz)
+        asked = self._asked.get(name)
+        if asked and now > 0 and abs(now - asked) <= SAME * asked:
+            return  # the rate that an earlier session, or this one, asked for: not its own
+        self._own[name] = now
+        self._asked.pop(name, None)
+
+    @staticmethod
+    def _meaning(autopilot: str, answer: int | None, hertz: float) -> int:
+        """The interval to put back, by what the vehicle told and what arrived."""
+        if answer is not None and answer > 0:
+            return min(max(answer, SHORTEST_INTERVAL), LONGEST_INTERVAL)
+        if hertz > 0.0:
+            # Not told, or sent as fast as it comes (-1 of PX4's).
+            return min(max(round(1e6 / hertz), SHORTEST_INTERVAL), LONGEST_INTERVAL)
+        # PX4 says 0 of a message that it does not send, others of one that they do not have.
+        if answer == OFF or (answer == 0 and autopilot == "px4"):
+            return OFF
+        return VEHICLE_DEFAULT
+
+    def own(self, name: str) -> int:
+        """The interval to put back, us; 0: the vehicle's default, -1: none."""
+        return self._own.get(name, VEHICLE_DEFAULT)
+
+    def left_over(self, wanted: Iterable[str]) -> list[str]:
+        """Streams beside those wanted that an earlier session changed and could not put back."""
+        return [name for name in self._asked if name not in set(wanted)]
+
+    def remember(self, asked: Mapping[str, int]) -> None:
+        """Keep what is about to be asked for, and what is to be put back.
+
+        Args:
+            asked: message name -> interval, us.
+        """
+        self._asked.update(asked)
+        kept = {name: [self.own(name), interval] for name, interval in self._asked.items()}
+        if kept != self._kept:
+            self._kept = kept
+            self._write(kept)
+
+    def restored(self, name: str) -> None:
+        """A stream has its own interval again."""
+        self._asked.pop(name, None)
+
+    def close(self) -> None:
+        """All is put back: nothing is left for the next session to do."""
+        self._asked.clear()
+        path = self._path
+        if path is not None and self._kept is not None:
+            self._kept = None
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                self._events.append(f"{path}: cannot be removed: {error.strerror}")
+
+    def take_events(self) -> list[str]:
+        """What there is to tell since this was last asked, one line each."""
+        events, self._events = self._events, []
+        return events
+
+    # -- the file
+
+    @property
+    def _path(self) -> Path | None:
+        if self._folder is None or self._vehicle is None:
+            return None
+        link = re.sub(r"[^A-Za-z0-9.]+", "_", self._link)[-80:]
+        return (
+            self._folder / f"streams_{link}_{self._vehicle.system}_{self._vehicle.component}.json"
+        )
+
+    def _write(self, kept: Mapping[str, list[int]]) -> None:
+        path = self._path
+        if path is None:
+            return
+        content = {"schema": SCHEMA, "streams": kept}
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(path, json.dumps(content, indent=1) + "\n", replace=True)
+        except (InputError, OSError) as error:
+            self._events.append(
+                f"{error}: if this session is killed, the next one cannot restore the rates"
+            )
+
+    def _read(self) -> None:
+        """What a killed session left; a file that is none is passed over."""
+        path = self._path
+        if path is None or not path.is_file():
+            return
+        try:
+            table = json.loads(read_text(path, _MOST_BYTES, "the rates to restore"))
+            streams = table["streams"] if table["schema"] == SCHEMA else {}
+            kept = {
+                name: (int(own), int(asked))
+                for name, (own, asked) in streams.items()
+                if name in MESSAGE_IDS and _is_interval(int(own)) and int(asked) > 0
+            }
+        except (InputError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            self._events.append(f"{path} is damaged: rates that a killed session left stay")
+            return
+        self._own = {name: own for name, (own, _) in kept.items()}
+        self._asked = {name: asked for name, (_, asked) in kept.items()}
+        self._kept = path
+
+
+def _is_interval(interval: int) -> bool:
+    return interval in (VEHICLE_DEFAULT, OFF) or SHORTEST_INTERVAL <= interval <= LONGEST_INTERVAL

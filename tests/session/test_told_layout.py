@@ -1,0 +1,235 @@
+"""What a vehicle tells of its rotors, and what an airframe says otherwise."""
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.cli import told_airframe
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.told_layout import (
+    airframe_told,
+    differences,
+    notes,
+    proposal,
+    told_layout,
+)
+from gcs_sysid.setup_help.layouts import layout_rotors
+from sim_bridge.ardupilot_parameters import ardupilot_parameters
+from sim_bridge.cli import main as sim_bridge
+from sim_bridge.px4_parameters import px4_parameters
+from sim_bridge.vehicle_files import load_vehicle
+
+QUAD = load_airframe("px4-quad-x")
+
+
+def parameters_of(rotors, **more):
+    """As PX4 tells them."""
+    table = {"CA_AIRFRAME": 0.0, "CA_ROTOR_COUNT": float(len(rotors))}
+    for i, rotor in enumerate(rotors):
+        table |= {f"CA_ROTOR{i}_PX": rotor.x, f"CA_ROTOR{i}_PY": rotor.y}
+        table[f"CA_ROTOR{i}_KM"] = 0.05 * rotor.spin
+    return table | more
+
+
+def px4(rotors=QUAD.rotors, **more):
+    return told_layout("px4", parameters_of(rotors, **more))
+
+
+def turned(rotors, degrees):
+    """Clockwise, seen from above."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return tuple(Rotor(c * r.x - s * r.y, s * r.x + c * r.y, r.spin) for r in rotors)
+
+
+def airframe(rotors):
+    return replace(QUAD, rotors=tuple(rotors))
+
+
+def swapped(i, j):
+    rotors = list(QUAD.rotors)
+    rotors[i], rotors[j] = rotors[j], rotors[i]
+    return rotors
+
+
+@pytest.mark.parametrize("name", ["px4-quad-x", "px4-hexa-x", "px4-octo-x", "paper", "px4-sih"])
+def test_px4_proposes_what_it_flies_by(name):
+    rotors = load_airframe(name).rotors
+    told = px4(rotors)
+    assert told.sized
+    assert airframe_told(told, None).rotors == rotors
+    assert airframe_told(told, 0.4).arm == pytest.approx(0.4)
+    assert differences(load_airframe(name), told) == ()
+
+
+@pytest.mark.parametrize("layout", ["quad-x", "hexa-x", "octo-x"])
+def test_ardupilot_proposes_its_frame(layout):
+    kind = {"quad": 1.0, "hexa": 2.0, "octo": 3.0}[layout.split("-")[0]]
+    told = told_layout("ardupilot", {"FRAME_CLASS": kind, "FRAME_TYPE": 1.0})
+    assert not told.sized
+    assert differences(load_airframe(f"ardupilot-{layout}"), told) == ()
+    with pytest.raises(InputError, match="give --arm M"):
+        airframe_told(told, None)
+    assert airframe_told(told, 0.3).arm == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("shape", ["quad-plus", "hexa-plus", "octo-plus"])
+def test_both_have_the_plus_frames_of_the_wizard(shape):
+    kind = {"quad": 1.0, "hexa": 2.0, "octo": 3.0}[shape.split("-")[0]]
+    usual = airframe(layout_rotors(f"ardupilot-{shape}", 0.25))
+    told = told_layout("ardupilot", {"FRAME_CLASS": kind, "FRAME_TYPE": 0.0})
+    assert differences(usual, told) == ()
+    autostart = {"quad-plus": 5001, "hexa-plus": 7001, "octo-plus": 9001}[shape]
+    assert differences(usual, told_layout("px4", {"SYS_AUTOSTART": float(autostart)})) == ()
+
+
+def test_betaflights_order_is_another_one():
+    told = told_layout("ardupilot", {"FRAME_CLASS": 1.0, "FRAME_TYPE": 12.0})
+    (line,) = differences(load_airframe("ardupilot-quad-x"), told)
+    assert "motor order: motor 1 is front right, on the vehicle rear right" in line
+
+
+def test_what_the_emulators_tell_is_what_they_fly():
+    for name in ("px4-quad-x", "px4-hexa-x", "px4-octo-x", "paper"):
+        vehicle = load_vehicle(name, None)
+        found = {p.name: float(p.value) for p in px4_parameters(vehicle, 1)}
+        assert differences(load_airframe(name), told_layout("px4", found)) == ()
+        found = {p.name: float(p.value) for p in ardupilot_parameters(vehicle, 1)}
+        told = told_layout("ardupilot", found)
+        assert told is None or differences(load_airframe(name), told) == ()
+
+
+WRONG = {
+    "count": (load_airframe("px4-hexa-x").rotors, "it has 6 rotors, the vehicle 4"),
+    "spin": (
+        [*QUAD.rotors[:1], replace(QUAD.rotors[1], spin=-1), *QUAD.rotors[2:]],
+        "motor 2 (rear left) spins the other way",
+    ),
+    "all spins": ([replace(r, spin=-r.spin) for r in QUAD.rotors], "all its rotors spin the other"),
+    "90 right": (turned(QUAD.rotors, 90), "it is turned by 90 degrees to the right"),
+    "90 left": (turned(QUAD.rotors, -90), "it is turned by 90 degrees to the left"),
+    "180": (turned(QUAD.rotors, 180), "it is turned by 180 degrees"),
+    "45": (turned(QUAD.rotors, 45), "it is turned by 45 degrees to the right"),
+    "two swapped": (
+        swapped(0, 1),
+        "motor order: motor 1 is rear left, on the vehicle front right; motor 2 is front right",
+    ),
+    "two of other spin swapped": (swapped(0, 2), "motor order: motor 1 is front left"),
+    "elsewhere": ([Rotor(0.3, 0.0, 1), *QUAD.rotors[1:]], "rotors elsewhere: motor 1 is front"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_differs_is_said_in_words(case):
+    rotors, words = WRONG[case]
+    (line, *_) = differences(airframe(rotors), px4())
+    assert line.startswith("wrong airframe px4-quad-x: ")
+    assert words in line
+    assert "CA_ROTORn_PX" in line
+
+
+@pytest.mark.parametrize("stretch", [(1.0, 1.6), (1.4, 1.0)])
+def test_a_quad_that_is_not_square_is_no_difference(stretch):
+    long = [Rotor(stretch[0] * r.x, stretch[1] * r.y, r.spin) for r in QUAD.rotors]
+    assert differences(airframe(long), px4()) == ()
+
+
+def test_lengths_that_are_units_tell_no_size():
+    """As in the simulator inside PX4."""
+    told = px4([Rotor(np.sign(r.x), np.sign(r.y), r.spin) for r in QUAD.rotors])
+    assert not told.sized
+    assert differences(QUAD, told) == ()
+    assert notes(QUAD, told) == ()
+
+
+def test_another_arm_is_worth_a_word_and_no_more():
+    told = px4(QUAD.with_arm(0.2).rotors)
+    assert differences(QUAD, told) == ()
+    (line,) = notes(QUAD, told)
+    assert "arms of 0.25 m" in line
+    assert "0.2 m" in line
+    assert notes(QUAD, px4(QUAD.with_arm(0.26).rotors)) == ()
+
+
+def test_outputs_in_another_order_are_followed():
+    functions = {f"PWM_MAIN_FUNC{i}": 100.0 + m for i, m in ((1, 3), (2, 1), (3, 4), (4, 2))}
+    told = px4(**functions)
+    assert told.outputs == (2, 0, 3, 1)
+    by_output = tuple(QUAD.rotors[i] for i in told.outputs)
+    assert airframe_told(told, None).rotors == by_output
+    assert differences(airframe(by_output), told) == ()
+    assert differences(QUAD, told) == ()
+    (line,) = notes(QUAD, told)
+    assert "outputs 1 to 4 drive motors 3, 1, 4, 2" in line
+    servos = {f"SERVO{i}_FUNCTION": f for i, f in enumerate((34.0, 33.0, 35.0, 36.0, 0.0), 1)}
+    told = told_layout("ardupilot", {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0, **servos})
+    assert told.outputs == (1, 0, 2, 3)
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "parameters"),
+    [
+        ("px4", {}),
+        ("px4", parameters_of(QUAD.rotors, CA_AIRFRAME=1.0)),  # fixed wing
+        ("px4", parameters_of(QUAD.rotors, CA_ROTOR_COUNT=5.0)),  # not all have come
+        ("px4", parameters_of(QUAD.rotors, CA_ROTOR_COUNT=1e9)),
+        ("px4", parameters_of(QUAD.rotors, CA_ROTOR0_KM=0.0)),
+        ("px4", parameters_of(QUAD.rotors, CA_ROTOR0_PX=float("inf"))),
+        ("px4", parameters_of([Rotor(0.0, 0.0, 1)] * 4)),
+        ("px4", {"SYS_AUTOSTART": 2100.0}),
+        ("ardupilot", {"FRAME_CLASS": 1.0}),
+        ("ardupilot", {"FRAME_CLASS": 15.0, "FRAME_TYPE": 1.0}),
+        ("ardupilot", {"FRAME_CLASS": 1.0, "FRAME_TYPE": 4.0}),  # A tail
+        ("generic", parameters_of(QUAD.rotors)),
+    ],
+)
+def test_nothing_is_made_up(autopilot, parameters):
+    assert told_layout(autopilot, parameters) is None
+
+
+def test_a_proposal_in_words():
+    assert proposal(px4()) == (
+        "4 rotors by CA_ROTORn_PX, _PY and _KM: 1 front right ccw, 2 rear left ccw, "
+        "3 front left cw, 4 rear right cw, arm 0.25 m"
+    )
+
+
+# --- in a flight
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    """A hexa whose recording holds what it was asked for: its parameters."""
+    log = tmp_path_factory.mktemp("told") / "hexa.tlog"
+    words = ["--airframe", "px4-hexa-x", "--mission", "all-axes", "--duration", "12"]
+    assert sim_bridge([*words, "--trap", "parameters", "--tlog", str(log)]) == 0
+    return log
+
+
+def test_a_wrong_airframe_is_refused_with_the_reason_and_without_numbers(flight):
+    given = Airframe("mine", QUAD.rotors).with_anchor("mass", 1.5)
+    result = analyze_log(flight, given)
+    assert result.verdict == "refused"
+    assert result.reasons[0].startswith("wrong airframe mine: it has 4 rotors, the vehicle 6")
+    for name, estimate in result.parameters.items():
+        assert (estimate.status, estimate.half) == (
+            "given" if name == "mass" else "unobservable",
+            None,
+        )
+    layout = result.as_json()["telemetry"]["layout"]
+    assert layout["differences"] == [result.reasons[0]]
+    assert len(layout["rotors"]) == 6
+
+
+def test_the_airframe_of_a_log_that_tells_it(flight, capsys):
+    options = argparse.Namespace(
+        airframe=None, arm=None, mass=1.5, k_t=None, t_max=None, prior=[], vehicle=None
+    )
+    found = told_airframe.of_log(flight, options)
+    assert differences(found, px4(load_airframe("px4-hexa-x").rotors)) == ()
+    assert found.anchor() == ("mass", 1.5)
+    assert "6 rotors by CA_ROTORn_PX" in capsys.readouterr().err
+    assert analyze_log(flight, found).verdict != "refused"
