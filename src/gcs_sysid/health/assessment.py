@@ -1,0 +1,412 @@
+"""From a log to the health of its vehicle."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, complete_rows
+from gcs_sysid.errors import InputError
+from gcs_sysid.health import balance
+from gcs_sysid.health.advice import advice_of
+from gcs_sysid.health.airframe_guess import GuessedAirframe, guess_airframe
+from gcs_sysid.health.balance import Curve, Quantity
+from gcs_sysid.health.hover import Windows, windows_of
+from gcs_sysid.health.log_streams import Streams, streams_of
+from gcs_sysid.health.rotor_condition import compare_loads, load_of
+from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.vehicle_health import Given, Health, RotorHealth
+from gcs_sysid.health.vibration import vibration_of
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.signals.records import Stream
+from gcs_sysid.telemetry.logs import OnboardLog, open_log
+
+
+def health_of_log(path: Path, given: Given, wanted: tuple[int, int | None] | None = None) -> Health:
+    """What the hover in a recording tells.
+
+    Args:
+        path: a .tlog, .ulg, .bin or .bbl file.
+        given: what is known beforehand.
+        wanted: system and perhaps component; None: the first autopilot in it.
+
+    Raises:
+        InputError: the file cannot be read as a log, or the airframe is not known.
+    """
+    log = open_log(path, wanted)
+    blocks = list(log.blocks())
+    source = str(path)
+    if log.vehicle is None:
+        heard = ", ".join(map(str, log.systems))
+        text = "no heartbeat of an autopilot was heard" + (f"; heard: {heard}" if heard else "")
+        return Health(source, reasons=(text,))
+    autopilot = log.vehicle.key
+    guess = guess_airframe(log.vehicle, log.parameters, given.airframe, given.arm)
+    airframe = guess.airframe
+    if given.mass is not None:
+        airframe = airframe.with_anchor("mass", given.mass)
+    streams = streams_of(blocks, airframe, autopilot, log.parameters)
+    if isinstance(log, OnboardLog):
+        streams = replace(streams, extras=log.extras)
+    health = health_of(streams, replace(guess, airframe=airframe), given, log.parameters)
+    return replace(
+        health,
+        source=source,
+        vehicle=log.vehicle.as_dict(),
+        autopilot=autopilot,
+        parameters=dict(log.parameters),
+    )
+
+
+def health_of(
+    streams: Streams, guess: GuessedAirframe, given: Given, parameters: Mapping[str, float]
+) -> Health:
+    """What the hover in streams tells.
+
+    Args:
+        streams: of one log.
+        guess: the airframe and where it is from.
+        given: what else is known.
+        parameters: the autopilot's.
+    """
+    airframe = guess.airframe
+    problem = _missing(streams)
+    windows = None if problem else windows_of(streams, len(airframe.rotors))
+    if windows is None:
+        return Health("", airframe=airframe, reasons=problem)
+    own, own_name = _own_curve(parameters)
+    curve = None
+    if streams.commands is not None and len(windows.t):
+        curve = balance.curve_of(windows, airframe.command.thrust_curve, own, own_name)
+    by_speed = streams.speeds is not None and airframe.rotor_input != "command"
+    if airframe.T_max is not None and streams.commands is not None:
+        by_speed = False
+    c = None if by_speed else (None if curve is None else curve.c.value)
+    source = streams.speeds if by_speed else streams.commands
+    assert source is not None
+    thrust = balance.thrust_of(windows, c)
+    if not by_speed and c is None:
+        return Health("", airframe=airframe, reasons=("nothing was seen in flight",))
+    sound = windows.hovering & complete_rows(thrust) & (thrust.sum(axis=1) > 0.0)
+    sound &= np.isfinite(balance.lift_of(windows)) & complete_rows(windows.turning)
+    if np.count_nonzero(sound) < TUNING.fewest_windows:
+        return Health("", airframe=airframe, reasons=(_no_hover(windows),))
+    hover, thrust = windows.part(sound), thrust[sound]
+    assert hover is not None
+    health = _balances(streams, hover, thrust, curve if not by_speed else None, guess)
+    load = load_of(hover, thrust, c)
+    health = replace(
+        health,
+        rotor_input="speed" if by_speed else "command",
+        rotor_source=source.source,
+        seconds=hover.seconds,
+        load=load,
+        curve=curve,
+        motor_lag=None if streams.commands is None else windows.lag,
+        idle=_idle(streams),
+        arm_known=guess.arm_std == 0.0,
+        battery=_battery(streams),
+    )
+    health = _throttle(health, streams, windows, hover, curve)
+    health = _compared(health, given, hover, thrust, c)
+    return replace(health, advice=advice_of(health, given, guess))
+
+
+def _missing(streams: Streams) -> tuple[str, ...]:
+    if Stream.IMU not in streams.tracks:
+        return ("no IMU data",)
+    if streams.speeds is None and streams.commands is None:
+        why = tuple(f"{name} {problem}" for name, problem in streams.refused.items())
+        return why or ("no rotor speeds and no actuator outputs",)
+    return ()
+
+
+def _no_hover(windows: Windows) -> str:
+    if not len(windows.t):
+        return "never seen in the air with IMU and rotor data together"
+    flown = len(windows.t) * windows.half
+    return (
+        f"hardly hovers: {windows.seconds:.1f} s of {flown:.0f} s in the air are calm enough; "
+        "hover for 10 s"
+    )
+
+
+def _own_curve(parameters: Mapping[str, float]) -> tuple[float | None, str]:
+    for name in ("MOT_THST_EXPO", "THR_MDL_FAC"):
+        if name in parameters:
+            return parameters[name], name
+    return None, ""
+
+
+def _balances(
+    streams: Streams, hover: Windows, thrust: Array, curve: Curve | None, guess: GuessedAirframe
+) -> Health:
+    """CG, shares, yaw balance and scale."""
+    airframe = guess.airframe
+    total = thrust.sum(axis=1)
+    cg, covariance = balance.cg_of(hover, airframe, thrust)
+    shares = (thrust / total[:, None]).mean(axis=0)
+    per_thrust, per_std = balance.specific_thrust(hover, thrust)
+    spin = airframe.geometry[2]
+    yaw = balance.robust_fit(
+        np.column_stack([np.ones(len(total)), hover.turning[:, 2]]), thrust @ spin / total
+    )
+    yaw_value = float(yaw.value[0])
+    # A curve that is off by dc moves all of it: by central differences.
+    by_curve = np.zeros(2)
+    shares_by_curve, yaw_by_curve, scale_by_curve = np.zeros(len(shares)), 0.0, 0.0
+    if curve is not None and curve.c.std and curve.c.value is not None:
+        step = min(curve.c.std, 0.1)
+        low, high = max(curve.c.value - step, 0.0), min(curve.c.value + step, 1.0)
+        ends = []
+        for c in (low, high):
+            other = balance.thrust_of(hover, c)
+            whole = other.sum(axis=1)
+            x, y, _ = airframe.geometry
+            share = (other / whole[:, None]).mean(axis=0)
+            ends.append(
+                np.concatenate(
+                    [share @ np.array([x, y]).T, share, [share @ spin, 1.0 / whole.mean()]]
+                )
+            )
+        slope = (ends[1] - ends[0]) / (high - low) * curve.c.std
+        by_curve, shares_by_curve = slope[:2], slope[2:-2]
+        yaw_by_curve, scale_by_curve = float(slope[-2]), float(slope[-1] * total.mean())
+    flown = np.sqrt(np.diag(covariance) + by_curve**2)
+    assumed = np.sqrt(np.diag(balance.scatter_of_cg(airframe, shares, cg)))
+    assumed = np.hypot(assumed, guess.arm_std * np.abs(cg))
+    places = tuple(
+        Quantity(float(v), float(math.hypot(f, a)), "m", float(a))
+        for v, f, a in zip(cg, flown, assumed, strict=True)
+    )
+    share_flown = np.array(
+        [
+            math.sqrt(float(balance.robust_fit(np.ones((len(total), 1)), s).covariance[0, 0]))
+            for s in (thrust / total[:, None]).T
+        ]
+    )
+    share_flown = np.hypot(share_flown, shares_by_curve)
+    share_assumed = balance.share_std(shares)
+    gains = _motor_gains(streams, hover, curve)
+    shaking = vibration_of(streams, hover)
+    rotors = tuple(
+        RotorHealth(
+            Quantity(float(s), math.hypot(f, a), "1", float(a)),
+            Quantity(1.0, TUNING.rotor_scatter, "1", TUNING.rotor_scatter),
+            gains[i],
+            None,
+            None,
+            shaking[i],
+        )
+        for i, (s, f, a) in enumerate(zip(shares, share_flown, share_assumed, strict=True))
+    )
+    yaw_std = math.hypot(math.sqrt(float(yaw.covariance[0, 0])), yaw_by_curve)
+    scale, mass = _scale(
+        airframe,
+        per_thrust,
+        math.hypot(per_std, scale_by_curve * per_thrust),
+        by_command=curve is not None,
+    )
+    return Health(
+        "",
+        airframe=airframe,
+        cg=(places[0], places[1]),
+        rotors=rotors,
+        yaw_imbalance=Quantity(yaw_value, yaw_std, "1"),
+        scale=scale,
+        mass=mass,
+        assumptions=_assumptions(guess, curve),
+    )
+
+
+def _scale(
+    airframe: Airframe, per_thrust: float, std: float, *, by_command: bool
+) -> tuple[tuple[str, Quantity] | None, Quantity | None]:
+    """k_T or T_max of a given mass, or the mass of a given coefficient.
+
+    per_thrust is lift over the sum of thrust in the rotors' unit: k_T / m or T_max / m.
+    """
+    name, unit = ("T_max", "N") if by_command else ("k_T", "N s^2")
+    if airframe.mass is not None:
+        return (name, Quantity(airframe.mass * per_thrust, airframe.mass * std, unit)), None
+    given = airframe.T_max if by_command else airframe.k_T
+    if given is None:
+        return None, None
+    mass = given / per_thrust
+    return (name, Quantity(given, 0.0, unit)), Quantity(mass, mass * std / per_thrust, "kg")
+
+
+def _motor_gains(
+    streams: Streams, hover: Windows, curve: Curve | None
+) -> tuple[Quantity | None, ...]:
+    """Speed squared for the command over that of the mean rotor."""
+    n = hover.speeds.shape[1]
+    both = np.isfinite(hover.speeds).all() and np.isfinite(hover.commands).all()
+    if streams.speeds is None or streams.commands is None or not both:
+        return tuple([None] * n)
+    # All rotors by the same curve; it matters by the difference of their commands alone.
+    c = 0.5 if curve is None or curve.c.value is None else curve.c.value
+    told = balance.curve_of(hover, None, None, "") if curve is None else curve
+    c = c if told.c.value is None else told.c.value
+    ratio = hover.speeds / balance.thrust_of(hover, c)
+    ratio = ratio / ratio.mean(axis=1, keepdims=True)
+    by_curve = np.zeros(n)
+    if told.c.std:
+        other = hover.speeds / balance.thrust_of(hover, min(c + 0.05, 1.0))
+        other = other / other.mean(axis=1, keepdims=True)
+        by_curve = (other - ratio).mean(axis=0) / 0.05 * told.c.std
+    out = []
+    for column, extra in zip(ratio.T, by_curve, strict=True):
+        fit = balance.robust_fit(np.ones((len(column), 1)), column)
+        std = math.sqrt(float(fit.covariance[0, 0]))
+        out.append(Quantity(float(fit.value[0]), math.hypot(std, float(extra)), "1"))
+    return tuple(out)
+
+
+def _throttle(
+    health: Health, streams: Streams, windows: Windows, hover: Windows, curve: Curve | None
+) -> Health:
+    """Throttle, thrust to weight, headroom, saturation and drift."""
+    thrust = balance.thrust_of(
+        hover, None if health.rotor_input == "speed" or curve is None else curve.c.value
+    )
+    lift = balance.lift_of(hover)
+    minutes = (hover.t - hover.t.mean()) / 60.0
+    effort = np.log(thrust.sum(axis=1) / lift)
+    # Thrust for the same command: what falls with the battery.
+    if health.rotor_input == "speed" and streams.commands is not None and curve is not None:
+        commanded = balance.thrust_of(hover, curve.c.value).sum(axis=1)
+        if np.isfinite(commanded).all() and (commanded > 0.0).all():
+            effort = np.log(commanded / lift)
+    fit = balance.robust_fit(np.column_stack([np.ones(len(minutes)), minutes]), effort)
+    drift = Quantity(-float(fit.value[1]), math.sqrt(float(fit.covariance[1, 1])), "1/min")
+    if float(np.ptp(minutes)) < TUNING.shortest_drift / 60.0:
+        drift = Quantity(None, None, "1/min")
+    health = replace(health, drift=drift)
+    u = hover.commands
+    if streams.commands is None or curve is None or curve.c.value is None:
+        return health
+    u = u[complete_rows(u)]
+    if not len(u):
+        return health
+    rows = complete_rows(hover.commands)
+    unit = GRAVITY / lift[rows]
+
+    def mean_of(values: Array) -> Quantity:
+        fit = balance.robust_fit(np.ones((len(values), 1)), values)
+        return Quantity(float(fit.value[0]), math.sqrt(float(fit.covariance[0, 0])), "1")
+
+    throttle = mean_of(u.mean(axis=1))
+    share = balance.thrust_of(hover, curve.c.value)[rows].mean(axis=1) * unit
+    hover_thrust = mean_of(share)
+    if curve.c.std:
+        other = balance.thrust_of(hover, min(curve.c.value + 0.05, 1.0))[rows].mean(axis=1) * unit
+        by_curve = float((other - share).mean()) / 0.05 * curve.c.std
+        assert hover_thrust.std is not None
+        hover_thrust = replace(hover_thrust, std=math.hypot(hover_thrust.std, by_curve))
+    assert hover_thrust.value is not None
+    assert hover_thrust.std is not None
+    to_weight = Quantity(1.0 / hover_thrust.value, hover_thrust.std / hover_thrust.value**2, "1")
+    rotors = []
+    for i, rotor in enumerate(health.rotors):
+        used = mean_of(u[:, i])
+        assert used.value is not None
+        _, samples = streams.commands.samples[i]
+        turning = samples[samples > 0.0]
+        full = float(np.mean(turning >= TUNING.full_command)) if len(turning) else None
+        rotors.append(
+            replace(rotor, headroom=Quantity(1.0 - used.value, used.std, "1"), saturated=full)
+        )
+    return replace(
+        health,
+        hover_throttle=throttle,
+        hover_thrust=hover_thrust,
+        thrust_to_weight=to_weight,
+        rotors=tuple(rotors),
+    )
+
+
+def _compared(
+    health: Health, given: Given, hover: Windows, thrust: Array, c: float | None
+) -> Health:
+    """With the rotors against a baseline, where there is one that fits."""
+    base = given.baseline
+    if base is None or health.load is None or health.airframe is None or health.cg is None:
+        return health
+    if base.load.kind != health.load.kind:
+        what = {"speed": "speeds", "command": "commands"}
+        raise InputError(
+            f"{base.source}: its rotors were told by {what[base.load.kind]}, here by "
+            f"{what[health.load.kind]}: take a baseline of the same kind of log"
+        )
+    if len(base.load.value) != len(health.airframe.rotors):
+        raise InputError(
+            f"{base.source}: has {len(base.load.value)} rotors, not {len(health.airframe.rotors)}"
+        )
+    load = health.load
+    if base.load.thrust_curve is not None and base.load.thrust_curve != c:
+        again = load_of(
+            hover, balance.thrust_of(hover, base.load.thrust_curve), base.load.thrust_curve
+        )
+        load = again or load
+    condition = compare_loads(base.load, load, health.airframe, base.cg, same_flight=False)
+    rotors = tuple(
+        replace(rotor, efficiency=efficiency)
+        for rotor, efficiency in zip(health.rotors, condition.efficiency, strict=True)
+    )
+    return replace(health, condition=condition, rotors=rotors)
+
+
+def _idle(streams: Streams) -> float | None:
+    """Least output, in the autopilot's unit, at which all rotors turned for a second by measure.
+
+    What is measured turning beside a stopped output is a rotor that runs out: an output must stand
+    still for a second.
+    """
+    if streams.speeds is None or streams.commands is None or not streams.commands.outputs:
+        return None
+    lowest = []
+    for (t, output), (speed_t, speed) in zip(
+        streams.commands.outputs, streams.speeds.samples, strict=True
+    ):
+        turning = _held_at(speed_t, speed > 0.0, t)
+        later = np.searchsorted(t, t - 1.0)
+        held = (output == output[later]) & (t - t[0] > 1.0) & (output > output.min())
+        run = np.append(0.0, np.cumsum(~turning | (output != np.roll(output, 1))))
+        whole = held & (run[1:] - run[later + 1] == 0.0)
+        if not whole.any():
+            return None
+        lowest.append(float(output[whole].min()))
+    return max(lowest)
+
+
+def _held_at(t: Array, values: Array, at: Array) -> Array:
+    """(n,) the last value before each time; False before the first and long after one."""
+    i = np.searchsorted(t, at, side="right") - 1
+    out: Array = (i >= 0) & values[np.maximum(i, 0)] & (at - t[np.maximum(i, 0)] < 0.5)
+    return out
+
+
+def _battery(streams: Streams) -> tuple[float, float, float] | None:
+    """Highest, lowest and median voltage; None where it is not logged."""
+    found = streams.extras.get("battery voltage")
+    if found is None:
+        return None
+    volts = found[1][np.isfinite(found[1]) & (found[1] > 1.0)]
+    if not len(volts):
+        return None
+    return float(volts.max()), float(volts.min()), float(np.median(volts))
+
+
+def _assumptions(guess: GuessedAirframe, curve: Curve | None) -> tuple[str, ...]:
+    out = [
+        f"rotors alike to {100.0 * TUNING.rotor_scatter:g} % (1 sigma) in thrust for their speed, "
+        f"placed to {100.0 * TUNING.position_std:g} % of the arm",
+        f"airframe: {guess.origin}",
+    ]
+    if curve is not None:
+        out.append(f"thrust curve: {curve.origin}")
+    return tuple(out)
