@@ -11,6 +11,8 @@ from gcs_sysid.results.number_format import PLAIN, significant
 
 _WIDTH = 79
 _NAME = 20
+_WINDY = 2e-3
+"""m by wind that are worth a line."""
 
 
 def health_text(health: Health) -> str:
@@ -35,6 +37,8 @@ def _head(health: Health) -> Iterator[str]:
             f"{PLAIN.measure(1e3 * abs(value), 1e3 * half, 'mm')} {way} of the center "
             f"(± {flown:.1f} mm if the rotors are alike)",
         )
+    if health.by_wind is not None and max(map(abs, health.by_wind)) > _WINDY:
+        yield _line("  of it by wind", _as_flown(health.by_wind))
     yield from _pure("yaw imbalance", health.yaw_imbalance, 100.0, "% of the load, ccw less cw")
     yield from _pure("hover throttle", health.hover_throttle, 100.0, "%")
     yield from _pure("full thrust", health.thrust_to_weight, 1.0, "times the weight")
@@ -55,6 +59,12 @@ def _head(health: Health) -> Iterator[str]:
         yield _line("motor lag", f"{1e3 * health.motor_lag:.0f} ms")
     if health.condition is not None:
         yield _line("rotors", condition_text(health.condition))
+
+
+def _as_flown(moved: tuple[float, float]) -> str:
+    x, y = (1e3 * value for value in moved)
+    along, across = "forward" if x >= 0.0 else "aft", "right" if y >= 0.0 else "left"
+    return f"perhaps {abs(x):.0f} mm {along}, {abs(y):.0f} mm {across}: fly in calm air to know"
 
 
 def _line(name: str, text: str) -> str:

@@ -147,7 +147,8 @@ def _balances(
     """CG, shares, yaw balance and scale."""
     airframe = guess.airframe
     total = thrust.sum(axis=1)
-    cg, covariance = balance.cg_of(hover, airframe, thrust)
+    center = balance.cg_of(hover, airframe, thrust)
+    cg = center.cg
     shares = (thrust / total[:, None]).mean(axis=0)
     per_thrust, per_std = balance.specific_thrust(hover, thrust)
     spin = airframe.geometry[2]
@@ -175,9 +176,10 @@ def _balances(
         slope = (ends[1] - ends[0]) / (high - low) * curve.c.std
         by_curve, shares_by_curve = slope[:2], slope[2:-2]
         yaw_by_curve, scale_by_curve = float(slope[-2]), float(slope[-1] * total.mean())
-    flown = np.sqrt(np.diag(covariance) + by_curve**2)
+    flown = np.sqrt(np.diag(center.covariance) + by_curve**2)
     assumed = np.sqrt(np.diag(balance.scatter_of_cg(airframe, shares, cg)))
     assumed = np.hypot(assumed, guess.arm_std * np.abs(cg))
+    assumed = np.hypot(assumed, TUNING.wind_share * center.by_wind)
     places = tuple(
         Quantity(float(v), float(math.hypot(f, a)), "m", float(a))
         for v, f, a in zip(cg, flown, assumed, strict=True)
@@ -214,6 +216,7 @@ def _balances(
         "",
         airframe=airframe,
         cg=(places[0], places[1]),
+        by_wind=(float(center.by_wind[0]), float(center.by_wind[1])),
         rotors=rotors,
         yaw_imbalance=Quantity(yaw_value, yaw_std, "1"),
         scale=scale,

@@ -82,7 +82,11 @@ class Fit:
 
 
 def robust_fit(
-    columns: Array, y: Array, ridge: Array | None = None, jitter: Array | None = None
+    columns: Array,
+    y: Array,
+    ridge: Array | None = None,
+    jitter: Array | None = None,
+    projected: Array | None = None,
 ) -> Fit:
     """Least squares with Huber's weights and Newey-West's covariance.
 
@@ -96,12 +100,14 @@ def robust_fit(
         ridge: (p,) prior standard deviations about zero; inf: none.
         jitter: (n, p) draws of the regressors' own noise, whose products are taken off theirs
             (errors in variables, with known noise).
+        projected: (n, p) regressors as instruments explain them (two-stage least squares).
 
     Raises:
         ValueError: fewer rows than columns.
     """
     n, p = columns.shape
     noise = np.zeros_like(columns) if jitter is None else jitter
+    told = columns if projected is None else projected
     if n <= p:
         raise ValueError(f"{n} windows do not tell {p} coefficients")
     weight = np.ones(n)
@@ -109,20 +115,20 @@ def robust_fit(
     penalty = np.zeros(p) if ridge is None else 1.0 / ridge**2
     value = np.zeros(p)
     for _ in range(12):
-        A = _products(columns, noise, weight)
+        A = _products(told, noise, weight)
         value = np.linalg.solve(
             A + scale**2 * np.diag(penalty) + 1e-15 * np.trace(A) * np.eye(p),
-            (columns * weight[:, None]).T @ y,
+            (told * weight[:, None]).T @ y,
         )
         residual = y - columns @ value
         scale = max(1.4826 * float(np.median(np.abs(residual - np.median(residual)))), 1e-15)
         weight = 1.0 / np.maximum(np.abs(residual) / (1.345 * scale), 1.0)
     bread = np.linalg.inv(
-        _products(columns, noise, weight)
+        _products(told, noise, weight)
         + scale**2 * np.diag(penalty)
-        + 1e-15 * np.eye(p) * np.trace(columns.T @ columns)
+        + 1e-15 * np.eye(p) * np.trace(told.T @ told)
     )
-    score = columns * (weight * residual)[:, None]
+    score = told * (weight * residual)[:, None]
     lags = min(max(2, round(1.5 * n ** (1.0 / 3.0))), n - 1)
     meat = score.T @ score
     for lag in range(1, lags + 1):
@@ -217,11 +223,18 @@ def _by_speeds(windows: Windows) -> tuple[float, float, str] | None:
     mean = float(weight @ values[:, 0] / weight.sum())
     # Rotors differ in more than noise: their scatter counts.
     scatter = float(weight @ (values[:, 0] - mean) ** 2 / weight.sum() / max(rotors - 1, 1))
-    return mean, math.sqrt(max(1.0 / float(weight.sum()), scatter)), "speeds over commands"
+    std = math.sqrt(max(1.0 / float(weight.sum()), scatter))
+    return mean, math.hypot(std, TUNING.curve_floor), "speeds over commands"
 
 
 def _by_lift(windows: Windows) -> tuple[float, float, str] | None:
-    """Thrust over mass in climbs and descents over the sum of commands."""
+    """Thrust over mass in climbs and descents over the sum of commands, by two estimators.
+
+    A gust that the accelerometer feels makes the autopilot answer: commands and noise hang
+    together, and least squares finds too flat a curve, by about the gusts' share of the power. That
+    is its bias. Commands of seconds before know nothing of a gust: with them as instruments there
+    is none, but few flights climb enough for that. Both are merged by what they are off by.
+    """
     lift = variations_of_lift(windows.lift, windows.force)
     total, squares = windows.commands.sum(axis=1), windows.squares.sum(axis=1)
     t = windows.t - windows.t.mean()
@@ -229,14 +242,57 @@ def _by_lift(windows: Windows) -> tuple[float, float, str] | None:
     sink = np.where(np.isfinite(windows.sink), windows.sink, 0.0)
     columns = np.column_stack([total, squares, total * t / span, sink])
     noise = np.column_stack([windows.jitter.sum(axis=1), np.zeros((len(t), 2))])
+    before = [_earlier(windows, total, lag) for lag in TUNING.instrument_lags]
+    steady = np.column_stack([np.ones(len(t)), t / span, sink])
+    instruments = np.column_stack(
+        [steady, *before, _earlier(windows, squares, TUNING.instrument_lags[0])]
+    )
     there = complete_rows(np.column_stack([columns, lift, noise]))
     if there.sum() < 2 * TUNING.fewest_windows:
         return None
     if np.std(total[there] / windows.commands.shape[1]) < TUNING.least_throttle_motion:
         return None
-    fit = robust_fit(columns[there], lift[there], None, noise[there])
+    fit = robust_fit(columns[there], lift[there], jitter=noise[there])
+    answers = [_with_gusts(fit, columns[there], lift[there], windows.commands.shape[1])]
+    there &= complete_rows(instruments)
+    if there.sum() > 3 * TUNING.fewest_windows:
+        instruments = instruments[there]
+        explained = instruments @ np.linalg.lstsq(instruments, columns[there], rcond=None)[0]
+        fit = robust_fit(columns[there], lift[there], projected=explained)
+        answers.append(_ratio(fit))
+    values, weights = np.array([(c, 1.0 / std**2) for c, std in answers]).T
+    merged = float(values @ weights / weights.sum())
+    # The same flight twice: the better one alone could be as good.
+    std = math.hypot(1.0 / math.sqrt(float(weights.max())), TUNING.curve_floor)
+    return merged, std, "thrust over commands"
+
+
+def _with_gusts(fit: Fit, columns: Array, lift: Array, rotors: int) -> tuple[float, float]:
+    """c of a fit, its deviation widened by the bias that gusts make.
+
+    White noise of the accelerometer makes none: what overlapping windows of it hang together by is
+    taken off the residuals' autocorrelation.
+    """
     c, std = _ratio(fit)
-    return c, std, "thrust over commands"
+    model = columns @ fit.value
+    residual = lift - model
+    steps = np.clip(residual, -3.0 * fit.residual, 3.0 * fit.residual)
+    neighbors = float(np.corrcoef(steps[1:], steps[:-1])[0, 1])
+    white, gust = TUNING.white_neighbors
+    colored = float(np.clip((neighbors - white) / (gust - white), 0.0, 1.0))
+    flat = TUNING.gust_bias * colored * (fit.residual / max(float(np.std(model)), 1e-9)) ** 2
+    # Of thrust a u + b u^2, bent by s = b u^2 / T: c = s / (s + (1 - s) u).
+    u = float(columns[:, 0].mean()) / rotors
+    s = float(np.clip(c * u / (1.0 - c + c * u), 0.0, 1.0)) if 0.0 < c < 1.0 else float(c >= 1.0)
+    return c, math.hypot(std, flat * u / (s + (1.0 - s) * u) ** 2)
+
+
+def _earlier(windows: Windows, values: Array, lag: int) -> Array:
+    """(n,) what a value was so many windows before; NaN where that was not in flight."""
+    place = np.rint(windows.t / windows.half).astype(int)
+    i = np.searchsorted(place, place - lag)
+    out: Array = np.where(place[i] == place - lag, values[i], np.nan)
+    return out
 
 
 def lift_of(windows: Windows) -> Array:
@@ -245,8 +301,30 @@ def lift_of(windows: Windows) -> Array:
     return lift
 
 
-def cg_of(windows: Windows, airframe: Airframe, thrust: Array) -> tuple[Array, Array]:
-    """(2,) CG in m from the geometric center and (2, 2) covariance of what the flight adds.
+@dataclass(frozen=True)
+class Center:
+    """Where the CG is, by one flight.
+
+    Attributes:
+        cg: (2,) m, forward and right of the geometric center.
+        covariance: (2, 2) by the flight's own scatter.
+        by_wind: (2,) m by which drag has moved the center of thrust from the CG, as far as the
+            flight tells; it is in `cg`.
+    """
+
+    cg: Array
+    covariance: Array
+    by_wind: Array
+
+
+def cg_of(windows: Windows, airframe: Airframe, thrust: Array) -> Center:
+    """The CG from the center of thrust in hover.
+
+    Wind drags at rotors and body above the CG and flaps the blades: a moment in proportion to the
+    specific force in the rotors' plane, which the accelerometer measures. On a real 18 kg quad it
+    moved the center of thrust by 64 mm per m/s^2, 15 mm in a breeze. What is left of it at the mean
+    force is told apart: an accelerometer off level by a degree looks like wind, so it stays in the
+    CG and in its interval.
 
     Args:
         windows: of hover, with all of thrust.
@@ -259,18 +337,27 @@ def cg_of(windows: Windows, airframe: Airframe, thrust: Array) -> tuple[Array, A
     turning = windows.turning / relative[:, None]
     products = windows.products / relative[:, None]
     rates = windows.rates / relative[:, None]
-    values, variances = [], []
+    drag = np.nan_to_num(windows.force[:, :2]) / relative[:, None]
     arm = airframe.arm
+    # In meters: an inertia of m L^2 moves the center by L^2/g; damping and products less.
+    ridge = np.array([np.inf, arm**2, arm**2, 5.0 * arm**2, TUNING.drag_lever * arm / GRAVITY])
+    values, variances, moved = [], [], []
     for place, axis in ((x, 1), (y, 0)):
+        mean = float(np.median(drag[:, 1 - axis]))
         columns = np.column_stack(
-            [np.ones(len(total)), turning[:, axis], products[:, axis], rates[:, axis]]
+            [
+                np.ones(len(total)),
+                turning[:, axis],
+                products[:, axis],
+                rates[:, axis],
+                drag[:, 1 - axis] - mean,
+            ]
         )
-        # In meters: an inertia of m L^2 moves the intercept by L^2/g; damping and products less.
-        ridge = np.array([np.inf, arm**2, arm**2, 5.0 * arm**2])
         fit = robust_fit(columns, thrust @ place / total, ridge)
         values.append(float(fit.value[0]))
-        variances.append(float(fit.covariance[0, 0]))
-    return np.array(values), np.diag(variances)
+        variances.append(float(fit.covariance[0, 0]) + (TUNING.cg_floor * arm) ** 2)
+        moved.append(float(fit.value[4]) * mean)
+    return Center(np.array(values), np.diag(variances), np.array(moved))
 
 
 def scatter_of_cg(airframe: Airframe, shares: Array, cg: Array) -> Array:

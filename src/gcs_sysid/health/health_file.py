@@ -32,6 +32,9 @@ def document_of(health: Health) -> dict[str, Any]:
         "rotor_input": health.rotor_input or None,
         "rotor_source": health.rotor_source or None,
         "cg": None if health.cg is None else {"x": plain(health.cg[0]), "y": plain(health.cg[1])},
+        "cg_by_wind": (
+            None if health.by_wind is None else dict(zip("xy", health.by_wind, strict=True))
+        ),
         "rotors": [rotor.as_json() for rotor in health.rotors],
         "yaw_imbalance": plain(health.yaw_imbalance),
         "hover_throttle": plain(health.hover_throttle),

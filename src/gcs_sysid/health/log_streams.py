@@ -63,6 +63,7 @@ class Streams:
 
 
 def rate_of(t: Array) -> float:
+    """Hz of times in s, by the median step; 0 where there are none."""
     steps = np.diff(t)
     steps = steps[steps > 0.0]
     return 1.0 / float(np.median(steps)) if len(steps) else 0.0

@@ -54,6 +54,16 @@ class Tuning:
         much_saturated: share of the flight at full command.
         shaking: times the others' vibration.
         least_shaking: m/s^2, amplitude below which nobody minds.
+        instrument_lags: windows before, of the commands that are instruments: beyond the windows'
+            overlap and the memory of gusts (0.3 s).
+        curve_floor: standard deviation of c that no flight goes below (motor's lag, battery).
+        drag_lever: arms, prior standard deviation of the height that drag acts at.
+        wind_share: of what wind seems to move the center of thrust by, that may be real: the rest is
+            an accelerometer off level.
+        gust_bias: relative error of the thrust's slope, over the share of gusts in its power
+            (measured over nine flights of `benchmarks.health`).
+        white_neighbors: autocorrelation of neighboring windows, of white noise and of gusts.
+        cg_floor: arms, that no flight goes below.
         position_std: m over meter of arm, each rotor's place in the airframe file.
     """
 
@@ -99,6 +109,13 @@ class Tuning:
     much_saturated: float = 0.005
     shaking: float = 3.0
     least_shaking: float = 1.0
+    instrument_lags: tuple[int, ...] = (2, 3, 4, 5, 6)
+    curve_floor: float = 0.004
+    drag_lever: float = 1.0
+    wind_share: float = 0.5
+    gust_bias: float = 0.8
+    white_neighbors: tuple[float, float] = (0.25, 0.5)
+    cg_floor: float = 0.0005
     position_std: float = 0.005
 
 

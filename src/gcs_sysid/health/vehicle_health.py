@@ -84,6 +84,7 @@ class Health:
         rotor_input: "speed" or "command".
         seconds: of hover.
         cg: x and y from the geometric center, m.
+        by_wind: x and y of what wind may have moved the CG by, m; it is in `cg`.
         rotors: in motor order.
         yaw_imbalance: share of the rotors' load that turns counter-clockwise less the other's.
         hover_throttle: mean command in hover, 0 to 1; None without commands.
@@ -113,6 +114,7 @@ class Health:
     rotor_source: str = ""
     seconds: float = 0.0
     cg: tuple[Quantity, Quantity] | None = None
+    by_wind: tuple[float, float] | None = None
     rotors: tuple[RotorHealth, ...] = ()
     yaw_imbalance: Quantity | None = None
     hover_throttle: Quantity | None = None
