@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from gcs_sysid.arrays import Array, complete_rows
+from gcs_sysid.arrays import Array, Mask, complete_rows
 from gcs_sysid.health.hover import Windows, variations_of_lift
 from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.intervals import Z95
@@ -233,9 +233,23 @@ def _by_lift(windows: Windows) -> tuple[float, float, str] | None:
     A gust that the accelerometer feels makes the autopilot answer: commands and noise hang
     together, and least squares finds too flat a curve, by about the gusts' share of the power. That
     is its bias. Commands of seconds before know nothing of a gust: with them as instruments there
-    is none, but few flights climb enough for that. Both are merged by what they are off by.
+    is none, but few flights climb enough for that. Both are merged by what they are off by. The
+    accelerometer tells the thrust, or the velocity does, whichever the commands explain better:
+    some velocities are late, some accelerometers have a bias that their filter moves about.
     """
-    lift = variations_of_lift(windows.lift, windows.force)
+    told = [
+        _by_one_lift(windows, lift)
+        for lift in (variations_of_lift(windows.lift, windows.force), windows.lift)
+    ]
+    answers = [answer for answer in told if answer is not None]
+    if not answers:
+        return None
+    _, c, std = min(answers)
+    return c, std, "thrust over commands"
+
+
+def _by_one_lift(windows: Windows, lift: Array) -> tuple[float, float, float] | None:
+    """Residual in m/s^2, c and its standard deviation, by one measure of thrust over mass."""
     total, squares = windows.commands.sum(axis=1), windows.squares.sum(axis=1)
     t = windows.t - windows.t.mean()
     span = float(np.abs(t).max()) or 1.0
@@ -247,28 +261,38 @@ def _by_lift(windows: Windows) -> tuple[float, float, str] | None:
     instruments = np.column_stack(
         [steady, *before, _earlier(windows, squares, TUNING.instrument_lags[0])]
     )
-    there = complete_rows(np.column_stack([columns, lift, noise]))
+    there = complete_rows(np.column_stack([columns, lift, noise])) & _gentle(windows)
     if there.sum() < 2 * TUNING.fewest_windows:
         return None
     if np.std(total[there] / windows.commands.shape[1]) < TUNING.least_throttle_motion:
         return None
     fit = robust_fit(columns[there], lift[there], jitter=noise[there])
+    residual = fit.residual
     answers = [_with_gusts(fit, columns[there], lift[there], windows.commands.shape[1])]
     there &= complete_rows(instruments)
     if there.sum() > 3 * TUNING.fewest_windows:
         instruments = instruments[there]
         explained = instruments @ np.linalg.lstsq(instruments, columns[there], rcond=None)[0]
         fit = robust_fit(columns[there], lift[there], projected=explained)
-        answers.append(_ratio(fit))
+        other = _ratio(fit)
+        if other[1] < TUNING.told_by_instruments:
+            answers.append(other)
     values, weights = np.array([(c, 1.0 / std**2) for c, std in answers]).T
     merged = float(values @ weights / weights.sum())
     # The same flight twice: the better one alone could be as good.
     std = math.hypot(1.0 / math.sqrt(float(weights.max())), TUNING.curve_floor)
-    return merged, std, "thrust over commands"
+    return residual, merged, std
+
+
+def _gentle(windows: Windows) -> Mask:
+    """(n,) whether it turns so slowly that thrust is that of the mean command; climbs may be."""
+    gentle: Mask = (np.abs(windows.rates) < TUNING.most_rate).all(axis=1)
+    gentle &= (np.abs(windows.turning) < TUNING.most_turning).all(axis=1)
+    return gentle & ~(windows.speed > TUNING.most_speed)
 
 
 def _with_gusts(fit: Fit, columns: Array, lift: Array, rotors: int) -> tuple[float, float]:
-    """c of a fit, its deviation widened by the bias that gusts make.
+    """The curve of a fit, its deviation widened by the bias that gusts make.
 
     White noise of the accelerometer makes none: what overlapping windows of it hang together by is
     taken off the residuals' autocorrelation.

@@ -58,8 +58,9 @@ class Tuning:
             overlap and the memory of gusts (0.3 s).
         curve_floor: standard deviation of c that no flight goes below (motor's lag, battery).
         drag_lever: arms, prior standard deviation of the height that drag acts at.
-        wind_share: of what wind seems to move the center of thrust by, that may be real: the rest is
-            an accelerometer off level.
+        wind_share: of what wind seems to move the center of thrust by, that may be real: the rest
+            is an accelerometer off level.
+        told_by_instruments: standard deviation of c up to which the instruments are strong enough.
         gust_bias: relative error of the thrust's slope, over the share of gusts in its power
             (measured over nine flights of `benchmarks.health`).
         white_neighbors: autocorrelation of neighboring windows, of white noise and of gusts.
@@ -113,6 +114,7 @@ class Tuning:
     curve_floor: float = 0.004
     drag_lever: float = 1.0
     wind_share: float = 0.5
+    told_by_instruments: float = 0.05
     gust_bias: float = 0.8
     white_neighbors: tuple[float, float] = (0.25, 0.5)
     cg_floor: float = 0.0005
