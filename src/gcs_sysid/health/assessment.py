@@ -25,13 +25,19 @@ from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import OnboardLog, open_log
 
 
-def health_of_log(path: Path, given: Given, wanted: tuple[int, int | None] | None = None) -> Health:
+def health_of_log(
+    path: Path,
+    given: Given,
+    wanted: tuple[int, int | None] | None = None,
+    span: tuple[float, float] = (0.0, math.inf),
+) -> Health:
     """What the hover in a recording tells.
 
     Args:
         path: a .tlog, .ulg, .bin or .bbl file.
         given: what is known beforehand.
         wanted: system and perhaps component; None: the first autopilot in it.
+        span: s from the first record, between which hover counts.
 
     Raises:
         InputError: the file cannot be read as a log, or the airframe is not known.
@@ -51,7 +57,8 @@ def health_of_log(path: Path, given: Given, wanted: tuple[int, int | None] | Non
     streams = streams_of(blocks, airframe, autopilot, log.parameters)
     if isinstance(log, OnboardLog):
         streams = replace(streams, extras=log.extras)
-    health = health_of(streams, replace(guess, airframe=airframe), given, log.parameters)
+    guess = replace(guess, airframe=airframe)
+    health = health_of(streams, guess, given, log.parameters, span)
     return replace(
         health,
         source=source,
@@ -62,7 +69,11 @@ def health_of_log(path: Path, given: Given, wanted: tuple[int, int | None] | Non
 
 
 def health_of(
-    streams: Streams, guess: GuessedAirframe, given: Given, parameters: Mapping[str, float]
+    streams: Streams,
+    guess: GuessedAirframe,
+    given: Given,
+    parameters: Mapping[str, float],
+    span: tuple[float, float] = (0.0, math.inf),
 ) -> Health:
     """What the hover in streams tells.
 
@@ -71,12 +82,14 @@ def health_of(
         guess: the airframe and where it is from.
         given: what else is known.
         parameters: the autopilot's.
+        span: s between which windows count.
     """
     airframe = guess.airframe
     problem = _missing(streams)
     windows = None if problem else windows_of(streams, len(airframe.rotors))
     if windows is None:
         return Health("", airframe=airframe, reasons=problem)
+    windows = windows.part((windows.t >= span[0]) & (windows.t <= span[1]))
     own, own_name = _own_curve(parameters)
     curve = None
     if streams.commands is not None and len(windows.t):

@@ -287,8 +287,9 @@ def _by_one_lift(windows: Windows, lift: Array) -> tuple[float, float, float] | 
 def _gentle(windows: Windows) -> Mask:
     """(n,) whether it turns so slowly that thrust is that of the mean command; climbs may be."""
     gentle: Mask = (np.abs(windows.rates) < TUNING.most_rate).all(axis=1)
-    gentle &= (np.abs(windows.turning) < TUNING.most_turning).all(axis=1)
-    return gentle & ~(windows.speed > TUNING.most_speed)
+    slow: Mask = (np.abs(windows.turning) < TUNING.most_turning).all(axis=1)
+    calm: Mask = gentle & slow & ~(windows.speed > TUNING.most_speed)
+    return calm
 
 
 def _with_gusts(fit: Fit, columns: Array, lift: Array, rotors: int) -> tuple[float, float]:
