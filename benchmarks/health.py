@@ -22,16 +22,17 @@ import numpy as np
 from benchmarks.truth.vehicles import Drawn, draw
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.health import balance
-from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.airframe_guess import GuessedAirframe
+from gcs_sysid.health.assessment import health_of, health_of_log
 from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.hover import Windows, windows_of
 from gcs_sysid.health.log_streams import Streams, streams_of
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of
 from gcs_sysid.health.tuning import TUNING
-from gcs_sysid.health.vehicle_health import Given
+from gcs_sysid.health.vehicle_health import Given, Health
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
-from gcs_sysid.signals.columns import RecordBlock
+from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.logs import open_log
@@ -145,14 +146,10 @@ def streams_in(log: Path, airframe: Airframe, *, speeds: bool, thin: bool = Fals
         )
         blocks.append(replace(block, tracks=tracks))
     assert opened.vehicle is not None
-    return streams_of(joined(blocks), airframe, opened.vehicle.key, opened.parameters)
+    return streams_of(blocks, airframe, opened.vehicle.key, opened.parameters)
 
 
-def joined(blocks: list[RecordBlock]) -> list[RecordBlock]:
-    return blocks
-
-
-def thinned(track):  # type: ignore[no-untyped-def]
+def thinned(track: Track) -> Track:
     """A track at the rate of slow logs."""
     rates = {Stream.IMU: IMU, Stream.ROTOR_SPEED: ROTORS, Stream.ROTOR_COMMAND: ROTORS,
              Stream.ATTITUDE: ROTORS, Stream.VELOCITY: ROTORS}  # fmt: skip
@@ -173,6 +170,7 @@ class Score:
     sigmas: list[float]
 
     def add(self, told: Quantity, truth: float, relative: bool = False) -> None:
+        """One more vehicle's; relative errors are over the truth."""
         assert told.value is not None
         assert told.std is not None
         size = truth if relative else 1.0
@@ -180,6 +178,7 @@ class Score:
         self.sigmas.append(told.std / abs(size))
 
     def row(self) -> str:
+        """Of the table."""
         e, s = np.array(self.errors), np.array(self.sigmas)
         held = 100.0 * float(np.mean(np.abs(e) <= Z95 * s))
         rms, most = self.unit * float(np.sqrt(np.mean(e**2))), self.unit * float(np.abs(e).max())
@@ -216,10 +215,7 @@ def _scores(count: int, folder: Path, *, speeds: bool, scatter: bool) -> list[Sc
             fly(log, drawn, ORDINARY, number, traits)
         airframe = misplaced(drawn.airframe, random) if scatter else drawn.airframe
         airframe = replace(airframe, rotor_input="speed" if speeds else "command")
-        if speeds:
-            told = health_of_log(log, Given(airframe))
-        else:
-            told = _by_commands(log, airframe)
+        told = health_of_log(log, Given(airframe)) if speeds else _by_commands(log, airframe)
         if not told.told:
             print(f"vehicle {number}: {told.reasons}")
             continue
@@ -241,11 +237,8 @@ def _scores(count: int, folder: Path, *, speeds: bool, scatter: bool) -> list[Sc
     return [s for s in (places, shares, scale, ratio, curves) if s.errors]
 
 
-def _by_commands(log: Path, airframe: Airframe):  # type: ignore[no-untyped-def]
+def _by_commands(log: Path, airframe: Airframe) -> Health:
     """Health of a log as if it had no speeds at all."""
-    from gcs_sysid.health.airframe_guess import GuessedAirframe
-    from gcs_sysid.health.assessment import health_of
-
     streams = streams_in(log, airframe, speeds=False)
     return health_of(streams, GuessedAirframe(airframe, "given"), Given(airframe), {})
 
@@ -341,16 +334,16 @@ def rectangle(name: str, x: float, y: float) -> Airframe:
 
 def logs(folder: Path) -> Iterator[str]:
     """Recordings with known parameters, thinned to 25 and 10 Hz."""
-    from gcs_sysid.health.airframe_guess import GuessedAirframe
-    from gcs_sysid.health.assessment import health_of
-
+    px4, other = rectangle("px4-quad-x", 0.17, 0.17), rectangle("ardupilot-quad-x", 0.16, 0.18)
+    stock = rectangle("px4-quad-x", 0.2, 0.2)
+    k_T, T_max = 1.2617414e-5, 11.2076
     known = (
-        ("px4-esc-cg.tlog", rectangle("px4-quad-x", 0.17, 0.17), 1.1, (12.0, -8.0), 4.672497e-6, 6.2, 0.0),
-        ("ardupilot-sitl.tlog", rectangle("ardupilot-quad-x", 0.16, 0.18), 1.6, (10.0, -6.0), 1.2617414e-5, 11.2076, 1.0),
-        ("ardupilot-sitl.bin", rectangle("ardupilot-quad-x", 0.16, 0.18), 1.6, (10.0, -6.0), 1.2617414e-5, 11.2076, 1.0),
-        ("px4-sih-default.tlog", rectangle("px4-quad-x", 0.2, 0.2), 1.0, (0.0, 0.0), None, 5.0, 0.0),
-        ("px4-sih-default.ulg", rectangle("px4-quad-x", 0.2, 0.2), 1.0, (0.0, 0.0), None, 5.0, 0.0),
-    )  # fmt: skip
+        ("px4-esc-cg.tlog", px4, 1.1, (12.0, -8.0), 4.672497e-6, 6.2, 0.0),
+        ("ardupilot-sitl.tlog", other, 1.6, (10.0, -6.0), k_T, T_max, 1.0),
+        ("ardupilot-sitl.bin", other, 1.6, (10.0, -6.0), k_T, T_max, 1.0),
+        ("px4-sih-default.tlog", stock, 1.0, (0.0, 0.0), None, 5.0, 0.0),
+        ("px4-sih-default.ulg", stock, 1.0, (0.0, 0.0), None, 5.0, 0.0),
+    )
     yield "| log, thinned | rotors by | CG off, mm | k_T or T_max off, % | thrust curve off |"
     yield "|---|---|---|---|---|"
     for name, airframe, mass, cg, k_T, T_max, curve in known:
@@ -380,14 +373,15 @@ def _repeated(log: Path, arm: float, mass: float) -> Iterator[str]:
     yield f"| {log.name} | CG forward, mm | right, mm | thrust shares, % | k_T, 1e-6 N s^2 |"
     yield "|---|---|---|---|---|"
     n = len(whole.t)
-    for label, rows in (("all", slice(0, n)), *((f"third {i + 1}", slice(i * n // 3, (i + 1) * n // 3))
-                                                for i in range(3))):  # fmt: skip
+    parts = {"all": slice(0, n)}
+    parts |= {f"third {i + 1}": slice(i * n // 3, (i + 1) * n // 3) for i in range(3)}
+    for label, rows in parts.items():
         part = whole.part(rows)
-        cg = balance.cg_of(part, airframe, part.speeds).cg
+        x, y = 1e3 * balance.cg_of(part, airframe, part.speeds).cg
         shares = (part.speeds / part.speeds.sum(axis=1, keepdims=True)).mean(axis=0)
         scale, _ = balance.specific_thrust(part, part.speeds)
         told = ", ".join(f"{100.0 * s:.1f}" for s in shares)
-        yield f"| {label} | {1e3 * cg[0]:.1f} | {1e3 * cg[1]:.1f} | {told} | {1e6 * mass * scale:.1f} |"
+        yield f"| {label} | {x:.1f} | {y:.1f} | {told} | {1e6 * mass * scale:.1f} |"
 
 
 def main() -> None:

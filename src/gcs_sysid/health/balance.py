@@ -116,18 +116,13 @@ def robust_fit(
     value = np.zeros(p)
     for _ in range(12):
         A = _products(told, noise, weight)
-        value = np.linalg.solve(
-            A + scale**2 * np.diag(penalty) + 1e-15 * np.trace(A) * np.eye(p),
-            (told * weight[:, None]).T @ y,
-        )
+        normal = A + scale**2 * np.diag(penalty)
+        value = np.linalg.pinv(normal, hermitian=True) @ ((told * weight[:, None]).T @ y)
         residual = y - columns @ value
         scale = max(1.4826 * float(np.median(np.abs(residual - np.median(residual)))), 1e-15)
         weight = 1.0 / np.maximum(np.abs(residual) / (1.345 * scale), 1.0)
-    bread = np.linalg.inv(
-        _products(told, noise, weight)
-        + scale**2 * np.diag(penalty)
-        + 1e-15 * np.eye(p) * np.trace(told.T @ told)
-    )
+    normal = _products(told, noise, weight) + scale**2 * np.diag(penalty)
+    bread = np.linalg.pinv(normal, hermitian=True)
     score = told * (weight * residual)[:, None]
     lags = min(max(2, round(1.5 * n ** (1.0 / 3.0))), n - 1)
     meat = score.T @ score
@@ -286,10 +281,10 @@ def _by_one_lift(windows: Windows, lift: Array) -> tuple[float, float, float] | 
 
 def _gentle(windows: Windows) -> Mask:
     """(n,) whether it turns so slowly that thrust is that of the mean command; climbs may be."""
-    gentle: Mask = (np.abs(windows.rates) < TUNING.most_rate).all(axis=1)
-    slow: Mask = (np.abs(windows.turning) < TUNING.most_turning).all(axis=1)
-    calm: Mask = gentle & slow & ~(windows.speed > TUNING.most_speed)
-    return calm
+    slow = np.abs(windows.rates).max(axis=1) < TUNING.most_rate
+    calm = np.abs(windows.turning).max(axis=1) < TUNING.most_turning
+    gentle: Mask = np.logical_and.reduce([slow, calm, ~(windows.speed > TUNING.most_speed)])
+    return gentle
 
 
 def _with_gusts(fit: Fit, columns: Array, lift: Array, rotors: int) -> tuple[float, float]:

@@ -13,6 +13,8 @@ from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import family
 from gcs_sysid.signals.rotor_units import Range, command_range, normalised
 
+_LONGEST = 200_000.0
+"""s of a log; what is stamped later is damaged."""
 _BOOT_GAP = 1000.0
 """s put between two boots, so that time goes on."""
 
@@ -91,6 +93,7 @@ def streams_of(
     joined = {key: _steady(track, boots) for key, track in by_key(tracks).items()}
     starts = [float(track.t[0]) for track in joined.values() if len(track.t)]
     start = min(starts, default=0.0)
+    joined = {key: track.part(track.t < start + _LONGEST) for key, track in joined.items()}
     plain: dict[Stream, tuple[Array, Array]] = {}
     rotors: dict[tuple[Stream, str], list[Track]] = {}
     for (stream, source, _), track in joined.items():
@@ -137,9 +140,9 @@ def _steady(track: Track, boots: Sequence[int]) -> Track:
             if first <= last:
                 t = np.where(after, t + last - first + _BOOT_GAP, t)
     order = np.argsort(t, kind="stable")
-    t, values = t[order], track.values[order]
+    t, values, at = t[order], track.values[order], track.order[order]
     new = np.append(True, np.diff(t) > 0.0)
-    return Track(track.stream, t[new], values[new], track.offset, track.source)
+    return Track(track.stream, t[new], values[new], track.offset, track.source, at[new])
 
 
 def _per_rotor(parts: Sequence[Track], count: int, start: float) -> tuple[tuple[Array, Array], ...]:
