@@ -124,12 +124,12 @@ def robust_fit(
     normal = _products(told, noise, weight) + scale**2 * np.diag(penalty)
     bread = np.linalg.pinv(normal, hermitian=True)
     score = told * (weight * residual)[:, None]
-    lags = min(max(2, round(1.5 * n ** (1.0 / 3.0))), n - 1)
+    lags = min(max(2, round(2.0 * n ** (1.0 / 3.0))), n - 1)
     meat = score.T @ score
     for lag in range(1, lags + 1):
         cross = score[lag:].T @ score[:-lag]
         meat += (1.0 - lag / (lags + 1.0)) * (cross + cross.T)
-    free = max(n / (1.0 + lags) * 1.5 - 1.0, 1.5)
+    free = max(n / (1.0 + lags) - 1.0, 2.0)
     stretch = float(student.ppf(0.975, free)) / Z95
     # A prior's part of the knowledge is its own variance.
     covariance = bread @ (meat + scale**2 * np.diag(scale**2 * penalty)) @ bread

@@ -115,6 +115,9 @@ def condition_text(condition: Condition) -> str:
             f"rotor {condition.rotor + 1} gives {100.0 * condition.loss.value:.1f} "
             f"+- {100.0 * half:.1f} % less thrust than before"
         )
+    if condition.verdict == "all":
+        change = 100.0 * float(condition.changes.mean())
+        return f"all rotors do {change:+.1f} % for the same thrust: air, battery or payload"
     x, y = (1e3 * v for v in condition.moved)
     moved = (
         f"{abs(x):.0f} mm {'forward' if x >= 0.0 else 'aft'} and "

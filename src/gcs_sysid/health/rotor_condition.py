@@ -3,10 +3,13 @@
 What a rotor must do in hover, lambda_i = Omega_i^2 over thrust per mass (or its commanded thrust
 over it), changes by r_i against a flight before. Three things can change it:
 
-- a rotor gives less: r = e P_i, with P the projection on what the mixer can ask for (for four
-  rotors the rotor itself; with more, the others take their part), with its torque less or not;
-- the CG moved: r_j = d . (r_j - cg) / mean square lever, of no sum;
+- a rotor gives less thrust, with its torque or without: with four rotors it alone answers, with
+  more the others take their part;
+- the CG moved: the rotors on one side take from those on the other;
 - everything at once: air, battery, payload.
+
+All but the last ask for a change of thrust and moments, which the mixer answers within the span of
+the rotors' effects (1, x, y, spin), by least squares.
 
 A weak rotor of four differs from a moved CG by the sum and the yaw balance alone. Each hypothesis
 is fitted by generalized least squares and costs its chi-square; a rotor is named where it beats all
@@ -123,8 +126,8 @@ class Condition:
     """What became of the rotors since the baseline.
 
     Attributes:
-        verdict: "unchanged", "rotor", "cg", or "unclear": something changed that these data do not
-            tell apart.
+        verdict: "unchanged", "rotor", "cg", "all" (all rotors alike: air, battery, payload), or
+            "unclear": something changed that these data do not tell apart.
         rotor: which, from 0, where one is named.
         loss: share of thrust that it lost, where one is named.
         margin: chi-square by which the best explanation beats the next one of another kind.
@@ -170,15 +173,22 @@ def compare_loads(
     r = np.log(now.value / before.value)
     w = before.value / before.value.sum()
     lever = np.array([x - cg[0], y - cg[1]])
-    B = np.vstack([np.ones(n), lever, spin])
-    Q, _ = np.linalg.qr(B.T)
-    P = Q @ Q.T  # what the mixer can ask for, and what trim needs
-    ones, yaw = np.ones(n), spin.astype(float)
+    effect = np.vstack([np.ones(n), lever, spin])
+    # Whatever must be balanced, the mixer asks for it within the span of the rotors' effects.
+    answer = effect.T @ np.linalg.inv(effect @ effect.T)  # (n, 4)
+
+    def asked(moments: Array) -> Array:
+        """(n, ...) relative change of loads that makes these thrusts and moments."""
+        change: Array = answer @ moments / w[:, None] if moments.ndim > 1 else answer @ moments / w
+        return change
+
+    unit = np.eye(4)
+    ones, yaw = np.ones(n), asked(unit[3])
+    moves = asked(unit[:, 1:3])  # (n, 2) of a meter
     own = TUNING.rotor_repeats**2 * np.eye(n)
     common = TUNING.common_speed if now.kind == "speed" else TUNING.common_command
     noise = before.covariance + now.covariance + own
     noise = noise + common**2 * np.outer(ones, ones) + TUNING.yaw_repeats**2 * np.outer(yaw, yaw)
-    moves = (lever / (lever**2).mean(axis=1, keepdims=True)).T  # (n, 2) of a meter
     still = TUNING.cg_repeats * airframe.arm * (0.2 if same_flight else 1.0)
     noise = noise + still**2 * moves @ moves.T
     inverse = np.linalg.inv(noise)
@@ -192,20 +202,27 @@ def compare_loads(
 
     left_unchanged = float(r @ inverse @ r)
     left_cg, moved, _ = fitted(moves)
-    # Two numbers explain more than one; within a flight the CG stays where it is.
-    left_cg += TUNING.cg_penalty + (TUNING.cg_fixed if same_flight else 0.0)
+    # More numbers explain more; within a flight the CG stays where it is.
+    each, fixed = TUNING.parameter_penalty, TUNING.cg_fixed if same_flight else 0.0
+    left_cg += 2.0 * each + fixed
+    left_all = fitted(ones[:, None])[0] + each
+    left_both = fitted(np.column_stack([ones, moves]))[0] + 3.0 * each + fixed
+    left_yaw = fitted(yaw[:, None])[0] + each
     best: list[tuple[float, int, float, float]] = []
     for i in range(n):
-        asked = P[:, i] * w[i] / w
+        whole = effect[:, i] * w[i]
         answers = []
-        for pattern in (asked, asked - (asked * w) @ yaw * yaw / float(w @ np.ones(n))):
+        # With its torque less by as much, or the thrust alone.
+        for moments in (whole, whole * (1.0, 1.0, 1.0, 0.0)):
+            pattern = asked(moments)
             left, value, covariance = fitted(pattern[:, None])
             answers.append((left, float(value[0]), math.sqrt(float(covariance[0, 0]))))
         left, extra, std = min(answers)
+        left += each
         if extra > 0.0:
             best.append((left, i, extra, std))
     best.sort()
-    others = min(left_unchanged, left_cg)
+    others = min(left_unchanged, left_cg, left_all, left_both, left_yaw)
     changes: Array = np.expm1(r)
     efficiency = _shrunk(r, noise, n)
     shift = float(moved[0]), float(moved[1])
@@ -217,11 +234,13 @@ def compare_loads(
             loss = Quantity(-math.expm1(-extra), std * math.exp(-extra), "1")
             return Condition("rotor", rotor, loss, margin, shift, changes, efficiency)
     left_best = min((entry[0] for entry in best), default=math.inf)
-    if left_unchanged - min(left_cg, left_best) < TUNING.named_margin:
+    least = min(others, left_best)
+    if left_unchanged - least < TUNING.named_margin:
         return Condition("unchanged", None, None, 0.0, shift, changes, efficiency)
-    if left_best - left_cg > TUNING.rival_margin:
-        margin = left_best - left_cg
-        return Condition("cg", None, None, margin, shift, changes, efficiency)
+    for verdict, left in (("all", left_all), ("cg", min(left_cg, left_both))):
+        if left_best - left > TUNING.rival_margin and left < least + each:
+            margin = left_best - left
+            return Condition(verdict, None, None, margin, shift, changes, efficiency)
     return Condition("unclear", None, None, 0.0, shift, changes, efficiency)
 
 

@@ -35,7 +35,7 @@ class Tuning:
         common_command: the same by commands: the battery's charge besides.
         yaw_repeats: of the yaw balance.
         cg_repeats: m over meter of arm, of the CG from flight to flight, nothing having moved.
-        cg_penalty: chi-square for the two numbers of a CG that moved, against one of a rotor.
+        parameter_penalty: chi-square for each number that an explanation may choose.
         cg_fixed: chi-square for a CG that moves in flight.
         named_margin: chi-square by which a weak rotor must beat no change and a moved CG. 16 is
             4 standard deviations, and passes by chance once in days of flight.
@@ -88,12 +88,12 @@ class Tuning:
     accelerometer_std: float = 0.07
     unseen_climb: float = 0.5
     turning_share: float = 0.05
-    rotor_repeats: float = 0.002
-    common_speed: float = 0.01
+    rotor_repeats: float = 0.001
+    common_speed: float = 0.003
     common_command: float = 0.05
-    yaw_repeats: float = 0.003
-    cg_repeats: float = 0.01
-    cg_penalty: float = 3.0
+    yaw_repeats: float = 0.001
+    cg_repeats: float = 0.002
+    parameter_penalty: float = 2.0
     cg_fixed: float = 9.0
     named_margin: float = 16.0
     rival_margin: float = 9.0
