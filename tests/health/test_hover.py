@@ -171,7 +171,7 @@ def test_reasons_where_there_is_nothing(airframe):
 
 def test_robust_fit_covers_what_hangs_together():
     rng = np.random.default_rng(7)
-    held, trials, n = 0, 200, 120
+    held, trials, n = 0, 200, 240
     for _ in range(trials):
         noise = np.convolve(rng.standard_normal(n + 4), np.ones(5) / 5.0, "valid")
         fit = balance.robust_fit(np.ones((n, 1)), 1.0 + noise)

@@ -124,7 +124,7 @@ def robust_fit(
     normal = _products(told, noise, weight) + scale**2 * np.diag(penalty)
     bread = np.linalg.pinv(normal, hermitian=True)
     score = told * (weight * residual)[:, None]
-    lags = min(max(2, round(2.0 * n ** (1.0 / 3.0))), n - 1)
+    lags = min(max(2, round(2.5 * n ** (1.0 / 3.0))), n - 1)
     meat = score.T @ score
     for lag in range(1, lags + 1):
         cross = score[lag:].T @ score[:-lag]

@@ -37,8 +37,7 @@ class Tuning:
         cg_repeats: m over meter of arm, of the CG from flight to flight, nothing having moved.
         parameter_penalty: chi-square for each number that an explanation may choose.
         cg_fixed: chi-square for a CG that moves in flight.
-        named_margin: chi-square by which a weak rotor must beat no change and a moved CG. 16 is
-            4 standard deviations, and passes by chance once in days of flight.
+        named_margin: chi-square by which a weak rotor must beat all other explanations.
         rival_margin: by which it must beat another rotor.
         shortest_drift: s of flight from which a drift is told.
         full_command: command from which a rotor counts as saturated.
@@ -89,13 +88,13 @@ class Tuning:
     unseen_climb: float = 0.5
     turning_share: float = 0.05
     rotor_repeats: float = 0.001
-    common_speed: float = 0.003
+    common_speed: float = 0.002
     common_command: float = 0.05
     yaw_repeats: float = 0.001
-    cg_repeats: float = 0.002
+    cg_repeats: float = 0.0015
     parameter_penalty: float = 2.0
     cg_fixed: float = 9.0
-    named_margin: float = 16.0
+    named_margin: float = 14.0
     rival_margin: float = 9.0
     shortest_drift: float = 20.0
     full_command: float = 0.99
