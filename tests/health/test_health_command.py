@@ -2,6 +2,7 @@
 
 import json
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import pytest
 
@@ -11,7 +12,18 @@ from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import load_airframe
 
-HOVER = ("--mission", "gentle", "--duration", "45", "--rate", "25", "--noise", "mems", "--seed", "3")
+HOVER = (
+    "--mission",
+    "gentle",
+    "--duration",
+    "45",
+    "--rate",
+    "25",
+    "--noise",
+    "mems",
+    "--seed",
+    "3",
+)
 QUANTITY = {"value", "std", "ci95", "unit", "std_given"}
 
 
@@ -116,6 +128,16 @@ def test_slow_rotors_get_health_from_analyze_and_inspect(fly, tmp_path, capsys):
     assert found.hover > 20.0
     # Without an airframe PX4's own parameters or the vehicle's type tell it.
     assert health_of_log(slow.tlog, Given(arm=0.25)).told
+
+
+@pytest.mark.slow
+def test_swapped_rotors_are_refused(flight):
+    airframe = load_airframe("paper")
+    first, second, *rest = airframe.rotors
+    swapped = replace(airframe, rotors=(second, rest[0], first, *rest[1:]))
+    health = health_of_log(flight.tlog, Given(swapped))
+    assert not health.told
+    assert "motor order" in health.reasons[0]
 
 
 @pytest.mark.slow

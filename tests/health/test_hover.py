@@ -85,7 +85,9 @@ def told(blocks, airframe, **given):
     return health_of(streams, GuessedAirframe(airframe, "given"), Given(airframe, **given), {})
 
 
-@pytest.mark.parametrize(("imu", "rotors"), [(250.0, 250.0), (25.0, 10.0), (10.0, 5.0), (12.5, 3.0)])
+@pytest.mark.parametrize(
+    ("imu", "rotors"), [(250.0, 250.0), (25.0, 10.0), (10.0, 5.0), (12.5, 3.0)]
+)
 def test_a_loaded_rotor_moves_the_cg_at_any_rate(airframe, imu, rotors):
     loads = (1.0, 1.1, 0.95, 1.05)
     health = told(flight(imu=imu, rotors=rotors, loads=loads), airframe)
@@ -137,7 +139,9 @@ def test_time_goes_on_over_a_reboot(airframe):
 def test_a_gap_makes_no_window(airframe):
     (block,) = flight()
     tracks = tuple(
-        track.part(~((track.t > 110.0) & (track.t < 114.0))) if track.stream is Stream.IMU else track
+        track.part(~((track.t > 110.0) & (track.t < 114.0)))
+        if track.stream is Stream.IMU
+        else track
         for track in block.tracks
     )
     windows = windows_of(streams_of([replace(block, tracks=tracks)], airframe, "px4", {}), 4)

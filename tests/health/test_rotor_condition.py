@@ -54,7 +54,9 @@ def test_no_rotor_is_named_where_nothing_changed_or_the_load_did(layout):
     strength = 1.0 + 0.03 * rng.standard_normal(len(airframe.rotors))
     before = load(trim(airframe, (0.01, 0.0), strength), rng)
     same = load(trim(airframe, (0.01, 0.0), strength), rng)
-    assert compare_loads(before, same, airframe, (0.01, 0.0), same_flight=False).verdict == "unchanged"
+    assert (
+        compare_loads(before, same, airframe, (0.01, 0.0), same_flight=False).verdict == "unchanged"
+    )
     # Thinner air takes all rotors alike.
     thin = load(1.02 * trim(airframe, (0.01, 0.0), strength), rng)
     assert compare_loads(before, thin, airframe, (0.01, 0.0), same_flight=False).verdict == "all"

@@ -25,6 +25,12 @@ from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import OnboardLog, open_log
 
 
+_ORDER = (
+    "the vehicle does not turn as these rotors would turn it ({}): give --airframe with the rotors "
+    "in the autopilot's motor order"
+)
+
+
 def health_of_log(
     path: Path,
     given: Given,
@@ -107,6 +113,9 @@ def health_of(
     sound &= np.isfinite(balance.lift_of(windows)) & complete_rows(windows.turning)
     if np.count_nonzero(sound) < TUNING.fewest_windows:
         return Health("", airframe=airframe, reasons=(_no_hover(windows),))
+    flown = complete_rows(np.column_stack([thrust, windows.turning]))
+    if balance.turns_otherwise(windows.part(flown), airframe, thrust[flown]):
+        return Health("", airframe=airframe, reasons=(_ORDER.format(guess.origin),))
     hover, thrust = windows.part(sound), thrust[sound]
     assert hover is not None
     health = _balances(streams, hover, thrust, curve if not by_speed else None, guess)

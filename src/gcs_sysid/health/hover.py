@@ -353,9 +353,15 @@ def _flying(streams: Streams, rotors: int) -> tuple[Array, Mask]:
     if Stream.VELOCITY in streams.tracks:
         times, values = streams.tracks[Stream.VELOCITY]
         position = np.column_stack([_held(times, column, grid) for column in values[:, 3:6].T])
-    flying = FlightDetector().update(
-        grid, held(Stream.IN_AIR), held(Stream.ARMED), speeds, position
-    )
+    told = held(Stream.IN_AIR)
+    armed = held(Stream.ARMED)
+    flying = FlightDetector().update(grid, told, armed, speeds, position)
+    if not flying.any() and not np.isfinite(told).any():
+        # Thrown by hand, or landed lower than it took off: rotors that carry must do.
+        effort = np.nan_to_num(speeds**2).sum(axis=1)
+        carrying = effort > TUNING.carrying * float(np.percentile(effort, 99.0))
+        nowhere = np.full_like(position, np.nan)
+        flying = FlightDetector().update(grid, told, armed, speeds, nowhere) & carrying
     return grid, flying
 
 

@@ -17,6 +17,9 @@ class Tuning:
         enough_rate: Hz; beyond it a faster rotor stream brings nothing to averages.
         longest_lag: s, of motors and transport that is looked for.
         lag_step: s between the lags tried.
+        sure_of_order: standard deviations by which another axis' moment must turn the vehicle, or
+            its own moment the wrong way, for the motor order to be wrong.
+        carrying: of the most that the rotors do, from which they may carry the vehicle.
         most_rate: rad/s, in hover.
         most_turning: rad/s^2, mean over a window.
         most_lift: relative deviation of thrust over mass from gravity.
@@ -75,6 +78,8 @@ class Tuning:
     enough_rate: float = 50.0
     longest_lag: float = 0.4
     lag_step: float = 0.02
+    sure_of_order: float = 5.0
+    carrying: float = 0.2
     most_rate: float = 0.5
     most_turning: float = 3.0
     most_lift: float = 0.15
