@@ -24,7 +24,6 @@ from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import OnboardLog, open_log
 
-
 _ORDER = (
     "the vehicle does not turn as these rotors would turn it ({}): give --airframe with the rotors "
     "in the autopilot's motor order"
