@@ -64,7 +64,9 @@ def guess_airframe(
     if found is None:
         found = _by_type(vehicle, parameters)
     if arm is not None:
-        return replace(found, airframe=found.airframe.with_arm(arm), arm_std=0.0)
+        layout = found.origin.partition(", its arm")[0]
+        origin = f"{layout}, {arm:g} m from the center to a rotor"
+        return replace(found, airframe=found.airframe.with_arm(arm), origin=origin, arm_std=0.0)
     return found
 
 

@@ -268,8 +268,10 @@ def _motor_gains(
 ) -> tuple[Quantity | None, ...]:
     """Speed squared for the command over that of the mean rotor."""
     n = hover.speeds.shape[1]
-    both = np.isfinite(hover.speeds).all() and np.isfinite(hover.commands).all()
-    if streams.speeds is None or streams.commands is None or not both:
+    hover = hover.part(complete_rows(np.column_stack([hover.speeds, hover.commands])))
+    if streams.speeds is None or streams.commands is None:
+        return tuple([None] * n)
+    if len(hover.t) < TUNING.fewest_windows:
         return tuple([None] * n)
     # All rotors by the same curve; it matters by the difference of their commands alone.
     c = 0.5 if curve is None or curve.c.value is None else curve.c.value
