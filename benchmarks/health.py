@@ -25,6 +25,7 @@ from gcs_sysid.health import balance
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import health_of, health_of_log
 from gcs_sysid.health.balance import Quantity
+from gcs_sysid.health.command_curve import thrust_of
 from gcs_sysid.health.hover import Windows, windows_of
 from gcs_sysid.health.log_streams import Streams, streams_of
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of
@@ -270,7 +271,7 @@ def loads_of(hover: Windows, *, speeds: bool, c: float) -> Iterator[Load]:
     for start in range(0, len(hover.t) - count + 1, count):
         part = hover.part(slice(start, start + count))
         curve = None if speeds else c
-        load = load_of(part, balance.thrust_of(part, curve), curve)
+        load = load_of(part, thrust_of(part, curve), curve)
         if load is not None:
             yield load
 
@@ -306,7 +307,7 @@ def _judge(tally: Array, names: list[Path], drawn: Drawn, rotor: int, *, speeds:
     c = drawn.vehicle.thrust_curve
     before, after, same = (hover_of(name, airframe, speeds=speeds) for name in names)
     curve = None if speeds else c
-    thrust = balance.thrust_of(before, curve)
+    thrust = thrust_of(before, curve)
     base = load_of(before, thrust, curve)
     assert base is not None
     cg = balance.cg_of(before, airframe, thrust).cg

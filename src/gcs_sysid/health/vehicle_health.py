@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from gcs_sysid.health.balance import Curve, Quantity
+from gcs_sysid.health.balance import Quantity
+from gcs_sysid.health.command_curve import Curve
 from gcs_sysid.health.rotor_condition import Condition, Load
 from gcs_sysid.model.airframe import Airframe
 
