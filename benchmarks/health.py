@@ -280,7 +280,7 @@ def weak(count: int, folder: Path) -> Iterator[str]:
     """Weak rotors named, and false alarms."""
     yield "| | named right | named wrong | not named | false alarms | in hours |"
     yield "|---|---|---|---|---|---|"
-    tally = {True: np.zeros(5), False: np.zeros(5)}
+    tally = {(s, u): np.zeros(5) for s in (True, False) for u in (False, True)}
     mission = HoverMission("hover", 10.0 * STRETCH)
     for number in range(count):
         drawn = draw(1000 + number, LAYOUTS)
@@ -292,17 +292,20 @@ def weak(count: int, folder: Path) -> Iterator[str]:
         fly(names[0], drawn, mission, 3 * number, traits, HOVER)
         fly(names[1], drawn, mission, 3 * number + 1, lost, STRETCH + 2.5)
         fly(names[2], drawn, mission, 3 * number + 2, traits, 3.0 * STRETCH + 2.5)
-        for speeds in (True, False):
-            _judge(tally[speeds], names, drawn, rotor, speeds=speeds)
-    for speeds, (right, wrong, silent, alarms, seconds) in tally.items():
-        kind = "speeds" if speeds else "commands"
+        for speeds, unchanged in tally:
+            counts = tally[speeds, unchanged]
+            _judge(counts, names, drawn, rotor, speeds=speeds, unchanged=unchanged)
+    for (speeds, unchanged), (right, wrong, silent, alarms, seconds) in tally.items():
+        kind = ("speeds" if speeds else "commands") + (", --unchanged" if unchanged else "")
         yield (
             f"| {kind} | {right:.0f} | {wrong:.0f} | {silent:.0f} | {alarms:.0f} "
             f"| {seconds / 3600.0:.2f} |"
         )
 
 
-def _judge(tally: Array, names: list[Path], drawn: Drawn, rotor: int, *, speeds: bool) -> None:
+def _judge(
+    tally: Array, names: list[Path], drawn: Drawn, rotor: int, *, speeds: bool, unchanged: bool
+) -> None:
     airframe = drawn.airframe
     c = drawn.vehicle.thrust_curve
     before, after, same = (hover_of(name, airframe, speeds=speeds) for name in names)
@@ -312,13 +315,13 @@ def _judge(tally: Array, names: list[Path], drawn: Drawn, rotor: int, *, speeds:
     assert base is not None
     cg = balance.cg_of(before, airframe, thrust).cg
     for load in list(loads_of(after, speeds=speeds, c=c))[:1]:
-        found = compare_loads(base, load, airframe, cg.tolist(), same_flight=False)
+        found = compare_loads(base, load, airframe, cg.tolist(), unchanged=unchanged)
         right = found.verdict == "rotor" and found.rotor == rotor
         tally[0] += right
         tally[1] += found.verdict == "rotor" and not right
         tally[2] += found.verdict != "rotor"
     for load in loads_of(same, speeds=speeds, c=c):
-        found = compare_loads(base, load, airframe, cg.tolist(), same_flight=False)
+        found = compare_loads(base, load, airframe, cg.tolist(), unchanged=unchanged)
         tally[3] += found.verdict == "rotor"
         tally[4] += STRETCH
 

@@ -39,7 +39,7 @@ def test_every_rotor_five_percent_weak_is_named(layout):
         before = load(trim(airframe, cg, strength), rng)
         weak = strength * np.where(np.arange(n) == rotor, 0.95, 1.0)
         found = compare_loads(
-            before, load(trim(airframe, cg, weak), rng), airframe, cg, same_flight=False
+            before, load(trim(airframe, cg, weak), rng), airframe, cg, unchanged=False
         )
         assert (found.verdict, found.rotor) == ("rotor", rotor)
         low, high = found.loss.ci95
@@ -55,13 +55,13 @@ def test_no_rotor_is_named_where_nothing_changed_or_the_load_did(layout):
     before = load(trim(airframe, (0.01, 0.0), strength), rng)
     same = load(trim(airframe, (0.01, 0.0), strength), rng)
     assert (
-        compare_loads(before, same, airframe, (0.01, 0.0), same_flight=False).verdict == "unchanged"
+        compare_loads(before, same, airframe, (0.01, 0.0), unchanged=False).verdict == "unchanged"
     )
     # Thinner air takes all rotors alike.
     thin = load(1.02 * trim(airframe, (0.01, 0.0), strength), rng)
-    assert compare_loads(before, thin, airframe, (0.01, 0.0), same_flight=False).verdict == "all"
+    assert compare_loads(before, thin, airframe, (0.01, 0.0), unchanged=False).verdict == "all"
     moved = load(trim(airframe, (0.035, 0.0), strength), rng)
-    found = compare_loads(before, moved, airframe, (0.01, 0.0), same_flight=False)
+    found = compare_loads(before, moved, airframe, (0.01, 0.0), unchanged=False)
     assert found.verdict == "cg"
     assert found.moved[0] == pytest.approx(0.025, rel=0.1)
 
@@ -73,9 +73,7 @@ def test_a_propeller_without_its_torque_is_not_told_from_a_cg_on_four_rotors():
     strength = np.array([0.85, 1.0, 1.0, 1.0])
     effect = np.vstack([np.ones(4) * strength, x * strength, y * strength, spin])
     weak = np.linalg.solve(effect, [1.0, 0.0, 0.0, 0.0])
-    found = compare_loads(
-        load(np.full(4, 0.25)), load(weak), airframe, (0.0, 0.0), same_flight=False
-    )
+    found = compare_loads(load(np.full(4, 0.25)), load(weak), airframe, (0.0, 0.0), unchanged=False)
     assert found.rotor is None
     assert found.verdict in ("unclear", "cg")
 

@@ -362,6 +362,11 @@ def add_health(parser: argparse.ArgumentParser) -> None:
         help="a flight before, as --json writes it: names a rotor that became weak "
         "(default: the first of several logs)",
     )
+    parser.add_argument(
+        "--unchanged",
+        action="store_true",
+        help="nothing was moved or loaded since the baseline: names a weak rotor sooner",
+    )
     parser.add_argument("--json", metavar="FILE", help="write it; - is stdout")
     parser.add_argument(
         "--params",

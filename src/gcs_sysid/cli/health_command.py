@@ -66,7 +66,9 @@ def _given(options: argparse.Namespace) -> Given:
         raise InputError(
             f"--battery-mass {battery:g} must be less than --mass {mass:g}, which includes it"
         )
-    return Given(airframe, options.arm, options.mass, options.battery_mass, baseline)
+    return Given(
+        airframe, options.arm, options.mass, options.battery_mass, baseline, options.unchanged
+    )
 
 
 def _write(

@@ -285,7 +285,7 @@ def _compared(
     if base.load.thrust_curve is not None and base.load.thrust_curve != c:
         again = load_of(hover, thrust_of(hover, base.load.thrust_curve), base.load.thrust_curve)
         load = again or load
-    condition = compare_loads(base.load, load, health.airframe, base.cg, same_flight=False)
+    condition = compare_loads(base.load, load, health.airframe, base.cg, unchanged=given.unchanged)
     rotors = tuple(
         replace(rotor, efficiency=efficiency)
         for rotor, efficiency in zip(health.rotors, condition.efficiency, strict=True)

@@ -157,7 +157,7 @@ class Condition:
 
 
 def compare_loads(
-    before: Load, now: Load, airframe: Airframe, cg: Sequence[float], *, same_flight: bool
+    before: Load, now: Load, airframe: Airframe, cg: Sequence[float], *, unchanged: bool
 ) -> Condition:
     """Judge what changed between two stretches of hover.
 
@@ -166,7 +166,7 @@ def compare_loads(
         now: what is judged.
         airframe: places of the rotors.
         cg: (2,) m, of the baseline.
-        same_flight: whether nothing could be moved or loaded in between.
+        unchanged: whether nothing was moved or loaded in between.
     """
     x, y, spin = airframe.geometry
     n = len(x)
@@ -189,7 +189,7 @@ def compare_loads(
     common = TUNING.common_speed if now.kind == "speed" else TUNING.common_command
     noise = before.covariance + now.covariance + own
     noise = noise + common**2 * np.outer(ones, ones) + TUNING.yaw_repeats**2 * np.outer(yaw, yaw)
-    still = TUNING.cg_repeats * airframe.arm * (0.2 if same_flight else 1.0)
+    still = TUNING.cg_repeats * airframe.arm * (0.2 if unchanged else 1.0)
     noise = noise + still**2 * moves @ moves.T
     inverse = np.linalg.inv(noise)
 
@@ -202,8 +202,8 @@ def compare_loads(
 
     left_unchanged = float(r @ inverse @ r)
     left_cg, moved, _ = fitted(moves)
-    # More numbers explain more; within a flight the CG stays where it is.
-    each, fixed = TUNING.parameter_penalty, TUNING.cg_fixed if same_flight else 0.0
+    # More numbers explain more; where nothing was moved the CG stays.
+    each, fixed = TUNING.parameter_penalty, TUNING.cg_fixed if unchanged else 0.0
     left_cg += 2.0 * each + fixed
     left_all = fitted(ones[:, None])[0] + each
     left_both = fitted(np.column_stack([ones, moves]))[0] + 3.0 * each + fixed

@@ -39,7 +39,7 @@ class Tuning:
         yaw_repeats: of the yaw balance.
         cg_repeats: m over meter of arm, of the CG from flight to flight, nothing having moved.
         parameter_penalty: chi-square for each number that an explanation may choose.
-        cg_fixed: chi-square for a CG that moves in flight.
+        cg_fixed: chi-square for a CG that moves where nothing was moved.
         named_margin: chi-square by which a weak rotor must beat all other explanations.
         rival_margin: by which it must beat another rotor.
         shortest_drift: s of flight from which a drift is told.

@@ -20,6 +20,7 @@ class Given:
         mass: kg, where the airframe is from the log.
         battery_mass: kg, for advice.
         baseline: an earlier flight's loads, and its CG.
+        unchanged: whether nothing was moved or loaded since then.
     """
 
     airframe: Airframe | None = None
@@ -27,6 +28,7 @@ class Given:
     mass: float | None = None
     battery_mass: float | None = None
     baseline: "Baseline | None" = None
+    unchanged: bool = False
 
 
 @dataclass(frozen=True)
