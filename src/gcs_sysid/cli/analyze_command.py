@@ -8,9 +8,13 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from gcs_sysid.cli import arguments, output, told_airframe
+from gcs_sysid.cli.health_text import health_text
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.health_file import document_of
+from gcs_sysid.health.vehicle_health import Given, Health
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log, analyze_pair
@@ -43,6 +47,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("--offline starts from --method forward alone")
     output.check_json(options.json, force=options.force)
     results: list[Result] = []
+    healths: list[Health | None] = []
     unreadable = 0
     deliveries = output.Deliveries()
     if options.added_mass is not None:
@@ -62,17 +67,31 @@ def run(options: argparse.Namespace) -> int:
                 unreadable += 1
                 continue
             results.append(result)
+            health = _health(log, options, airframe)
+            healths.append(health)
             _print(log, result, truth, deliveries, table=options.json != "-")
+            if result.verdict == "refused" and health is not None and options.json != "-":
+                print(f"What its hover shows all the same:\n\n{health_text(health)}")
             if reporter is not None:
                 deliveries.give(functools.partial(reporter.write, result))
     if results:
         documents = [result.as_json() for result in results]
+        for known, health in zip(documents, healths, strict=False):
+            if health is not None:
+                known["health"] = document_of(health)
         document = documents[0] if len(options.logs) == 1 else documents
         deliveries.give(lambda: output.write_json(options.json, document, force=options.force))
     deliveries.check()
     if unreadable:
         return 2
     return 1 if any(result.verdict == "refused" for result in results) else 0
+
+
+def _health(log: str, options: argparse.Namespace, airframe: Airframe) -> Health | None:
+    """What hover tells; None where nothing hovers."""
+    span = options.start, options.end
+    health = health_of_log(Path(log), Given(airframe), options.vehicle, span)
+    return health if health.told else None
 
 
 def _pair(options: argparse.Namespace, airframe: Airframe, chain: ChainOptions) -> list[Result]:

@@ -402,6 +402,37 @@ def add_trend(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="write over FILE if it exists")
 
 
+def add_health(parser: argparse.ArgumentParser) -> None:
+    """Options of `health`."""
+    parser.add_argument(
+        "logs", nargs="+", metavar="LOG", help=".tlog, .ulg, .bin, .bbl; several: of one vehicle"
+    )
+    _add_layout(parser).add_argument(
+        "--battery-mass", type=mass, metavar="KG", help="of what can be moved: tells by how much"
+    )
+    _add_vehicle_choice(parser)
+    parser.add_argument(
+        "--baseline",
+        metavar="HEALTH.json",
+        help="a flight before, as --json writes it: names a rotor that became weak "
+        "(default: the first of several logs)",
+    )
+    parser.add_argument(
+        "--unchanged",
+        action="store_true",
+        help="nothing was moved or loaded since the baseline: names a weak rotor sooner",
+    )
+    parser.add_argument("--json", metavar="FILE", help="write it; - is stdout")
+    parser.add_argument(
+        "--params",
+        metavar="FILE",
+        help="suggested autopilot parameters: .params for QGroundControl, .param for Mission "
+        "Planner; nothing is sent to a vehicle",
+    )
+    parser.add_argument("--picture", metavar="FILE.svg", help="the vehicle from above, on a page")
+    _add_force(parser)
+
+
 def layout_of(options: argparse.Namespace, told: "Airframe | None" = None) -> "Airframe":
     """The airframe that is named, or the one told, with the scale that is given, if any.
 

@@ -3,7 +3,15 @@
 import textwrap
 from collections.abc import Iterable, Mapping
 
-from gcs_sysid.inspection.facts import GROUPS, Inspection, RotorSource, StreamFacts, group_of, role
+from gcs_sysid.inspection.facts import (
+    GROUPS,
+    Inspection,
+    Obtainable,
+    RotorSource,
+    StreamFacts,
+    group_of,
+    role,
+)
 from gcs_sysid.inspection.thresholds import THRESHOLDS
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.rotor_messages import RPM
@@ -36,6 +44,13 @@ _TOLD_BY = {
     "": "",
 }
 _VERDICTS = {"yes": "YES", "partly": "PARTLY", "no": "NO"}
+_OBTAINABLE: dict[Obtainable, str] = {
+    "everything": "everything: scale, CG, inertia, rotor coefficients",
+    "all but Izz": "scale, CG, Ixx, Iyy; yaw was hardly flown, so neither Izz nor k_M well",
+    "in part": "scale and CG; inertia of the axes that were flown",
+    "health": "health alone: CG, rotor loads, thrust curve and margins from hover, no inertia",
+    "nothing": "nothing",
+}
 _NAME = 14
 """Columns of the names at the left."""
 _TIE = "\u00a0"
@@ -241,7 +256,10 @@ def _parameters(found: Inspection, width: int) -> list[str]:
 
 
 def _verdict(found: Inspection, width: int) -> list[str]:
-    lines = [f"Can be identified from: {_VERDICTS[found.verdict]}"]
+    lines = [
+        f"Can be identified from: {_VERDICTS[found.verdict]}",
+        *_entry("Can be had", _OBTAINABLE[found.obtainable] + _of_hover(found), width),
+    ]
     for i, finding in enumerate(found.findings):
         mark = "-" if finding.level == "note" else "!"
         lines += textwrap.wrap(
@@ -254,7 +272,13 @@ def _verdict(found: Inspection, width: int) -> list[str]:
             )
     if found.verdict != "no" and found.kind != "link":
         lines += ["", f"Next: gcs-sysid analyze {found.source} --airframe FILE --mass KG"]
+    elif found.obtainable == "health" and found.kind != "link":
+        lines += ["", f"Next: gcs-sysid health {found.source} --arm M --mass KG"]
     return lines
+
+
+def _of_hover(found: Inspection) -> str:
+    return f"; {found.hover:.0f} s of hover" if found.hover else ""
 
 
 def _short(rate: float) -> str:

@@ -15,7 +15,6 @@ def welcome(parser: argparse.ArgumentParser) -> str:
     commands = "\n".join(f"  {name:<12}{what}" for name, what in commands_of(parser))
     return f"""\
 gcs-sysid {__version__} identifies a multirotor from MAVLink, in flight or recorded.
-
 Begin with
   gcs-sysid demo
               see it work on the emulator that comes with it

@@ -14,6 +14,8 @@ ONBOARD = ("ulog", "dataflash", "blackbox")
 """Kinds of log that the autopilot wrote itself."""
 
 Verdict = Literal["yes", "partly", "no"]
+Obtainable = Literal["everything", "all but Izz", "in part", "health", "nothing"]
+"""How much can be had; "all but Izz" where yaw was hardly flown."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +147,10 @@ class Inspection:
     rotor_input: RotorInput = field(default_factory=lambda: RotorInput(None))
     problems: tuple[str, ...] = ()
     """Why a link brings too little, as far as the link itself tells."""
+    hover: float | None = None
+    """Seconds of hover that `health` uses; None: not looked for."""
     findings: tuple[Finding, ...] = ()
+    obtainable: Obtainable = "nothing"
 
     @property
     def in_air(self) -> float:
@@ -177,6 +182,8 @@ class Inspection:
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
+            "obtainable": self.obtainable,
+            "seconds_of_hover": self.hover,
             "reasons": [asdict(finding) for finding in self.findings],
             "source": self.source,
             "kind": self.kind,
@@ -232,6 +239,7 @@ GROUPS = {
     "filters": r"INS_(GYRO|ACCEL)_FILTER|IMU_(GYRO|ACCEL)_CUTOFF|IMU_GYRO_RATEMAX|IMU_INTEG_RATE",
     "motors": r"MOT_PWM_(MIN|MAX)|MOT_SPIN_(ARM|ARMED|MIN|MAX)|MOT_THST_EXPO|THR_MDL_FAC"
     r"|PWM_MAIN_(MIN|MAX)[1-8]|motorOutput\[[01]\]|(min|max)throttle|motor_poles|dshot_bidir",
+    "logging": r"LOG_BITMASK|SDLOG_PROFILE|SERVO_BLH_TRATE",
     "IMU place": r"INS_POS1_[XYZ]|IMU_POS_[XYZ]",
     "simulator": r"SIH_(MASS|I[XYZ][XYZ]|T_MAX|Q_MAX|L_ROLL|L_PITCH|KDV|KDW|T_TAU)",
 }

@@ -6,6 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.inspection.derived_facts import (
     USUAL,
     FlightWatch,
@@ -23,7 +25,7 @@ from gcs_sysid.inspection.facts import (
     StreamFacts,
     that_matter,
 )
-from gcs_sysid.inspection.readiness import findings_of
+from gcs_sysid.inspection.readiness import findings_of, obtainable
 from gcs_sysid.inspection.stream_watch import MotionWatch, RotorWatch, StreamWatch
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.clock_check import clock_doubt
@@ -199,7 +201,7 @@ class Inspector:
             rotor_input=RotorInput(None) if self._judge is None else self._judge.finish(sources),
             problems=(*problems, *telemetry.problems, *doubts),
         )
-        return replace(inspection, findings=findings_of(inspection))
+        return judged(inspection)
 
     def _sources(self, rotors: int | None) -> tuple[RotorSource, ...]:
         """The rotor streams, those of one message joined; of `rotors` where that is known."""
@@ -286,9 +288,26 @@ def inspect_log(
             log.take_events()
             if progress:
                 progress(log.share_read)
+    found = replace(inspector.finish(str(path), log.kind), hover=_hover(path, wanted, airframe))
     if progress:
         progress(1.0)
-    return inspector.finish(str(path), log.kind)
+    return judged(found)
+
+
+def judged(inspection: Inspection) -> Inspection:
+    """With the findings that its facts lead to, and with how much can be had."""
+    whole = replace(inspection, findings=findings_of(inspection))
+    return replace(whole, obtainable=obtainable(whole))
+
+
+def _hover(
+    path: Path, wanted: tuple[int, int | None] | None, airframe: Airframe | None
+) -> float | None:
+    """Seconds of hover that `health` uses; None where nothing tells where the rotors are."""
+    try:
+        return health_of_log(path, Given(airframe), wanted).seconds
+    except InputError:
+        return None
 
 
 def inspect_link(

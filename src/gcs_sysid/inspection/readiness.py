@@ -3,15 +3,27 @@
 from collections.abc import Iterator
 from typing import Literal
 
-from gcs_sysid.inspection.facts import AXES, ONBOARD, Finding, Inspection, RotorSource
+from gcs_sysid.inspection.facts import (
+    AXES,
+    ONBOARD,
+    Finding,
+    Inspection,
+    Obtainable,
+    RotorSource,
+)
 from gcs_sysid.inspection.thresholds import THRESHOLDS as LIMITS
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import MIN_RATE
 
 _TOLD_BY_AXIS = {"roll": "Ixx", "pitch": "Iyy", "yaw": "Izz and k_M"}
+_SYSTEM_IDENTIFICATION = 1 + 8 + 16
+"""SDLOG_PROFILE: default set, system identification, high rate."""
+_FAST_ATTITUDE, _FAST_IMU = 1 << 0, 1 << 18
+"""Bits of ArduCopter's LOG_BITMASK."""
+_USUAL_BITMASK = 176126
+_ESC_RATE = 100
+"""Hz, SERVO_BLH_TRATE that fits identification."""
 _FASTER = {
-    "ulog": "log more: on PX4 set SDLOG_PROFILE to system identification and high rate",
-    "dataflash": "log more: on ArduPilot add fast attitude and fast IMU to LOG_BITMASK",
     "blackbox": "log more: on Betaflight raise blackbox_sample_rate (1/2), on INAV set "
     "blackbox_rate_denom = 1; and see that accelerometer, attitude and RPM are logged",
 }
@@ -54,7 +66,33 @@ def _no_vehicle(found: Inspection) -> Finding:
 
 
 def _faster(found: Inspection) -> str:
+    """The very settings that log more."""
+    if found.kind == "ulog":
+        now = int(found.parameters.get("SDLOG_PROFILE", 1.0))
+        return f"log more: set SDLOG_PROFILE = {now | _SYSTEM_IDENTIFICATION} (now {now})"
+    if found.kind == "dataflash":
+        now = int(found.parameters.get("LOG_BITMASK", _USUAL_BITMASK))
+        text = f"log more: set LOG_BITMASK = {now | _FAST_ATTITUDE | _FAST_IMU} (now {now})"
+        if found.parameters.get("SERVO_BLH_TRATE", _ESC_RATE) < _ESC_RATE:
+            text += f", and SERVO_BLH_TRATE = {_ESC_RATE} (now "
+            text += f"{found.parameters['SERVO_BLH_TRATE']:.0f}) with ESCs that send so much"
+        return text
     return _FASTER.get(found.kind, _FASTER_LINK)
+
+
+def obtainable(found: Inspection) -> Obtainable:
+    """How much can be had: the most that `analyze`, and `health` beside it, would tell."""
+    if found.verdict != "no":
+        little = [axis for axis in found.motion if _is_little(found, axis)]
+        if not little:
+            return "everything"
+        return "all but Izz" if little == ["yaw"] else "in part"
+    if found.hover is not None:
+        return "health" if found.hover > 0.0 else "nothing"
+    imu = found.stream(Stream.IMU)
+    slow = found.vehicle is not None and imu is not None and (imu.rate or 0.0) >= LIMITS.hover_imu
+    rotors = any((source.rate or 0.0) >= LIMITS.hover_rotors for source in found.rotor_sources)
+    return "health" if slow and rotors and found.flights else "nothing"
 
 
 def _imu(found: Inspection) -> Iterator[Finding]:

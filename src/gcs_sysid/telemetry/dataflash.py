@@ -111,6 +111,7 @@ class _Reader:
         self._add_escs(recording)
         self._add_rpm(recording)
         self._add_states(recording)
+        self._add_battery(recording)
         return recording
 
     def _own_times(self, name: str) -> Array:
@@ -275,6 +276,20 @@ class _Reader:
         end = float(self._known_t[-1])
         recording.add_state(Stream.ARMED, armed, end)
         recording.add_state(Stream.IN_AIR, flies, end)
+
+    def _add_battery(self, recording: Recording) -> None:
+        """Of the first battery, as an extra."""
+        volts = self._named("BAT", ("Volt",))
+        if volts is not None:
+            rows = self._primary_instance("BAT")
+            recording.extras["battery voltage"] = self._times("BAT")[rows], volts[rows]
+
+    def _primary_instance(self, name: str) -> Mask:
+        """(n,) the entries of the first instance, under any of the names that number had."""
+        columns = self._log.numbers(name)
+        number = next((columns[key] for key in ("Inst", "Instance", "I") if key in columns), None)
+        first: Mask = np.ones(len(self._log.places(name)), bool) if number is None else number == 0
+        return first
 
     def _pairs(self, name: str, column: str) -> Iterator[tuple[float, float]]:
         columns = self._log.numbers(name)

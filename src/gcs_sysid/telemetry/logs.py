@@ -9,13 +9,14 @@ What a file is shows in its content, not in its name.
 """
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
+from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_regular, split_session
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
@@ -205,6 +206,11 @@ class OnboardLog:
     def share_read(self) -> float:
         """As `Log` says."""
         return self._given / self._total
+
+    @property
+    def extras(self) -> Mapping[str, tuple[Array, Array]]:
+        """As of `Recording`."""
+        return self._recording.extras
 
     def take_events(self) -> list[IntakeEvent]:
         """As `Telemetry` says."""

@@ -26,8 +26,8 @@ _AUTO_TAKEOFF, _AUTO_LAND = 17, 18
 """vehicle_status.nav_state while EXTENDED_SYS_STATE says taking off or landing."""
 _ARMED = 2
 """vehicle_status.arming_state."""
-_MOTORS, _ESCS, _LANDED, _STATUS = (
-    "actuator_motors", "esc_status", "vehicle_land_detected", "vehicle_status"
+_MOTORS, _ESCS, _LANDED, _STATUS, _BATTERY = (
+    "actuator_motors", "esc_status", "vehicle_land_detected", "vehicle_status", "battery_status"
 )  # fmt: skip
 _FIRST_MOTOR = 101
 """esc_report.actuator_function of motor 1."""
@@ -48,7 +48,7 @@ TOPICS = (
 )  # fmt: skip
 """Topics whose fields are the values. Motors, ESCs and flight take more, see `_add_topic`."""
 READ = {
-    _MOTORS, _ESCS, _LANDED,
+    _MOTORS, _ESCS, _LANDED, _BATTERY,
     *(row.name for row in TOPICS), *(row.offset[0] for row in TOPICS if row.offset is not None),
 }  # fmt: skip
 """Topics that are read at all."""
@@ -116,6 +116,8 @@ def _add_topic(
         recording.add(Stream.ROTOR_COMMAND, t, _motors(topic, thrust_factor), source=source)
     elif name == _ESCS:
         recording.add(Stream.ROTOR_SPEED, t, _speeds(topic), source=source)
+    elif name == _BATTERY:
+        recording.extras["battery voltage"] = t, _columns(topic, "voltage_v")
     elif name == _LANDED:
         _add_flight(recording, t, topic, topics.get((_STATUS, 0)))
 

@@ -1,0 +1,408 @@
+"""Health of vehicles by ordinary flights: errors, intervals, weak rotors named, false alarms.
+
+    python -m benchmarks.health [--vehicles N] [--weak N] [--logs FOLDER]
+
+`vehicles`: drawn vehicles of four, six and eight rotors with thrust curves from 0 to 1 fly gentle
+doublets and climbs in light turbulence; what is sent is IMU at 25 Hz, commands (and in a second
+reading speeds) at 10 Hz. Their rotors scatter and stand by what the intervals assume. `weak`: each
+vehicle flies twice, by commands and by speeds; in the second flight one rotor has 5 % less thrust
+and torque, and ten seconds of hover must name it; the same flights without the fault, cut into
+stretches of ten seconds, count the false alarms. `logs`: recordings with known parameters, whole
+and in parts.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.truth.vehicles import Drawn, draw
+from gcs_sysid.arrays import Array, complete_rows
+from gcs_sysid.health import balance
+from gcs_sysid.health.airframe_guess import GuessedAirframe
+from gcs_sysid.health.assessment import health_of, health_of_log
+from gcs_sysid.health.balance import Quantity
+from gcs_sysid.health.command_curve import thrust_of
+from gcs_sysid.health.hover import Windows, windows_of
+from gcs_sysid.health.log_streams import Streams, streams_of
+from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of
+from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.vehicle_health import Given, Health
+from gcs_sysid.intervals import Z95
+from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
+from gcs_sysid.signals.columns import Track
+from gcs_sysid.signals.records import Stream
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.logs import open_log
+from sim_bridge.autopilot import BOOT_US
+from sim_bridge.doublets import DoubletMission
+from sim_bridge.links import TlogLink
+from sim_bridge.missions import HoverMission, Mission
+from sim_bridge.physics import IDEAL, Physics
+from sim_bridge.px4 import Px4
+from sim_bridge.simulation import Simulation
+from sim_bridge.uneven_rotors import RotorTraits
+
+LAYOUTS = ("quad-x", "hexa", "octo")
+IMU, ROTORS = 25.0, 10.0
+"""Hz."""
+ORDINARY = DoubletMission("ordinary", 0.4, 2.5, 0.2, 4.0, 1.5, 0.02)
+"""What most flights are: gentle, with climbs of 1.5 m, in light turbulence."""
+HOVER = 30.0
+"""s of the flight that is learnt from."""
+STRETCH = 10.0
+"""s in which a weak rotor is to be named."""
+LOSS = 0.05
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A recording of a drawn vehicle."""
+
+    log: Path
+    airframe: Airframe
+    drawn: Drawn
+    traits: RotorTraits
+
+
+def uneven(drawn: Drawn, random: np.random.Generator, scatter: float) -> RotorTraits:
+    """Rotors whose thrust and torque scatter, of mean 1."""
+    n = len(drawn.vehicle.rotors)
+
+    def shares() -> tuple[float, ...]:
+        values = 1.0 + scatter * random.standard_normal(n)
+        return tuple((values / values.mean()).tolist())
+
+    return RotorTraits(shares(), shares())
+
+
+def misplaced(airframe: Airframe, random: np.random.Generator) -> Airframe:
+    """What a user measures: each rotor off by what the intervals assume."""
+    std = TUNING.position_std * airframe.arm
+    moved = tuple(
+        Rotor(r.x + std * random.standard_normal(), r.y + std * random.standard_normal(), r.spin)
+        for r in airframe.rotors
+    )
+    return replace(airframe, rotors=moved)
+
+
+def fly(
+    log: Path,
+    drawn: Drawn,
+    mission: Mission,
+    seed: int,
+    traits: RotorTraits | None = None,
+    seconds: float | None = None,
+    physics: Physics = IDEAL,
+) -> None:
+    """Fly into a .tlog at slow rates.
+
+    Args:
+        log: to write.
+        drawn: that flies.
+        mission: flown.
+        seed: of sensors and air.
+        traits: of its rotors; None: all alike.
+        seconds: of flight; None: the whole mission.
+        physics: besides.
+    """
+    vehicle = replace(drawn.vehicle, traits=traits)
+    simulation = Simulation(
+        vehicle, mission, np.random.SeedSequence([seed, 1]), None, physics=physics
+    )
+    autopilot = Px4(simulation, "mems", 0.0, IMU, np.random.SeedSequence([seed, 2]))
+    phase = np.random.default_rng([seed, 3])
+    for message in (
+        mavlink.MAVLINK_MSG_ID_ESC_STATUS,
+        mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS,
+        mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
+    ):
+        autopilot.schedule.set_interval(message, 1e6 / ROTORS, 0)
+        autopilot.schedule.streams[message].due = float(phase.uniform(0.0, 1e6 / ROTORS))
+    length = mission.duration if seconds is None else seconds
+    link = TlogLink(log, replace=True)
+    try:
+        for tick in range(round(length / simulation.step_size) + 1):
+            if tick:
+                simulation.step()
+            frames = autopilot.poll(tick)
+            if frames:
+                link.send(frames, BOOT_US + tick * simulation.step_us)
+    finally:
+        link.close()
+
+
+def streams_in(log: Path, airframe: Airframe, *, speeds: bool, thin: bool = False) -> Streams:
+    """The streams of a recording, with its speeds or without; thinned to slow rates."""
+    opened = open_log(log)
+    blocks = []
+    for block in opened.blocks():
+        tracks = tuple(
+            thinned(track) if thin else track
+            for track in block.tracks
+            if speeds or track.stream is not Stream.ROTOR_SPEED
+        )
+        blocks.append(replace(block, tracks=tracks))
+    assert opened.vehicle is not None
+    return streams_of(blocks, airframe, opened.vehicle.key, opened.parameters)
+
+
+def thinned(track: Track) -> Track:
+    """A track at the rate of slow logs."""
+    rates = {Stream.IMU: IMU, Stream.ROTOR_SPEED: ROTORS, Stream.ROTOR_COMMAND: ROTORS,
+             Stream.ATTITUDE: ROTORS, Stream.VELOCITY: ROTORS}  # fmt: skip
+    rate = rates.get(track.stream)
+    if rate is None or len(track.t) < 2:
+        return track
+    step = np.floor(track.t * rate + 1e-6)
+    return track.part(np.append(True, np.diff(step) > 0.0))
+
+
+@dataclass
+class Score:
+    """Errors of one number over many vehicles."""
+
+    name: str
+    unit: float
+    errors: list[float]
+    sigmas: list[float]
+
+    def add(self, told: Quantity, truth: float, relative: bool = False) -> None:
+        """One more vehicle's; relative errors are over the truth."""
+        assert told.value is not None
+        assert told.std is not None
+        size = truth if relative else 1.0
+        self.errors.append((told.value - truth) / size)
+        self.sigmas.append(told.std / abs(size))
+
+    def row(self) -> str:
+        """Of the table."""
+        e, s = np.array(self.errors), np.array(self.sigmas)
+        held = 100.0 * float(np.mean(np.abs(e) <= Z95 * s))
+        rms, most = self.unit * float(np.sqrt(np.mean(e**2))), self.unit * float(np.abs(e).max())
+        half = self.unit * Z95 * float(np.median(s))
+        return f"| {self.name} | {rms:.3g} | {most:.3g} | {half:.3g} | {held:.0f} % of {len(e)} |"
+
+
+def vehicles(count: int, folder: Path) -> Iterator[str]:
+    """The table of errors and intervals."""
+    yield "| | rms | largest | median half interval | intervals hold |"
+    yield "|---|---|---|---|---|"
+    for speeds in (False, True):
+        for scatter in (True, False):
+            scores = _scores(count, folder, speeds=speeds, scatter=scatter)
+            kind = "speeds" if speeds else "commands"
+            what = "rotors 3 %, places 0.5 % off" if scatter else "rotors alike, flight alone"
+            yield f"| **{kind}, {what}** | | | | |"
+            for score in scores:
+                yield score.row()
+
+
+def _scores(count: int, folder: Path, *, speeds: bool, scatter: bool) -> list[Score]:
+    places = Score("CG, mm", 1e3, [], [])
+    scale = Score("k_T, %" if speeds else "T_max, %", 100.0, [], [])
+    curves = Score("thrust curve", 1.0, [], [])
+    shares = Score("thrust shares, %", 100.0, [], [])
+    ratio = Score("full thrust over weight, %", 100.0, [], [])
+    for number in range(count):
+        drawn = draw(number, LAYOUTS)
+        random = np.random.default_rng([number, 0x4EA1])
+        traits = uneven(drawn, random, TUNING.rotor_scatter if scatter else 0.0)
+        log = folder / f"{number}_{scatter}.tlog"
+        if not log.exists():
+            fly(log, drawn, ORDINARY, number, traits)
+        airframe = misplaced(drawn.airframe, random) if scatter else drawn.airframe
+        airframe = replace(airframe, rotor_input="speed" if speeds else "command")
+        told = health_of_log(log, Given(airframe)) if speeds else _by_commands(log, airframe)
+        if not told.told:
+            print(f"vehicle {number}: {told.reasons}")
+            continue
+        assert told.cg is not None
+        assert told.scale is not None
+        v = drawn.vehicle
+        for place, truth in zip(told.cg, (v.cg_x, v.cg_y), strict=True):
+            places.add(place if scatter else flown_alone(place), truth)
+        scale.add(told.scale[1], v.k_T if speeds else v.T_max, relative=True)
+        if told.curve is not None:
+            curves.add(told.curve.c, v.thrust_curve)
+        if told.thrust_to_weight is not None:
+            truth = len(v.rotors) * v.T_max / v.mass / 9.80665
+            ratio.add(told.thrust_to_weight, truth, relative=True)
+        true_shares = _true_shares(log, drawn, traits)
+        for rotor, truth in zip(told.rotors, true_shares, strict=True):
+            share = rotor.thrust_share
+            shares.add(share if scatter else flown_alone(share), float(truth))
+    return [s for s in (places, shares, scale, ratio, curves) if s.errors]
+
+
+def _by_commands(log: Path, airframe: Airframe) -> Health:
+    """Health of a log as if it had no speeds at all."""
+    streams = streams_in(log, airframe, speeds=False)
+    return health_of(streams, GuessedAirframe(airframe, "given"), Given(airframe), {})
+
+
+def flown_alone(told: Quantity) -> Quantity:
+    """Without what is assumed of rotors and places."""
+    assert told.std is not None
+    return replace(told, std=max(told.std**2 - told.std_given**2, 0.0) ** 0.5, std_given=0.0)
+
+
+def _true_shares(log: Path, drawn: Drawn, traits: RotorTraits) -> Array:
+    """Shares of thrust by the true coefficients and the speeds of the whole log in hover."""
+    hover = hover_of(log, drawn.airframe, speeds=True)
+    thrust = hover.speeds * np.array(traits.thrust)
+    mean: Array = (thrust / thrust.sum(axis=1, keepdims=True)).mean(axis=0)
+    return mean
+
+
+def hover_of(log: Path, airframe: Airframe, *, speeds: bool) -> Windows:
+    """The hover of a log."""
+    windows = windows_of(streams_in(log, airframe, speeds=speeds), len(airframe.rotors))
+    told = windows.speeds if speeds else windows.commands
+    return windows.part(windows.hovering & complete_rows(told) & complete_rows(windows.turning))
+
+
+def loads_of(hover: Windows, *, speeds: bool, c: float) -> Iterator[Load]:
+    """The loads of stretch after stretch."""
+    count = round(STRETCH / hover.half)
+    for start in range(0, len(hover.t) - count + 1, count):
+        part = hover.part(slice(start, start + count))
+        curve = None if speeds else c
+        load = load_of(part, thrust_of(part, curve), curve)
+        if load is not None:
+            yield load
+
+
+def weak(count: int, folder: Path) -> Iterator[str]:
+    """Weak rotors named, and false alarms."""
+    yield "| | named right | named wrong | not named | false alarms | in hours |"
+    yield "|---|---|---|---|---|---|"
+    tally = {(s, u): np.zeros(5) for s in (True, False) for u in (False, True)}
+    mission = HoverMission("hover", 10.0 * STRETCH)
+    for number in range(count):
+        drawn = draw(1000 + number, LAYOUTS)
+        random = np.random.default_rng([number, 0x3EAC])
+        traits = uneven(drawn, random, TUNING.rotor_scatter)
+        rotor = int(random.integers(len(drawn.vehicle.rotors)))
+        names = [folder / f"{number}_{part}.tlog" for part in ("before", "weak", "after")]
+        lost = traits.weakened(rotor, LOSS)
+        fly(names[0], drawn, mission, 3 * number, traits, HOVER)
+        fly(names[1], drawn, mission, 3 * number + 1, lost, STRETCH + 2.5)
+        fly(names[2], drawn, mission, 3 * number + 2, traits, 3.0 * STRETCH + 2.5)
+        for speeds, unchanged in tally:
+            counts = tally[speeds, unchanged]
+            _judge(counts, names, drawn, rotor, speeds=speeds, unchanged=unchanged)
+    for (speeds, unchanged), (right, wrong, silent, alarms, seconds) in tally.items():
+        kind = ("speeds" if speeds else "commands") + (", --unchanged" if unchanged else "")
+        yield (
+            f"| {kind} | {right:.0f} | {wrong:.0f} | {silent:.0f} | {alarms:.0f} "
+            f"| {seconds / 3600.0:.2f} |"
+        )
+
+
+def _judge(
+    tally: Array, names: list[Path], drawn: Drawn, rotor: int, *, speeds: bool, unchanged: bool
+) -> None:
+    airframe = drawn.airframe
+    c = drawn.vehicle.thrust_curve
+    before, after, same = (hover_of(name, airframe, speeds=speeds) for name in names)
+    curve = None if speeds else c
+    thrust = thrust_of(before, curve)
+    base = load_of(before, thrust, curve)
+    assert base is not None
+    cg = balance.cg_of(before, airframe, thrust).cg
+    for load in list(loads_of(after, speeds=speeds, c=c))[:1]:
+        found = compare_loads(base, load, airframe, cg.tolist(), unchanged=unchanged)
+        right = found.verdict == "rotor" and found.rotor == rotor
+        tally[0] += right
+        tally[1] += found.verdict == "rotor" and not right
+        tally[2] += found.verdict != "rotor"
+    for load in loads_of(same, speeds=speeds, c=c):
+        found = compare_loads(base, load, airframe, cg.tolist(), unchanged=unchanged)
+        tally[3] += found.verdict == "rotor"
+        tally[4] += STRETCH
+
+
+def rectangle(name: str, x: float, y: float) -> Airframe:
+    """A quad X of these levers."""
+    airframe = load_airframe(name)
+    rotors = tuple(
+        Rotor(float(np.copysign(x, r.x)), float(np.copysign(y, r.y)), r.spin)
+        for r in airframe.rotors
+    )
+    return replace(airframe, rotors=rotors)
+
+
+def logs(folder: Path) -> Iterator[str]:
+    """Recordings with known parameters, thinned to 25 and 10 Hz."""
+    px4, other = rectangle("px4-quad-x", 0.17, 0.17), rectangle("ardupilot-quad-x", 0.16, 0.18)
+    stock = rectangle("px4-quad-x", 0.2, 0.2)
+    k_T, T_max = 1.2617414e-5, 11.2076
+    known = (
+        ("px4-esc-cg.tlog", px4, 1.1, (12.0, -8.0), 4.672497e-6, 6.2, 0.0),
+        ("ardupilot-sitl.tlog", other, 1.6, (10.0, -6.0), k_T, T_max, 1.0),
+        ("ardupilot-sitl.bin", other, 1.6, (10.0, -6.0), k_T, T_max, 1.0),
+        ("px4-sih-default.tlog", stock, 1.0, (0.0, 0.0), None, 5.0, 0.0),
+        ("px4-sih-default.ulg", stock, 1.0, (0.0, 0.0), None, 5.0, 0.0),
+    )
+    yield "| log, thinned | rotors by | CG off, mm | k_T or T_max off, % | thrust curve off |"
+    yield "|---|---|---|---|---|"
+    for name, airframe, mass, cg, k_T, T_max, curve in known:
+        for speeds in (True, False) if k_T else (False,):
+            streams = streams_in(folder / name, airframe, speeds=speeds, thin=True)
+            given = airframe.with_anchor("mass", mass)
+            guess = GuessedAirframe(given, "known")
+            told = health_of(streams, guess, Given(given), {})
+            assert told.cg is not None
+            assert told.scale is not None
+            off = [1e3 * (q.value or 0.0) - v for q, v in zip(told.cg, cg, strict=True)]
+            truth = k_T if speeds else T_max
+            scale = 100.0 * ((told.scale[1].value or 0.0) / truth - 1.0)
+            c = "-" if told.curve is None else f"{(told.curve.c.value or 0.0) - curve:+.3f}"
+            kind = "speeds" if speeds else "commands"
+            yield f"| {name} | {kind} | {off[0]:+.2f}, {off[1]:+.2f} | {scale:+.2f} | {c} |"
+    yield ""
+    yield from _repeated(folder / "real" / "quiver_00000087.bin", 0.75, 18.0)
+
+
+def _repeated(log: Path, arm: float, mass: float) -> Iterator[str]:
+    """One real log in three parts: how far they agree."""
+    if not log.exists():
+        return
+    airframe = load_airframe("ardupilot-quad-x").with_arm(arm).with_anchor("mass", mass)
+    whole = hover_of(log, airframe, speeds=True)
+    yield f"| {log.name} | CG forward, mm | right, mm | thrust shares, % | k_T, 1e-6 N s^2 |"
+    yield "|---|---|---|---|---|"
+    n = len(whole.t)
+    parts = {"all": slice(0, n)}
+    parts |= {f"third {i + 1}": slice(i * n // 3, (i + 1) * n // 3) for i in range(3)}
+    for label, rows in parts.items():
+        part = whole.part(rows)
+        x, y = 1e3 * balance.cg_of(part, airframe, part.speeds).cg
+        shares = (part.speeds / part.speeds.sum(axis=1, keepdims=True)).mean(axis=0)
+        scale, _ = balance.specific_thrust(part, part.speeds)
+        told = ", ".join(f"{100.0 * s:.1f}" for s in shares)
+        yield f"| {label} | {x:.1f} | {y:.1f} | {told} | {1e6 * mass * scale:.1f} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Health of vehicles by ordinary flights.")
+    parser.add_argument("--vehicles", type=int, default=20, help="drawn for errors and intervals")
+    parser.add_argument("--weak", type=int, default=100, help="flights with a weak rotor")
+    parser.add_argument("--logs", type=Path, help="folder of recordings with known parameters")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if options.vehicles:
+            print(*vehicles(options.vehicles, folder), sep="\n", flush=True)
+        if options.weak:
+            print("", *weak(options.weak, folder), sep="\n", flush=True)
+    if options.logs is not None:
+        print("", *logs(options.logs), sep="\n")
+
+
+if __name__ == "__main__":
+    main()

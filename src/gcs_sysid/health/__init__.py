@@ -1,0 +1,1 @@
+"""What an ordinary flight tells of a vehicle without excitation: balances of hovering."""

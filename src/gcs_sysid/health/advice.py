@@ -1,0 +1,117 @@
+"""What a pilot does with the health of a vehicle, a sentence each."""
+
+import math
+
+from gcs_sysid.health.airframe_guess import GuessedAirframe
+from gcs_sysid.health.balance import Quantity
+from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.vehicle_health import Given, Health
+
+_AXES = (("forward", "aft"), ("right", "left"))
+
+
+def advice_of(health: Health, given: Given, guess: GuessedAirframe) -> tuple[str, ...]:
+    """All that is worth doing, the most important first."""
+    out: list[str] = []
+    if health.condition is not None and health.condition.verdict == "rotor":
+        assert health.condition.rotor is not None
+        out.append(f"look at rotor {health.condition.rotor + 1}: propeller, motor bearing and ESC")
+    out += _weak_motor(health)
+    out += _cg(health, given)
+    out += _margins(health)
+    if health.condition is None and health.told and len(health.rotors) == 4:
+        out.append(
+            "a weak propeller looks like a CG shift on four rotors in one flight: give a flight "
+            "before with --baseline, or fly once more with the load moved"
+        )
+    if guess.arm_std:
+        out.append("give --arm: the CG in mm scales with it")
+    if health.scale is None and health.told:
+        name = "T_max" if health.rotor_input == "command" else "k_T"
+        out.append(f"weigh the vehicle and give --mass KG for {name}")
+    if health.rotor_input == "command":
+        out.append(
+            "log rotor speeds (ESC telemetry): commands do not tell a weak motor from a moved CG"
+        )
+    return tuple(out)
+
+
+def _cg(health: Health, given: Given) -> list[str]:
+    if health.cg is None or health.airframe is None:
+        return []
+    moves = []
+    for place, (positive, negative) in zip(health.cg, _AXES, strict=True):
+        value, half = place.value, place.half
+        assert value is not None
+        assert half is not None
+        if abs(value) < max(half, TUNING.worth_moving * health.airframe.arm):
+            continue
+        scale = 1.0
+        if given.battery_mass is not None and health.known_mass is not None:
+            scale = health.known_mass / given.battery_mass
+        way = negative if value > 0.0 else positive
+        moves.append(f"{1e3 * scale * abs(value):.0f} +- {1e3 * scale * half:.0f} mm {way}")
+    if not moves:
+        return []
+    if given.battery_mass is not None and health.known_mass is not None:
+        return [f"move the battery {' and '.join(moves)}"]
+    return [
+        f"the CG should go {' and '.join(moves)}: move the battery by that times the vehicle's "
+        "mass over its own (--mass with --battery-mass works it out)"
+    ]
+
+
+def _weak_motor(health: Health) -> list[str]:
+    """A motor or ESC that turns slower for its command than the others, by more than chance."""
+    out = []
+    for i, rotor in enumerate(health.rotors, 1):
+        gain = rotor.motor_gain
+        if gain is None or gain.value is None or gain.std is None:
+            continue
+        sure = gain.value + TUNING.sure * gain.std
+        if sure < 1.0 - TUNING.motor_scatter:
+            percent = 100.0 * (1.0 - gain.value)
+            out.append(
+                f"motor or ESC {i} turns its rotor with {percent:.0f} % less speed squared for its "
+                "command than the others: look at it"
+            )
+    return out
+
+
+def _margins(health: Health) -> list[str]:
+    out = []
+    ratio = health.thrust_to_weight
+    if (
+        ratio is not None
+        and ratio.value is not None
+        and ratio.value < TUNING.least_thrust_to_weight
+    ):
+        out.append(
+            f"full thrust is {ratio.value:.1f} times the weight: less than "
+            f"{TUNING.least_thrust_to_weight:g} leaves little to control with; lighten it"
+        )
+    for i, rotor in enumerate(health.rotors, 1):
+        if rotor.saturated is not None and rotor.saturated > TUNING.much_saturated:
+            out.append(
+                f"rotor {i} was at full command for {100.0 * rotor.saturated:.1f} % of the flight"
+            )
+    level = [r.vibration.value for r in health.rotors if r.vibration and r.vibration.value]
+    if len(level) == len(health.rotors) and len(level) > 2:
+        for i, rotor in enumerate(health.rotors, 1):
+            assert rotor.vibration is not None
+            assert rotor.vibration.value is not None
+            others = sorted(level)[: len(level) - 1]
+            usual = math.sqrt(sum(v * v for v in others) / len(others))
+            if rotor.vibration.value > max(TUNING.shaking * usual, TUNING.least_shaking):
+                out.append(f"rotor {i} shakes at its own frequency: balance its propeller")
+    return out
+
+
+def arrow(health: Health) -> tuple[Quantity, Quantity] | None:
+    """What the battery, or whatever moves, should go by; None where the CG is good."""
+    if health.cg is None:
+        return None
+    x, y = health.cg
+    if x.value is None or y.value is None:
+        return None
+    return Quantity(-x.value, x.std, "m"), Quantity(-y.value, y.std, "m")

@@ -1,0 +1,304 @@
+"""From a log to the health of its vehicle."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, complete_rows
+from gcs_sysid.errors import InputError
+from gcs_sysid.health import balance
+from gcs_sysid.health.advice import advice_of
+from gcs_sysid.health.airframe_guess import GuessedAirframe, guess_airframe
+from gcs_sysid.health.balance import Quantity
+from gcs_sysid.health.command_curve import Curve, curve_of, thrust_of
+from gcs_sysid.health.drive_health import battery_of, idle_output, motor_gains, with_throttle
+from gcs_sysid.health.hover import Windows, windows_of
+from gcs_sysid.health.log_streams import Streams, streams_of
+from gcs_sysid.health.rotor_condition import compare_loads, load_of
+from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.vehicle_health import Given, Health, RotorHealth
+from gcs_sysid.health.vibration import vibration_of
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.signals.records import Stream
+from gcs_sysid.telemetry.logs import OnboardLog, open_log
+
+_ORDER = (
+    "the vehicle does not turn as these rotors would turn it ({}): give --airframe with the rotors "
+    "in the autopilot's motor order"
+)
+
+
+def health_of_log(
+    path: Path,
+    given: Given,
+    wanted: tuple[int, int | None] | None = None,
+    span: tuple[float, float] = (0.0, math.inf),
+) -> Health:
+    """What the hover in a recording tells.
+
+    Args:
+        path: a .tlog, .ulg, .bin or .bbl file.
+        given: what is known beforehand.
+        wanted: system and perhaps component; None: the first autopilot in it.
+        span: s from the first record, between which hover counts.
+
+    Raises:
+        InputError: the file cannot be read as a log, or the airframe is not known.
+    """
+    log = open_log(path, wanted)
+    blocks = list(log.blocks())
+    source = str(path)
+    if log.vehicle is None:
+        heard = ", ".join(map(str, log.systems))
+        text = "no heartbeat of an autopilot was heard" + (f"; heard: {heard}" if heard else "")
+        return Health(source, reasons=(text,))
+    autopilot = log.vehicle.key
+    guess = guess_airframe(log.vehicle, log.parameters, given.airframe, given.arm)
+    airframe = guess.airframe
+    if given.mass is not None:
+        airframe = airframe.with_anchor("mass", given.mass)
+    streams = streams_of(blocks, airframe, autopilot, log.parameters)
+    if isinstance(log, OnboardLog):
+        streams = replace(streams, extras=log.extras)
+    guess = replace(guess, airframe=airframe)
+    health = health_of(streams, guess, given, log.parameters, span)
+    return replace(
+        health,
+        source=source,
+        vehicle=log.vehicle.as_dict(),
+        autopilot=autopilot,
+        parameters=dict(log.parameters),
+    )
+
+
+def health_of(
+    streams: Streams,
+    guess: GuessedAirframe,
+    given: Given,
+    parameters: Mapping[str, float],
+    span: tuple[float, float] = (0.0, math.inf),
+) -> Health:
+    """What the hover in streams tells.
+
+    Args:
+        streams: of one log.
+        guess: the airframe and where it is from.
+        given: what else is known.
+        parameters: the autopilot's.
+        span: s between which windows count.
+    """
+    airframe = guess.airframe
+    problem = _missing(streams)
+    windows = None if problem else windows_of(streams, len(airframe.rotors))
+    if windows is None:
+        return Health("", airframe=airframe, reasons=problem)
+    windows = windows.part((windows.t >= span[0]) & (windows.t <= span[1]))
+    own, own_name = _own_curve(parameters)
+    curve = None
+    if streams.commands is not None and len(windows.t):
+        curve = curve_of(windows, airframe.command.thrust_curve, own, own_name)
+    by_speed = streams.speeds is not None and airframe.rotor_input != "command"
+    if airframe.T_max is not None and streams.commands is not None:
+        by_speed = False
+    c = None if by_speed else (None if curve is None else curve.c.value)
+    source = streams.speeds if by_speed else streams.commands
+    assert source is not None
+    thrust = thrust_of(windows, c)
+    if not by_speed and c is None:
+        return Health("", airframe=airframe, reasons=("nothing was seen in flight",))
+    sound = windows.hovering & complete_rows(thrust) & (thrust.sum(axis=1) > 0.0)
+    sound &= np.isfinite(balance.lift_of(windows)) & complete_rows(windows.turning)
+    if np.count_nonzero(sound) < TUNING.fewest_windows:
+        return Health("", airframe=airframe, reasons=(_no_hover(windows),))
+    flown = complete_rows(np.column_stack([thrust, windows.turning]))
+    if balance.turns_otherwise(windows.part(flown), airframe, thrust[flown]):
+        return Health("", airframe=airframe, reasons=(_ORDER.format(guess.origin),))
+    hover, thrust = windows.part(sound), thrust[sound]
+    assert hover is not None
+    health = _balances(streams, hover, thrust, curve if not by_speed else None, guess)
+    load = load_of(hover, thrust, c)
+    health = replace(
+        health,
+        rotor_input="speed" if by_speed else "command",
+        rotor_source=source.source,
+        seconds=hover.seconds,
+        load=load,
+        curve=curve,
+        motor_lag=None if streams.commands is None else windows.lag,
+        idle=idle_output(streams),
+        arm_known=guess.arm_std == 0.0,
+        battery=battery_of(streams),
+    )
+    health = with_throttle(health, streams, windows, hover, curve)
+    health = _compared(health, given, hover, thrust, c)
+    return replace(health, advice=advice_of(health, given, guess))
+
+
+def _missing(streams: Streams) -> tuple[str, ...]:
+    if Stream.IMU not in streams.tracks:
+        return ("no IMU data",)
+    if streams.speeds is None and streams.commands is None:
+        why = tuple(f"{name} {problem}" for name, problem in streams.refused.items())
+        return why or ("no rotor speeds and no actuator outputs",)
+    return ()
+
+
+def _no_hover(windows: Windows) -> str:
+    if not len(windows.t):
+        return "never seen in the air with IMU and rotor data together"
+    flown = len(windows.t) * windows.half
+    return (
+        f"hardly hovers: {windows.seconds:.1f} s of {flown:.0f} s in the air are calm enough; "
+        "hover for 10 s"
+    )
+
+
+def _own_curve(parameters: Mapping[str, float]) -> tuple[float | None, str]:
+    for name in ("MOT_THST_EXPO", "THR_MDL_FAC"):
+        if name in parameters:
+            return parameters[name], name
+    return None, ""
+
+
+def _balances(
+    streams: Streams, hover: Windows, thrust: Array, curve: Curve | None, guess: GuessedAirframe
+) -> Health:
+    """CG, shares, yaw balance and scale."""
+    airframe = guess.airframe
+    total = thrust.sum(axis=1)
+    center = balance.cg_of(hover, airframe, thrust)
+    cg = center.cg
+    shares = (thrust / total[:, None]).mean(axis=0)
+    per_thrust, per_std = balance.specific_thrust(hover, thrust)
+    spin = airframe.geometry[2]
+    yaw = balance.robust_fit(
+        np.column_stack([np.ones(len(total)), hover.turning[:, 2]]), thrust @ spin / total
+    )
+    yaw_value = float(yaw.value[0])
+    # A curve that is off by dc moves all of it: by central differences.
+    by_curve = np.zeros(2)
+    shares_by_curve, yaw_by_curve, scale_by_curve = np.zeros(len(shares)), 0.0, 0.0
+    if curve is not None and curve.c.std and curve.c.value is not None:
+        step = min(curve.c.std, 0.1)
+        low, high = max(curve.c.value - step, 0.0), min(curve.c.value + step, 1.0)
+        ends = []
+        for c in (low, high):
+            other = thrust_of(hover, c)
+            whole = other.sum(axis=1)
+            x, y, _ = airframe.geometry
+            share = (other / whole[:, None]).mean(axis=0)
+            ends.append(
+                np.concatenate(
+                    [share @ np.array([x, y]).T, share, [share @ spin, 1.0 / whole.mean()]]
+                )
+            )
+        slope = (ends[1] - ends[0]) / (high - low) * curve.c.std
+        by_curve, shares_by_curve = slope[:2], slope[2:-2]
+        yaw_by_curve, scale_by_curve = float(slope[-2]), float(slope[-1] * total.mean())
+    flown = np.sqrt(np.diag(center.covariance) + by_curve**2)
+    assumed = np.sqrt(np.diag(balance.scatter_of_cg(airframe, shares, cg)))
+    assumed = np.hypot(assumed, guess.arm_std * np.abs(cg))
+    assumed = np.hypot(assumed, TUNING.wind_share * center.by_wind)
+    places = tuple(
+        Quantity(float(v), float(math.hypot(f, a)), "m", float(a))
+        for v, f, a in zip(cg, flown, assumed, strict=True)
+    )
+    share_flown = np.array(
+        [
+            math.sqrt(float(balance.robust_fit(np.ones((len(total), 1)), s).covariance[0, 0]))
+            for s in (thrust / total[:, None]).T
+        ]
+    )
+    share_flown = np.hypot(share_flown, shares_by_curve)
+    share_assumed = balance.share_std(shares)
+    gains = motor_gains(streams, hover, curve)
+    shaking = vibration_of(streams, hover)
+    rotors = tuple(
+        RotorHealth(
+            Quantity(float(s), math.hypot(f, a), "1", float(a)),
+            Quantity(1.0, TUNING.rotor_scatter, "1", TUNING.rotor_scatter),
+            gains[i],
+            None,
+            None,
+            shaking[i],
+        )
+        for i, (s, f, a) in enumerate(zip(shares, share_flown, share_assumed, strict=True))
+    )
+    yaw_std = math.hypot(math.sqrt(float(yaw.covariance[0, 0])), yaw_by_curve)
+    scale, mass = _scale(
+        airframe,
+        per_thrust,
+        math.hypot(per_std, scale_by_curve * per_thrust),
+        by_command=curve is not None,
+    )
+    return Health(
+        "",
+        airframe=airframe,
+        cg=(places[0], places[1]),
+        by_wind=(float(center.by_wind[0]), float(center.by_wind[1])),
+        rotors=rotors,
+        yaw_imbalance=Quantity(yaw_value, yaw_std, "1"),
+        scale=scale,
+        mass=mass,
+        assumptions=_assumptions(guess, curve),
+    )
+
+
+def _scale(
+    airframe: Airframe, per_thrust: float, std: float, *, by_command: bool
+) -> tuple[tuple[str, Quantity] | None, Quantity | None]:
+    """k_T or T_max of a given mass, or the mass of a given coefficient.
+
+    per_thrust is lift over the sum of thrust in the rotors' unit: k_T / m or T_max / m.
+    """
+    name, unit = ("T_max", "N") if by_command else ("k_T", "N s^2")
+    if airframe.mass is not None:
+        return (name, Quantity(airframe.mass * per_thrust, airframe.mass * std, unit)), None
+    given = airframe.T_max if by_command else airframe.k_T
+    if given is None:
+        return None, None
+    mass = given / per_thrust
+    return (name, Quantity(given, 0.0, unit)), Quantity(mass, mass * std / per_thrust, "kg")
+
+
+def _compared(
+    health: Health, given: Given, hover: Windows, thrust: Array, c: float | None
+) -> Health:
+    """With the rotors against a baseline, where there is one that fits."""
+    base = given.baseline
+    if base is None or health.load is None or health.airframe is None or health.cg is None:
+        return health
+    if base.load.kind != health.load.kind:
+        what = {"speed": "speeds", "command": "commands"}
+        raise InputError(
+            f"{base.source}: its rotors were told by {what[base.load.kind]}, here by "
+            f"{what[health.load.kind]}: take a baseline of the same kind of log"
+        )
+    if len(base.load.value) != len(health.airframe.rotors):
+        raise InputError(
+            f"{base.source}: has {len(base.load.value)} rotors, not {len(health.airframe.rotors)}"
+        )
+    load = health.load
+    if base.load.thrust_curve is not None and base.load.thrust_curve != c:
+        again = load_of(hover, thrust_of(hover, base.load.thrust_curve), base.load.thrust_curve)
+        load = again or load
+    condition = compare_loads(base.load, load, health.airframe, base.cg, unchanged=given.unchanged)
+    rotors = tuple(
+        replace(rotor, efficiency=efficiency)
+        for rotor, efficiency in zip(health.rotors, condition.efficiency, strict=True)
+    )
+    return replace(health, condition=condition, rotors=rotors)
+
+
+def _assumptions(guess: GuessedAirframe, curve: Curve | None) -> tuple[str, ...]:
+    out = [
+        f"rotors alike to {100.0 * TUNING.rotor_scatter:g} % (1 sigma) in thrust for their speed, "
+        f"placed to {100.0 * TUNING.position_std:g} % of the arm",
+        f"airframe: {guess.origin}",
+    ]
+    if curve is not None:
+        out.append(f"thrust curve: {curve.origin}")
+    return tuple(out)

@@ -1,0 +1,231 @@
+"""The parameters that a flight suggests to the autopilot, and files that ground stations load.
+
+Conventions, by the autopilots' own parameter descriptions:
+
+- MOT_THST_EXPO and THR_MDL_FAC are c of T/T_max = (1 - c) u + c u^2; MOT_THST_HOVER and
+  MPC_THR_HOVER the thrust of a hover over full thrust, before that curve is inverted.
+- CA_ROTORn_PX, PY are from the center of gravity, forward and right, in m; KM is the moment ratio,
+  positive for counter-clockwise. INS_POSn_* and EKF2_IMU_POS_* are forward, right and down, of the
+  IMU from the CG.
+- MOT_SPIN_MIN is a share of the whole range of the outputs, MOT_BAT_VOLT_* are volts of the pack.
+
+QGroundControl loads lines of vehicle, component, name, value and MAV_PARAM_TYPE between tabs;
+Mission Planner lines of NAME,VALUE. Both skip lines that begin with #. Nothing is sent: a pilot
+loads the file, sees the differences and decides.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.health.balance import Quantity
+from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.vehicle_health import Health
+
+_REAL32 = 9
+"""MAV_PARAM_TYPE_REAL32; all of these are."""
+_FULL, _EMPTY = 4.2, 3.3
+"""V of a LiPo cell: what MOT_BAT_VOLT_MAX and MIN are a pack's multiple of."""
+_CELLS = 24
+_SUFFIXES = {".params": "qgroundcontrol", ".param": "mission-planner", ".parm": "mission-planner"}
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """A parameter's value by this flight.
+
+    Attributes:
+        name: of the parameter.
+        quantity: its value, in the autopilot's unit.
+        now: what the log says that it was; None: not logged.
+        note: where it comes from.
+    """
+
+    name: str
+    quantity: Quantity
+    now: float | None
+    note: str
+
+
+def suggested(health: Health) -> tuple[Suggestion, ...]:
+    """All parameters that the flight tells well enough to change them."""
+    if not health.told:
+        return ()
+    of = {"px4": _px4, "ardupilot": _ardupilot}.get(health.autopilot)
+    return () if of is None else tuple(of(health))
+
+
+def _make(health: Health, name: str, quantity: Quantity | None, note: str) -> Iterator[Suggestion]:
+    if quantity is None or quantity.value is None or quantity.std is None:
+        return
+    if not (math.isfinite(quantity.value) and math.isfinite(quantity.std)):
+        return
+    yield Suggestion(name, quantity, health.parameters.get(name), note)
+
+
+def _curve(health: Health) -> Quantity | None:
+    if health.curve is None or health.curve.c.std is None:
+        return None
+    # A curve that the flight does not tell is no suggestion.
+    return health.curve.c if 0.0 < health.curve.c.std < TUNING.told_curve else None
+
+
+def _px4(health: Health) -> Iterator[Suggestion]:
+    curve = _curve(health)
+    yield from _make(health, "THR_MDL_FAC", curve, "thrust curve")
+    if curve is not None:
+        yield from _make(health, "MPC_THR_HOVER", health.hover_thrust, "with THR_MDL_FAC as here")
+    assert health.airframe is not None
+    assert health.cg is not None
+    if health.sized:
+        ratio = health.airframe.priors.get("moment_ratio")
+        for i, rotor in enumerate(health.airframe.rotors):
+            for axis, place, offset in zip("XY", (rotor.x, rotor.y), health.cg, strict=True):
+                yield from _make(
+                    health, f"CA_ROTOR{i}_P{axis}", _less(place, offset), "m from the CG as flown"
+                )
+            if ratio is not None:
+                turn = Quantity(rotor.spin * ratio[0], ratio[1], "m", ratio[1])
+                yield from _make(health, f"CA_ROTOR{i}_KM", turn, "moment ratio as given")
+        yield from _imu(health, "EKF2_IMU_POS_")
+
+
+def _ardupilot(health: Health) -> Iterator[Suggestion]:
+    curve = _curve(health)
+    yield from _make(health, "MOT_THST_EXPO", curve, "thrust curve")
+    if curve is not None:
+        yield from _make(health, "MOT_THST_HOVER", *_thrust_hover(health))
+    yield from _make(
+        health,
+        "MOT_SPIN_MIN",
+        _spin_min(health),
+        "0.03 above the least output at which all rotors were measured turning",
+    )
+    if health.battery is not None:
+        high, low, _ = health.battery
+        cells = round(high / (_FULL - 0.05))
+        unset = not health.parameters.get("MOT_BAT_VOLT_MAX")
+        if unset and 1 <= cells <= _CELLS and cells * _EMPTY < high <= cells * (_FULL + 0.15):
+            note = f"{cells} LiPo cells by {high:.1f} V, the highest seen ({low:.1f} V the lowest)"
+            for name, volt in (("MAX", _FULL), ("MIN", _EMPTY)):
+                yield from _make(
+                    health, f"MOT_BAT_VOLT_{name}", Quantity(cells * volt, 0.0, "V"), note
+                )
+    if health.sized:
+        yield from _imu(health, "INS_POS1_")
+
+
+def _thrust_hover(health: Health) -> tuple[Quantity | None, str]:
+    """Throttle of a hover, as ArduPilot has it before it makes up for the battery's voltage.
+
+    With v the voltage over MOT_BAT_VOLT_MAX, an output u is that of the thrust f(v u), and the
+    throttle is that thrust times lift_max = (1 - c) v + c v^2 (AP_MotorsMulticopter).
+    """
+    hover, curve = health.hover_thrust, health.curve
+    full = health.parameters.get("MOT_BAT_VOLT_MAX", 0.0)
+    note = "with MOT_THST_EXPO as here"
+    if not full > 0.0 or hover is None or curve is None or health.hover_throttle is None:
+        return hover, note
+    if health.battery is None or curve.c.value is None or health.hover_throttle.value is None:
+        return None, note
+    c, u = curve.c.value, health.hover_throttle.value
+    v = min(health.battery[2] / full, 1.0)
+    value = ((1.0 - c) * u * v + c * (u * v) ** 2) * ((1.0 - c) * v + c * v**2)
+    assert hover.value is not None
+    assert hover.std is not None
+    std = math.hypot(hover.std * value / hover.value, TUNING.voltage_std * value)
+    at = f"{health.battery[2]:.1f} V of MOT_BAT_VOLT_MAX {full:.1f} V"
+    note = f"{note}, at {at}, air as on the ground"
+    return Quantity(value, std, "1", TUNING.voltage_std * value), note
+
+
+def _spin_min(health: Health) -> Quantity | None:
+    """A little above the least output at which all rotors turned, over the range of outputs."""
+    low, high = (health.parameters.get(f"MOT_PWM_{end}", 0.0) for end in ("MIN", "MAX"))
+    if not 0.0 < low < high:
+        low, high = 1000.0, 2000.0
+    now = health.parameters.get("MOT_SPIN_MIN")
+    if health.idle is None or now is None:
+        return None
+    share = (health.idle - low) / (high - low)
+    # In flight nothing goes below MOT_SPIN_MIN itself: only an idle on the ground tells.
+    if not 0.0 < share < now - TUNING.idle_std:
+        return None
+    return Quantity(share + TUNING.above_idle, TUNING.idle_std, "1", TUNING.idle_std)
+
+
+def _imu(health: Health, prefix: str) -> Iterator[Suggestion]:
+    assert health.airframe is not None
+    assert health.cg is not None
+    place = health.airframe.imu_position
+    if place is None:
+        return
+    for axis, value, offset in zip("XY", place[:2], health.cg, strict=True):
+        yield from _make(health, f"{prefix}{axis}", _less(value, offset), "m from the CG as flown")
+
+
+def _less(place: float, offset: Quantity) -> Quantity:
+    assert offset.value is not None
+    return Quantity(place - offset.value, offset.std, "m", offset.std_given)
+
+
+def format_of(path: Path) -> str:
+    """The format that a name's ending stands for.
+
+    Raises:
+        InputError: it stands for none.
+    """
+    try:
+        return _SUFFIXES[path.suffix.lower()]
+    except KeyError:
+        raise InputError(
+            f"{path}: end its name with .params (QGroundControl) or .param (Mission Planner)"
+        ) from None
+
+
+def parameter_file(health: Health, form: str) -> str:
+    """The file's text.
+
+    Args:
+        health: of a flight.
+        form: "qgroundcontrol" or "mission-planner".
+
+    Raises:
+        InputError: the flight suggests no parameter.
+    """
+    found = suggested(health)
+    if not found:
+        raise InputError(
+            f"{health.source}: this flight suggests no parameters of its autopilot"
+            + ("" if health.told else ": nothing hovers in it")
+        )
+    system = int(health.vehicle.get("sysid") or 1)
+    component = int(health.vehicle.get("compid") or 1)
+    lines = [
+        f"# Suggested by gcs-sysid health from {Path(health.source).name}, "
+        f"{health.seconds:.0f} s of hover.",
+        "# Values with 95 % intervals; look at each before you write it to the vehicle.",
+        *(f"# Assumed: {text}" for text in health.assumptions),
+        "#",
+    ]
+    if form == "qgroundcontrol":
+        lines += [
+            f"# Onboard parameters for Vehicle {system}",
+            "#",
+            "# Vehicle-Id Component-Id Name Value Type",
+        ]
+    for one in found:
+        value = one.quantity.value
+        assert value is not None
+        half = one.quantity.half or 0.0
+        now = "" if one.now is None else f"; was {one.now:.6g}"
+        interval = f"{value - half:.6g} to {value + half:.6g}" if half else "no interval"
+        lines.append(f"# {one.name}: {interval} ({one.note}{now})")
+        number = f"{value:.6f}"
+        if form == "qgroundcontrol":
+            lines.append(f"{system}\t{component}\t{one.name}\t{number}\t{_REAL32}")
+        else:
+            lines.append(f"{one.name},{number}")
+    return "\n".join(lines) + "\n"

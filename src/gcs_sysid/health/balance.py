@@ -1,0 +1,283 @@
+"""Balances of force and moment in hover: CG, thrust coefficients, shares.
+
+With T_i = k_T Omega_i^2, or T_max ((1 - c) u_i + c u_i^2), Newton-Euler about the CG (MODEL.md's
+signs, rotors at x_i, y_i from the geometric center) reads
+
+    sum T_i x_i / T = cg_x + (Jyy q' + (Jxx - Jzz) r p + ...) / T
+    sum T_i y_i / T = cg_y - (Jxx p' + (Jzz - Jyy) q r + ...) / T ,     T = sum T_i
+    T cos(tilt) = m (g - v_down')
+
+A hover turns little, so the inertia terms are carried as regressors whose mean is nearly zero: the
+CG is the intercept, and unbiased however poorly the inertia is known.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.health.hover import Windows
+from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.intervals import Z95
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.parameters import GRAVITY
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number with its uncertainty.
+
+    Attributes:
+        value: None where the log does not tell it.
+        std: standard deviation, all of it.
+        unit: SI; "1" for pure numbers.
+        std_given: the part of `std` that comes from what was given or assumed, not from the flight.
+    """
+
+    value: float | None
+    std: float | None
+    unit: str
+    std_given: float = 0.0
+
+    @property
+    def half(self) -> float | None:
+        """Half of the 95 % interval."""
+        return None if self.std is None else Z95 * self.std
+
+    @property
+    def ci95(self) -> tuple[float, float] | None:
+        """The 95 % interval (normal); None without a value."""
+        if self.value is None or self.std is None:
+            return None
+        return self.value - Z95 * self.std, self.value + Z95 * self.std
+
+    def as_json(self) -> dict[str, Any]:
+        """As result files write it."""
+        ci95 = self.ci95
+        return {
+            "value": self.value,
+            "std": self.std,
+            "ci95": None if ci95 is None else list(ci95),
+            "unit": self.unit,
+            "std_given": self.std_given,
+        }
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A linear fit with standard deviations that hold for residuals that hang together.
+
+    Attributes:
+        value: (p,) coefficients.
+        covariance: (p, p).
+        residual: standard deviation of the residuals, robust.
+    """
+
+    value: Array
+    covariance: Array
+    residual: float
+
+
+def robust_fit(
+    columns: Array,
+    y: Array,
+    ridge: Array | None = None,
+    jitter: Array | None = None,
+    projected: Array | None = None,
+) -> Fit:
+    """Least squares with Huber's weights and Newey-West's covariance.
+
+    The windows overlap by half, and gusts last for seconds: the score's autocovariance counts over
+    the lags that a sample of this length can tell (Andrews' rate), with Student's t for as many
+    independent stretches as those leave.
+
+    Args:
+        columns: (n, p) regressors.
+        y: (n,).
+        ridge: (p,) prior standard deviations about zero; inf: none.
+        jitter: (n, p) draws of the regressors' own noise, whose products are taken off theirs
+            (errors in variables, with known noise).
+        projected: (n, p) regressors as instruments explain them (two-stage least squares).
+
+    Raises:
+        ValueError: fewer rows than columns.
+    """
+    n, p = columns.shape
+    noise = np.zeros_like(columns) if jitter is None else jitter
+    told = columns if projected is None else projected
+    if n <= p:
+        raise ValueError(f"{n} windows do not tell {p} coefficients")
+    weight = np.ones(n)
+    scale = float(np.std(y)) or 1e-12
+    penalty = np.zeros(p) if ridge is None else 1.0 / ridge**2
+    value = np.zeros(p)
+    for _ in range(12):
+        A = _products(told, noise, weight)
+        normal = A + scale**2 * np.diag(penalty)
+        value = np.linalg.pinv(normal, hermitian=True) @ ((told * weight[:, None]).T @ y)
+        residual = y - columns @ value
+        scale = max(1.4826 * float(np.median(np.abs(residual - np.median(residual)))), 1e-15)
+        weight = 1.0 / np.maximum(np.abs(residual) / (1.345 * scale), 1.0)
+    normal = _products(told, noise, weight) + scale**2 * np.diag(penalty)
+    bread = np.linalg.pinv(normal, hermitian=True)
+    score = told * (weight * residual)[:, None]
+    lags = min(max(2, round(2.5 * n ** (1.0 / 3.0))), n - 1)
+    meat = score.T @ score
+    for lag in range(1, lags + 1):
+        cross = score[lag:].T @ score[:-lag]
+        meat += (1.0 - lag / (lags + 1.0)) * (cross + cross.T)
+    free = max(n / (1.0 + lags) - 1.0, 2.0)
+    stretch = float(student.ppf(0.975, free)) / Z95
+    # A prior's part of the knowledge is its own variance.
+    covariance = bread @ (meat + scale**2 * np.diag(scale**2 * penalty)) @ bread
+    return Fit(value, covariance * stretch**2, scale)
+
+
+def _products(columns: Array, noise: Array, weight: Array) -> Array:
+    """(p, p) sums of products of the regressors without those of their noise."""
+    out: Array = (columns * weight[:, None]).T @ columns - (noise * weight[:, None]).T @ noise
+    return out
+
+
+def lift_of(windows: Windows) -> Array:
+    """(n,) m/s^2, thrust over mass: by gravity where attitude is there, else as measured."""
+    lift: Array = np.where(np.isfinite(windows.lift), windows.lift, -windows.force[:, 2])
+    return lift
+
+
+@dataclass(frozen=True)
+class Center:
+    """Where the CG is, by one flight.
+
+    Attributes:
+        cg: (2,) m, forward and right of the geometric center.
+        covariance: (2, 2) by the flight's own scatter.
+        by_wind: (2,) m by which drag has moved the center of thrust from the CG, as far as the
+            flight tells; it is in `cg`.
+    """
+
+    cg: Array
+    covariance: Array
+    by_wind: Array
+
+
+def cg_of(windows: Windows, airframe: Airframe, thrust: Array) -> Center:
+    """The CG from the center of thrust in hover.
+
+    Wind drags at rotors and body above the CG and flaps the blades: a moment in proportion to the
+    specific force in the rotors' plane, which the accelerometer measures. On a real 18 kg quad it
+    moved the center of thrust by 64 mm per m/s^2, 15 mm in a breeze. What is left of it at the mean
+    force is told apart: an accelerometer off level by a degree looks like wind, so it stays in the
+    CG and in its interval.
+
+    Args:
+        windows: of hover, with all of thrust.
+        airframe: places of the rotors.
+        thrust: (n, rotors), in any unit.
+    """
+    x, y, _ = airframe.geometry
+    total = thrust.sum(axis=1)
+    relative = total / total.mean()
+    turning = windows.turning / relative[:, None]
+    products = windows.products / relative[:, None]
+    rates = windows.rates / relative[:, None]
+    drag = np.nan_to_num(windows.force[:, :2]) / relative[:, None]
+    arm = airframe.arm
+    # In meters: an inertia of m L^2 moves the center by L^2/g; damping and products less.
+    ridge = np.array([np.inf, arm**2, arm**2, 5.0 * arm**2, TUNING.drag_lever * arm / GRAVITY])
+    values, variances, moved = [], [], []
+    for place, axis in ((x, 1), (y, 0)):
+        mean = float(np.median(drag[:, 1 - axis]))
+        columns = np.column_stack(
+            [
+                np.ones(len(total)),
+                turning[:, axis],
+                products[:, axis],
+                rates[:, axis],
+                drag[:, 1 - axis] - mean,
+            ]
+        )
+        fit = robust_fit(columns, thrust @ place / total, ridge)
+        values.append(float(fit.value[0]))
+        variances.append(float(fit.covariance[0, 0]) + (TUNING.cg_floor * arm) ** 2)
+        moved.append(float(fit.value[4]) * mean)
+    return Center(np.array(values), np.diag(variances), np.array(moved))
+
+
+def turns_otherwise(windows: Windows, airframe: Airframe, thrust: Array) -> bool:
+    """Whether the vehicle answers other moments than those of these rotors: a wrong motor order.
+
+    Roll and pitch acceleration over the moments of roll, pitch and yaw that the airframe would
+    have: where another axis' moment turns it more than its own, and surely, motors are swapped.
+    Gusts, which the autopilot answers, weaken an axis' own moment; they make no other one.
+
+    Args:
+        windows: in flight, with all of thrust.
+        airframe: places of the rotors.
+        thrust: (n, rotors), in any unit.
+    """
+    x, y, spin = airframe.geometry
+    total = thrust.sum(axis=1, keepdims=True)
+    moments = (thrust / total) @ np.column_stack([-y, x, spin * airframe.arm])
+    if len(moments) < 2 * TUNING.fewest_windows:
+        return False
+    columns = np.column_stack([np.ones(len(moments)), moments - moments.mean(axis=0)])
+    for axis in (0, 1):
+        fit = robust_fit(columns, windows.turning[:, axis])
+        effect = fit.value[1:]
+        sure = effect / np.sqrt(np.maximum(np.diag(fit.covariance)[1:], 1e-30))
+        others = [i for i in range(2) if i != axis]
+        for i in others:
+            if abs(effect[i]) > 2.0 * abs(effect[axis]) and abs(sure[i]) > TUNING.sure_of_order:
+                return True
+        if sure[axis] < -TUNING.sure_of_order:
+            return True
+    return False
+
+
+def scatter_of_cg(airframe: Airframe, shares: Array, cg: Array) -> Array:
+    """(2, 2) covariance of the CG by what is assumed of rotors: k_T's scatter and their places.
+
+    With k_i = k (1 + e_i) of unknown e_i, cg = sum s_i (1 + e_i) r_i / sum s_i (1 + e_i).
+
+    Args:
+        airframe: places of the rotors.
+        shares: (rotors,) of thrust.
+        cg: (2,) m.
+    """
+    x, y, _ = airframe.geometry
+    moved = shares * (np.array([x, y]) - cg[:, None])  # (2, rotors)
+    place = (TUNING.position_std * airframe.arm) ** 2 * float(shares @ shares)
+    out: Array = TUNING.rotor_scatter**2 * moved @ moved.T + place * np.eye(2)
+    return out
+
+
+def share_std(shares: Array) -> Array:
+    """(rotors,) standard deviation of shares s_i by the assumed scatter of k_T."""
+    others = float(shares @ shares) - shares**2
+    out: Array = TUNING.rotor_scatter * shares * np.sqrt((1.0 - shares) ** 2 + others)
+    return out
+
+
+def specific_thrust(windows: Windows, thrust: Array) -> tuple[float, float]:
+    """Thrust over mass per unit of the sum of thrust, and its standard deviation.
+
+    Args:
+        windows: of hover.
+        thrust: (n, rotors), in any unit.
+    """
+    lift = lift_of(windows)
+    total = thrust.sum(axis=1)
+    fit = robust_fit(total[:, None] / total.mean(), lift)
+    value = float(fit.value[0] / total.mean())
+    std = math.sqrt(float(fit.covariance[0, 0])) / total.mean()
+    floor = TUNING.lift_std
+    if not np.isfinite(windows.lift).any():
+        floor = TUNING.accelerometer_std / GRAVITY
+    elif not np.isfinite(windows.sink).any():
+        # Unknown vertical speed at both ends of the hover.
+        floor = max(floor, TUNING.unseen_climb / max(windows.seconds, 1.0) / GRAVITY)
+    return value, math.hypot(std, floor * value)

@@ -1,0 +1,184 @@
+"""The thrust curve over commands: T/T_max = (1 - c) u + c u^2, from ordinary flight."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask, complete_rows
+from gcs_sysid.health.balance import Fit, Quantity, robust_fit
+from gcs_sysid.health.hover import Windows, variations_of_lift
+from gcs_sysid.health.tuning import TUNING
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The thrust curve, and where it is known from.
+
+    Attributes:
+        c: of T/T_max = (1 - c) u + c u^2.
+        origin: in words.
+    """
+
+    c: Quantity
+    origin: str
+
+
+def thrust_of(windows: Windows, c: float | None) -> Array:
+    """(n, rotors) thrust, relative: mean squares of speeds, or of commands by their curve."""
+    if c is None:
+        return windows.speeds
+    return (1.0 - c) * windows.commands + c * windows.squares
+
+
+def curve_of(
+    windows: Windows, given: float | None, own: float | None, autopilot_name: str
+) -> Curve:
+    """The thrust curve from commands, by speeds where there are any, else by the thrust needed.
+
+    Args:
+        windows: all those in flight.
+        given: by the airframe file.
+        own: the autopilot's own setting, where it tells.
+        autopilot_name: of that setting.
+    """
+    if given is not None:
+        return Curve(Quantity(given, 0.0, "1"), "given")
+    guess, sigma, origin = 0.5, TUNING.curve_std, "assumed"
+    if own is not None and 0.0 < own <= 1.0:
+        # Half of the fleet never touched it: it says little more than the usual.
+        guess, origin = own, f"{autopilot_name} of the vehicle, assumed to be near"
+    told = _by_speeds(windows) if np.isfinite(windows.speeds).any() else _by_lift(windows)
+    if told is None:
+        return Curve(Quantity(guess, sigma, "1", sigma), origin)
+    c, std, by = told
+    gain = sigma**2 / (sigma**2 + std**2)
+    merged = float(np.clip(guess + gain * (c - guess), 0.0, 1.0))
+    return Curve(Quantity(merged, math.sqrt(gain) * std, "1"), by if gain > 0.5 else origin)
+
+
+def _ratio(fit: Fit) -> tuple[float, float]:
+    """The curve c = b / (a + b) of coefficients a, b of u and u^2, and its standard deviation."""
+    a, b = fit.value[:2]
+    total = a + b
+    slope = np.array([-b, a]) / total**2
+    return float(b / total), math.sqrt(float(slope @ fit.covariance[:2, :2] @ slope))
+
+
+def _by_speeds(windows: Windows) -> tuple[float, float, str] | None:
+    """Omega_i^2 of every rotor over its command, each rotor with a gain of its own."""
+    rotors = windows.speeds.shape[1]
+    rows, noises, targets = [], [], []
+    t = windows.t - windows.t.mean()
+    span = float(np.abs(t).max()) or 1.0
+    for i in range(rotors):
+        u, uu, w = windows.commands[:, i], windows.squares[:, i], windows.speeds[:, i]
+        noise = np.column_stack([windows.jitter[:, i], np.zeros(len(t))])
+        there = np.isfinite(u) & np.isfinite(w) & complete_rows(noise)
+        if there.sum() < TUNING.fewest_windows or np.std(u[there]) < TUNING.least_throttle_motion:
+            return None
+        # Each rotor scaled to the thrust of the mean one at its own mean command.
+        rows.append(np.column_stack([u, uu, u * t / span])[there])
+        noises.append(noise[there])
+        targets.append(w[there] / w[there].mean())
+    fits = [robust_fit(a, y, None, d) for a, d, y in zip(rows, noises, targets, strict=True)]
+    values = np.array([_ratio(fit) for fit in fits])
+    weight = 1.0 / values[:, 1] ** 2
+    mean = float(weight @ values[:, 0] / weight.sum())
+    # Rotors differ in more than noise: their scatter counts.
+    scatter = float(weight @ (values[:, 0] - mean) ** 2 / weight.sum() / max(rotors - 1, 1))
+    std = math.sqrt(max(1.0 / float(weight.sum()), scatter))
+    return mean, math.hypot(std, TUNING.curve_floor), "speeds over commands"
+
+
+def _by_lift(windows: Windows) -> tuple[float, float, str] | None:
+    """Thrust over mass in climbs and descents over the sum of commands, by two estimators.
+
+    A gust that the accelerometer feels makes the autopilot answer: commands and noise hang
+    together, and least squares finds too flat a curve, by about the gusts' share of the power. That
+    is its bias. Commands of seconds before know nothing of a gust: with them as instruments there
+    is none, but few flights climb enough for that. Both are merged by what they are off by. The
+    accelerometer tells the thrust, or the velocity does, whichever the commands explain better:
+    some velocities are late, some accelerometers have a bias that their filter moves about.
+    """
+    told = [
+        _by_one_lift(windows, lift)
+        for lift in (variations_of_lift(windows.lift, windows.force), windows.lift)
+    ]
+    answers = [answer for answer in told if answer is not None]
+    if not answers:
+        return None
+    _, c, std = min(answers)
+    return c, std, "thrust over commands"
+
+
+def _by_one_lift(windows: Windows, lift: Array) -> tuple[float, float, float] | None:
+    """Residual in m/s^2, c and its standard deviation, by one measure of thrust over mass."""
+    total, squares = windows.commands.sum(axis=1), windows.squares.sum(axis=1)
+    t = windows.t - windows.t.mean()
+    span = float(np.abs(t).max()) or 1.0
+    sink = np.where(np.isfinite(windows.sink), windows.sink, 0.0)
+    columns = np.column_stack([total, squares, total * t / span, sink])
+    noise = np.column_stack([windows.jitter.sum(axis=1), np.zeros((len(t), 2))])
+    before = [_earlier(windows, total, lag) for lag in TUNING.instrument_lags]
+    steady = np.column_stack([np.ones(len(t)), t / span, sink])
+    instruments = np.column_stack(
+        [steady, *before, _earlier(windows, squares, TUNING.instrument_lags[0])]
+    )
+    there = complete_rows(np.column_stack([columns, lift, noise])) & _gentle(windows)
+    if there.sum() < 2 * TUNING.fewest_windows:
+        return None
+    if np.std(total[there] / windows.commands.shape[1]) < TUNING.least_throttle_motion:
+        return None
+    fit = robust_fit(columns[there], lift[there], jitter=noise[there])
+    residual = fit.residual
+    answers = [_with_gusts(fit, columns[there], lift[there], windows.commands.shape[1])]
+    there &= complete_rows(instruments)
+    if there.sum() > 3 * TUNING.fewest_windows:
+        instruments = instruments[there]
+        explained = instruments @ np.linalg.lstsq(instruments, columns[there], rcond=None)[0]
+        fit = robust_fit(columns[there], lift[there], projected=explained)
+        other = _ratio(fit)
+        if other[1] < TUNING.told_by_instruments:
+            answers.append(other)
+    values, weights = np.array([(c, 1.0 / std**2) for c, std in answers]).T
+    merged = float(values @ weights / weights.sum())
+    # The same flight twice: the better one alone could be as good.
+    std = math.hypot(1.0 / math.sqrt(float(weights.max())), TUNING.curve_floor)
+    return residual, merged, std
+
+
+def _gentle(windows: Windows) -> Mask:
+    """(n,) whether it turns so slowly that thrust is that of the mean command; climbs may be."""
+    slow = np.abs(windows.rates).max(axis=1) < TUNING.most_rate
+    calm = np.abs(windows.turning).max(axis=1) < TUNING.most_turning
+    gentle: Mask = np.logical_and.reduce([slow, calm, ~(windows.speed > TUNING.most_speed)])
+    return gentle
+
+
+def _with_gusts(fit: Fit, columns: Array, lift: Array, rotors: int) -> tuple[float, float]:
+    """The curve of a fit, its deviation widened by the bias that gusts make.
+
+    White noise of the accelerometer makes none: what overlapping windows of it hang together by is
+    taken off the residuals' autocorrelation.
+    """
+    c, std = _ratio(fit)
+    model = columns @ fit.value
+    residual = lift - model
+    steps = np.clip(residual, -3.0 * fit.residual, 3.0 * fit.residual)
+    neighbors = float(np.corrcoef(steps[1:], steps[:-1])[0, 1])
+    white, gust = TUNING.white_neighbors
+    colored = float(np.clip((neighbors - white) / (gust - white), 0.0, 1.0))
+    flat = TUNING.gust_bias * colored * (fit.residual / max(float(np.std(model)), 1e-9)) ** 2
+    # Of thrust a u + b u^2, bent by s = b u^2 / T: c = s / (s + (1 - s) u).
+    u = float(columns[:, 0].mean()) / rotors
+    s = float(np.clip(c * u / (1.0 - c + c * u), 0.0, 1.0)) if 0.0 < c < 1.0 else float(c >= 1.0)
+    return c, math.hypot(std, flat * u / (s + (1.0 - s) * u) ** 2)
+
+
+def _earlier(windows: Windows, values: Array, lag: int) -> Array:
+    """(n,) what a value was so many windows before; NaN where that was not in flight."""
+    place = np.rint(windows.t / windows.half).astype(int)
+    i = np.searchsorted(place, place - lag)
+    out: Array = np.where(place[i] == place - lag, values[i], np.nan)
+    return out

@@ -1,0 +1,149 @@
+"""Motors and margins by commands: gains, throttle, headroom, drift, idle, battery."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, complete_rows
+from gcs_sysid.health import balance
+from gcs_sysid.health.balance import Quantity
+from gcs_sysid.health.command_curve import Curve, curve_of, thrust_of
+from gcs_sysid.health.hover import Windows
+from gcs_sysid.health.log_streams import Streams
+from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.vehicle_health import Health
+from gcs_sysid.model.parameters import GRAVITY
+
+
+def motor_gains(
+    streams: Streams, hover: Windows, curve: Curve | None
+) -> tuple[Quantity | None, ...]:
+    """Speed squared for the command over that of the mean rotor."""
+    n = hover.speeds.shape[1]
+    hover = hover.part(complete_rows(np.column_stack([hover.speeds, hover.commands])))
+    if streams.speeds is None or streams.commands is None:
+        return tuple([None] * n)
+    if len(hover.t) < TUNING.fewest_windows:
+        return tuple([None] * n)
+    # All rotors by the same curve; it matters by the difference of their commands alone.
+    c = 0.5 if curve is None or curve.c.value is None else curve.c.value
+    told = curve_of(hover, None, None, "") if curve is None else curve
+    c = c if told.c.value is None else told.c.value
+    ratio = hover.speeds / thrust_of(hover, c)
+    ratio = ratio / ratio.mean(axis=1, keepdims=True)
+    by_curve = np.zeros(n)
+    if told.c.std:
+        other = hover.speeds / thrust_of(hover, min(c + 0.05, 1.0))
+        other = other / other.mean(axis=1, keepdims=True)
+        by_curve = (other - ratio).mean(axis=0) / 0.05 * told.c.std
+    out = []
+    for column, extra in zip(ratio.T, by_curve, strict=True):
+        fit = balance.robust_fit(np.ones((len(column), 1)), column)
+        std = math.sqrt(float(fit.covariance[0, 0]))
+        out.append(Quantity(float(fit.value[0]), math.hypot(std, float(extra)), "1"))
+    return tuple(out)
+
+
+def with_throttle(
+    health: Health, streams: Streams, windows: Windows, hover: Windows, curve: Curve | None
+) -> Health:
+    """Throttle, thrust to weight, headroom, saturation and drift."""
+    thrust = thrust_of(
+        hover, None if health.rotor_input == "speed" or curve is None else curve.c.value
+    )
+    lift = balance.lift_of(hover)
+    minutes = (hover.t - hover.t.mean()) / 60.0
+    effort = np.log(thrust.sum(axis=1) / lift)
+    # Thrust for the same command: what falls with the battery.
+    if health.rotor_input == "speed" and streams.commands is not None and curve is not None:
+        commanded = thrust_of(hover, curve.c.value).sum(axis=1)
+        if np.isfinite(commanded).all() and (commanded > 0.0).all():
+            effort = np.log(commanded / lift)
+    fit = balance.robust_fit(np.column_stack([np.ones(len(minutes)), minutes]), effort)
+    drift = Quantity(-float(fit.value[1]), math.sqrt(float(fit.covariance[1, 1])), "1/min")
+    if float(np.ptp(minutes)) < TUNING.shortest_drift / 60.0:
+        drift = Quantity(None, None, "1/min")
+    health = replace(health, drift=drift)
+    u = hover.commands
+    if streams.commands is None or curve is None or curve.c.value is None:
+        return health
+    u = u[complete_rows(u)]
+    if not len(u):
+        return health
+    rows = complete_rows(hover.commands)
+    unit = GRAVITY / lift[rows]
+
+    def mean_of(values: Array) -> Quantity:
+        fit = balance.robust_fit(np.ones((len(values), 1)), values)
+        return Quantity(float(fit.value[0]), math.sqrt(float(fit.covariance[0, 0])), "1")
+
+    throttle = mean_of(u.mean(axis=1))
+    share = thrust_of(hover, curve.c.value)[rows].mean(axis=1) * unit
+    hover_thrust = mean_of(share)
+    if curve.c.std:
+        other = thrust_of(hover, min(curve.c.value + 0.05, 1.0))[rows].mean(axis=1) * unit
+        by_curve = float((other - share).mean()) / 0.05 * curve.c.std
+        assert hover_thrust.std is not None
+        hover_thrust = replace(hover_thrust, std=math.hypot(hover_thrust.std, by_curve))
+    assert hover_thrust.value is not None
+    assert hover_thrust.std is not None
+    to_weight = Quantity(1.0 / hover_thrust.value, hover_thrust.std / hover_thrust.value**2, "1")
+    rotors = []
+    for i, rotor in enumerate(health.rotors):
+        used = mean_of(u[:, i])
+        assert used.value is not None
+        _, samples = streams.commands.samples[i]
+        turning = samples[samples > 0.0]
+        full = float(np.mean(turning >= TUNING.full_command)) if len(turning) else None
+        rotors.append(
+            replace(rotor, headroom=Quantity(1.0 - used.value, used.std, "1"), saturated=full)
+        )
+    return replace(
+        health,
+        hover_throttle=throttle,
+        hover_thrust=hover_thrust,
+        thrust_to_weight=to_weight,
+        rotors=tuple(rotors),
+    )
+
+
+def idle_output(streams: Streams) -> float | None:
+    """Least output, in the autopilot's unit, at which all rotors turned for a second by measure.
+
+    What is measured turning beside a stopped output is a rotor that runs out: an output must stand
+    still for a second.
+    """
+    if streams.speeds is None or streams.commands is None or not streams.commands.outputs:
+        return None
+    lowest = []
+    for (t, output), (speed_t, speed) in zip(
+        streams.commands.outputs, streams.speeds.samples, strict=True
+    ):
+        turning = _held_at(speed_t, speed > 0.0, t)
+        later = np.searchsorted(t, t - 1.0)
+        held = (output == output[later]) & (t - t[0] > 1.0) & (output > output.min())
+        run = np.append(0.0, np.cumsum(~turning | (output != np.roll(output, 1))))
+        whole = held & (run[1:] - run[later + 1] == 0.0)
+        if not whole.any():
+            return None
+        lowest.append(float(output[whole].min()))
+    return max(lowest)
+
+
+def _held_at(t: Array, values: Array, at: Array) -> Array:
+    """(n,) the last value before each time; False before the first and long after one."""
+    i = np.searchsorted(t, at, side="right") - 1
+    out: Array = (i >= 0) & values[np.maximum(i, 0)] & (at - t[np.maximum(i, 0)] < 0.5)
+    return out
+
+
+def battery_of(streams: Streams) -> tuple[float, float, float] | None:
+    """Highest, lowest and median voltage; None where it is not logged."""
+    found = streams.extras.get("battery voltage")
+    if found is None:
+        return None
+    volts = found[1][np.isfinite(found[1]) & (found[1] > 1.0)]
+    if not len(volts):
+        return None
+    return float(volts.max()), float(volts.min()), float(np.median(volts))

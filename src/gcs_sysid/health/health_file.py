@@ -1,0 +1,128 @@
+"""Health as a file, and as words over several flights."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.files import read_text
+from gcs_sysid.health.autopilot_parameters import suggested
+from gcs_sysid.health.balance import Quantity
+from gcs_sysid.health.rotor_condition import Condition, Load
+from gcs_sysid.health.vehicle_health import Baseline, Health
+
+SCHEMA = "gcs-sysid-health/1"
+_MOST_BYTES = 5_000_000
+
+
+def document_of(health: Health) -> dict[str, Any]:
+    """The health file's content."""
+
+    def plain(quantity: Quantity | None) -> dict[str, Any] | None:
+        return None if quantity is None else quantity.as_json()
+
+    out: dict[str, Any] = {
+        "schema": SCHEMA,
+        "source": health.source,
+        "vehicle": dict(health.vehicle),
+        "verdict": "told" if health.told else "refused",
+        "reasons": list(health.reasons),
+        "seconds_of_hover": health.seconds,
+        "rotor_input": health.rotor_input or None,
+        "rotor_source": health.rotor_source or None,
+        "cg": None if health.cg is None else {"x": plain(health.cg[0]), "y": plain(health.cg[1])},
+        "cg_by_wind": (
+            None if health.by_wind is None else dict(zip("xy", health.by_wind, strict=True))
+        ),
+        "rotors": [rotor.as_json() for rotor in health.rotors],
+        "yaw_imbalance": plain(health.yaw_imbalance),
+        "hover_throttle": plain(health.hover_throttle),
+        "hover_thrust": plain(health.hover_thrust),
+        "thrust_to_weight": plain(health.thrust_to_weight),
+        "thrust_curve": None if health.curve is None else plain(health.curve.c),
+        "drift_per_minute": plain(health.drift),
+        "motor_lag": health.motor_lag,
+        "condition": None if health.condition is None else health.condition.as_json(),
+        "load": None if health.load is None else health.load.as_json(),
+        "airframe": None if health.airframe is None else health.airframe.as_json(),
+        "autopilot_parameters": {
+            one.name: {**one.quantity.as_json(), "now": one.now, "note": one.note}
+            for one in suggested(health)
+        },
+        "assumptions": list(health.assumptions),
+        "advice": list(health.advice),
+    }
+    if health.scale is not None:
+        out[health.scale[0]] = plain(health.scale[1])
+    if health.mass is not None:
+        out["mass"] = plain(health.mass)
+    return out
+
+
+def read_baseline(path: Path) -> Baseline:
+    """An earlier flight's health file, or a result that has one under `health`.
+
+    Raises:
+        InputError: it cannot be read, or holds no health.
+    """
+    try:
+        table = json.loads(read_text(path, _MOST_BYTES, "the baseline"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not valid JSON: {error}") from error
+    table = table.get("health", table) if isinstance(table, dict) else table
+    try:
+        if table["schema"] != SCHEMA:
+            raise ValueError
+        cg = table["cg"]
+        return Baseline(
+            str(table["source"]),
+            Load.of_json(table["load"]),
+            (float(cg["x"]["value"]), float(cg["y"]["value"])),
+        )
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise InputError(
+            f"{path}: no health of a flight in there; write one with gcs-sysid health LOG --json"
+        ) from error
+
+
+def trend_of(flights: Sequence[Health]) -> list[str]:
+    """How several flights of one vehicle differ, in words; empty for one."""
+    told = [health for health in flights if health.told]
+    if len(told) < 2:
+        return []
+    lines = []
+    for axis, name in ((0, "forward"), (1, "right")):
+        values = [health.cg[axis].value for health in told if health.cg is not None]
+        numbers = [v for v in values if v is not None]
+        spread = max(numbers) - min(numbers)
+        lines.append(f"CG {name}: within {1e3 * spread:.1f} mm over {len(numbers)} flights")
+    for health in told[1:]:
+        condition = health.condition
+        if condition is not None and condition.verdict != "unchanged":
+            lines.append(f"{health.source}: {condition_text(condition)}")
+    return lines
+
+
+def condition_text(condition: Condition) -> str:
+    """What became of the rotors, in words."""
+    if condition.verdict == "unchanged":
+        return "rotors and CG as in the flight before"
+    if condition.verdict == "rotor" and condition.rotor is not None and condition.loss is not None:
+        assert condition.loss.value is not None
+        half = condition.loss.half or 0.0
+        return (
+            f"rotor {condition.rotor + 1} gives {100.0 * condition.loss.value:.1f} "
+            f"+- {100.0 * half:.1f} % less thrust than before"
+        )
+    if condition.verdict == "all":
+        change = 100.0 * float(condition.changes.mean())
+        return f"all rotors do {change:+.1f} % for the same thrust: air, battery or payload"
+    x, y = (1e3 * v for v in condition.moved)
+    moved = (
+        f"{abs(x):.0f} mm {'forward' if x >= 0.0 else 'aft'} and "
+        f"{abs(y):.0f} mm {'right' if y >= 0.0 else 'left'}"
+    )
+    if condition.verdict == "cg":
+        return f"the CG moved by {moved}"
+    return f"something changed: a weak rotor, or the CG by {moved}; these data do not tell which"

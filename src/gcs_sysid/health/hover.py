@@ -1,0 +1,373 @@
+"""Hover in any log: streams of any rate as means over the same short windows.
+
+Every signal is averaged with one triangular weight, 2 H wide. Of a signal known at its own times
+the weighted mean follows from its second integral S,
+
+    mean(t) = (S(t + H) - 2 S(t) + S(t - H)) / H^2,
+
+and the same formula applied to the first integral's integrand gives the mean of a derivative: the
+mean angular acceleration is that of the gyro's first integral. Both sides of a balance are thus
+filtered alike whatever their rates, as in `signals.windows`, down to a few samples a window.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.health.log_streams import RotorStream, Streams
+from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.model.parameters import GRAVITY
+from gcs_sysid.signals.flight_detection import FlightDetector
+from gcs_sysid.signals.records import Stream
+
+_GRID = 0.1
+"""s between the instants at which flight is judged."""
+_HELD = 3.0
+"""s for which a state (armed, in the air) is believed after it was told."""
+
+
+class _Integrals:
+    """First and second integral of a sampled signal, straight between its samples."""
+
+    def __init__(self, t: Array, values: Array) -> None:
+        self._t = t
+        self._values = values if values.ndim == 2 else values[:, None]
+        # About the mean, so that no digits are lost in long logs.
+        self._mean = self._values.mean(axis=0)
+        v = self._values - self._mean
+        dt = np.diff(t)[:, None]
+        zero = np.zeros((1, v.shape[1]))
+        self._v = v
+        self._first = np.concatenate([zero, np.cumsum(0.5 * dt * (v[1:] + v[:-1]), axis=0)])
+        steps = dt * self._first[:-1] + dt**2 * (2.0 * v[:-1] + v[1:]) / 6.0
+        self._second = np.concatenate([zero, np.cumsum(steps, axis=0)])
+
+    def _at(self, t: Array) -> tuple[Array, Array]:
+        """(n, width) first and second integral, exact between samples."""
+        i = np.clip(np.searchsorted(self._t, t, side="right") - 1, 0, len(self._t) - 2)
+        h = (t - self._t[i])[:, None]
+        step = (self._t[i + 1] - self._t[i])[:, None]
+        slope = (self._v[i + 1] - self._v[i]) / step
+        first = self._first[i] + h * self._v[i] + 0.5 * h**2 * slope
+        second = self._second[i] + h * self._first[i] + 0.5 * h**2 * self._v[i] + h**3 * slope / 6.0
+        return first, second
+
+    def mean(self, t: Array, half: float) -> Array:
+        """(n, width) means with a triangle of half width `half` about each t."""
+        (_, a), (_, b), (_, c) = (self._at(t + shift) for shift in (-half, 0.0, half))
+        out: Array = (a - 2.0 * b + c) / half**2 + self._mean
+        return out
+
+    def slope(self, t: Array, half: float) -> Array:
+        """(n, width) means of the derivative with the same triangle."""
+        (a, _), (b, _), (c, _) = (self._at(t + shift) for shift in (-half, 0.0, half))
+        out: Array = (a - 2.0 * b + c) / half**2
+        return out
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Means over windows in flight; NaN where a stream is missing or has a gap.
+
+    Attributes:
+        t: (n,) s, their centers.
+        half: s, half their width; they follow each other by this much.
+        rates: (n, 3) rad/s.
+        turning: (n, 3) rad/s^2.
+        products: (n, 3) q r, r p, p q in rad^2/s^2.
+        force: (n, 3) specific force, m/s^2.
+        lift: (n,) m/s^2 of thrust over mass that gravity and vertical acceleration ask for.
+        sink: (n,) m/s along body z, down; NaN without velocity.
+        speed: (n,) m/s over the ground; NaN without velocity.
+        speeds: (n, rotors) mean squares of rotor speeds, rad^2/s^2.
+        commands: (n, rotors) means of commands of 0 to 1.
+        squares: (n, rotors) means of their squares.
+        jitter: (n, rotors, 2) half of the difference between the means of every other sample, of
+            commands and squares: its variance is that of the means by sampling alone.
+        lag: s by which the commands were taken earlier, so that they fit what the rotors did.
+        hovering: (n,) whether the balances of a hover may be drawn.
+        high: (rotors,) highest command in flight, as sampled; NaN without commands.
+        low: (rotors,) lowest.
+    """
+
+    t: Array
+    half: float
+    rates: Array
+    turning: Array
+    products: Array
+    force: Array
+    lift: Array
+    sink: Array
+    speed: Array
+    speeds: Array
+    commands: Array
+    squares: Array
+    jitter: Array
+    lag: float
+    hovering: Mask
+    high: Array
+    low: Array
+
+    @property
+    def seconds(self) -> float:
+        """Of hover."""
+        return float(np.count_nonzero(self.hovering)) * self.half
+
+    def part(self, rows: Mask | slice) -> "Windows":
+        """Some of the windows."""
+        names = (
+            "t",
+            "rates",
+            "turning",
+            "products",
+            "force",
+            "lift",
+            "sink",
+            "speed",
+            "speeds",
+            "commands",
+            "squares",
+            "jitter",
+            "hovering",
+        )
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+
+def windows_of(streams: Streams, rotors: int) -> Windows:
+    """Average all streams over windows in flight.
+
+    Args:
+        streams: of a log.
+        rotors: how many.
+    """
+    used = [s.rate for s in (streams.speeds, streams.commands) if s is not None]
+    slowest = min([*used, streams.rate(Stream.IMU) or TUNING.enough_rate])
+    half = max(TUNING.half_window, TUNING.samples_a_half / slowest)
+    flying_t, flying = _flying(streams, rotors)
+    t = np.arange(half, max(float(flying_t[-1]) - half, 0.0), half) if len(flying_t) else flying_t
+    aloft = np.append(0.0, np.cumsum(~flying))
+    first, last = (np.searchsorted(flying_t, t + s) for s in (-half, half))
+    t = t[(aloft[last] - aloft[first] == 0.0) & (last > first)]
+
+    imu_t, imu = streams.tracks.get(Stream.IMU, (np.empty(0), np.empty((0, 6))))
+    p, q, r = imu[:, 0], imu[:, 1], imu[:, 2]
+    inertial = _means(imu_t, np.column_stack([imu, q * r, r * p, p * q]), t, half)
+    turning = _means(imu_t, imu[:, :3], t, half, slope=True)
+    lift, sink, speed = _vertical(streams, t, half)
+    speeds = _rotor_means(streams.speeds, t, half, rotors, power=2)
+    force = inertial[:, 3:6]
+    lag = _lag_of(streams, t, half, speeds, variations_of_lift(lift, force), sink)
+    commands, squares = _command_means(streams.commands, t, half, rotors, lag)
+    jitter = _jitter(streams.commands, t, half, rotors, lag)
+    hovering = _hovering(inertial[:, :3], turning, lift, force, speed)
+    high = low = np.full(rotors, np.nan)
+    if streams.commands is not None and len(t):
+        spans = [v[_inside(times, t, half)] for times, v in streams.commands.samples]
+        if all(len(v) for v in spans):
+            high, low = (np.array([float(of(v)) for v in spans]) for of in (np.max, np.min))
+    return Windows(
+        t,
+        half,
+        inertial[:, :3],
+        turning,
+        inertial[:, 6:],
+        force,
+        lift,
+        sink,
+        speed,
+        speeds,
+        commands,
+        squares,
+        jitter,
+        lag,
+        hovering,
+        high,
+        low,
+    )
+
+
+def _inside(times: Array, t: Array, half: float) -> Mask:
+    """(n,) which samples lie within half of a window's center."""
+    i = np.clip(np.searchsorted(t, times), 1, max(len(t) - 1, 1))
+    near = np.minimum(np.abs(times - t[i - 1]), np.abs(times - t[np.minimum(i, len(t) - 1)]))
+    inside: Mask = near <= half
+    return inside
+
+
+def _means(times: Array, values: Array, t: Array, half: float, *, slope: bool = False) -> Array:
+    """(n, width) windowed means, NaN where the samples have a gap."""
+    width = values.shape[1] if values.ndim == 2 else 1
+    out = np.full((len(t), width), np.nan)
+    if len(times) < TUNING.fewest_samples or not len(t):
+        return out
+    finite = np.isfinite(values).all(axis=1) if values.ndim == 2 else np.isfinite(values)
+    times, values = times[finite], values[finite]
+    if len(times) < TUNING.fewest_samples:
+        return out
+    steps = np.diff(times)
+    most = max(TUNING.longest_gap * half, 2.5 * float(np.median(steps)))
+    gaps = np.flatnonzero(steps > most)
+    # A gap spoils the windows that overlap it: their ends lie beyond its begin and before its end.
+    begun = np.searchsorted(times[gaps], t + half)
+    ended = np.searchsorted(times[gaps + 1], t - half)
+    whole = (begun == ended) & (t - half >= times[0]) & (t + half <= times[-1])
+    if whole.any():
+        integrals = _Integrals(times, values)
+        out[whole] = (integrals.slope if slope else integrals.mean)(t[whole], half)
+    return out
+
+
+def _rotor_means(
+    stream: RotorStream | None, t: Array, half: float, rotors: int, power: int
+) -> Array:
+    if stream is None:
+        return np.full((len(t), rotors), np.nan)
+    return np.hstack([_means(times, v**power, t, half) for times, v in stream.samples])
+
+
+def variations_of_lift(lift: Array, force: Array) -> Array:
+    """(n,) m/s^2, thrust over mass: as the accelerometer has it, level as gravity has it.
+
+    Velocities of a filter are late and smooth; the accelerometer's bias is constant.
+
+    Args:
+        lift: (n,) as of `Windows`.
+        force: (n, 3) likewise.
+    """
+    off = lift + force[:, 2]
+    there = np.isfinite(off)
+    if not there.any():
+        return np.where(np.isfinite(lift), lift, -force[:, 2])
+    varying: Array = -force[:, 2] + float(np.median(off[there]))
+    return varying
+
+
+def _shifted(stream: RotorStream | None, lag: float, every: slice) -> RotorStream | None:
+    if stream is None:
+        return None
+    return replace(stream, samples=tuple((t[every] + lag, v[every]) for t, v in stream.samples))
+
+
+def _command_means(
+    stream: RotorStream | None,
+    t: Array,
+    half: float,
+    rotors: int,
+    lag: float,
+    every: slice = slice(None),
+) -> tuple[Array, Array]:
+    """(n, rotors) means of commands and of their squares, `lag` s late."""
+    late = _shifted(stream, lag, every)
+    means = [_rotor_means(late, t, half, rotors, power) for power in (1, 2)]
+    return means[0], means[1]
+
+
+def _jitter(stream: RotorStream | None, t: Array, half: float, rotors: int, lag: float) -> Array:
+    parts = [
+        np.stack(_command_means(stream, t, half, rotors, lag, slice(k, None, 2)), axis=2)
+        for k in (0, 1)
+    ]
+    out: Array = 0.5 * (parts[0] - parts[1])
+    return out
+
+
+def _lag_of(
+    streams: Streams, t: Array, half: float, speeds: Array, lift: Array, sink: Array
+) -> float:
+    """By how many s rotors, or the thrust, follow the commands: the least residual of all tried.
+
+    Motors of large vehicles lag by 0.2 s: unshifted, the curve of one came out 0.3 too small.
+    """
+    if streams.commands is None or len(t) < 2 * TUNING.fewest_windows:
+        return 0.0
+    rotors = speeds.shape[1]
+    measured = bool(np.isfinite(speeds).any())
+    told = speeds if measured else lift[:, None]
+    drift = (t - t.mean()) / max(float(np.ptp(t)), 1.0)
+    climbing = np.nan_to_num(sink)[:, None]
+    lags = np.arange(0.0, TUNING.longest_lag + 1e-9, TUNING.lag_step)
+    costs = []
+    for lag in lags.tolist():
+        u, uu = _command_means(streams.commands, t, half, rotors, lag)
+        if not measured:
+            u, uu = u.sum(axis=1, keepdims=True), uu.sum(axis=1, keepdims=True)
+        cost = 0.0
+        for a, b, y in zip(u.T, uu.T, told.T, strict=True):
+            columns = np.column_stack([a, b, a * drift, climbing])
+            there = np.isfinite(columns).all(axis=1) & np.isfinite(y)
+            if there.sum() < 2 * TUNING.fewest_windows:
+                return 0.0
+            fit = np.linalg.lstsq(columns[there], y[there], rcond=None)[0]
+            cost += float(np.mean((y[there] - columns[there] @ fit) ** 2) / np.mean(y[there]) ** 2)
+        costs.append(cost)
+    i = int(np.argmin(costs))
+    if not 0 < i < len(lags) - 1:
+        return float(lags[i]) if i == 0 else 0.0  # at the far end: nothing moves
+    left, middle, right = costs[i - 1 : i + 2]
+    bend = left - 2.0 * middle + right
+    return float(lags[i] + (0.5 * TUNING.lag_step * (left - right) / bend if bend > 0.0 else 0.0))
+
+
+def _vertical(streams: Streams, t: Array, half: float) -> tuple[Array, Array, Array]:
+    """Thrust over mass that the vertical momentum balance asks for; sink rate and speed.
+
+    T cos(tilt) = m (g - v_down'), Newton along the vertical: the accelerometer's bias has no part.
+    """
+    attitude_t, q = streams.tracks.get(Stream.ATTITUDE, (np.empty(0), np.empty((0, 4))))
+    # R_33 of (w, x, y, z): the cosine of the tilt.
+    cosine = _means(attitude_t, 1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2), t, half)[:, 0]
+    velocity_t, v = streams.tracks.get(Stream.VELOCITY, (np.empty(0), np.empty((0, 6))))
+    falling = _means(velocity_t, v[:, 2], t, half, slope=True)[:, 0]
+    flown = _means(velocity_t, v[:, :3], t, half)
+    speed = np.linalg.norm(flown, axis=1)
+    told = np.where(np.isfinite(falling), falling, 0.0)
+    return (GRAVITY - told) / cosine, flown[:, 2] / np.maximum(cosine, 0.5), speed
+
+
+def _hovering(rates: Array, turning: Array, lift: Array, force: Array, speed: Array) -> Mask:
+    with np.errstate(invalid="ignore"):
+        calm = (np.abs(rates) < TUNING.most_rate).all(axis=1)
+        calm &= (np.abs(turning) < TUNING.most_turning).all(axis=1)
+        up = np.where(np.isfinite(lift), lift, -force[:, 2])
+        calm &= np.abs(up - GRAVITY) < TUNING.most_lift * GRAVITY
+        drift = ~(speed > TUNING.most_speed)
+    hovering: Mask = calm & drift
+    return hovering
+
+
+def _flying(streams: Streams, rotors: int) -> tuple[Array, Mask]:
+    """(n,) s and whether it flies, by the detector of the chain."""
+    source = streams.speeds or streams.commands
+    ends = [t[-1] for t, _ in streams.tracks.values()]
+    if source is None or not ends:
+        return np.empty(0), np.empty(0, bool)
+    grid = np.arange(0.0, float(max(ends)) + _GRID, _GRID)
+
+    def held(stream: Stream) -> Array:
+        times, values = streams.tracks.get(stream, (np.empty(0), np.empty((0, 1))))
+        return _held(times, values[:, 0], grid) if len(times) else np.full(len(grid), np.nan)
+
+    speeds = np.column_stack([_held(t, v, grid) for t, v in source.samples])
+    position = np.full((len(grid), 3), np.nan)
+    if Stream.VELOCITY in streams.tracks:
+        times, values = streams.tracks[Stream.VELOCITY]
+        position = np.column_stack([_held(times, column, grid) for column in values[:, 3:6].T])
+    told = held(Stream.IN_AIR)
+    armed = held(Stream.ARMED)
+    flying = FlightDetector().update(grid, told, armed, speeds, position)
+    if not flying.any() and not np.isfinite(told).any():
+        # Thrown by hand, or landed lower than it took off: rotors that carry must do.
+        effort = np.nan_to_num(speeds**2).sum(axis=1)
+        carrying = effort > TUNING.carrying * float(np.percentile(effort, 99.0))
+        nowhere = np.full_like(position, np.nan)
+        flying = FlightDetector().update(grid, told, armed, speeds, nowhere) & carrying
+    return grid, flying
+
+
+def _held(times: Array, values: Array, grid: Array) -> Array:
+    """(n,) the last value told, for a while; NaN after that and before the first."""
+    i = np.searchsorted(times, grid, side="right") - 1
+    known = (i >= 0) & (grid - times[np.maximum(i, 0)] < _HELD)
+    out: Array = np.where(known, values[np.maximum(i, 0)], np.nan)
+    return out

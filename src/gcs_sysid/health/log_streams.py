@@ -1,0 +1,171 @@
+"""The streams of a whole log on one time axis, as hovering needs them."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.signals.columns import RecordBlock, Track, by_key
+from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.rotor_source_selector import family
+from gcs_sysid.signals.rotor_units import Range, command_range, normalised
+
+_LONGEST = 200_000.0
+"""s of a log; what is stamped later is damaged."""
+_BOOT_GAP = 1000.0
+"""s put between two boots, so that time goes on."""
+
+
+@dataclass(frozen=True)
+class RotorStream:
+    """One source of rotor speeds or commands, rotor by rotor.
+
+    Attributes:
+        source: name of the message, without its group of rotors.
+        samples: of each rotor, (n,) s and (n,) rad/s or commands of 0 to 1.
+        rate: Hz, of the slowest rotor.
+        range: of commands.
+        outputs: commands in the autopilot's own unit; empty for speeds.
+    """
+
+    source: str
+    samples: tuple[tuple[Array, Array], ...]
+    rate: float
+    range: Range | None = None
+    outputs: tuple[tuple[Array, Array], ...] = ()
+
+
+@dataclass(frozen=True)
+class Streams:
+    """The streams of one log that hovering needs, on one time axis.
+
+    Attributes:
+        start: s on the vehicle's clock, of time zero.
+        tracks: stream -> (n,) s and (n, width) values; IMU, attitude, velocity, states.
+        speeds: the best source of measured speeds; None: none covers all rotors.
+        commands: the best source of commands; None likewise.
+        refused: source -> why not.
+        extras: as of `telemetry.track_collector.Recording`.
+    """
+
+    start: float
+    tracks: Mapping[Stream, tuple[Array, Array]]
+    speeds: RotorStream | None
+    commands: RotorStream | None
+    refused: Mapping[str, str]
+    extras: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+
+    def rate(self, stream: Stream) -> float:
+        """Hz between the gaps; 0 where there is none."""
+        t, _ = self.tracks.get(stream, (np.empty(0), np.empty(0)))
+        return rate_of(t)
+
+
+def rate_of(t: Array) -> float:
+    """Hz of times in s, by the median step; 0 where there are none."""
+    steps = np.diff(t)
+    steps = steps[steps > 0.0]
+    return 1.0 / float(np.median(steps)) if len(steps) else 0.0
+
+
+def streams_of(
+    blocks: Iterable[RecordBlock],
+    airframe: Airframe,
+    autopilot: str,
+    parameters: Mapping[str, float],
+) -> Streams:
+    """Gather the streams of a log.
+
+    Args:
+        blocks: of the chosen vehicle.
+        airframe: tells how many rotors there are, and perhaps the range of commands.
+        autopilot: "px4", "ardupilot" or another key.
+        parameters: the autopilot's.
+    """
+    tracks: list[Track] = []
+    boots: list[int] = []
+    for block in blocks:
+        boots += [order for order, event in block.events if event.kind == "reboot"]
+        tracks += block.tracks
+    joined = {key: _steady(track, boots) for key, track in by_key(tracks).items()}
+    starts = [float(track.t[0]) for track in joined.values() if len(track.t)]
+    start = min(starts, default=0.0)
+    joined = {key: track.part(track.t < start + _LONGEST) for key, track in joined.items()}
+    plain: dict[Stream, tuple[Array, Array]] = {}
+    rotors: dict[tuple[Stream, str], list[Track]] = {}
+    for (stream, source, _), track in joined.items():
+        if stream in (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND):
+            rotors.setdefault((stream, family(source)), []).append(track)
+        elif stream is not Stream.PARAMETER and len(track.t) > 1:
+            plain[stream] = track.t - start, track.values
+    refused: dict[str, str] = {}
+    count = len(airframe.rotors)
+    found: dict[Stream, list[RotorStream]] = {}
+    for (stream, name), parts in rotors.items():
+        samples = _per_rotor(parts, count, start)
+        problem = _problem(samples, count)
+        if problem:
+            refused[name] = problem
+            continue
+        one = RotorStream(name, samples, min(rate_of(t) for t, _ in samples))
+        if stream is Stream.ROTOR_COMMAND:
+            largest = max(float(v.max()) for _, v in samples)
+            range_ = command_range(name, airframe.command, autopilot, parameters, largest)
+            if range_ is None:
+                refused[name] = "is in a unit that is not known: give [command] min and max"
+                continue
+            raw = samples
+            samples = tuple((t, normalised(v, range_).clip(0.0, None)) for t, v in samples)
+            one = RotorStream(name, samples, one.rate, range_, raw)
+        found.setdefault(stream, []).append(one)
+    best = {
+        stream: max(sources, key=lambda one: min(one.rate, TUNING.enough_rate))
+        for stream, sources in found.items()
+    }
+    return Streams(
+        start, plain, best.get(Stream.ROTOR_SPEED), best.get(Stream.ROTOR_COMMAND), refused
+    )
+
+
+def _steady(track: Track, boots: Sequence[int]) -> Track:
+    """The samples with a time that rises, also over reboots."""
+    t = track.t + _BOOT_GAP * np.searchsorted(np.asarray(boots), track.order, side="right")
+    for boot in boots:  # what the clock lost in a reboot
+        after = track.order >= boot
+        if after.any() and not after.all():
+            last, first = float(t[~after][-1]), float(t[after][0])
+            if first <= last:
+                t = np.where(after, t + last - first + _BOOT_GAP, t)
+    order = np.argsort(t, kind="stable")
+    t, values, at = t[order], track.values[order], track.order[order]
+    new = np.append(True, np.diff(t) > 0.0)
+    return Track(track.stream, t[new], values[new], track.offset, track.source, at[new])
+
+
+def _per_rotor(parts: Sequence[Track], count: int, start: float) -> tuple[tuple[Array, Array], ...]:
+    """Times and values of each rotor that there is, up to `count`, in order."""
+    out: list[tuple[Array, Array]] = []
+    for track in sorted(parts, key=lambda track: track.offset):
+        if track.offset != len(out):
+            continue
+        for column in track.values.T:
+            there = np.isfinite(column)
+            out.append((track.t[there] - start, column[there]))
+    return tuple(out[:count])
+
+
+def _problem(samples: Sequence[tuple[Array, Array]], count: int) -> str:
+    if len(samples) < count:
+        return f"tells {len(samples)} of {count} rotors"
+    if any(len(t) < TUNING.fewest_samples for t, _ in samples):
+        return "has too few samples"
+    rate = min(rate_of(t) for t, _ in samples)
+    if rate < TUNING.slowest_rotors:
+        return f"comes at {rate:.1f} Hz; a hover needs {TUNING.slowest_rotors:g} Hz"
+    silent = [i for i, (_, v) in enumerate(samples, 1) if not v.any()]
+    if silent:
+        return f"rotor {silent[0]} always reads 0"
+    return ""

@@ -1,0 +1,258 @@
+"""Rotors against an earlier flight: which one is weak, or has the CG moved?
+
+What a rotor must do in hover, lambda_i = Omega_i^2 over thrust per mass (or its commanded thrust
+over it), changes by r_i against a flight before. Three things can change it:
+
+- a rotor gives less thrust, with its torque or without: with four rotors it alone answers, with
+  more the others take their part;
+- the CG moved: the rotors on one side take from those on the other;
+- everything at once: air, battery, payload.
+
+All but the last ask for a change of thrust and moments, which the mixer answers within the span of
+the rotors' effects (1, x, y, spin), by least squares.
+
+A weak rotor of four differs from a moved CG by the sum and the yaw balance alone. Each hypothesis
+is fitted by generalized least squares and costs its chi-square; a rotor is named where it beats all
+others by a margin, and else the answer is that they cannot be told apart.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.health.balance import Quantity, lift_of, robust_fit
+from gcs_sysid.health.hover import Windows
+from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.model.airframe import Airframe
+
+
+@dataclass(frozen=True)
+class Load:
+    """What the rotors did for a unit of thrust over mass.
+
+    Attributes:
+        kind: "speed" or "command".
+        value: (rotors,) Omega_i^2 or thrust share of T_max, per m/s^2.
+        covariance: (rotors, rotors) of the logarithms of `value`.
+        seconds: of hover.
+        thrust_curve: by which commands were read; None for speeds.
+    """
+
+    kind: str
+    value: Array
+    covariance: Array
+    seconds: float
+    thrust_curve: float | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """As health files keep it for a later flight."""
+        return {
+            "kind": self.kind,
+            "value": self.value.tolist(),
+            "covariance": self.covariance.tolist(),
+            "seconds": self.seconds,
+            "thrust_curve": self.thrust_curve,
+        }
+
+    @classmethod
+    def of_json(cls, table: Mapping[str, Any]) -> "Load":
+        """What `as_json` wrote.
+
+        Raises:
+            KeyError, TypeError, ValueError: it is no such table.
+        """
+        value = np.asarray(table["value"], dtype=float)
+        covariance = np.asarray(table["covariance"], dtype=float)
+        if value.ndim != 1 or covariance.shape != 2 * value.shape or not (value > 0.0).all():
+            raise ValueError("loads of rotors must be positive, with a covariance")
+        curve = table["thrust_curve"]
+        return cls(
+            str(table["kind"]),
+            value,
+            covariance,
+            float(table["seconds"]),
+            None if curve is None else float(curve),
+        )
+
+
+def load_of(windows: Windows, thrust: Array, c: float | None) -> Load | None:
+    """The rotors' load in hover.
+
+    Args:
+        windows: of hover.
+        thrust: (n, rotors) as of `balance.thrust_of`.
+        c: the thrust curve of commands; None for speeds.
+
+    Returns:
+        None where there is too little hover.
+    """
+    if len(thrust) < TUNING.fewest_windows:
+        return None
+    lift = lift_of(windows)
+    turning = windows.turning
+    # A moment that turns the vehicle is no load: what its means are not zero by is taken out.
+    columns = np.column_stack([lift / lift.mean(), turning])
+    ridge = np.array([np.inf, *(3.0 * TUNING.turning_share,) * 3])
+    values, influence = [], []
+    for share in thrust.T:
+        fit = robust_fit(columns, share / share.mean(), ridge)
+        values.append(fit.value[0] * share.mean() / lift.mean())
+        influence.append(share / share.mean() - columns @ fit.value)
+    residual = np.clip(np.array(influence), -0.3, 0.3)  # (rotors, n)
+    covariance = _long_run(residual) / len(lift)
+    return Load(
+        "speed" if c is None else "command", np.array(values), covariance, windows.seconds, c
+    )
+
+
+def _long_run(residual: Array) -> Array:
+    """(rotors, rotors) long-run covariance (Bartlett) of (rotors, n) residuals."""
+    n = residual.shape[1]
+    lags = min(max(2, round(1.5 * n ** (1.0 / 3.0))), n - 1)
+    total = residual @ residual.T / n
+    for lag in range(1, lags + 1):
+        cross = residual[:, lag:] @ residual[:, :-lag].T / n
+        total += (1.0 - lag / (lags + 1.0)) * (cross + cross.T)
+    out: Array = total
+    return out
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What became of the rotors since the baseline.
+
+    Attributes:
+        verdict: "unchanged", "rotor", "cg", "all" (all rotors alike: air, battery, payload), or
+            "unclear": something changed that these data do not tell apart.
+        rotor: which, from 0, where one is named.
+        loss: share of thrust that it lost, where one is named.
+        margin: chi-square by which the best explanation beats the next one of another kind.
+        moved: (2,) m that the CG would have moved by, were it that.
+        changes: (rotors,) relative change of load.
+        efficiency: of each rotor against the baseline, shrunk to the mean.
+    """
+
+    verdict: str
+    rotor: int | None
+    loss: Quantity | None
+    margin: float
+    moved: tuple[float, float]
+    changes: Array
+    efficiency: tuple[Quantity, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """As health files write it; rotors count from 0."""
+        return {
+            "verdict": self.verdict,
+            "rotor": self.rotor,
+            "loss": None if self.loss is None else self.loss.as_json(),
+            "margin": self.margin,
+            "cg_moved": list(self.moved),
+            "load_change": self.changes.tolist(),
+        }
+
+
+def compare_loads(
+    before: Load, now: Load, airframe: Airframe, cg: Sequence[float], *, unchanged: bool
+) -> Condition:
+    """Judge what changed between two stretches of hover.
+
+    Args:
+        before: the baseline.
+        now: what is judged.
+        airframe: places of the rotors.
+        cg: (2,) m, of the baseline.
+        unchanged: whether nothing was moved or loaded in between.
+    """
+    x, y, spin = airframe.geometry
+    n = len(x)
+    r = np.log(now.value / before.value)
+    w = before.value / before.value.sum()
+    lever = np.array([x - cg[0], y - cg[1]])
+    effect = np.vstack([np.ones(n), lever, spin])
+    # Whatever must be balanced, the mixer asks for it within the span of the rotors' effects.
+    answer = effect.T @ np.linalg.inv(effect @ effect.T)  # (n, 4)
+
+    def asked(moments: Array) -> Array:
+        """(n, ...) relative change of loads that makes these thrusts and moments."""
+        change: Array = answer @ moments / w[:, None] if moments.ndim > 1 else answer @ moments / w
+        return change
+
+    unit = np.eye(4)
+    ones, yaw = np.ones(n), asked(unit[3])
+    moves = asked(unit[:, 1:3])  # (n, 2) of a meter
+    own = TUNING.rotor_repeats**2 * np.eye(n)
+    common = TUNING.common_speed if now.kind == "speed" else TUNING.common_command
+    noise = before.covariance + now.covariance + own
+    noise = noise + common**2 * np.outer(ones, ones) + TUNING.yaw_repeats**2 * np.outer(yaw, yaw)
+    still = TUNING.cg_repeats * airframe.arm * (0.2 if unchanged else 1.0)
+    noise = noise + still**2 * moves @ moves.T
+    inverse = np.linalg.inv(noise)
+
+    def fitted(patterns: Array) -> tuple[float, Array, Array]:
+        """Chi-square left, coefficients and their covariance."""
+        covariance = np.linalg.inv(patterns.T @ inverse @ patterns)
+        value = covariance @ patterns.T @ inverse @ r
+        rest = r - patterns @ value
+        return float(rest @ inverse @ rest), value, covariance
+
+    left_unchanged = float(r @ inverse @ r)
+    left_cg, moved, _ = fitted(moves)
+    # More numbers explain more; where nothing was moved the CG stays.
+    each, fixed = TUNING.parameter_penalty, TUNING.cg_fixed if unchanged else 0.0
+    left_cg += 2.0 * each + fixed
+    left_all = fitted(ones[:, None])[0] + each
+    left_both = fitted(np.column_stack([ones, moves]))[0] + 3.0 * each + fixed
+    left_yaw = fitted(yaw[:, None])[0] + each
+    best: list[tuple[float, int, float, float]] = []
+    for i in range(n):
+        whole = effect[:, i] * w[i]
+        answers = []
+        # With its torque less by as much, or the thrust alone.
+        for moments in (whole, whole * (1.0, 1.0, 1.0, 0.0)):
+            pattern = asked(moments)
+            left, value, covariance = fitted(pattern[:, None])
+            answers.append((left, float(value[0]), math.sqrt(float(covariance[0, 0]))))
+        left, extra, std = min(answers)
+        left += each
+        if extra > 0.0:
+            best.append((left, i, extra, std))
+    best.sort()
+    others = min(left_unchanged, left_cg, left_all, left_both, left_yaw)
+    changes: Array = np.expm1(r)
+    efficiency = _shrunk(r, noise, n)
+    shift = float(moved[0]), float(moved[1])
+    if best:
+        left, rotor, extra, std = best[0]
+        second = min([other for other, i, *_ in best if i != rotor], default=math.inf)
+        margin = min(others - left, second - left)
+        if others - left > TUNING.named_margin and second - left > TUNING.rival_margin:
+            loss = Quantity(-math.expm1(-extra), std * math.exp(-extra), "1")
+            return Condition("rotor", rotor, loss, margin, shift, changes, efficiency)
+    left_best = min((entry[0] for entry in best), default=math.inf)
+    least = min(others, left_best)
+    if left_unchanged - least < TUNING.named_margin:
+        return Condition("unchanged", None, None, 0.0, shift, changes, efficiency)
+    for verdict, left in (("all", left_all), ("cg", min(left_cg, left_both))):
+        if left_best - left > TUNING.rival_margin and left < least + each:
+            margin = left_best - left
+            return Condition(verdict, None, None, margin, shift, changes, efficiency)
+    return Condition("unclear", None, None, 0.0, shift, changes, efficiency)
+
+
+def _shrunk(r: Array, noise: Array, n: int) -> tuple[Quantity, ...]:
+    """Thrust per load against the baseline, each rotor shrunk to no change.
+
+    The mean of normal e_i of standard deviation s given r = -e + noise: -s^2 (s^2 I + noise)^-1 r.
+    """
+    prior = TUNING.rotor_scatter**2 * np.eye(n)
+    gain = prior @ np.linalg.inv(prior + noise)
+    value, covariance = -gain @ r, prior - gain @ prior
+    return tuple(
+        Quantity(float(1.0 + e), math.sqrt(float(v)), "1")
+        for e, v in zip(value, np.diag(covariance), strict=True)
+    )

@@ -1,0 +1,128 @@
+"""The numbers that decide what a hover tells, in one place, with their evidence."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Of the averages over hover and of what is concluded from them.
+
+    Attributes:
+        half_window: s, half the width of the triangular weights. Motor lags (50 ms) are short
+            against it, gusts and battery are long.
+        samples_a_half: of the slowest stream in half a window, at least.
+        longest_gap: in halves of a window, that a stream may have within one.
+        fewest_samples: of a stream.
+        slowest_rotors: Hz, of speeds or commands.
+        enough_rate: Hz; beyond it a faster rotor stream brings nothing to averages.
+        longest_lag: s, of motors and transport that is looked for.
+        lag_step: s between the lags tried.
+        sure_of_order: standard deviations by which another axis' moment must turn the vehicle, or
+            its own moment the wrong way, for the motor order to be wrong.
+        carrying: of the most that the rotors do, from which they may carry the vehicle.
+        most_rate: rad/s, in hover.
+        most_turning: rad/s^2, mean over a window.
+        most_lift: relative deviation of thrust over mass from gravity.
+        most_speed: m/s over the ground: rotor drag and inflow grow with it.
+        fewest_windows: of hover, for an answer.
+        rotor_scatter: standard deviation of rotors' k_T about their mean where nothing is known of
+            them (3 %: what a set of one make shows; REALITY.md's CineRat and `--physics scatter`).
+        curve_std: standard deviation of the thrust curve c where nothing tells it.
+        least_throttle_motion: standard deviation of the mean command, of which the curve is told.
+        lift_std: relative, of gravity's balance: attitude, own acceleration.
+        accelerometer_std: m/s^2, bias of an accelerometer where no attitude is logged.
+        unseen_climb: m/s, vertical speed where none is logged.
+        turning_share: of a rotor's load, change for 1 rad/s^2 of turning: prior deviation.
+        rotor_repeats: of a rotor's load from flight to flight, nothing having changed.
+        common_speed: of all loads together by speeds: air density, battery mass.
+        common_command: the same by commands: the battery's charge besides.
+        yaw_repeats: of the yaw balance.
+        cg_repeats: m over meter of arm, of the CG from flight to flight, nothing having moved.
+        parameter_penalty: chi-square for each number that an explanation may choose.
+        cg_fixed: chi-square for a CG that moves where nothing was moved.
+        named_margin: chi-square by which a weak rotor must beat all other explanations.
+        rival_margin: by which it must beat another rotor.
+        shortest_drift: s of flight from which a drift is told.
+        full_command: command from which a rotor counts as saturated.
+        told_curve: standard deviation of c from which on it is no suggestion.
+        above_idle: of the range of outputs, MOT_SPIN_MIN above what turns all rotors (ArduPilot's
+            manual).
+        idle_std: of the range of outputs, by which an idle is known.
+        voltage_std: relative, of what sag and air density make of a throttle.
+        worth_moving: m over meter of arm, CG offset that is worth a hand's move.
+        motor_scatter: of motors' gains, relative, that is usual.
+        sure: standard deviations beyond that.
+        least_thrust_to_weight: usual advice of the autopilots' manuals is 2.
+        much_saturated: share of the flight at full command.
+        shaking: times the others' vibration.
+        least_shaking: m/s^2, amplitude below which nobody minds.
+        instrument_lags: windows before, of the commands that are instruments: beyond the windows'
+            overlap and the memory of gusts (0.3 s).
+        curve_floor: standard deviation of c that no flight goes below (motor's lag, battery).
+        drag_lever: arms, prior standard deviation of the height that drag acts at.
+        wind_share: of what wind seems to move the center of thrust by, that may be real: the rest
+            is an accelerometer off level.
+        told_by_instruments: standard deviation of c up to which the instruments are strong enough.
+        gust_bias: relative error of the thrust's slope, over the share of gusts in its power
+            (measured over nine flights of `benchmarks.health`).
+        white_neighbors: autocorrelation of neighboring windows, of white noise and of gusts.
+        cg_floor: arms, that no flight goes below.
+        position_std: m over meter of arm, each rotor's place in the airframe file.
+    """
+
+    half_window: float = 0.5
+    samples_a_half: float = 2.5
+    longest_gap: float = 1.0
+    fewest_samples: int = 8
+    slowest_rotors: float = 2.0
+    enough_rate: float = 50.0
+    longest_lag: float = 0.4
+    lag_step: float = 0.02
+    sure_of_order: float = 5.0
+    carrying: float = 0.2
+    most_rate: float = 0.5
+    most_turning: float = 3.0
+    most_lift: float = 0.15
+    most_speed: float = 4.0
+    fewest_windows: int = 6
+    rotor_scatter: float = 0.03
+    curve_std: float = 0.35
+    least_throttle_motion: float = 0.003
+    lift_std: float = 0.001
+    accelerometer_std: float = 0.07
+    unseen_climb: float = 0.5
+    turning_share: float = 0.05
+    rotor_repeats: float = 0.001
+    common_speed: float = 0.002
+    common_command: float = 0.05
+    yaw_repeats: float = 0.001
+    cg_repeats: float = 0.0015
+    parameter_penalty: float = 2.0
+    cg_fixed: float = 9.0
+    named_margin: float = 14.0
+    rival_margin: float = 9.0
+    shortest_drift: float = 20.0
+    full_command: float = 0.99
+    told_curve: float = 0.15
+    above_idle: float = 0.03
+    idle_std: float = 0.01
+    voltage_std: float = 0.05
+    worth_moving: float = 0.02
+    motor_scatter: float = 0.03
+    sure: float = 3.0
+    least_thrust_to_weight: float = 1.7
+    much_saturated: float = 0.005
+    shaking: float = 3.0
+    least_shaking: float = 1.0
+    instrument_lags: tuple[int, ...] = (2, 3, 4, 5, 6)
+    curve_floor: float = 0.004
+    drag_lever: float = 1.0
+    wind_share: float = 0.5
+    told_by_instruments: float = 0.05
+    gust_bias: float = 0.8
+    white_neighbors: tuple[float, float] = (0.25, 0.5)
+    cg_floor: float = 0.0005
+    position_std: float = 0.005
+
+
+TUNING = Tuning()

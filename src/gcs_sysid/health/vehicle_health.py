@@ -1,0 +1,165 @@
+"""The health of a vehicle: what the hover of one flight told, as plain facts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from gcs_sysid.health.balance import Quantity
+from gcs_sysid.health.command_curve import Curve
+from gcs_sysid.health.rotor_condition import Condition, Load
+from gcs_sysid.model.airframe import Airframe
+
+
+@dataclass(frozen=True)
+class Given:
+    """What the user knows.
+
+    Attributes:
+        airframe: with a scale or without; None: taken from the log's parameters.
+        arm: m, that scales the airframe from the log; None: its own.
+        mass: kg, where the airframe is from the log.
+        battery_mass: kg, for advice.
+        baseline: an earlier flight's loads, and its CG.
+        unchanged: whether nothing was moved or loaded since then.
+    """
+
+    airframe: Airframe | None = None
+    arm: float | None = None
+    mass: float | None = None
+    battery_mass: float | None = None
+    baseline: "Baseline | None" = None
+    unchanged: bool = False
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A flight before, to compare rotors with."""
+
+    source: str
+    load: Load
+    cg: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class RotorHealth:
+    """One rotor in hover.
+
+    Attributes:
+        thrust_share: of all thrust.
+        efficiency: thrust for its speed, or for its command, over that of the mean rotor. Against
+            the baseline where there is one; else nothing but what is assumed.
+        motor_gain: speed squared for its command over that of the mean rotor; None without both.
+        headroom: of its command in hover to full.
+        saturated: share of the flight that it was at full command.
+        vibration: amplitude of specific force at its frequency; None where not seen.
+    """
+
+    thrust_share: Quantity
+    efficiency: Quantity
+    motor_gain: Quantity | None
+    headroom: Quantity | None
+    saturated: float | None
+    vibration: Quantity | None
+
+    def as_json(self) -> dict[str, Any]:
+        """As health files write it."""
+        told = {
+            "thrust_share": self.thrust_share,
+            "efficiency": self.efficiency,
+            "motor_gain": self.motor_gain,
+            "headroom": self.headroom,
+            "vibration": self.vibration,
+        }
+        out: dict[str, Any] = {n: None if q is None else q.as_json() for n, q in told.items()}
+        return {**out, "saturated": self.saturated}
+
+
+@dataclass(frozen=True)
+class Health:
+    """What hovering told of a vehicle; all but the first four are empty where nothing hovers.
+
+    Attributes:
+        source: the log.
+        vehicle: as in a result.
+        autopilot: "px4", "ardupilot" or another key; "" when not known.
+        reasons: why there is no answer; empty when there is one.
+        airframe: that the balances rest on.
+        rotor_input: "speed" or "command".
+        seconds: of hover.
+        cg: x and y from the geometric center, m.
+        by_wind: x and y of what wind may have moved the CG by, m; it is in `cg`.
+        rotors: in motor order.
+        yaw_imbalance: share of the rotors' load that turns counter-clockwise less the other's.
+        hover_throttle: mean command in hover, 0 to 1; None without commands.
+        hover_thrust: thrust in hover over full thrust; None without commands.
+        thrust_to_weight: full thrust over weight; None without commands.
+        scale: name of the coefficient (k_T or T_max) and its value; None without a mass.
+        mass: kg, where k_T or T_max was given.
+        curve: of thrust over commands; None without commands.
+        drift: change of the thrust for a command (or a speed) in a minute, relative.
+        idle: least output at which all rotors were measured turning; None where not seen.
+        arm_known: whether the size of the airframe is.
+        battery: V, highest, lowest and median; None where not logged.
+        motor_lag: s that rotors or thrust follow the commands by; None without commands.
+        condition: of the rotors against a baseline; None without one.
+        load: for later flights.
+        assumptions: what the intervals rest on, in words.
+        advice: what to do.
+        parameters: of the autopilot as they were in the log.
+    """
+
+    source: str
+    vehicle: Mapping[str, Any] = field(default_factory=dict)
+    autopilot: str = ""
+    reasons: tuple[str, ...] = ()
+    airframe: Airframe | None = None
+    rotor_input: str = ""
+    rotor_source: str = ""
+    seconds: float = 0.0
+    cg: tuple[Quantity, Quantity] | None = None
+    by_wind: tuple[float, float] | None = None
+    rotors: tuple[RotorHealth, ...] = ()
+    yaw_imbalance: Quantity | None = None
+    hover_throttle: Quantity | None = None
+    hover_thrust: Quantity | None = None
+    thrust_to_weight: Quantity | None = None
+    scale: tuple[str, Quantity] | None = None
+    mass: Quantity | None = None
+    curve: Curve | None = None
+    drift: Quantity | None = None
+    motor_lag: float | None = None
+    condition: Condition | None = None
+    load: Load | None = None
+    idle: float | None = None
+    arm_known: bool = True
+    battery: tuple[float, float, float] | None = None
+    assumptions: tuple[str, ...] = ()
+    advice: tuple[str, ...] = ()
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def sized(self) -> bool:
+        """Whether the arm is known, not assumed."""
+        return self.arm_known
+
+    @property
+    def known_mass(self) -> float | None:
+        """Kg, as given or by the scale given."""
+        if self.airframe is not None and self.airframe.mass is not None:
+            return self.airframe.mass
+        return None if self.mass is None else self.mass.value
+
+    @property
+    def told(self) -> bool:
+        """Whether anything hovered."""
+        return self.cg is not None
+
+
+def as_baseline(health: Health) -> Baseline | None:
+    """A flight as baseline of later ones; None where nothing hovered."""
+    if health.load is None or health.cg is None:
+        return None
+    x, y = (place.value for place in health.cg)
+    assert x is not None
+    assert y is not None
+    return Baseline(health.source, health.load, (x, y))

@@ -1,0 +1,200 @@
+"""`gcs-sysid health` as one runs it: text, JSON, parameter files, picture, and what is refused."""
+
+import json
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import pytest
+
+from gcs_sysid.cli.program import run
+from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.vehicle_health import Given
+from gcs_sysid.inspection.inspector import inspect_log
+from gcs_sysid.model.airframe import load_airframe
+
+HOVER = (
+    "--mission",
+    "gentle",
+    "--duration",
+    "45",
+    "--rate",
+    "25",
+    "--noise",
+    "mems",
+    "--seed",
+    "3",
+)
+QUANTITY = {"value", "std", "ci95", "unit", "std_given"}
+
+
+@pytest.fixture(scope="module")
+def flight(fly):
+    return fly(*HOVER)
+
+
+@pytest.fixture(scope="module")
+def ardupilot(fly):
+    return fly(*HOVER, "--autopilot", "ardupilot", "--airframe", "ardupilot-quad-x")
+
+
+@pytest.mark.slow
+def test_text_json_and_picture(flight, tmp_path, capsys):
+    out, picture = tmp_path / "h.json", tmp_path / "h.svg"
+    options = ["--airframe", "paper", "--json", str(out), "--picture", str(picture)]
+    assert run(["health", str(flight.tlog), *options]) == 0
+    text = capsys.readouterr()
+    assert text.err == ""
+    for word in ("CG along", "thrust share", "full thrust", "k_T", "assumed"):
+        assert word in text.out
+    assert max(len(line) for line in text.out.splitlines()[1:]) < 110
+    told = json.loads(out.read_text())
+    assert told["schema"] == "gcs-sysid-health/1"
+    assert told["seconds_of_hover"] > 20.0
+    for place in (*told["cg"].values(), told["yaw_imbalance"], told["hover_throttle"], told["k_T"]):
+        assert set(place) == QUANTITY
+        assert place["ci95"][0] <= place["value"] <= place["ci95"][1]
+    assert len(told["rotors"]) == 4
+    assert sum(rotor["thrust_share"]["value"] for rotor in told["rotors"]) == pytest.approx(1.0)
+    truth = flight.truth
+    for axis in "xy":
+        low, high = told["cg"][axis]["ci95"]
+        assert low < truth[f"cg_{axis}"] < high
+        # The emulator's rotors are alike: without what is assumed of them a millimeter is enough.
+        assert told["cg"][axis]["value"] == pytest.approx(truth[f"cg_{axis}"], abs=1e-3)
+    assert told["k_T"]["value"] == pytest.approx(truth["k_T"], rel=0.01)
+    root = ET.fromstring(picture.read_text())
+    assert root.tag.endswith("svg")
+    words = " ".join(root.itertext())
+    assert "center of gravity" in words
+    assert f"{100.0 * told['rotors'][2]['thrust_share']['value']:.1f} %" in words
+
+
+@pytest.mark.slow
+def test_the_second_flight_is_held_against_the_first(fly, flight, tmp_path, capsys):
+    weak = fly(*HOVER[:-1], "4", "--physics", "weakening=2:0:0.06:0.1")
+    baseline = tmp_path / "before.json"
+    assert run(["health", str(flight.tlog), "--airframe", "paper", "--json", str(baseline)]) == 0
+    capsys.readouterr()
+    options = ["--airframe", "paper", "--baseline", str(baseline)]
+    assert run(["health", str(weak.tlog), *options]) == 0
+    assert "rotor 2 gives" in capsys.readouterr().out
+    assert run(["health", str(flight.tlog), str(weak.tlog), "--airframe", "paper"]) == 0
+    text = capsys.readouterr().out
+    assert "Over the flights" in text
+    assert "rotor 2 gives" in text.partition("Over the flights")[2]
+
+
+@pytest.mark.slow
+def test_parameters_for_mission_planner(ardupilot, tmp_path, capsys):
+    file = tmp_path / "new.param"
+    options = ["--arm", "0.25", "--mass", "1.5", "--params", str(file)]
+    assert run(["health", str(ardupilot.tlog), *options]) == 0
+    lines = file.read_text().splitlines()
+    values = dict(line.split(",") for line in lines if not line.startswith("#"))
+    assert {"MOT_THST_EXPO", "MOT_THST_HOVER"} <= set(values)
+    assert all(0.0 <= float(value) <= 1.0 for value in values.values())
+    assert any(line.startswith("# MOT_THST_EXPO: ") and " to " in line for line in lines)
+    capsys.readouterr()
+    # What is there is not written over.
+    assert run(["health", str(ardupilot.tlog), *options]) == 2
+    assert "--force" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_parameters_for_qgroundcontrol_have_the_cg_in_them(flight, tmp_path):
+    file = tmp_path / "new.params"
+    assert run(["health", str(flight.tlog), "--airframe", "paper", "--params", str(file)]) == 0
+    rows = [line.split("\t") for line in file.read_text().splitlines() if line[:1] != "#"]
+    assert all(len(row) == 5 and row[:2] == ["1", "1"] and row[4] == "9" for row in rows)
+    values = {row[2]: float(row[3]) for row in rows}
+    for i, rotor in enumerate(load_airframe("paper").rotors):
+        assert values[f"CA_ROTOR{i}_PX"] == pytest.approx(rotor.x - flight.truth["cg_x"], abs=1e-3)
+        assert values[f"CA_ROTOR{i}_PY"] == pytest.approx(rotor.y - flight.truth["cg_y"], abs=1e-3)
+
+
+@pytest.mark.slow
+def test_slow_rotors_get_health_from_analyze_and_inspect(fly, tmp_path, capsys):
+    slow = fly(*HOVER[:4], "--rate", "10", "--seed", "5")
+    out = tmp_path / "r.json"
+    assert run(["analyze", str(slow.tlog), "--airframe", "paper", "--json", str(out)]) == 1
+    text = capsys.readouterr()
+    assert "cannot identify from this" in text.err
+    assert "What its hover tells all the same" in text.out
+    result = json.loads(out.read_text())
+    assert result["verdict"] == "refused"
+    assert result["health"]["cg"]["x"]["value"] == pytest.approx(slow.truth["cg_x"], abs=2e-3)
+    found = inspect_log(slow.tlog)
+    assert (found.verdict, found.obtainable) == ("no", "health")
+    assert found.hover > 20.0
+    # Without an airframe PX4's own parameters or the vehicle's type tell it.
+    assert health_of_log(slow.tlog, Given(arm=0.25)).told
+
+
+@pytest.mark.slow
+def test_swapped_rotors_are_refused(flight):
+    airframe = load_airframe("paper")
+    first, second, *rest = airframe.rotors
+    swapped = replace(airframe, rotors=(second, rest[0], first, *rest[1:]))
+    health = health_of_log(flight.tlog, Given(swapped))
+    assert not health.told
+    assert "motor order" in health.reasons[0]
+
+
+@pytest.mark.slow
+def test_a_span_of_the_log_is_kept_to(flight):
+    airframe = load_airframe("paper")
+    whole = health_of_log(flight.tlog, Given(airframe))
+    part = health_of_log(flight.tlog, Given(airframe), span=(10.0, 25.0))
+    assert part.seconds < 16.0 < whole.seconds
+
+
+def one_line(capsys):
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("gcs-sysid: error: ")
+    assert err.count("\n") == 1
+    return err
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (["missing.tlog"], "missing.tlog"),
+        (["a.tlog", "--params", "p.txt"], ".params"),
+        (["a.tlog", "--k-t", "1e-5"], "--airframe"),
+        (["a.tlog", "--mass", "1", "--battery-mass", "2"], "--battery-mass"),
+        (["a.tlog", "--baseline", "none.json"], "none.json"),
+        (["a.tlog", "--baseline", "list.json"], "health LOG --json"),
+        (["a.tlog", "--picture", "nowhere/p.svg"], "nowhere"),
+    ],
+)
+def test_wrong_usage_is_one_line(tmp_path, monkeypatch, capsys, options, word):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.tlog").write_bytes(b"")
+    (tmp_path / "list.json").write_text("[1]")
+    assert run(["health", *options]) == 2
+    assert word in one_line(capsys)
+
+
+@pytest.mark.slow
+def test_the_real_quad_with_slow_logging(shared_logs):
+    log = shared_logs / "real" / "quiver_00000087.bin"
+    health = health_of_log(log, Given(arm=0.75, mass=18.0))
+    assert [r.thrust_share.value for r in health.rotors] == pytest.approx(
+        [0.219, 0.232, 0.255, 0.294], abs=0.005
+    )
+    assert health.yaw_imbalance.value == pytest.approx(-0.098, abs=0.01)
+    assert health.scale[1].value == pytest.approx(2.41e-4, rel=0.02)
+    assert -0.035 < health.cg[0].value < -0.02
+
+
+@pytest.mark.slow
+def test_every_flight_of_the_real_quads_has_an_answer(shared_logs):
+    airframe = load_airframe(str(shared_logs / "real" / "cinerat.toml"))
+    places = [
+        health_of_log(shared_logs / "real" / f"LOG00{n}.BFL", Given(airframe)).cg
+        for n in (259, 264, 267, 269, 277, 281)
+    ]
+    for axis in (0, 1):
+        values = [place[axis].value for place in places]
+        assert max(values) - min(values) < 3e-3

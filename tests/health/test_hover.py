@@ -1,0 +1,195 @@
+"""Averages over hover at any rate: exact where signals are straight, and the chain to a health."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.health import balance
+from gcs_sysid.health.airframe_guess import GuessedAirframe
+from gcs_sysid.health.assessment import health_of
+from gcs_sysid.health.hover import _Integrals, windows_of
+from gcs_sysid.health.log_streams import streams_of
+from gcs_sysid.health.vehicle_health import Given
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
+from gcs_sysid.signals.records import Record, Stream
+
+G = 9.80665
+
+
+def test_means_of_a_parabola_at_uneven_samples():
+    t = np.sort(np.random.default_rng(1).uniform(0.0, 10.0, 4000))
+    integrals = _Integrals(t, 3.0 + 2.0 * t + 0.5 * t**2)
+    at = np.array([2.0, 5.0, 7.5])
+    # A triangle of half width h has variance h^2/6.
+    expected = 3.0 + 2.0 * at + 0.5 * (at**2 + 0.7**2 / 6.0)
+    assert integrals.mean(at, 0.7)[:, 0] == pytest.approx(expected, rel=1e-4)
+    assert integrals.slope(at, 0.7)[:, 0] == pytest.approx(2.0 + at, rel=1e-3)
+
+
+def flight(
+    *, seconds=40.0, imu=25.0, rotors=10.0, loads=(1.0, 1.0, 1.0, 1.0), start=100.0, drag=0.0,
+    commands=None, curve=0.5, reboot=False, climb=True,
+):  # fmt: skip
+    """Records of a quad that hovers, its speeds squared over 1e5 as `loads`, climbing a little."""
+    out = []
+
+    def lift(t):
+        return 1.0 + (0.08 * math.sin(0.9 * t) * (t > 10.0) if climb else 0.0)
+
+    def add(stream, rate, make, source=""):
+        for i in range(int(seconds * rate)):
+            t = i / rate
+            late = 90.0 if reboot and t > seconds / 2.0 else 0.0
+            out.append((t, Record(stream, start + t - late, make(t), 0, source)))
+
+    def imu_of(t):
+        return (0.0, 0.0, 0.0, -drag, 0.0, -G * lift(t))
+
+    def speeds(t):
+        return tuple(math.sqrt(1e5 * load * lift(t)) for load in loads)
+
+    def u_of(t):
+        # (1 - c) u + c u^2 = share
+        share = [0.4 * load * lift(t) for load in loads]
+        a, b = 1.0 - curve, curve
+        return tuple(
+            1000.0 + 1000.0 * (s / a if b < 1e-9 else (-a + math.sqrt(a * a + 4 * b * s)) / (2 * b))
+            for s in share
+        )
+
+    add(Stream.IMU, imu, imu_of)
+    add(Stream.ATTITUDE, 10.0, lambda t: (1.0, 0.0, 0.0, 0.0))
+    add(Stream.IN_AIR, 1.0, lambda t: (1.0,))
+    if commands:
+        add(Stream.ROTOR_COMMAND, rotors, u_of, "ACTUATOR_OUTPUT_STATUS")
+    if commands != "alone":
+        add(Stream.ROTOR_SPEED, rotors, speeds, "ESC_STATUS")
+    ordered = [record for _, record in sorted(out, key=lambda entry: entry[0])]
+    block = RecordBlock.of(ordered)
+    if reboot:
+        first = next(i for i, r in enumerate(ordered) if i and r.t < ordered[i - 1].t - 10.0)
+        block = replace(block, events=((first, IntakeEvent(start, "reboot", "")),))
+    return [block]
+
+
+@pytest.fixture(scope="module")
+def airframe():
+    return load_airframe("px4-quad-x").with_arm(0.3).with_anchor("mass", 2.0)
+
+
+def told(blocks, airframe, **given):
+    streams = streams_of(blocks, airframe, "px4", {})
+    return health_of(streams, GuessedAirframe(airframe, "given"), Given(airframe, **given), {})
+
+
+@pytest.mark.parametrize(
+    ("imu", "rotors"), [(250.0, 250.0), (25.0, 10.0), (10.0, 5.0), (12.5, 3.0)]
+)
+def test_a_loaded_rotor_moves_the_cg_at_any_rate(airframe, imu, rotors):
+    loads = (1.0, 1.1, 0.95, 1.05)
+    health = told(flight(imu=imu, rotors=rotors, loads=loads), airframe)
+    x, y, spin = airframe.geometry
+    share = np.array(loads) / sum(loads)
+    assert health.cg[0].value == pytest.approx(share @ x, abs=2e-4)
+    assert health.cg[1].value == pytest.approx(share @ y, abs=2e-4)
+    assert [r.thrust_share.value for r in health.rotors] == pytest.approx(share, abs=2e-4)
+    assert health.yaw_imbalance.value == pytest.approx(share @ spin, abs=2e-4)
+    name, k_T = health.scale
+    assert name == "k_T"
+    assert k_T.value == pytest.approx(2.0 * G / (1e5 * sum(loads)), rel=3e-3)
+    assert k_T.ci95[0] < 2.0 * G / (1e5 * sum(loads)) < k_T.ci95[1]
+
+
+@pytest.mark.parametrize("curve", [0.0, 0.3, 0.65, 1.0])
+@pytest.mark.parametrize("commands", ["alone", "beside"])
+def test_the_thrust_curve_by_climbs(airframe, curve, commands):
+    health = told(flight(commands=commands, curve=curve, seconds=80.0), airframe)
+    assert health.curve.c.value == pytest.approx(curve, abs=0.05)
+    assert health.thrust_to_weight.value == pytest.approx(2.5, rel=0.02)
+    if commands == "alone":
+        assert health.scale[0] == "T_max"
+        assert health.scale[1].value == pytest.approx(2.0 * G / 4.0 / 0.4, rel=0.03)
+
+
+def test_without_climbs_the_curve_is_assumed_and_says_so(airframe):
+    health = told(flight(commands="alone", climb=False), airframe)
+    assert health.curve.c.std == pytest.approx(0.35)
+    assert any("thrust curve: assumed" in text for text in health.assumptions)
+
+
+def test_wind_is_told_from_the_drag_and_widens_the_interval(airframe):
+    calm = told(flight(), airframe)
+    assert calm.by_wind == pytest.approx((0.0, 0.0), abs=1e-6)
+    # Without any change of the drag the lever is not known, and nothing is claimed.
+    steady = told(flight(drag=0.4), airframe)
+    assert steady.by_wind == pytest.approx((0.0, 0.0), abs=1e-4)
+
+
+def test_time_goes_on_over_a_reboot(airframe):
+    blocks = flight(reboot=True, seconds=60.0)
+    windows = windows_of(streams_of(blocks, airframe, "px4", {}), 4)
+    assert (np.diff(windows.t) > 0.0).all()
+    assert windows.t[-1] > 900.0
+    assert told(blocks, airframe).seconds > 40.0
+
+
+def test_a_gap_makes_no_window(airframe):
+    (block,) = flight()
+    tracks = tuple(
+        track.part(~((track.t > 110.0) & (track.t < 114.0)))
+        if track.stream is Stream.IMU
+        else track
+        for track in block.tracks
+    )
+    windows = windows_of(streams_of([replace(block, tracks=tracks)], airframe, "px4", {}), 4)
+    inside = (windows.t > 9.6) & (windows.t < 14.4)
+    outside = ((windows.t < 9.4) | (windows.t > 14.7)) & (windows.t < 37.0)
+    assert np.isnan(windows.rates[inside]).all()
+    assert np.isfinite(windows.rates[outside]).all()
+    assert inside.sum() > 5
+
+
+def test_one_damaged_stamp_does_not_fill_the_memory(airframe):
+    (block,) = flight()
+    tracks = tuple(
+        replace(track, t=np.append(track.t[:-1], 1e12)) if track.stream is Stream.IMU else track
+        for track in block.tracks
+    )
+    assert told([replace(block, tracks=tracks)], airframe).told
+
+
+def test_reasons_where_there_is_nothing(airframe):
+    (block,) = flight()
+    no_rotors = tuple(t for t in block.tracks if t.stream is not Stream.ROTOR_SPEED)
+    health = told([replace(block, tracks=no_rotors)], airframe)
+    assert health.reasons == ("no rotor speeds and no actuator outputs",)
+    hexa = load_airframe("px4-hexa-x").with_anchor("mass", 2.0)
+    assert told([block], hexa).reasons == ("ESC_STATUS tells 4 of 6 rotors",)
+    health = told(flight(seconds=3.0), airframe)
+    assert not health.told
+    assert "hover" in health.reasons[0]
+
+
+def test_robust_fit_covers_what_hangs_together():
+    rng = np.random.default_rng(7)
+    held, trials, n = 0, 200, 240
+    for _ in range(trials):
+        noise = np.convolve(rng.standard_normal(n + 4), np.ones(5) / 5.0, "valid")
+        fit = balance.robust_fit(np.ones((n, 1)), 1.0 + noise)
+        held += abs(fit.value[0] - 1.0) < 1.96 * math.sqrt(fit.covariance[0, 0])
+    assert 0.88 < held / trials < 0.99
+
+
+def test_robust_fit_shrugs_at_outliers_and_collinear_columns():
+    rng = np.random.default_rng(8)
+    x = rng.standard_normal(100)
+    y = 2.0 * x + 0.01 * rng.standard_normal(100)
+    y[::20] += 50.0
+    assert balance.robust_fit(x[:, None], y).value[0] == pytest.approx(2.0, abs=0.02)
+    both = balance.robust_fit(np.column_stack([x, x]), 2.0 * x)
+    assert both.value.sum() == pytest.approx(2.0)
+    with pytest.raises(ValueError, match="do not tell"):
+        balance.robust_fit(np.ones((2, 3)), np.ones(2))
