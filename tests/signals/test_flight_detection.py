@@ -9,6 +9,7 @@ from gcs_sysid.signals.flight_detection import TAKE_OFF, FlightDetector
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
 from gcs_sysid.signals.sampling import Sampler
 from gcs_sysid.telemetry.logs import open_log
+from sim_bridge.cli import main as sim_bridge
 
 RATE = 50.0
 T = np.arange(0.0, 30.0, 1.0 / RATE)
@@ -268,6 +269,33 @@ AIR = {
 """s in the air, by height above the ground; of the hand throw (230), from its release on."""
 
 
+def of_log(path, airframe):
+    """Times of the samples, and whether they count."""
+    scale = ScaleReference(*(airframe.anchor() or ("mass", 1.0)))
+    sampler = Sampler(RotorSourceSelector(airframe, scale), len(airframe.rotors))
+    blocks = []
+    for block in open_log(path, None).blocks():
+        for part in block.windows():
+            blocks += sampler.take(part.tracks)
+    blocks += sampler.finish()
+    t = np.concatenate([block.t for block in blocks])
+    return t, np.concatenate([block.flying for block in blocks])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("told", [True, False], ids=["told", "untold"])
+def test_an_emulated_flight_whose_throttle_is_cut_is_one_flight(told, tmp_path):
+    """From take-off after 6 s on; standing rotors read noise, as ESCs do."""
+    log = tmp_path / "cut.tlog"
+    words = ["--airframe", "px4-quad-x", "--mission", "all-axes", "--rate", "50"]
+    words += ["--duration", "18", "--physics", "throttle-cut=12:0.5", "--physics", "idle=0"]
+    words += [] if told else ["--trap", "never-sent=EXTENDED_SYS_STATE"]
+    assert sim_bridge([*words, "--trap", "ground=6", "--tlog", str(log)]) == 0
+    t, flies = of_log(log, load_airframe("px4-quad-x"))
+    assert 6.5 < t[flies][0] < 8.2
+    assert flies[t >= t[flies][0]].all()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", AIR)
 def test_real_flights_use_their_air_time(name, shared_logs):
@@ -276,15 +304,7 @@ def test_real_flights_use_their_air_time(name, shared_logs):
         pytest.skip("this flight is not there")
     commands = "_cmd" if "cmd" in name else ""
     airframe = load_airframe(str(folder / f"cinerat{commands}.toml"))
-    selector = RotorSourceSelector(airframe, ScaleReference(*airframe.anchor()))
-    sampler = Sampler(selector, len(airframe.rotors))
-    blocks = []
-    for block in open_log(folder / f"{name}.tlog", None).blocks():
-        for part in block.windows():
-            blocks += sampler.take(part.tracks)
-    blocks += sampler.finish()
-    t = np.concatenate([block.t for block in blocks])
-    flies = np.concatenate([block.flying for block in blocks])
+    t, flies = of_log(folder / f"{name}.tlog", airframe)
     for start, end in AIR[name]:
         inside = t[flies & (t > start + 0.5) & (t < end + 0.5)]
         # At most the second of the take-off is left out; the landing is found in time.

@@ -381,7 +381,8 @@ class Sampler:
                     # The half is for what interpolation adds.
                     stopped = (values >= 600.0) & (values <= 1000.5)
                     values = np.where(stopped, 0.0, values)
-                values = np.where(values <= _STOPPED, 0.0, values)
+                least = _STOPPED_COMMAND if stream is Stream.ROTOR_COMMAND else _STOPPED_SPEED
+                values = np.where(values <= least, 0.0, values)
                 part = turning[:, offset : offset + values.shape[1]]
                 np.fmax(part, values[:, : part.shape[1]], out=part)
         return turning
@@ -408,8 +409,8 @@ class Sampler:
             self.rates = (float(p), float(q), float(r))
 
 
-_STOPPED = 1e-6
-"""Of a speed or command, beside a rotor that stands; interpolation goes below zero too."""
+_STOPPED_SPEED, _STOPPED_COMMAND = 5.0, 1e-6
+"""rad/s and commands up to which a rotor stands: none turns as slowly, but ESCs are noisy."""
 
 
 class _Unseen:
