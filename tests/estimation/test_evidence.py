@@ -27,6 +27,7 @@ GOOD = Validation(
 )
 AXES = ("roll", "pitch", "yaw")
 CLAIMS = {name: p for name, p in REGISTRY.items() if p.axes}
+MEAN = {name for name, p in CLAIMS.items() if p.mean_torque}
 
 
 def found(validation, *, running=False, rotor_input="speed", dt=0.004, filtered=False):
@@ -67,7 +68,9 @@ def test_nothing_speaks_against_a_flight_that_is_predicted():
 def test_nothing_of_a_contradicted_axis_is_identified(axis, bad, word):
     evidence = found(replace(GOOD, **bad(axis)))
     assert evidence.capped == tuple(i == axis for i in range(3))
-    assert capped(evidence) == {name for name, p in CLAIMS.items() if axis in p.axes}
+    # The CG rests on the mean torque, and hovering, which is not predicted, tells it best.
+    free = MEAN if word == "not predicted" else set()
+    assert capped(evidence) == {name for name, p in CLAIMS.items() if axis in p.axes} - free
     (reason,) = evidence.reasons
     assert word in reason
     assert AXES[axis] in reason
@@ -98,14 +101,14 @@ def test_a_filtered_gyro_says_nothing_of_whiteness(rotor_input):
     assert found(colored, rotor_input=rotor_input, filtered=True) == Evidence()
 
 
-@pytest.mark.parametrize("rotor_input", ["speed", "command"])
-def test_slow_samples_say_nothing_of_whiteness(rotor_input):
+def test_slow_speeds_say_nothing_of_whiteness():
     """What happened between them colors residuals: no model would leave noise."""
     colored = replace(GOOD, whiteness=np.full(3, 20.0), whiteness_p=np.full(3, 1e-9))
-    assert found(colored, rotor_input=rotor_input, dt=0.008).capped == (True, True, True)
-    assert found(colored, rotor_input=rotor_input, dt=0.01) == Evidence()
+    assert found(colored, dt=0.008).capped == (True, True, True)
+    assert found(colored, dt=0.01) == Evidence()
+    assert found(colored, rotor_input="command", dt=0.01).capped == (True, True, True)
     unpredicted = replace(colored, r_squared=np.full(3, 0.3))
-    assert found(unpredicted, rotor_input=rotor_input, dt=0.02).capped == (True, True, True)
+    assert found(unpredicted, dt=0.02).capped == (True, True, True)
 
 
 def test_without_validation_nothing_is_identified():

@@ -26,11 +26,12 @@ class EvidenceRules:
     """Slow power of residuals over that of white noise, with rotor speeds. Flights inside the model
     have 0.5 to 2.5 in all simulators tried, biased ones mostly more."""
     whiteness_commands: float = 3.0
-    """The same with commands, at 250 Hz: 0.8 to 1.4 inside the model, 4 to 8 where rotors have inertia
-    or the battery sags."""
+    """The same with commands: mostly 0.8 to 1.4 inside the model, 4 to 8 where rotors have inertia or
+    the battery sags. Flights on all axes at once have 5 to 6 inside the model too, and intervals that
+    hold; where thrust lags in place of speed they have 7 to 8, and intervals that do not."""
     slow: float = 0.008
-    """s between samples, above which what happened between them colors residuals. At 50 and 100 Hz
-    flights inside the model, whose intervals hold, have 1.5 to 6."""
+    """s between samples of speeds, above which what happened between them colors residuals. At 50 and
+    100 Hz flights inside the model, whose intervals hold, have 1.5 to 4.6."""
     whiteness_p: float = 0.05
     """Probability of so much by chance, below which it counts."""
 
@@ -45,16 +46,20 @@ class Evidence:
     Attributes:
         capped: roll, pitch and yaw: whether nothing there is `identified`.
         reasons: in words.
+        unmoved: axes that are capped because motion is not predicted, which what rests on the mean
+            torque (the CG, known best in hover) does not need.
     """
 
     capped: tuple[bool, bool, bool] = (False, False, False)
     reasons: tuple[str, ...] = ()
+    unmoved: tuple[bool, bool, bool] = (False, False, False)
 
     def cap(self, value: Value, parameter: Parameter) -> Value:
         """The value, at most `weak` where an axis of the parameter is capped."""
-        if value.status == "identified" and any(self.capped[axis] for axis in parameter.axes):
-            return replace(value, status="weak")
-        return value
+        capped = [axis for axis in parameter.axes if self.capped[axis]]
+        if parameter.mean_torque:
+            capped = [axis for axis in capped if not self.unmoved[axis]]
+        return replace(value, status="weak") if capped and value.status == "identified" else value
 
 
 def evidence_of(
@@ -80,7 +85,7 @@ def evidence_of(
     limit = RULES.whiteness if rotor_input == "speed" else RULES.whiteness_commands
     unpredicted = ~(found.r_squared >= RULES.least_r2)
     colored = (found.whiteness > limit) & (found.whiteness_p < RULES.whiteness_p)
-    colored &= not (filtered or dt > RULES.slow)
+    colored &= not (filtered or (rotor_input == "speed" and dt > RULES.slow))
     reasons = []
     if unpredicted.any():
         worst = int(np.argmin(found.r_squared))
@@ -96,7 +101,8 @@ def evidence_of(
             f"on {AXES[worst]}): the model lacks something there"
         )
     capped = tuple(bool(c) for c in unpredicted | colored)
-    return Evidence(capped, tuple(reasons))  # type: ignore[arg-type]
+    unmoved = tuple(bool(c) for c in unpredicted & ~colored)
+    return Evidence(capped, tuple(reasons), unmoved)  # type: ignore[arg-type]
 
 
 def _named(axes: object) -> str:
