@@ -1,7 +1,7 @@
 """Damping of each axis and coefficients of each rotor, from the means and the deviations.
 
-All are linear in the unknowns [theta, coordinates, deviations], so their covariance is that of the fit.
-Where a kind of deviation had no evidence, each has the mean's value.
+All are linear in the unknowns [theta, coordinates, deviations], so their covariance is that of the
+fit. Where a kind of deviation had no evidence, each has the mean's value.
 """
 
 import numpy as np

@@ -34,8 +34,8 @@ SHOCK = 6.0
 _JUDGED = 3
 """Rounds of judging them, each by the fit without those found before."""
 _JUDGED_ALIKE = 5
-"""Times that batches are judged by the whiteners found before, 5 s each: whoever is bumped, is by any."""
-_MOST_SHOCKS = 0.25
+"""Times that batches are judged by the whiteners found before, 5 s each: whoever is bumped, is by
+any.""" _MOST_SHOCKS = 0.25
 """Share of the batches; what happens more often is no shock."""
 _SCAN, _TRY, _AGAIN, _FIT, _FOLLOW = 5, 8, 4, 30, 3
 """Iterations: at a node; with a whitener, from there and from a fit; with those of the axes; of a
@@ -380,8 +380,9 @@ def _alike(
     power without the known noise, which is stationary at the truth, and that noise as one and the
     same vehicle answers it.
 
-    Filters of fast disturbances leave little but noise of rotors that turn smoothly. Where that noise is
-    overrated, ever larger responses to it seem to explain ever more, and the search is lost.
+    Filters of fast disturbances leave little but noise of rotors that turn smoothly. Where that
+    noise is overrated, ever larger responses to it seem to explain ever more, and the search is
+    lost.
 
     Args:
         point: K solutions.
