@@ -35,7 +35,8 @@ _JUDGED = 3
 """Rounds of judging them, each by the fit without those found before."""
 _JUDGED_ALIKE = 5
 """Times that batches are judged by the whiteners found before, 5 s each: whoever is bumped, is by
-any.""" _MOST_SHOCKS = 0.25
+any."""
+_MOST_SHOCKS = 0.25
 """Share of the batches; what happens more often is no shock."""
 _SCAN, _TRY, _AGAIN, _FIT, _FOLLOW = 5, 8, 4, 30, 3
 """Iterations: at a node; with a whitener, from there and from a fit; with those of the axes; of a

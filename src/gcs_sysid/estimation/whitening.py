@@ -46,7 +46,8 @@ AVERAGED = (0.4, 0.9)
 """b, of neighbouring samples of a gyro."""
 _AVERAGED = 5
 """Whiteners without disturbance that are tried with them too: leaks, and the slower torque
-noise.""" PIECE = 32
+noise."""
+PIECE = 32
 """Rows whitened by one product."""
 
 
