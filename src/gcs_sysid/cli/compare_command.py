@@ -11,7 +11,7 @@ from gcs_sysid.results.comparison import Comparison, Difference, compare
 from gcs_sysid.results.number_format import percent_column, rounded, significant
 from gcs_sysid.results.result import Estimate
 from gcs_sysid.results.result_file import read_result
-from gcs_sysid.results.words import CHANGE
+from gcs_sysid.results.words import CHANGE, shown
 
 _WIDTH = 100
 
@@ -58,10 +58,7 @@ _RULES = (
 
 
 def _row(found: Difference) -> str:
-    values = [
-        "-" if estimate is None else rounded(estimate.value, estimate.half, 5)
-        for estimate in (found.before, found.after)
-    ]
+    values = [shown(estimate, 5).value for estimate in (found.before, found.after)]
     line = f"{found.name:<19}{values[0]:>12}{values[1]:>12}"
     if found.value is None or found.std is None or found.before is None:
         line += f"{'-':>10}{'-':>9}{'-':>8}"

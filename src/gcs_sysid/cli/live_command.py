@@ -20,10 +20,10 @@ from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.live.receiver_process import ReceiverProcess
 from gcs_sysid.model.parameters import CORE_OF, REGISTRY
-from gcs_sysid.results.number_format import PLAIN, rounded
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
+from gcs_sysid.results.words import shown
 from gcs_sysid.telemetry.tlog_writer import unused_path
 from gcs_sysid.telemetry.urls import parse_url
 
@@ -278,9 +278,5 @@ def status_line(snapshot: Snapshot) -> str:
         estimate = snapshot.result.parameters.get(name)
         if REGISTRY[name].sign != "positive" or (estimate and estimate.status == "given"):
             continue
-        if estimate is None or estimate.half is None:
-            words.append(f"{name} -")
-        else:
-            value = rounded(estimate.value, estimate.half, 4)
-            words.append(f"{name} {value} ±{PLAIN.percent(estimate.relative_half)}")
+        words.append(f"{name} {shown(estimate, 4).text}")
     return "  ".join(words)

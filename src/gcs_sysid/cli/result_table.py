@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import PARAMETERS
-from gcs_sysid.results.number_format import PLAIN, percent_column, rounded, significant
+from gcs_sysid.results.number_format import PLAIN, percent_column, rounded
 from gcs_sysid.results.result import Estimate, Result
-from gcs_sysid.results.words import event_text
+from gcs_sysid.results.words import event_text, shown
 
 
 class _Style(NamedTuple):
@@ -42,6 +42,14 @@ def result_table(
         width: columns to keep to, from 80 on; what is least needed is left out then. None: no
             limit.
     """
+    if (
+        result.verdict == "refused"
+        and not result.vehicle
+        and not any(
+            estimate.shown and estimate.status != "given" for estimate in result.parameters.values()
+        )
+    ):
+        return "\n".join([f"nothing identified from {result.source}", *result.reasons])
     lines = [f"{result.verdict}: {result.source}", *_scale_lines(result), ""]
     for style in _STYLES:
         rows = _rows(result, truth, style)
@@ -60,13 +68,12 @@ def result_table(
 def _rows(result: Result, truth: Mapping[str, float] | None, style: _Style) -> list[str]:
     names = list(result.parameters)
     estimates = list(result.parameters.values())
+    cells = [shown(estimate, style.digits) for estimate in estimates]
     columns: dict[str, list[str]] = {
         "parameter": names,
-        "value": [
-            rounded(e.value if e.std is not None else None, e.half, style.digits) for e in estimates
-        ],
-        "± 95 %": [_half(e) for e in estimates],
-        "%": [_share(e) for e in estimates],
+        "value": [cell.value for cell in cells],
+        "± 95 %": [cell.half for cell in cells],
+        "%": ["-" if cell.value == "-" else cell.percent for cell in cells],
         "unit": [PARAMETERS[name].unit for name in names],
         "status": [e.status for e in estimates],
     }
@@ -76,9 +83,9 @@ def _rows(result: Result, truth: Mapping[str, float] | None, style: _Style) -> l
     if truth:
         true = [truth.get(name) for name in names]
         columns["truth"] = [rounded(value, None, style.digits) for value in true]
-        columns["error %"] = [_error(e.value, t) for e, t in zip(estimates, true, strict=True)]
-    shown = {head: cells for head, cells in columns.items() if head not in style.without}
-    padded = [_column(head, cells) for head, cells in shown.items()]
+        columns["error %"] = [_error(e, t) for e, t in zip(estimates, true, strict=True)]
+    kept = {head: cells for head, cells in columns.items() if head not in style.without}
+    padded = [_column(head, cells) for head, cells in kept.items()]
     gap = " " * style.gap
     return [gap.join(row).rstrip() for row in zip(*padded, strict=True)]
 
@@ -90,22 +97,10 @@ def _column(head: str, cells: Sequence[str]) -> list[str]:
     return [f"{cell:{side}{wide}}" for cell in (head, *cells)]
 
 
-def _half(estimate: Estimate) -> str:
-    if estimate.value is None or estimate.std is None:
+def _error(estimate: Estimate, true: float | None) -> str:
+    if not estimate.shown or estimate.value is None or not true:
         return "-"
-    return "" if estimate.half is None else significant(estimate.half, 2)
-
-
-def _share(estimate: Estimate) -> str:
-    if estimate.value is None or estimate.std is None:
-        return "-"
-    return percent_column(estimate.relative_half).removesuffix(" %")
-
-
-def _error(value: float | None, true: float | None) -> str:
-    if value is None or not true:
-        return "-"
-    return percent_column(value / true - 1.0, signed=True).removesuffix(" %")
+    return percent_column(estimate.value / true - 1.0, signed=True).removesuffix(" %")
 
 
 def _notes(result: Result) -> list[str]:

@@ -100,7 +100,9 @@ def physical_parameters(
 
     sizes = {name: value for name, (value, _) in raw.items()} | {ARM: arm}
     out = {
-        name: judged(*raw[name], p.yardstick.size(raw[name][0], sizes)) if name in raw else NOTHING
+        name: judged(*raw[name], p.yardstick.size(raw[name][0], sizes), p.sign)
+        if name in raw
+        else NOTHING
         for name, p in PARAMETERS.items()
         if p.in_result(rotor_input)
     }
@@ -250,7 +252,8 @@ def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> Value:
         return Value(value, 0.0, "given")
     if which == LAG:
         doubt = ERRORS.lag * value
-    return judged(value, math.hypot(std, doubt), REGISTRY[name].yardstick.size(value, {}))
+    p = REGISTRY[name]
+    return judged(value, math.hypot(std, doubt), p.yardstick.size(value, {}), p.sign)
 
 
 def verdict(
@@ -285,7 +288,6 @@ def verdict(
             f"{torque} is negative: every rotor turns the vehicle the wrong way; "
             "check spin in the airframe file"
         )
-    identified = [n for n in core if parameters[n].status == "identified"]
-    if not identified:
+    if not any(parameters[n].status in ("identified", "zero") for n in core):
         return "refused", tuple(reasons)
     return ("partial" if reasons else "identified"), tuple(reasons)

@@ -29,6 +29,9 @@ _MOST_BYTES = 1_000_000
 _MOST_DOTS = 1000
 """In a line, where 64 rotors have some 200: tomllib needs the cube of a dotted key's parts."""
 
+_VEHICLES = ("paper", "px4-sih")
+"""Built-in airframes of one vehicle with its own size; the others are layouts to be scaled."""
+
 MOST_ARM = 100.0
 """m; a rotor further out than this is a slip of the pen."""
 
@@ -91,6 +94,8 @@ class Airframe:
     imu_position: tuple[float, float, float] | None = None
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Parameters known beforehand: name -> value and standard deviation, SI."""
+    arm_known: bool = True
+    """False for a built-in layout whose size nobody has given: see `_VEHICLES`."""
 
     @property
     def geometry(self) -> NDArray[np.float64]:
@@ -170,8 +175,8 @@ class Airframe:
         _check_prior(name, value, std, "prior")
         return replace(self, priors={**self.priors, name: (value, std)})
 
-    def with_arm(self, metres: float) -> "Airframe":
-        """The same layout scaled so that the mean rotor distance is `metres`.
+    def with_arm(self, meters: float) -> "Airframe":
+        """The same layout scaled so that the mean rotor distance is `meters`.
 
         Raises:
             InputError: the length is not a positive number.
@@ -180,12 +185,14 @@ class Airframe:
             >>> round(load_airframe("paper").with_arm(0.2).arm, 6)
             0.2
         """
-        if not 0 < metres <= MOST_ARM:
+        if not 0 < meters <= MOST_ARM:
             raise InputError(
-                f"--arm must be a positive length of at most {MOST_ARM:g} m, got {metres:g}"
+                f"--arm must be a length in m, at most {MOST_ARM:g} (250 mm are 0.25), "
+                f"got {meters:g}"
             )
-        k = metres / self.arm
-        return replace(self, rotors=tuple(Rotor(r.x * k, r.y * k, r.spin) for r in self.rotors))
+        k = meters / self.arm
+        rotors = tuple(Rotor(r.x * k, r.y * k, r.spin) for r in self.rotors)
+        return replace(self, rotors=rotors, arm_known=True)
 
 
 def builtin_names() -> list[str]:
@@ -200,7 +207,9 @@ def load_airframe(name_or_path: str) -> Airframe:
     Raises:
         InputError: no such name or file, or the file is not a valid airframe.
     """
-    return parse_airframe(*read_airframe_table(name_or_path))
+    airframe = parse_airframe(*read_airframe_table(name_or_path))
+    layout = name_or_path in builtin_names() and name_or_path not in _VEHICLES
+    return replace(airframe, arm_known=not layout)
 
 
 def read_airframe_table(name_or_path: str) -> tuple[dict[str, Any], str]:
@@ -251,7 +260,7 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
         raise InputError(
             f"{where}: rotor_input must be 'auto', 'speed' or 'command', got {rotor_input!r}"
         )
-    anchors: dict[str, float] = {
+    anchors: dict[str, Any] = {
         name: _positive(table[name], f"{where}: {name}") for name in ANCHORS if name in table
     }
     if len(anchors) > 1:

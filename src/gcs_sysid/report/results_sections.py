@@ -59,7 +59,7 @@ def _headline(data: ReportData) -> Markup:
     scale, telemetry = result["scale"], result["telemetry"]
     tiles: dict[str, Child] = {}
     if scale is not None:
-        origin = f"from {scale['from']}" if scale.get("from") else "given: it sets the scale"
+        origin = f"from {scale['from']}" if scale.get("from") else "given: sets the scale"
         what = _TILES[scale["anchor"]]
         tiles[what] = _tile(f"{PAGE.number(scale['value'], 4)} {PAGE.unit(scale['unit'])}", origin)
     for name, what in _TILES.items():
@@ -107,7 +107,7 @@ def parameters(data: ReportData) -> Markup:
         Column("Value ± 95 %", numbers=True),
         Column("95 % interval", numbers=True),
         Column("Status"),
-        Column("Rests on"),
+        Column("Based on"),
     ]
     columns += [Column("Cramér-Rao bound, 95 %", numbers=True)] if bounded else []
     columns += [Column("Truth", numbers=True)] if data.truth else []
@@ -117,7 +117,7 @@ def parameters(data: ReportData) -> Markup:
         estimate = entries[name]
         status: Status = estimate["status"]
         cells = [_name(name), *_numbers(estimate), _status(status, words.STATUS[status])]
-        cells.append(words.told_by(name, estimate, result["scale"]))
+        cells.append(words.source_of(name, estimate, result["scale"]))
         if bounded:
             cells.append(_bound(estimate))
         if data.truth:
@@ -155,7 +155,7 @@ def _numbers(estimate: Mapping[str, Any]) -> list[Child]:
     """Value with its uncertainty, and the interval."""
     half = wording.half_of(estimate)
     value, unit = estimate["value"], PAGE.unit(estimate["unit"])
-    if value is None or half is None:
+    if value is None or half is None or estimate["status"] == "unobservable":
         return [PAGE.nothing] * 2
     text, half_text, power, exponent = PAGE.value_and_half(value, half)
     if estimate["status"] == "given":
@@ -163,17 +163,15 @@ def _numbers(estimate: Mapping[str, Any]) -> list[Child]:
     decimals = decimals_for(half / 10.0**exponent, abs(value) / 10.0**exponent)
     ends = [PAGE.fixed(end / 10.0**exponent, decimals) for end in estimate["ci95"] or ()]
     interval = f"{ends[0]} … {ends[1]}{power}" if ends else PAGE.nothing
-    untold = estimate["status"] == "unobservable"
-    if not half:
-        relative = ""  # not estimated
-    elif half > 0.3 * abs(value):
-        relative = "known to be this small" if estimate["status"] == "identified" else ""
-    else:
-        relative = f"± {PAGE.percent(half / abs(value))}"
+    if estimate["ci95"] and estimate["ci95"][0] <= 0.0 <= estimate["ci95"][1]:
+        limit = PAGE.number(max(map(abs, estimate["ci95"])), 2)
+        return [f"~0 (< {limit} {unit})".replace(" )", ")"), interval]
+    share = half / abs(value) if value else math.inf
+    relative = f"± {PAGE.percent(share)}" if half and share <= 1.0 else ""
     both = f"({text} ± {half_text}){power}" if power else f"{text} ± {half_text}"
     shown = joined(
-        element("span", f"{both} {unit}".rstrip(), class_="untold" if untold else None),
-        element("span", relative, class_="share") if relative and not untold else None,
+        element("span", f"{both} {unit}".rstrip()),
+        element("span", relative, class_="share") if relative else None,
     )
     return [shown, interval]
 
@@ -200,10 +198,12 @@ def _truth(estimate: Mapping[str, Any], true: float | None) -> Child:
 def _timing(result: Mapping[str, Any]) -> Markup | None:
     entries: dict[str, Child] = {}
     for name, estimate in result["timing"].items():
-        if estimate["value"] is None:
+        if estimate["value"] is None or estimate["status"] == "unobservable":
             continue
         half = wording.half_of(estimate)
         text = PAGE.measure(1e3 * estimate["value"], 1e3 * half if half else None, "ms")
+        if estimate["status"] == "zero":
+            text = f"~0 (< {PAGE.number(1e3 * max(map(abs, estimate['ci95'])), 2)} ms)"
         entries[name.replace("_", " ").capitalize()] = joined(
             text, element("span", TIMING[name].meaning, class_="share")
         )

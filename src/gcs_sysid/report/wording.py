@@ -56,7 +56,7 @@ def _how_well(parameters: Mapping[str, Any], core: Sequence[str]) -> list[str]:
     out = []
     for group in dict.fromkeys(REGISTRY[name].group for name in core):
         names = [name for name in core if REGISTRY[name].group == group]
-        told = {n: parameters[n] for n in names if parameters[n]["status"] == "identified"}
+        told = {n: parameters[n] for n in names if parameters[n]["status"] in _KNOWN}
         if not told:
             continue
         halves = [(half_of(e) or 0.0, abs(e["value"] or 0.0)) for e in told.values()]
@@ -77,6 +77,7 @@ def _how_well(parameters: Mapping[str, Any], core: Sequence[str]) -> list[str]:
     return out
 
 
+_KNOWN = ("identified", "zero")
 _MOMENTS = grouped("moments of inertia")
 _IN_VERDICT = ("the data do not tell ", "only roughly known: ")
 """How reasons begin that the verdict's sentence has told."""

@@ -140,6 +140,7 @@ def _estimates(table: _Table, known: Mapping[str, Any]) -> dict[str, Estimate]:
             cast(Status, entry.one_of("status", get_args(Status))),
             entry.number("bound"),
             entry.text("rests_on") or None,
+            parameter.sign == "not negative",
         )
     return out
 

@@ -103,7 +103,8 @@ def estimates_of(
             v.status,
             bound=bounds[name].std if bounds and name in bounds else None,
             rests_on=support if name in leaning else None,
-        )
+            not_negative=REGISTRY[name].sign == "not negative",
+        ).bounded
         for name, v in values.items()
     }
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gcs_sysid.coach import interval_targets as targets
-from gcs_sysid.estimation.status import NOTHING, Value
+from gcs_sysid.estimation.status import KNOWN, NOTHING, Status, Value
 from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.results import words
 from gcs_sysid.results.comparison import Comparison
@@ -52,12 +52,13 @@ class Standing:
 
 def standing_of(snapshot: Snapshot) -> Standing:
     """Sort a snapshot's parameters."""
-    groups: dict[str, list[Known]] = {"identified": [], "weak": [], "unobservable": []}
+    groups: dict[Status, list[Known]] = {"identified": [], "weak": [], "unobservable": []}
     reached = 0
     for name, share in shares(snapshot.result).items():
         status = snapshot.result.parameters[name].status
-        groups[status].append((words.label(name), share))
-        reached += status == "identified" and share is not None and share <= snapshot.target
+        known = status in KNOWN
+        groups["identified" if known else status].append((words.label(name), share))
+        reached += known and share is not None and share <= snapshot.target
     widest_first = {
         status: tuple(sorted(group, key=lambda known: -(known[1] or 0.0)))
         for status, group in groups.items()
@@ -68,13 +69,16 @@ def standing_of(snapshot: Snapshot) -> Standing:
 
 
 def headline(snapshot: Snapshot) -> str:
-    """The verdict in a word or two."""
+    """The verdict in a word or two: `IDENTIFIED` once every interval is within the target."""
     if snapshot.link.state is LinkState.WAITING:
         return "WAITING"
     if snapshot.advice is not None and snapshot.advice.enough:
         return "ENOUGH"
     if snapshot.result.verdict == "refused":
         return "NO ANSWER" if snapshot.link.state is LinkState.ENDED else "NOT YET"
+    standing = standing_of(snapshot)
+    if snapshot.result.verdict == "identified" and standing.reached < standing.total:
+        return "TARGET"
     return snapshot.result.verdict.upper()
 
 

@@ -12,7 +12,7 @@ from gcs_sysid.estimation.status import Value
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.scale_reference import ScaleReference
-from gcs_sysid.results import summary
+from gcs_sysid.results import plausibility, summary
 from gcs_sysid.results.result import Estimate, Result
 from gcs_sysid.session.learner import Learner
 from gcs_sysid.session.reasons import data_reasons
@@ -50,12 +50,14 @@ class Findings:
     def result(self) -> Result:
         """All of it."""
         values = self.learner.values(self.learner.fit, self._anchor)
+        objections = self._objections(values)
         word, reasons = verdict(values, self.learner.rotor_input, self.learner.fit.rigid_body_test)
         first = data_reasons(self.sampler, self.learner, self.outdated)
         if self.learner.fit.rotation is None:
             word, reasons = "refused", first or reasons
         else:
-            reasons = (*first, *reasons)
+            reasons = (*first, *(objection.reason for objection in objections), *reasons)
+            word = "partial" if objections and word == "identified" else word
         past = self._past_values()
         reasons = reasons if word != "identified" else ()
         if isinstance(self.offline, str):
@@ -68,7 +70,7 @@ class Findings:
             scale=summary.scale_of(self._anchor),
             rotor_input=self.learner.rotor_input,
             parameters=summary.estimates_of(
-                with_clock_error(values, self.clock_error),
+                plausibility.capped(with_clock_error(values, self.clock_error), objections),
                 self.learner.fit,
                 self._anchor,
                 self._bounds(),
@@ -86,10 +88,25 @@ class Findings:
             airframe=self.airframe.as_json(),
         )
 
+    def _objections(self, values: dict[str, Value]) -> tuple[plausibility.Objection, ...]:
+        source = self.learner.rotors
+        return plausibility.objections(
+            values,
+            self.airframe,
+            self.learner.rotor_input,
+            reinterpreted=source is not None and source.scale != 1.0,
+        )
+
     def _timing(self) -> dict[str, Estimate]:
         timing = timing_values(self.learner.fit.rotation, self.learner.rotor_input)
         return {
-            name: Estimate(value.value, value.std, REGISTRY[name].unit, value.status)
+            name: Estimate(
+                value.value,
+                value.std,
+                REGISTRY[name].unit,
+                value.status,
+                not_negative=REGISTRY[name].sign == "not negative",
+            ).bounded
             for name, value in with_clock_error(timing, self.clock_error).items()
         }
 
@@ -135,7 +152,11 @@ class Findings:
                 "parameters": {
                     name: estimate.as_json()
                     for name, estimate in summary.estimates_of(
-                        with_clock_error(values, self.clock_error), segment.fit, anchor
+                        plausibility.capped(
+                            with_clock_error(values, self.clock_error), self._objections(values)
+                        ),
+                        segment.fit,
+                        anchor,
                     ).items()
                 },
                 "validation": summary.validation_of(segment.fit),
