@@ -183,10 +183,10 @@ def read_plan(path: Path) -> ManoeuvreMission:
     try:
         content = json.loads(read_text(path, _MOST_BYTES, "the plan"))
     except (ValueError, RecursionError):
-        raise InputError(f"{path} is no JSON") from None
+        raise InputError(f"{path} is not JSON") from None
     entries = content.get("manoeuvres") if isinstance(content, dict) else None
     if not isinstance(entries, list) or not entries:
-        raise InputError(f"{path} is no plan: it lists no manoeuvres")
+        raise InputError(f"{path} is not a plan: no manoeuvres in it")
     mission = ManoeuvreMission()
     for number, entry in enumerate(entries, 1):
         try:

@@ -50,10 +50,9 @@ def report(comparison: Comparison) -> str:
 
 
 _RULES = (
-    "verdicts hold for all parameters together: a vehicle that is the same is called changed in "
-    "one comparison of twenty at most (Holm); the intervals are of each parameter alone",
-    "A and B are taken as independent, and each parameter by itself: how the estimates of one "
-    "flight hang together does not count",
+    "verdicts hold for all parameters together: at most one comparison in twenty of an unchanged "
+    "vehicle says changed (Holm); intervals are per parameter",
+    "A and B are taken as independent; correlations between parameters are not used",
 )
 
 
@@ -83,13 +82,13 @@ def _summary(comparison: Comparison) -> list[str]:
     changed = comparison.named("changed")
     same, unknown = comparison.named("no_change_seen"), comparison.named("cannot_tell")
     if comparison.verdict == "cannot_tell":
-        return ["Cannot tell whether the vehicle has changed."]
+        return ["Undetermined: no parameter is identified in both results."]
     if changed:
         sentences = [f"The vehicle has changed: {', '.join(changed)}."]
     else:
         sentences = [f"No change seen in {', '.join(same)}."]
     if unknown:
-        sentences.append(f"Cannot tell of {', '.join(unknown)}.")
+        sentences.append(f"Undetermined: {', '.join(unknown)}.")
     return [
         line
         for sentence in sentences

@@ -215,8 +215,8 @@ def _show(
             if app.defect is not None and not stopped.is_set():
                 kind = type(app.defect).__name__
                 output.say(
-                    f"the screen has failed ({kind}: {app.defect}); the session goes on without "
-                    "it, until Ctrl-C"
+                    f"the screen failed ({kind}: {app.defect}); the session continues without "
+                    "it until Ctrl-C"
                 )
                 say_until_end(session)
         finally:
@@ -269,7 +269,7 @@ def status_line(snapshot: Snapshot) -> str:
         reasons = snapshot.result.reasons
         if link.received or len(reasons) > 1:  # somebody speaks, but nobody to listen to
             return f"listening on {link.url}: {'; '.join(reasons)}"
-        return f"listening on {link.url}: no vehicle has spoken yet"
+        return f"listening on {link.url}: no vehicle yet"
     words = [f"{snapshot.t:7.1f} s", link.vehicle or link.url]
     if link.state is not LinkState.CONNECTED:
         words.append(str(link.state.value))

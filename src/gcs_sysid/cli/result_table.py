@@ -114,7 +114,7 @@ def _notes(result: Result) -> list[str]:
     notes += [f"{event['t']:.2f} s: {event_text(event)}" for event in told]
     spikes = result.telemetry.get("imu_outliers", {}).get("spikes", 0)
     if spikes:
-        notes.append(f"{spikes} gyro samples were spikes, replaced by what their neighbours say")
+        notes.append(f"{spikes} gyro spikes were replaced by interpolation")
     return [*notes, *result.reasons]
 
 

@@ -44,8 +44,8 @@ class Rotor:
     """One rotor.
 
     Attributes:
-        x: metres forward of the geometric centre.
-        y: metres to the right of it.
+        x: m forward of the geometric center.
+        y: m to the right of it.
         spin: +1 counter-clockwise seen from above (the s_i of the yaw equation), -1 clockwise.
     """
 
@@ -233,7 +233,7 @@ def read_airframe_table(name_or_path: str) -> tuple[dict[str, Any], str]:
             )
         text = read_text(path, _MOST_BYTES, "the airframe file")
     if any(line.count(".") > _MOST_DOTS for line in text.splitlines()):
-        raise InputError(f"{where}: a line with more than {_MOST_DOTS} dots is no airframe's")
+        raise InputError(f"{where}: not an airframe file: a line with more than {_MOST_DOTS} dots")
     try:
         return tomllib.loads(text), where
     except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
@@ -323,13 +323,13 @@ def _rotors(entries: object, where: str) -> tuple[Rotor, ...]:
             raise InputError(f"{at}: spin must be 'ccw' or 'cw', got {entry['spin']!r}")
         x, y = (_number(entry[key], f"{at}: {key}") for key in ("x", "y"))
         if math.hypot(x, y) > MOST_ARM:
-            raise InputError(f"{at}: x and y are metres; {math.hypot(x, y):g} m is too far out")
+            raise InputError(f"{at}: x and y are in meters; {math.hypot(x, y):g} m is too far out")
         rotors.append(Rotor(x, y, spin))
     layout = np.array([[1.0, r.x, r.y, r.spin] for r in rotors])
     # Without full rank the rotors cannot make all three torques and the thrust apart.
     if np.linalg.matrix_rank(layout / np.maximum(np.abs(layout).max(axis=0), 1e-9)) < 4:
         raise InputError(
-            f"{where}: these rotors cannot control roll, pitch, yaw and thrust apart; "
+            f"{where}: these rotors cannot control roll, pitch, yaw and thrust independently; "
             "check positions and spins"
         )
     return tuple(rotors)

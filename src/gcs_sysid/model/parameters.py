@@ -160,8 +160,9 @@ def _product(first: int, second: int) -> Parameter:
 
 def _offset(name: str, symbol: str, way: str, axis: int) -> Parameter:
     return Parameter(
-        name, symbol, "m", f"CG from the geometric centre, {way}",
-        f"mean {('roll', 'pitch')[axis]} torque of the rotors", group="balance point", theta=name,
+        name, symbol, "m", f"CG from the geometric center, {way}",
+        f"mean {('roll', 'pitch')[axis]} torque of the rotors", group="center of gravity",
+        theta=name,
         scale="none", core=INPUTS, prior=True, axes=(axis,), mean_torque=True,
         yardstick=Yardstick((ARM,), 0.2), usual=(0.0, 0.3), in_flight=True,
     )  # fmt: skip
@@ -213,14 +214,14 @@ _DECLARED = (
     ),
     # Damping matters against inertia at 1 rad/s, a rotor against a five-hundredth of the body.
     Parameter(
-        "rotational_damping", "d", "N m s", "damping torque over body rate", "decay of turning",
+        "rotational_damping", "d", "N m s", "damping torque over body rate", "decay of rotation",
         label="damping", theta="rotational_damping", sign="not negative", prior=True,
         axes=(0, 1, 2), rigid_body=True, yardstick=Yardstick(("Ixx",), or_value=True),
         clock=ClockError(0.1, "Ixx"), in_flight=True,
     ),
     Parameter(
         "rotor_inertia", "J_r", "kg m^2", "inertia of one rotor about its axis",
-        "rotors speeding up", label="J_rotor", theta="rotor_inertia", inputs=("speed",),
+        "changes of rotor speed", label="J_rotor", theta="rotor_inertia", inputs=("speed",),
         sign="not negative", prior=True, axes=(0, 1, 2), rigid_body=True,
         yardstick=Yardstick(("Izz",), 0.002, or_value=True), clock=_FULL, usual=(0.0, 0.002),
         in_flight=True,
@@ -233,12 +234,12 @@ _DECLARED = (
     ),
     # 10 ms of delay cost 30 % on Izz.
     Parameter(
-        "rotor_delay", "τ_r", "s", "rotor stream behind the IMU stream", "sharp turns",
+        "rotor_delay", "τ_r", "s", "rotor stream behind the IMU stream", "fast rotation",
         label="delay", fit="actuator", scale="none", section="timing", prior=True,
         yardstick=Yardstick(fixed=0.02), clock=_FULL, of_vehicle=False,
     ),
     Parameter(
-        "motor_lag", "τ_m", "s", "first-order lag from command to rotor speed", "sharp turns",
+        "motor_lag", "τ_m", "s", "first-order lag from command to rotor speed", "fast rotation",
         label="lag", fit="actuator", scale="none", inputs=("command",), section="timing",
         sign="not negative", yardstick=Yardstick(fixed=0.05), clock=_FULL, in_flight=True,
     ),
@@ -264,5 +265,5 @@ THRUST_OF: dict[RotorInput, Literal["k_T", "T_max"]] = {"speed": "k_T", "command
 
 
 def grouped(name: str) -> tuple[str, ...]:
-    """Parameters of a group, such as "balance point"."""
+    """Parameters of a group, such as "center of gravity"."""
     return tuple(n for n, p in REGISTRY.items() if p.group == name)

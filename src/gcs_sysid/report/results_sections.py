@@ -33,7 +33,7 @@ def verdict(data: ReportData) -> Markup:
             id="verdict-title",
         ),
         element("p", wording.verdict_sentence(data.result), class_="sentence"),
-        element("h3", "What is missing or limits it") if missing else None,
+        element("h3", "Limitations") if missing else None,
         element("ul", *missing, class_="missing") if missing else None,
     )
     return element(
@@ -78,8 +78,8 @@ def _headline(data: ReportData) -> Markup:
     if found:
         # Cut, not rounded: 0.99996 is not 1.
         worst = math.floor(1e4 * min(found)) / 1e4
-        tiles["Prediction of data not fitted"] = _tile(
-            f"R² {PAGE.fixed(worst, 4)}", "the worst of three axes"
+        tiles["Prediction of held-out data"] = _tile(
+            f"R² {PAGE.fixed(worst, 4)}", "worst of three axes"
         )
     return element(
         "dl",
@@ -216,7 +216,7 @@ def _segments(result: Mapping[str, Any]) -> Markup | None:
     if not segments:
         return None
     parts = [(f"{s['start']:.1f} to {s['end']:.1f} s", s["parameters"]) for s in segments]
-    parts.append((f"from {segments[-1]['end']:.1f} s, in force", result["parameters"]))
+    parts.append((f"from {segments[-1]['end']:.1f} s on", result["parameters"]))
     columns = [Column("Parameter"), *(Column(title, numbers=True) for title, _ in parts)]
     rows = [
         [name, *(_numbers(held[name])[0] if name in held else PAGE.nothing for _, held in parts)]
@@ -232,9 +232,7 @@ def convergence(data: ReportData, figures: Figures) -> Markup:
     """How every estimate settled."""
     names = add_course(figures, data)
     if not names:
-        return section(
-            "convergence", "Convergence", note("There was too little flight to see any.")
-        )
+        return section("convergence", "Convergence", note("Too little flight."))
     entries = [("estimate", "estimate"), ("band", "95 % band")]
     if data.truth:
         entries.append(("level", "truth"))
@@ -245,8 +243,8 @@ def convergence(data: ReportData, figures: Figures) -> Markup:
         "convergence",
         "Convergence",
         note(
-            "How each estimate and its 95 % band settled over the flight. The scale is that of "
-            "the settled estimate: first guesses may run out of the picture."
+            "Each estimate with its 95 % band over the flight, on the scale of the final "
+            "estimate: early values may leave the plot."
         ),
         legend(*entries),
         grid(

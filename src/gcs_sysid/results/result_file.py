@@ -92,7 +92,7 @@ class _Table:
         self.entries, self.where = entries, where
 
     def fail(self, key: str) -> NoReturn:
-        raise InputError(f"{self.where}: not a whole result: {key} is missing or makes no sense")
+        raise InputError(f"{self.where}: not a complete result: {key} is missing or invalid")
 
     def text(self, key: str) -> str:
         value = self.entries.get(key, "")

@@ -25,8 +25,8 @@ MIN_SECONDS = 3.0
 
 _WORDS = {
     "mass_change": "the mass changed",
-    "payload": "a payload changed mass and balance",
-    "cg_shift": "the centre of gravity moved",
+    "payload": "a payload changed mass and CG",
+    "cg_shift": "the center of gravity moved",
     "inertia_change": "the inertia changed",
     "rotor_failure": "a rotor lost thrust",
     "passing": "a disturbance passed",
@@ -204,7 +204,7 @@ def note_of(event: Event, rotor_input: RotorInput = "speed") -> str:
     if event.change is None:
         return (
             f"the vehicle differs since the landing at {event.onset:.1f} s: "
-            f"{thrust} stays, the rest is identified anew"
+            f"{thrust} stays, the rest is identified again"
         )
     cause = event.cause
     kind = "change" if cause is None else cause.kind
@@ -212,6 +212,6 @@ def note_of(event: Event, rotor_input: RotorInput = "speed") -> str:
     if cause is not None and cause.rotor is not None:
         return f"{text}: rotor {cause.rotor + 1}, {100.0 * cause.loss:.0f} %; identification stops"
     if kind == "passing":
-        return f"{text}; the estimate goes on"
+        return f"{text}; the estimate continues"
     ratio = "" if cause is None else f" (mass x {cause.mass_ratio:.3f})"
-    return f"{text}{ratio}: {thrust} stays, the rest is identified anew"
+    return f"{text}{ratio}: {thrust} stays, the rest is identified again"

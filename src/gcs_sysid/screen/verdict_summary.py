@@ -103,9 +103,9 @@ def compared(comparison: Comparison, room: int) -> tuple[str, str]:
         for verdict in ("changed", "no_change_seen", "cannot_tell")
     }
     same, unknown = len(groups["no_change_seen"]), len(groups["cannot_tell"])
-    tail = f"no change seen in {same}" + (f", cannot tell of {unknown}" if unknown else "")
+    tail = f"no change seen in {same}" + (f", undetermined {unknown}" if unknown else "")
     if comparison.verdict == "cannot_tell":
-        return "?", "cannot tell yet whether the vehicle has changed"
+        return "?", "change undetermined so far"
     if comparison.verdict == "changed":
         names = named(groups["changed"], max(8, room - len(tail) - 11), shares=False)
         return "≠", f"changed: {names}; {tail}"

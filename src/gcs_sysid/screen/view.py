@@ -70,21 +70,21 @@ class View:
             return "Opening the link ...", "info"
         link = self.snapshot.link
         if self.paused:
-            return "Display paused, the identification goes on. p: resume", "info"
+            return "Display paused, identification continues. p: resume", "info"
         if link.state is LinkState.WAITING:
             return (
-                f"Listening on {link.url} — no vehicle has spoken yet. "
-                "Is the emulator or the telemetry forwarding on?",
+                f"Listening on {link.url}: no vehicle yet. "
+                "Is the vehicle on, or telemetry forwarding enabled?",
                 "warning",
             )
         if link.state is LinkState.LOST:
             return (
-                f"Link lost: silent for {formatting.duration(self.silence)}. "
-                "The numbers stand; listening goes on.",
+                f"Link lost: no data for {formatting.duration(self.silence)}. "
+                "Estimates are kept; still listening.",
                 "error",
             )
         if link.state is LinkState.ENDED:
-            return "Stream ended, numbers final; q to quit", "info"
+            return "Stream ended, numbers are final. q: quit", "info"
         return None
 
 

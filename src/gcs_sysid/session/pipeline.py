@@ -168,7 +168,7 @@ class Pipeline:
         reasons = result.reasons
         if vehicle is None:
             others = ", ".join(map(str, self._telemetry.systems))
-            heard = f"; heard: {others}" if others else ""
+            heard = f"; received: {others}" if others else ""
             which = " the wanted" if self._wanted else " any"
             reasons = (f"no heartbeat of{which} autopilot was heard{heard}",)
         elif result.verdict != "identified":
