@@ -31,7 +31,7 @@ async def test_nobody_has_spoken(run_screen):
     async with run_screen(fake.waiting()) as s:
         text = " ".join(s.text().split())
         assert (
-            "Listening on udpin:0.0.0.0:14550 — no vehicle has spoken yet. "
+            "Listening on udpin:0.0.0.0:14550 — no vehicle yet. "
             "Is the emulator or the telemetry forwarding on?"
         ) in text
 
@@ -51,7 +51,7 @@ async def test_a_lost_link_counts_the_silence(run_screen):
 
 async def test_the_end_of_the_stream(run_screen):
     async with run_screen(replace(fake.snapshot(), link=fake.link(LinkState.ENDED))) as s:
-        assert "Stream ended, numbers final; q to quit" in s.text()
+        assert "Stream ended, numbers are final. q: quit" in s.text()
 
 
 async def test_a_vehicle_of_which_nothing_is_known_yet(run_screen):

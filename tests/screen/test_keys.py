@@ -249,12 +249,12 @@ async def test_report_is_made_beside_and_said_at_its_end(run_screen):
 
         s.app.actions = replace(s.app.actions, report=slow)
         await s.press("h")
-        assert s.answer() == "Report: at work ..."
+        assert s.answer() == "Report: working ..."
         assert going.wait(20.0)
         await s.press("j")  # keys are answered meanwhile
         assert "Plot" in s.answer()
         await s.press("h")
-        assert s.answer() == "Report: still at work on the last one."
+        assert s.answer() == "Report: the last one is not finished."
         done.set()
         await s.worked()
         assert s.answer() == "written: flight.html"
@@ -299,7 +299,7 @@ async def test_a_scale_that_is_no_number_is_refused_in_a_line(run_screen):
         await s.press("s", "enter", "end", "x", "enter")
         assert s.answer() == "Not done: '1.5x' is not a number (kg wanted)"
         await s.press("s", "enter", "escape")
-        assert s.answer() == "Scale: as it was."
+        assert s.answer() == "Scale unchanged."
         assert s.source.calls == []
 
 
@@ -309,19 +309,19 @@ async def test_the_vehicle_is_chosen_from_those_that_speak(run_screen):
         await s.press("v")
         assert "● PX4 quadrotor 1:1" in s.text()
         await s.press("enter")
-        assert s.answer() == "Vehicle: as it was."
+        assert s.answer() == "Vehicle unchanged."
         await s.press("v", "down", "enter")
         assert s.source.calls == ["vehicle 2:1"]
-        assert s.answer() == "starting anew on ArduPilot quadrotor 2:1"
+        assert s.answer() == "restarting on ArduPilot quadrotor 2:1"
 
 
 async def test_one_vehicle_is_no_choice(run_screen):
     async with run_screen(fake.snapshot()) as s:
         await s.press("v")
-        assert s.answer() == "Only one vehicle speaks."
+        assert s.answer() == "Only one vehicle on the link."
         await s.serve(fake.waiting())
         await s.press("v")
-        assert s.answer() == "No vehicle has spoken yet."
+        assert s.answer() == "No vehicle yet."
 
 
 async def test_a_baseline_is_loaded_compared_and_dropped(run_screen, tmp_path, monkeypatch):
@@ -335,7 +335,7 @@ async def test_a_baseline_is_loaded_compared_and_dropped(run_screen, tmp_path, m
         assert ixx.endswith("≠+19.9 %")
         assert any(line.startswith(" Iyy") and line.endswith("=+0.00 %") for line in s.lines())
         await s.press("b", *["backspace"] * 6, "enter")
-        assert s.answer() == "Compared with nothing any more."
+        assert s.answer() == "Baseline removed."
         assert "against" not in s.text()
 
 
@@ -356,7 +356,7 @@ async def test_a_baseline_of_another_vehicle_is_dropped_with_a_word(run_screen):
     baseline = Baseline("six.json", replace(fake.earlier(), airframe=six))
     snapshot = replace(fake.snapshot(), result=replace(fake.result(), airframe=four))
     async with run_screen(snapshot, baseline=baseline) as s:
-        assert s.answer().startswith("Compared with nothing any more: ")
+        assert s.answer().startswith("Baseline removed: ")
         assert s.answer().endswith("not the same vehicle")
         assert s.app.baseline is None
 

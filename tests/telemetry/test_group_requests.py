@@ -86,7 +86,7 @@ def test_a_group_that_never_comes_is_told():
     old = OldArduPilot()
     old.deaf = {RAW_SENSORS}
     old.fly(40.0)
-    assert "asked for 50 Hz, this link brings about 2 Hz" in old.requests.problem
+    assert "asked for 50 Hz, this link carries about 2 Hz" in old.requests.problem
     told = old.requests.take_events()
     assert told.count(old.requests.problem) == 1
 

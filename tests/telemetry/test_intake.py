@@ -101,10 +101,10 @@ def test_a_stray_heartbeat_is_not_the_vehicle_for_long(make_sender):
     assert intake.monitor.lost == 0
     assert [event.text for event in intake.take_events()] == [
         "PX4 quadrotor 66:1 heard",
-        "more than one vehicle speaks: PX4 quadrotor 1:1 too; using PX4 quadrotor 66:1, the first "
+        "more than one vehicle on the link: PX4 quadrotor 1:1 too; using PX4 quadrotor 66:1, the first "
         "heard (choose with --vehicle 1:1)",
-        "PX4 quadrotor 66:1, the first heard, sends nothing but heartbeats: using PX4 quadrotor "
-        "1:1, whose IMU data come",
+        "PX4 quadrotor 66:1, the first received, sends heartbeats only: using PX4 quadrotor "
+        "1:1, which sends IMU data",
     ]
 
 
@@ -115,7 +115,7 @@ def test_a_vehicle_that_tells_something_stays_the_vehicle_and_the_other_is_named
     assert intake.vehicle.address == (66, 1)
     (problem,) = intake.problems
     assert problem == (
-        "PX4 quadrotor 1:1 sent 505 messages, PX4 quadrotor 66:1, the first heard, 7: choose it "
+        "PX4 quadrotor 1:1 sent 505 messages, PX4 quadrotor 66:1, the first received, 7: choose it "
         "with --vehicle 1:1"
     )
 

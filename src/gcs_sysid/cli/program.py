@@ -24,6 +24,10 @@ DONE, NO_ANSWER, USAGE = 0, 1, 2
 A command that Ctrl-C ended at once has 130; see also `signals.BY_SIGNAL`."""
 
 
+_BRITISH = {"analyse": "analyze"}
+"""Commands that some spell otherwise."""
+
+
 def build_parser() -> argparse.ArgumentParser:
     """The whole command line."""
     parser = OneLineParser(
@@ -135,7 +139,7 @@ def run(argv: Sequence[str]) -> int:
     _never_fail_to_print()
     parser = build_parser()
     try:
-        options = parser.parse_args(argv)
+        options = parser.parse_args([_BRITISH.get(argv[0], argv[0]), *argv[1:]] if argv else argv)
     except SystemExit as stop:  # argparse has printed its line
         return stop.code if isinstance(stop.code, int) else USAGE
     options.argv = (PROGRAM, *argv)

@@ -187,8 +187,8 @@ class Airframe:
         """
         if not 0 < meters <= MOST_ARM:
             raise InputError(
-                f"--arm must be a length in m, at most {MOST_ARM:g} (250 mm are 0.25), "
-                f"got {meters:g}"
+                f"--arm must be a positive length of at most {MOST_ARM:g} m, got {meters:g}"
+                + ("; 250 mm are 0.25" if meters > MOST_ARM else "")
             )
         k = meters / self.arm
         rotors = tuple(Rotor(r.x * k, r.y * k, r.spin) for r in self.rotors)

@@ -85,7 +85,7 @@ def shown(estimate: Estimate | None, digits: int = 6) -> Shown:
 
 
 def label(name: str) -> str:
-    """A parameter's name in at most eight letters: the result's own name where it fits."""
+    """A parameter's name in at most thirteen letters: the result's own name where it fits."""
     return REGISTRY[name].label or name if name in REGISTRY else name
 
 

@@ -102,7 +102,7 @@ class ActingApp(App[None]):
             self._ask(mark)
 
     def action_reset(self) -> None:
-        """Restart the estimate."""
+        """Restart the estimate, once the user has confirmed: the data so far are discarded."""
         act = self.actions.reset
 
         def reset() -> str:
@@ -110,8 +110,15 @@ class ActingApp(App[None]):
             act()
             return "Reset: the estimate restarts."
 
+        def confirmed(answer: str | None) -> None:
+            if answer == "reset":
+                self._ask(reset)
+            else:
+                self.say("Reset: cancelled.")
+
         if not self._lacks("Reset", act):
-            self._ask(reset)
+            choices = [("keep", "keep the estimate"), ("reset", "discard the data so far")]
+            self.push_screen(Choose("Reset the estimate?", choices), confirmed)
 
     def action_record(self) -> None:
         """Start or stop recording."""

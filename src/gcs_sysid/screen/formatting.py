@@ -21,6 +21,7 @@ UNKNOWN = "?"
 WHOLE_WIDTH, FRACTION_WIDTH = 4, 4
 """Room left of the decimal point, and for the point with what follows it."""
 NUMBER_WIDTH = WHOLE_WIDTH + FRACTION_WIDTH
+LABEL_WIDTH = 13
 
 
 MUTED = "$foreground 65%"

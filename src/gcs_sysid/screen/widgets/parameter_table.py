@@ -114,7 +114,7 @@ COLUMNS = (
     Column("  error", _error, 3, _has_truth),
 )
 """In this order from left to right."""
-NAME_HEAD = " name    "
+NAME_HEAD = f" {'name':<{fmt.LABEL_WIDTH}}"
 
 
 def _columns(view: View, width: int) -> list[Column]:
@@ -167,7 +167,7 @@ class ParameterRows(Lines):
         self, view: View, columns: list[Column], parameter: Parameter, estimate: Estimate
     ) -> Line:
         chosen = view.selected == parameter.name
-        name = ("▸" if chosen else " ") + words.label(parameter.name).ljust(8)
+        name = ("▸" if chosen else " ") + words.label(parameter.name).ljust(fmt.LABEL_WIDTH)
         cells = [column.cell(view, parameter, estimate) for column in columns]
         line = _line((name, "bold" * chosen), cells)
         return _lit(line, self.content_size.width) if chosen else line
