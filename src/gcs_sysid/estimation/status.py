@@ -65,7 +65,8 @@ def judged(value: float, std: float, reference: float, sign: Sign = "positive") 
         return NOTHING
     ratio = std / reference if reference > 0.0 else math.inf
     if ratio < RULES.identified_below:
-        zero = sign != "positive" and abs(value) <= Z95 * std
+        low = -math.inf if sign == "not negative" else -Z95 * std
+        zero = sign != "positive" and low <= value <= Z95 * std
         return Value(value, std, "zero" if zero else "identified")
     return Value(value, std, "weak" if ratio < RULES.unobservable_above else "unobservable")
 

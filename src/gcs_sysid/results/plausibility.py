@@ -24,7 +24,7 @@ class PlausibleRanges:
     """Ranges of multirotors; arm is the mean distance of the rotors from the geometric center."""
 
     density: Range = (5.0, 5000.0)
-    """Mass over arm cubed, kg/m^3. Vehicles of the table: 34 to 790."""
+    """Mass over arm cubed, kg/m^3. Vehicles of the table: 52 to 787."""
     rotor: Range = (1e-5, 0.05)
     """k_T over the fourth power of the arm, kg/m^3: C_T rho D^4 / (4 pi^2) for thrust coefficients
     of 0.06 to 0.16 and diameters of 0.3 to 1.5 arms, the upper end doubled for coaxial pairs."""
