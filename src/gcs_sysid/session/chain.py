@@ -57,7 +57,7 @@ class Chain:
         if anchor is None and own is not None:
             anchor = ScaleReference(*own)
         if anchor is None:
-            raise ValueError("the airframe has no scale anchor (mass, k_T or T_max)")
+            raise ValueError("the airframe has no scale reference (mass, k_T or T_max)")
         self.airframe = airframe
         self.options = options = options or ChainOptions()
         self._learner = Learner(airframe, anchor, options)

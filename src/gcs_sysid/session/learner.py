@@ -199,9 +199,9 @@ class Learner:
         if known.is_usable == self._usable:
             return
         self._usable = known.is_usable
-        told = "the estimate goes on" if self._usable else "too slow for the estimate to go on with"
-        rate = f"at {1.0 / known.imu_interval:.0f} Hz" if known.imu_interval else "anew"
-        self.note(t, f"the IMU comes {rate}: {told}")
+        told = "the estimate continues" if self._usable else "too slow for the estimate"
+        rate = f"at {1.0 / known.imu_interval:.0f} Hz" if known.imu_interval else "again"
+        self.note(t, f"IMU data {rate}: {told}")
 
     def _use(self, rotors: RotorSource, t: float) -> None:
         """Take the rotors' input from this stream from now on."""

@@ -169,8 +169,8 @@ class Pipeline:
         if vehicle is None:
             others = ", ".join(map(str, self._telemetry.systems))
             heard = f"; received: {others}" if others else ""
-            which = " the wanted" if self._wanted else " any"
-            reasons = (f"no heartbeat of{which} autopilot was heard{heard}",)
+            which = " the requested" if self._wanted else " any"
+            reasons = (f"no heartbeat of{which} autopilot received{heard}",)
         elif result.verdict != "identified":
             reasons = (*reasons, *self._telemetry.problems)
         telemetry = {**self._telemetry.as_dict(), **result.telemetry}

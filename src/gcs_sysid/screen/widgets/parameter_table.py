@@ -108,8 +108,8 @@ COLUMNS = (
     Column("unit       ", _unit),
     Column("  ± % ", _percent),
     Column("status        ", _status),
-    Column("target ", _converged, 1),
-    Column(" change ", _change, 2, _has_baseline),
+    Column("target ", _converged, 2),
+    Column(" change ", _change, 1, _has_baseline),
     Column("   truth", _truth, 4, _has_truth),
     Column("  error", _error, 3, _has_truth),
 )
