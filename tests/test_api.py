@@ -127,8 +127,8 @@ def test_a_result_comes_back_from_its_file(analysed, tmp_path):
     [
         ({"gyro": np.zeros((5, 3))}, r"gyro: must have the shape \(\d+, 3\), not \(5, 3\)"),
         ({"gyro": [["a", "b", "c"]]}, "gyro: not an array of numbers"),
-        ({"speeds": None}, "neither speeds nor commands"),
-        ({"velocity": None}, "a position needs the velocity"),
+        ({"speeds": None}, "give speeds or commands"),
+        ({"velocity": None}, "position needs velocity"),
         ({"times": {"gyro": [0.0, 1.0]}}, "no separate times for gyro"),
         ({"times": {"attitude": [1.0, 0.0]}}, "times of attitude: must be a row of numbers"),
     ],

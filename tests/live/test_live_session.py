@@ -597,7 +597,7 @@ def test_another_vehicle_begins_anew_in_a_recording_of_its_own(
             sender.sendto(as_system(raw, 2), ("127.0.0.1", udp.port))
         settled(session, lambda s: len(s.link.vehicles) == 2)
         assert [v.chosen for v in session.latest().link.vehicles] == [True, False]
-        assert session.choose_vehicle((2, 1)).startswith("starting anew on")
+        assert session.choose_vehicle((2, 1)).startswith("restarting on")
         settled(session, lambda s: s.link.recording.endswith("two-2.tlog"))
         for raw in frames:
             sender.sendto(as_system(raw, 2), ("127.0.0.1", udp.port))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.status import Value, judged
 from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe, builtin_names, load_airframe
@@ -85,7 +86,8 @@ def test_a_wrong_unit_caps_all_but_the_given():
     wrong = values(mass=1500.0)
     statuses = {n: v.status for n, v in capped(wrong, objections(wrong, QUAD, "speed")).items()}
     assert set(statuses.values()) == {"given", "weak"}
-    assert "250" in str(pytest.raises(Exception, QUAD.with_arm, 250.0).value)
+    with pytest.raises(InputError, match=r"got 250; 250 mm are 0\.25"):
+        QUAD.with_arm(250.0)
 
 
 def test_full_thrust_against_weight():

@@ -44,7 +44,7 @@ async def test_a_lost_link_counts_the_silence(run_screen):
         s.clock.now += 60.0
         s.app.poll()  # the same snapshot: nothing arrives, but time passes
         await s.settle()
-        assert "silent for 1 min 7 s" in s.text()
+        assert "no data for 1 min 7 s" in s.text()
         await s.serve(replace(fake.snapshot(), link=fake.link(received=20_000)))
         assert "silent" not in s.text()
 
@@ -107,11 +107,11 @@ async def test_parameters_come_and_go(run_screen):
         del found["k_T"], found["k_M"]
         found["T_max"] = Estimate(7.2, 0.1, "N", "identified")
         await s.serve(replace(fake.snapshot(), result=replace(result, parameters=found)))
-        names = [line[1:9].strip() for line in s.lines()]
+        names = [line[1:14].strip() for line in s.lines()]
         assert "k_T" not in names
         assert names.index("cg_y") < names.index("T_max") < names.index("moment_ratio")
         await s.serve(fake.snapshot())
-        names = [line[1:9].strip() for line in s.lines()]
+        names = [line[1:14].strip() for line in s.lines()]
         assert "T_max" not in names
         assert names.index("cg_y") + 1 == names.index("k_T")
 

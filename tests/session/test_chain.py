@@ -226,7 +226,7 @@ def test_an_anchor_in_k_T_gives_the_mass(paper_records, whole):
 
 
 def test_an_airframe_without_scale_is_refused():
-    with pytest.raises(ValueError, match="no scale anchor"):
+    with pytest.raises(ValueError, match="no scale reference"):
         Chain(load_airframe("px4-quad-x"))
 
 

@@ -20,7 +20,7 @@ class Dialogue:
 
     def ask(self, question):
         if not self._typed:
-            raise InputError("the answers ended")
+            raise InputError("end of input")
         self.seen += question
         answer = self._typed.pop(0)
         self.seen += f"{answer}\n"
@@ -146,7 +146,7 @@ def test_a_new_file_is_one_that_is_not_there(tmp_path):
 
 @pytest.mark.parametrize("typed", [(), ("1",), ("own", "0.2 0.2 cw"), ("1", "0.2", "", "1")])
 def test_answers_that_end_too_early_end_the_wizard(typed):
-    with pytest.raises(InputError, match="the answers ended"):
+    with pytest.raises(InputError, match="end of input"):
         asked(*typed)
 
 

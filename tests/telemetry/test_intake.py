@@ -100,9 +100,9 @@ def test_a_stray_heartbeat_is_not_the_vehicle_for_long(make_sender):
     assert times == pytest.approx(7.0 + 0.01 * np.arange(300))  # from its third heartbeat on
     assert intake.monitor.lost == 0
     assert [event.text for event in intake.take_events()] == [
-        "PX4 quadrotor 66:1 heard",
-        "more than one vehicle on the link: PX4 quadrotor 1:1 too; using PX4 quadrotor 66:1, the first "
-        "heard (choose with --vehicle 1:1)",
+        "PX4 quadrotor 66:1 found",
+        "more than one vehicle on the link: PX4 quadrotor 1:1 too; using PX4 quadrotor 66:1, "
+        "the first received (choose with --vehicle 1:1)",
         "PX4 quadrotor 66:1, the first received, sends heartbeats only: using PX4 quadrotor "
         "1:1, which sends IMU data",
     ]

@@ -153,7 +153,7 @@ def test_a_file_that_appears_meanwhile_is_not_overwritten(tmp_path, flight, monk
     monkeypatch.setattr(tlog_writer, "open_file", late)
     with TlogWriter(path) as writer:
         write_all(writer, flight)
-        until(writer, "goes on in")
+        until(writer, "continues in")
     assert path.read_bytes() == b"precious"
     assert list(read_tlog(tmp_path / "flight-2.tlog")) == flight
 
@@ -325,7 +325,7 @@ def test_a_sync_that_fails_begins_another_file(tmp_path, flight, monkeypatch):
         writer._sync_error = OSError(errno.EIO, "Input/output error")
         until(writer, "Input/output error")
         write_all(writer, flight[5:])
-        until(writer, "goes on in")
+        until(writer, "continues in")
     assert list(read_tlog(path)) == flight[:5]
     assert list(read_tlog(tmp_path / "flight-2.tlog")) == flight[5:]
     assert writer.summary() == f"recorded to {path} and {tmp_path / 'flight-2.tlog'}"
@@ -352,7 +352,7 @@ def test_a_file_that_fails_again_and_again_is_given_up(disk, flight, tmp_path):
         writer.flush()
         disk.error = OSError(errno.EIO, "Input/output error")
         write_all(writer, flight)
-        told = until(writer, "another recording can be started")
+        told = until(writer, "start another recording")
         writer.write(START, [flight[0][1]])
     assert len(disk.opened) == tlog_writer.MOST_FILES
     assert sum("tried again" in text for text in told) <= tlog_writer.MOST_FILES

@@ -223,7 +223,7 @@ def test_a_link_that_loses_what_does_not_fit_is_asked_for_less(wire, requests):
     lossy(lambda asked: max(0.0, 1.0 - 30e3 / max(asked, 1.0)), wire, requests, 60.0)
     assert 20e3 < bytes_per_second(requests.asked, 4) <= 32e3
     (said,) = requests.take_events()
-    assert "% of the messages are lost: asking for" in said
+    assert "% of the messages are lost: requesting" in said
 
 
 def test_a_link_that_loses_its_share_of_anything_keeps_its_rates(wire, requests):
