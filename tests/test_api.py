@@ -130,7 +130,7 @@ def test_a_result_comes_back_from_its_file(analysed, tmp_path):
         ({"speeds": None}, "give speeds or commands"),
         ({"velocity": None}, "position needs velocity"),
         ({"times": {"gyro": [0.0, 1.0]}}, "no separate times for gyro"),
-        ({"times": {"attitude": [1.0, 0.0]}}, "times of attitude: must be a row of numbers"),
+        ({"times": {"attitude": [1.0, 0.0]}}, "times of attitude: must be increasing times"),
     ],
 )
 def test_arrays_that_do_not_fit_are_refused_in_one_line(signals, change, says):

@@ -407,7 +407,7 @@ class ScalarIntake:
             return None
         record = self._decode(frame)
         if not known:
-            self._note("vehicle", f"{self.selector.chosen} heard")
+            self._note("vehicle", f"{self.selector.chosen} found")
         clock = self.decoder.clock
         if record is not None:
             if record.stream is Stream.ROTOR_SPEED:

@@ -160,7 +160,7 @@ def test_another_vehicle_on_the_link_is_told_once_with_what_to_do(make_sender):
 def test_a_vehicle_chosen_by_the_user_makes_no_ado_of_others(make_sender):
     intake = Intake((2, None))
     intake.frames([make_sender(who, 1).heartbeat() for who in (1, 2, 3, 1)])
-    assert [event.text for event in intake.take_events()] == ["PX4 quadrotor 2:1 heard"]
+    assert [event.text for event in intake.take_events()] == ["PX4 quadrotor 2:1 found"]
 
 
 def test_a_radio_is_never_the_vehicle(make_sender):

@@ -230,7 +230,7 @@ def test_a_disk_that_stays_full_is_told_once_and_holds_bounded_memory(
     assert disk.content.getvalue() == as_bytes(flight[:3])
     assert writer.summary() == (
         f"recording stopped: {writer.path} (No space left on device); {writer.dropped} frames are "
-        f"missing in it; recorded before: {writer.path}"
+        f"missing; recorded before: {writer.path}"
     )
 
 

@@ -200,7 +200,7 @@ def test_a_stream_slower_than_needed_is_told_once_and_forgiven(wire, requests):
     slow = RATES | {"HIGHRES_IMU": 4.0}
     run(requests, wire, 60.0, slow)
     (said,) = requests.take_events()
-    assert said.startswith("asked for 250 Hz, this link carries about 4 Hz")
+    assert said.startswith("requested 250 Hz, this link carries about 4 Hz")
     assert requests.problem == said
     run(requests, wire, 62.0, RATES, start=60.0)
     assert requests.problem == ""

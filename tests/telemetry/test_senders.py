@@ -132,7 +132,7 @@ def test_two_that_speak_by_turns_are_told_of_once(sender, forged):
         told += [event for event in station.take_events() if "senders" in event]
     assert told == [
         "two senders use the address 1:1: 10.0.0.1:14550, taken as the vehicle, and 10.6.6.6:666; "
-        "unless both are its links, one is forging its messages; signing rejects it"
+        "unless both are its links, one forges its messages, which signing prevents"
     ]
     assert told[0] in station.problems
     assert station.as_dict()["two_senders"] == {

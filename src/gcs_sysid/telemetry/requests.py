@@ -204,7 +204,7 @@ class StreamRequests:
         got = groups.short.get("RAW_IMU")
         self.problem = ""
         if got is not None and got < self._needed:
-            what = f"asked for {hertz:.0f} Hz, this link brings"
+            what = f"requested {hertz:.0f} Hz, this link carries"
             self.problem = too_slow(what, got, self._needed)
         elif hertz < self._needed:
             what = "such losses leave" if self._baud is None else f"{self._baud} baud carries"
