@@ -338,7 +338,7 @@ async def test_a_baseline_is_loaded_compared_and_dropped(run_screen, tmp_path, m
         assert "≠ against a.json: changed: Ixx" in s.text()
         ixx = next(line for line in s.lines() if line.startswith("▸Ixx"))
         assert ixx.endswith("≠  +20 %")
-        assert any(line.startswith(" Iyy") and line.endswith("= +0.00 %") for line in s.lines())
+        assert any(line.startswith(" Iyy") and line.endswith("= +0.0 %") for line in s.lines())
         await s.press("b", *["backspace"] * 6, "enter")
         assert s.answer() == "Baseline removed."
         assert "against" not in s.text()

@@ -133,7 +133,7 @@ def test_viewers_are_told_when_it_closes(source):
     viewer.start()
     share.close()
     assert gone.wait(20.0)
-    with pytest.raises(InputError, match="gone"):
+    with pytest.raises(InputError, match="has ended"):
         RemoteSource(share.door, gone.set)
 
 

@@ -168,7 +168,7 @@ class Pipeline:
         reasons = result.reasons
         if vehicle is None:
             others = ", ".join(map(str, self._telemetry.systems))
-            heard = f"; received: {others}" if others else ""
+            heard = f"; found: {others}" if others else ""
             which = " the requested" if self._wanted else " any"
             reasons = (f"no heartbeat of{which} autopilot received{heard}",)
         elif result.verdict != "identified":
