@@ -94,8 +94,13 @@ class Airframe:
     imu_position: tuple[float, float, float] | None = None
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Parameters known beforehand: name -> value and standard deviation, SI."""
-    arm_known: bool = True
-    """False for a built-in layout whose size nobody has given: see `_VEHICLES`."""
+    placeholder: tuple[Rotor, ...] = ()
+    """Rotors of a built-in layout, whose size is not that of any vehicle: see `_VEHICLES`."""
+
+    @property
+    def arm_known(self) -> bool:
+        """Whether the size is that of the vehicle: False for a layout as it comes."""
+        return self.rotors != self.placeholder
 
     @property
     def geometry(self) -> NDArray[np.float64]:
@@ -192,7 +197,7 @@ class Airframe:
             )
         k = meters / self.arm
         rotors = tuple(Rotor(r.x * k, r.y * k, r.spin) for r in self.rotors)
-        return replace(self, rotors=rotors, arm_known=True)
+        return replace(self, rotors=rotors, placeholder=())
 
 
 def builtin_names() -> list[str]:
@@ -209,7 +214,7 @@ def load_airframe(name_or_path: str) -> Airframe:
     """
     airframe = parse_airframe(*read_airframe_table(name_or_path))
     layout = name_or_path in builtin_names() and name_or_path not in _VEHICLES
-    return replace(airframe, arm_known=not layout)
+    return replace(airframe, placeholder=airframe.rotors) if layout else airframe
 
 
 def read_airframe_table(name_or_path: str) -> tuple[dict[str, Any], str]:
