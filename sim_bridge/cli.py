@@ -113,7 +113,7 @@ def make_parser() -> argparse.ArgumentParser:
     """The command line."""
     parser = OneLineParser(
         prog="sim-bridge",
-        description="Emulate a multirotor that speaks MAVLink as PX4 or ArduPilot does.",
+        description="Emulate a multirotor with the MAVLink interface of PX4 or ArduPilot.",
         epilog=(
             f"effects (usual value in brackets):\n{physics_help()}\n\n"
             f"traps (usual value in brackets):\n{sensor_fault_help()}\n\n"
@@ -124,7 +124,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("--version", action="version", version=f"sim-bridge {__version__}")
-    vehicle = parser.add_argument_group("what flies")
+    vehicle = parser.add_argument_group("vehicle and flight")
     add = vehicle.add_argument
     add(
         "--airframe",
@@ -148,7 +148,7 @@ def make_parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="T:FACTOR",
-        help="multiply the mass at time T; may be given again",
+        help="multiply the mass by FACTOR at time T; may be repeated",
     )
     add(
         "--turbulence",
@@ -162,9 +162,9 @@ def make_parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="NAME[=VALUE]",
-        help="fly what real vehicles have and the ideal one has not, see below; may be given again",
+        help="add effects of real vehicles, see below; may be repeated",
     )
-    sensing = parser.add_argument_group("what is measured")
+    sensing = parser.add_argument_group("sensors and telemetry")
     add = sensing.add_argument
     add("--noise", choices=NOISE_MODELS, default="mems", help="sensor noise (default: mems)")
     add(
@@ -188,7 +188,7 @@ def make_parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="set a parameter of the autopilot, such as INS_GYRO_FILTER=40; may be given again",
+        help="set a parameter of the autopilot, such as INS_GYRO_FILTER=40; may be repeated",
     )
     add(
         "--stream",
@@ -204,9 +204,9 @@ def make_parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="NAME[=VALUE]",
-        help="do what real autopilots and links do to their readers, see below; may be given again",
+        help="add sensor and autopilot faults, see below; may be repeated",
     )
-    link = parser.add_argument_group("where to")
+    link = parser.add_argument_group("output")
     add = link.add_argument
     add(
         "--fault",
@@ -214,7 +214,7 @@ def make_parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="NAME[=VALUE]",
-        help="send over a bad line, into --tlog too, see below; may be given again",
+        help="add line faults, in --tlog too, see below; may be repeated",
     )
     add("url", nargs="?", metavar="URL", help="the same as --connect URL")
     add(
@@ -236,22 +236,23 @@ def make_parser() -> argparse.ArgumentParser:
         "--signing-key",
         type=Path,
         metavar="FILE",
-        help="sign with this key, and obey only who does: 32 bytes, or 64 hexadecimal digits",
+        help="sign with this key, and obey signed commands only: 32 bytes, or 64 hexadecimal "
+        "digits",
     )
     add(
         "--play",
         type=Path,
         metavar="LOG.tlog",
-        help="send this recording again, its frames as they are, at its own pace times --speed",
+        help="replay the frames of this recording, at its own pace times --speed",
     )
-    add("--tlog", type=Path, metavar="FILE", help="write the flight straight to a .tlog")
-    add("--force", action="store_true", help="replace .tlog and truth file if there are any")
+    add("--tlog", type=Path, metavar="FILE", help="write the flight to a .tlog")
+    add("--force", action="store_true", help="overwrite existing files")
     add("--truth", type=Path, metavar="FILE", help="write the true parameters as JSON")
     # However a program that starts this one ends, its pipe closes.
     parser.add_argument(
         "--until-stdin-closes",
         action="store_true",
-        help="end with standard input too, for programs that start this one",
+        help="end when standard input closes, for programs that start this one",
     )
     return parser
 

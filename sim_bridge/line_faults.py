@@ -71,42 +71,40 @@ def _bursts(text: str) -> tuple[float, float]:
 
 
 KINDS: dict[str, Kind] = {
-    "loss": Kind("share of frames lost, each for itself", share, "SHARE", "0.2"),
+    "loss": Kind("share of frames lost, independently", share, "SHARE", "0.2"),
     "bursts": Kind(
-        "share of frames lost in runs of so many on average (Gilbert's channel)",
+        "share of frames lost in bursts of this mean length (Gilbert's channel)",
         _bursts,
         "SHARE[:FRAMES]",
         "0.1:10",
     ),
-    "silence": Kind("nothing passes for so long", span, "FROM:S[:EVERY]"),
+    "silence": Kind("outage", span, "FROM:S[:EVERY]"),
     "stall": Kind(
-        "this message does not pass for so long; may be given again",
+        "outage of this message; may be repeated",
         named_spans,
         "MESSAGE:FROM:S[:EVERY]",
     ),
     "corrupt": Kind("share of frames with wrong bytes, or cut short", share, "SHARE", "0.02"),
     "bandwidth": Kind(
-        "bytes/s that pass; half a second of them waits, what comes beyond is lost",
+        "bytes/s that pass; half a second is buffered, the rest is lost",
         between(1.0, 1e9, "bytes/s"),
         "BYTES/S",
     ),
-    "delay": Kind("all comes later by so much", milliseconds, "MS", "50"),
-    "jitter": Kind("delays differ by up to so much, the order stays", milliseconds, "MS", "20"),
-    "scatter": Kind(
-        "delays differ by up to so much, and frames overtake each other", milliseconds, "MS", "20"
-    ),
+    "delay": Kind("constant delay", milliseconds, "MS", "50"),
+    "jitter": Kind("jitter up to this, in order", milliseconds, "MS", "20"),
+    "scatter": Kind("jitter up to this, frames reordered", milliseconds, "MS", "20"),
     "reorder": Kind(
-        "share of frames up to 20 ms behind those that followed", share, "SHARE", "0.05"
+        "share of frames delayed by up to 20 ms behind later ones", share, "SHARE", "0.05"
     ),
-    "duplicate": Kind("share of frames that come twice, up to 20 ms apart", share, "SHARE", "0.05"),
-    "garbage": Kind("a stranger's random bytes, so many datagrams a second", _rate, "HZ", "100"),
+    "duplicate": Kind("share of frames duplicated, up to 20 ms apart", share, "SHARE", "0.05"),
+    "garbage": Kind("random bytes of an attacker, datagrams a second", _rate, "HZ", "100"),
     "forged": Kind(
-        "a stranger's heartbeats a second, half in the vehicle's name, half in anybody's",
+        "heartbeats of an attacker a second, half with the vehicle's address",
         _rate,
         "HZ",
         "5",
     ),
-    "flood": Kind("a stranger's sound frames of other systems a second", _rate, "HZ", "5000"),
+    "flood": Kind("valid frames of an attacker as other systems, a second", _rate, "HZ", "5000"),
 }
 """Every fault by its name on the command line."""
 

@@ -219,20 +219,20 @@ KINDS: dict[str, Kind] = {
         "1",
     ),
     "quadratic-drag": Kind(
-        "drag with speed squared: this fast it falls with its rotors stopped",
+        "quadratic drag: terminal velocity with stopped rotors",
         positive,
         "M/S",
         "20",
     ),
     "damping": Kind(
-        "rates of roll, pitch and yaw that a turn dies out with by itself",
+        "damping rate of roll, pitch and yaw",
         _numbers("P:Q:R", (_rate, _rate, _rate)),
         "P:Q:R 1/S",
         "0.5:0.5:0.05",
     ),
-    "rotor-height": Kind("rotors above the CG by so much", _metres, "M", "0.03"),
+    "rotor-height": Kind("height of the rotors above the CG", _metres, "M", "0.03"),
     "wind": Kind(
-        "steady wind, from where (north is 0)",
+        "steady wind, direction from (north is 0)",
         _numbers("M/S[:DEG]", (between(0.0, 40.0, "m/s"), _direction), ("0",)),
         "M/S[:DEG]",
         "5:30",
@@ -246,7 +246,7 @@ KINDS: dict[str, Kind] = {
     "scatter": Kind(
         "each rotor's k_T and k_M differ: 1 sigma", between(0.0, 0.3, "of them"), "SHARE", "0.03"
     ),
-    "tilt": Kind("rotors canted about their arms so that they help to yaw", _degrees, "DEG", "4"),
+    "tilt": Kind("rotors canted about their arms, in the direction of yaw", _degrees, "DEG", "4"),
     "rotor-inertia": Kind("of one rotor, with commands too", not_negative, "KGM2", "3e-5"),
     "motor-lag": Kind("time constant of the motors", milliseconds, "MS", "40"),
     "lag-of": Kind("what lags: speed, thrust or command", _lag_of, "WHAT", "speed"),
@@ -254,7 +254,7 @@ KINDS: dict[str, Kind] = {
         "c of T/T_max = (1 - c) u + c u^2", between(0.0, 1.0, "(linear to square)"), "C", "0.65"
     ),
     "weakening": Kind(
-        "a rotor loses this share of its thrust, within so many seconds",
+        "a rotor loses this share of its thrust, over this time",
         _weakening,
         "ROTOR:FROM:SHARE[:S]",
         "1:20:0.1:5",
@@ -266,7 +266,7 @@ KINDS: dict[str, Kind] = {
         "1.8",
     ),
     "battery": Kind(
-        "share of its voltage that the battery loses in so many seconds",
+        "share of its voltage that the battery loses over this time",
         _numbers("SHARE[:S]", (between(0.0, 0.4, "of the voltage"), positive), ("60",)),
         "SHARE[:S]",
         "0.05:60",
@@ -278,19 +278,19 @@ KINDS: dict[str, Kind] = {
         "0.03",
     ),
     "ou-moment": Kind(
-        "moment that nobody models (Ornstein-Uhlenbeck), rms over inertia on each axis",
+        "unmodeled moment (Ornstein-Uhlenbeck), rms over inertia on each axis",
         _numbers("RAD/S2[:TAU]", (between(0.0, 50.0, "rad/s^2"), positive), ("1",)),
         "RAD/S2[:TAU]",
         "1:1",
     ),
     "ou-force": Kind(
-        "force that nobody models, rms over mass on each axis",
+        "unmodeled force, rms over mass on each axis",
         _numbers("M/S2[:TAU]", (between(0.0, 10.0, "m/s^2"), positive), ("1",)),
         "M/S2[:TAU]",
         "0.3:1",
     ),
     "slosh": Kind(
-        "share of the mass that sloshes in its tank",
+        "share of the mass that sloshes in a tank",
         _numbers("SHARE[:HZ]", (_part, between(0.1, 20.0, "Hz")), ("1.2",)),
         "SHARE[:HZ]",
         "0.15:1.2",
@@ -314,10 +314,10 @@ KINDS: dict[str, Kind] = {
         "1:-1:1",
     ),
     "throttle-cut": Kind(
-        "all rotors at idle in the air for so long", span, "FROM:S[:EVERY]", "20:0.3"
+        "all rotors at idle in the air, duration", span, "FROM:S[:EVERY]", "20:0.3"
     ),
     "idle": Kind("command of a rotor at idle", between(0.0, 0.3, "of full"), "SHARE", "0.05"),
-    "punch-out": Kind("full throttle for so long", span, "FROM:S[:EVERY]", "30:0.5"),
+    "punch-out": Kind("full throttle, duration", span, "FROM:S[:EVERY]", "30:0.5"),
 }
 """Every effect by its name on the command line."""
 
@@ -344,4 +344,4 @@ def make_physics(parsed: Iterable[tuple[str, Any]]) -> Physics:
 
 def physics_help() -> str:
     """One line an effect, for --help."""
-    return f"{choice_help(KINDS)}\n  {ALL:<26} every one of them at its usual value"
+    return f"{choice_help(KINDS)}\n  {ALL:<26} all of them at their usual values"

@@ -89,18 +89,18 @@ def _message(text: str) -> tuple[int, ...]:
 
 
 KINDS: dict[str, Kind] = {
-    "rpm-zero": Kind("rotor speeds read 0 for ever"),
+    "rpm-zero": Kind("rotor speeds always read 0"),
     "rpm-dead": Kind("the ESC of this motor (from 1) is silent: 0", whole(32), "MOTOR", "1"),
     "rpm-repeats": Kind(
-        "share of rotor-speed messages that repeat the last under a fresh stamp",
+        "share of rotor-speed messages that repeat the last under a new timestamp",
         share,
         "SHARE",
         "0.03",
     ),
     "rpm-rad": Kind("rad/s in the rpm field"),
-    "rpm-command": Kind("commanded speeds sold as measured ones"),
+    "rpm-command": Kind("commanded speeds reported as measured"),
     "rpm-signed": Kind("negative rpm from rotors that turn clockwise"),
-    "rpm-stuck": Kind("rotor speeds stand still for so long", span, "FROM:S[:EVERY]"),
+    "rpm-stuck": Kind("rotor speeds freeze, duration", span, "FROM:S[:EVERY]"),
     "rpm-spikes": Kind(
         "share of rotor-speed messages with a wild value on one rotor", share, "SHARE", "0.005"
     ),
@@ -125,12 +125,12 @@ KINDS: dict[str, Kind] = {
         "share of attitudes that are half a radian and more off", share, "SHARE", "0.002"
     ),
     "imu-frozen": Kind(
-        "share of IMU samples that repeat the last under a fresh stamp", share, "SHARE", "0.02"
+        "share of IMU samples that repeat the last under a new timestamp", share, "SHARE", "0.02"
     ),
-    "imu-nan": Kind("gyro and accelerometer read NaN for so long", span, "FROM:S[:EVERY]"),
-    "imu-stuck": Kind("gyro and accelerometer stand still for so long", span, "FROM:S[:EVERY]"),
+    "imu-nan": Kind("gyro and accelerometer read NaN, duration", span, "FROM:S[:EVERY]"),
+    "imu-stuck": Kind("gyro and accelerometer freeze, duration", span, "FROM:S[:EVERY]"),
     "gyro-average": Kind(
-        "gyro and accelerometer averaged over so long, stamped at the END as PX4 does",
+        "gyro and accelerometer averaged over this time, stamped at the END as PX4 does",
         milliseconds,
         "MS",
         "4",
@@ -138,38 +138,38 @@ KINDS: dict[str, Kind] = {
     "accelerometer-bias": Kind(
         "accelerometer bias on every axis", between(0.0, 1000.0, "m/s^2"), "M/S2", "0.2"
     ),
-    "attitude-nan": Kind("attitude reads NaN for so long", span, "FROM:S[:EVERY]"),
-    "attitude-stuck": Kind("attitude stands still for so long", span, "FROM:S[:EVERY]"),
+    "attitude-nan": Kind("attitude reads NaN, duration", span, "FROM:S[:EVERY]"),
+    "attitude-stuck": Kind("attitude freezes, duration", span, "FROM:S[:EVERY]"),
     "rotor-late": Kind(
-        "rotor speeds and commands older than their stamp", milliseconds, "MS", "10"
+        "rotor speeds and commands older than their timestamp", milliseconds, "MS", "10"
     ),
-    "imu-late": Kind("gyro and accelerometer older than their stamp", milliseconds, "MS", "10"),
-    "attitude-late": Kind("attitude older than its stamp", milliseconds, "MS", "10"),
+    "imu-late": Kind("gyro and accelerometer older than their timestamp", milliseconds, "MS", "10"),
+    "attitude-late": Kind("attitude older than its timestamp", milliseconds, "MS", "10"),
     "skips": Kind(
         "messages never sent, without a gap in the sequence numbers", share, "SHARE", "0.01"
     ),
     "disorder": Kind(
         "share of frames sent after the one that follows them", share, "SHARE", "0.05"
     ),
-    "wrap-us": Kind("32-bit stamps in us wrap so long after the start", moment, "S", "10"),
+    "wrap-us": Kind("32-bit timestamps in us wrap, time after the start", moment, "S", "10"),
     "wrap-ms": Kind(
-        "32-bit stamps in ms wrap so long after the start, and those in us with them",
+        "32-bit timestamps in ms wrap, and those in us with them, time after the start",
         moment,
         "S",
         "10",
     ),
-    "clock-drift": Kind("the vehicle's clock runs fast by so much", _ppm, "PPM", "8000"),
+    "clock-drift": Kind("the vehicle's clock runs fast", _ppm, "PPM", "8000"),
     "clock-jump": Kind(
-        "the vehicle's clock is set ahead, or back, by so much",
+        "the vehicle's clock is set ahead or back",
         two(moment, seconds, "FROM:S"),
         "FROM:S",
     ),
-    "reboot": Kind("the autopilot restarts so long after the start", moment, "S"),
+    "reboot": Kind("the autopilot restarts, time after the start", moment, "S"),
     "rate-reset": Kind(
-        "another ground station resets the rates so long after the start", moment, "S"
+        "another ground station resets the rates, time after the start", moment, "S"
     ),
     "never-sent": Kind(
-        "this message is acknowledged and never comes; may be given again", _message, "MESSAGE"
+        "this message is acknowledged and never comes; may be repeated", _message, "MESSAGE"
     ),
     "groups-only": Kind(
         "ArduPilot before 4.0: no SET_MESSAGE_INTERVAL, no HIGHRES_IMU, groups at 50 Hz at most"
@@ -179,11 +179,9 @@ KINDS: dict[str, Kind] = {
         "ACTUATOR_OUTPUT_STATUS counts outputs that drive nothing, too", whole(32), "N", "16"
     ),
     "ground": Kind("on the ground, disarmed, before and after each flight", moment, "S", "10"),
-    "flights": Kind(
-        "flights one after the other, with a stay on the ground between", whole(100), "N", "2"
-    ),
-    "forwarded": Kind("a second vehicle's messages come along"),
-    "radio": Kind("a telemetry radio's messages come along"),
+    "flights": Kind("flights in sequence, with ground time in between", whole(100), "N", "2"),
+    "forwarded": Kind("messages of a second vehicle"),
+    "radio": Kind("messages of a telemetry radio"),
 }
 """Every trap by its name on the command line."""
 

@@ -143,7 +143,7 @@ def _check_flies(simulation: Simulation) -> None:
     if not speed < FASTEST:
         raise InputError(
             f"{simulation.time:.1f} s after the start the vehicle is out of control at over "
-            f"{FASTEST:g} m/s: its rotors cannot hold this mass, or the air is too rough"
+            f"{FASTEST:g} m/s: its rotors cannot carry this mass, or the wind is too strong"
         )
 
 

@@ -183,10 +183,10 @@ def read_plan(path: Path) -> ManoeuvreMission:
     try:
         content = json.loads(read_text(path, _MOST_BYTES, "the plan"))
     except (ValueError, RecursionError):
-        raise InputError(f"{path} is no JSON") from None
+        raise InputError(f"{path} is not JSON") from None
     entries = content.get("manoeuvres") if isinstance(content, dict) else None
     if not isinstance(entries, list) or not entries:
-        raise InputError(f"{path} is no plan: it lists no manoeuvres")
+        raise InputError(f"{path} is not a plan: it has no maneuvers")
     mission = ManoeuvreMission()
     for number, entry in enumerate(entries, 1):
         try:
@@ -199,5 +199,5 @@ def read_plan(path: Path) -> ManoeuvreMission:
                 raise ValueError(f"start must lie between 0 and {LATEST} s")
             mission.add(Swings.from_json(entry), float(start))
         except ValueError as error:
-            raise InputError(f"{path}: manoeuvre {number}: {error}") from None
+            raise InputError(f"{path}: maneuver {number}: {error}") from None
     return mission

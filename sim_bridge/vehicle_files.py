@@ -138,9 +138,7 @@ def check_hover(v: Vehicle, where: str) -> None:
     """
     shares = hover_thrusts(v)
     if min(shares) <= 0.0:
-        raise InputError(
-            f"{where}: the CG lies so far out that a rotor would have to pull downwards"
-        )
+        raise InputError(f"{where}: the CG is so far out that a rotor would have to push down")
     if max(shares) >= 0.9 * v.T_max:
         raise InputError(
             f"{where}: T_max of {v.T_max:g} N is too little: "

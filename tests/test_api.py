@@ -127,10 +127,10 @@ def test_a_result_comes_back_from_its_file(analysed, tmp_path):
     [
         ({"gyro": np.zeros((5, 3))}, r"gyro: must have the shape \(\d+, 3\), not \(5, 3\)"),
         ({"gyro": [["a", "b", "c"]]}, "gyro: not an array of numbers"),
-        ({"speeds": None}, "neither speeds nor commands"),
-        ({"velocity": None}, "a position needs the velocity"),
-        ({"times": {"gyro": [0.0, 1.0]}}, "no times of its own can have gyro"),
-        ({"times": {"attitude": [1.0, 0.0]}}, "times of attitude: must be a row of numbers"),
+        ({"speeds": None}, "give speeds or commands"),
+        ({"velocity": None}, "position needs velocity"),
+        ({"times": {"gyro": [0.0, 1.0]}}, "no separate times for gyro"),
+        ({"times": {"attitude": [1.0, 0.0]}}, "times of attitude: must be increasing times"),
     ],
 )
 def test_arrays_that_do_not_fit_are_refused_in_one_line(signals, change, says):
@@ -142,7 +142,7 @@ def test_arrays_that_do_not_fit_are_refused_in_one_line(signals, change, says):
 
 def test_rotations_that_are_none_are_refused(signals):
     euler = np.zeros_like(signals.attitude)
-    with pytest.raises(gcs_sysid.InputError, match="row 0 is no unit quaternion"):
+    with pytest.raises(gcs_sysid.InputError, match="row 0 is not a unit quaternion"):
         gcs_sysid.identify(replace(signals, attitude=euler), "paper")
 
 

@@ -356,7 +356,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.reliability.degraded", description=__doc__.splitlines()[0]
     )
-    parser.add_argument("--only", choices=SECTIONS, action="append", help="may be given again")
+    parser.add_argument("--only", choices=SECTIONS, action="append", help="may be repeated")
     parser.add_argument("--case", action="append", help="of the table: those whose name has this")
     parser.add_argument("--seeds", type=int, help="default: 10; 3 for the table")
     parser.add_argument("--mission", choices=sorted(MISSIONS), default="all-axes")

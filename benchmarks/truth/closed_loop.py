@@ -47,7 +47,7 @@ class Vehicle:
     Attributes:
         mass: kg.
         inertia: Ixx, Iyy, Izz, Ixy, Iyz, Ixz, kg m^2.
-        cg: x, y of the CG from the geometric centre, m.
+        cg: x, y of the CG from the geometric center, m.
         k_T, k_M: N s^2, N m s^2.
         arms: (3, rotors) as of `Airframe.geometry`.
         motor_lag: s.

@@ -83,19 +83,18 @@ class Signals:
         unknown = set(self.times or {}) - own
         if unknown:
             raise InputError(
-                f"no times of its own can have {', '.join(sorted(unknown))}; "
-                f"only {', '.join(sorted(own))}"
+                f"no separate times for {', '.join(sorted(unknown))}; only {', '.join(sorted(own))}"
             )
         if self.speeds is None and self.commands is None:
-            raise InputError("neither speeds nor commands: what the rotors do must be known")
+            raise InputError("give speeds or commands of the rotors")
         if self.position is not None and self.velocity is None:
-            raise InputError("a position needs the velocity beside it")
+            raise InputError("position needs velocity too")
         imu = np.hstack([self._values("gyro", 3), self._values("force", 3)])
         attitude = self._values("attitude", 4)
         with np.errstate(invalid="ignore"):
             stretched = np.abs(np.linalg.norm(attitude, axis=1) - 1.0) > 0.1
         if stretched.any():
-            raise InputError(f"attitude: row {int(stretched.argmax())} is no unit quaternion")
+            raise InputError(f"attitude: row {int(stretched.argmax())} is not a unit quaternion")
         # Of one instant the IMU comes last: the chain then has what goes with it.
         tracks = [Track(Stream.ATTITUDE, self._times("attitude"), attitude)]
         for name, stream in (("speeds", Stream.ROTOR_SPEED), ("commands", Stream.ROTOR_COMMAND)):
@@ -119,7 +118,7 @@ class Signals:
         except (TypeError, ValueError) as error:
             raise InputError(f"times of {name}: not an array of numbers ({error})") from error
         if t.ndim != 1 or len(t) < 2 or not np.isfinite(t).all() or (np.diff(t) <= 0.0).any():
-            raise InputError(f"times of {name}: must be a row of numbers that rise, in s")
+            raise InputError(f"times of {name}: must be increasing times in s")
         return t
 
     def _values(self, name: str, width: int, times: str | None = None) -> Array:
@@ -190,8 +189,8 @@ def load_airframe(
         out = out.with_prior(prior, value, std)
     if out.anchor() is None:
         raise InputError(
-            f"nothing sets the scale: give one of {', '.join(ANCHORS)}, because IMU and rotors "
-            "alone do not tell heavy and strong from light and weak"
+            f"nothing sets the scale: give one of {', '.join(ANCHORS)}; IMU and rotor data alone "
+            "fix ratios only"
         )
     out.check_scale_fits()
     return out
@@ -288,7 +287,7 @@ def _in_order(tracks: tuple[Track, ...]) -> tuple[Track, ...]:
     """The tracks with the order in which their samples come: by time, then as listed."""
     tracks = tuple(track for track in tracks if len(track.t))
     if not tracks:
-        raise InputError("no sample is known: all values are NaN")
+        raise InputError("all values are NaN")
     times = np.concatenate([track.t for track in tracks])
     order = np.empty(len(times), np.int64)
     order[np.argsort(times, kind="stable")] = np.arange(len(times))

@@ -18,9 +18,7 @@ def check_regular(path: Path) -> None:
         OSError: it leads nowhere.
     """
     if not stat.S_ISREG(path.stat().st_mode):
-        raise InputError(
-            f"{path} is a pipe or a device: save what it gives as a file, and give that"
-        )
+        raise InputError(f"{path} is a pipe or a device: save its data to a file first")
 
 
 def split_session(path: Path) -> tuple[Path, int | None]:
@@ -83,9 +81,9 @@ def check_target(path: Path, *, replace: bool, sources: tuple[Path, ...] = ()) -
         raise InputError(f"{path}: cannot write: it is a folder")
     _check_no_device(path)
     if path.resolve() in (source.resolve() for source in sources):
-        raise InputError(f"{path} is what is to be read or written besides; name another file")
+        raise InputError(f"{path} is also an input or another output; name another file")
     if path.exists() and not replace:
-        raise InputError(f"{path} exists already; --force writes over it")
+        raise InputError(f"{path} exists; --force overwrites it")
 
 
 def write_whole(path: Path, content: str | bytes, *, replace: bool) -> None:
@@ -116,7 +114,7 @@ def write_whole(path: Path, content: str | bytes, *, replace: bool) -> None:
         else:
             _put_new(part, path)
     except FileExistsError as error:
-        raise InputError(f"{path} exists already; --force writes over it") from error
+        raise InputError(f"{path} exists; --force overwrites it") from error
     except OSError as error:
         raise InputError(f"{path}: cannot write: {error.strerror}") from error
     finally:

@@ -126,7 +126,7 @@ CASES = {
     "check of nothing": (["airframe", "check", "no.toml"], "no.toml"),
     "check of a broken one": (["airframe", "check", "broken.toml"], "broken.toml"),
     "doctor of nonsense": (["doctor", "nonsense"], "'nonsense'"),
-    "doctor would have to speak": (["doctor", "udpout:1.2.3.4:1"], "silent until spoken to"),
+    "doctor would have to speak": (["doctor", "udpout:1.2.3.4:1"], "answers only to messages"),
     "no such shell": (["completion", "tcsh"], "'tcsh'"),
 }
 

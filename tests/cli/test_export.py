@@ -72,7 +72,7 @@ def test_existing_files_are_kept_unless_forced(files, capsys):
     (files / "quad.urdf").write_text("precious")
     assert run(["export", "a.json", "--to", "urdf", "-o", "quad.urdf"]) == 2
     err = capsys.readouterr().err
-    assert err.startswith(ERROR + "quad.urdf exists already")
+    assert err.startswith(ERROR + "quad.urdf exists; --force overwrites it")
     assert err.count("\n") == 1
     assert (files / "quad.urdf").read_text() == "precious"
     assert run(["export", "a.json", "--to", "urdf", "-o", "quad.urdf", "--force"]) == 0
@@ -148,8 +148,8 @@ def test_the_same_vehicle(capsys):
     out, err = capsys.readouterr()
     assert err == ""
     assert "\nNo change seen in Ixx, Iyy" in out
-    assert "Cannot tell of mass." in out
-    assert "both rest on mass = 1.5 kg" in out
+    assert "Undetermined: mass." in out
+    assert "scale of both: mass = 1.5 kg" in out
     assert max(map(len, out.splitlines())) <= 110
 
 
@@ -165,7 +165,7 @@ def test_a_changed_vehicle(capsys):
 def test_nothing_to_compare_is_status_1(capsys):
     assert run(["compare", "a.json", "refused.json"]) == 1
     out, err = capsys.readouterr()
-    assert "Cannot tell whether the vehicle has changed." in out
+    assert "Undetermined: no parameter is identified in both results." in out
     assert err == "gcs-sysid: cannot compare: no parameter is identified in both\n"
 
 

@@ -126,7 +126,7 @@ def test_check_draws_and_says_what_looks_wrong(tmp_path, capsys):
     out = capsys.readouterr().out
     assert "front\n2" in out
     said = " ".join(out.split())
-    assert "numbered otherwise" in said
+    assert "numbered differently" in said
     assert "not grams" in said
     path.write_text(f'k_T = 1e-5\nrotor_input = "command"\n{text}', encoding="utf-8")
     assert run(["airframe", "check", str(path)]) == 1
@@ -230,7 +230,7 @@ def test_without_a_package_the_doctor_still_speaks(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "serial", None)
     monkeypatch.setitem(sys.modules, "serial.tools", None)
     assert run(["doctor", "--duration", "0.1"]) == 1
-    assert "cannot be looked at" in capsys.readouterr().out
+    assert "cannot be checked" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("module", ["numpy", "serial"])
@@ -243,7 +243,7 @@ def test_the_doctor_starts_without_the_packages_that_it_looks_for(module, tmp_pa
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, timeout=60
     )
     assert (done.returncode, done.stderr) == (1, "")
-    assert "links: cannot be looked at" in done.stdout
+    assert "links: cannot be checked" in done.stdout
 
 
 def test_the_doctor_has_no_way_to_send():

@@ -38,7 +38,7 @@ def test_an_export_never_takes_the_place_of_another(result, folder):
         "Exported to paper-3.urdf",
     ]
     assert len({path.read_text(encoding="utf-8") for path in folder.iterdir()}) == 1
-    assert "said in the file" in said[0]
+    assert "see its header" in said[0]
 
 
 def test_what_the_flight_does_not_tell_is_refused_and_nothing_written(result, folder):

@@ -129,7 +129,7 @@ def test_a_disk_that_is_full_is_told_at_once_and_at_the_end(monkeypatch, capsys)
     writer.write(Line(0))
     with pytest.raises(InputError, match=r"results\.json: cannot write: No space left"):
         writer.close()
-    assert "No space left on device; the session goes on" in capsys.readouterr().err
+    assert "No space left on device; the session continues" in capsys.readouterr().err
 
 
 def test_words_for_a_terminal_that_is_gone_cost_nothing(monkeypatch):

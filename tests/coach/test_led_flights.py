@@ -37,7 +37,7 @@ def test_progress_is_of_motion_and_not_of_time():
     first = coach.advise()
     assert first is not None
     assert first.manoeuvre
-    assert first.text.endswith("first values of everything")
+    assert first.text.endswith("first estimates of all parameters")
     assert first.gains == ()
     flight.fly(4.0)
     waiting = coach.advise()

@@ -27,7 +27,7 @@ D20, D45 = math.radians(20.0), math.radians(45.0)
         (Manoeuvre("yaw", yaw=D45, seconds=6.0), "yaw to and fro, ±45°, about 1 Hz, 6 s"),
         (
             Manoeuvre("roll and pitch", roll=D20, pitch=D20, pace=0.7),
-            "stir the stick: roll and pitch in a circle, ±20°, about 0.7 Hz, 10 s",
+            "circle the stick: roll and pitch, ±20°, about 0.7 Hz, 10 s",
         ),
         (Manoeuvre("climb", climb=1.0, pace=0.5), "up and down, ±1 m, about 0.5 Hz, 10 s"),
     ],

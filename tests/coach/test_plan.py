@@ -94,9 +94,9 @@ def test_the_emulator_reads_what_is_planned(tmp_path):
 @pytest.mark.parametrize(
     ("content", "why"),
     [
-        ("{", "no JSON"),
-        ("[]", "lists no manoeuvres"),
-        ('{"manoeuvres": [7]}', "manoeuvre 1: must be an object"),
+        ("{", "not JSON"),
+        ("[]", "it has no maneuvers"),
+        ('{"manoeuvres": [7]}', "maneuver 1: must be an object"),
         ('{"manoeuvres": [{"roll_deg": "x"}]}', "roll_deg must be a number"),
         ('{"manoeuvres": [{"roll_deg": 90}]}', "roll_deg must lie in 0..60, got 90"),
     ],

@@ -169,14 +169,14 @@ def parameters(**statuses):
     ("statuses", "word", "said"),
     [
         ({}, "identified", []),
-        ({"Ixy": "weak"}, "partial", ["only roughly known: Ixy"]),
-        ({"Ixy": "unobservable"}, "partial", ["do not tell Ixy"]),
+        ({"Ixy": "weak"}, "partial", ["weak: Ixy"]),
+        ({"Ixy": "unobservable"}, "partial", ["not observable from this flight: Ixy"]),
         ({"Izz": "weak", "k_M": "weak"}, "partial", ["Izz, k_M", "one scale"]),
         ({"Izz": "weak", "k_M": "unobservable"}, "partial", ["k_M", "Izz", "one scale"]),
         (
             dict.fromkeys(CORE[1:], "unobservable"),
             "refused",
-            ["do not tell Ixx, Iyy", "one scale"],
+            ["not observable from this flight: Ixx, Iyy", "one scale"],
         ),
     ],
 )

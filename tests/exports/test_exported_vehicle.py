@@ -73,8 +73,8 @@ def test_weak_values_are_used_and_named(result):
     result = replace(result, parameters=result.parameters | {"Izz": rough})
     vehicle = assemble(result, given=EVERYTHING)
     for target in TARGETS.values():
-        assert "Note: only roughly known: Izz\n" in target.write(vehicle)
-        assert "only roughly known: Izz" in target.notes(vehicle)
+        assert "Note: weak: Izz\n" in target.write(vehicle)
+        assert "weak: Izz" in target.notes(vehicle)
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -115,7 +115,7 @@ def test_rotors_must_be_known_and_the_same(result):
         assemble(bare)
     other = load_airframe("px4-quad-x").with_arm(0.3)
     assert assemble(bare, other).rotors == other.rotors
-    with pytest.raises(InputError, match="not where the result has them"):
+    with pytest.raises(InputError, match="not at the positions of the result"):
         assemble(result, other.with_arm(0.31))
     with pytest.raises(InputError, match=r"4 rotors.* has 6"):
         assemble(result, load_airframe("px4-hexa-x"))
@@ -131,7 +131,7 @@ def test_a_file_says_where_it_comes_from(vehicle, target):
         assert re.search(rf"^.? +{name} = ", text, re.MULTILINE), name
     assert "Ixx = 0.0165 +- 3.2e-05 kg m^2 (identified)" in text
     assert f"rotor_speed_max = {FULL_SPEED:g} rad/s (by hand)" in text
-    assert "Not known: thrust_curve" in text
+    assert "Unknown: thrust_curve" in text
 
 
 @pytest.mark.parametrize("target", TARGETS)

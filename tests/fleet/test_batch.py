@@ -139,7 +139,7 @@ def test_a_folder_of_something_else_is_left_alone(batch, logs, tmp_path):
     thesis.write_text("chapter 1")
     status, err = batch(logs, "-o", tmp_path, *PAPER)
     assert status == 2
-    assert "holds other files" in err
+    assert "holds files that are not of a batch" in err
     assert not (tmp_path / "results").exists()
 
 
@@ -155,7 +155,7 @@ def test_no_logs_and_no_pyarrow_are_a_line(batch, logs, tmp_path, monkeypatch):
     (tmp_path / "empty").mkdir()
     status, err = batch(tmp_path / "empty", "-o", tmp_path / "out", *PAPER)
     assert (status, err.count("\n")) == (2, 1)
-    assert "no .tlog, .ulg, .bin or .bbl in there" in err
+    assert "contains no .tlog, .ulg, .bin or .bbl file" in err
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
     status, err = batch(logs, "-o", tmp_path / "out", *PAPER)
@@ -268,5 +268,5 @@ def test_interrupted_keeps_what_is_done(many, tmp_path):
     done = read_table(out / "fleet.parquet")
     assert 2 <= len(done) < 9
     assert len(done) == len(times(out))
-    assert f"interrupted; the same command does the other {9 - len(done)}" in err
+    assert f"interrupted; run the same command again for the other {9 - len(done)}" in err
     assert "Traceback" not in err

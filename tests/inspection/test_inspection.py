@@ -200,7 +200,7 @@ def test_a_type_that_tells_no_number_is_said():
     found = flown(500.0, 500.0, 500.0, 500.0, vehicle_type=0)
     assert (found.rotors, found.rotors_assumed) == (4, True)
     assert found.rotor_input.chosen.message == "ESC_STATUS"
-    assert "does not tell how many rotors it has: 4 assumed" in texts(found, "note")
+    assert "does not define the number of rotors: 4 assumed" in texts(found, "note")
 
 
 def test_a_dead_rotor_is_refused_as_by_analyze():
@@ -228,10 +228,10 @@ def test_a_sound_flight(inspect):
 
 
 TRAPS = {
-    "rpm-zero": "ESC_STATUS reads 0 while the vehicle flies",
+    "rpm-zero": "ESC_STATUS reads 0 in flight",
     "rpm-dead=2": "rotor 2 reads 0 while the others move",
     "skips=0.05": "never sent",
-    "forwarded": "other vehicles speak too: PX4 quadrotor 2:1",
+    "forwarded": "other vehicles on the link: PX4 quadrotor 2:1",
     "reboot=8": "restarted",
     "never-sent=HIGHRES_IMU": "no IMU data",
 }
@@ -316,7 +316,7 @@ def test_commands_alone_will_do_but_not_slow_ones(fly):
     flight = ("--mission", "all-axes", "--duration", "16", "--rotor-input", "command")
     found = inspect_log(fly(*flight, "--rate", "100").tlog)
     assert found.verdict == "yes"
-    assert "commands: no measured speeds are sound" in texts(found, "note")
+    assert "commands: no usable measured speeds" in texts(found, "note")
     slow = inspect_log(fly(*flight, "--rate", "50").tlog)
     assert slow.verdict == "partly"
     assert "commands at 50 Hz miss" in texts(slow, "limits")
@@ -426,7 +426,7 @@ def test_silence_is_told():
     assert not found.heard
     assert link.closed
     assert found.verdict == "no"
-    assert "nothing was heard" in texts(found)
+    assert "no MAVLink message received" in texts(found)
 
 
 @pytest.mark.slow

@@ -254,7 +254,7 @@ def test_actions_are_done_while_it_runs(udp, airframe, tmp_path):
     texts = [e.text for e in session.latest().events]
     assert texts == ["gust", said]
     assert said == f"recording to {tmp_path / 'toggled.tlog'}"
-    assert session.recordings() == [f"nothing was heard: {tmp_path / 'toggled.tlog'} is not kept"]
+    assert session.recordings() == [f"nothing received: {tmp_path / 'toggled.tlog'} was not kept"]
     assert list(tmp_path.iterdir()) == []
 
 
@@ -312,7 +312,7 @@ def test_what_goes_wrong_with_a_listener_is_handed_over(udp, airframe, paper_fli
     assert isinstance(session.problem, ZeroDivisionError)
     assert session.final.verdict == "identified"
     told = [event.text for event in session.latest().events]
-    assert "internal error (ZeroDivisionError: a defect): results are passed on no more" in told
+    assert "internal error (ZeroDivisionError: a defect): results are no longer written" in told
     assert session.latest().link.state is LinkState.ENDED
 
 
@@ -431,7 +431,7 @@ def test_a_tcp_connection_that_breaks_costs_nothing_that_arrived(airframe, paper
     assert_same_numbers(final, analyze_log(paper_flight.tlog, airframe))
     assert list(tmp_path.iterdir()) == [path]
     told = [event.text for event in session.latest().events]
-    assert any("waiting for it to come back" in text for text in told)
+    assert any("waiting for it to return" in text for text in told)
     assert any(text.startswith("link back after") for text in told)
 
 
@@ -506,9 +506,9 @@ def test_a_flight_signed_with_another_key_is_refused_with_the_reason(
     final = finish(session)
     assert final.verdict == "refused"
     count = sum(1 for _ in read_tlog(paper_flight.tlog))
-    assert f"no frame has the signature of this key; refused: {count} wrong key" in final.reasons
+    assert f"no frame is signed with this key; rejected: {count} wrong key" in final.reasons
     assert not path.exists()
-    assert session.recordings() == [f"nothing was heard: {path} is not kept"]
+    assert session.recordings() == [f"nothing received: {path} was not kept"]
 
 
 def settled(session, until, longest=LONGEST):
@@ -562,7 +562,7 @@ def test_an_anchor_that_makes_no_sense_is_refused_at_once(udp, airframe, paper_f
         ("weight", 1.0, "one of mass, k_T, T_max"),
         ("mass", -1.0, "positive"),
         ("mass", float("nan"), "positive"),
-        ("T_max", 7.0, "sets no scale with speeds"),
+        ("T_max", 7.0, "cannot set the scale with speeds"),
     ):
         with pytest.raises(InputError, match=why):
             session.set_anchor(kind, value)
@@ -597,7 +597,7 @@ def test_another_vehicle_begins_anew_in_a_recording_of_its_own(
             sender.sendto(as_system(raw, 2), ("127.0.0.1", udp.port))
         settled(session, lambda s: len(s.link.vehicles) == 2)
         assert [v.chosen for v in session.latest().link.vehicles] == [True, False]
-        assert session.choose_vehicle((2, 1)).startswith("starting anew on")
+        assert session.choose_vehicle((2, 1)).startswith("restarting on")
         settled(session, lambda s: s.link.recording.endswith("two-2.tlog"))
         for raw in frames:
             sender.sendto(as_system(raw, 2), ("127.0.0.1", udp.port))

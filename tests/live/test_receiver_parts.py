@@ -181,5 +181,5 @@ def test_what_is_lost_for_want_of_speed_is_a_reason():
     assert len(backlog.look(0.0)) == 1
     assert backlog.look(1.0) == []
     first, second = backlog.reasons
-    assert first.startswith("12 messages came and were not learnt from")
+    assert first.startswith("12 messages were not used")
     assert second.startswith("the system dropped 34 datagrams")

@@ -189,7 +189,7 @@ def test_a_receiver_that_is_killed_ends_the_session_with_a_line(receiver, paper_
     source._process.kill()
     assert session.join(LONGEST)
     assert isinstance(session.problem, LinkError)
-    assert "the receiver has died" in str(session.problem)
+    assert "the receiver died" in str(session.problem)
     assert session.final.parameters["Ixx"].status == "identified"
     assert raws_of(path) == raws
 

@@ -172,7 +172,7 @@ def test_a_pause_stops_it_and_nothing_is_lost(recorded):
     stage.play(100.0)
     assert stage.playback.paused
     assert stage.playback.position <= 5.0
-    assert stage.session.toggle_pause() == "Replay goes on."
+    assert stage.session.toggle_pause() == "Replay resumed."
     stage.play(10.0)
     other.play(15.0)
     assert stage.playback.position == pytest.approx(other.playback.position, abs=0.25)

@@ -135,7 +135,7 @@ WRONG = {
     "spin missing": (ROTORS.replace('spin = "cw"\n', "", 1), "number 3: spin"),
     "x is text": (ROTORS.replace("x = 0.2", "x = 'a'", 1), "number 1: x"),
     "y is infinite": (ROTORS.replace("y = 0.3", "y = inf", 1), "number 1: y"),
-    "y in mm": (ROTORS.replace("y = 0.3", "y = 300", 1), "number 1: x and y are metres"),
+    "y in mm": (ROTORS.replace("y = 0.3", "y = 300", 1), "number 1: x and y are in meters"),
     "spin is a number": (ROTORS.replace('"ccw"', "1", 1), "number 1: spin"),
     "all spins alike": (ROTORS.replace('"cw"', '"ccw"'), "spins"),
     "all on one line": (ROTORS.replace("y = -0.3", "y = 0").replace("y = 0.3", "y = 0"), "roll"),
@@ -183,7 +183,9 @@ def test_a_key_of_ten_thousand_parts_is_refused_at_once(tmp_path):
     """For 40 kB of one tomllib needs 18 s."""
     path = tmp_path / "quad.toml"
     path.write_text("a." * 20_000 + "a = 1")
-    with pytest.raises(InputError, match=r"quad\.toml: a line with more than 1000 dots"):
+    with pytest.raises(
+        InputError, match=r"quad\.toml: not an airframe file: a line with more than 1000 dots"
+    ):
         load_airframe(str(path))
 
 

@@ -70,7 +70,7 @@ def folder(tmp_path, monkeypatch):
         (["a.tlog", "--report", "no/such.html"], "no/such.html"),
         (["a.tlog", "--report", "folder", "--force"], "folder"),
         (["a.tlog", "b.tlog", "--report", "r.html"], "one LOG"),
-        (["a.tlog", "--report", "-"], "name of a file"),
+        (["a.tlog", "--report", "-"], "needs a file name"),
         (["a.tlog", "--report", "a.tlog", "--force"], "another file"),
         (["a.tlog", "--json", "r.html", "--report", "r.html"], "another file"),
         (["a.tlog", "--report", "r.html"], "a.tlog"),  # cannot be read

@@ -106,7 +106,7 @@ def test_what_rests_on_a_prior_says_nothing_of_the_vehicle():
     leaning = {"Izz": Estimate(1.0, STD, "kg m^2", "identified", rests_on="prior")}
     a = replace(result(), parameters=leaning)
     found = compare(a, result(Izz=1.0, source="b")).differences["Izz"]
-    assert (found.verdict, found.why) == ("cannot_tell", "rests on a prior in A")
+    assert (found.verdict, found.why) == ("cannot_tell", "mostly from a prior in A")
 
 
 def test_without_a_scale_only_lengths_compare():
@@ -120,13 +120,13 @@ def test_anchors_are_told():
     def notes(first, second, **after):
         return "\n".join(compare(result(scale=first, k_T=1.0), result(scale=second, **after)).notes)
 
-    assert "both rest on mass = 1.5 kg" in notes(MASS, MASS, k_T=1.0)
-    assert "A rests on mass = 1.5 kg, B on mass = 1.8 kg" in notes(
+    assert "scale of both: mass = 1.5 kg" in notes(MASS, MASS, k_T=1.0)
+    assert "scale of A: mass = 1.5 kg, of B: mass = 1.8 kg" in notes(
         MASS, Scale("mass", 1.8, "kg"), k_T=1.0
     )
     other = notes(MASS, Scale("k_T", 2e-4, "N s^2"), k_T=1.0)
-    assert "A rests on mass = 1.5 kg, B on k_T = 0.0002 N s^2" in other
-    assert "may be the anchors'" in other
+    assert "scale of A: mass = 1.5 kg, of B: k_T = 0.0002 N s^2" in other
+    assert "may come from the scale" in other
 
 
 def test_a_payload_nobody_weighed_is_suspected():
@@ -152,14 +152,14 @@ def test_other_rotors_are_another_vehicle():
 def test_what_else_differs_is_told():
     wide = result(airframe=QUAD.with_arm(0.3), Ixx=1.0)
     notes = "\n".join(compare(result(Ixx=1.0), wide).notes)
-    assert "other rotor positions" in notes
+    assert "different rotor positions" in notes
     assert "both come from a.tlog" in notes
     command = replace(result(Ixx=1.0, source="b"), rotor_input="command", vehicle={"sysid": 2})
     notes = "\n".join(compare(result(Ixx=1.0), command).notes)
-    assert "rotor speeds, the other on commands" in notes
-    assert "is it the same vehicle?" in notes
+    assert "rotor speeds, the other commands" in notes
+    assert "same vehicle?" in notes
     bare = replace(result(Ixx=1.0, source="b"), airframe={})
-    assert "taken for granted" in "\n".join(compare(result(Ixx=1.0), bare).notes)
+    assert "no rotor positions" in "\n".join(compare(result(Ixx=1.0), bare).notes)
     moved = replace(result(source="b"), events=({"t": 9.0, "kind": "payload", "detected": 9.1},))
     assert "B changed in flight" in "\n".join(compare(result(), moved).notes)
 

@@ -10,7 +10,7 @@ from gcs_sysid.results.result_file import parse_result, read_result
 
 RESULT = Result(
     "partial",
-    ("only roughly known: Izz",),
+    ("weak: Izz",),
     "flight.tlog",
     {"sysid": 1, "compid": 1, "autopilot": "px4"},
     Scale("k_T", 2e-4, "N s^2", 1e-6, "the flight before 31.0 s"),

@@ -274,7 +274,7 @@ class FakeSource:
 
     def choose_vehicle(self, address: tuple[int, int]) -> str:
         self._note("vehicle {}:{}".format(*address))
-        return "starting anew on ArduPilot quadrotor 2:1"
+        return "restarting on ArduPilot quadrotor 2:1"
 
     def export(self, target: str, result: Result) -> str:
         self._note(f"export {target} {result.verdict}")

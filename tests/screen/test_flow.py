@@ -31,8 +31,8 @@ async def test_nobody_has_spoken(run_screen):
     async with run_screen(fake.waiting()) as s:
         text = " ".join(s.text().split())
         assert (
-            "Listening on udpin:0.0.0.0:14550 — no vehicle has spoken yet. "
-            "Is the emulator or the telemetry forwarding on?"
+            "Listening on udpin:0.0.0.0:14550: no vehicle yet. "
+            "Is the vehicle on, or telemetry forwarding enabled?"
         ) in text
 
 
@@ -40,24 +40,24 @@ async def test_a_lost_link_counts_the_silence(run_screen):
     async with run_screen(fake.snapshot()) as s:
         s.clock.now += 7.0
         await s.serve(replace(fake.snapshot(), link=fake.link(LinkState.LOST)))
-        assert "silent for 7 s" in s.text()
+        assert "no data for 7 s" in s.text()
         s.clock.now += 60.0
         s.app.poll()  # the same snapshot: nothing arrives, but time passes
         await s.settle()
-        assert "silent for 1 min 7 s" in s.text()
+        assert "no data for 1 min 7 s" in s.text()
         await s.serve(replace(fake.snapshot(), link=fake.link(received=20_000)))
         assert "silent" not in s.text()
 
 
 async def test_the_end_of_the_stream(run_screen):
     async with run_screen(replace(fake.snapshot(), link=fake.link(LinkState.ENDED))) as s:
-        assert "Stream ended, numbers final; q to quit" in s.text()
+        assert "Stream ended, numbers are final. q: quit" in s.text()
 
 
 async def test_a_vehicle_of_which_nothing_is_known_yet(run_screen):
     async with run_screen(fake.bare(), size=(200, 50)) as s:
         assert "no attitude yet" in s.text()
-        assert "no course to plot yet" in s.text()
+        assert "no estimate yet" in s.text()
 
 
 async def test_without_truth_there_are_no_columns_for_it(run_screen):
@@ -107,11 +107,11 @@ async def test_parameters_come_and_go(run_screen):
         del found["k_T"], found["k_M"]
         found["T_max"] = Estimate(7.2, 0.1, "N", "identified")
         await s.serve(replace(fake.snapshot(), result=replace(result, parameters=found)))
-        names = [line[1:9].strip() for line in s.lines()]
+        names = [line[1:14].strip() for line in s.lines()]
         assert "k_T" not in names
-        assert names.index("cg_y") < names.index("T_max") < names.index("k_M/k_T")
+        assert names.index("cg_y") < names.index("T_max") < names.index("moment_ratio")
         await s.serve(fake.snapshot())
-        names = [line[1:9].strip() for line in s.lines()]
+        names = [line[1:14].strip() for line in s.lines()]
         assert "T_max" not in names
         assert names.index("cg_y") + 1 == names.index("k_T")
 
@@ -168,7 +168,7 @@ async def test_a_tall_small_terminal_shows_table_and_plot(run_screen):
 async def test_a_bar_is_full_at_the_target(run_screen, size):
     def bar(s, name):
         line = next(line for line in s.lines() if line.lstrip("│▸ ").startswith(name))
-        return line[60:75].count("█")
+        return line[65:80].count("█")
 
     async with run_screen(fake.snapshot(), size=size) as s:
         assert bar(s, "Iyy") == 7  # ±0.6 %, the target being 2 %

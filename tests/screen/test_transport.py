@@ -97,5 +97,5 @@ async def test_help_and_palette_know_the_replay(run_replay):
         assert "Plot k_T" in commands
         await s.press("question_mark")
         assert isinstance(s.app.screen, HelpScreen)
-        assert "pause the replay" in s.text()
+        assert "pause or resume the replay" in s.text()
         assert "pause the display" not in s.text()

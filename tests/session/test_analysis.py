@@ -47,7 +47,7 @@ def test_flights_must_differ_by_three_deviations(monkeypatch, apart, enough):
         results, _ = pair(monkeypatch, *flights)
         assert len(results) == 2
     else:
-        with pytest.raises(InputError, match="not flown heavier"):
+        with pytest.raises(InputError, match="is not heavier"):
             pair(monkeypatch, *flights)
 
 

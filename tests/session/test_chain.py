@@ -226,7 +226,7 @@ def test_an_anchor_in_k_T_gives_the_mass(paper_records, whole):
 
 
 def test_an_airframe_without_scale_is_refused():
-    with pytest.raises(ValueError, match="no scale anchor"):
+    with pytest.raises(ValueError, match="no scale reference"):
         Chain(load_airframe("px4-quad-x"))
 
 
@@ -302,5 +302,5 @@ def test_a_rotor_stream_that_dies_and_comes_again_is_told():
     assert {event["kind"] for event in learner.input_events} == {"rotor_input"}
     died, again, other = (event["text"] for event in learner.input_events)
     assert died.startswith("ESC_STATUS rotor 2 reads 0 while the others move, and no other")
-    assert again == "ESC_STATUS is sound again: the estimate goes on"
-    assert other.endswith("estimate starts anew")
+    assert again == "ESC_STATUS is usable again: the estimate continues"
+    assert other.endswith("estimate restarts")

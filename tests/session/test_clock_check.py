@@ -112,7 +112,7 @@ def test_what_no_clock_does_is_no_clock(ppm, doubted):
     assert (doubt is not None) is doubted
     if doubt is not None:
         assert doubt.share == pytest.approx(1e-6 * ppm)
-        assert ("the link falls behind" in doubt.reason) is (ppm < 0.0)
+        assert ("the link lags" in doubt.reason) is (ppm < 0.0)
 
 
 @pytest.mark.parametrize(

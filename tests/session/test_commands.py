@@ -109,7 +109,7 @@ def test_nothing_is_lost_while_the_input_is_undecided(both):
 @pytest.mark.parametrize(
     ("trap", "kind", "why"),
     [
-        ("rpm-zero", "command", "reads 0 while the vehicle flies"),
+        ("rpm-zero", "command", "reads 0 in flight"),
         ("rpm-command", "command", "under another name, not a measurement"),
         ("rpm-repeats=0.03", "speed", ""),
         ("rpm-rad", "speed", "rad/s"),

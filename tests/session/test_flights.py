@@ -116,7 +116,7 @@ def test_another_vehicle_may_be_asked_for(paper_flight, paper_result, airframe):
     other = analyze_log(paper_flight.tlog, airframe, wanted=(7, None))
     assert other.verdict == "refused"
     assert other.vehicle == {}
-    assert "autopilot was heard; heard: PX4 quadrotor 1:1" in other.reasons[0]
+    assert "autopilot received; found: PX4 quadrotor 1:1" in other.reasons[0]
 
 
 def test_a_cut_and_damaged_recording_still_serves(paper_flight, paper_result, airframe, tmp_path):

@@ -105,7 +105,7 @@ def test_another_vehicle_than_the_logs_own_is_refused(airframe, ulog_file, tmp_p
     path.write_bytes(ulog_file.bytes())
     result = analyze_log(path, airframe, wanted=(7, None))
     assert result.verdict == "refused"
-    assert "heard: PX4 vehicle 1:1" in result.reasons[0]
+    assert "found: PX4 vehicle 1:1" in result.reasons[0]
 
 
 def test_parameters_are_no_samples():

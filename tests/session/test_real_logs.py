@@ -78,7 +78,7 @@ def test_slow_logs_are_refused_with_reasons():
     airframe = load_airframe("ardupilot-quad-x").with_anchor("mass", 1.5)
     result = analyze_log(LOGS / "public" / "real-quad-mavlink1.tlog", airframe)
     assert result.verdict == "refused"
-    assert any("does not follow the rotors" in reason for reason in result.reasons)
+    assert any("too slow to follow the rotors" in reason for reason in result.reasons)
 
 
 @pytest.mark.parametrize("log", ["px4-sih-default.tlog", "px4-esc-cg.tlog"])

@@ -55,7 +55,7 @@ def test_all_that_can_be_told_is_read_back(anchor):
 
 def test_rotors_that_cannot_control_a_vehicle_are_refused():
     same = tuple(Rotor(r.x, r.y, 1) for r in QUAD)
-    with pytest.raises(InputError, match="roll, pitch, yaw and thrust apart"):
+    with pytest.raises(InputError, match="roll, pitch, yaw and thrust independently"):
         checked(airframe_text(AirframeAnswers("x", same)), "these")
 
 
@@ -86,7 +86,7 @@ def test_slips_are_noticed():
 
     order = findings_of((QUAD[2], *QUAD[:2], QUAD[3]))["motor order"]
     assert order.sign is Sign.WARNING
-    assert "numbered otherwise" in order.text
+    assert "numbered differently" in order.text
 
     turned = findings_of(reversed_spins(QUAD))["motor order"]
     assert turned.sign is Sign.WARNING

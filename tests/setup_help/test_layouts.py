@@ -89,7 +89,7 @@ def test_places_in_words(angle, words):
 
 
 def test_the_middle_has_a_name():
-    assert place_of(0.0, 0.0) == "centre"
+    assert place_of(0.0, 0.0) == "center"
 
 
 def test_the_built_in_quad_of_the_paper_is_a_quad_x():

@@ -78,7 +78,7 @@ def test_several_vehicles_on_several_links():
 def test_nobody_and_nobody_that_flies():
     (finding,) = findings_after(Told(), Told(b"noise" * 20))
     assert finding.sign is Sign.WARNING
-    assert "none heard in 3 s" in finding.text
+    assert "no vehicle in 3 s" in finding.text
     assert any("gcs-sysid demo" in advice for advice in finding.advice)
     station = heartbeat(255, mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID)
     (finding,) = findings_after(Told(station))

@@ -61,7 +61,7 @@ def terminal(**known):
 
 def test_a_terminal_as_it_should_be():
     finding = terminal()
-    assert (finding.sign, finding.text) == (Sign.OK, "120x40, UTF-8, 256 colours")
+    assert (finding.sign, finding.text) == (Sign.OK, "120x40, UTF-8, 256 colors")
     assert "16 million" in terminal(environment={"COLORTERM": "truecolor"}).text
     assert "NO_COLOR" in terminal(environment={"NO_COLOR": "1"}).text
 

@@ -56,7 +56,7 @@ def test_a_port_of_the_board_is_no_problem_of_somebody_who_flies_by_network(user
     user(in_session=False)
     (finding,) = check_serial([SerialDevice("/dev/ttyS97", "", usb=False)], "Linux")
     assert finding.sign is Sign.WARNING
-    assert finding.text == "a port of the board, no permission to open it"
+    assert finding.text == "on-board port, no permission to open it"
 
 
 @posix

@@ -20,7 +20,7 @@ class Dialogue:
 
     def ask(self, question):
         if not self._typed:
-            raise InputError("the answers ended")
+            raise InputError("end of input")
         self.seen += question
         answer = self._typed.pop(0)
         self.seen += f"{answer}\n"
@@ -74,12 +74,12 @@ def test_slips_are_answered_at_once_with_a_word():
         *(
             "from 1 to 13",
             "decimals with a point",
-            "'far' is no number",
+            "'far' is not a number",
             "positive",
             "25 m is a long arm",
             "each ccw or cw",
         ),
-        *("from 1 to 4", "'heavy' is no number", "not grams", "three lengths", "no prior on"),
+        *("from 1 to 4", "'heavy' is not a number", "not grams", "three lengths", "no prior on"),
         "Ixx must be positive",
     ):
         assert word in " ".join(seen.split()), word
@@ -96,11 +96,11 @@ def test_spins():
     usual = layout_rotors("px4-quad-x", 0.25)
     found, seen = asked("1", "0.25", "reversed", *REST)
     assert found.rotors == reversed_spins(usual)
-    assert found.origin.endswith("Spins as told.")
+    assert found.origin.endswith("Spins as given.")
     assert seen.count("motor  place") == 2
     found, seen = asked("1", "0.25", "ccw ccw ccw ccw", "cw, cw, ccw, ccw", *REST)
     assert found.rotors == reversed_spins(usual)
-    assert "roll, pitch, yaw and thrust apart" in " ".join(seen.split())
+    assert "roll, pitch, yaw and thrust independently" in " ".join(seen.split())
 
 
 def test_own_positions():
@@ -113,8 +113,8 @@ def test_own_positions():
         Rotor(*r) for r in ((0.2, 0.2, 1), (-0.2, -0.2, 1), (0.2, -0.2, -1), (-0.2, 0.2, -1))
     )
     assert found.scale is None
-    assert found.origin == "Own layout."
-    for word in ("'here' is no number", "four motors at least", "12.7279 m is a long arm"):
+    assert found.origin == "Custom layout."
+    for word in ("'here' is not a number", "at least four motors", "12.7279 m is a long arm"):
         assert word in " ".join(seen.split()), word
 
 
@@ -123,7 +123,7 @@ def test_own_positions_that_cannot_fly_are_asked_again():
     good = ("0.2 0.2 ccw", "-0.2 -0.2 ccw", "0.2 -0.2 cw", "-0.2 0.2 cw", "")
     found, seen = asked("own", *line, *good, "", "4", "", "", "")
     assert len(found.rotors) == 4
-    assert "Once more" in seen
+    assert "Again, from the first motor" in seen
 
 
 def test_what_options_have_told_is_not_asked():
@@ -146,7 +146,7 @@ def test_a_new_file_is_one_that_is_not_there(tmp_path):
 
 @pytest.mark.parametrize("typed", [(), ("1",), ("own", "0.2 0.2 cw"), ("1", "0.2", "", "1")])
 def test_answers_that_end_too_early_end_the_wizard(typed):
-    with pytest.raises(InputError, match="the answers ended"):
+    with pytest.raises(InputError, match="end of input"):
         asked(*typed)
 
 
@@ -161,7 +161,7 @@ def test_yes_and_no(typed, yes):
     [
         (Given(), "which layout"),
         (Given(layout="px4-quad-x", arm=0.2, rotors=(Rotor(0, 0, 1),)), "leave out --layout"),
-        (Given(layout="px4-hexa-x", arm=(0.1, 0.2)), "quad X alone"),
+        (Given(layout="px4-hexa-x", arm=(0.1, 0.2)), "quad X only"),
         (Given(layout="px4-quad-x", arm=0.2, spin="cw,cw"), "4 spins"),
     ],
 )

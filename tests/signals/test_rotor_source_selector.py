@@ -94,7 +94,7 @@ def silent(v):
 @pytest.mark.parametrize(
     ("spoil", "why"),
     [
-        (silent, "reads 0 while the vehicle flies"),
+        (silent, "reads 0 in flight"),
         (dead, "rotor 3 reads 0 while the others move"),
         (frozen, "rotor 2 stands still while the others move"),
     ],

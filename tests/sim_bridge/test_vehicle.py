@@ -131,7 +131,7 @@ def test_arm_scales_the_layout(paper_vehicle: Vehicle) -> None:
         (AIRFRAME + SIMULATION.replace("7.0", "-7.0"), "T_max must be positive"),
         (AIRFRAME + SIMULATION.replace("7.0", "3.0"), "too little"),
         (AIRFRAME + SIMULATION.replace("7.0", "'much'"), "T_max must be a number"),
-        (AIRFRAME + SIMULATION + "cg_x = 0.3\n", "CG lies so far out"),
+        (AIRFRAME + SIMULATION + "cg_x = 0.3\n", "CG is so far out"),
         (AIRFRAME + SIMULATION + "motor_lag_ = 0.1\n", "motor_lag_"),
         (AIRFRAME + SIMULATION + "thrust_curve = 1.5\n", "thrust_curve must lie in 0..1"),
         (AIRFRAME + SIMULATION + "lag_of = 'all'\n", "one of speed, thrust, command, got 'all'"),

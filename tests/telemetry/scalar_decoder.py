@@ -182,7 +182,7 @@ class ScalarDecoder:
         return record
 
     def _forget_times(self) -> None:
-        """What was heard at times of another boot says nothing of the present."""
+        """What was found at times of another boot says nothing of the present."""
         self._imu = Preference()
         self._attitude = Preference()
         self._velocity = Preference()
@@ -407,7 +407,7 @@ class ScalarIntake:
             return None
         record = self._decode(frame)
         if not known:
-            self._note("vehicle", f"{self.selector.chosen} heard")
+            self._note("vehicle", f"{self.selector.chosen} found")
         clock = self.decoder.clock
         if record is not None:
             if record.stream is Stream.ROTOR_SPEED:
@@ -439,8 +439,8 @@ class ScalarIntake:
         self._contradictions = Contradictions()
         self._note(
             "vehicles",
-            f"{first}, the first heard, sends nothing but heartbeats: "
-            f"using {self.selector.chosen}, whose IMU data come",
+            f"{first}, the first received, sends nothing but heartbeats: "
+            f"using {self.selector.chosen}, which sends IMU data",
         )
 
     def _hear(self, heartbeat: Frame) -> None:

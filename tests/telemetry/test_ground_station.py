@@ -130,7 +130,7 @@ def test_silence_is_told_and_so_is_the_return(sender):
     assert not talk.station.lost
     talk.turn(5.0)
     assert talk.station.lost
-    assert sum("link lost: nothing heard of PX4 quadrotor 1:1" in text for text in talk.said) == 1
+    assert sum("link lost: no data from PX4 quadrotor 1:1" in text for text in talk.said) == 1
     talk.requested()
     talk.hear(sender.heartbeat())
     assert not talk.station.lost
@@ -237,7 +237,7 @@ def test_with_a_wrong_key_nothing_is_believed_and_that_is_said(signing, key_file
         }
     }
     (problem,) = talk.station.problems
-    assert problem == "no frame has the signature of this key; refused: 2 wrong key"
+    assert problem == "no frame is signed with this key; rejected: 2 wrong key"
     assert sum("signed with another key" in text for text in talk.said) == 1
 
 

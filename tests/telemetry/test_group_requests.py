@@ -65,7 +65,7 @@ def test_what_single_requests_do_not_bring_groups_do():
     old.fly(3.0)
     assert old.rates == {RAW_SENSORS: 50.0, RC: 50.0, EXTRA1: 50.0, POSITION: 10.0}
     assert old.requests.asked == {name: g.most for name, g in GROUPS.items()}
-    assert any("does not know SET_MESSAGE_INTERVAL" in e for e in old.requests.take_events())
+    assert any("lacks SET_MESSAGE_INTERVAL" in e for e in old.requests.take_events())
     assert old.requests.problem == ""
     heard = old.intervals
     old.fly(60.0)
@@ -86,7 +86,7 @@ def test_a_group_that_never_comes_is_told():
     old = OldArduPilot()
     old.deaf = {RAW_SENSORS}
     old.fly(40.0)
-    assert "asked for 50 Hz, this link brings about 2 Hz" in old.requests.problem
+    assert "requested 50 Hz, this link carries about 2 Hz" in old.requests.problem
     told = old.requests.take_events()
     assert told.count(old.requests.problem) == 1
 

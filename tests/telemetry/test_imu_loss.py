@@ -92,7 +92,7 @@ def told(percent):
 def test_what_px4_leaves_out_is_not_told_and_serious_loss_is():
     assert loss_reason(told(2.0)) == ("", False)
     words, capped = loss_reason(told(40.0))
-    assert words.startswith("40 % of the IMU's samples are missing by their time stamps")
+    assert words.startswith("40 % of the IMU's samples are missing by their timestamps")
     assert not capped
     assert loss_reason(told(70.0))[1]
     assert loss_reason({}) == ("", False)

@@ -100,11 +100,11 @@ def test_a_stray_heartbeat_is_not_the_vehicle_for_long(make_sender):
     assert times == pytest.approx(7.0 + 0.01 * np.arange(300))  # from its third heartbeat on
     assert intake.monitor.lost == 0
     assert [event.text for event in intake.take_events()] == [
-        "PX4 quadrotor 66:1 heard",
-        "more than one vehicle speaks: PX4 quadrotor 1:1 too; using PX4 quadrotor 66:1, the first "
-        "heard (choose with --vehicle 1:1)",
-        "PX4 quadrotor 66:1, the first heard, sends nothing but heartbeats: using PX4 quadrotor "
-        "1:1, whose IMU data come",
+        "PX4 quadrotor 66:1 found",
+        "more than one vehicle on the link: PX4 quadrotor 1:1 too; using PX4 quadrotor 66:1, "
+        "the first received (choose with --vehicle 1:1)",
+        "PX4 quadrotor 66:1, the first received, sends heartbeats only: using PX4 quadrotor "
+        "1:1, which sends IMU data",
     ]
 
 
@@ -115,7 +115,7 @@ def test_a_vehicle_that_tells_something_stays_the_vehicle_and_the_other_is_named
     assert intake.vehicle.address == (66, 1)
     (problem,) = intake.problems
     assert problem == (
-        "PX4 quadrotor 1:1 sent 505 messages, PX4 quadrotor 66:1, the first heard, 7: choose it "
+        "PX4 quadrotor 1:1 sent 505 messages, PX4 quadrotor 66:1, the first received, 7: choose it "
         "with --vehicle 1:1"
     )
 
@@ -160,7 +160,7 @@ def test_another_vehicle_on_the_link_is_told_once_with_what_to_do(make_sender):
 def test_a_vehicle_chosen_by_the_user_makes_no_ado_of_others(make_sender):
     intake = Intake((2, None))
     intake.frames([make_sender(who, 1).heartbeat() for who in (1, 2, 3, 1)])
-    assert [event.text for event in intake.take_events()] == ["PX4 quadrotor 2:1 heard"]
+    assert [event.text for event in intake.take_events()] == ["PX4 quadrotor 2:1 found"]
 
 
 def test_a_radio_is_never_the_vehicle(make_sender):

@@ -256,7 +256,7 @@ def test_a_port_in_use_gives_its_line():
     ("text", "says"),
     [
         ("/dev/ttyDoesNotExist", "no such device"),
-        ("udpin:192.0.2.1:14550", "no address of this machine"),
+        ("udpin:192.0.2.1:14550", "not an address of this machine"),
         ("tcp:no-such-host.invalid:5760", "no address found"),
     ],
 )

@@ -182,7 +182,7 @@ def test_pauses_of_an_onboard_imu_are_gaps(tmp_path, dataflash_file):
     [
         (b"", "is empty"),
         (b"t,ax,ay,az\n" * 100, "is not a .tlog"),
-        (b"FMT, 128, 89, FMT, BBnNZ\n" * 100, "give the .bin itself"),
+        (b"FMT, 128, 89, FMT, BBnNZ\n" * 100, "give the .bin"),
         (bytes(10_000), "is not a .tlog"),
     ],
     ids=["empty", "csv", "text dataflash", "zeros"],

@@ -153,7 +153,7 @@ def test_a_file_that_appears_meanwhile_is_not_overwritten(tmp_path, flight, monk
     monkeypatch.setattr(tlog_writer, "open_file", late)
     with TlogWriter(path) as writer:
         write_all(writer, flight)
-        until(writer, "goes on in")
+        until(writer, "continues in")
     assert path.read_bytes() == b"precious"
     assert list(read_tlog(tmp_path / "flight-2.tlog")) == flight
 
@@ -163,7 +163,7 @@ def test_a_recording_of_nothing_is_not_kept(tmp_path):
         writer.flush()
         assert writer.path.exists()
     assert list(tmp_path.iterdir()) == []
-    assert writer.summary() == f"nothing was heard: {writer.path} is not kept"
+    assert writer.summary() == f"nothing received: {writer.path} was not kept"
 
 
 def test_an_unwritable_folder_is_told_and_nothing_is_lost_once_it_is_writable(tmp_path, flight):
@@ -173,12 +173,12 @@ def test_an_unwritable_folder_is_told_and_nothing_is_lost_once_it_is_writable(tm
     with TlogWriter(path) as writer:
         (told,) = until(writer, "not recording: cannot write")
         assert str(path) in told
-        assert "tried again every" in told
+        assert "retried every" in told
         assert not writer.recording
         write_all(writer, flight)
         writer.flush()  # returns, although there is nothing to flush to
         in_the_way.unlink()
-        until(writer, f"recording goes on in {path}")
+        until(writer, f"recording continues in {path}")
         assert writer.problem == ""
     assert list(read_tlog(path)) == flight
     assert writer.dropped == 0
@@ -200,11 +200,11 @@ def test_a_full_disk_that_has_room_again_costs_nothing(disk, flight, tmp_path):
         told = until(writer, "recording stopped")
         assert told == [
             f"recording stopped: {writer.path} (No space left on device); "
-            f"tried again every {tlog_writer.RETRY_EVERY:g} s"
+            f"retried every {tlog_writer.RETRY_EVERY:g} s"
         ]
         assert disk.content.getvalue() == as_bytes(flight[:7])  # whole records only
         disk.room = 10**9
-        until(writer, "recording goes on in")
+        until(writer, "recording continues in")
     assert disk.content.getvalue() == as_bytes(flight)
     assert len(disk.opened) == 1
     assert disk.closed
@@ -230,7 +230,7 @@ def test_a_disk_that_stays_full_is_told_once_and_holds_bounded_memory(
     assert disk.content.getvalue() == as_bytes(flight[:3])
     assert writer.summary() == (
         f"recording stopped: {writer.path} (No space left on device); {writer.dropped} frames are "
-        f"missing in it; recorded before: {writer.path}"
+        f"missing; recorded before: {writer.path}"
     )
 
 
@@ -250,11 +250,11 @@ def test_a_disk_that_does_not_answer_holds_up_nobody(disk, flight, tmp_path, mon
         lost = writer.dropped
         assert 6 * len(flight) - 10 < lost < 6 * len(flight) + 10  # of ten times, four fit
         disk.answers.set()
-        (told,) = until(writer, "recording goes on in")
+        (told,) = until(writer, "recording continues in")
         assert told.endswith(f"{lost} frames are missing so far")
         write_all(writer, flight)
     assert writer.dropped == lost
-    assert writer.summary().endswith(f"; {lost} frames are missing in it")
+    assert writer.summary().endswith(f"; {lost} frames are missing")
     records = list(read_tlog_of(disk, tmp_path))
     assert len(records) == 1 + 11 * len(flight) - lost
     assert all(record in flight for record in records)
@@ -325,7 +325,7 @@ def test_a_sync_that_fails_begins_another_file(tmp_path, flight, monkeypatch):
         writer._sync_error = OSError(errno.EIO, "Input/output error")
         until(writer, "Input/output error")
         write_all(writer, flight[5:])
-        until(writer, "goes on in")
+        until(writer, "continues in")
     assert list(read_tlog(path)) == flight[:5]
     assert list(read_tlog(tmp_path / "flight-2.tlog")) == flight[5:]
     assert writer.summary() == f"recorded to {path} and {tmp_path / 'flight-2.tlog'}"
@@ -340,7 +340,7 @@ def test_a_file_that_was_removed_is_begun_anew(tmp_path, flight, monkeypatch):
         writer.flush()
         path.unlink()
         path.parent.rmdir()
-        until(writer, "recording goes on in")
+        until(writer, "recording continues in")
         write_all(writer, flight[5:])
     assert list(read_tlog(path)) == flight[5:]
     assert writer.recorded == (path,)
@@ -352,7 +352,7 @@ def test_a_file_that_fails_again_and_again_is_given_up(disk, flight, tmp_path):
         writer.flush()
         disk.error = OSError(errno.EIO, "Input/output error")
         write_all(writer, flight)
-        told = until(writer, "another recording can be started")
+        told = until(writer, "start another recording")
         writer.write(START, [flight[0][1]])
     assert len(disk.opened) == tlog_writer.MOST_FILES
     assert sum("tried again" in text for text in told) <= tlog_writer.MOST_FILES

@@ -200,7 +200,7 @@ def test_a_stream_slower_than_needed_is_told_once_and_forgiven(wire, requests):
     slow = RATES | {"HIGHRES_IMU": 4.0}
     run(requests, wire, 60.0, slow)
     (said,) = requests.take_events()
-    assert said.startswith("asked for 250 Hz, this link brings about 4 Hz")
+    assert said.startswith("requested 250 Hz, this link carries about 4 Hz")
     assert requests.problem == said
     run(requests, wire, 62.0, RATES, start=60.0)
     assert requests.problem == ""
@@ -223,7 +223,7 @@ def test_a_link_that_loses_what_does_not_fit_is_asked_for_less(wire, requests):
     lossy(lambda asked: max(0.0, 1.0 - 30e3 / max(asked, 1.0)), wire, requests, 60.0)
     assert 20e3 < bytes_per_second(requests.asked, 4) <= 32e3
     (said,) = requests.take_events()
-    assert "% of the messages are lost: asking for" in said
+    assert "% of the messages are lost: requesting" in said
 
 
 def test_a_link_that_loses_its_share_of_anything_keeps_its_rates(wire, requests):

@@ -131,8 +131,8 @@ def test_two_that_speak_by_turns_are_told_of_once(sender, forged):
         station.tick(0.1 * n, intake)
         told += [event for event in station.take_events() if "senders" in event]
     assert told == [
-        "two senders speak as 1:1: 10.0.0.1:14550, taken for the vehicle, and 10.6.6.6:666; "
-        "unless both are its links, somebody forges its messages, and signing keeps them out"
+        "two senders use the address 1:1: 10.0.0.1:14550, taken as the vehicle, and 10.6.6.6:666; "
+        "unless both are its links, one forges its messages, which signing prevents"
     ]
     assert told[0] in station.problems
     assert station.as_dict()["two_senders"] == {
@@ -159,7 +159,7 @@ def test_a_reset_that_comes_over_the_link_is_none(with_key, sender, make_sender,
     assert batch.frames == frames[:1]  # neither used nor recorded
     station.tick(0.0, Intake())
     assert [event for event in station.take_events() if "reset" in event] == [
-        "a reset that came over the link is passed over: only the user resets"
+        "ignored a reset received over the link: only the user may reset"
     ]
 
 
@@ -191,4 +191,4 @@ def test_others_are_told_of_up_to_a_number(make_sender):
         intake.frames([make_sender(n, 1).heartbeat()])
     told = [event.text for event in intake.take_events() if event.kind == "vehicles"]
     assert len(told) == 5
-    assert told[-1] == "more than 4 other vehicles speak: no more of them are told of"
+    assert told[-1] == "more than 4 other vehicles: further ones are not listed"

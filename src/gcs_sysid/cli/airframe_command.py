@@ -70,7 +70,7 @@ def _new(options: argparse.Namespace) -> int:
         answers, path = _asked(given)
     else:
         raise InputError(
-            "there is no terminal to ask on: give --layout and --arm (or --rotor for each motor), "
+            "no terminal for questions: give --layout and --arm (or --rotor for each motor), "
             "and --output"
         )
     if path is None:
@@ -117,7 +117,7 @@ def _asked(given: Given) -> tuple[AirframeAnswers, Path | None]:
         line = sys.stdin.readline()
         if not line:
             print(file=sys.stderr)
-            raise InputError("the answers ended too early; nothing is written")
+            raise InputError("end of input before the last question; nothing written")
         return line.rstrip("\r\n")
 
     def say(text: str) -> None:

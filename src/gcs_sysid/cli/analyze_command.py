@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
         offline=options.offline,
     )
     if options.offline and options.method != "forward":
-        raise InputError("--offline starts from --method forward alone")
+        raise InputError("--offline needs --method forward")
     output.check_json(options.json, force=options.force)
     results: list[Result] = []
     healths: list[Health | None] = []

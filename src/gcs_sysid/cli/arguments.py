@@ -102,8 +102,8 @@ def _add_layout(parser: argparse.ArgumentParser, default: str | None = None) -> 
         "--arm",
         type=measured(positive),
         metavar="M[±STD]",
-        help="scale rotor distance to M metres; its standard deviation behind +-, such as "
-        "0.25+-0.003 or 0.25+-1%% (default 1%%), as for all that follow",
+        help="mean distance of the rotors from the center, m; its standard deviation behind +-, "
+        "such as 0.25+-0.003 or 0.25+-1%% (default 1%%), as for all that follow",
     )
     scale = group.add_mutually_exclusive_group()
     scale.add_argument(
@@ -134,17 +134,17 @@ def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -
         action="append",
         default=[],
         metavar="NAME=VALUE±STD",
-        help="a value known beforehand, such as k_M=6.1e-6+-1e-7 from a bench; may be repeated",
+        help="prior, such as k_M=6.1e-6+-1e-7 from a bench test; may be repeated",
     )
 
 
 def _add_force(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--force", action="store_true", help="write over a FILE that exists")
+    parser.add_argument("--force", action="store_true", help="overwrite existing files")
 
 
 def _add_baseline(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--baseline", metavar="RESULT.json", help="an earlier result, to compare with on the screen"
+        "--baseline", metavar="RESULT.json", help="earlier result to compare with on the screen"
     )
 
 
@@ -169,9 +169,9 @@ def _add_display(parser: argparse.ArgumentParser) -> None:
         type=web_address,
         const=("127.0.0.1", 8000),
         metavar="[HOST:]PORT",
-        help="the screen in browsers, as many as look (default 8000, on this machine alone)",
+        help="serve the screen to browsers (default 8000, this machine only)",
     )
-    parser.add_argument("--json", metavar="FILE", help="snapshots, one a line; - is stdout")
+    parser.add_argument("--json", metavar="FILE", help="snapshots, one per line; - is stdout")
     _add_force(parser)
     _add_baseline(parser)
 
@@ -180,11 +180,13 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
     """Options of `demo`."""
     _add_airframe(parser, "paper")
     parser.add_argument(
-        "--speed", choices=("1", "max"), default="1", help="1: real time; max: as fast as it can"
+        "--speed", choices=("1", "max"), default="1", help="1: real time; max: as fast as possible"
     )
     parser.add_argument("--mission", choices=("paper", "all-axes", "hover"), default="all-axes")
     parser.add_argument("--noise", choices=("none", "paper", "white", "mems"), default="mems")
-    parser.add_argument("--sigma", type=not_negative, help="noise of paper and white, rad, rad/s")
+    parser.add_argument(
+        "--sigma", type=not_negative, help="noise of paper and white, rad and rad/s"
+    )
     parser.add_argument("--rate", type=rate, default=250.0, metavar="HZ")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--duration", type=positive, metavar="S", help="length of the flight")
@@ -199,23 +201,30 @@ def _add_vehicle_choice(parser: argparse.ArgumentParser) -> None:
         "--vehicle",
         type=vehicle_address,
         metavar="SYSID[:COMPID]",
-        help="where several speak (default: the first autopilot heard)",
+        help="if there are several (default: the first autopilot received)",
     )
 
 
 def _add_link(group: argparse._ActionsContainer) -> None:
     group.add_argument(
-        "--baud", type=int, metavar="N", help="of a serial port (default 115200); limits the rates"
+        "--baud",
+        type=int,
+        metavar="N",
+        help="serial baud rate (default 115200); limits the message rates",
     )
-    group.add_argument("--listen-only", action="store_true", help="send nothing at all")
+    group.add_argument("--listen-only", action="store_true", help="send nothing")
     group.add_argument(
-        "--rate", type=rate, default=250.0, metavar="HZ", help="to ask for (default 250)"
+        "--rate",
+        type=rate,
+        default=250.0,
+        metavar="HZ",
+        help="message rate to request (default 250)",
     )
     group.add_argument(
         "--signing-key",
         metavar="FILE",
         help="MAVLink 2 signing: 32 bytes, 64 hexadecimal digits or a line with the passphrase; "
-        "what is not signed with it is refused",
+        "unsigned frames are rejected",
     )
 
 
@@ -224,11 +233,13 @@ def add_live(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("url", metavar="URL", help="such as udpin:0.0.0.0:14550")
     _add_airframe(parser)
     parser.add_argument("--record", metavar="FILE", help="default: a dated .tlog under logs/")
-    parser.add_argument("--no-record", action="store_true", help="keep no recording")
+    parser.add_argument("--no-record", action="store_true", help="do not record")
     _add_link(parser)
     _add_vehicle_choice(parser)
-    parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
-    parser.add_argument("--truth", metavar="FILE", help="true parameters, to show beside")
+    parser.add_argument("--duration", type=positive, metavar="S", help="stop after S seconds")
+    parser.add_argument(
+        "--truth", metavar="FILE", help="true parameters, shown beside the estimates"
+    )
     _add_display(parser)
     option_groups.add_options(parser)
 
@@ -239,9 +250,11 @@ def add_replay(parser: argparse.ArgumentParser) -> None:
     _add_airframe(parser)
     parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
     parser.add_argument(
-        "--speed", choices=("1", "10", "max"), default="1", help="to begin with (default 1)"
+        "--speed", choices=("1", "10", "max"), default="1", help="initial speed (default 1)"
     )
-    parser.add_argument("--truth", metavar="FILE", help="true parameters, to show beside")
+    parser.add_argument(
+        "--truth", metavar="FILE", help="true parameters, shown beside the estimates"
+    )
     option_groups.add_target(parser)
     _add_display(parser)
 
@@ -251,31 +264,31 @@ def add_analyze(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("logs", nargs="+", metavar="LOG")
     _add_airframe(parser)
     parser.add_argument("--json", metavar="FILE", help="write the result; - is stdout")
-    parser.add_argument(
-        "--report", metavar="FILE.html", help="write a report with figures, to open in a browser"
-    )
+    parser.add_argument("--report", metavar="FILE.html", help="write an HTML report with figures")
     _add_force(parser)
     parser.add_argument("--start", type=not_negative, default=0.0, metavar="S")
     parser.add_argument("--end", type=positive, default=math.inf, metavar="S")
     parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
-    parser.add_argument("--truth", metavar="FILE", help="true parameters, to show beside")
+    parser.add_argument(
+        "--truth", metavar="FILE", help="true parameters, shown beside the estimates"
+    )
     parser.add_argument(
         "--added-mass",
         type=mass,
         metavar="KG",
-        help="scale by two logs: the second was flown with KG more on board",
+        help="set the scale by two flights, the second with KG of added mass",
     )
     parser.add_argument(
         "--offline",
         action="store_true",
-        help="maximum likelihood over the whole record, with its Cramer-Rao bound (slower)",
+        help="maximum likelihood over the whole record, with the Cramer-Rao bound (slower)",
     )
     parser.add_argument(
         "--method",
         choices=("forward", "forward-td", "forward-window", *ARTICLE_METHODS),
         default="forward",
-        help="forward (default), the same with a tracking differentiator instead of the window, "
-        "or a variant of the article's own chain, for study",
+        help="forward (default); with a tracking differentiator instead of the window; with "
+        "whitening; or a variant of the article's method, for study",
     )
 
 
@@ -288,7 +301,7 @@ def add_inspect(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const="-",
         metavar="FILE",
-        help="as JSON: instead of the text, or to FILE beside it",
+        help="print JSON instead of text, or also write it to FILE",
     )
     _add_force(parser)
     _add_vehicle_choice(parser)
@@ -296,15 +309,15 @@ def add_inspect(parser: argparse.ArgumentParser) -> None:
         "--rotors",
         type=rotors,
         metavar="N",
-        help="how many, where neither --airframe nor the vehicle's type tells",
+        help="number of rotors, if neither --airframe nor the vehicle type defines it",
     )
-    link = parser.add_argument_group("of a link")
+    link = parser.add_argument_group("link")
     link.add_argument(
         "--duration",
         type=positive,
         default=10.0,
         metavar="S",
-        help="listen for S seconds once the vehicle has spoken (default 10)",
+        help="listen for S seconds after the first message of the vehicle (default 10)",
     )
     _add_link(link)
 
@@ -317,34 +330,38 @@ def add_plan(parser: argparse.ArgumentParser) -> None:
 
 def add_export(parser: argparse.ArgumentParser) -> None:
     """Options of `export`."""
-    parser.add_argument("result", metavar="RESULT.json", help="as --json writes it")
-    parser.add_argument("--to", choices=EXPORT_TARGETS, required=True, help="the format")
+    parser.add_argument("result", metavar="RESULT.json", help="written by --json")
+    parser.add_argument("--to", choices=EXPORT_TARGETS, required=True, help="target format")
     parser.add_argument(
-        "-o", "--output", metavar="FILE", required=True, help="to write; - is stdout"
+        "-o", "--output", metavar="FILE", required=True, help="output file; - is stdout"
     )
-    parser.add_argument("--force", action="store_true", help="write over FILE if it exists")
-    parser.add_argument("--name", metavar="NAME", help="of the vehicle (default: the airframe's)")
-    group = parser.add_argument_group("what the flight does not tell")
+    parser.add_argument("--force", action="store_true", help="overwrite FILE")
+    parser.add_argument(
+        "--name", metavar="NAME", help="name of the vehicle (default: the airframe's)"
+    )
+    group = parser.add_argument_group("values that the flight did not identify")
     group.add_argument(
         "--set",
         type=setting,
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="a value known otherwise, SI, such as rotor_speed_max=900 or Ixy=0; may be repeated",
+        help="a value from elsewhere, SI, such as rotor_speed_max=900 or Ixy=0; may be repeated",
     )
     group.add_argument(
         "--airframe",
         metavar="NAME|FILE",
-        help="its [prior] and scale stand in; its rotors, where the result names none",
+        help="supplies [prior], scale, and rotors if the result has none",
     )
-    group.add_argument("--arm", type=positive, metavar="M", help="scale rotor distance to M metres")
+    group.add_argument(
+        "--arm", type=positive, metavar="M", help="mean distance of the rotors from the center, m"
+    )
 
 
 def add_compare(parser: argparse.ArgumentParser) -> None:
     """Options of `compare`."""
-    parser.add_argument("before", metavar="A.json", help="a result, as --json writes it")
-    parser.add_argument("after", metavar="B.json", help="another of the same vehicle")
+    parser.add_argument("before", metavar="A.json", help="result written by --json")
+    parser.add_argument("after", metavar="B.json", help="another result of the same vehicle")
     parser.add_argument("--json", metavar="FILE", help="write the comparison; - is stdout")
     _add_force(parser)
 
@@ -359,20 +376,23 @@ def _workers(text: str) -> int:
 def add_batch(parser: argparse.ArgumentParser) -> None:
     """Options of `batch`."""
     parser.add_argument(
-        "logs", nargs="+", metavar="PATH", help="a log, or a folder with logs at any depth"
+        "logs", nargs="+", metavar="PATH", help="a log, or a folder searched for logs"
     )
     parser.add_argument(
-        "-o", "--output", metavar="DIR", required=True, help="for results and table"
+        "-o", "--output", metavar="DIR", required=True, help="folder for results and table"
     )
     parser.add_argument(
-        "--force", action="store_true", help="do all anew, and write over what DIR holds"
+        "--force", action="store_true", help="redo every log and overwrite existing files"
     )
     processes = parser.add_mutually_exclusive_group()
     processes.add_argument(
-        "--workers", type=_workers, metavar="N", help="processes (default: one a processor)"
+        "--workers",
+        type=_workers,
+        metavar="N",
+        help="number of processes (default: one per processor)",
     )
     processes.add_argument(
-        "--scheduler", metavar="URL", help="work on a Dask cluster, such as tcp://10.0.0.1:8786"
+        "--scheduler", metavar="URL", help="run on a Dask cluster, such as tcp://10.0.0.1:8786"
     )
     parser.add_argument(
         "--log-timeout",
@@ -397,9 +417,9 @@ def add_batch(parser: argparse.ArgumentParser) -> None:
 
 def add_trend(parser: argparse.ArgumentParser) -> None:
     """Options of `trend`."""
-    parser.add_argument("fleet", metavar="DIR|FILE.parquet", help="what batch wrote")
-    parser.add_argument("-o", "--output", metavar="FILE.html", required=True, help="to write")
-    parser.add_argument("--force", action="store_true", help="write over FILE if it exists")
+    parser.add_argument("fleet", metavar="DIR|FILE.parquet", help="output of batch")
+    parser.add_argument("-o", "--output", metavar="FILE.html", required=True, help="output file")
+    parser.add_argument("--force", action="store_true", help="overwrite FILE")
 
 
 def add_health(parser: argparse.ArgumentParser) -> None:

@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     table.require()
     logs = find_logs(map(Path, options.logs))
     if not logs:
-        raise InputError(f"{', '.join(options.logs)}: no .tlog, .ulg, .bin or .bbl in there")
+        raise InputError(f"{', '.join(options.logs)}: contains no .tlog, .ulg, .bin or .bbl file")
     airframes = _airframes(options, logs)
     jobs = [Job(log, airframes[log], options.vehicle, options.offline) for log in logs]
     store = Store(Path(options.output), force=options.force)
@@ -56,7 +56,8 @@ def run(options: argparse.Namespace) -> int:
     deliveries.check()
     if len(rows) < len(jobs):
         print(
-            f"gcs-sysid: interrupted; the same command does the other {len(jobs) - len(rows)}",
+            f"gcs-sysid: interrupted; run the same command again for the other "
+            f"{len(jobs) - len(rows)}",
             file=sys.stderr,
         )
         return _INTERRUPTED

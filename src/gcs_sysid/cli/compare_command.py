@@ -11,7 +11,7 @@ from gcs_sysid.results.comparison import Comparison, Difference, compare
 from gcs_sysid.results.number_format import percent_column, rounded, significant
 from gcs_sysid.results.result import Estimate
 from gcs_sysid.results.result_file import read_result
-from gcs_sysid.results.words import CHANGE
+from gcs_sysid.results.words import CHANGE, shown
 
 _WIDTH = 100
 
@@ -54,18 +54,14 @@ def report(comparison: Comparison) -> str:
 
 
 _RULES = (
-    "verdicts hold for all parameters together: a vehicle that is the same is called changed in "
-    "one comparison of twenty at most (Holm); the intervals are of each parameter alone",
-    "A and B are taken as independent, and each parameter by itself: how the estimates of one "
-    "flight hang together does not count",
+    "verdicts hold for all parameters together: at most one comparison in twenty of an unchanged "
+    "vehicle says changed (Holm); intervals are per parameter",
+    "A and B are taken as independent; correlations between parameters are not used",
 )
 
 
 def _row(found: Difference) -> str:
-    values = [
-        "-" if estimate is None else rounded(estimate.value, estimate.half, 5)
-        for estimate in (found.before, found.after)
-    ]
+    values = [shown(estimate, 5).value for estimate in (found.before, found.after)]
     line = f"{found.name:<19}{values[0]:>12}{values[1]:>12}"
     if found.value is None or found.std is None or found.before is None:
         line += f"{'-':>10}{'-':>9}{'-':>8}"
@@ -90,13 +86,13 @@ def _summary(comparison: Comparison) -> list[str]:
     changed = comparison.named("changed")
     same, unknown = comparison.named("no_change_seen"), comparison.named("cannot_tell")
     if comparison.verdict == "cannot_tell":
-        return ["Cannot tell whether the vehicle has changed."]
+        return ["Undetermined: no parameter is identified in both results."]
     if changed:
         sentences = [f"The vehicle has changed: {', '.join(changed)}."]
     else:
         sentences = [f"No change seen in {', '.join(same)}."]
     if unknown:
-        sentences.append(f"Cannot tell of {', '.join(unknown)}.")
+        sentences.append(f"Undetermined: {', '.join(unknown)}.")
     return [
         line
         for sentence in sentences

@@ -26,7 +26,7 @@ def run(options: argparse.Namespace) -> int:
         findings += _links(options)
     except ImportError as error:
         # With a package missing, which is told above, links cannot be looked at.
-        findings.append(Finding("links", Sign.PROBLEM, f"cannot be looked at: {error}"))
+        findings.append(Finding("links", Sign.PROBLEM, f"cannot be checked: {error}"))
     if options.json:
         report = {"findings": [finding.as_json() for finding in findings]}
         print(json.dumps(report, indent=2, allow_nan=False))
@@ -41,8 +41,8 @@ def _summary(findings: list[Finding]) -> str:
         sum(finding.sign is sign for finding in findings) for sign in (Sign.PROBLEM, Sign.WARNING)
     )
     if problems:
-        return f"{problems} to be mended (see ->)"
-    return "ready" + (f"; {warnings} to know of (see ->)" if warnings else "")
+        return f"problems: {problems} (see ->)"
+    return "ready" + (f"; warnings: {warnings} (see ->)" if warnings else "")
 
 
 def _links(options: argparse.Namespace) -> list[Finding]:
@@ -56,7 +56,7 @@ def _links(options: argparse.Namespace) -> list[Finding]:
     for url in asked:
         if url.speaks_first:
             raise InputError(
-                f"{url}: the vehicle there is silent until spoken to, and this listens"
+                f"{url}: a vehicle there answers only to messages, and doctor only listens"
             )
     findings = check_serial(serial_devices())
     usual = listening.usual_urls()

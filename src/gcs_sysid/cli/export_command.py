@@ -16,7 +16,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when the result does not tell what the format needs."""
     path = None if options.output == "-" else Path(options.output)
     if path is not None and path.exists() and not options.force:
-        raise InputError(f"{path} exists already; --force writes over it")
+        raise InputError(f"{path} exists; --force overwrites it")
     result = read_result(Path(options.result))
     vehicle = assemble(result, _airframe(options), dict(options.set), options.name)
     target = TARGETS[options.to]
@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
 def _airframe(options: argparse.Namespace) -> Airframe | None:
     if options.airframe is None:
         if options.arm is not None:
-            raise InputError("--arm scales an --airframe: give that too")
+            raise InputError("--arm needs --airframe")
         return None
     airframe = load_airframe(options.airframe)
     return airframe if options.arm is None else airframe.with_arm(options.arm)

@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
         # `inspect --json LOG`: the option took the log for its file.
         options.target, options.json = options.json, "-"
     if options.target is None:
-        raise InputError("inspect what? Give a LOG (.tlog, .ulg, .bin, .bbl) or a link's URL")
+        raise InputError("give a LOG (.tlog, .ulg, .bin, .bbl) or a link's URL")
     is_log = _is_log(options.target)
     output.check_json(options.json, force=options.force)
     found = _log(options) if is_log else _link(options)

@@ -39,8 +39,8 @@ _STREAMS = {
 }
 _TOLD_BY = {
     "autopilot": "",
-    "rotors": " (armed with rotors turning: the autopilot does not say)",
-    "arming": " (armed: the autopilot does not say whether it flies)",
+    "rotors": " (armed with rotors turning; not reported by the autopilot)",
+    "arming": " (armed; flight is not reported by the autopilot)",
     "": "",
 }
 _VERDICTS = {"yes": "YES", "partly": "PARTLY", "no": "NO"}
@@ -180,7 +180,7 @@ def _clock(found: Inspection, width: int) -> list[str]:
         return []
     drift = found.clock.drift_ppm
     if drift is None:
-        against = "drift not known"
+        against = "drift unknown"
     else:
         way = "fast" if drift >= 0.0 else "slow"
         against = f"{abs(drift):.0f} ppm {way} against the computer that received"

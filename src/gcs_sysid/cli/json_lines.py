@@ -82,7 +82,7 @@ class JsonLines:
             if isinstance(error, BrokenPipeError):
                 self.when_gone()
             else:
-                say(f"{self._problem(error)}; the session goes on")
+                say(f"{self._problem(error)}; the session continues")
 
     def _problem(self, error: OSError) -> str:
         name = "standard output" if self.to_stdout else self._path

@@ -22,10 +22,10 @@ from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.live.receiver_process import ReceiverProcess
 from gcs_sysid.model.parameters import CORE_OF, REGISTRY
-from gcs_sysid.results.number_format import PLAIN, rounded
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
+from gcs_sysid.results.words import shown
 from gcs_sysid.telemetry.tlog_writer import unused_path
 from gcs_sysid.telemetry.urls import parse_url
 
@@ -229,8 +229,8 @@ def _show(
             if app.defect is not None and not stopped.is_set():
                 kind = type(app.defect).__name__
                 output.say(
-                    f"the screen has failed ({kind}: {app.defect}); the session goes on without "
-                    "it, until Ctrl-C"
+                    f"the screen failed ({kind}: {app.defect}); the session continues without "
+                    "it until Ctrl-C"
                 )
                 say_until_end(session)
         finally:
@@ -283,7 +283,7 @@ def status_line(snapshot: Snapshot) -> str:
         reasons = snapshot.result.reasons
         if link.received or len(reasons) > 1:  # somebody speaks, but nobody to listen to
             return f"listening on {link.url}: {'; '.join(reasons)}"
-        return f"listening on {link.url}: no vehicle has spoken yet"
+        return f"listening on {link.url}: no vehicle yet"
     words = [f"{snapshot.t:7.1f} s", link.vehicle or link.url]
     if link.state is not LinkState.CONNECTED:
         words.append(str(link.state.value))
@@ -292,11 +292,7 @@ def status_line(snapshot: Snapshot) -> str:
         estimate = snapshot.result.parameters.get(name)
         if REGISTRY[name].sign != "positive" or (estimate and estimate.status == "given"):
             continue
-        if estimate is None or estimate.half is None or estimate.status == "unobservable":
-            words.append(f"{name} -")
-        else:
-            value = rounded(estimate.value, estimate.half, 4)
-            words.append(f"{name} {value} ±{PLAIN.percent(estimate.relative_half)}")
+        words.append(f"{name} {shown(estimate, 4).text}")
     reasons = snapshot.result.reasons
     if snapshot.result.verdict == "refused" and reasons:
         words.append(f"({reasons[0]})")

@@ -42,7 +42,7 @@ def add_target(parser: "argparse.ArgumentParser | argparse._ArgumentGroup") -> N
         type=target,
         default=0.02,
         metavar="P%",
-        help="every 95 %% interval within so much of the value (default 2%%)",
+        help="wanted 95 %% interval, relative to the value (default 2%%)",
     )
 
 
@@ -51,21 +51,25 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("flight coach")
     add_target(group)
     group.add_argument(
-        "--max-tilt", type=_tilt, default=20.0, metavar="DEG", help="of roll and pitch (default 20)"
+        "--max-tilt",
+        type=_tilt,
+        default=20.0,
+        metavar="DEG",
+        help="roll and pitch limit (default 20)",
     )
     group.add_argument(
         "--max-rate",
         type=_turning,
         default=150.0,
         metavar="DEG_S",
-        help="about each axis (default 150)",
+        help="rate limit of each axis (default 150)",
     )
     group.add_argument(
         "--max-height",
         type=_height,
         default=1.0,
         metavar="M",
-        help="up and down, 0.2 to 1; 0: no climbs (default 1)",
+        help="climb and descent, 0.2 to 1; 0: none (default 1)",
     )
 
 
@@ -74,18 +78,18 @@ def add_plan(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rotor-input",
         choices=("speed", "command"),
-        help="what will be telemetered (default: the airframe's, else speed)",
+        help="rotor telemetry to plan for (default: the airframe's, else speed)",
     )
     parser.add_argument(
         "--json",
         nargs="?",
         const="-",
         metavar="FILE",
-        help="as JSON: instead of the text, or to "
-        "FILE beside it; sim-bridge --mission FILE flies it",
+        help="print JSON instead of text, or also write it to FILE; sim-bridge --mission "
+        "FILE flies it",
     )
-    parser.add_argument("--svg", metavar="FILE", help="a picture of the motion, for print")
-    parser.add_argument("--force", action="store_true", help="write over FILE if it exists")
+    parser.add_argument("--svg", metavar="FILE", help="write a picture of the motion")
+    parser.add_argument("--force", action="store_true", help="overwrite existing files")
     add_options(parser)
 
 
@@ -118,9 +122,9 @@ SHELLS = ("bash", "zsh", "fish")
 def add_doctor(parser: argparse.ArgumentParser) -> None:
     """Options of `doctor`."""
     parser.add_argument(
-        "urls", nargs="*", metavar="URL", help="listen there too, such as /dev/ttyUSB0"
+        "urls", nargs="*", metavar="URL", help="also listen here, such as /dev/ttyUSB0"
     )
-    parser.add_argument("--baud", type=int, metavar="N", help="of serial ports among them")
+    parser.add_argument("--baud", type=int, metavar="N", help="baud rate of serial ports")
     parser.add_argument(
         "--duration",
         type=positive,
@@ -136,29 +140,36 @@ def add_airframe(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     new = actions.add_parser(
         "new",
-        help="describe a vehicle, by questions or by options",
-        description="Writes an airframe file. Asks on the terminal for what no option tells; "
+        help="write an airframe file, by questions or by options",
+        description="Writes an airframe file. Asks on the terminal for what no option gives; "
         "with --layout and --arm (or --rotor) and --output it asks nothing.",
     )
     new.add_argument("--layout", choices=LAYOUTS, metavar="NAME", help=", ".join(LAYOUTS[::2]))
     new.add_argument(
-        "--arm", metavar="M", help="m from the centre to each motor; X,Y: a quad X not square"
+        "--arm",
+        metavar="M",
+        help="m from the center to each motor; X,Y for a quad X that is not square",
     )
     new.add_argument(
         "--rotor",
         action="append",
         default=[],
         metavar="SPIN:X,Y",
-        help="a motor of an own layout, such as cw:0.2,-0.2: m forward and right; repeated, in "
-        "the autopilot's order",
+        help="a motor of a custom layout, such as cw:0.2,-0.2: m forward and right; repeat "
+        "in motor "
+        "order",
     )
-    new.add_argument("--spin", metavar="LIST", help="reversed, or one of each motor: ccw,ccw,cw,cw")
+    new.add_argument(
+        "--spin", metavar="LIST", help="reversed, or the spin of each motor: ccw,ccw,cw,cw"
+    )
     scale = new.add_mutually_exclusive_group()
     scale.add_argument("--mass", type=arguments.mass, metavar="KG", help="weighed mass")
     scale.add_argument("--k-t", type=positive, metavar="N_S2", help="known k_T")
     scale.add_argument("--t-max", type=positive, metavar="N", help="known thrust of a rotor")
     new.add_argument(
-        "--imu", metavar="X,Y,Z", help="m forward, right, down from the centre; --imu=-0.02,0,0"
+        "--imu",
+        metavar="X,Y,Z",
+        help="position of the IMU, m forward, right, down from the center: --imu=-0.02,0,0",
     )
     new.add_argument(
         "--prior",
@@ -166,16 +177,16 @@ def add_airframe(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE±STD",
-        help="a value known beforehand; may be repeated",
+        help="prior; may be repeated",
     )
-    new.add_argument("--name", help="of the vehicle (default: the file's name)")
+    new.add_argument("--name", help="name of the vehicle (default: the file's name)")
     new.add_argument(
-        "-o", "--output", metavar="FILE.toml", help="to write, if it is not there; - is stdout"
+        "-o", "--output", metavar="FILE.toml", help="output file, must not exist; - is stdout"
     )
     check = actions.add_parser(
         "check",
-        help="draw an airframe and look for slips",
-        description="Draws an airframe's rotors, and says what looks wrong.",
+        help="draw an airframe and check it",
+        description="Draws the rotors of an airframe and lists what looks wrong.",
     )
     check.add_argument(
         "file", metavar="FILE", type=Path, help="airframe file, or a built-in airframe's name"
@@ -185,4 +196,4 @@ def add_airframe(parser: argparse.ArgumentParser) -> None:
 
 def add_completion(parser: argparse.ArgumentParser) -> None:
     """Options of `completion`."""
-    parser.add_argument("shell", choices=SHELLS, metavar="|".join(SHELLS), help="for which shell")
+    parser.add_argument("shell", choices=SHELLS, metavar="|".join(SHELLS), help="shell")

@@ -123,7 +123,7 @@ def open_output(path: str, *, force: bool) -> TextIO:
     try:
         return open(path, "w" if force or _is_device(path) else "x", encoding="utf-8")
     except FileExistsError as error:
-        raise InputError(f"{path} exists already; --force writes over it") from error
+        raise InputError(f"{path} exists; --force overwrites it") from error
     except (OSError, ValueError) as error:  # ValueError: a name with a null character
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot write: {reason}") from error

@@ -27,6 +27,10 @@ DONE, NO_ANSWER, USAGE = 0, 1, 2
 A command that Ctrl-C ended at once has 130; see also `signals.BY_SIGNAL`."""
 
 
+_BRITISH = {"analyse": "analyze"}
+"""Commands that some spell otherwise."""
+
+
 def build_parser() -> argparse.ArgumentParser:
     """The whole command line."""
     parser = OneLineParser(
@@ -62,18 +66,17 @@ def build_parser() -> argparse.ArgumentParser:
     replay = commands.add_parser(
         "replay",
         help="watch a recorded flight",
-        description="Plays a recording (.tlog, .ulg, .bin, .bbl) on the live screen: at its own "
-        "pace, ten times as fast or as fast as it can, with pause and seek. It ends with the "
-        "numbers of analyze.",
+        description="Plays a recording (.tlog, .ulg, .bin, .bbl) on the live screen in real time, "
+        "ten times as fast or as fast as possible, with pause and seek. The final numbers are "
+        "those of analyze.",
     )
     arguments.add_replay(replay)
     inspect = commands.add_parser(
         "inspect",
-        help="see what is in a log or on a link",
-        description="Tells what is in a log (.tlog, .ulg, .bin, .bbl) or comes over a link: "
-        "systems, messages, rates, gaps, clock, rotor input, motion; and whether the vehicle can "
-        "be identified from it. A link is asked for the streams, as by live, and given its "
-        "rates back.",
+        help="show what is in a log or on a link",
+        description="Shows what is in a log (.tlog, .ulg, .bin, .bbl) or on a link: systems, "
+        "messages, rates, gaps, clock, rotor input, motion, and whether the vehicle can be "
+        "identified from it. On a link it requests streams as live does, and restores the rates.",
     )
     arguments.add_inspect(inspect)
     health = commands.add_parser(
@@ -86,56 +89,54 @@ def build_parser() -> argparse.ArgumentParser:
     arguments.add_health(health)
     plan = commands.add_parser(
         "plan",
-        help="see what to fly, before the flight",
-        description="Plans a flight on paper: manoeuvres, how long, and the accuracy to expect. "
-        "Nothing is sent to a vehicle.",
+        help="plan what to fly",
+        description="Plans a flight: maneuvers, duration and expected accuracy. Nothing is sent "
+        "to a vehicle.",
     )
     arguments.add_plan(plan)
     export = commands.add_parser(
         "export",
         help="write an identified vehicle for a simulator",
-        description="Writes a result as a file that PX4's SIH, Gazebo, MuJoCo, RotorPy or a "
-        "reader of URDF loads.",
+        description="Writes a result as a file for PX4's SIH, Gazebo, MuJoCo, RotorPy or as URDF.",
     )
     arguments.add_export(export)
     compare = commands.add_parser(
         "compare",
-        help="see whether a vehicle has changed",
+        help="test whether a vehicle has changed",
         description="Compares two results of one vehicle, parameter by parameter.",
     )
     arguments.add_compare(compare)
     batch = commands.add_parser(
         "batch",
         help="identify from many logs",
-        description="Identifies from every log in files and folders, side by side: a result a "
-        "log, and a Parquet table of all. Called again, it does what is not done yet. Without "
-        "--airframe every log takes the nearest airframe.toml, beside it or in a folder above.",
+        description="Identifies from every log in files and folders, in parallel: one result per "
+        "log, and a Parquet table of all. Run again, it does the rest. Without --airframe each "
+        "log uses the nearest airframe.toml, beside it or in a folder above.",
     )
     arguments.add_batch(batch)
     trend = commands.add_parser(
         "trend",
-        help="see how a fleet's vehicles change from flight to flight",
-        description="Writes an HTML page of a batch: parameters over flights for every vehicle, "
-        "and where a vehicle changed from its earlier flights.",
+        help="show how a fleet changes from flight to flight",
+        description="Writes an HTML page of a batch: the parameters of every vehicle over its "
+        "flights, and where they changed.",
     )
     arguments.add_trend(trend)
     airframe = commands.add_parser(
         "airframe",
         help="describe your vehicle, with a picture",
-        description="Writes the file that tells where a vehicle's rotors are, or checks one.",
+        description="Writes the airframe file, with the positions of the rotors, or checks one.",
     )
     option_groups.add_airframe(airframe)
     doctor = commands.add_parser(
         "doctor",
-        help="check this machine, and hear who speaks",
-        description="Checks versions, ports, serial devices, terminal and the folder of "
-        "recordings, and listens for vehicles. It sends nothing. Ends with status 1 if there is "
-        "a problem.",
+        help="check this machine and listen for MAVLink vehicles",
+        description="Checks versions, ports, serial devices, terminal and recording folder, and "
+        "listens for vehicles. Sends nothing. Exit status 1 if there is a problem.",
     )
     option_groups.add_doctor(doctor)
     completion = commands.add_parser(
         "completion",
-        help="complete commands with the tab key",
+        help="tab completion for bash, zsh and fish",
         description='Prints a script for the shell. bash: eval "$(gcs-sysid completion bash)" '
         "in ~/.bashrc; zsh: the same in ~/.zshrc, after compinit; fish: gcs-sysid completion "
         "fish > ~/.config/fish/completions/gcs-sysid.fish",
@@ -196,7 +197,7 @@ def _stdout_is_full() -> bool:
 def _run(argv: Sequence[str]) -> int:
     parser = build_parser()
     try:
-        options = parser.parse_args(argv)
+        options = parser.parse_args([_BRITISH.get(argv[0], argv[0]), *argv[1:]] if argv else argv)
     except SystemExit as stop:  # argparse has printed its line
         return stop.code if isinstance(stop.code, int) else USAGE
     options.argv = (PROGRAM, *argv)

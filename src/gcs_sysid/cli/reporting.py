@@ -41,9 +41,9 @@ class Reporter:
         self, options: argparse.Namespace, airframe: Airframe, truth: Mapping[str, float] | None
     ) -> None:
         if len(options.logs) != 1:
-            raise InputError("--report is of one LOG; give them one by one")
+            raise InputError("--report takes one LOG; analyze them one by one")
         if options.report in ("", "-"):
-            raise InputError("--report needs the name of a file, such as flight.html")
+            raise InputError("--report needs a file name, such as flight.html")
         others = [options.json if options.json != "-" else None, options.truth, options.airframe]
         sources = tuple(Path(name) for name in (*options.logs, *others) if name)
         check_target(Path(options.report), replace=options.force, sources=sources)

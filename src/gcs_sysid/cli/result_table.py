@@ -8,7 +8,7 @@ from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import PARAMETERS
 from gcs_sysid.results.number_format import PLAIN, percent_column, rounded, significant
 from gcs_sysid.results.result import Estimate, Result
-from gcs_sysid.results.words import event_text
+from gcs_sysid.results.words import event_text, shown
 
 
 class _Style(NamedTuple):
@@ -46,6 +46,14 @@ def result_table(
         width: columns to keep to, from 80 on; what is least needed is left out then. None: no
             limit.
     """
+    if (
+        result.verdict == "refused"
+        and not result.vehicle
+        and not any(
+            estimate.shown and estimate.status != "given" for estimate in result.parameters.values()
+        )
+    ):
+        return "\n".join([f"nothing identified from {result.source}", *result.reasons])
     lines = [f"{result.verdict}: {result.source}", *_scale_lines(result), ""]
     for style in _STYLES:
         rows = _rows(result, truth, style)
@@ -67,13 +75,12 @@ def result_table(
 def _rows(result: Result, truth: Mapping[str, float] | None, style: _Style) -> list[str]:
     names = list(result.parameters)
     estimates = list(result.parameters.values())
+    cells = [shown(estimate, style.digits) for estimate in estimates]
     columns: dict[str, list[str]] = {
         "parameter": names,
-        "value": [
-            rounded(e.value if _is_known(e) else None, e.half, style.digits) for e in estimates
-        ],
-        "± 95 %": [_half(e) for e in estimates],
-        "%": [_share(e) for e in estimates],
+        "value": [cell.value for cell in cells],
+        "± 95 %": [cell.half for cell in cells],
+        "%": ["-" if cell.value == "-" else cell.percent for cell in cells],
     }
     if any(e.std_given for e in estimates):
         columns[_GIVEN] = [
@@ -89,9 +96,9 @@ def _rows(result: Result, truth: Mapping[str, float] | None, style: _Style) -> l
     if truth:
         true = [truth.get(name) for name in names]
         columns["truth"] = [rounded(value, None, style.digits) for value in true]
-        columns["error %"] = [_error(e.value, t) for e, t in zip(estimates, true, strict=True)]
-    shown = {head: cells for head, cells in columns.items() if head not in style.without}
-    padded = [_column(head, cells) for head, cells in shown.items()]
+        columns["error %"] = [_error(e, t) for e, t in zip(estimates, true, strict=True)]
+    kept = {head: cells for head, cells in columns.items() if head not in style.without}
+    padded = [_column(head, cells) for head, cells in kept.items()]
     gap = " " * style.gap
     return [gap.join(row).rstrip() for row in zip(*padded, strict=True)]
 
@@ -103,28 +110,10 @@ def _column(head: str, cells: Sequence[str]) -> list[str]:
     return [f"{cell:{side}{wide}}" for cell in (head, *cells)]
 
 
-def _is_known(estimate: Estimate) -> bool:
-    """Whether there is a number worth printing: one that the data cannot tell is none."""
-    known = estimate.value is not None and estimate.std is not None
-    return known and estimate.status != "unobservable"
-
-
-def _half(estimate: Estimate) -> str:
-    if not _is_known(estimate):
+def _error(estimate: Estimate, true: float | None) -> str:
+    if not estimate.shown or estimate.value is None or not true:
         return "-"
-    return "" if estimate.half is None else significant(estimate.half, 2)
-
-
-def _share(estimate: Estimate) -> str:
-    if not _is_known(estimate):
-        return "-"
-    return percent_column(estimate.relative_half).removesuffix(" %")
-
-
-def _error(value: float | None, true: float | None) -> str:
-    if value is None or not true:
-        return "-"
-    return percent_column(value / true - 1.0, signed=True).removesuffix(" %")
+    return percent_column(estimate.value / true - 1.0, signed=True).removesuffix(" %")
 
 
 def _notes(result: Result) -> list[str]:
@@ -142,7 +131,7 @@ def _notes(result: Result) -> list[str]:
         notes.append(f"{len(many)} disturbances; the vehicle is unchanged")
     spikes = result.telemetry.get("imu_outliers", {}).get("spikes", 0)
     if spikes:
-        notes.append(f"{spikes} gyro samples were spikes, replaced by what their neighbours say")
+        notes.append(f"{spikes} gyro spikes were replaced by interpolation")
     return [*notes, *result.reasons]
 
 

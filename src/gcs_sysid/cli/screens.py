@@ -74,7 +74,7 @@ def export_result(target: str, result: Result) -> str:
     text = TARGETS[target].write(vehicle)
     path = unused_path(Path(f"{vehicle.name}{TARGETS[target].form.suffix}"))
     save(path, text, force=False)
-    missing = "; what it lacks is said in the file" if TARGETS[target].notes(vehicle) else ""
+    missing = "; see its header for what is missing" if TARGETS[target].notes(vehicle) else ""
     return f"Exported to {path}{missing}"
 
 
@@ -90,7 +90,7 @@ def report_session(
     """
     recording = session.flushed_recording()
     if recording is None:
-        raise InputError("a report is made of the recording, and there is none: R starts one")
+        raise InputError("no recording to report on: R starts one")
     target = unused_path(recording.with_suffix(".html"))
     snapshot = session.latest()
     heard = () if snapshot is None else snapshot.link.vehicles
@@ -180,7 +180,7 @@ def show(session: Session, scene: Scene, address: tuple[str, int]) -> None:
     share.start()
     try:
         with on_signals(stop):
-            far = "" if is_loopback(host) else "; whoever reaches it can press every key"
+            far = "" if is_loopback(host) else "; everyone who can open it can press every key"
             output.say(f"open {url} in a browser (Ctrl-C ends){far}")
             session.start()
             say_until_end(session)

@@ -18,12 +18,12 @@ def run(options: argparse.Namespace) -> int:
     fleet, target = Path(options.fleet), Path(options.output)
     file = fleet / TABLE if fleet.is_dir() else fleet
     if fleet.is_dir() and not file.is_file():
-        raise InputError(f"{fleet}: no {TABLE} in there; gcs-sysid batch writes it when it ends")
+        raise InputError(f"{fleet}: no {TABLE} here; gcs-sysid batch writes it at the end")
     check_target(target, replace=options.force, sources=(file,))
     vehicles, unused = vehicles_of(table.read_table(file))
     name = (fleet if fleet.is_dir() else file).resolve()
     write_whole(target, render(name.name, vehicles, unused), replace=options.force)
     if vehicles:
         return 0
-    print(f"gcs-sysid: {file}: no log in there tells anything of a vehicle", file=sys.stderr)
+    print(f"gcs-sysid: {file}: no log identified any parameter", file=sys.stderr)
     return 1

@@ -17,14 +17,14 @@ def welcome(parser: argparse.ArgumentParser) -> str:
 gcs-sysid {__version__} identifies a multirotor from MAVLink, in flight or recorded.
 Begin with
   gcs-sysid demo
-              see it work on the emulator that comes with it
+              identify the emulated vehicle
   gcs-sysid live udpin:0.0.0.0:14550 --airframe px4-quad-x --arm 0.25 --mass 1.5
-              identify your own: m from its centre to a motor, and kg weighed
+              identify yours: m from its center to a motor, and its mass in kg
 
 Commands
 {commands}
 
-More of each: gcs-sysid COMMAND --help. Nothing heard? gcs-sysid doctor"""
+Options: gcs-sysid COMMAND --help. No vehicle found? gcs-sysid doctor"""
 
 
 def commands_of(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:

@@ -20,7 +20,7 @@ def _what(m: Manoeuvre) -> str:
     if m.climb:
         return f"up and down, ±{m.climb:.2g} m, {pace}"
     if m.roll and m.pitch:
-        return f"stir the stick: roll and pitch in a circle, {_angle(m.roll)}, {pace}"
+        return f"circle the stick: roll and pitch, {_angle(m.roll)}, {pace}"
     first, angle = ("roll", m.roll) if m.roll else ("pitch", m.pitch)
     if not m.yaw:
         return f"{first} to and fro, {_angle(angle)}, {pace}"

@@ -23,7 +23,7 @@ _GAINS = 4
 _WIDTH = 79
 _FOOT = (
     "An estimate for a vehicle of this size and mass with usual sensors (IMU and rotor speeds at "
-    "250 Hz). In flight the coach goes on from what has really been measured."
+    "250 Hz). In flight the coach uses the measured data."
 )
 _COLOURS = ("#1f6fb4", "#c2571a", "#2b8a3e", "#7048a8")
 

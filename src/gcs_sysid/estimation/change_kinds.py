@@ -88,7 +88,7 @@ def describe(
             changed.add(name)
     kind: str = kind_of(
         "mass" in changed,
-        not changed.isdisjoint(grouped("balance point")),
+        not changed.isdisjoint(grouped("center of gravity")),
         not changed.isdisjoint(INERTIA),
     )
     event: dict[str, Any] = {"kind": kind, "parameters": parameters}

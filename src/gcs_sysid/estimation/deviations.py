@@ -106,7 +106,8 @@ class DeviationChoice:
 
     def every(self, unknowns: Array) -> Deviations:
         """All of them, limited by the data alone, at a (N_UNKNOWNS,) fit: thrust acts about its
-        CG."""
+        CG.
+        """
         x, y, s = self._geometry
         rotors = len(s)
         torques = np.zeros((3 + 2 * rotors, 3, rb.N_SIGNALS))

@@ -152,7 +152,7 @@ def maximise_likelihood(
         ValueError: `start` is no rigid body's inertia.
     """
     if not rb.is_physical(start):
-        raise ValueError("the starting point has an inertia that no rigid body has")
+        raise ValueError("the starting inertia is not that of a rigid body")
     reach = 0.0 if delay is None else 3.0 * DELAY_STD
     record = OfflineRecord(samples, geometry, dt, speed_std, delay or 0.0, reach, torque)
     if record.rows < 2 * rb.N_THETA:

@@ -43,7 +43,7 @@ def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | str:
     """
     rotation = online.rotation
     if rotation is None or not tracker.kept:
-        return "there is no online estimate to start from"
+        return "no online estimate to start from"
     found = maximise_likelihood(
         join(tracker.kept),
         tracker.geometry,
@@ -55,9 +55,9 @@ def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | str:
         torque=rotation.deviating.torque(rotation.deviations),
     )
     if found is None:
-        return "no stretch of flight without a gap is long enough"
+        return "no gap-free stretch of flight is long enough"
     if not found.converged:
-        return "the search for the maximum of the likelihood did not converge"
+        return "the maximum-likelihood search did not converge"
     n = rb.N_THETA
     full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     full[: n + 1, : n + 1] = found.covariance

@@ -100,7 +100,9 @@ def physical_parameters(
 
     sizes = {name: value for name, (value, _) in raw.items()} | {ARM: arm}
     out = {
-        name: judged(*raw[name], p.yardstick.size(raw[name][0], sizes)) if name in raw else NOTHING
+        name: judged(*raw[name], p.yardstick.size(raw[name][0], sizes), p.sign)
+        if name in raw
+        else NOTHING
         for name, p in PARAMETERS.items()
         if p.in_result(rotor_input)
     }
@@ -257,7 +259,8 @@ def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> Value:
         return Value(value, 0.0, "given")
     if which == LAG:
         doubt = ERRORS.lag * value
-    return judged(value, math.hypot(std, doubt), REGISTRY[name].yardstick.size(value, {}))
+    p = REGISTRY[name]
+    return judged(value, math.hypot(std, doubt), p.yardstick.size(value, {}), p.sign)
 
 
 def verdict(
@@ -271,28 +274,25 @@ def verdict(
     weak = [n for n in core if parameters[n].status == "weak"]
     reasons = []
     if missing:
-        reasons.append(f"the data do not tell {', '.join(missing)}")
+        reasons.append(f"not observable from this flight: {', '.join(missing)}")
     if weak:
-        reasons.append(f"only roughly known: {', '.join(weak)}")
+        reasons.append(f"weak: {', '.join(weak)}")
     torque = next(name for name in grouped("rotor torque") if name in core)
     if rigid_body_test is not None and rigid_body_test.contradicted:
         share = ", ".join(f"{value:.2f}" for value in rigid_body_test.share)
         reasons.append(
-            f"it does not move like a rigid body (gyroscopic torque on roll, pitch, yaw {share} "
-            "times that of one): Izz, products and rotor torque cannot be told"
+            f"the vehicle does not move like a rigid body (gyroscopic torque on roll, pitch, "
+            f"yaw {share} "
+            "times expected): Izz, products of inertia and rotor torque are not observable"
         )
     elif {"Izz", torque} <= set(missing) | set(weak):
         reasons.append(
-            f"Izz and {torque} share one scale: only rotation about several axes at once, "
-            "such as roll and yaw together, tells them apart"
+            f"Izz and {torque} share one scale: fly several axes at once, such as roll and "
+            "yaw, to separate them"
         )
     ratio = parameters.get("moment_ratio", NOTHING)
     if ratio.value is not None and ratio.status == "identified" and ratio.value < 0.0:
-        reasons.append(
-            f"{torque} is negative: every rotor turns the vehicle the wrong way; "
-            "check spin in the airframe file"
-        )
-    identified = [n for n in core if parameters[n].status == "identified"]
-    if not identified:
+        reasons.append(f"{torque} is negative: check spin in the airframe file")
+    if not any(parameters[n].status in ("identified", "zero") for n in core):
         return "refused", tuple(reasons)
     return ("partial" if reasons else "identified"), tuple(reasons)

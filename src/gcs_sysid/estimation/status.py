@@ -4,9 +4,12 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from gcs_sysid.model.parameters import Parameter
+from gcs_sysid.intervals import Z95
+from gcs_sysid.model.parameters import Parameter, Sign
 
-Status = Literal["identified", "given", "weak", "unobservable"]
+Status = Literal["identified", "given", "zero", "weak", "unobservable"]
+KNOWN: frozenset[Status] = frozenset({"identified", "given", "zero"})
+"""Statuses of a parameter that a complete identification may have."""
 
 
 @dataclass(frozen=True)
@@ -19,13 +22,16 @@ class StatusRules:
     """
 
     identified_below: float = 0.05
-    """Standard deviation over yardstick."""
+    """Standard deviation over the reference value."""
     unobservable_above: float = 0.5
     """The same, above which the data say nothing useful."""
     weak_below_r2: float = 0.8
     """R² below which nothing on that axis is identified."""
     unobservable_below_r2: float = 0.5
     """R² below which it is not even weak."""
+    impossible_below: float = -3.0
+    """Standard deviations below zero from which a value that cannot be negative contradicts the
+    model: noise alone does so once in 740 estimates of zero."""
     weak_below_whitened: float = 0.65
     unobservable_below_whitened: float = 0.2
     """The same of whitened rows, of which slow disturbances are taken out and much is noise: gusts
@@ -57,13 +63,25 @@ class Value:
 NOTHING = Value(None, None, "unobservable")
 
 
-def judged(value: float, std: float, yardstick: float) -> Value:
-    """A value with the status that its standard deviation gives it."""
+def judged(value: float, std: float, reference: float, sign: Sign = "positive") -> Value:
+    """A value with the status that its standard deviation gives it.
+
+    Args:
+        value: SI.
+        std: standard deviation.
+        reference: what it is divided by.
+        sign: physical bound. What may be zero, and is small with an interval that contains zero,
+            is "zero". Of what cannot be negative, but is, nothing is left: the model is wrong.
+    """
     if not (math.isfinite(value) and math.isfinite(std)):
         return NOTHING
-    ratio = std / yardstick if yardstick > 0.0 else math.inf
+    if sign == "not negative" and value < RULES.impossible_below * std:
+        return NOTHING
+    ratio = std / reference if reference > 0.0 else math.inf
     if ratio < RULES.identified_below:
-        return Value(value, std, "identified")
+        low = -math.inf if sign == "not negative" else -Z95 * std
+        zero = sign != "positive" and low <= value <= Z95 * std
+        return Value(value, std, "zero" if zero else "identified")
     return Value(value, std, "weak" if ratio < RULES.unobservable_above else "unobservable")
 
 

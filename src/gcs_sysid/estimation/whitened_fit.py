@@ -327,7 +327,8 @@ def _tried(
     known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
     alike, lost = _alike(point, rows, noise[:, 0], known, deviations)
     # Whoever was lost is compared with nobody.
-    information = np.where(lost.any(axis=1)[:, None, None], 0.0, point.hessian)
+    gone = np.asarray(lost.any(axis=1))
+    information = np.where(gone[:, None, None], 0.0, point.hessian)
     return Trial(data.whiteners, data.time, point.unknowns, alike, information)
 
 

@@ -102,7 +102,7 @@ class Vehicle:
         listed = ", ".join(missing)
         if self.result.scale is None and "mass" in missing:
             raise MissingError(
-                f"{target} needs {listed}: the result has no scale, weigh the vehicle and "
+                f"{target} needs {listed}: the result has no scale; weigh the vehicle and "
                 "analyze again with --mass KG"
             )
         # k_T, T_max and rotor_speed_max: two tell the third.
@@ -117,7 +117,7 @@ class Vehicle:
         if by_full_speed:
             advice.append("give --set rotor_speed_max=RAD_S, the rotors' speed at full command")
         raise MissingError(
-            f"{target} needs {listed}, which this result does not tell: {'; '.join(advice)}"
+            f"{target} needs {listed}, which this result does not have: {'; '.join(advice)}"
         )
 
     def check_inertia(self) -> None:
@@ -129,7 +129,7 @@ class Vehicle:
         if not rb.is_physical(np.array([self[name] for name in INERTIA])):
             raise MissingError(
                 "no rigid body has this inertia (one principal moment exceeds the sum of the "
-                "others): it is too roughly known; fly again, or give some of "
+                "others): fly again, or give some of "
                 + ", ".join(INERTIA)
                 + " with --set NAME=VALUE"
             )
@@ -227,8 +227,7 @@ def _rotors(result: Result, airframe: Airframe | None) -> tuple[tuple[Rotor, ...
     if not result.airframe:
         if airframe is None:
             raise InputError(
-                "the result does not say where the rotors are: give the --airframe that it was "
-                "analyzed with"
+                "the result has no rotor positions: give the --airframe that it was analyzed with"
             )
         return airframe.rotors, airframe.name
     table = {"name": result.airframe.get("name"), "rotor": result.airframe.get("rotors")}
@@ -240,7 +239,7 @@ def _rotors(result: Result, airframe: Airframe | None) -> tuple[tuple[Rotor, ...
         )
     if airframe is not None and not np.allclose(own.geometry, airframe.geometry, atol=1e-6):
         raise InputError(
-            f"the rotors of --airframe {airframe.name} are not where the result has them: "
+            f"the rotors of --airframe {airframe.name} are not at the positions of the result: "
             "give the airframe (and --arm) that it was analyzed with"
         )
     return own.rotors, own.name

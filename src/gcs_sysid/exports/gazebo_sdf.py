@@ -36,10 +36,10 @@ def notes(vehicle: Vehicle) -> list[str]:
     """What the user should know."""
     out = FORMAT.notes(vehicle)
     if not vehicle.get("motor_lag"):
-        out.append("motor_lag is not known: Gazebo's own time constants are in force")
-    out.append("rotor links weigh a token, taken from base_link: all links together are right")
-    out.append("CG and rotors are at one height: no flight tells the difference")
-    out.append("shapes are for the eye alone and touch nothing")
+        out.append("motor_lag is not known: Gazebo's own time constants are used")
+    out.append("rotor links have a token mass, taken from base_link: the total is right")
+    out.append("CG and rotors are at one height: their vertical offset is not observable")
+    out.append("shapes are visual only, without collision")
     return out
 
 

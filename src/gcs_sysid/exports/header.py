@@ -51,7 +51,7 @@ class Format:
             and name not in taken
             and _is_there(vehicle, name)
         ]
-        out = [f"only roughly known: {', '.join(weak)}"] if weak else []
+        out = [f"weak: {', '.join(weak)}"] if weak else []
         return [*out, f"{self.owner} no place for {', '.join(lost)}"] if lost else out
 
 
@@ -73,12 +73,12 @@ def provenance(vehicle: Vehicle, target: Format, notes: Iterable[str]) -> list[s
         "Scale: "
         + ("none" if scale is None else f"{scale.anchor} = {scale.value:g} {_plain(scale.unit)}"),
         "Identified, 95 % intervals, SI; axes forward, right, down; inertia is matrix elements,",
-        "CG seen from the geometric centre:",
+        "CG from the geometric center:",
     ]
     lines += [_row(name, vehicle.known[name]) for name in UNITS if name in vehicle.known]
     unknown = [name for name in UNITS if name not in vehicle.known]
     if unknown:
-        lines.append(f"Not known: {', '.join(unknown)}")
+        lines.append(f"Unknown: {', '.join(unknown)}")
     return [*lines, *(f"Note: {note}" for note in notes)]
 
 

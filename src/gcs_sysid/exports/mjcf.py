@@ -12,9 +12,9 @@ from gcs_sysid.model.parameters import INERTIA
 
 _ABSENT = {
     "T_max": "without T_max controls have no upper limit",
-    "motor_lag": "without motor_lag thrust follows its control at once",
-    "linear_drag": "without linear_drag the air does not brake it",
-    "rotational_damping": "without rotational_damping the air does not damp its rotation",
+    "motor_lag": "without motor_lag thrust follows its control instantly",
+    "linear_drag": "without linear_drag there is no drag",
+    "rotational_damping": "without rotational_damping rotation is undamped",
 }
 FORMAT = Format(
     "mjcf",
@@ -30,8 +30,8 @@ def notes(vehicle: Vehicle) -> list[str]:
     """What the user should know."""
     out = FORMAT.notes(vehicle)
     out += [text for name, text in _ABSENT.items() if vehicle.get(name) is None]
-    out.append("CG and rotors are at one height: no flight tells the difference")
-    out.append("shapes are for the eye alone and touch nothing")
+    out.append("CG and rotors are at one height: their vertical offset is not observable")
+    out.append("shapes are visual only, without collision")
     return out
 
 

@@ -52,7 +52,7 @@ def notes(vehicle: Vehicle) -> list[str]:
     out = FORMAT.notes(vehicle)
     kept = [f"{sih} ({name})" for sih, name in OPTIONAL.items() if vehicle.get(name) is None]
     if kept:
-        out.append(f"not known, so left as they are: {', '.join(kept)}")
+        out.append(f"unknown, left unchanged: {', '.join(kept)}")
     if abs(vehicle.get("thrust_curve") or 0.0) > _LITTLE_CURVE:
         out.append("SIH's thrust is linear in the output, this vehicle's is not")
     elif vehicle.result.rotor_input == "speed":

@@ -32,10 +32,10 @@ def notes(vehicle: Vehicle) -> list[str]:
             "RotorPy's drag grows with rotor speed: k_d and k_z make it linear_drag in hover"
         )
     else:
-        out.append("without linear_drag the air does not brake it (k_d = k_z = 0)")
+        out.append("without linear_drag there is no drag (k_d = k_z = 0)")
     curve = vehicle.get("thrust_curve")
     if curve is not None and vehicle.known["motor_lag"].origin == "identified":
-        out.append("tau_m is the lag of the command, taken for that of rotor speed")
+        out.append("tau_m is the lag of the command, used as that of rotor speed")
     return out
 
 

@@ -23,7 +23,7 @@ def notes(vehicle: Vehicle) -> list[str]:
     """What the user should know."""
     return [
         *FORMAT.notes(vehicle),
-        "CG and rotors are drawn at one height: no flight tells the difference",
+        "CG and rotors are at one height: their vertical offset is not observable",
     ]
 
 

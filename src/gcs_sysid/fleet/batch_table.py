@@ -31,9 +31,7 @@ def require() -> None:
     try:
         import pyarrow.parquet  # noqa: F401
     except ImportError as error:
-        raise InputError(
-            "the table of a fleet is written and read by PyArrow: pip install pyarrow"
-        ) from error
+        raise InputError("fleet tables need PyArrow: pip install pyarrow") from error
 
 
 def row(

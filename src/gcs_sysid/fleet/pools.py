@@ -152,7 +152,7 @@ class ClusterPool:
         if versions != {__version__}:
             others = ", ".join(sorted(versions - {__version__}))
             raise InputError(
-                f"{address}: workers have gcs-sysid {others}, this is {__version__}; "
+                f"{address}: workers run gcs-sysid {others}, this is {__version__}; "
                 "results of one batch must come from one version"
             )
 
@@ -169,7 +169,7 @@ class ClusterPool:
             InputError: the scheduler is gone.
         """
         if self._client.status != "running":
-            raise InputError("the Dask scheduler is gone; the same command does what is left")
+            raise InputError("the Dask scheduler is gone; run the same command again for the rest")
         future: Future[Document] = self._executor.submit(self._work, task)
         return future
 
@@ -230,11 +230,11 @@ def reason(error: BaseException) -> str:
     """In a line, why a task has no document."""
     kind: Any = type(error)
     if isinstance(error, BrokenExecutor) or kind.__name__ == "KilledWorker":
-        return "the process that analysed it died, again when tried anew (out of memory or time?)"
+        return "its process died twice (out of memory or time?)"
     if isinstance(error, InputError):
         return str(error)
     if isinstance(error, CancelledError):
-        return "the cluster gave it up"
+        return "the cluster gave up on it"
     if isinstance(error, MemoryError):
         return "not enough memory for it"
     text = " ".join(str(error).split())

@@ -36,7 +36,8 @@ class Store:
         try:
             if folder.is_dir() and not results.is_dir() and any(folder.iterdir()) and not force:
                 raise InputError(
-                    f"{folder} holds other files than a batch; name another folder, or --force"
+                    f"{folder} holds files that are not of a batch; name another folder, or "
+                    f"use --force"
                 )
             results.mkdir(parents=True, exist_ok=True)
             found = ((_NAME.fullmatch(path.name), path) for path in sorted(results.iterdir()))

@@ -17,7 +17,7 @@ from typing import Any
 from scipy.special import ndtri, stdtrit
 
 from gcs_sysid.fleet.batch_table import Row
-from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.model.parameters import PARAMETERS, TIMING, Parameter
 from gcs_sysid.results.comparison import LEVEL, Comparison, Difference, compare
 from gcs_sysid.results.result import Estimate, Result, Scale
 
@@ -165,8 +165,12 @@ def _variance(known: Sequence[Estimate], level: float) -> float:
 def result_of(row: Row) -> Result:
     """A row of the table as a result, without what the table does not hold."""
 
-    def estimates(known: Iterable[str]) -> dict[str, Estimate]:
-        return {name: _estimate(row[name]) for name in known if row[name] is not None}
+    def estimates(known: Mapping[str, Parameter]) -> dict[str, Estimate]:
+        return {
+            name: _estimate(row[name], parameter.sign == "not negative")
+            for name, parameter in known.items()
+            if row[name] is not None
+        }
 
     return Result(
         verdict=row["verdict"],
@@ -181,7 +185,7 @@ def result_of(row: Row) -> Result:
     )
 
 
-def _estimate(entry: dict[str, Any]) -> Estimate:
+def _estimate(entry: dict[str, Any], not_negative: bool) -> Estimate:
     return Estimate(
         entry["value"],
         entry["std"],
@@ -189,6 +193,7 @@ def _estimate(entry: dict[str, Any]) -> Estimate:
         entry["status"],
         rests_on=entry["rests_on"],
         std_given=entry.get("std_given") or 0.0,
+        not_negative=not_negative,
     )
 
 
@@ -236,7 +241,7 @@ def _estimates(result: Result) -> dict[str, Estimate]:
 def is_sound(estimate: Estimate) -> bool:
     """Whether a flight itself tells the parameter well."""
     return (
-        estimate.status == "identified"
+        estimate.status in ("identified", "zero")
         and estimate.value is not None
         and bool(estimate.std_data)
         and estimate.rests_on is None

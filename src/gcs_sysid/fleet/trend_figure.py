@@ -27,7 +27,7 @@ def shown_names(vehicle: Vehicle) -> list[str]:
 def _drawn(estimate: Estimate | None) -> bool:
     return (
         estimate is not None
-        and estimate.status in ("identified", "weak")
+        and estimate.status in ("identified", "zero", "weak")
         and estimate.ci95 is not None
         and bool(estimate.std)
     )
@@ -87,7 +87,7 @@ def trend_figure(vehicle: Vehicle, name: str) -> Markup:
 
 def _range(estimates: Sequence[Estimate]) -> tuple[float, float]:
     """What y spans: all that is identified; rough numbers only where there is nothing better."""
-    sure = [e for e in estimates if e.status == "identified"] or estimates
+    sure = [e for e in estimates if e.status != "weak"] or estimates
     ends = [end for e in sure for end in e.ci95 or ()]
     low, high = min(ends), max(ends)
     room = 0.08 * (high - low) or 0.1 * abs(high) or 1.0
@@ -117,12 +117,15 @@ def _mean_line(
 
 def _point(flight: Flight, estimate: Estimate, x: float, y: _Axis, name: str) -> Markup:
     low, high = estimate.ci95 or (0.0, 0.0)
-    value, half, power, _ = PAGE.value_and_half(estimate.value or 0.0, 0.5 * (high - low))
+    value, half, power, _ = PAGE.value_and_half(estimate.value or 0.0, estimate.half or 0.0)
     change = flight.change
     changed = change is not None and name in {d.name for d in change.differences}
     kind = f"{estimate.status}{' changed' if changed else ''}"
     unit = PAGE.unit(PARAMETERS[name].unit)
-    words = f"flight {flight.number}: ({value} ± {half}){power} {unit}, {kind.replace(' ', ', ')}"
+    text = f"({value} ± {half}){power}"
+    if estimate.limit is not None:
+        text = f"~0 < {PAGE.number(estimate.limit, 2)}"
+    words = f"flight {flight.number}: {text} {unit}, {kind.replace(' ', ', ')}"
     return element(
         "g",
         element("title", words),

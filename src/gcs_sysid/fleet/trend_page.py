@@ -19,18 +19,18 @@ from gcs_sysid.results.words import VERDICT
 
 _LEGEND = (
     ("identified", "identified, with its 95 % interval"),
-    ("weak", "rough"),
-    ("changed", "changed from the flights before"),
-    ("mean", "mean of flights without a change between"),
+    ("weak", "weak"),
+    ("changed", "changed from earlier flights"),
+    ("mean", "mean between changes"),
 )
 _RULE = (
-    "A flight is compared with what the earlier flights since the last change predict for it, "
-    "their usual scatter from flight to flight counted. A vehicle that stays the same is called "
-    "changed at any of its flights in one case of twenty at most."
+    "Each flight is compared with the prediction from the flights since the last change, including "
+    "their usual scatter. At most one unchanged vehicle in twenty is called changed at any of its "
+    "flights."
 )
 _FEW = (
-    f"With fewer than {FEWEST} flights their usual scatter is not known: a difference may be that, "
-    "and not a change."
+    f"With fewer than {FEWEST} flights the usual scatter is unknown: a difference need not be a "
+    "change."
 )
 
 
@@ -60,14 +60,14 @@ def render(title: str, vehicles: Sequence[Vehicle], unused: Sequence[Row]) -> st
             element("a", vehicle.name, href=f"#vehicle-{place}")
             for place, vehicle in enumerate(vehicles, 1)
         ),
-        element("a", "Logs that tell nothing", href="#unused") if unused else None,
+        element("a", "Logs without a result", href="#unused") if unused else None,
         aria_label="Contents",
     )
     body = element(
         "body",
         element(
             "header",
-            element("p", "Fleet over its flights", class_="kind"),
+            element("p", "Fleet", class_="kind"),
             element("h1", title),
             contents,
         ),
@@ -89,9 +89,9 @@ def _overview(vehicles: Sequence[Vehicle], unused: Sequence[Row]) -> Markup:
     if changed:
         words += f"Changed: {names_text([vehicle.name for vehicle in changed])}."
     else:
-        words += "No change seen from flight to flight." if flights > len(vehicles) else ""
+        words += "No change seen." if flights > len(vehicles) else ""
     if unused:
-        words += f" {_count(len(unused), 'log')} told nothing."
+        words += f" {_count(len(unused), 'log')} without a result."
     rows: list[list[Child]] = [
         [
             element("a", vehicle.name, href=f"#vehicle-{place}"),
@@ -222,13 +222,13 @@ def _flights(vehicle: Vehicle) -> Markup:
         Column("Verdict"),
         Column("Scale", numbers=True),
     ]
-    return table("In the order of time; those that do not tell it last, by path", columns, rows)
+    return table("In order of time; those without a time last, by path", columns, rows)
 
 
 def _unused(rows: Sequence[Row]) -> Markup:
     return section(
         "unused",
-        "Logs that tell nothing",
+        "Logs without a result",
         table(
             "Refused or unreadable",
             [Column("Log"), Column("Why")],

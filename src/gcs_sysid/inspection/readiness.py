@@ -28,7 +28,7 @@ _FASTER = {
     "blackbox_rate_denom = 1; and see that accelerometer, attitude and RPM are logged",
 }
 _FASTER_LINK = (
-    "record with gcs-sysid live, which asks for the rates, over a fast link (460800 baud, USB, "
+    "record with gcs-sysid live, which requests the rates, over a fast link (460800 baud, USB, "
     "WiFi), or analyze the autopilot's own log"
 )
 
@@ -56,13 +56,15 @@ def _findings(found: Inspection) -> Iterator[Finding]:
 
 def _no_vehicle(found: Inspection) -> Finding:
     if not found.heard:
-        return Finding("blocks", "nothing was heard", "check the link, its port and its baud rate")
+        return Finding(
+            "blocks", "no MAVLink message received", "check the link, its port and its baud rate"
+        )
     names = ", ".join(map(str, found.systems))
     if any(system.is_autopilot for system in found.systems):
-        text = f"the vehicle wanted was not heard; heard: {names}"
+        text = f"the requested vehicle was not found; found: {names}"
         return Finding("blocks", text, "name one of these with --vehicle")
-    text = f"no heartbeat of an autopilot was heard; heard: {names}"
-    return Finding("blocks", text, "see whether it is switched on, and sends to this link")
+    text = f"no autopilot heartbeat; received: {names}"
+    return Finding("blocks", text, "check that it is powered and sends to this link")
 
 
 def _faster(found: Inspection) -> str:
@@ -108,7 +110,7 @@ def _imu(found: Inspection) -> Iterator[Finding]:
         yield Finding("blocks", text, _faster(found))
     elif rate < LIMITS.nearly * LIMITS.command_rate:
         needed = rate >= LIMITS.nearly * LIMITS.imu_rate
-        text = f"{imu.message} at {rate:.0f} Hz is {'' if needed else 'too '}slow for quick motion"
+        text = f"{imu.message} at {rate:.0f} Hz is {'' if needed else 'too '}slow for fast motion"
         yield Finding("note" if needed else "limits", text, _faster(found))
     # PX4's IMU data come from before its filter.
     cutoff = found.parameters.get("INS_GYRO_FILTER", 0.0)
@@ -119,7 +121,7 @@ def _imu(found: Inspection) -> Iterator[Finding]:
 def _rotors(found: Inspection) -> Iterator[Finding]:
     chosen = found.rotor_input.chosen
     if found.rotors_assumed and found.rotor_sources:
-        text = f"the vehicle's type does not tell how many rotors it has: {found.rotors} assumed"
+        text = f"the vehicle type does not define the number of rotors: {found.rotors} assumed"
         yield Finding("note", text, "give --rotors N, or --airframe")
     if chosen is None:
         if not found.rotor_input.judged and any(_is_quick(s) for s in found.rotor_sources):
@@ -133,8 +135,8 @@ def _rotors(found: Inspection) -> Iterator[Finding]:
             f"no rotor input that can be used: {why}" if why else "no rotor input at all",
             _faster(found)
             if why
-            else "let the ESCs send rpm telemetry, or record the "
-            "actuator outputs (gcs-sysid live asks for both)",
+            else "enable rpm telemetry of the ESCs, or record the "
+            "actuator outputs (gcs-sysid live requests both)",
         )
         return
     for reason in found.rotor_input.reasons:
@@ -142,12 +144,11 @@ def _rotors(found: Inspection) -> Iterator[Finding]:
     if chosen.kind == "command" and (chosen.rate or 0.0) < LIMITS.nearly * LIMITS.command_rate:
         yield Finding(
             "limits",
-            f"{chosen.message}'s commands at {chosen.rate:.0f} Hz miss what the autopilot does "
-            "in between",
+            f"{chosen.message}'s commands at {chosen.rate:.0f} Hz leave out commands in between",
             _faster(found),
         )
     elif (chosen.rate or 0.0) < LIMITS.nearly * LIMITS.imu_rate:
-        text = f"{chosen.message} at {chosen.rate:.0f} Hz is slow: quick motion goes unused"
+        text = f"{chosen.message} at {chosen.rate:.0f} Hz is slow: fast motion cannot be used"
         yield Finding("limits", text, _faster(found))
 
 
@@ -164,28 +165,28 @@ def _attitude_and_velocity(found: Inspection) -> Iterator[Finding]:
             "limits", f"{attitude.message} at {attitude.rate or 0.0:.1f} Hz is slow", _faster(found)
         )
     if found.stream(Stream.VELOCITY) is None:
-        yield Finding("note", "no velocity (LOCAL_POSITION_NED): drag cannot be told")
+        yield Finding("note", "no velocity (LOCAL_POSITION_NED): linear_drag is not observable")
 
 
 def _flight(found: Inspection) -> Iterator[Finding]:
     if not found.flight_told_by:
         yield Finding(
             "blocks",
-            "nothing tells when it flies",
-            "record EXTENDED_SYS_STATE too (gcs-sysid live asks for it)",
+            "no flight state in the data",
+            "record EXTENDED_SYS_STATE too (gcs-sysid live requests it)",
         )
     elif found.kind == "link":
         if not found.flights:
-            text = "not in the air while listening: what depends on flight cannot be seen"
+            text = "not in the air while listening: flight-dependent checks are skipped"
             yield Finding("blocks", text, "inspect again in flight, or start gcs-sysid live")
     elif found.in_air < LIMITS.too_short:
         text = f"only {found.in_air:.0f} s in the air" if found.in_air else "never in the air"
-        yield Finding("blocks", text, "fly a minute, with rolls, pitches and yaws")
+        yield Finding("blocks", text, "fly a minute, with roll, pitch and yaw inputs")
     elif found.in_air < LIMITS.short:
         text = f"only {found.in_air:.0f} s in the air: intervals stay wide"
         yield Finding("limits", text, "fly a minute or more")
     if len(found.flights) > 1:
-        text = f"{len(found.flights)} flights: they are joined only where they agree"
+        text = f"{len(found.flights)} flights: joined only where they agree"
         yield Finding("note", text)
 
 
@@ -198,8 +199,8 @@ def _motion(found: Inspection) -> Iterator[Finding]:
     now = "right now " if found.kind == "link" else ""
     yield Finding(
         "limits",
-        f"too little {axes} motion {now}to tell {told} well",
-        f"fly quick {axes} inputs both ways (doublets) for 10 s an axis, in calm air",
+        f"too little {axes} motion {now}to identify {told}",
+        f"fly fast {axes} inputs both ways (doublets) for 10 s an axis, in calm air",
     )
 
 
@@ -212,24 +213,26 @@ def _losses(found: Inspection) -> Iterator[Finding]:
     lost = float(found.telemetry.get("lost_percent", 0.0))
     skipped = imu.missing_percent if imu else 0.0
     if lost > LIMITS.loss_named:
-        advice = "" if found.kind in ONBOARD else "fly nearer, or ask for less (--rate)"
+        advice = "" if found.kind in ONBOARD else "fly closer, or request less (--rate)"
         yield Finding(_loss_level(lost), f"{lost:.0f} % of the messages were lost", advice)
     elif imu and skipped > LIMITS.loss_named:
-        text = f"{skipped:.0f} % of {imu.message} was never sent, by its stamps"
+        text = f"{skipped:.0f} % of {imu.message} was never sent, by its timestamps"
         yield Finding(_loss_level(skipped), text)
     if imu and imu.gaps:
         text = f"{imu.gaps} gaps in {imu.message}, the longest {imu.longest_gap:.1f} s"
         yield Finding("note", text)
     bad = int(found.telemetry.get("bad_crc", 0))
     if bad:
-        yield Finding("note", f"{bad} messages of another definition, or damaged, are skipped")
+        yield Finding("note", f"{bad} messages of another definition, or damaged, were skipped")
     torn = int(found.telemetry.get("cut_short", 0))
     if torn:
-        text = f"the last record is cut short: {torn} bytes (the recording was not ended)"
+        text = f"the last record is cut short: {torn} bytes (the recording was not closed)"
         yield Finding("note", text)
     garbage = int(found.telemetry.get("garbage_bytes", 0))
     if garbage >= LIMITS.garbage or found.telemetry.get("damaged"):
-        text = f"damaged: {garbage} bytes belong to no message" if garbage else "damaged in part"
+        text = (
+            f"damaged: {garbage} bytes are not part of a message" if garbage else "damaged in part"
+        )
         yield Finding("note", text)
     drops = found.telemetry.get("dropouts", {})
     if drops.get("count"):
@@ -252,4 +255,4 @@ def _others(found: Inspection) -> Iterator[Finding]:
             len(others) > LIMITS.vehicles_named
         )
         names = ", ".join([*map(str, others[: LIMITS.vehicles_named]), *more])
-        yield Finding("note", f"other vehicles speak too: {names}", "choose with --vehicle")
+        yield Finding("note", f"other vehicles on the link: {names}", "choose with --vehicle")

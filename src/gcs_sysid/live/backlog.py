@@ -45,7 +45,7 @@ class Backlog:
         if not self.too_slow and waiting > TOO_SLOW:
             self.too_slow, self._since = True, now
             told.append(
-                f"the computer is too slow: {waiting:.1f} s of data wait, none is lost; advice and "
+                f"the computer is too slow: {waiting:.1f} s of data waiting, none lost; advice and "
                 "new estimates wait until it has caught up"
             )
         elif self.too_slow and waiting < CAUGHT_UP:
@@ -59,7 +59,7 @@ class Backlog:
             self._longest_now = 0.0
         if self._source.unlearnt and not self._unlearnt:
             self._unlearnt = True
-            told.append("too much waits: some of what comes is not learnt from")
+            told.append("too much waits: some data are not used for the estimate")
         return told
 
     def last_words(self) -> list[str]:
@@ -67,7 +67,7 @@ class Backlog:
         waiting = self._source.waiting
         if waiting < TOO_SLOW:
             return []
-        return [f"no more comes; {waiting:.0f} s of data are still to be learnt from"]
+        return [f"no more comes; {waiting:.0f} s of data still to process"]
 
     def as_dict(self, now: float) -> dict[str, Any]:
         """For the result's `telemetry`."""
@@ -85,8 +85,9 @@ class Backlog:
         lines = []
         if self._source.unlearnt:
             lines.append(
-                f"{self._source.unlearnt} messages came and were not learnt from, because the "
-                "computer was too slow: analyse the recording"
+                f"{self._source.unlearnt} messages were not used, because the computer was "
+                f"too slow: "
+                "analyze the recording"
             )
         dropped = self._source.link_report.dropped
         if dropped:

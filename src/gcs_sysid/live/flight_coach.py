@@ -236,7 +236,7 @@ class Coach:
         if found is not None and fit.rotation is None:
             # A rule of thumb picks the manoeuvre, but promises nothing.
             self.choice = replace(found, manoeuvre=found.manoeuvre.lasting(_FIRST))
-            self._text = f"{motion_words(self.choice.manoeuvre)}: first values of everything"
+            self._text = f"{motion_words(self.choice.manoeuvre)}: first estimates of all parameters"
         elif found is not None:
             # What is told is against the intervals that the pilot sees.
             self.choice = found = replace(found, now=now)

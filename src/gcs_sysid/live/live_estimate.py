@@ -103,7 +103,7 @@ class LiveEstimate:
             InputError: it has ended.
         """
         if self.duty is not Duty.IDENTIFY:
-            raise InputError("the estimate has ended by an internal error")
+            raise InputError("the estimate ended with an internal error")
 
     def reset(self, time_us: int) -> None:
         """Do what the recording says at this place."""
@@ -143,7 +143,7 @@ class LiveEstimate:
             self._advised = None if wrong else self._coach.look()
         except Exception as defect:  # noqa: BLE001 - words alone are lost
             self._coach = self._advised = None
-            self.note(f"{in_words(defect)}: the coach falls silent")
+            self.note(f"{in_words(defect)}: coaching stops")
 
     def final(
         self, complete: Callable[[Result], Result], last: Result, problem: Exception | None

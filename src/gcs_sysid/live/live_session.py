@@ -209,10 +209,10 @@ class LiveSession:
         """
         heard = {v.address: v for v in (self._latest.link.vehicles if self._latest else ())}
         if address not in heard:
-            raise InputError("no vehicle {}:{} was heard".format(*address))
+            raise InputError("no vehicle {}:{} was found".format(*address))
         vehicle, path = heard[address], unused_path(self._stem)
         self._commands.ask(lambda: self._choose(vehicle, path))
-        return f"starting anew on {vehicle.name}"
+        return f"restarting on {vehicle.name}"
 
     @property
     def airframe(self) -> Airframe:
@@ -360,7 +360,7 @@ class LiveSession:
         except Exception as problem:  # noqa: BLE001 - the session goes on without a listener
             self._meet(problem)
             self._on_result = None
-            self._estimate.note(f"{in_words(problem)}: results are passed on no more")
+            self._estimate.note(f"{in_words(problem)}: results are no longer written")
 
     def _mark_reset(self) -> None:
         self._estimate.need()
@@ -391,7 +391,7 @@ class LiveSession:
         before.drop()
         self._estimate.know(before.pipeline.intake.selector.autopilots)
         self._told_result_at = 0.0
-        self._estimate.note(f"chosen: {vehicle.name}; the session starts anew")
+        self._estimate.note(f"chosen: {vehicle.name}; the session restarts")
         path = self._source.recording_report.path
         if path:
             self._estimate.note(f"recording to {path}")

@@ -97,7 +97,7 @@ class ReceiverProcess:
             return replace(url, text=text, port=port)
         self.close()
         if first is None:
-            raise LinkError(f"{url}: the receiver's process does not start")
+            raise LinkError(f"{url}: the receiver process did not start")
         kind, text = json.loads(first[1])
         raise _ERRORS.get(kind, GcsSysidError)(text)
 
@@ -144,7 +144,7 @@ class ReceiverProcess:
             self._size -= sum(len(body) for _, body in some)
             self._wake.notify_all()
         if not some and self._over:
-            raise LinkError(f"{self.url}: the receiver has died; what it recorded is whole")
+            raise LinkError(f"{self.url}: the receiver died; its recording is complete")
         for kind, body in some:
             if kind == wire.FRAMES:
                 self._taken = max(self._taken, *wire.TIME.unpack_from(body))

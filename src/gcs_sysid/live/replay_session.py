@@ -140,10 +140,10 @@ class ReplaySession:
         if self._ended and self._goal is None:
             self._asked_paused = False
             self._do(lambda: self._seek(0.0, paused=False))
-            return "From the beginning."
+            return "Replay restarted."
         self._asked_paused = paused = not self._asked_paused
         self._do(lambda: self._set_pace(self._speed, paused))
-        return "Replay paused." if paused else "Replay goes on."
+        return "Replay paused." if paused else "Replay resumed."
 
     def change_speed(self, step: int) -> str:
         """Faster by so many of the `SPEEDS`, or slower."""
@@ -221,7 +221,7 @@ class ReplaySession:
             return 0.0
         silence = end - log_segments.position
         if silence > _LONGEST_SILENCE + _PIECE * self._speed:
-            self._pipeline.chain.note(f"nothing to be seen for {silence:.0f} s: skipped")
+            self._pipeline.chain.note(f"no data for {silence:.0f} s: skipped")
             self._anchor = (self._clock(), end)
             return 0.0
         return max((end - until) / self._speed, _LEAST_WAIT)

@@ -39,6 +39,9 @@ _MOST_BYTES = 1_000_000
 _MOST_DOTS = 1000
 """In a line, where 64 rotors have some 200: tomllib needs the cube of a dotted key's parts."""
 
+_VEHICLES = ("paper", "px4-sih")
+"""Built-in airframes of one vehicle with its own size; the others are layouts to be scaled."""
+
 MOST_ARM = 100.0
 """m; a rotor further out than this is a slip of the pen."""
 
@@ -51,8 +54,8 @@ class Rotor:
     """One rotor.
 
     Attributes:
-        x: metres forward of the geometric centre.
-        y: metres to the right of it.
+        x: m forward of the geometric center.
+        y: m to the right of it.
         spin: +1 counter-clockwise seen from above (the s_i of the yaw equation), -1 clockwise.
     """
 
@@ -103,6 +106,13 @@ class Airframe:
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Parameters known beforehand: name -> value and standard deviation, SI."""
     uncertainty: GivenUncertainty = USUAL
+    placeholder: tuple[Rotor, ...] = ()
+    """Rotors of a built-in layout, whose size is not that of any vehicle: see `_VEHICLES`."""
+
+    @property
+    def arm_known(self) -> bool:
+        """Whether the size is that of the vehicle: False for a layout as it comes."""
+        return self.rotors != self.placeholder
 
     @property
     def geometry(self) -> NDArray[np.float64]:
@@ -189,7 +199,10 @@ class Airframe:
             >>> load_airframe("paper").with_uncertainty({"mass": 0.01}, "here").uncertainty.mass
             Sigma(amount=0.01, relative=False)
         """
-        return replace(self, uncertainty=self.uncertainty.altered(entries, where))
+        # Whoever says how well the arm is known has measured it.
+        placeholder = () if "arm" in entries else self.placeholder
+        uncertainty = self.uncertainty.altered(entries, where)
+        return replace(self, uncertainty=uncertainty, placeholder=placeholder)
 
     def with_prior(self, name: str, value: float, std: float) -> "Airframe":
         """The same airframe with one more (or another) prior.
@@ -204,8 +217,8 @@ class Airframe:
         _check_prior(name, value, std, "prior")
         return replace(self, priors={**self.priors, name: (value, std)})
 
-    def with_arm(self, metres: float) -> "Airframe":
-        """The same layout scaled so that the mean rotor distance is `metres`.
+    def with_arm(self, meters: float) -> "Airframe":
+        """The same layout scaled so that the mean rotor distance is `meters`.
 
         Raises:
             InputError: the length is not a positive number.
@@ -214,12 +227,14 @@ class Airframe:
             >>> round(load_airframe("paper").with_arm(0.2).arm, 6)
             0.2
         """
-        if not 0 < metres <= MOST_ARM:
+        if not 0 < meters <= MOST_ARM:
             raise InputError(
-                f"--arm must be a positive length of at most {MOST_ARM:g} m, got {metres:g}"
+                f"--arm must be a positive length of at most {MOST_ARM:g} m, got {meters:g}"
+                + ("; 250 mm are 0.25" if meters > MOST_ARM else "")
             )
-        k = metres / self.arm
-        return replace(self, rotors=tuple(Rotor(r.x * k, r.y * k, r.spin) for r in self.rotors))
+        k = meters / self.arm
+        rotors = tuple(Rotor(r.x * k, r.y * k, r.spin) for r in self.rotors)
+        return replace(self, rotors=rotors, placeholder=())
 
 
 def builtin_names() -> list[str]:
@@ -234,7 +249,9 @@ def load_airframe(name_or_path: str) -> Airframe:
     Raises:
         InputError: no such name or file, or the file is not a valid airframe.
     """
-    return parse_airframe(*read_airframe_table(name_or_path))
+    airframe = parse_airframe(*read_airframe_table(name_or_path))
+    layout = name_or_path in builtin_names() and name_or_path not in _VEHICLES
+    return replace(airframe, placeholder=airframe.rotors) if layout else airframe
 
 
 def read_airframe_table(name_or_path: str) -> tuple[dict[str, Any], str]:
@@ -258,7 +275,7 @@ def read_airframe_table(name_or_path: str) -> tuple[dict[str, Any], str]:
             )
         text = read_text(path, _MOST_BYTES, "the airframe file")
     if any(line.count(".") > _MOST_DOTS for line in text.splitlines()):
-        raise InputError(f"{where}: a line with more than {_MOST_DOTS} dots is no airframe's")
+        raise InputError(f"{where}: not an airframe file: a line with more than {_MOST_DOTS} dots")
     try:
         return tomllib.loads(text), where
     except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
@@ -285,7 +302,7 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
         raise InputError(
             f"{where}: rotor_input must be 'auto', 'speed' or 'command', got {_shown(rotor_input)}"
         )
-    anchors: dict[str, float] = {
+    anchors: dict[str, Any] = {
         name: _positive(table[name], f"{where}: {name}") for name in ANCHORS if name in table
     }
     for anchor, value in anchors.items():
@@ -365,13 +382,13 @@ def _rotors(entries: object, where: str) -> tuple[Rotor, ...]:
             raise InputError(f"{at}: spin must be 'ccw' or 'cw', got {_shown(entry['spin'])}")
         x, y = (_number(entry[key], f"{at}: {key}") for key in ("x", "y"))
         if math.hypot(x, y) > MOST_ARM:
-            raise InputError(f"{at}: x and y are metres; {math.hypot(x, y):g} m is too far out")
+            raise InputError(f"{at}: x and y are in meters; {math.hypot(x, y):g} m is too far out")
         rotors.append(Rotor(x, y, spin))
     layout = np.array([[1.0, r.x, r.y, r.spin] for r in rotors])
     # Without full rank the rotors cannot make all three torques and the thrust apart.
     if np.linalg.matrix_rank(layout / np.maximum(np.abs(layout).max(axis=0), 1e-9)) < 4:
         raise InputError(
-            f"{where}: these rotors cannot control roll, pitch, yaw and thrust apart; "
+            f"{where}: these rotors cannot control roll, pitch, yaw and thrust independently; "
             "check positions and spins"
         )
     return tuple(rotors)

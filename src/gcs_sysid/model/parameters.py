@@ -83,7 +83,7 @@ class Parameter:
         unit: SI.
         meaning: in words.
         told_by: what in a flight tells it.
-        label: for narrow columns, eight letters at most; empty: the name.
+        label: for columns of thirteen letters; empty: the name.
         group: words that it shares with those told of together.
         fit: "scale": mass or thrust, of which one fact must be known; "rotation": read off theta;
             "translation": of the equations of force; "actuator": a coordinate between a rotor's
@@ -160,8 +160,9 @@ def _product(first: int, second: int) -> Parameter:
 
 def _offset(name: str, symbol: str, way: str, axis: int) -> Parameter:
     return Parameter(
-        name, symbol, "m", f"CG from the geometric centre, {way}",
-        f"mean {('roll', 'pitch')[axis]} torque of the rotors", group="balance point", theta=name,
+        name, symbol, "m", f"CG from the geometric center, {way}",
+        f"mean {('roll', 'pitch')[axis]} torque of the rotors", group="center of gravity",
+        theta=name,
         scale="none", core=INPUTS, prior=True, axes=(axis,), mean_torque=True,
         yardstick=Yardstick((ARM,), 0.2), usual=(0.0, 0.3), in_flight=True,
     )  # fmt: skip
@@ -201,45 +202,45 @@ _DECLARED = (
     ),
     Parameter(
         "thrust_curve", "c", "1", "T/T_max = (1-c) u + c u^2", "torque at low and at high command",
-        label="curve c", fit="actuator", scale="none", inputs=("command",),
+        fit="actuator", scale="none", inputs=("command",),
         yardstick=Yardstick(fixed=1.0),
     ),
     # Of usual propellers k_M / k_T is 0.07 of the arm.
     Parameter(
         "moment_ratio", "k_M/k_T", "m", "rotor torque over rotor thrust", _GYROSCOPIC,
-        label="k_M/k_T", group="rotor torque", theta="moment_ratio", scale="none",
+        group="rotor torque", theta="moment_ratio", scale="none",
         core=("command",), sign="positive", prior=True, axes=(2,), rigid_body=True, clock=_FULL,
         usual=(0.07, 0.07),
     ),
     # Damping matters against inertia at 1 rad/s, a rotor against a five-hundredth of the body.
     Parameter(
-        "rotational_damping", "d", "N m s", "damping torque over body rate", "decay of turning",
-        label="damping", theta="rotational_damping", sign="not negative", prior=True,
+        "rotational_damping", "d", "N m s", "damping torque over body rate", "decay of rotation",
+        label="rot_damping", theta="rotational_damping", sign="not negative", prior=True,
         axes=(0, 1, 2), rigid_body=True, yardstick=Yardstick(("Ixx",), or_value=True),
         clock=ClockError(0.1, "Ixx"), in_flight=True,
     ),
     Parameter(
         "rotor_inertia", "J_r", "kg m^2", "inertia of one rotor about its axis",
-        "rotors speeding up", label="J_rotor", theta="rotor_inertia", inputs=("speed",),
+        "changes of rotor speed", theta="rotor_inertia", inputs=("speed",),
         sign="not negative", prior=True, axes=(0, 1, 2), rigid_body=True,
         yardstick=Yardstick(("Izz",), 0.002, or_value=True), clock=_FULL, usual=(0.0, 0.002),
         in_flight=True,
     ),
     Parameter(
-        "linear_drag", "D", "N s/m", "drag force over velocity", "horizontal speed", label="drag",
+        "linear_drag", "D", "N s/m", "drag force over velocity", "horizontal speed",
         fit="translation", scale="mass", sign="not negative",
         yardstick=Yardstick(("mass",), 0.05, or_value=True), clock=ClockError(0.5, "mass"),
         in_flight=True,
     ),
     # 10 ms of delay cost 30 % on Izz.
     Parameter(
-        "rotor_delay", "τ_r", "s", "rotor stream behind the IMU stream", "sharp turns",
-        label="delay", fit="actuator", scale="none", section="timing", prior=True,
+        "rotor_delay", "τ_r", "s", "rotor stream behind the IMU stream", "fast rotation",
+        fit="actuator", scale="none", section="timing", prior=True,
         yardstick=Yardstick(fixed=0.02), clock=_FULL, of_vehicle=False,
     ),
     Parameter(
-        "motor_lag", "τ_m", "s", "first-order lag from command to rotor speed", "sharp turns",
-        label="lag", fit="actuator", scale="none", inputs=("command",), section="timing",
+        "motor_lag", "τ_m", "s", "first-order lag from command to rotor speed", "fast rotation",
+        fit="actuator", scale="none", inputs=("command",), section="timing",
         sign="not negative", yardstick=Yardstick(fixed=0.05), clock=_FULL, in_flight=True,
     ),
 )  # fmt: skip
@@ -264,5 +265,5 @@ THRUST_OF: dict[RotorInput, Literal["k_T", "T_max"]] = {"speed": "k_T", "command
 
 
 def grouped(name: str) -> tuple[str, ...]:
-    """Parameters of a group, such as "balance point"."""
+    """Parameters of a group, such as "center of gravity"."""
     return tuple(n for n, p in REGISTRY.items() if p.group == name)

@@ -44,8 +44,8 @@ def prediction(data: ReportData, figures: Figures) -> Markup:
     found = data.result["validation"]
     shown = add_prediction(figures, data)
     if not found:
-        text = "The flight is too short, or says too little, to keep a part of it apart."
-        return section("prediction", "Prediction of data not fitted", note(text))
+        text = "The flight is too short for validation on held-out data."
+        return section("prediction", "Prediction of held-out data", note(text))
     share = PAGE.percent(found["fitted_share"])
     rows = [
         ["R² (1 is perfect)", *(_number(found["r_squared"][axis], 4) for axis in AXES)],
@@ -53,7 +53,7 @@ def prediction(data: ReportData, figures: Figures) -> Markup:
     ]
     return section(
         "prediction",
-        "Prediction of data not fitted",
+        "Prediction of held-out data",
         note(
             f"A model fitted to the first {share} of {_which_flight(data)} predicts the angular "
             "acceleration of the rest from rotors and rates. Both sides pass the estimator's "
@@ -67,7 +67,7 @@ def prediction(data: ReportData, figures: Figures) -> Markup:
         )
         if shown
         else None,
-        _per_axis("Agreement on data not fitted", rows),
+        _per_axis("Agreement with held-out data", rows),
     )  # fmt: skip
 
 
@@ -112,7 +112,7 @@ def residual(data: ReportData, figures: Figures) -> Markup | None:
         )
     return section(
         "residual",
-        "What is left: residual",
+        "Residual",
         note(
             "Where only sensor noise is left, the residual follows the dashed curve. More at low "
             "frequencies is wind or a drifting parameter, peaks are vibration."
@@ -136,10 +136,10 @@ def _probability(p: float | None) -> str:
 
 def _colour(whiteness: float | None, p: float | None) -> str:
     if whiteness is None or p is None:
-        return "cannot be told"
+        return "undetermined"
     if p >= _DOUBT:
         near = 1.0 / _NEARLY_WHITE < whiteness < _NEARLY_WHITE
-        return "as sensor noise leaves it" if near else "cannot be told"
+        return "white: sensor noise only" if near else "undetermined"
     return "slow disturbances" if whiteness > 1.0 else "fast disturbances"
 
 
@@ -167,16 +167,16 @@ def excitation(data: ReportData, figures: Figures) -> Markup:
             rows.append([words, *(PAGE.number(motion[axis][key]) for axis in AXES)])
         rows.append(
             [
-                "Enough to tell?",
+                "Enough?",
                 *(_enough(axis, motion[axis]["acceleration_rms"]) for axis in AXES),
             ]
         )
     if not rows and not shown:
-        return section("excitation", "Excitation", note("Nothing flew."))
+        return section("excitation", "Excitation", note("No flight."))
     return section(
         "excitation",
         "Excitation",
-        note("What does not move cannot be identified. Body rates over the whole flight:"),
+        note("Identification needs motion. Body rates over the whole flight:"),
         grid("one", (figure(f"rate-{axis}", f"{axis.capitalize()} rate", size="low")
                      for axis in AXES)) if shown else None,
         _per_axis("Motion in flight, per axis", rows),
@@ -238,7 +238,7 @@ def telemetry(data: ReportData) -> Markup:
             (_stream(stream) for stream in streams),
         )
         if streams
-        else note("No stream came that could be used."),
+        else note("No usable stream."),
         facts(_link_facts(data, counts)),
         _messages(counts.get("messages", {})),
     )
@@ -286,15 +286,13 @@ def _link_facts(data: ReportData, counts: Mapping[str, Any]) -> dict[str, Child]
         out["Outliers of the IMU"] = ", ".join(f"{n} {kind}" for kind, n in outliers.items())
     fates = {fate: n for fate, n in counts.get("fates", {}).items() if n}
     if fates:
-        out["What became of them"] = ", ".join(f"{n} {fate}" for fate, n in fates.items())
+        out["Use"] = ", ".join(f"{n} {fate}" for fate, n in fates.items())
     if counts.get("recorded"):
         out["Recorded"] = str(counts["recorded"])
     out["Damaged or dropped"] = ", ".join(damaged) or "none"
     drift = counts.get("clock_drift_ppm")
     boots = counts.get("reboots", 0)
-    pace = (
-        "drift not known" if drift is None else f"{PAGE.fixed(drift, 0)} ppm against the recorder"
-    )
+    pace = "drift unknown" if drift is None else f"{PAGE.fixed(drift, 0)} ppm against the recorder"
     out["Vehicle's clock"] = pace + (f", {boots} reboot{'s' * (boots > 1)}" if boots else "")
     rate = counts.get("grid_rate")
     if rate:
@@ -307,12 +305,12 @@ def _link_facts(data: ReportData, counts: Mapping[str, Any]) -> dict[str, Child]
         out["Rotors from"] = f"{rotors['source']}: {rotors['why']}"
     refused = rotors.get("refused") or {}
     if refused:
-        out["Not believed"] = "; ".join(f"{name} {why}" for name, why in refused.items())
+        out["Rejected"] = "; ".join(f"{name} {why}" for name, why in refused.items())
     if rotors.get("gyro_filter"):
-        out["Gyro filter reckoned with"] = f"{rotors['gyro_filter']:g} Hz"
+        out["Gyro filter assumed"] = f"{rotors['gyro_filter']:g} Hz"
     systems = counts.get("systems") or ()
     if systems:
-        out["Systems heard"] = ", ".join(map(str, systems))
+        out["Systems"] = ", ".join(map(str, systems))
     return out
 
 

@@ -69,7 +69,7 @@ def render(data: ReportData) -> str:
             "main",
             sections.pop("verdict"),
             element("p", _KEYS, id="keys", class_="note keys"),
-            element("noscript", element("p", "Figures need scripts; all tables do not.")),
+            element("noscript", element("p", "Figures need scripts; tables do not.")),
             *sections.values(),
         ),
         element("footer", f"gcs-sysid {data.provenance.versions.get('gcs-sysid', '')}"),
@@ -114,7 +114,7 @@ def _settings(data: ReportData) -> Markup:
         "Recording": f"{_file_name(result['source'])}, {made.log_bytes} bytes",
         "SHA-256": element("code", made.log_sha256, class_="hash"),
         "Estimate": result["estimator"],
-        "Rotors' input": {"speed": "measured speeds", "command": "commands"}[result["rotor_input"]],
+        "Rotor input": {"speed": "measured speeds", "command": "commands"}[result["rotor_input"]],
     }
     if anchor is not None:
         entries["Scale"] = f"{anchor['anchor']} = {anchor['value']:.9g} {PAGE.unit(anchor['unit'])}"
@@ -140,13 +140,13 @@ def _settings(data: ReportData) -> Markup:
         Column("Motor"),
         Column("Forward", numbers=True),
         Column("Right", numbers=True),
-        Column("Turns, seen from above"),
+        Column("Spin, seen from above"),
     ]
     return section(
         "settings",
-        "Settings that reproduce this",
+        "Settings to reproduce this",
         facts(entries),
-        table("Rotors of the airframe, from the geometric centre", columns, rotors, layout="axes"),
+        table("Rotors of the airframe, from the geometric center", columns, rotors, layout="axes"),
     )
 
 

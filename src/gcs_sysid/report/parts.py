@@ -122,7 +122,7 @@ def figure(name: str, title: str, text: str = "", *, size: str = "wide") -> Mark
             data_figure=name,
             tabindex=0,
             role="group",
-            aria_roledescription="figure that can be zoomed",
+            aria_roledescription="zoomable figure",
             aria_label=title,
             aria_describedby="keys",
         ),

@@ -33,7 +33,7 @@ def verdict(data: ReportData) -> Markup:
             id="verdict-title",
         ),
         element("p", wording.verdict_sentence(data.result), class_="sentence"),
-        element("h3", "What is missing or limits it") if missing else None,
+        element("h3", "Limitations") if missing else None,
         element("ul", *missing, class_="missing") if missing else None,
     )
     return element(
@@ -59,7 +59,7 @@ def _headline(data: ReportData) -> Markup:
     scale, telemetry = result["scale"], result["telemetry"]
     tiles: dict[str, Child] = {}
     if scale is not None:
-        origin = f"from {scale['from']}" if scale.get("from") else "given: it sets the scale"
+        origin = f"from {scale['from']}" if scale.get("from") else "given: sets the scale"
         what = _TILES[scale["anchor"]]
         tiles[what] = _tile(f"{PAGE.number(scale['value'], 4)} {PAGE.unit(scale['unit'])}", origin)
     for name, what in _TILES.items():
@@ -78,8 +78,8 @@ def _headline(data: ReportData) -> Markup:
     if found:
         # Cut, not rounded: 0.99996 is not 1.
         worst = math.floor(1e4 * min(found)) / 1e4
-        tiles["Prediction of data not fitted"] = _tile(
-            f"R² {PAGE.fixed(worst, 4)}", "the worst of three axes"
+        tiles["Prediction of held-out data"] = _tile(
+            f"R² {PAGE.fixed(worst, 4)}", "worst of three axes"
         )
     return element(
         "dl",
@@ -107,7 +107,7 @@ def parameters(data: ReportData) -> Markup:
         Column("Value ± 95 %", numbers=True),
         Column("95 % interval", numbers=True),
         Column("Status"),
-        Column("Rests on"),
+        Column("Based on"),
     ]
     # What no flight makes smaller, where there is any.
     limited = any(e.get("std_given") for e in entries.values())
@@ -120,7 +120,7 @@ def parameters(data: ReportData) -> Markup:
         estimate = entries[name]
         status: Status = estimate["status"]
         cells = [_name(name), *_numbers(estimate), _status(status, words.STATUS[status])]
-        cells.append(words.told_by(name, estimate, result["scale"]))
+        cells.append(words.source_of(name, estimate, result["scale"]))
         if limited:
             cells.append(_half_of(estimate.get("std_given")))
         if bounded:
@@ -166,7 +166,7 @@ def _numbers(estimate: Mapping[str, Any]) -> list[Child]:
     """Value with its uncertainty, and the interval."""
     half = wording.half_of(estimate)
     value, unit = estimate["value"], PAGE.unit(estimate["unit"])
-    if value is None or half is None:
+    if value is None or half is None or estimate["status"] == "unobservable":
         return [PAGE.nothing] * 2
     text, half_text, power, exponent = PAGE.value_and_half(value, half)
     if estimate["status"] == "given" and not half:
@@ -174,17 +174,15 @@ def _numbers(estimate: Mapping[str, Any]) -> list[Child]:
     decimals = decimals_for(half / 10.0**exponent, abs(value) / 10.0**exponent)
     ends = [PAGE.fixed(end / 10.0**exponent, decimals) for end in estimate["ci95"] or ()]
     interval = f"{ends[0]} … {ends[1]}{power}" if ends else PAGE.nothing
-    untold = estimate["status"] == "unobservable"
-    if not half:
-        relative = ""  # not estimated
-    elif half > 0.3 * abs(value):
-        relative = "known to be this small" if estimate["status"] == "identified" else ""
-    else:
-        relative = f"± {PAGE.percent(half / abs(value))}"
+    if estimate["ci95"] and estimate["ci95"][0] <= 0.0 <= estimate["ci95"][1]:
+        limit = PAGE.number(max(map(abs, estimate["ci95"])), 2)
+        return [f"~0 (< {limit} {unit})".replace(" )", ")"), interval]
+    share = half / abs(value) if value else math.inf
+    relative = f"± {PAGE.percent(share)}" if half and share <= 1.0 else ""
     both = f"({text} ± {half_text}){power}" if power else f"{text} ± {half_text}"
     shown = joined(
-        element("span", f"{both} {unit}".rstrip(), class_="untold" if untold else None),
-        element("span", relative, class_="share") if relative and not untold else None,
+        element("span", f"{both} {unit}".rstrip()),
+        element("span", relative, class_="share") if relative else None,
     )
     return [shown, interval]
 
@@ -209,10 +207,12 @@ def _truth(estimate: Mapping[str, Any], true: float | None) -> Child:
 def _timing(result: Mapping[str, Any]) -> Markup | None:
     entries: dict[str, Child] = {}
     for name, estimate in result["timing"].items():
-        if estimate["value"] is None:
+        if estimate["value"] is None or estimate["status"] == "unobservable":
             continue
         half = wording.half_of(estimate)
         text = PAGE.measure(1e3 * estimate["value"], 1e3 * half if half else None, "ms")
+        if estimate["status"] == "zero":
+            text = f"~0 (< {PAGE.number(1e3 * max(map(abs, estimate['ci95'])), 2)} ms)"
         entries[name.replace("_", " ").capitalize()] = joined(
             text, element("span", TIMING[name].meaning, class_="share")
         )
@@ -225,7 +225,7 @@ def _segments(result: Mapping[str, Any]) -> Markup | None:
     if not segments:
         return None
     parts = [(f"{s['start']:.1f} to {s['end']:.1f} s", s["parameters"]) for s in segments]
-    parts.append((f"from {segments[-1]['end']:.1f} s, in force", result["parameters"]))
+    parts.append((f"from {segments[-1]['end']:.1f} s on", result["parameters"]))
     columns = [Column("Parameter"), *(Column(title, numbers=True) for title, _ in parts)]
     rows = [
         [name, *(_numbers(held[name])[0] if name in held else PAGE.nothing for _, held in parts)]
@@ -241,9 +241,7 @@ def convergence(data: ReportData, figures: Figures) -> Markup:
     """How every estimate settled."""
     names = add_course(figures, data)
     if not names:
-        return section(
-            "convergence", "Convergence", note("There was too little flight to see any.")
-        )
+        return section("convergence", "Convergence", note("Too little flight."))
     entries = [("estimate", "estimate"), ("band", "95 % band")]
     if data.truth:
         entries.append(("level", "truth"))
@@ -254,8 +252,8 @@ def convergence(data: ReportData, figures: Figures) -> Markup:
         "convergence",
         "Convergence",
         note(
-            "How each estimate and its 95 % band settled over the flight. The scale is that of "
-            "the settled estimate: first guesses may run out of the picture."
+            "Each estimate with its 95 % band over the flight, on the scale of the final "
+            "estimate: early values may leave the plot."
         ),
         legend(*entries),
         grid(

@@ -69,7 +69,7 @@ def plan_view(data: ReportData) -> Markup | None:
         picture,
         element(
             "figcaption",
-            f"Seen from above, nose up. {text} Arrows: the way a rotor turns.",
+            f"Seen from above, nose up. {text} Arrows: direction of rotation.",
         ),
         class_="vehicle",
     )
@@ -80,7 +80,7 @@ def cg_text(cg: list[Any]) -> str:
     forward, right = (1e3 * float(e["value"]) for e in cg)
     along = f"{PAGE.fixed(abs(forward), 1)} mm {'ahead' if forward >= 0.0 else 'behind'}"
     across = f"{PAGE.fixed(abs(right), 1)} mm {'right' if right >= 0.0 else 'left'}"
-    return f"The centre of gravity (⊕) is {along} and {across} of the geometric centre."
+    return f"The center of gravity (⊕) is {along} and {across} of the geometric center."
 
 
 def _line(x1: float, y1: float, x2: float, y2: float, kind: str) -> Markup:

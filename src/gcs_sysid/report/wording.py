@@ -30,7 +30,7 @@ def verdict_sentence(result: Mapping[str, Any]) -> str:
         status: [name for name in core if parameters[name]["status"] == status] for status in STATUS
     }
     if result["verdict"] == "refused":
-        return "This recording does not tell what the vehicle is like."
+        return "The vehicle cannot be identified from this recording."
     known = _how_well(parameters, core)
     since = ""
     if result["segments"]:
@@ -40,9 +40,9 @@ def verdict_sentence(result: Mapping[str, Any]) -> str:
         return f"{since}{word} core parameter is known: {_listed(known)}."
     out = [f"{since}Known: {_listed(known)}."] if known else []
     if of["weak"]:
-        out.append(f"Only roughly known: {names_text(of['weak'])}.")
+        out.append(f"Weak: {names_text(of['weak'])}.")
     if of["unobservable"]:
-        out.append(f"Not told by this flight: {names_text(of['unobservable'])}.")
+        out.append(f"Not observable from this flight: {names_text(of['unobservable'])}.")
     return " ".join(out)
 
 
@@ -56,7 +56,7 @@ def _how_well(parameters: Mapping[str, Any], core: Sequence[str]) -> list[str]:
     out = []
     for group in dict.fromkeys(REGISTRY[name].group for name in core):
         names = [name for name in core if REGISTRY[name].group == group]
-        told = {n: parameters[n] for n in names if parameters[n]["status"] == "identified"}
+        told = {n: parameters[n] for n in names if parameters[n]["status"] in _KNOWN}
         if not told:
             continue
         halves = [(half_of(e) or 0.0, abs(e["value"] or 0.0)) for e in told.values()]
@@ -77,9 +77,10 @@ def _how_well(parameters: Mapping[str, Any], core: Sequence[str]) -> list[str]:
     return out
 
 
+_KNOWN = ("identified", "zero")
 _MOMENTS = grouped("moments of inertia")
-_IN_VERDICT = ("the data do not tell ", "only roughly known: ")
-"""How reasons begin that the verdict's sentence has told."""
+_IN_VERDICT = ("not observable from this flight: ", "weak: ")
+"""How reasons begin that the verdict's sentence contains."""
 
 
 def advice(result: Mapping[str, Any], inspection: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -183,7 +183,7 @@ def _doubt(first: Estimate | None, second: Estimate | None) -> str:
     if weak:
         return f"weak in {' and '.join(weak)}"
     leaning = [which for which, e in both.items() if e is not None and e.rests_on == "prior"]
-    return f"rests on a prior in {' and '.join(leaning)}" if leaning else ""
+    return f"mostly from a prior in {' and '.join(leaning)}" if leaning else ""
 
 
 def _holm(found: Mapping[str, Difference]) -> dict[str, Difference]:
@@ -207,7 +207,7 @@ def _rotor_notes(before: Result, after: Result) -> Iterable[str]:
     geometries = []
     for result in (before, after):
         if not result.airframe:
-            yield "a result does not name its rotors: that they are the same is taken for granted"
+            yield "a result has no rotor positions: assumed to be the same"
             return
         table = {"name": result.airframe.get("name"), "rotor": result.airframe.get("rotors")}
         geometries.append(parse_airframe(table, "the result's airframe").geometry)
@@ -219,8 +219,8 @@ def _rotor_notes(before: Result, after: Result) -> Iterable[str]:
         )
     if abs(first - second).max() > _SAME_PLACE:
         yield (
-            "A and B were analyzed with other rotor positions or spins: differences of CG, "
-            "inertia and torque may come from that"
+            "A and B were analyzed with different rotor positions or spins, which may explain "
+            "differences of CG, inertia and torque"
         )
 
 
@@ -228,39 +228,36 @@ def _flight_notes(before: Result, after: Result) -> Iterable[str]:
     if before.source == after.source:
         yield f"both come from {before.source or 'one flight'}: they are not independent"
     if before.vehicle != after.vehicle:
-        yield "another autopilot or system number spoke in B: is it the same vehicle?"
+        yield "A and B have different autopilots or system IDs: same vehicle?"
     if before.rotor_input != after.rotor_input:
-        yield (
-            "one rests on rotor speeds, the other on commands: thrust coefficients cannot be "
-            "compared"
-        )
+        yield ("one uses rotor speeds, the other commands: thrust coefficients cannot be compared")
     for which, result in (("A", before), ("B", after)):
         changes = [e for e in result.events if "detected" in e and e.get("kind") != "disturbance"]
         if changes:
-            yield f"{which} changed in flight: its parameters are those in force at the end"
+            yield f"{which} changed in flight: its parameters are those at the end"
 
 
 def _scale_notes(before: Result, after: Result, found: Mapping[str, Difference]) -> Iterable[str]:
     first, second = before.scale, after.scale
     if first is None or second is None:
-        yield "a result without a scale tells lengths alone"
+        yield "without a scale only lengths compare"
         return
     if first.anchor != second.anchor:
         yield (
-            f"A rests on {_anchor(first)}, B on {_anchor(second)}: a factor common to mass, "
-            "inertias and coefficients may be the anchors', not the vehicle's"
+            f"scale of A: {_anchor(first)}, of B: {_anchor(second)}: a factor common to mass, "
+            "inertia and coefficients may come from the scale"
         )
     elif first.value == second.value:
         yield (
-            f"both rest on {_anchor(first)}: were that not the same in both flights, mass, "
-            "inertias and coefficients would all be off by one factor"
+            f"scale of both: {_anchor(first)}; if it differed between the flights, mass, inertia "
+            "and coefficients are off by one factor"
         )
     else:
-        yield f"A rests on {_anchor(first)}, B on {_anchor(second)}, as given"
+        yield f"scale of A: {_anchor(first)}, of B: {_anchor(second)}, as given"
     if first.std == 0.0 or second.std == 0.0:
         yield (
-            "errors of what was given (arm, mass, ...) are not in the intervals of differences: "
-            "they are the same in both flights if it is the same vehicle, given alike"
+            "intervals do not include errors of what was given (arm, scale, ...): the same in both "
+            "flights of one vehicle"
         )
     if first.anchor == second.anchor == "mass":
         yield from _suspicion(second.value, found)
@@ -277,7 +274,7 @@ def _suspicion(mass: float, found: Mapping[str, Difference]) -> Iterable[str]:
             continue  # no mass makes up for rotors without thrust
         ratio = before / after
         yield (
-            f"{name} changed at the masses given: either rotors, air or battery did, or the mass "
+            f"{name} changed at the given masses: rotors, air or battery changed, or the mass "
             f"of B is not {mass:.4g} kg but about {mass * ratio:.4g} kg"
         )
 

@@ -188,12 +188,8 @@ def times_power(exponent: int) -> str:
 
 
 def percent_column(share: float | None, *, signed: bool = False) -> str:
-    """A share for a column of the screen: `0.49 %`, `+12.3 %`, `>999 %`; blank where unknown."""
+    """A share for a column, two decimals at most: `0.49 %`, `+12 %`; blank where unknown."""
     if share is None or math.isnan(share):
         return ""
-    number = 100.0 * share
-    size = abs(number)
-    if size >= 999.5:
-        return ">999 %" if number > 0 or not signed else "<-999 %"
-    digits = 2 if size < 9.995 else 1 if size < 99.95 else 0
-    return f"{number:+.{digits}f} %" if signed else f"{number:.{digits}f} %"
+    text = PLAIN.percent(share, 2)
+    return f"+{text}" if signed and text[0].isdigit() else text

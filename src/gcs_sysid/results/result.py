@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -48,13 +48,45 @@ class Estimate:
             return self.std
         return math.sqrt(max(self.std**2 - self.std_given**2, 0.0))
 
+    not_negative: bool = False
+    """Whether physics puts zero as the lower bound: see `bounded`."""
+
     @property
     def ci95(self) -> tuple[float, float] | None:
-        """The 95 % interval (normal), or None where there is no value."""
+        """The 95 % interval (normal), or None where there is no value.
+
+        What cannot be negative has an interval that begins at zero at the earliest. No true value
+        lies in the part left out, so that it still holds at least 95 times in 100.
+        """
         if self.value is None or self.std is None:
             return None
         half = Z95 * self.std
-        return (self.value - half, self.value + half)
+        low = self.value - half
+        return (max(low, 0.0) if self.not_negative else low, self.value + half)
+
+    @property
+    def bounded(self) -> "Estimate":
+        """The estimate within its physical bound: the nearest possible value.
+
+        At zero the upper limit is that of an estimate of zero, so that no estimate below it makes
+        the interval too short.
+        """
+        if not self.not_negative or self.value is None or not self.value < 0.0:
+            return self
+        return replace(self, value=0.0)
+
+    @property
+    def shown(self) -> bool:
+        """Whether the value says something of the vehicle."""
+        return self.value is not None and self.status != "unobservable"
+
+    @property
+    def limit(self) -> float | None:
+        """The magnitude that a value consistent with zero stays below (95 %); else None."""
+        if not self.shown or self.status == "given" or self.ci95 is None:
+            return None
+        low, high = self.ci95
+        return max(-low, high) if low <= 0.0 <= high else None
 
     @property
     def half(self) -> float | None:

@@ -92,7 +92,7 @@ class _Table:
         self.entries, self.where = entries, where
 
     def fail(self, key: str) -> NoReturn:
-        raise InputError(f"{self.where}: not a whole result: {key} is missing or makes no sense")
+        raise InputError(f"{self.where}: not a complete result: {key} is missing or invalid")
 
     def text(self, key: str) -> str:
         value = self.entries.get(key, "")
@@ -141,6 +141,7 @@ def _estimates(table: _Table, known: Mapping[str, Any]) -> dict[str, Estimate]:
             entry.number("bound"),
             entry.text("rests_on") or None,
             min(entry.number("std_given") or 0.0, std or 0.0),
+            parameter.sign == "not negative",
         )
     return out
 

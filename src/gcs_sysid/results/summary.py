@@ -26,8 +26,8 @@ MIN_SECONDS = 3.0
 
 _WORDS = {
     "mass_change": "the mass changed",
-    "payload": "a payload changed mass and balance",
-    "cg_shift": "the centre of gravity moved",
+    "payload": "a payload changed mass and CG",
+    "cg_shift": "the center of gravity moved",
     "inertia_change": "the inertia changed",
     "rotor_failure": "a rotor lost thrust",
     "passing": "a disturbance",
@@ -108,7 +108,8 @@ def estimates_of(
             bound=bounds[name].std if bounds and name in bounds else None,
             rests_on=support if name in leaning else None,
             std_given=given.get(name, 0.0) if given else 0.0,
-        )
+            not_negative=REGISTRY[name].sign == "not negative",
+        ).bounded
         for name, v in values.items()
     }
 
@@ -214,7 +215,7 @@ def note_of(event: Event, rotor_input: RotorInput = "speed") -> str:
     if event.change is None:
         return (
             f"the vehicle differs since the landing at {event.onset:.1f} s: "
-            f"{thrust} stays, the rest is identified anew"
+            f"{thrust} stays, the rest is identified again"
         )
     cause = event.cause
     kind = "change" if cause is None else cause.kind
@@ -224,5 +225,7 @@ def note_of(event: Event, rotor_input: RotorInput = "speed") -> str:
         return f"{event.onset:.2f} s: {disturbance_text(passed)}"
     if cause is not None and cause.rotor is not None:
         return f"{text}: rotor {cause.rotor + 1}, {100.0 * cause.loss:.0f} %; identification stops"
+    if kind == "passing":
+        return f"{text}; the estimate continues"
     ratio = "" if cause is None else f" (mass x {cause.mass_ratio:.3f})"
-    return f"{text}{ratio}: {thrust} stays, the rest is identified anew"
+    return f"{text}{ratio}: {thrust} stays, the rest is identified again"

@@ -1,17 +1,17 @@
 """One vocabulary for terminal, screen, report and fleet page.
 
-Parameters have the names of the JSON everywhere; what they are and what tells them is in
+Parameters have the names of the JSON everywhere; what they are and what makes them observable is in
 `model.parameters`. Statuses and verdicts are the words of the JSON, each with one sign.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from gcs_sysid.estimation.status import RULES, Status
 from gcs_sysid.model.parameters import INERTIA, PARAMETERS, REGISTRY, Parameter
 from gcs_sysid.results.comparison import Change
-from gcs_sysid.results.number_format import PLAIN, Notation
+from gcs_sysid.results.number_format import PLAIN, Notation, percent_column, rounded, significant
 from gcs_sysid.results.result import Estimate, Result, Verdict
 
 
@@ -25,14 +25,17 @@ class Word:
 
 STATUS: dict[Status, Word] = {
     "identified": Word(
-        "✓", f"known: deviation below {100.0 * RULES.identified_below:g} % of its yardstick"
+        "✓", f"sigma below {100.0 * RULES.identified_below:g} % of the reference value"
     ),
-    "given": Word("•", "put in by you (the scale), not identified"),
+    "given": Word("•", "entered by you, sets the scale"),
+    "zero": Word("≈", "consistent with zero, and smaller than the limit shown"),
     "weak": Word(
-        "~", f"a rough number, below {100.0 * RULES.unobservable_above:g} %: fly more of its motion"
+        "~", f"sigma below {100.0 * RULES.unobservable_above:g} %: fly more of its motion"
     ),
-    "unobservable": Word("✗", "this flight does not tell it: do not use the number"),
+    "unobservable": Word("✗", "not observable from this flight"),
 }
+WAITING = Word("○", "waiting")
+"""Of every parameter before there are data."""
 VERDICT: dict[Verdict, Word] = {
     "identified": Word("✓", "Identified"),
     "partial": Word("~", "Partly identified"),
@@ -41,12 +44,48 @@ VERDICT: dict[Verdict, Word] = {
 CHANGE: dict[Change, Word] = {
     "changed": Word("≠", "changed"),
     "no_change_seen": Word("=", "no change seen"),
-    "cannot_tell": Word("?", "cannot tell"),
+    "cannot_tell": Word("?", "undetermined"),
 }
 
 
+class Shown(NamedTuple):
+    """An estimate as a terminal writes it; see `shown`."""
+
+    value: str
+    half: str
+    """Half of the 95 % interval, or the limit of a value consistent with zero."""
+    percent: str
+    """The half interval over the value, without the sign."""
+
+    @property
+    def text(self) -> str:
+        """Value and relative interval: `0.016553 ±0.49 %`, `~0 (< 0.00021)`, `-`."""
+        if self.percent:
+            return f"{self.value} ±{self.percent} %"
+        return f"{self.value} {self.half}".rstrip(" -") or self.value
+
+
+def shown(estimate: Estimate | None, digits: int = 6) -> Shown:
+    """An estimate for terminals: rounded to its interval, nothing where it is unobservable.
+
+    Args:
+        estimate: None: not in the result.
+        digits: of the value, at most.
+    """
+    if estimate is None or not estimate.shown or estimate.std is None:
+        return Shown("-", "-", "")
+    if estimate.limit is not None:
+        return Shown("~0", f"(< {significant(estimate.limit, 2)})", "")
+    if estimate.half is None:
+        return Shown(rounded(estimate.value, None, digits), "", "")
+    share = percent_column(estimate.relative_half).removesuffix(" %")
+    return Shown(
+        rounded(estimate.value, estimate.half, digits), significant(estimate.half, 2), share
+    )
+
+
 def label(name: str) -> str:
-    """A parameter's name in at most eight letters: the result's own name where it fits."""
+    """A parameter's name in at most thirteen letters: the result's own name where it fits."""
     return REGISTRY[name].label or name if name in REGISTRY else name
 
 
@@ -62,14 +101,14 @@ def exponent_key(parameter: Parameter) -> str:
     return parameter.name if body and parameter.name not in body else parameter.unit
 
 
-def told_by(name: str, estimate: Mapping[str, Any], scale: Mapping[str, Any] | None) -> str:
-    """What a parameter's knowledge rests on, from its entry in a result's JSON."""
+def source_of(name: str, estimate: Mapping[str, Any], scale: Mapping[str, Any] | None) -> str:
+    """What an estimate is based on, from its entry in a result's JSON."""
     if estimate["status"] == "given":
-        return "given: it sets the scale"
+        return "given: sets the scale"
     if estimate.get("rests_on"):
         return f"mostly from {estimate['rests_on']}"
     if estimate["status"] == "unobservable":
-        return f"would need: {PARAMETERS[name].told_by}"
+        return f"needs {PARAMETERS[name].told_by}"
     if scale and name == scale["anchor"] and scale.get("from"):
         return f"from {scale['from']}"
     return PARAMETERS[name].told_by

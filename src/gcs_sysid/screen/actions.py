@@ -62,10 +62,10 @@ class ActingApp(App[None]):
     def _in_thread(self, what: str, action: Callable[[], str]) -> None:
         """Do something that takes its time, beside the flow of data."""
         if what in self._at_work:
-            self.say(f"{what}: still at work on the last one.")
+            self.say(f"{what}: the last one is not finished.")
             return
         self._at_work.add(what)
-        self.say(f"{what}: at work ...")
+        self.say(f"{what}: working ...")
 
         def work() -> None:
             try:
@@ -102,16 +102,23 @@ class ActingApp(App[None]):
             self._ask(mark)
 
     def action_reset(self) -> None:
-        """Start the estimate anew."""
+        """Restart the estimate, once the user has confirmed: the data so far are discarded."""
         act = self.actions.reset
 
         def reset() -> str:
             assert act is not None
             act()
-            return "Reset: the estimate starts anew."
+            return "Reset: the estimate restarts."
+
+        def confirmed(answer: str | None) -> None:
+            if answer == "reset":
+                self._ask(reset)
+            else:
+                self.say("Reset: cancelled.")
 
         if not self._lacks("Reset", act):
-            self._ask(reset)
+            choices = [("keep", "keep the estimate"), ("reset", "discard the data so far")]
+            self.push_screen(Choose("Reset the estimate?", choices), confirmed)
 
     def action_record(self) -> None:
         """Start or stop recording."""
@@ -140,7 +147,7 @@ class ActingApp(App[None]):
             self._in_thread("Export", lambda: act(target, result))
 
         targets = [(name, name) for name in self.actions.export_targets]
-        hint = "Of the values as they are now; no file is written over."
+        hint = "Writes the present values to a new file."
         self.push_screen(Choose("Export for a simulator", targets, hint), write)
 
     def action_report(self) -> None:
@@ -153,11 +160,11 @@ class ActingApp(App[None]):
     # -- scale and vehicle
 
     def action_scale(self) -> None:
-        """Let another fact set the scale: first which, then its value."""
+        """Set the scale: first which quantity, then its value."""
         if self._lacks("Scale", self.actions.set_anchor):
             return
         if self.snapshot is None:
-            self.say("No result yet whose scale could be set.")
+            self.say("No result yet.")
             return
         result = self.snapshot.result
         thrust = "k_T" if result.rotor_input == "speed" else "T_max"
@@ -170,11 +177,11 @@ class ActingApp(App[None]):
 
         def ask_value(kind: str | None) -> None:
             if kind is None:
-                self.say("Scale: as it was.")
+                self.say("Scale unchanged.")
                 return
             known = result.parameters.get(kind)
             value = "" if known is None or known.value is None else f"{known.value:.6g}"
-            hint = f"{words[kind]}. All masses, inertias and coefficients go with it."
+            hint = f"{words[kind]}. Scales all masses, inertias and coefficients."
             self.push_screen(Enter("Scale", hint, value), lambda text: self._set_anchor(kind, text))
 
         kinds = [(kind, words[kind]) for kind in ("mass", thrust)]
@@ -184,7 +191,7 @@ class ActingApp(App[None]):
         act = self.actions.set_anchor
         assert act is not None
         if text is None:
-            self.say("Scale: as it was.")
+            self.say("Scale unchanged.")
             return
         try:
             value = float(text.replace(",", "."))
@@ -194,25 +201,25 @@ class ActingApp(App[None]):
         self._ask(lambda: act(kind, value))
 
     def action_vehicle(self) -> None:
-        """Choose among the vehicles that speak."""
+        """Choose among the vehicles on the link."""
         act = self.actions.choose_vehicle
         if self._lacks("Vehicle", act):
             return
         assert act is not None
         heard = () if self.snapshot is None else self.snapshot.link.vehicles
         if len(heard) < 2:
-            self.say("Only one vehicle speaks." if heard else "No vehicle has spoken yet.")
+            self.say("Only one vehicle on the link." if heard else "No vehicle yet.")
             return
         by_name = {vehicle.name: vehicle for vehicle in heard}
 
         def choose(name: str | None) -> None:
             if name is None or by_name[name].chosen:
-                self.say("Vehicle: as it was.")
+                self.say("Vehicle unchanged.")
                 return
             self._ask(lambda: act(by_name[name].address))
 
         listed = [(v.name, f"{'●' if v.chosen else '○'} {v.name}") for v in heard]
-        hint = "Another one starts anew, in a recording of its own."
+        hint = "Another vehicle restarts the session in a new recording."
         self.push_screen(Choose("Which vehicle?", listed, hint), choose)
 
     # -- an earlier result
@@ -220,17 +227,17 @@ class ActingApp(App[None]):
     def action_baseline(self) -> None:
         """Ask for an earlier result to compare with."""
         near = sorted(str(path) for path in Path().glob("*.json"))
-        hint = "An earlier result, as --json writes it; nothing: compare with none."
+        hint = "A result written by --json; empty: no baseline."
         value = "" if self.baseline is None else self.baseline.name
         self.push_screen(Enter("Compare with", hint, value, near), self._load_baseline)
 
     def _load_baseline(self, name: str | None) -> None:
         if name is None:
-            self.say("Baseline: as it was.")
+            self.say("Baseline unchanged.")
             return
         if not name:
             self.baseline = None
-            self.say("Compared with nothing any more.")
+            self.say("Baseline removed.")
             self.draw()
             return
 

@@ -156,7 +156,7 @@ class SysidApp(ActingApp):
                 self._compared = known = compare(before, after)
             except InputError as error:  # another vehicle was chosen
                 self.baseline = None
-                self.say(f"Compared with nothing any more: {error}")
+                self.say(f"Baseline removed: {error}")
                 return None
         return known
 
@@ -196,7 +196,7 @@ class SysidApp(ActingApp):
         """Choose the next or previous parameter for the plot."""
         names = self._names()
         if not names:
-            self.say("No parameters yet to choose from.")
+            self.say("No parameters yet.")
             return
         self._select(names[(names.index(self.selected) + step) % len(names)])
 
@@ -207,9 +207,9 @@ class SysidApp(ActingApp):
         self.say(f"Plot: {words.label(name)}")
 
     def action_pause(self) -> None:
-        """Freeze the display, or let it go on."""
+        """Freeze or resume the display."""
         self.paused = not self.paused
-        self.say("Display paused." if self.paused else "Display goes on.")
+        self.say("Display paused." if self.paused else "Display resumed.")
         self.poll(force=True)
 
     def action_toggle_dark(self) -> None:
@@ -256,16 +256,16 @@ class SysidApp(ActingApp):
     def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:
         """The actions, in the command palette."""
         for title, meaning, action in (
-            ("Mark", "Mark this instant in the events", self.action_mark),
-            ("Reset", "Forget what was gathered, estimate anew", self.action_reset),
+            ("Mark", "Mark this instant in the event log", self.action_mark),
+            ("Reset", "Discard the data so far and restart the estimate", self.action_reset),
             ("Record", "Start or stop recording", self.action_record),
-            ("Pause", "Freeze the display or let it go on", self.action_pause),
+            ("Pause", "Freeze or resume the display", self.action_pause),
             ("Export", "Write the values for a simulator", self.action_export),
             ("Report", "Write a report of the flight so far", self.action_report),
-            ("Scale", "Give the mass or the rotors' thrust", self.action_scale),
+            ("Scale", "Enter mass or rotor thrust", self.action_scale),
             ("Baseline", "Compare with an earlier result", self.action_baseline),
-            ("Vehicle", "Choose among the vehicles that speak", self.action_vehicle),
-            ("Dark/light", "Switch the brightness", self.action_toggle_dark),
+            ("Vehicle", "Choose among the vehicles on the link", self.action_vehicle),
+            ("Dark/light", "Switch between dark and light", self.action_toggle_dark),
             ("Help", "Keys and statuses", self.action_help),
         ):
             yield SystemCommand(title, meaning, action)

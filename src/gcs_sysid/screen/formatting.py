@@ -21,6 +21,7 @@ UNKNOWN = "?"
 WHOLE_WIDTH, FRACTION_WIDTH = 4, 4
 """Room left of the decimal point, and for the point with what follows it."""
 NUMBER_WIDTH = WHOLE_WIDTH + FRACTION_WIDTH
+LABEL_WIDTH = 13
 
 
 MUTED = "$foreground 65%"
@@ -30,6 +31,7 @@ MUTED = "$foreground 65%"
 STATUS_STYLE: dict[Status, str] = {
     "identified": "$text-success",
     "given": "$text-primary",
+    "zero": "$text-success",
     "weak": "$text-warning",
     "unobservable": "$text-error",
 }
@@ -103,6 +105,19 @@ def value_and_half(estimate: Estimate, exponent: int) -> tuple[str, str]:
     if estimate.status == "given" and half is None:
         return value, "exact".ljust(NUMBER_WIDTH - 1)
     return value, aligned(half, decimals, WHOLE_WIDTH - 1)
+
+
+def value_with_half(estimate: Estimate, exponent: int) -> str:
+    """Value and half interval in a field of fixed width: `2.05 ± 0.01`, `~0 (< 0.21)`, `-`."""
+    width = 2 * NUMBER_WIDTH + 2
+    if not estimate.shown:
+        return "-".rjust(WHOLE_WIDTH).ljust(width)
+    if estimate.limit is not None:
+        limit = estimate.limit * 10.0**-exponent
+        decimals = decimals_for(limit, most=FRACTION_WIDTH - 1)
+        return f"{'~0':>{WHOLE_WIDTH}} (< {aligned(limit, decimals).strip()})".ljust(width)
+    value, half = value_and_half(estimate, exponent)
+    return f"{value}{'   ' if estimate.status == 'given' else ' ± '}{half}"
 
 
 def bar(fraction: float, width: int) -> str:

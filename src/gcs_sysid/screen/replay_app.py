@@ -18,9 +18,9 @@ STEP, LEAP = 10.0, 60.0
 """s that a key goes on or back, and with shift."""
 
 REPLAY_KEYS = (
-    ("space  p", "pause the replay, or let it go on"),
+    ("space  p", "pause or resume the replay"),
     ("← →", f"{STEP:.0f} s back or on; with shift {LEAP:.0f} s"),
-    ("home end", "to the beginning, to the end (or click into the bar)"),
+    ("home end", "to the beginning, to the end (or click on the bar)"),
     ("[ ]  - +", "slower, faster: 1x, 10x, max"),
 )
 

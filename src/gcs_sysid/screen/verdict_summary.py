@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gcs_sysid.coach import interval_targets as targets
-from gcs_sysid.estimation.status import NOTHING, Value
+from gcs_sysid.estimation.status import KNOWN, NOTHING, Status, Value
 from gcs_sysid.model.parameters import CORE_OF
 from gcs_sysid.results import words
 from gcs_sysid.results.comparison import Comparison
@@ -53,12 +53,13 @@ class Standing:
 
 def standing_of(snapshot: Snapshot) -> Standing:
     """Sort a snapshot's parameters."""
-    groups: dict[str, list[Known]] = {"identified": [], "weak": [], "unobservable": []}
+    groups: dict[Status, list[Known]] = {"identified": [], "weak": [], "unobservable": []}
     reached = 0
     for name, share in shares(snapshot.result).items():
         status = snapshot.result.parameters[name].status
-        groups[status].append((words.label(name), share))
-        reached += status == "identified" and share is not None and share <= snapshot.target
+        known = status in KNOWN
+        groups["identified" if known else status].append((words.label(name), share))
+        reached += known and share is not None and share <= snapshot.target
     widest_first = {
         status: tuple(sorted(group, key=lambda known: -(known[1] or 0.0)))
         for status, group in groups.items()
@@ -69,13 +70,16 @@ def standing_of(snapshot: Snapshot) -> Standing:
 
 
 def headline(snapshot: Snapshot) -> str:
-    """The verdict in a word or two."""
+    """The verdict in a word or two: `IDENTIFIED` once every interval is within the target."""
     if snapshot.link.state is LinkState.WAITING:
         return "WAITING"
     if snapshot.advice is not None and snapshot.advice.enough:
         return "ENOUGH"
     if snapshot.result.verdict == "refused":
         return "NO ANSWER" if snapshot.link.state is LinkState.ENDED else "NOT YET"
+    standing = standing_of(snapshot)
+    if snapshot.result.verdict == "identified" and standing.reached < standing.total:
+        return "TARGET"
     return snapshot.result.verdict.upper()
 
 
@@ -100,9 +104,9 @@ def compared(comparison: Comparison, room: int) -> tuple[str, str]:
         for verdict in ("changed", "no_change_seen", "cannot_tell")
     }
     same, unknown = len(groups["no_change_seen"]), len(groups["cannot_tell"])
-    tail = f"no change seen in {same}" + (f", cannot tell of {unknown}" if unknown else "")
+    tail = f"no change seen in {same}" + (f", undetermined {unknown}" if unknown else "")
     if comparison.verdict == "cannot_tell":
-        return "?", "cannot tell yet whether the vehicle has changed"
+        return "?", "change undetermined so far"
     if comparison.verdict == "changed":
         names = named(groups["changed"], max(8, room - len(tail) - 11), shares=False)
         return "≠", f"changed: {names}; {tail}"

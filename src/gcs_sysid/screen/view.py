@@ -8,6 +8,7 @@ from gcs_sysid.model.parameters import Parameter
 from gcs_sysid.results.comparison import Comparison
 from gcs_sysid.results.result import Estimate, Result
 from gcs_sysid.results.snapshot import LinkState, Snapshot
+from gcs_sysid.results.summary import MIN_SECONDS
 from gcs_sysid.results.words import rows
 from gcs_sysid.screen import formatting
 
@@ -44,6 +45,16 @@ class View:
     comparison: Comparison | None = None
     """With that; None where there is none."""
 
+    @property
+    def waiting(self) -> bool:
+        """Whether there is too little flight for any estimate, and more may come."""
+        snapshot = self.snapshot
+        return (
+            snapshot is not None
+            and snapshot.used_seconds < MIN_SECONDS
+            and snapshot.link.state is not LinkState.ENDED
+        )
+
     def estimate(self, name: str) -> tuple[Parameter, Estimate] | None:
         """A parameter of the result by name."""
         if self.snapshot is None:
@@ -59,21 +70,21 @@ class View:
             return "Opening the link ...", "info"
         link = self.snapshot.link
         if self.paused:
-            return "Display paused, the identification goes on. p: resume", "info"
+            return "Display paused, identification continues. p: resume", "info"
         if link.state is LinkState.WAITING:
             return (
-                f"Listening on {link.url} — no vehicle has spoken yet. "
-                "Is the emulator or the telemetry forwarding on?",
+                f"Listening on {link.url}: no vehicle yet. "
+                "Is the vehicle on, or telemetry forwarding enabled?",
                 "warning",
             )
         if link.state is LinkState.LOST:
             return (
-                f"Link lost: silent for {formatting.duration(self.silence)}. "
-                "The numbers stand; listening goes on.",
+                f"Link lost: no data for {formatting.duration(self.silence)}. "
+                "Estimates are kept; still listening.",
                 "error",
             )
         if link.state is LinkState.ENDED:
-            return "Stream ended, numbers final; q to quit", "info"
+            return "Stream ended, numbers are final. q: quit", "info"
         return None
 
 

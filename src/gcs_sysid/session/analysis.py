@@ -96,7 +96,7 @@ def analyze_pair(
         progress: called with the share done of the log at hand.
 
     Raises:
-        InputError: a file cannot be read, or the flights do not tell the masses apart.
+        InputError: a file cannot be read, or the flights cannot separate the masses.
     """
     unit = ScaleReference("mass", 1.0)
     cheap = replace(options or ChainOptions(), history_interval=None, offline=False)
@@ -107,13 +107,13 @@ def analyze_pair(
     (light, light_std), (heavy, heavy_std) = ((k.value, k.std) for k in per_mass)
     if light is None or heavy is None or light_std is None or heavy_std is None:
         raise InputError(
-            f"{paths[0]} and {paths[1]}: both flights must tell thrust over mass; "
-            "one of them is too short"
+            f"{paths[0]} and {paths[1]}: thrust over mass is not observable from both: "
+            "one flight is too short"
         )
     if light - heavy < 3.0 * math.hypot(light_std, heavy_std):
         raise InputError(
-            f"{paths[1]} was not flown heavier than {paths[0]}, as far as the data tell: "
-            "give the light flight first, and add more mass"
+            f"{paths[1]} is not heavier than {paths[0]}: "
+            "give the light flight first, or add more mass"
         )
     given = airframe.uncertainty.scale_share("added_mass", added_mass)
     first = analyze_log(

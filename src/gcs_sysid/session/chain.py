@@ -57,7 +57,7 @@ class Chain:
         if anchor is None and own is not None:
             anchor = ScaleReference(*own, given=airframe.uncertainty.scale_share(*own))
         if anchor is None:
-            raise ValueError("the airframe has no scale anchor (mass, k_T or T_max)")
+            raise ValueError("the airframe has no scale reference (mass, k_T or T_max)")
         self.airframe = airframe
         self.options = options = options or ChainOptions()
         self._learner = Learner(airframe, anchor, options)
@@ -111,9 +111,9 @@ class Chain:
     def _fit_offline(self) -> "OfflineFit | str":
         """The offline estimate, or why there is none."""
         if self._learner.tracker is None:
-            return "nothing was learnt from this flight"
+            return "no estimate from this flight"
         if self.rotor_input != "speed":
-            return "it needs measured rotor speeds, and this one rests on commands"
+            return "--offline needs measured rotor speeds, this flight has commands"
         # Splines and likelihoods take a while to load, and few ask for them.
         from gcs_sysid.estimation.offline import fit_offline
 
@@ -136,7 +136,7 @@ class Chain:
         rotors = self._learner.rotors
         used = self.airframe.rotor_input if rotors is None else rotors.kind
         if (used, kind) in (("speed", "T_max"), ("command", "k_T")):
-            raise InputError(f"{kind} sets no scale with {used}s as the rotors' input")
+            raise InputError(f"{kind} cannot set the scale with {used}s as the rotors' input")
 
     def set_anchor(self, anchor: ScaleReference) -> None:
         """Let another fact set the scale, from the start on; the estimate's history begins anew.

@@ -16,7 +16,7 @@ from gcs_sysid.estimation.status import Value
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.scale_reference import ScaleReference
-from gcs_sysid.results import summary
+from gcs_sysid.results import plausibility, summary
 from gcs_sysid.results.result import Estimate, Result
 from gcs_sysid.session.learner import Learner
 from gcs_sysid.session.reasons import data_reasons, limit_by_given
@@ -54,9 +54,11 @@ class Findings:
     def result(self) -> Result:
         """All of it."""
         values = self.learner.values(self.learner.fit, self._anchor)
-        parameters, whole = self._estimates(values, self.learner.fit, self._anchor, self._bounds())
+        objections = self._objections(values)
+        capped = plausibility.capped(values, objections)
+        parameters, whole = self._estimates(capped, self.learner.fit, self._anchor, self._bounds())
         word, reasons = verdict(whole, self.learner.rotor_input, self.learner.fit.rigid_body_test)
-        reasons = (*reasons, *limit_by_given(values, whole))
+        reasons = (*reasons, *limit_by_given(capped, whole))
         first = data_reasons(self.sampler, self.learner, self.outdated)
         doubts = self.learner.evidence(self.learner.fit).reasons
         if word == "identified" and doubts:
@@ -65,7 +67,8 @@ class Findings:
         if self.learner.fit.rotation is None:
             word, reasons = "refused", first or reasons
         else:
-            reasons = (*first, *reasons)
+            reasons = (*first, *(objection.reason for objection in objections), *reasons)
+            word = "partial" if objections and word == "identified" else word
         past = self._past_values()
         reasons = reasons if word != "identified" else ()
         if isinstance(self.offline, str):
@@ -108,10 +111,25 @@ class Findings:
         )
         return estimates, with_given(values, stds, airframe.arm)
 
+    def _objections(self, values: dict[str, Value]) -> tuple[plausibility.Objection, ...]:
+        source = self.learner.rotors
+        return plausibility.objections(
+            values,
+            self.airframe,
+            self.learner.rotor_input,
+            reinterpreted=source is not None and source.scale != 1.0,
+        )
+
     def _timing(self) -> dict[str, Estimate]:
         timing = timing_values(self.learner.fit.rotation, self.learner.rotor_input)
         return {
-            name: Estimate(value.value, value.std, REGISTRY[name].unit, value.status)
+            name: Estimate(
+                value.value,
+                value.std,
+                REGISTRY[name].unit,
+                value.status,
+                not_negative=REGISTRY[name].sign == "not negative",
+            ).bounded
             for name, value in with_clock_error(timing, self.clock_error).items()
         }
 
@@ -156,7 +174,9 @@ class Findings:
                 "scale": summary.scale_of(anchor).as_json(),
                 "parameters": {
                     name: estimate.as_json()
-                    for name, estimate in self._estimates(values, segment.fit, anchor)[0].items()
+                    for name, estimate in self._estimates(
+                        plausibility.capped(values, self._objections(values)), segment.fit, anchor
+                    )[0].items()
                 },
                 "validation": summary.validation_of(segment.fit),
             }

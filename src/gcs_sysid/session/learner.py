@@ -165,7 +165,7 @@ class Learner:
                 return  # nothing flies: no reason to give up what is known
             if tracker is not None and tracker.start is not None:
                 old, new = 1.0 / tracker.dt, 1.0 / block.dt
-                anew = f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate starts anew"
+                anew = f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate restarts"
                 self.note(block.told_at, anew)
             tracker = self.tracker = self._new_tracker(block.dt, known)
             tracker.reserve()
@@ -202,19 +202,19 @@ class Learner:
         """
         if known.has_spikes and not self._spiked:
             self._spiked = True
-            self.note(t, "spikes on the gyro: replaced by what their neighbours say")
+            self.note(t, "gyro spikes: replaced by interpolation")
         if known.stood_still and not self._stood_still:
             self._stood_still = True
-            self.note(t, "rotor speeds stood still, old ones under new stamps: left out")
+            self.note(t, "rotor speeds frozen under new timestamps: not used")
 
     def _tell_rate(self, known: Known, t: float) -> None:
         """Say when the IMU becomes too slow for the grid, and when it no longer is."""
         if known.is_usable == self._usable:
             return
         self._usable = known.is_usable
-        told = "the estimate goes on" if self._usable else "too slow for the estimate to go on with"
-        rate = f"at {1.0 / known.imu_interval:.0f} Hz" if known.imu_interval else "anew"
-        self.note(t, f"the IMU comes {rate}: {told}")
+        told = "the estimate continues" if self._usable else "too slow for the estimate"
+        rate = f"at {1.0 / known.imu_interval:.0f} Hz" if known.imu_interval else "again"
+        self.note(t, f"IMU data {rate}: {told}")
 
     def _use(self, rotors: RotorSource, t: float) -> None:
         """Take the rotors' input from this stream from now on."""
@@ -224,10 +224,10 @@ class Learner:
         if before is None:
             self.note(t, text)
         elif lost and rotors.reads_as(before):
-            self._tell_input(t, f"{rotors.name} is sound again: the estimate goes on")
+            self._tell_input(t, f"{rotors.name} is usable again: the estimate continues")
             return
         else:
-            self._tell_input(t, f"{text}: estimate starts anew")
+            self._tell_input(t, f"{text}: estimate restarts")
         self.tracker = None
         self.fit = Fit(None, None, 0.0)
         self.history.clear()
@@ -235,10 +235,10 @@ class Learner:
     def _tell_loss(self, name: str, known: Known, t: float) -> None:
         """Say that the rotors' input is not sound any more, and nothing else is."""
         self._rotors_lost = True
-        why = known.refused.get(name, "comes no more")
+        why = known.refused.get(name, "stopped")
         self._tell_input(
             t,
-            f"{name} {why}, and no other input is sound: the estimate rests on what came before",
+            f"{name} {why}, and no other input is usable: the estimate is that of earlier data",
         )
 
     def _tell_input(self, t: float, text: str) -> None:

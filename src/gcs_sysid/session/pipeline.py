@@ -191,9 +191,9 @@ class Pipeline:
         reasons = result.reasons
         if vehicle is None:
             others = ", ".join(map(str, self._telemetry.systems))
-            heard = f"; heard: {others}" if others else ""
-            which = " the wanted" if self._wanted else " any"
-            reasons = (f"no heartbeat of{which} autopilot was heard{heard}",)
+            heard = f"; found: {others}" if others else ""
+            which = " the requested" if self._wanted else " any"
+            reasons = (f"no heartbeat of{which} autopilot received{heard}",)
         elif result.verdict != "identified":
             reasons = (*reasons, *self._telemetry.problems)
         telemetry = {**self._telemetry.as_dict(), **result.telemetry}

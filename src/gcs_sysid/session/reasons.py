@@ -1,4 +1,4 @@
-"""Why the data do not tell more: the words of a verdict below `identified`."""
+"""Reasons of a verdict below `identified`."""
 
 from collections.abc import Mapping
 
@@ -25,21 +25,21 @@ def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[st
     if not seen:
         seconds = sampler.recorded
         if seconds is None:
-            return ("no telemetry that can be used",)
+            return ("no usable telemetry",)
         return (f"nothing between --start and --end: the record lasts {seconds:.1f} s",)
     if Stream.IMU not in seen:
-        return ("no IMU data (HIGHRES_IMU): the autopilot must be asked for it",)
+        return ("no IMU data (HIGHRES_IMU): request it from the autopilot",)
     if not seen & {Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND}:
         return (
             "no rotor speeds (ESC_STATUS, ESC_TELEMETRY) and no actuator outputs "
-            "(ACTUATOR_OUTPUT_STATUS, SERVO_OUTPUT_RAW): the autopilot must be asked for them",
+            "(ACTUATOR_OUTPUT_STATUS, SERVO_OUTPUT_RAW): request them from the autopilot",
         )
     if learner.rotors is None and sampler.rotor_selector.judged:
         return _input_reasons(sampler.rotor_selector, learner.anchors[0])
     if outdated:
         return (
-            "the autopilot's parameters came too late to be used for filters and ranges: "
-            "analyse the recording",
+            "the autopilot's parameters came too late to set filters and ranges: "
+            "analyze the recording",
         )
     if Stream.ATTITUDE not in seen:
         return ("no attitude (ATTITUDE or ATTITUDE_QUATERNION)",)
@@ -48,17 +48,17 @@ def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[st
     if learner.fit.rotation is None:
         if learner.fit.seconds > _ENOUGH_TO_ANSWER:
             return (
-                "the vehicle does not turn as these rotors would turn it: check the motor "
-                "order and rotor positions in the airframe file, and fly roll and pitch",
+                "the motion does not match these rotors: check motor order and rotor "
+                "positions in the airframe file, and fly roll and pitch",
             )
-        return ("too little flight in which all the needed data came together",)
+        return ("too little flight with all needed data",)
     rotation = learner.fit.rotation
     least, _ = RULES.explained(whitened=bool(rotation.whiteners))
     if rotation.r_squared.min() < least:
         share = max(100.0 * rotation.r_squared.min(), 0.0)
         return (
             f"the rotors explain only {share:.0f} % of the motion on one axis: "
-            "fly it harder than the wind does, and check the motor order",
+            "fly harder inputs or in less wind, and check the motor order",
         )
     return ()
 
@@ -82,11 +82,11 @@ def limit_by_given(by_flight: Mapping[str, Value], whole: Mapping[str, Value]) -
 def _input_reasons(rotor_selector: RotorSourceSelector, anchor: ScaleReference) -> tuple[str, ...]:
     """Why no rotor stream can be used."""
     if not rotor_selector.refused:
-        return ("no rotor speeds and no commands came while it flew",)
+        return ("no rotor speeds and no commands in flight",)
     reasons = tuple(f"{name} {why}" for name, why in rotor_selector.refused.items())
     kind = anchor.kind
     if kind == "k_T":
-        return (*reasons, "without rotor speeds k_T sets no scale: give --mass or --t-max")
+        return (*reasons, "without rotor speeds k_T cannot set the scale: give --mass or --t-max")
     if kind == "T_max":
-        return (*reasons, "without commands T_max sets no scale: give --mass or --k-t")
+        return (*reasons, "without commands T_max cannot set the scale: give --mass or --k-t")
     return reasons

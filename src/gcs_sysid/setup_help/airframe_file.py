@@ -65,14 +65,14 @@ def airframe_text(answers: AirframeAnswers) -> str:
         lines.append(f"{anchor} = {value!r}  # {ANCHORS[anchor]}, {_ANCHOR_WORDS[anchor]}")
     lines.append(f'rotor_input = "{answers.rotor_input}"')
     if answers.imu_position is not None:
-        x, y, z = (_metres(value) for value in answers.imu_position)
+        x, y, z = (_in_meters(value) for value in answers.imu_position)
         lines += ["", "[imu]"]
-        lines.append(f"position = [{x}, {y}, {z}]  # m, forward, right and down from the centre")
+        lines.append(f"position = [{x}, {y}, {z}]  # m, forward, right and down from the center")
     for number, rotor in enumerate(answers.rotors, 1):
         spin = "ccw" if rotor.spin > 0 else "cw"
         lines += ["", f"[[rotor]]  # motor {number}, {place_of(rotor.x, rotor.y)}"]
-        lines.append(f"x = {_metres(rotor.x)}  # m forward")
-        lines.append(f"y = {_metres(rotor.y)}  # m to the right")
+        lines.append(f"x = {_in_meters(rotor.x)}  # m forward")
+        lines.append(f"y = {_in_meters(rotor.y)}  # m to the right")
         lines.append(f'spin = "{spin}"')
     if answers.priors:
         lines += ["", "[prior]  # value and standard deviation, SI"]
@@ -80,7 +80,7 @@ def airframe_text(answers: AirframeAnswers) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _metres(value: float) -> str:
+def _in_meters(value: float) -> str:
     """To a micrometre; adding zero makes 0 of -0."""
     return repr(round(value, 6) + 0.0)
 
@@ -138,19 +138,19 @@ _USUAL_K_T = (1e-9, 1e-2)
 _USUAL_T_MAX = (0.05, 1000.0)
 _USUAL = {"mass": _USUAL_MASS, "k_T": _USUAL_K_T, "T_max": _USUAL_T_MAX}
 _SLIPS = {
-    "mass": "kilograms are asked for, not grams",
-    "k_T": "N s^2 are asked for: thrust over the square of rad/s, not of rpm",
-    "T_max": "newtons of one rotor are asked for, not grams",
+    "mass": "enter kg, not grams",
+    "k_T": "enter N s^2: thrust over (rad/s)^2, not over rpm^2",
+    "T_max": "enter newtons per rotor, not grams",
 }
 
 
-def arm_doubt(metres: float) -> str | None:
+def arm_doubt(meters: float) -> str | None:
     """Why a distance from the centre to a motor looks wrong; None: it does not."""
     low, high = _USUAL_ARM
-    if low <= metres <= high:
+    if low <= meters <= high:
         return None
-    kind = "long" if metres > high else "short"
-    return f"{metres:g} m is a {kind} arm; metres from the centre to the motor are asked for"
+    kind = "long" if meters > high else "short"
+    return f"{meters:g} m is a {kind} arm; enter m from the center to the motor"
 
 
 def scale_doubt(name: str, value: float) -> str | None:
@@ -175,8 +175,8 @@ def check_airframe(airframe: Airframe) -> list[Finding]:
 def _size(airframe: Airframe) -> Finding:
     doubt = arm_doubt(airframe.arm)
     if doubt:
-        return Finding("size", Sign.WARNING, doubt, ["x and y of [[rotor]] are in metres"])
-    text = f"{len(airframe.rotors)} rotors, {airframe.arm:.4g} m from the centre on average"
+        return Finding("size", Sign.WARNING, doubt, ["x and y of [[rotor]] are in m"])
+    text = f"{len(airframe.rotors)} rotors, {airframe.arm:.4g} m from the center on average"
     return Finding("size", Sign.OK, text)
 
 
@@ -188,12 +188,12 @@ def _symmetry(airframe: Airframe) -> Finding:
             "symmetry",
             Sign.WARNING,
             f"the rotors' middle is ({x.mean():.3g}, {y.mean():.3g}) m from the origin",
-            ["right if meant so; the centre of gravity counts from the origin, too"],
+            ["fine if intended; the CG is relative to the origin, too"],
         )
     turning = f"{int((spin > 0).sum())} ccw and {int((spin < 0).sum())} cw"
     if spin.sum() != 0:
         return Finding(
-            "symmetry", Sign.WARNING, f"{turning}: as a rule as many turn either way",
+            "symmetry", Sign.WARNING, f"{turning}: usually half turn each way",
             ["look at each propeller from above"],
         )  # fmt: skip
     return Finding("symmetry", Sign.OK, f"middle of the rotors at the origin, {turning}")
@@ -211,7 +211,10 @@ def _order(airframe: Airframe) -> Finding:
         if spins == [r.spin for r in reversed_spins(usual)]:
             text = f"as {' and '.join(named)}, with every spin the other way"
             return Finding(
-                topic, Sign.WARNING, text, ["right if the autopilot is set so (reversed yaw)"]
+                topic,
+                Sign.WARNING,
+                text,
+                ["fine if the autopilot is configured for it (reversed yaw)"],
             )
         odd = [i for i, (a, b) in enumerate(zip(spins, expected, strict=True), 1) if a != b]
         wrong = ", ".join(map(str, odd))
@@ -224,19 +227,17 @@ def _order(airframe: Airframe) -> Finding:
         return Finding(
             topic,
             Sign.WARNING,
-            f"the rotors stand as in {' and '.join(places)}, but are numbered otherwise",
-            ["compare with the autopilot's motor test: a wrong order fits no flight"],
+            f"the rotors are placed as in {' and '.join(places)}, but numbered differently",
+            ["check with the autopilot's motor test: a wrong order fits no flight"],
         )
-    return Finding(
-        topic, Sign.OK, "a layout of its own; compare it with the autopilot's motor test"
-    )
+    return Finding(topic, Sign.OK, "custom layout; check it with the autopilot's motor test")
 
 
 def _scale(airframe: Airframe) -> Finding:
     anchor = airframe.anchor()
     if anchor is None:
         return Finding(
-            "scale", Sign.WARNING, "nothing sets it",
+            "scale", Sign.WARNING, "not set",
             ["weigh the vehicle: mass = KG in the file, or --mass KG each time"],
         )  # fmt: skip
     name, value = anchor
@@ -244,6 +245,6 @@ def _scale(airframe: Airframe) -> Finding:
     if doubt:
         return Finding("scale", Sign.WARNING, doubt)
     if (name, airframe.rotor_input) in {("T_max", "speed"), ("k_T", "command")}:
-        text = f"{name} cannot set it with rotor_input {airframe.rotor_input!r}"
+        text = f"{name} cannot set the scale with rotor_input {airframe.rotor_input!r}"
         return Finding("scale", Sign.PROBLEM, text, ["give the mass instead"])
     return Finding("scale", Sign.OK, f"{name} = {value:g} {ANCHORS[name]}")

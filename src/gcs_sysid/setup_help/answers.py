@@ -21,7 +21,7 @@ def _number(text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f"{text!r} is no number; write it as 0.25, with a point")
+        raise InputError(f"{text!r} is not a number; write 0.25, with a point")
     return value
 
 
@@ -32,7 +32,7 @@ def plain_name(text: str) -> str:
         InputError: it is empty, or has characters that cannot be printed.
     """
     if not text.strip() or not text.isprintable():
-        raise InputError(f"a name is one line of letters, digits and signs, not {text!r}")
+        raise InputError(f"the name must be one line of text, not {text!r}")
     return text.strip()
 
 
@@ -44,7 +44,7 @@ def positive_number(text: str) -> float:
     """
     value = _number(text)
     if value <= 0.0:
-        raise InputError(f"it must be positive, not {text}")
+        raise InputError(f"must be positive, not {text}")
     return value
 
 
@@ -55,13 +55,13 @@ def arm_lengths(text: str, *, two: bool = True) -> float | tuple[float, float]:
         InputError: it is neither.
     """
     if re.fullmatch(r"\d+,\d+", text.strip()):
-        raise InputError(f"decimals with a point, please: {text.strip().replace(',', '.')}")
+        raise InputError(f"decimals with a point: {text.strip().replace(',', '.')}")
     words = _words(text)
     if len(words) not in ((1, 2) if two else (1,)):
         raise InputError("one length in m" + (", or two: forward and sideways" if two else ""))
     lengths = [positive_number(word) for word in words]
     if max(lengths) > MOST_ARM:
-        raise InputError(f"metres are asked for; {max(lengths):g} m is too far out")
+        raise InputError(f"enter m; {max(lengths):g} m is too long")
     return lengths[0] if len(lengths) == 1 else (lengths[0], lengths[1])
 
 
@@ -75,9 +75,9 @@ def rotor(text: str) -> Rotor:
     turns = [word.lower() for word in words if word.lower() in _SPINS]
     numbers = [_number(word) for word in words if word.lower() not in _SPINS]
     if len(turns) != 1 or len(numbers) != 2:
-        raise InputError("x, y and ccw or cw are asked for, such as: 0.2 -0.2 cw")
+        raise InputError("enter x, y and ccw or cw, such as 0.2 -0.2 cw")
     if math.hypot(*numbers) > MOST_ARM:
-        raise InputError(f"x and y are metres; {math.hypot(*numbers):g} m is too far out")
+        raise InputError(f"x and y are in m; {math.hypot(*numbers):g} m is too far out")
     return Rotor(numbers[0], numbers[1], _SPINS[turns[0]])
 
 
@@ -104,7 +104,7 @@ def imu_position(text: str) -> tuple[float, float, float]:
         raise InputError("three lengths in m: forward, right and down, such as 0.02 0 -0.03")
     x, y, z = (_number(word) for word in words)
     if max(abs(x), abs(y), abs(z)) > MOST_ARM:
-        raise InputError("the IMU's position is asked for in metres")
+        raise InputError("enter the position of the IMU in m")
     return x, y, z
 
 
@@ -116,6 +116,6 @@ def prior(text: str) -> tuple[str, float, float]:
     """
     words = split_prior(text)
     if words is None:
-        raise InputError(f"NAME=VALUE+-STD is asked for, not {text!r}")
+        raise InputError(f"must be NAME=VALUE+-STD, not {text!r}")
     name, value, std = words
     return name, _number(value), positive_number(std)

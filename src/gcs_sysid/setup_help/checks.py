@@ -129,7 +129,7 @@ def check_python(version: str = platform.python_version(), requires: str | None 
     if _numbers(version) < _numbers(least):
         return Finding(
             "Python", Sign.PROBLEM, f"{text}; {least} or newer is needed",
-            ["install it from python.org, and gcs-sysid again with it"],
+            ["install it from python.org, then reinstall gcs-sysid"],
         )  # fmt: skip
     return Finding("Python", Sign.OK, text)
 
@@ -156,7 +156,7 @@ def check_packages(
             requirements = importlib.metadata.requires(PACKAGE) or []
         except importlib.metadata.PackageNotFoundError:
             return Finding(
-                "packages", Sign.WARNING, "gcs-sysid runs from its source, without being installed",
+                "packages", Sign.WARNING, "gcs-sysid runs from its source tree, not installed",
                 ["python -m pip install ."],
             )  # fmt: skip
     good, lacking = [], []
@@ -203,7 +203,8 @@ def check_terminal(
         is_terminal = sys.stdout.isatty() and sys.stdin.isatty()
     if not is_terminal:
         return Finding(
-            "terminal", Sign.WARNING, "this is none (a pipe or a file): live and demo print lines",
+            "terminal", Sign.WARNING, "not a terminal (a pipe or a file): live and demo "
+            "print lines",
             ["run it in a terminal window to see the screen"],
         )  # fmt: skip
     columns, lines = size or shutil.get_terminal_size(_SMALLEST)
@@ -217,24 +218,24 @@ def check_terminal(
         advice.append(_unicode_advice())
     if term == "dumb":
         words.append("TERM=dumb")
-        advice.append("use another terminal, or --headless: this one cannot place text")
+        advice.append("use another terminal, or --headless: this one cannot position the cursor")
     return Finding("terminal", Sign.WARNING if advice else Sign.OK, ", ".join(words), advice)
 
 
 def _unicode_advice() -> str:
     if os.name == "nt":
-        return "use Windows Terminal, or first, in PowerShell: $env:PYTHONUTF8=1"
-    return "lines and bars become question marks; first: export LC_ALL=C.UTF-8"
+        return "use Windows Terminal, or set, in PowerShell: $env:PYTHONUTF8=1"
+    return "lines and bars print as question marks; set: export LC_ALL=C.UTF-8"
 
 
 def _colours(environment: Mapping[str, str]) -> str:
     if environment.get("NO_COLOR"):
-        return "no colours (NO_COLOR is set)"
+        return "no colors (NO_COLOR is set)"
     if environment.get("COLORTERM") in ("truecolor", "24bit") or environment.get("WT_SESSION"):
-        return "16 million colours"
+        return "16 million colors"
     if "256" in environment.get("TERM", ""):
-        return "256 colours"
-    return "colours unknown"
+        return "256 colors"
+    return "number of colors unknown"
 
 
 def check_recordings(folder: Path = Path("logs")) -> Finding:
@@ -249,13 +250,13 @@ def check_recordings(folder: Path = Path("logs")) -> Finding:
     except OSError as error:
         why = error.strerror or "no folder"
         advice = [
-            "change to a folder of your own, or name a place: --record FILE.tlog",
-            "or leave the recording out: --no-record",
+            "change to a writable folder, or use --record FILE.tlog",
+            "or do not record: --no-record",
         ]
         return Finding("recordings", Sign.PROBLEM, f"cannot write to {full}: {why}", advice)
     text = f"{full}, {free / 2**30:.1f} GiB free"
     if free < _FREE_BYTES:
-        advice = ["make room, or name another place: --record FILE.tlog"]
+        advice = ["free some space, or use --record FILE.tlog elsewhere"]
         return Finding("recordings", Sign.WARNING, f"{text}; an hour takes 0.1 GiB", advice)
     return Finding("recordings", Sign.OK, text)
 
@@ -275,7 +276,7 @@ def check_serial(
         system: "Linux", "Darwin" or "Windows".
     """
     if not devices:
-        text = "no serial device is plugged in (a network needs none)"
+        text = "no serial device (not needed for a network link)"
         missing = missing_group(_usual_group()) if system == "Linux" else None
         advice = _permission_lines(missing) if missing else [_how_named(system)]
         return [Finding(_TOPIC, Sign.WARNING if missing else Sign.OK, text, advice)]
@@ -283,14 +284,14 @@ def check_serial(
 
 
 def _judge(device: "SerialDevice", system: str) -> Finding:
-    kind = device.description or ("USB" if device.usb else "a port of the board")
+    kind = device.description or ("USB" if device.usb else "on-board port")
     topic = f"{_TOPIC} {device.name}"
     start = _start_command(device.name)
     if system != "Linux":
         # Nothing to be allowed there: a port that cannot be opened is taken.
         return Finding(topic, Sign.OK, kind, [start, _how_named(system)])
     if os.access(device.name, os.R_OK | os.W_OK):
-        return Finding(topic, Sign.OK, f"{kind}, may be opened", [start])
+        return Finding(topic, Sign.OK, f"{kind}, access allowed", [start])
     sign = Sign.PROBLEM if device.usb else Sign.WARNING
     advice = _permission_lines(_owning_group(device.name))
     return Finding(topic, sign, f"{kind}, no permission to open it", advice)
@@ -304,10 +305,10 @@ def _start_command(name: str) -> str:
 
 def _how_named(system: str) -> str:
     if system == "Windows":
-        return "ports are COM3 and so on (Device Manager); access denied: another has it"
+        return "ports are COM3 and so on (Device Manager); access denied: in use by another program"
     if system == "Darwin":
-        return "take the name with /dev/cu., not /dev/tty.; close other programs"
-    return "/dev/ttyACM0 would be an autopilot's USB port, /dev/ttyUSB0 a radio"
+        return "use /dev/cu.*, not /dev/tty.*; close other programs"
+    return "/dev/ttyACM0 is usually the USB port of an autopilot, /dev/ttyUSB0 a radio"
 
 
 def _permission_lines(group: str | None) -> list[str]:

@@ -64,7 +64,7 @@ def layout_rotors(name: str, arm: float | tuple[float, float]) -> tuple[Rotor, .
 def place_of(x: float, y: float) -> str:
     """Where a rotor is, in words: "front right", "right", "right front" (further right)."""
     if math.hypot(x, y) < 1e-6:
-        return "centre"
+        return "center"
     along, across = "front" if x > 0 else "rear", "right" if y > 0 else "left"
     if abs(y) < math.tan(math.radians(10.0)) * abs(x):
         return along

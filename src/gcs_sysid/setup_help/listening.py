@@ -69,7 +69,7 @@ def _not_open(topic: str, url: LinkUrl, error: LinkError) -> Finding:
     holder = holder_of_udp_port(url.port)
     advice = [] if holder else [_who_has(url.port)]
     advice += [
-        "close that program, or let it forward to port 14445 and listen there:",
+        "close that program, or forward to port 14445 and listen there:",
         "QGroundControl: Application Settings, MAVLink, localhost:14445",
         "MAVProxy: output add 127.0.0.1:14445",
     ]
@@ -127,11 +127,11 @@ def heard(ears: Sequence[Ear], seconds: float) -> list[Finding]:
     if findings:
         return findings
     where = ", ".join(ear.url for ear in ears) or "no port"
-    text = f"none heard in {seconds:g} s on {where}"
+    text = f"no vehicle in {seconds:g} s on {where}"
     if others:
         text += f"; no vehicle, but: {', '.join(others)}"
     advice = [
-        "is it on, and does it send to this machine? (SITL: --out 127.0.0.1:14550)",
+        "check that it is powered and sends to this machine (SITL: --out 127.0.0.1:14550)",
         "on a serial port: gcs-sysid doctor /dev/ttyUSB0 --baud 57600",
         "without a vehicle: gcs-sysid demo",
     ]

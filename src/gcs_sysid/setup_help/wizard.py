@@ -86,7 +86,7 @@ def _given_rotors(given: Given) -> tuple[tuple[Rotor, ...], str]:
     if given.rotors:
         if given.layout is not None or given.arm is not None:
             raise InputError("--rotor gives the positions; leave out --layout and --arm")
-        return given.rotors, "Own layout."
+        return given.rotors, "Custom layout."
     if given.layout is None or given.arm is None:
         raise InputError("which layout? Give --layout and --arm, or --rotor for each motor")
     return _of_layout(given.layout, given.arm), _origin(given.layout)
@@ -94,12 +94,12 @@ def _given_rotors(given: Given) -> tuple[tuple[Rotor, ...], str]:
 
 def _of_layout(layout: str, arm: float | tuple[float, float]) -> tuple[Rotor, ...]:
     if isinstance(arm, tuple) and layout not in TWO_LENGTHS:
-        raise InputError("two arm lengths, forward and sideways, are for a quad X alone")
+        raise InputError("two arm lengths, forward and sideways, are for a quad X only")
     return layout_rotors(layout, arm)
 
 
 def _told(origin: str, as_usual: bool) -> str:
-    return origin if as_usual else f"{origin} Spins as told."
+    return origin if as_usual else f"{origin} Spins as given."
 
 
 def _origin(layout: str) -> str:
@@ -228,12 +228,14 @@ class Wizard:
     def _rotors(self, given: Given) -> tuple[tuple[Rotor, ...], str]:
         layout = given.layout or self._layout()
         if layout == _OWN:
-            return self._own_rotors(), "Own layout."
+            return self._own_rotors(), "Custom layout."
         two = layout in TWO_LENGTHS
         if given.arm is None:
-            self._say("How far from the centre is each motor, in m? Such as 0.25.")
+            self._say("Distance from the center to each motor, in m? Such as 0.25.")
             if two:
-                self._say("A quad X that is not square: forward and sideways, such as 0.15 0.20.")
+                self._say(
+                    "For a quad X that is not square: forward and sideways, such as 0.15 0.20."
+                )
         arm = given.arm or self._believed(
             "Arm in m",
             lambda text: arm_lengths(text, two=two),
@@ -243,7 +245,7 @@ class Wizard:
 
     def _layout(self) -> str:
         names = [*LAYOUTS, _OWN]
-        words = {**LAYOUTS, _OWN: "own positions, motor by motor"}
+        words = {**LAYOUTS, _OWN: "custom, motor by motor"}
         self._say("Which layout?")
         for number, name in enumerate(names, 1):
             self._say(f"  {number:2d}  {name:<20}  {words[name]}")
@@ -259,8 +261,8 @@ class Wizard:
 
     def _own_rotors(self) -> tuple[Rotor, ...]:
         self._say(
-            "Each motor in the autopilot's order: metres forward, metres to the right, spin\n"
-            "from above; such as 0.2 -0.2 cw. Enter: that was all; back: takes one back."
+            "Each motor in the autopilot's order: m forward, m to the right, spin from above,\n"
+            "such as 0.2 -0.2 cw. Enter: done; back: removes the last one."
         )
         while True:
             rotors: list[Rotor] = []
@@ -272,14 +274,14 @@ class Wizard:
             try:
                 return _can_fly(tuple(rotors))
             except InputError as error:
-                self._refuse(f"{error}. Once more, from the first motor on.")
+                self._refuse(f"{error}. Again, from the first motor on.")
 
     def _own_rotor(self, number: int) -> Rotor | None:
         def one(text: str) -> Rotor | None:
             if text:
                 return _BACK if text.lower() == "back" else rotor(text)
             if number <= 4:
-                raise InputError("four motors at least")
+                raise InputError("at least four motors")
             return None
 
         return self._believed(
@@ -315,8 +317,8 @@ class Wizard:
 
     def _scale(self) -> tuple[AnchorName, float] | None:
         self._say(
-            "What sets the scale? One value must be known: motion alone does not tell heavy\n"
-            "and strong from light and weak.\n"
+            "What sets the scale? One value must be known: motion alone fixes\n"
+            "ratios only.\n"
             "   1  the mass, weighed ready to fly, in kg\n"
             "   2  k_T, thrust over the square of rotor speed, in N s^2 (with rpm telemetry)\n"
             "   3  T_max, thrust of one rotor at full command, in N (without)\n"
@@ -338,12 +340,12 @@ class Wizard:
         return name, value
 
     def _imu(self) -> tuple[float, float, float] | None:
-        self._say("Where is the IMU? Metres forward, right and down from the centre: 0.02 0 -0.03.")
+        self._say("Where is the IMU? m forward, right and down from the center: 0.02 0 -0.03.")
         return self._optional("IMU", imu_position)
 
     def _priors(self) -> dict[str, tuple[float, float]]:
         found: dict[str, tuple[float, float]] = {}
-        self._say("Is a parameter known beforehand, from a bench or CAD? Such as k_M=6.1e-6+-1e-7.")
+        self._say("Is a parameter known from a bench test or CAD? Such as k_M=6.1e-6+-1e-7.")
         question = "NAME=VALUE+-STD"
         while (told := self._optional(question, _known_prior)) is not None:
             name, value, std = told

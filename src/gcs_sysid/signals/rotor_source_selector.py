@@ -218,7 +218,7 @@ class RotorSourceSelector:
         gone = ""
         if self.choice is not None:
             name = self.choice.name
-            gone = f"{name} died in flight ({refused.get(name, 'nothing comes')}); "
+            gone = f"{name} died in flight ({refused.get(name, 'no data')}); "
         if chosen is not None:
             chosen = replace(chosen, why=gone + chosen.why, refused=refused)
         self.choice, self.refused = chosen, refused
@@ -234,14 +234,14 @@ class RotorSourceSelector:
         count = len(self._airframe.rotors)
         rotors = stretch.rotors(count)
         if len(rotors) < count:
-            return f"tells {len(rotors)} of {count} rotors"
+            return f"covers {len(rotors)} of {count} rotors"
         rotors, seconds = _until_landing(rotors, self._seconds)
         rate = min(len(t) for t, _ in rotors) / seconds
         if rate < MIN_RATE:
-            return f"comes at {rate:.1f} Hz, which does not follow the rotors"
+            return f"comes at {rate:.1f} Hz, too slow to follow the rotors"
         values = [v for _, v in rotors]
         if not any(v.any() for v in values):
-            return "reads 0 while the vehicle flies"
+            return "reads 0 in flight"
         # Mostly the first rotor tells; to count them all costs time.
         stale = (_readings(v) < MIN_RATE * seconds for v in values)
         if stretch.stream is Stream.ROTOR_SPEED and all(stale):
@@ -271,22 +271,22 @@ class RotorSourceSelector:
                 refused[name] = f"is {copied} under another name, not a measurement"
                 continue
             if self._too_slow(stretch):
-                why = "measured speeds, though in rad/s in a field of rpm, by the thrust needed"
+                why = "measured speeds, read as rad/s in an rpm field, by the thrust needed"
                 return RotorSource("speed", name, why, scale=1.0 / _RPM)
             return RotorSource("speed", name, "measured speeds")
         for name in commands if wanted != "speed" else ():
             range_ = self._range(name, stretches[name])
             if range_ is None:
                 refused[name] = (
-                    "is in a unit that is not known: give [command] min and max in the airframe "
+                    "has an unknown unit: give [command] min and max in the airframe "
                     "file, the outputs without thrust and at full thrust"
                 )
                 continue
             if all(v.max() <= range_.low for _, v in stretches[name].rotors(count)):
-                refused[name] = "tells stopped rotors while the vehicle flies"
+                refused[name] = "shows stopped rotors in flight"
                 continue
             asked = wanted == "command"
-            why = "commands, as asked for" if asked else "commands: no measured speeds are sound"
+            why = "commands, as requested" if asked else "commands: no usable measured speeds"
             return RotorSource("command", name, why, range=range_)
         for name in stretches:
             refused.setdefault(name, f"{wanted} is wanted")

@@ -23,10 +23,10 @@ _MOST_EVENTS = 100
 """Kept while nobody asks."""
 
 _REFUSED = {
-    Refusal.UNSIGNED: "frames without a signature are refused, because a signing key is set",
-    Refusal.WRONG_KEY: "frames signed with another key, or changed on the way, are refused",
-    Refusal.REPLAYED: "repeated frames are refused: their signing time is not new",
-    Refusal.TOO_OLD: "frames are refused until the vehicle has this tool's time of signatures",
+    Refusal.UNSIGNED: "unsigned frames are rejected, because a signing key is set",
+    Refusal.WRONG_KEY: "frames signed with another key, or altered, are rejected",
+    Refusal.REPLAYED: "repeated frames are rejected: their signing time is not new",
+    Refusal.TOO_OLD: "frames are rejected until the vehicle has this tool's signing time",
 }
 
 
@@ -96,15 +96,12 @@ class GroundStation:
                 self._events.append(f"{url}: the sender has finished")
             else:
                 self._events.append(
-                    f"{url} was closed by the other side or unplugged: waiting for it to come back"
+                    f"{url} was closed by the other side or unplugged: waiting for it to return"
                 )
                 self.lost = True
         if report.floods != self._floods:
             self._floods = report.floods
-            self._events.append(
-                f"{url} is flooded by others: what the vehicle sends is read first, "
-                "and little of the rest"
-            )
+            self._events.append(f"{url} is flooded by other senders: the vehicle is read first")
         heard = intake.monitor.heard
         if heard != self._heard:
             self._heard = heard
@@ -115,7 +112,7 @@ class GroundStation:
             self.lost = False
             self.heard_at = now
         elif not self.lost and self.heard_at is not None and now - self.heard_at > LOST_AFTER:
-            self._events.append(f"link lost: nothing heard of {vehicle} for {LOST_AFTER:.0f} s")
+            self._events.append(f"link lost: no data from {vehicle} for {LOST_AFTER:.0f} s")
             self.lost = True
 
     def tick(self, now: float, intake: Intake) -> None:
@@ -134,7 +131,7 @@ class GroundStation:
         self._events += self._streams.take_events()
         report = self._port.link_report
         if report.marks:
-            self._tell_once("a reset that came over the link is passed over: only the user resets")
+            self._tell_once("ignored a reset received over the link: only the user may reset")
         if report.rival is not None:
             self._tell_once(_told(report.rival))
         for refusal in report.refused or ():
@@ -160,7 +157,7 @@ class GroundStation:
         lines = [self._streams.problem] if self._streams.problem else []
         if report.refused and not report.accepted:
             reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(report.refused.items()))
-            lines.append(f"no frame has the signature of this key; refused: {reasons}")
+            lines.append(f"no frame is signed with this key; rejected: {reasons}")
         if report.rival is not None:
             lines.append(_told(report.rival))
         return tuple(lines)
@@ -194,9 +191,9 @@ def _told(rival: Rival) -> str:
     """Who else speaks in the vehicle's name, in words."""
     system, component = rival.vehicle
     return (
-        f"two senders speak as {system}:{component}: {_words(rival.address)}, taken for the "
-        f"vehicle, and {_words(rival.other)}; unless both are its links, somebody forges its "
-        "messages, and signing keeps them out"
+        f"two senders use the address {system}:{component}: {_words(rival.address)}, taken as the "
+        f"vehicle, and {_words(rival.other)}; unless both are its links, one forges its "
+        "messages, which signing prevents"
     )
 
 

@@ -148,7 +148,7 @@ def loss_reason(telemetry: Mapping[str, Any]) -> tuple[str, bool]:
     if share < SERIOUS:
         return "", False
     words = (
-        f"{100.0 * share:.0f} % of the IMU's samples are missing by their time stamps, for "
-        f"{told['longest']:.2f} s at most: the estimate rests on what came"
+        f"{100.0 * share:.0f} % of the IMU's samples are missing by their timestamps, for "
+        f"{told['longest']:.2f} s at most: the estimate uses the rest"
     )
     return words, share >= TOO_MUCH

@@ -167,7 +167,7 @@ class Intake:
         if before is None and self.selector.is_chosen(frame):
             # A heartbeat makes no record before the first stamp, only itself known.
             self._take_chosen(one, out)
-            self._note("vehicle", f"{self.selector.chosen} heard")
+            self._note("vehicle", f"{self.selector.chosen} found")
         else:
             self._count(one)
             if beat:
@@ -301,8 +301,8 @@ class Intake:
         self.monitor.begin_anew()
         self._note(
             "vehicles",
-            f"{first}, the first heard, sends nothing but heartbeats: "
-            f"using {self.vehicle}, whose IMU data come",
+            f"{first}, the first received, sends heartbeats only: "
+            f"using {self.vehicle}, which sends IMU data",
         )
 
     @property
@@ -320,7 +320,7 @@ class Intake:
         if most is None or counts[most] <= _MORE * own:
             return ()
         return (
-            f"{most} sent {counts[most]} messages, {chosen}, the first heard, {own}: choose it "
+            f"{most} sent {counts[most]} messages, {chosen}, the first received, {own}: choose it "
             f"with --vehicle {most.system}:{most.component}",
         )
 
@@ -329,9 +329,9 @@ class Intake:
         if not self._contradictions.found:
             return ()
         return (
-            f"the heartbeats of {self.vehicle} contradict each other: somebody else sends in its "
-            "name too, and may hide that it flies; the autopilot's own log (.ulg, .bin) knows, and "
-            "signing (--signing-key) keeps them out",
+            f"the heartbeats of {self.vehicle} contradict each other: another sender uses its "
+            "address and may hide that it flies; use the autopilot's own log (.ulg, .bin), or "
+            "signing (--signing-key)",
         )
 
     def _hear(self, heartbeat: Frame) -> None:
@@ -358,12 +358,13 @@ class Intake:
         if len(self._others) > _MOST_OTHERS_TOLD:
             self._note(
                 "vehicles",
-                f"more than {_MOST_OTHERS_TOLD} other vehicles speak: no more of them are told of",
+                f"more than {_MOST_OTHERS_TOLD} other vehicles: further ones are not listed",
             )
         else:
             self._note(
                 "vehicles",
-                f"more than one vehicle speaks: {other} too; using {chosen}, the first heard "
+                f"more than one vehicle on the link: {other} too; using {chosen}, the first "
+                f"received "
                 f"(choose with --vehicle {other.system}:{other.component})",
             )
 

@@ -290,13 +290,13 @@ def cannot_open(url: LinkUrl, error: Exception) -> LinkError:
             hint = f"{getattr(error, 'strerror', None) or error}"
         return LinkError(f"cannot open {url.device}: {hint}")
     if number == errno.EADDRINUSE:
-        hint = "the port is in use; close the other ground station or take another port"
+        hint = "the port is in use; close the other ground station or use another port"
     elif number == errno.ECONNREFUSED:
         hint = "connection refused; is the vehicle or simulator running and listening there?"
     elif number == errno.EACCES:
-        hint = "no permission for that port; take one from 1024 on"
+        hint = "no permission for that port; use 1024 or higher"
     elif number == errno.EADDRNOTAVAIL:
-        hint = f"{url.host} is no address of this machine; 0.0.0.0 listens on all"
+        hint = f"{url.host} is not an address of this machine; 0.0.0.0 listens on all"
     elif isinstance(error, TimeoutError):
         hint = "no answer; check host and port"
     else:

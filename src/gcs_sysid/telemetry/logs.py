@@ -186,7 +186,7 @@ class OnboardLog:
         self._given = 0
         self._total = max(sum(len(track.t) for track in recording.tracks), 1)
         start, _ = self._span()
-        heard = IntakeEvent(start, "vehicle", f"{own} heard")
+        heard = IntakeEvent(start, "vehicle", f"{own} found")
         self._told = ((0, heard),) if fits else ()
         self._events: list[IntakeEvent] = []
 
@@ -308,5 +308,5 @@ def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
     if head.startswith(dataflash_format.HEAD):
         return OnboardLog("dataflash", read_dataflash(path), wanted)
     if head.startswith(b"FMT,"):
-        raise InputError(f"{path} is a dataflash log turned into text: give the .bin itself")
+        raise InputError(f"{path} is a dataflash log converted to text: give the .bin")
     return TlogLog(path, wanted)

@@ -236,7 +236,7 @@ class StreamRequests:
             self._restore(name)
         self._groups = GroupRequests(self._gate, vehicle, arriving)
         self._tell(
-            "this ArduPilot does not know SET_MESSAGE_INTERVAL: asking for groups of messages, "
+            "this ArduPilot lacks SET_MESSAGE_INTERVAL: requesting stream groups, "
             f"which it sends at {MOST_OF_GROUP} Hz at most"
         )
 
@@ -251,7 +251,7 @@ class StreamRequests:
         got = groups.short.get("RAW_IMU")
         self.problem = ""
         if got is not None and got < self._needed:
-            what = f"asked for {hertz:.0f} Hz, this link brings"
+            what = f"requested {hertz:.0f} Hz, this link carries"
             self.problem = too_slow(what, got, self._needed)
         elif hertz < self._needed:
             what = "such losses leave" if self._baud is None else f"{self._baud} baud carries"
@@ -281,12 +281,12 @@ class StreamRequests:
             if before is None and hertz < self._rate:
                 self._tell(
                     f"{self._baud} baud carries about {hertz:.0f} Hz of IMU and rotor data: "
-                    f"asking for that instead of {self._rate:.0f} Hz"
+                    f"requesting that instead of {self._rate:.0f} Hz"
                 )
 
     def _tell_loss(self, share: float) -> None:
         hertz = self._rates["HIGHRES_IMU"]
-        self._tell(f"{100.0 * share:.0f} % of the messages are lost: asking for {hertz:.0f} Hz")
+        self._tell(f"{100.0 * share:.0f} % of the messages are lost: requesting {hertz:.0f} Hz")
         if hertz < self._needed:
             self.problem = too_slow("without such loss the link carries", hertz, self._needed)
             self._tell(self.problem)
@@ -312,9 +312,9 @@ class StreamRequests:
 
     def _tell_shortage(self, name: str, hz: float, got: float) -> None:
         if got == 0.0:
-            self._tell(f"{name} does not arrive, although asked for {TELL_AFTER} times")
+            self._tell(f"{name} does not arrive after {TELL_AFTER} requests")
         elif name in IMU and got < self._needed:
-            self.problem = too_slow(f"asked for {hz:.0f} Hz, this link brings", got, self._needed)
+            self.problem = too_slow(f"requested {hz:.0f} Hz, this link carries", got, self._needed)
             self._tell(self.problem)
         else:
             self._tell(f"{name} arrives at {got:.0f} Hz instead of {hz:.0f} Hz")

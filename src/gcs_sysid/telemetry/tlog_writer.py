@@ -162,9 +162,9 @@ class TlogWriter:
     def summary(self) -> str:
         """In one line, once it has ended: where the records are, or why they are not."""
         names = " and ".join(map(str, self.recorded))
-        missing = f"; {self.dropped} frames are missing in it" if self.dropped else ""
+        missing = f"; {self.dropped} frames are missing" if self.dropped else ""
         if not names:
-            return self.problem or f"nothing was heard: {self.path} is not kept"
+            return self.problem or f"nothing received: {self.path} was not kept"
         if self.problem:
             return f"{self.problem}{missing}; recorded before: {names}"
         return f"recorded to {names}{missing}"
@@ -245,7 +245,7 @@ class TlogWriter:
             if self._waiting > MOST_PENDING // 2:  # more has come meanwhile: first that
                 return
             lost = f"; {self.dropped} frames are missing so far" if self._dropping else ""
-            self._events.append(f"recording goes on in {self.path}{lost}")
+            self._events.append(f"recording continues in {self.path}{lost}")
             self.problem, self._dropping, self._stalled = "", False, False
 
     def _open(self) -> None:
@@ -284,10 +284,10 @@ class TlogWriter:
                 self._file.truncate(self._size)
             if getattr(error, "errno", None) not in _NO_ROOM:
                 self._close_file()
-        again = f"; tried again every {RETRY_EVERY:g} s"
+        again = f"; retried every {RETRY_EVERY:g} s"
         if self._begun >= MOST_FILES:
             self._given_up = True
-            again = "; it failed too often: another recording can be started"
+            again = "; it failed too often: start another recording"
         with self._wake:
             if problem != self.problem or self._given_up:
                 self._events.append(problem + again)
@@ -295,7 +295,7 @@ class TlogWriter:
         return chunks
 
     def _close_file(self) -> None:
-        """Close the file, synced; one that holds nothing is not kept."""
+        """Close the file, synced; one that holds nothing was not kept."""
         file, self._file = self._file, None
         if file is None:
             return

@@ -174,7 +174,7 @@ class Share:
         names = () if offered is None else tuple(field.name for field in fields(offered))
         function = getattr(offered, name) if name in names else None
         if not callable(function):
-            return False, f"{name} cannot be done here"
+            return False, f"{name} is not available here"
         try:
             return True, function(*arguments)
         except (GcsSysidError, OSError) as error:
@@ -199,7 +199,7 @@ class RemoteSource:
             self._link.send(("scene",))
             self._portable: _Portable = self._link.recv()
         except (OSError, EOFError, AuthenticationError) as error:
-            raise InputError(f"the session to look at is gone ({error})") from error
+            raise InputError(f"the session has ended ({error})") from error
         self._latest: Snapshot | None = None
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._follow, name="viewer", daemon=True)
@@ -259,7 +259,7 @@ class RemoteSource:
                 link.send(("call", group, name, arguments))
                 done, said = link.recv()
         except (OSError, EOFError, AuthenticationError) as error:
-            raise InputError("the session is gone") from error
+            raise InputError("the session has ended") from error
         if not done:
             raise InputError(said)
         return said

@@ -104,7 +104,7 @@ class Site:
 
         async def terminal(request: web.Request) -> web.StreamResponse:
             if self._viewers >= MOST_VIEWERS:
-                raise web.HTTPServiceUnavailable(text=f"{MOST_VIEWERS} look already")
+                raise web.HTTPServiceUnavailable(text=f"{MOST_VIEWERS} viewers already")
             self._viewers += 1
             try:
                 return await terminals.handle_websocket(request)
@@ -114,7 +114,7 @@ class Site:
         @web.middleware
         async def only_own(request: web.Request, handler: Handler) -> web.StreamResponse:
             if not is_own(request.headers.get("Host"), request.headers.get("Origin"), self._host):
-                raise web.HTTPForbidden(text="asked for from another page or under another name")
+                raise web.HTTPForbidden(text="requested by another page or under another host name")
             return await handler(request)
 
         application = web.Application(middlewares=[only_own])

@@ -20,7 +20,7 @@ def main() -> int:
     try:
         source = RemoteSource(Door.parse(os.environ.get(VARIABLE, "")), leave)
     except (GcsSysidError, ValueError) as error:
-        print(f"gcs-sysid: error: no session to look at: {error}", file=sys.stderr)
+        print(f"gcs-sysid: error: no session to show: {error}", file=sys.stderr)
         return 2
     app = source.scene.app(source)
     shown.append(app)

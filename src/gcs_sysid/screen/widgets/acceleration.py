@@ -73,7 +73,7 @@ def nice_limit(largest: float) -> float:
 class AccelerationPanel(RationedPlot):
     """What the vehicle did, and what the estimate said that it would do."""
 
-    BORDER_TITLE = "Angular acceleration, rad/s², each moment predicted before it was fitted"
+    BORDER_TITLE = "Angular acceleration, rad/s²: one-step-ahead prediction"
 
     def __init__(self, name: str) -> None:
         super().__init__(name, classes="acceleration")
@@ -90,7 +90,7 @@ class AccelerationPanel(RationedPlot):
         """Three strips, and what the signs mean."""
         found, size = self._found, self.content_size
         if found is None or len(found.t) < 2:
-            return [[("nothing predicted yet", fmt.MUTED)]]
+            return [[("no prediction yet", fmt.MUTED)]]
         if size.width < MIN_WIDTH or size.height < MIN_HEIGHT:
             return []
         return self._strips(found, size.width, size.height)

@@ -143,10 +143,9 @@ class Convergence(RationedPlot):
             return ""
         parameter, estimate = found
         exponent = self.view.exponents.get(words.exponent_key(parameter), 0)
-        value, half = (text.strip() for text in fmt.value_and_half(estimate, exponent))
-        sign = "" if estimate.status == "given" else "± "
-        unit = scaled_unit(parameter.unit, exponent)
-        return f"{words.label(parameter.name)} = {value} {sign}{half} {unit}".rstrip()
+        text = " ".join(fmt.value_with_half(estimate, exponent).split())
+        unit = scaled_unit(parameter.unit, exponent) if estimate.shown else ""
+        return f"{words.label(parameter.name)} = {text} {unit}".rstrip()
 
     def drawing(self) -> list[Line]:
         """The picture between its headline and its axis."""
@@ -160,7 +159,7 @@ class Convergence(RationedPlot):
         scale = 10.0 ** -view.exponents.get(key, 0)
         whole = reduce_course(history, view.selected, braille.DOTS_WIDE * width, scale)
         if whole is None:
-            return [[(f"{words.label(view.selected)}: no course to plot yet", "")]]
+            return [[(f"{words.label(view.selected)}: no estimate yet", "")]]
         truth = None if truth is None else scale * truth
         bounds = value_range(whole, truth)
         # Headline, time axis with its numbers, and legend take four lines.

@@ -44,7 +44,7 @@ class EventLog(VerticalScroll, can_focus=False):
         at_end = self._shown is None or self.scroll_offset.y >= self.max_scroll_y
         self._shown = found, width
         lines = [line for event in found for line in event_lines(event, width)]
-        self._text.put(lines or [[("nothing yet", fmt.MUTED)]])
+        self._text.put(lines or [[("no events yet", fmt.MUTED)]])
         if at_end:
             self.scroll_end(animate=False)
 

@@ -21,7 +21,7 @@ def facts(link: LinkStatus) -> list[tuple[str, str, str]]:
     rejected = f"rejected {fmt.grouped(link.rejected)}"
     lost = f"{fmt.grouped(link.lost)} ({link.lost_percent:.1f} %), {rejected}"
     gaps = "none" if not link.gaps else f"{link.gaps}, the last {link.last_gap or 0.0:.2f} s"
-    clock = "not known yet" if link.clock_ppm is None else f"{link.clock_ppm:+.0f} ppm"
+    clock = "unknown" if link.clock_ppm is None else f"{link.clock_ppm:+.0f} ppm"
     return [
         ("link", f"{fmt.LINK_SIGN[link.state]} {link.url}", ""),
         ("received", f"{fmt.grouped(link.received)}, {fmt.data_rate(link.bytes_per_second)}", ""),

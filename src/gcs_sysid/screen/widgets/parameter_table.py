@@ -40,10 +40,7 @@ def _exponent(view: View, parameter: Parameter) -> int:
 
 
 def _value(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
-    value, half = fmt.value_and_half(estimate, _exponent(view, parameter))
-    if estimate.status == "given":
-        return f"{value}   {half}", "bold"
-    return f"{value} ± {half}", fmt.MUTED if estimate.status == "unobservable" else "bold"
+    return fmt.value_with_half(estimate, _exponent(view, parameter)), "bold" * estimate.shown
 
 
 def _unit(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
@@ -51,11 +48,15 @@ def _unit(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
 
 
 def _percent(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
+    if not estimate.shown or estimate.limit is not None:
+        return " " * 6, ""
     return percent_column(estimate.relative_half).rjust(6), ""
 
 
 def _status(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
     status = estimate.status
+    if status == "unobservable" and view.waiting:
+        return f"{words.WAITING.sign} {words.WAITING.meaning}".ljust(14), fmt.MUTED
     return f"{words.STATUS[status].sign} {status}".ljust(14), fmt.STATUS_STYLE[status]
 
 
@@ -77,7 +78,7 @@ def _truth(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
 
 def _error(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
     truth = view.truth.get(parameter.name)
-    if not truth or estimate.value is None or estimate.status == "given":
+    if not truth or estimate.value is None or estimate.status in ("given", "unobservable"):
         return " " * 7, ""
     return percent_column(estimate.value / truth - 1.0, signed=True).rjust(7), ""
 
@@ -107,13 +108,13 @@ COLUMNS = (
     Column("unit       ", _unit),
     Column("  ± % ", _percent),
     Column("status        ", _status),
-    Column("target ", _converged, 1),
-    Column(" change ", _change, 2, _has_baseline),
+    Column("target ", _converged, 2),
+    Column(" change ", _change, 1, _has_baseline),
     Column("   truth", _truth, 4, _has_truth),
     Column("  error", _error, 3, _has_truth),
 )
 """In this order from left to right."""
-NAME_HEAD = " name    "
+NAME_HEAD = f" {'name':<{fmt.LABEL_WIDTH}}"
 
 
 def _columns(view: View, width: int) -> list[Column]:
@@ -166,7 +167,7 @@ class ParameterRows(Lines):
         self, view: View, columns: list[Column], parameter: Parameter, estimate: Estimate
     ) -> Line:
         chosen = view.selected == parameter.name
-        name = ("▸" if chosen else " ") + words.label(parameter.name).ljust(8)
+        name = ("▸" if chosen else " ") + words.label(parameter.name).ljust(fmt.LABEL_WIDTH)
         cells = [column.cell(view, parameter, estimate) for column in columns]
         line = _line((name, "bold" * chosen), cells)
         return _lit(line, self.content_size.width) if chosen else line

@@ -53,7 +53,7 @@ class VerdictPanel(Static):
 
     def _small(self, snapshot: Snapshot, standing: Standing, width: int) -> list[Line]:
         sign = words.VERDICT[snapshot.result.verdict].sign
-        head = f"{sign} {headline(snapshot)} {len(standing.known)}/{standing.total}"
+        head = f"{sign} {headline(snapshot)} {standing.reached}/{standing.total}"
         parts: Line = [(head, "bold")]
         room = width - len(head)
         groups = [("~ weak", standing.weak), ("✗ missing", standing.missing)]
@@ -68,9 +68,9 @@ class VerdictPanel(Static):
         return [parts]
 
     def _large(self, snapshot: Snapshot, standing: Standing, width: int) -> list[Line]:
-        letters = big(f"{headline(snapshot)} {len(standing.known)}/{standing.total}")
+        letters = big(f"{headline(snapshot)} {standing.reached}/{standing.total}")
         room = width - len(letters[0]) - 3
-        within = f"{standing.reached} within ±{100.0 * snapshot.target:g} %"
+        within = f"{standing.reached} within the target of ±{100.0 * snapshot.target:g} %"
         known = f"{within}, widest {named(standing.known[:1], room)}" if standing.known else within
         beside = (
             ("✓ known", len(standing.known), known),

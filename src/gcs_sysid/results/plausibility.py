@@ -1,0 +1,180 @@
+"""Whether estimates fit a vehicle that exists: gates that cap statuses and the verdict.
+
+A fit cannot notice a wrong unit or a guessed arm: every inertia follows in proportion, with narrow
+intervals. The numbers of multirotors from 0.02 to 25 kg do not leave the ranges below (vehicles and
+derivation: docs/result.md, "Plausibility"); values outside come from what was entered.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gcs_sysid.estimation.status import KNOWN, Value
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS, THRUST_OF, RotorInput
+from gcs_sysid.model.rigid_body import inertia_matrix
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class PlausibleRanges:
+    """Ranges of multirotors; arm is the mean distance of the rotors from the geometric center."""
+
+    density: Range = (5.0, 5000.0)
+    """Mass over arm cubed, kg/m^3. Vehicles of the table: 52 to 787."""
+    rotor: Range = (1e-5, 0.05)
+    """k_T over the fourth power of the arm, kg/m^3: C_T rho D^4 / (4 pi^2) for thrust coefficients
+    of 0.06 to 0.16 and diameters of 0.3 to 1.5 arms, the upper end doubled for coaxial pairs."""
+    thrust_to_weight: Range = (1.05, 30.0)
+    """Full thrust of all rotors over weight: below it does not climb; racers reach 15."""
+    roll_pitch: Range = (0.01, 1.0)
+    """Ixx and Iyy over mass times arm squared. All the mass at the motors of a quad: 0.5."""
+    yaw: Range = (0.02, 2.0)
+    """Izz over the same. All the mass at the motors: 1."""
+
+
+RANGES = PlausibleRanges()
+_BY_ARM = frozenset(name for name, p in PARAMETERS.items() if p.theta)
+"""Read off torque over angular acceleration, in proportion to the arm."""
+_BY_SPEED = frozenset({"k_T", "k_M", "rotor_inertia"})
+
+
+@dataclass(frozen=True)
+class Objection:
+    """Why estimates cannot be taken at their intervals.
+
+    Attributes:
+        reason: what does not fit, and what to do.
+        names: the parameters that it concerns.
+    """
+
+    reason: str
+    names: frozenset[str]
+
+
+def objections(
+    values: Mapping[str, Value],
+    airframe: Airframe,
+    rotor_input: RotorInput,
+    *,
+    reinterpreted: bool = False,
+) -> tuple[Objection, ...]:
+    """What speaks against estimates, however well the model fits.
+
+    Args:
+        values: parameters by name.
+        airframe: that they rest on.
+        rotor_input: of the rotors.
+        reinterpreted: whether rotor speeds declared as rpm were read as rad/s.
+    """
+    everything = frozenset(values)
+    out = []
+    if not airframe.arm_known and any(values[n].status in KNOWN for n in _BY_ARM & everything):
+        out.append(
+            Objection(
+                f"the {airframe.arm:g} m arm is a placeholder of the built-in layout "
+                f"{airframe.name}, and inertia is proportional to it: give --arm M",
+                _BY_ARM,
+            )
+        )
+    if reinterpreted:
+        out.append(
+            Objection(
+                "rotor speeds were read as rad/s, because as rpm they could not carry this mass: "
+                "check --mass (kg) and --arm (m), or the unit that the ESCs send",
+                _BY_SPEED,
+            )
+        )
+    found = {
+        name: value.value
+        for name, value in values.items()
+        if value.status in KNOWN and value.value is not None
+    }
+    sizes = [Objection(reason, everything) for reason in _sizes(found, airframe, rotor_input)]
+    # Where mass and arm do not fit each other, inertia cannot fit both.
+    inertia = () if sizes else _inertia(found, airframe.arm)
+    return (*out, *sizes, *(Objection(reason, frozenset(INERTIA)) for reason in inertia))
+
+
+def capped(values: Mapping[str, Value], found: Iterable[Objection]) -> dict[str, Value]:
+    """The values, none that an objection concerns better than `weak`; given ones stay given."""
+    names = frozenset[str]().union(*(objection.names for objection in found))
+    return {
+        name: replace(value, status="weak")
+        if name in names and value.status in ("identified", "zero")
+        else value
+        for name, value in values.items()
+    }
+
+
+def _sizes(
+    found: Mapping[str, float], airframe: Airframe, rotor_input: RotorInput
+) -> Iterable[str]:
+    """Mass, thrust and arm against each other."""
+    mass, arm, rotors = found.get("mass"), airframe.arm, len(airframe.rotors)
+    if mass is None:
+        return
+    low, high = (limit * arm**3 for limit in RANGES.density)
+    if not low <= mass <= high:
+        yield (
+            f"a mass of {mass:.4g} kg does not fit an arm of {arm:.3g} m (multirotors of this size "
+            f"weigh {_short(low)} to {_short(high)} kg): mass is in kg, arm in m"
+        )
+        return
+    name = THRUST_OF[rotor_input]
+    thrust = found.get(name)
+    if thrust is None or thrust <= 0.0:
+        return
+    if rotor_input == "speed" and not _within(thrust / arm**4, RANGES.rotor):
+        rpm = 30.0 / math.pi * math.sqrt(mass * GRAVITY / (rotors * thrust))
+        yield (
+            f"hovering {mass:.3g} kg at {rpm:.0f} rpm takes rotors that do not fit an arm of "
+            f"{arm:.3g} m: check mass (kg), arm (m) and the unit of the rotor speeds"
+        )
+    ratio = rotors * thrust / (mass * GRAVITY)
+    if rotor_input == "command" and not _within(ratio, RANGES.thrust_to_weight):
+        yield (
+            f"full thrust is {ratio:.2g} times the weight, expected "
+            f"{RANGES.thrust_to_weight[0]:g} to {RANGES.thrust_to_weight[1]:g}: check mass (kg), "
+            "T_max (N a rotor) and the range of the commands"
+        )
+
+
+def _inertia(found: Mapping[str, float], arm: float) -> Iterable[str]:
+    """Inertia against mass and arm, and its principal moments against each other."""
+    mass = found.get("mass")
+    if mass is not None:
+        unit = mass * arm**2
+        for name, range_ in (
+            ("Ixx", RANGES.roll_pitch),
+            ("Iyy", RANGES.roll_pitch),
+            ("Izz", RANGES.yaw),
+        ):
+            value = found.get(name)
+            if value is not None and not _within(value / unit, range_):
+                yield (
+                    f"{name} is {value / unit:.2g} of mass x arm^2, expected {range_[0]:g} to "
+                    f"{range_[1]:g}: check mass (kg), arm (m) and rotor positions"
+                )
+    if all(name in found for name in INERTIA):
+        moments = np.linalg.eigvalsh(inertia_matrix(np.array([found[name] for name in INERTIA])))
+        if moments[0] <= 0.0 or moments[2] > _TRIANGLE * (moments[0] + moments[1]):
+            yield (
+                "no rigid body has these moments of inertia (the largest principal moment exceeds "
+                "the sum of the others): check motor order and rotor positions"
+            )
+
+
+_TRIANGLE = 1.05
+"""A flat vehicle has Izz = Ixx + Iyy; identified moments scatter by up to 5 %."""
+
+
+def _short(kilograms: float) -> str:
+    return f"{kilograms:.0f}" if kilograms >= 100.0 else f"{kilograms:.2g}"
+
+
+def _within(value: float, range_: Range) -> bool:
+    return range_[0] <= value <= range_[1]

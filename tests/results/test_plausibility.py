@@ -1,0 +1,151 @@
+"""Numbers of vehicles that do not exist, and estimates near a physical bound."""
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.estimation.status import Value, judged
+from gcs_sysid.intervals import Z95
+from gcs_sysid.model.airframe import Airframe, builtin_names, load_airframe
+from gcs_sysid.model.parameters import PARAMETERS
+from gcs_sysid.results.plausibility import RANGES, capped, objections
+from gcs_sysid.results.result import Estimate
+from gcs_sysid.results.words import shown
+
+QUAD = load_airframe("px4-quad-x").with_arm(0.25)
+# A 1.5 kg quadrotor of 0.25 m: 10-inch propellers, hover at 5200 rpm.
+SOUND = {
+    "mass": 1.5, "Ixx": 0.02, "Iyy": 0.022, "Izz": 0.038, "Ixy": 1e-4, "Iyz": 0.0, "Ixz": -2e-4,
+    "cg_x": 0.004, "cg_y": 0.0, "k_T": 1.25e-5, "k_M": 2e-7, "moment_ratio": 0.016,
+    "rotational_damping": 1e-3, "rotor_inertia": 2e-5, "linear_drag": 0.2,
+}  # fmt: skip
+
+
+def values(**changes: float) -> dict[str, Value]:
+    numbers = SOUND | changes
+    out = {name: Value(value, 1e-3 * abs(value), "identified") for name, value in numbers.items()}
+    return out | {"mass": Value(numbers["mass"], 0.0, "given")}
+
+
+def reasons(airframe: Airframe = QUAD, reinterpreted: bool = False, **changes: float) -> str:
+    found = objections(values(**changes), airframe, "speed", reinterpreted=reinterpreted)
+    return "\n".join(objection.reason for objection in found)
+
+
+def test_a_sound_vehicle_raises_no_objection():
+    assert reasons() == ""
+    command = {name: value for name, value in values().items() if name not in ("k_T", "k_M")}
+    command["T_max"] = Value(8.0, 0.01, "identified")
+    assert objections(command, QUAD, "command") == ()
+
+
+def test_every_layout_needs_its_arm_and_vehicles_do_not():
+    for name in builtin_names():
+        airframe = load_airframe(name)
+        assert airframe.arm_known is (name in ("paper", "px4-sih"))
+        assert airframe.with_arm(0.2).arm_known
+
+
+def test_the_arm_of_a_layout_is_a_placeholder():
+    guessed = load_airframe("px4-quad-x")
+    assert "0.25 m arm is a placeholder" in reasons(guessed)
+    assert "--arm" in reasons(guessed)
+    found = capped(values(), objections(values(), guessed, "speed"))
+    assert found["Ixx"].status == "weak"
+    assert found["cg_x"].status == "weak"
+    assert found["k_T"].status == "identified"  # from mass and gravity
+    assert found["mass"].status == "given"
+    nothing = dict.fromkeys(SOUND, Value(None, None, "unobservable"))
+    assert objections(nothing, guessed, "speed") == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"mass": 1500.0}, "a mass of 1500 kg does not fit an arm of 0.25 m"),  # grams
+        ({"mass": 0.0015}, "does not fit an arm of 0.25 m"),  # tonnes
+        ({"k_T": 1.25e-5 * (30.0 / math.pi) ** 2 * 100.0}, "check mass (kg), arm (m) and the unit"),
+        ({"k_T": 1e-9}, "check mass (kg), arm (m) and the unit"),
+        ({"Ixx": 0.2}, "Ixx is 2.1 of mass x arm^2, expected 0.01 to 1"),
+        ({"Iyy": 1e-4}, "Iyy is 0.0011 of mass x arm^2"),
+        ({"Izz": 0.3}, "Izz is 3.2 of mass x arm^2"),
+        ({"Izz": 0.06}, "no rigid body has these moments"),
+        ({"Ixy": 0.03}, "no rigid body has these moments"),
+    ],
+)
+def test_what_no_multirotor_is_like(changes, said):
+    assert said in reasons(**changes)
+
+
+def test_a_wrong_unit_caps_all_but_the_given():
+    wrong = values(mass=1500.0)
+    statuses = {n: v.status for n, v in capped(wrong, objections(wrong, QUAD, "speed")).items()}
+    assert set(statuses.values()) == {"given", "weak"}
+    with pytest.raises(InputError, match=r"got 250; 250 mm are 0\.25"):
+        QUAD.with_arm(250.0)
+
+
+def test_full_thrust_against_weight():
+    for T_max, said in ((8.0, ""), (3.0, "0.82 times the weight"), (200.0, "54 times the weight")):
+        found = {"mass": Value(1.5, 0.0, "given"), "T_max": Value(T_max, 0.01, "identified")}
+        text = "\n".join(o.reason for o in objections(found, QUAD, "command"))
+        assert said in text
+        assert bool(text) is bool(said)
+
+
+def test_reinterpreted_units_concern_what_speeds_give():
+    found = objections(values(), QUAD, "speed", reinterpreted=True)
+    assert "read as rad/s" in found[0].reason
+    statuses = capped(values(), found)
+    assert statuses["k_T"].status == statuses["rotor_inertia"].status == "weak"
+    assert statuses["Ixx"].status == "identified"
+
+
+def test_vehicles_of_the_documentation_are_well_within_the_range():
+    page = Path(__file__).parents[2] / "docs" / "result.md"
+    rows = re.findall(r"^\| ([^|]+) \| ([\d.]+) kg \| ([\d.]+) m \|", page.read_text("utf-8"), re.M)
+    assert len(rows) >= 8
+    low, high = RANGES.density
+    for name, mass, arm in rows:
+        assert 2.0 * low < float(mass) / float(arm) ** 3 < high / 2.0, name
+    assert min(float(mass) for _, mass, _ in rows) < 0.03
+    assert max(float(mass) for _, mass, _ in rows) > 20.0
+
+
+def test_consistent_with_zero_has_a_status_and_a_limit():
+    assert judged(1e-3, 2e-3, 1.0, "any").status == "zero"
+    assert judged(5e-3, 2e-3, 1.0, "any").status == "identified"
+    assert judged(1e-3, 2e-3, 1.0, "positive").status == "identified"
+    assert judged(0.1, 0.2, 1.0, "any").status == "weak"
+    estimate = Estimate(1e-3, 2e-3, "m", "zero")
+    assert shown(estimate)[:2] == ("~0", "(< 0.0049)")
+    assert shown(estimate).text == "~0 (< 0.0049)"
+    assert shown(replace(estimate, status="unobservable")).text == "-"
+    assert shown(Estimate(0.0165529, 4.1e-5, "kg m^2", "identified")).text == "0.016553 ±0.49 %"
+
+
+def test_what_cannot_be_negative_is_not():
+    assert judged(-5e-3, 2e-3, 1.0, "not negative").status == "zero"
+    assert judged(-7e-3, 2e-3, 1.0, "not negative") == Value(None, None, "unobservable")
+    bounded = Estimate(-5e-3, 2e-3, "N m s", "zero", not_negative=True).bounded
+    assert bounded.value == 0.0
+    assert bounded.ci95 == pytest.approx((0.0, Z95 * 2e-3))
+    assert {n for n, p in PARAMETERS.items() if p.sign == "not negative"} == {
+        "rotational_damping", "rotor_inertia", "linear_drag",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("true", [0.0, 0.3, 1.0, 1.96, 3.0, 6.0])
+def test_bounded_intervals_hold_wherever_the_truth_is(true):
+    """In units of sigma; beyond three sigma below zero nothing is claimed, so nothing misses."""
+    draws = np.random.default_rng(7).normal(true, 1.0, 20_000)
+    low, high = np.array(
+        [Estimate(d, 1.0, "", "zero", not_negative=True).bounded.ci95 for d in draws[draws > -3.0]]
+    ).T
+    holds = np.mean((low <= true) & (true <= high))
+    assert 0.945 < holds <= 1.0

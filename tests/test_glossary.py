@@ -1,0 +1,87 @@
+"""Words that the glossary replaced occur nowhere that users read."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+REPLACED = re.compile(
+    r"\b(told|tells?|telling|untold|speaks?|spoken?|yardsticks?|reckon\w*|makes of|where to|"
+    r"balance point|hears?|heard|courses?|(write|writes|written) over|footing|roughly|anew|learnt|"
+    r"goes on|rests? on|no longer rests|cannot tell|do not tell|manoeuvre|"
+    r"metres?|millimetres?|centimetres?|centres?|colours?|neighbours?|analys(?:e|ed|es|ing)|"
+    r"behaviour|unmodelled|modelled|favour|licence|normalised|maximised?|organised?|recognised?)\b",
+    re.IGNORECASE,
+)
+DOCS = re.compile(
+    r"\b(told|tells?|speaks?|spoken|yardstick|reckon\w*|makes of|balance point|heard|written over|"
+    r"roughly known|anew|learnt|metres?|centres?|colours?|neighbours?|analys(?:ed|es|ing)|"
+    r"behaviour|modelled)\b",
+    re.IGNORECASE,
+)
+SOURCES = sorted(
+    path
+    for folder in ("src/gcs_sysid", "sim_bridge")
+    for path in (ROOT / folder).rglob("*.py")
+    if "dialect" not in path.parts
+)
+PAGES = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md"])
+
+
+def texts(source: str) -> Iterator[tuple[int, str]]:
+    """String literals that are no docstring and no name: line and text."""
+    tree = ast.parse(source)
+    unseen = {
+        id(node.value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    }
+    unseen |= {
+        id(part)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Subscript)
+        for part in ast.walk(node.slice)
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            # One word, a path or an identifier is a key of JSON or a class of CSS.
+            named = re.fullmatch(r"[\w./:#-]*", node.value)
+            if id(node) not in unseen and not named:
+                yield node.lineno, node.value
+
+
+def test_the_search_finds_what_it_is_for():
+    assert [line for line, _ in texts('"""the data tell"""\nx = "the data do not tell Izz"')] == [2]
+    assert REPLACED.search("the data do not tell Izz")
+    assert REPLACED.search("write over a FILE")
+    assert not REPLACED.search("overwrite existing files")
+    assert [text for _, text in texts('f(f"{a} is known roughly, {b}")')] == [" is known roughly, "]
+    assert len(SOURCES) > 200
+    assert sum(1 for path in SOURCES for _ in texts(path.read_text("utf-8"))) > 1500
+
+
+@pytest.mark.parametrize("folder", sorted({path.relative_to(ROOT).parts[-2] for path in SOURCES}))
+def test_messages_use_the_words_of_the_glossary(folder):
+    found = [
+        f"{path.relative_to(ROOT)}:{line}: {match[0]}: {text.strip()}"
+        for path in SOURCES
+        if path.parts[-2] == folder
+        for line, text in texts(path.read_text("utf-8"))
+        if (match := REPLACED.search(text))
+    ]
+    assert found == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_pages_use_the_words_of_the_glossary(page):
+    # Code, and what stands between backticks, are names.
+    text = re.sub(r"`[^`\n]*`", "", page.read_text("utf-8"))
+    found = [
+        f"{number}: {match[0]}: {line.strip()}"
+        for number, line in enumerate(text.splitlines(), 1)
+        if (match := DOCS.search(line))
+    ]
+    assert found == []
