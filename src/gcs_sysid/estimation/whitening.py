@@ -34,7 +34,7 @@ LEAKS = (0.3, 1.0)
 """s: without disturbance or torque noise, the gyro's noise integrated is white, but for drift."""
 WALKS = (2.0, 6.0, 18.0, 40.0, 120.0)
 """Hz, below which torque noise exceeds the gyro's noise."""
-DISTURBED = (1.0, 2.0, 4.0, 8.0, 11.0, 16.0, 23.0, 32.0)
+DISTURBED = (1.0, 2.0, 4.0, 8.0, 11.0, 16.0, 23.0, 32.0, 45.0, 64.0)
 """Hz, below which a disturbance exceeds the gyro's noise."""
 BOTH = (
     (4.0, 15.0), (8.0, 15.0), (16.0, 15.0),
