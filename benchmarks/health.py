@@ -1,6 +1,6 @@
 """Health of vehicles by ordinary flights: errors, intervals, weak rotors named, false alarms.
 
-    python -m benchmarks.health [--vehicles N] [--weak N] [--logs FOLDER]
+    python -m benchmarks.health [--vehicles N] [--first N] [--weak N] [--logs FOLDER]
 
 `vehicles`: drawn vehicles of four, six and eight rotors with thrust curves from 0 to 1 fly gentle
 doublets and climbs in light turbulence; what is sent is IMU at 25 Hz, commands (and in a second
@@ -187,13 +187,13 @@ class Score:
         return f"| {self.name} | {rms:.3g} | {most:.3g} | {half:.3g} | {held:.0f} % of {len(e)} |"
 
 
-def vehicles(count: int, folder: Path) -> Iterator[str]:
+def vehicles(numbers: range, folder: Path) -> Iterator[str]:
     """The table of errors and intervals."""
     yield "| | rms | largest | median half interval | intervals hold |"
     yield "|---|---|---|---|---|"
     for speeds in (False, True):
         for scatter in (True, False):
-            scores = _scores(count, folder, speeds=speeds, scatter=scatter)
+            scores = _scores(numbers, folder, speeds=speeds, scatter=scatter)
             kind = "speeds" if speeds else "commands"
             what = "rotors 3 %, places 0.5 % off" if scatter else "rotors alike, flight alone"
             yield f"| **{kind}, {what}** | | | | |"
@@ -201,13 +201,13 @@ def vehicles(count: int, folder: Path) -> Iterator[str]:
                 yield score.row()
 
 
-def _scores(count: int, folder: Path, *, speeds: bool, scatter: bool) -> list[Score]:
+def _scores(numbers: range, folder: Path, *, speeds: bool, scatter: bool) -> list[Score]:
     places = Score("CG, mm", 1e3, [], [])
     scale = Score("k_T, %" if speeds else "T_max, %", 100.0, [], [])
     curves = Score("thrust curve", 1.0, [], [])
     shares = Score("thrust shares, %", 100.0, [], [])
     ratio = Score("full thrust over weight, %", 100.0, [], [])
-    for number in range(count):
+    for number in numbers:
         drawn = draw(number, LAYOUTS)
         random = np.random.default_rng([number, 0x4EA1])
         traits = uneven(drawn, random, TUNING.rotor_scatter if scatter else 0.0)
@@ -391,13 +391,15 @@ def _repeated(log: Path, arm: float, mass: float) -> Iterator[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Health of vehicles by ordinary flights.")
     parser.add_argument("--vehicles", type=int, default=20, help="drawn for errors and intervals")
+    parser.add_argument("--first", type=int, default=0, help="number of the first of them")
     parser.add_argument("--weak", type=int, default=100, help="flights with a weak rotor")
     parser.add_argument("--logs", type=Path, help="folder of recordings with known parameters")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if options.vehicles:
-            print(*vehicles(options.vehicles, folder), sep="\n", flush=True)
+            numbers = range(options.first, options.first + options.vehicles)
+            print(*vehicles(numbers, folder), sep="\n", flush=True)
         if options.weak:
             print("", *weak(options.weak, folder), sep="\n", flush=True)
     if options.logs is not None:
