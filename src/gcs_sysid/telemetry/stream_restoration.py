@@ -28,6 +28,8 @@ ROUNDS = 3
 """Of questions, by GET_MESSAGE_INTERVAL and REQUEST_MESSAGE in turn: some know only one."""
 OBSERVED_FOR = 3.0
 """s after which what arrived must do, where a question is not answered."""
+SILENT_FOR = 0.7
+"""s after which a vehicle that neither answers nor sends any of the streams is not waited for."""
 SAME = 0.02
 """Share by which an interval may differ and still be the one asked for: autopilots round."""
 SCHEMA = "gcs-sysid-streams/1"
@@ -109,7 +111,8 @@ class StreamRestoration:
         }
         missing = [name for name in self._names if name not in answers]
         waited = now - self._began
-        if missing and waited < OBSERVED_FOR:
+        silent = not answers and not any(arriving.get(name) for name in self._names)
+        if missing and waited < (SILENT_FOR if silent else OBSERVED_FOR):
             if self._rounds < ROUNDS and waited >= self._rounds * ROUND_EVERY:
                 self._ask(missing)
             return False
