@@ -114,7 +114,7 @@ class Window:
         first = int(np.searchsorted(times, onset - 0.5 * dt))
         ahead = min(first // size, round(tuning.before / self.step))
         stop = first + (len(times) - first) // size * size
-        x = np.where(np.isnan(y).all(axis=1, keepdims=True), np.nan, x)  # zero where nothing is known
+        x = np.where(np.isnan(y).all(axis=1, keepdims=True), np.nan, x)
         table = np.column_stack([y, x, squares, air])[first - ahead * size : stop]
         parts = table.reshape(-1, size, table.shape[1])
         there = np.isfinite(parts[..., : 4 + N_X + squares.shape[1]])
