@@ -143,6 +143,14 @@ def test_the_ground_is_not_a_lighter_vehicle():
     assert looked(samples, LAST).cause.disturbance == "contact"
 
 
+def test_after_full_throttle_no_line_tells_what_thrust_does():
+    """At 6 m/s upwards inflow is no longer in proportion; the same step in hover is a change."""
+    velocity = np.tile([0.0, 0.0, -6.0], (len(TIME), 1))
+    share = np.where(LATER, 0.15, 0.0)
+    assert "changed" not in verdicts(fly(share=share, velocity=velocity))
+    assert looked(fly(share=share, velocity=0.0 * velocity)).verdict == "changed"
+
+
 def test_full_throttle_with_a_thrust_curve_a_little_off_is_no_change():
     thrust = np.where(LATER, 2.0, 1.0)
     samples = fly(thrust, np.where(LATER, 0.05, 0.0))
@@ -230,7 +238,8 @@ def test_a_gap_is_no_step():
     for signal in (samples.gyro, samples.rates, samples.force, samples.speeds):
         signal[lost] = np.nan
     assert "changed" not in verdicts(samples)
-    found = fly(share=np.where(LATER, 0.15, 0.0))
+    thrust = 1.0 + 0.15 / 0.85 * np.clip((TIME - AT) / 0.8, 0.0, 1.0)
+    found = fly(thrust, np.where(LATER, 0.15, 0.0))
     found.speeds[lost] = np.nan
     assert looked(found, 2).verdict == "changed"
 

@@ -157,11 +157,14 @@ class _Trial:
             loss, std = float(rotor.value[0]), float(rotor.std[0])
             share = rotor.likelihood / whole
             cause = Cause("rotor_failure", i, loss, std, 1.0, (0.0, 0.0), share)
+            speed, pull = self._away()
             lift = self._fit({0: self._rotor(i, self._since(self.at))[0]})
             holds = (
                 loss >= max(tuning.least_loss, sure * std)
                 and bool(lift.value[0] > _SURE * lift.std[0])
                 and share > tuning.explained
+                and speed < tuning.far[0]
+                and pull < tuning.far[1]
                 and self._stays(lambda since: self._rotor(i, since), loss)
             )
             return cause, holds
@@ -175,7 +178,7 @@ class _Trial:
         told = (mass.likelihood + moved.likelihood) / whole
         cause = Cause(kind, None, 0.0, 0.0, ratio, shift, told)
         holds = (
-            abs(share) >= max(tuning.least_mass, sure * std)
+            abs(share) >= max(tuning.least_mass, sure * std, self._strange())
             and self._stays(lambda since: {0: self._mass(since)}, share)
             and self._is_new(share)
             and (share > 0.0 or self._flies(share))
@@ -223,6 +226,18 @@ class _Trial:
         variance = float(both.covariance[0, 0] + both.covariance[1, 1] - 2 * both.covariance[0, 1])
         allowed = max(self._tuning.agree * abs(size), min(2.0 * variance**0.5, abs(size)))
         return bool(abs(difference) < allowed)
+
+    def _away(self) -> tuple[float, float]:
+        """Vertical speed in m/s, and how far thrust is off the usual, from a second before on."""
+        begin = max(self.at - round(1.0 / self._window.step), 0)
+        usual = float(np.median(self._thrust[: self.at]))
+        pull = np.abs(self._thrust[begin:] / max(usual, 1e-9) - 1.0)
+        return float(np.abs(self._window.climb[begin:]).max()), float(pull.max())
+
+    def _strange(self) -> float:
+        """Relative change of mass that speed and thrust far from hover may feign."""
+        speed, pull = self._away()
+        return self._tuning.by_climb * speed + self._tuning.by_thrust * pull
 
     def _is_new(self, share: float) -> bool:
         """Whether thrust is off by the step from what it was in all of the flight before."""

@@ -161,13 +161,15 @@ class ChangeWatch:
 
     def since(self, time: float) -> list[Samples]:
         """The samples after a session time."""
+        time += 0.5 * self._dt  # of a sample at that very time, rounding must not decide
         return [part.part(t > time) for t, part in self._recent if t[-1] > time]
 
     def _judged(self, alarm: Alarm, look: int, now: float, *, decide: bool = True) -> Judgement:
         history = self._frames.before(now - alarm.onset, self._changes.frame, alarm.reference)
         t = np.concatenate([part[0] for part in self._recent])
         samples = _joined([part[1] for part in self._recent])
-        start = int(np.searchsorted(t, alarm.onset - TUNING.before - 2.0 * TUNING.frame))
+        first = alarm.onset - TUNING.before - 2.0 * TUNING.frame - 0.5 * self._dt
+        start = int(np.searchsorted(t, first))
         part = samples.part(slice(start, None))
         return judge(
             t[start:],

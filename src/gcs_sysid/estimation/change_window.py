@@ -52,6 +52,10 @@ class HypothesisTuning:
         least_loss: least share of one rotor's thrust.
         agree: share of the step by which parts of the time since may differ.
         explained: least share of the step-like residual that the change explains.
+        by_climb: least relative change of mass that is called at 1 m/s of vertical speed.
+        by_thrust: the same where thrust is twice the usual.
+        far: vertical speed in m/s, and share by which thrust is off the usual, from which on no
+            rotor is called weak.
     """
 
     frame: float = 0.05
@@ -70,6 +74,10 @@ class HypothesisTuning:
     lag_error: float = 0.006
     inertia_error: float = 0.1
     flapping: float = 0.02
+    # Far from hover no line through the flight so far tells what thrust does.
+    by_climb: float = 0.06
+    by_thrust: float = 0.1
+    far: tuple[float, float] = (2.0, 0.8)
 
 
 TUNING = HypothesisTuning()
@@ -84,6 +92,7 @@ class Window:
         x: (n, N_X) inputs.
         squares: (n, rotors) sums of O.
         air: (n, 3) velocity along the body axes, less that at the alarm.
+        climb: (n,) velocity along the body's down axis.
         index: (n,) places in time, in steps after the alarm; a mean may be missing.
         at: index of the first mean after the alarm.
         step: s between means.
@@ -105,6 +114,7 @@ class Window:
         first = int(np.searchsorted(times, onset - 0.5 * dt))
         ahead = min(first // size, round(tuning.before / self.step))
         stop = first + (len(times) - first) // size * size
+        x = np.where(np.isnan(y).all(axis=1, keepdims=True), np.nan, x)
         table = np.column_stack([y, x, squares, air])[first - ahead * size : stop]
         parts = table.reshape(-1, size, table.shape[1])
         there = np.isfinite(parts[..., : 4 + N_X + squares.shape[1]])
@@ -117,6 +127,7 @@ class Window:
         self.y, self.x, self.squares, air = np.split(means, edges, axis=1)
         self.e = self.y - self.x @ np.nan_to_num(reference.matrix).T
         around = air[max(self.at - 4, 0) : self.at + 1]
+        self.climb = air[:, 2]
         self.air = air - (around.mean(axis=0) if len(around) else 0.0)
 
     def floors(self, reference: Reference) -> Array:
@@ -236,7 +247,7 @@ class Frames:
             step: s, length of a frame.
             reference: that residuals are of.
         """
-        count = max(len(self._rows) - int(np.ceil(seconds / step)), 0)
+        count = max(len(self._rows) - int(np.ceil(seconds / step - 1e-6)), 0)
         if not count:
             return History(np.full(4, np.nan), np.empty((0, 4)), step)
         y, x, air = np.split(np.array(self._rows[:count]), [4, 4 + N_X], axis=1)
@@ -367,6 +378,7 @@ def _velocity(samples: Samples, dt: float) -> Array:
     if not np.isfinite(samples.velocity).all(axis=1).mean() > _VELOCITY_SENT:
         turn = attitude.matrices(samples.attitude)
         pull = (turn @ np.nan_to_num(samples.force)[..., None])[..., 0] + [0.0, 0.0, GRAVITY]
+        pull[~np.isfinite(samples.force).all(axis=1)] = 0.0
         velocity = np.cumsum(np.nan_to_num(pull), axis=0) * dt
         return np.asarray((velocity[:, None, :] @ turn)[:, 0])
     return body_velocity(samples)

@@ -235,7 +235,8 @@ class Tracker:
 
     def _forget_last(self, seconds: float) -> None:
         """Leave out the last seconds, of what was learnt and of what is kept."""
-        self._estimator.forget_last(seconds)
+        # A multiple of the rows' time, give or take rounding, is no more than that.
+        self._estimator.forget_last((round(seconds / self.dt) - 0.01) * self.dt)
         left = round(seconds / self.dt)
         while left > 0 and self.kept:
             last = self.kept.pop()
