@@ -1,5 +1,7 @@
 """Whiteners, rows of one step, and what they are for: no bias under feedback."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,9 +9,13 @@ from benchmarks.truth.closed_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
 from gcs_sysid.estimation.actuator_dynamics import SIGNALS, ActuatorDynamics
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.tuning import COMMANDS, Tuning
+from gcs_sysid.estimation import whitened_record
+from gcs_sysid.estimation.whitened_fit import shocks_in
 from gcs_sysid.estimation.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.whitening import (
+    AVERAGED,
     WhitenerBank,
+    averaged,
     bank_for,
     gauss_markov,
     leak,
@@ -17,6 +23,7 @@ from gcs_sysid.estimation.whitening import (
     spectral_factor,
     torque_noise,
 )
+from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.one_step import OneStep, step_for
 
 T = 0.004
@@ -240,3 +247,164 @@ def test_where_the_window_takes_over():
     assert not Tuning(gyro_cutoff=20.0).whitens(0.004)
     assert not WINDOW.whitens(0.004)
     assert not COMMANDS.whitens(0.004)
+
+
+@pytest.mark.parametrize("b", [0.4, 0.9])
+def test_noise_of_an_averaged_gyro_is_whitened(b):
+    """Moving averages, means over the samples sent and interpolation make neighbours alike."""
+    rng = np.random.default_rng(8)
+    n = 40_000
+    own = rng.standard_normal(n + 2)
+    gyro = own[1:] + b * own[:-1]
+    plain = leak(T, 0.3)
+    right, wrong = WhitenerBank([averaged(plain, b), plain]).update(np.diff(gyro)[:, None])[
+        :, 500:, 0
+    ]
+
+    def correlations(w):
+        return np.array([w[lag:] @ w[:-lag] for lag in (1, 2, 5)]) / (w @ w)
+
+    # The leak itself takes T / 0.3 s of neighbours away.
+    assert np.abs(correlations(right)).max() < 4.0 / np.sqrt(n) + T / 0.3
+    assert correlations(wrong)[0] == pytest.approx(b / (1.0 + b * b), abs=0.03)
+    assert right.var() < 0.95 * wrong.var()
+    assert right.var() == pytest.approx(1.0, rel=0.04)
+    # What is slow of it has the density of (1 + b)^2.
+    assert averaged(plain, b).gyro_share == pytest.approx((1.0 + b) ** 2, rel=0.02)
+
+
+def test_averaged_whiteners_are_of_leaks_and_torque_noise():
+    bank = bank_for(T)
+    plain = {w.name for w in bank if not w.b}
+    others = [w for w in bank if w.b]
+    assert {w.b for w in others} == set(AVERAGED)
+    assert not any(w.disturbed for w in others)
+    for w in others:
+        assert w.name == f"{w.name.split(',')[0]}, averaged {w.b:g}"
+        assert w.name.split(",")[0] in plain
+
+
+@pytest.fixture(scope="module")
+def calm():
+    """30 s at 250 Hz inside the model."""
+    flight = fly(
+        Vehicle(), EXCITATIONS["doublets"], DISTURBANCES["none"],
+        flights=1, seconds=30.0, rate=250.0, seed=21,
+    )  # fmt: skip
+    return flight[0]
+
+
+@pytest.fixture
+def learnt_early(monkeypatch):
+    """As if 15 s told what whiteners a flight needs, in place of a minute."""
+    monkeypatch.setattr(whitened_record, "_LEARNT", 15.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [1, 311, 4000])
+def test_narrowing_does_not_depend_on_blocks(calm, learnt_early, size):
+    samples = calm.part(slice(0, 7000))
+    estimators = [OnlineEstimator(Vehicle().geometry, T, WHITENED) for _ in range(2)]
+    estimators[0].update(samples)
+    for start in range(0, 7000, size):
+        estimators[1].update(samples.part(slice(start, start + size)))
+    one, other = (e._record.whitened for e in estimators)
+    assert one.narrowed
+    assert one.whiteners == other.whiteners
+    assert one.rows == other.rows
+    np.testing.assert_allclose(other.basis.delays, one.basis.delays)
+    np.testing.assert_allclose(other.total, one.total, rtol=1e-9, atol=1e-9 * np.abs(one.total).max())
+    fits = [e.fit().rotation for e in estimators]
+    np.testing.assert_allclose(fits[1].theta, fits[0].theta, atol=1e-4 * fits[0].std.min())
+    np.testing.assert_allclose(fits[1].std, fits[0].std, rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_narrowing_loses_next_to_nothing(calm, monkeypatch):
+    found = []
+    for learnt in (15.0, 1e9):
+        monkeypatch.setattr(whitened_record, "_LEARNT", learnt)
+        estimator = OnlineEstimator(Vehicle().geometry, T, WHITENED)
+        estimator.update(calm)
+        found.append((estimator._record.whitened, estimator.fit().rotation))
+    (few, narrow), (many, wide) = found
+    assert len(few.whiteners) < 0.6 * len(many.whiteners)
+    assert len(few.basis.delays) == 4 < len(many.basis.delays)
+    # The delay that was found lies between those kept.
+    assert few.basis.delays[0] < narrow.coordinates[0] < few.basis.delays[-1]
+    assert few.rows == many.rows
+    moved = np.abs(narrow.theta - wide.theta)
+    assert np.all(moved[: rb.ROTOR_INERTIA] < 0.5 * wide.std[: rb.ROTOR_INERTIA])
+    # It goes with the delay, between fewer nodes of which others lie: within 1 % of a usual one.
+    assert moved[rb.ROTOR_INERTIA] < 0.003
+    np.testing.assert_allclose(narrow.std, wide.std, rtol=0.3)
+    truth = Vehicle().theta
+    assert np.all(np.abs(narrow.theta - truth) < 3.5 * narrow.std)
+
+
+@pytest.mark.slow
+def test_a_series_of_quick_fits_goes_on_over_the_narrowing(calm, learnt_early):
+    """As a live session asks for them: before, over and after it, however samples come."""
+    stops = range(2500, 7001, 250)
+    whole = OnlineEstimator(Vehicle().geometry, T, WHITENED)
+    course = whole.follow(calm.part(slice(0, 7000)), stops)
+    parts, pieces = OnlineEstimator(Vehicle().geometry, T, WHITENED), []
+    for start in range(0, 7000, 500):
+        inside = [s - start for s in stops if start < s <= start + 500]
+        pieces += parts.follow(calm.part(slice(start, start + 500)), inside)
+    assert len(course) == len(pieces) == len(stops)
+    assert len(whole._record.whitened.whiteners) < len(bank_for(T))
+    truth = Vehicle().theta
+    for fit, piece in zip(course, pieces, strict=True):
+        std = fit.rotation.std
+        assert np.all(np.abs(piece.rotation.theta - fit.rotation.theta) < 1e-3 * std)
+        assert np.all(np.abs(fit.rotation.theta[:3] - truth[:3]) < 4.0 * std[:3])
+
+
+def test_a_whitener_that_was_given_up_is_a_leak_then(calm, learnt_early):
+    estimator = OnlineEstimator(Vehicle().geometry, T, WHITENED)
+    estimator.update(calm.part(slice(0, 7000)))
+    record = estimator._record.whitened
+    gone = next(w for w in bank_for(T) if w not in record.whiteners)
+    kept = record.whiteners[-1]
+    places = record.places([gone, kept])
+    assert [record.whiteners[i].name for i in places] == ["leak 0.3 s", kept.name]
+
+
+def test_batches_are_judged_by_what_judged_those_before(disturbed):
+    estimator = OnlineEstimator(Vehicle().geometry, T, WHITENED)
+    estimator.update(disturbed[1][0].part(slice(0, 2400)))
+    record = estimator._record.whitened
+    data = record.moments(estimator._record.whitened_noise())
+    first, reference = shocks_in(data, record.basis, None)
+    assert reference.age == 0
+    for age in (1, 2, 3, 4, 5):
+        again, reference = shocks_in(data, record.basis, reference)
+        assert reference.age == age
+        np.testing.assert_array_equal(again, first)
+    # Then all whiteners are tried again: the weather may have changed.
+    stale = replace(reference, pick=(0, 0, 0))
+    _, fresh = shocks_in(data, record.basis, stale)
+    assert fresh.age == 0
+    assert fresh.pick != (0, 0, 0)
+    _, kept = shocks_in(data, record.basis, replace(stale, age=0))
+    assert kept.pick == (0, 0, 0)
+
+
+def test_a_shock_is_found_by_whiteners_of_the_batches_before(disturbed):
+    samples = disturbed[1][0].part(slice(0, 2400))
+    gyro = samples.gyro.copy()
+    gyro[1500:1560, 0] += 4.0 * np.sin(np.linspace(0.0, 40.0, 60))
+    struck = type(samples)(gyro, gyro, *samples.signals[2:])
+    found = []
+    for flight in (samples, struck):
+        estimator = OnlineEstimator(Vehicle().geometry, T, WHITENED)
+        estimator.update(flight)
+        record = estimator._record.whitened
+        data = record.moments(estimator._record.whitened_noise())
+        if not found:
+            clean, reference = shocks_in(data, record.basis, None)
+        found.append(shocks_in(data, record.basis, reference)[0])
+    assert not found[0].any()
+    assert set(np.flatnonzero(found[1])) <= {23, 24, 25}
+    assert found[1].any()
