@@ -22,6 +22,9 @@ class EvidenceRules:
 
     least_r2: float = 0.5
     """Share of an axis' acceleration that must be predicted."""
+    least_whitened_r2: float = 0.25
+    """The same of whitened rows, much of which is noise: for a status. A verdict needs
+    `least_r2`."""
     whiteness: float = 3.0
     """Slow power of residuals over that of white noise, with rotor speeds. Flights inside the model
     have 0.5 to 2.5 in all simulators tried, biased ones mostly more."""
@@ -45,7 +48,7 @@ class Evidence:
 
     Attributes:
         capped: roll, pitch and yaw: whether nothing there is `identified`.
-        reasons: in words.
+        reasons: in words; any of them keeps the verdict from being `identified`.
         unmoved: axes that are capped because motion is not predicted, which what rests on the mean
             torque (the CG, known best in hover) does not need.
     """
@@ -100,7 +103,8 @@ def evidence_of(
             f"residuals on {_named(colored)} are not noise (whiteness {found.whiteness[worst]:.1f} "
             f"on {AXES[worst]}): the model lacks something there"
         )
-    capped = tuple(bool(c) for c in unpredicted | colored)
+    least = RULES.least_whitened_r2 if fit.rotation.whiteners else RULES.least_r2
+    capped = tuple(bool(c) for c in ~(found.r_squared >= least) | colored)
     unmoved = tuple(bool(c) for c in unpredicted & ~colored)
     return Evidence(capped, tuple(reasons), unmoved)  # type: ignore[arg-type]
 

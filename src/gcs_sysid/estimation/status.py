@@ -32,10 +32,11 @@ class StatusRules:
     impossible_below: float = -3.0
     """Standard deviations below zero from which a value that cannot be negative contradicts the
     model: noise alone does so once in 740 estimates of zero."""
-    weak_below_whitened: float = 0.65
+    weak_below_whitened: float = 0.35
     unobservable_below_whitened: float = 0.2
-    """The same of whitened rows, of which slow disturbances are taken out and much is noise: gusts
-    at 0.6 leave errors of 6 to 10 %, a vehicle with two rotors swapped has 0.0 to 0.4."""
+    """The same of whitened rows, of which slow disturbances are taken out and much is noise: 0.99
+    in calm air, 0.36 to 0.96 on real flights, whose inertia is right to 5 %; a vehicle with two
+    rotors swapped has 0.0 to 0.4."""
 
     def explained(self, *, whitened: bool) -> tuple[float, float]:
         """Shares of an axis' acceleration, below which nothing is identified, or even weak.

@@ -28,6 +28,9 @@ ACCELEROMETER_BIAS_STD = 0.2
 """m/s^2, what a MEMS accelerometer's bias may be in flight: temperature, a level calibration of a
 degree or two, and a sensor 5 cm off the centre of gravity with rates of 2 rad/s."""
 
+_CALM, _LIFT = 0.8, 0.25
+"""m/s^2, and a share. Wind lifts rotors, which looks like a larger kappa: by 2 to 10 % where it
+pushes with 1.7 to 3.4 m/s^2. Flights without wind read up to 0.4."""
 TILT_ERROR_SHARE = 5e-4
 """Relative error of kappa that attitude errors of 0.03 rad rms leave: 1 - mean cosine. The most
 that is allowed for; the horizontal axes may show that it is less."""
@@ -93,6 +96,8 @@ class TranslationFit:
     """1/s^2, square of horizontal acceleration over that of velocity. An attitude that is late by
     tau turns thrust by what the vehicle turns in that time, along the change of acceleration, which
     is against the velocity: it looks like a delta of tau times this."""
+    wind: float = 0.0
+    """m/s^2, steady horizontal acceleration that thrust and drag leave: drag by wind, mostly."""
     unbiased: float = np.nan
     """Of the accelerometer: kappa as if it had no bias, which is what a `Gain` belongs to."""
 
@@ -139,7 +144,10 @@ def follow_momentum(totals: Array, rows: Array, start: TranslationFit) -> list[T
 def _momentum(balance: "_Balance", inflated: Array) -> list[TranslationFit]:
     variance = np.diagonal(balance.covariance(inflated), axis1=1, axis2=2)
     kappas, deltas = -balance.estimate[:, 0], -balance.estimate[:, 1]
-    kappa_stds = np.hypot(np.sqrt(variance[:, 0]), _tilt_shares(balance) * kappas)
+    wind = np.hypot(balance.estimate[:, 3], balance.estimate[:, 4])
+    by_wind = np.where(wind > _CALM, _LIFT * wind / GRAVITY, 0.0)
+    shares = np.hypot(_tilt_shares(balance), by_wind)
+    kappa_stds = np.hypot(np.sqrt(variance[:, 0]), shares * kappas)
     delta_stds = np.sqrt(variance[:, 1])
     return [
         TranslationFit(
@@ -150,6 +158,7 @@ def _momentum(balance: "_Balance", inflated: Array) -> list[TranslationFit]:
             "momentum",
             WarmStart(weights, inflated),
             quickness=float(balance.quickness[i]),
+            wind=float(wind[i]),
         )
         for i, weights in enumerate(balance.weights)
     ]
