@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from benchmarks.truth.closed_loop import DISTURBANCES, EXCITATIONS, Vehicle, fly
+from gcs_sysid.estimation import whitened_record
 from gcs_sysid.estimation.actuator_dynamics import SIGNALS, ActuatorDynamics
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.tuning import COMMANDS, Tuning
-from gcs_sysid.estimation import whitened_record
 from gcs_sysid.estimation.whitened_fit import shocks_in
 from gcs_sysid.estimation.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.whitening import (
@@ -313,7 +313,9 @@ def test_narrowing_does_not_depend_on_blocks(calm, learnt_early, size):
     assert one.whiteners == other.whiteners
     assert one.rows == other.rows
     np.testing.assert_allclose(other.basis.delays, one.basis.delays)
-    np.testing.assert_allclose(other.total, one.total, rtol=1e-9, atol=1e-9 * np.abs(one.total).max())
+    np.testing.assert_allclose(
+        other.total, one.total, rtol=1e-9, atol=1e-9 * np.abs(one.total).max()
+    )
     fits = [e.fit().rotation for e in estimators]
     np.testing.assert_allclose(fits[1].theta, fits[0].theta, atol=1e-4 * fits[0].std.min())
     np.testing.assert_allclose(fits[1].std, fits[0].std, rtol=1e-4)
@@ -403,7 +405,7 @@ def test_a_shock_is_found_by_whiteners_of_the_batches_before(disturbed):
         record = estimator._record.whitened
         data = record.moments(estimator._record.whitened_noise())
         if not found:
-            clean, reference = shocks_in(data, record.basis, None)
+            _, reference = shocks_in(data, record.basis, None)
         found.append(shocks_in(data, record.basis, reference)[0])
     assert not found[0].any()
     assert set(np.flatnonzero(found[1])) <= {23, 24, 25}

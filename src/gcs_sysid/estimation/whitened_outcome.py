@@ -42,7 +42,7 @@ class WhitenedOutcome(Outcome):
         f, point = len(self._problem.basis.free), self._at
         P = self._problem.maps(self._unknowns[i : i + 1])[0]
         TP = residual_maker(point.Q[i]) @ P
-        WG = point.WG[i].reshape(self._problem.linear, -1)
+        WG = point.WG[i].reshape(self._linear, -1)
         slopes = (TP[1:] / point.variance[i][:, None]).reshape(f, -1)
 
         def some(batches: Array) -> Array:
@@ -64,7 +64,7 @@ class WhitenedOutcome(Outcome):
             i: of the hypothesis.
             batches: (k, 3, width, width) of this hypothesis.
         """
-        n, inverse_root, point = self._problem.linear, self.roots[1][i], self._at
+        n, inverse_root, point = self._linear, self.roots[1][i], self._at
         P = self._problem.maps(self._unknowns[i : i + 1])[0]
         inverse = (inverse_root @ inverse_root) / self._scales[i]
         moved = (inverse[:n, :n] @ point.WG[i].reshape(n, -1)).reshape(n, _AXES, N_X)
