@@ -147,5 +147,6 @@ def test_both_reasons_are_given():
     assert evidence.capped == (True, True, True)
     assert evidence.reasons == (
         "the held-out part of the flight is not predicted on roll, yaw (10 % on yaw)",
-        "residuals on pitch are not noise (whiteness 7.0 on pitch): the model lacks something there",
+        "residuals on pitch are not noise (whiteness 7.0 on pitch): "
+        "the model lacks something there",
     )

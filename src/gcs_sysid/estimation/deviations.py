@@ -9,11 +9,12 @@ with B_k one deviation's torque by axis and signal:
     torque      k_M of rotor i is off the mean by c_i: yaw torque c_i s_i O_i
 
 e and c sum to zero, as their means are k_T and k_M themselves. An allocation of full rank drives
-the rotors' O = Omega^2 within the span of roll, pitch, thrust and yaw, so that O_i is a combination of
-these four signals: the pseudo-inverse of the mixer (exact for four rotors).
+the rotors' O = Omega^2 within the span of roll, pitch, thrust and yaw, so that O_i is a
+combination of these four signals: the pseudo-inverse of the mixer (exact for four rotors).
 
-Deviations are nuisance parameters: of each kind the size is unknown, phi ~ N(0, sigma^2). With g and
-H the score and information of phi at phi = 0, the other unknowns marginalised, the evidence for sigma is
+Deviations are nuisance parameters: of each kind the size is unknown, phi ~ N(0, sigma^2). With g
+and H the score and information of phi at phi = 0, the other unknowns marginalised, the evidence
+for sigma is
 
     ln p(data | sigma) - ln p(data | 0) = (g' (H + sigma^-2)^-1 g - ln det(1 + sigma H sigma)) / 2
 
@@ -35,8 +36,8 @@ SIZES: Mapping[str, tuple[float, ...]] = {
     "thrust": (0.001, 0.003, 0.01, 0.03, 0.1),
     "torque": (0.003, 0.01, 0.03, 0.1, 0.3, 1.0),
 }
-"""Standard deviations that are tried: of damping in moments of inertia per second, of thrust and torque
-relative to the mean over the rotors."""
+"""Standard deviations that are tried: of damping in moments of inertia per second, of thrust and
+torque relative to the mean over the rotors."""
 SURE = 3.0
 """Nats of evidence from which a kind of deviation is believed."""
 
@@ -94,7 +95,7 @@ class DeviationChoice:
         self._kind = np.repeat(np.arange(3), [3, rotors - 1, rotors - 1])
 
     def every(self, unknowns: Array) -> Deviations:
-        """All of them, limited by the data alone, at a (N_UNKNOWNS,) fit: thrust acts about its CG."""
+        """All of them, limited by the data alone; thrust acts about the CG of (N_UNKNOWNS,)."""
         x, y, s = self._geometry
         rotors = len(s)
         torques = np.zeros((3 + 2 * rotors, 3, rb.N_SIGNALS))

@@ -1,9 +1,9 @@
 """What a moment that nobody models leaves in an estimate, and how it is noticed.
 
 Whiteners of a bank see the same data in different lights (`estimation.whitening`). The power of
-their innovations tells whether there is a disturbance; the distance between their estimates, whether it
-biased the one that is taken; the share of the whitened acceleration that rotors explain, how much of the
-motion is somebody else's.
+their innovations tells whether there is a disturbance; the distance between their estimates,
+whether it biased the one that is taken; the share of the whitened acceleration that rotors
+explain, how much of the motion is somebody else's.
 """
 
 from collections.abc import Sequence
@@ -139,7 +139,7 @@ _OF_YAW = (rb.MOMENT_RATIO, rb.ROTOR_INERTIA)
 
 
 def _stds(information: Array) -> Array:
-    """(p,) standard deviations of (p, p) information; huge where there is none, or less than none."""
+    """(p,) standard deviations of (p, p) information; huge where there is none."""
     d = scales(information)
     values, vectors = np.linalg.eigh(information / np.outer(d, d))
     stds: Array = np.sqrt((vectors**2 / np.maximum(values, _NONE)).sum(axis=1)) / d

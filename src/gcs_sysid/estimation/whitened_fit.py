@@ -34,7 +34,8 @@ SHOCK = 6.0
 _JUDGED = 3
 """Rounds of judging them, each by the fit without those found before."""
 _JUDGED_ALIKE = 5
-"""Times that batches are judged by the whiteners found before, 5 s each: whoever is bumped, is by any."""
+"""Times that batches are judged by the whiteners found before, 5 s each: whoever is bumped, is by
+any."""
 _MOST_SHOCKS = 0.25
 """Share of the batches; what happens more often is no shock."""
 _SCAN, _TRY, _AGAIN, _FIT, _FOLLOW = 5, 8, 4, 30, 3

@@ -45,7 +45,8 @@ BOTH = (
 AVERAGED = (0.4, 0.9)
 """b, of neighbouring samples of a gyro."""
 _AVERAGED = 5
-"""Whiteners without disturbance that are tried with them too: leaks, and the slower torque noise."""
+"""Whiteners without disturbance that are tried with them too: leaks, and the slower torque
+noise."""
 PIECE = 32
 """Rows whitened by one product."""
 
@@ -212,7 +213,9 @@ class WhitenerBank:
 
     A piece of n rows z is whitened by one product with the Toeplitz matrix of the filter's
     impulse response h, w = H z, to which the past adds the response of 1 / C to the state of the
-    transposed form, (-a z_(-1) - c1 w_(-1) - c2 w_(-2) - c3 w_(-3), -c2 w_(-1) - c3 w_(-2), -c3 w_(-1)).
+    transposed form,
+
+        (-a z_(-1) - c1 w_(-1) - c2 w_(-2) - c3 w_(-3), -c2 w_(-1) - c3 w_(-2), -c3 w_(-1)) .
 
     Args:
         whiteners: of the bank.
