@@ -405,7 +405,7 @@ def test_a_shock_is_found_by_whiteners_of_the_batches_before(disturbed):
         record = estimator._record.whitened
         data = record.moments(estimator._record.whitened_noise())
         if not found:
-            clean, reference = shocks_in(data, record.basis, None)
+            _, reference = shocks_in(data, record.basis, None)
         found.append(shocks_in(data, record.basis, reference)[0])
     assert not found[0].any()
     assert set(np.flatnonzero(found[1])) <= {23, 24, 25}

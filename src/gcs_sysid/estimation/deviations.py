@@ -13,8 +13,8 @@ the rotors' O = Omega^2 within the span of roll, pitch, thrust and yaw, so that 
 combination of these four signals: the pseudo-inverse of the mixer (exact for four rotors).
 
 Deviations are nuisance parameters: of each kind the size is unknown, phi ~ N(0, sigma^2). With g
-and H the score and information of phi at phi = 0, the other unknowns marginalised, the evidence for
-sigma is
+and H the score and information of phi at phi = 0, the other unknowns marginalised, the evidence
+for sigma is
 
     ln p(data | sigma) - ln p(data | 0) = (g' (H + sigma^-2)^-1 g - ln det(1 + sigma H sigma)) / 2
 
@@ -105,9 +105,7 @@ class DeviationChoice:
         self._kind = np.repeat(np.arange(3), [3, rotors - 1, rotors - 1])
 
     def every(self, unknowns: Array) -> Deviations:
-        """All of them, limited by the data alone, at a (N_UNKNOWNS,) fit: thrust acts about its
-        CG.
-        """
+        """All of them, limited by the data alone; thrust acts about the CG of (N_UNKNOWNS,)."""
         x, y, s = self._geometry
         rotors = len(s)
         torques = np.zeros((3 + 2 * rotors, 3, rb.N_SIGNALS))

@@ -140,9 +140,7 @@ _OF_YAW = (rb.MOMENT_RATIO, rb.ROTOR_INERTIA)
 
 
 def _stds(information: Array) -> Array:
-    """(p,) standard deviations of (p, p) information; huge where there is none, or less than
-    none.
-    """
+    """(p,) standard deviations of (p, p) information; huge where there is none."""
     d = scales(information)
     values, vectors = np.linalg.eigh(information / np.outer(d, d))
     stds: Array = np.sqrt((vectors**2 / np.maximum(values, _NONE)).sum(axis=1)) / d

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gcs_sysid.arrays import Mask
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.status import Value
 from gcs_sysid.model.parameters import Parameter, RotorInput
@@ -30,8 +31,9 @@ class EvidenceRules:
     have 0.5 to 2.5 in all simulators tried, biased ones mostly more."""
     whiteness_commands: float = 3.0
     """The same with commands: mostly 0.8 to 1.4 inside the model, 4 to 8 where rotors have inertia
-    or the battery sags. Flights on all axes at once have 5 to 6 inside the model too, and intervals
-    that hold; where thrust lags in place of speed they have 7 to 8, and intervals that do not."""
+    or the battery sags. Flights on all axes at once have 5 to 6 inside the model too, and
+    intervals that hold; where thrust lags in place of speed they have 7 to 8, and intervals that
+    do not."""
     slow: float = 0.008
     """s between samples of speeds, above which what happened between them colors residuals. At 50
     and 100 Hz flights inside the model, whose intervals hold, have 1.5 to 4.6."""
@@ -109,5 +111,5 @@ def evidence_of(
     return Evidence(capped, tuple(reasons), unmoved)  # type: ignore[arg-type]
 
 
-def _named(axes: object) -> str:
-    return ", ".join(name for name, there in zip(AXES, axes, strict=True) if there)  # type: ignore[call-overload]
+def _named(axes: Mask) -> str:
+    return ", ".join(name for name, there in zip(AXES, axes, strict=True) if there)

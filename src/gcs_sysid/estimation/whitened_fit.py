@@ -51,8 +51,6 @@ _BLIND_STEP = 3.0
 """Standard deviations; a smaller step of a fit that follows is taken unseen."""
 _LEAST = 0.05
 """Share of an innovation's power that no correction leaves it without."""
-_LOST = 4.0
-"""Known noise in a fit over that in another vehicle's, from which one of them is no vehicle."""
 _AXES = 3
 
 
@@ -325,11 +323,8 @@ def _tried(
     problem = AxisProblem(moments, rows, PLAIN, prior, noise, deviations)
     point, _ = minimise_axes(problem, problem.extended(unknowns), limit)
     known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
-    alike, lost = _alike(point, rows, noise[:, 0], known, deviations)
-    # Whoever was lost is compared with nobody.
-    gone = np.asarray(lost.any(axis=1))
-    information = np.where(gone[:, None, None], 0.0, point.hessian)
-    return Trial(data.whiteners, data.time, point.unknowns, alike, information)
+    alike = _alike(point, rows, noise[:, 0], known, deviations)
+    return Trial(data.whiteners, data.time, point.unknowns, alike, point.hessian)
 
 
 def _chosen(
@@ -374,17 +369,13 @@ def _alike(
     noise: Array,
     known: Array,
     deviations: Deviations = NO_DEVIATIONS,
-) -> tuple[Array, Mask]:
-    """Power of the innovations as it would be if all had the same share of known noise.
+) -> Array:
+    """(K, 3) power of the innovations as it would be if all had the same share of known noise.
 
     Noise of the inputs pulls the least power towards a vehicle that answers them less. Whoever
     errs that way, by chance, would look better than the truth. What is compared is therefore the
     power without the known noise, which is stationary at the truth, and that noise as one and the
     same vehicle answers it.
-
-    Filters of fast disturbances leave little but noise of rotors that turn smoothly. Where that
-    noise is overrated, ever larger responses to it seem to explain ever more, and the search is
-    lost.
 
     Args:
         point: K solutions.
@@ -392,18 +383,12 @@ def _alike(
         noise: (K, WIDTH, WIDTH) in one row.
         known: (N_UNKNOWNS + m,) of that vehicle.
         deviations: m of them.
-
-    Returns:
-        (K, 3) powers, those of lost searches with all their noise; and (K, 3) which were lost.
     """
     torque = deviations.torque(known[N_UNKNOWNS:])
     T = residual_maker(rb.forward_matrix(known[: rb.N_THETA], torque))
     of_noise = ((T @ noise) * T).sum(axis=-1)
-    told = point.told / rows
-    lost: Mask = (told <= _LEAST * point.variance) | (
-        point.variance - told > _LOST * TOLD * of_noise
-    )
-    return np.where(lost, point.variance, told + TOLD * of_noise), lost
+    alike: Array = np.maximum(point.told / rows + TOLD * of_noise, _LEAST * point.variance)
+    return alike
 
 
 def _scanned(
@@ -434,7 +419,7 @@ def _scanned(
     problem = AxisProblem(moments, rows, PLAIN, prior, noise)
     point, _ = minimise_axes(problem, starts, _SCAN)
     known_vehicle = np.median(point.unknowns, axis=0)
-    alike, _ = _alike(point, rows, noise[:, 0], known_vehicle)
+    alike = _alike(point, rows, noise[:, 0], known_vehicle)
     power = np.log(alike).reshape(len(some), len(nodes), _AXES)
     weak = AxisProblem(total[:1, None], rows, basis, prior, data.noise[:1, None]).weak_cost(starts)
     cost = power.min(axis=0).sum(axis=1) + weak[: len(nodes)] / rows

@@ -213,8 +213,9 @@ class WhitenerBank:
 
     A piece of n rows z is whitened by one product with the Toeplitz matrix of the filter's
     impulse response h, w = H z, to which the past adds the response of 1 / C to the state of the
-    transposed form, (-a z_(-1) - c1 w_(-1) - c2 w_(-2) - c3 w_(-3), -c2 w_(-1) - c3 w_(-2), -c3
-    w_(-1)).
+    transposed form,
+
+        (-a z_(-1) - c1 w_(-1) - c2 w_(-2) - c3 w_(-3), -c2 w_(-1) - c3 w_(-2), -c3 w_(-1)) .
 
     Args:
         whiteners: of the bank.
