@@ -7,6 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.estimation.actuator_dynamics import COORDINATE_NAMES, CURVE, LAG
+from gcs_sysid.estimation.individual_values import (
+    AXIS_DAMPINGS,
+    axis_dampings,
+    mean_damping,
+    rotor_coefficients,
+)
 from gcs_sysid.estimation.rigid_body_test import RigidBodyTest
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.scale import Scale, resolve_scale
@@ -92,6 +98,7 @@ def physical_parameters(
         # A given T_max does not depend on the curve.
         own_bend = 0.0 if anchor.kind == THRUST_OF[rotor_input] else bend
         raw |= _rotation_values(rotation, scale, arm, rotor_input, own_bend, doubt)
+        raw |= _axis_values(rotation, scale)
     if translation is not None and scale.mass is not None and math.isfinite(translation.delta):
         if rotor_input == "speed" and rotation is not None:
             lateness += max(-float(rotation.delay), 0.0)  # rotors ahead: the IMU is behind
@@ -104,7 +111,7 @@ def physical_parameters(
         if name in raw
         else NOTHING
         for name, p in PARAMETERS.items()
-        if p.in_result(rotor_input)
+        if p.in_result(rotor_input) or (p.optional and name in raw)
     }
     if anchor.kind in out and anchor.std == 0.0:
         out[anchor.kind] = Value(anchor.value, 0.0, "given")
@@ -182,6 +189,44 @@ def _rotation_values(
         elif scale.thrust is not None:
             spread = value * math.hypot(scale.thrust_share, doubt)
             out[name] = value * scale.thrust, scale.thrust * math.hypot(bent[at], spread)
+    return out
+
+
+def _axis_values(rotation: RotationFit, scale: Scale) -> Raw:
+    """Damping by axis where the flight shows it to differ, and its mean over roll and pitch."""
+    if scale.thrust is None or not rotation.deviating.dampings.any():
+        return {}
+    values, stds = axis_dampings(rotation)
+    mean, mean_std = mean_damping(rotation)
+    found = [*zip(AXIS_DAMPINGS, values, stds, strict=True), ("rotational_damping", mean, mean_std)]
+    return {
+        name: (
+            float(value) * scale.thrust,
+            scale.thrust * math.hypot(float(std), float(value) * scale.thrust_share),
+        )
+        for name, value, std in found
+    }
+
+
+def rotor_values(rotation: RotationFit | None, scale: Scale, rotors: int) -> list[dict[str, Value]]:
+    """k_T and k_M of each rotor, in motor order; empty where nothing sets the scale.
+
+    Args:
+        rotation: of measured rotor speeds.
+        scale: with the mean k_T.
+        rotors: how many there are.
+    """
+    if rotation is None or scale.thrust is None:
+        return []
+    k_T, k_T_std, ratio, ratio_std = rotor_coefficients(rotation, rotors)
+    out = []
+    for i in range(rotors):
+        each = {}
+        for name, value, std in (("k_T", k_T[i], k_T_std[i]), ("k_M", ratio[i], ratio_std[i])):
+            own = float(value) * scale.thrust
+            spread = scale.thrust * math.hypot(float(std), float(value) * scale.thrust_share)
+            each[name] = judged(own, spread, abs(own))
+        out.append(each)
     return out
 
 

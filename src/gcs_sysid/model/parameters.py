@@ -104,6 +104,7 @@ class Parameter:
             its size and mass, lengths over the arm.
         in_flight: whether a simulator that has no place for it flies differently.
         of_vehicle: False for what belongs to the telemetry, which no two flights share.
+        optional: whether a result has it only where the flight shows it by itself.
     """
 
     name: str
@@ -129,10 +130,24 @@ class Parameter:
     usual: tuple[float, float] = (0.0, 1.0)
     in_flight: bool = False
     of_vehicle: bool = True
+    optional: bool = False
 
     def in_result(self, rotor_input: RotorInput) -> bool:
         """Whether a result with this rotor input has it, be it as one that cannot be told."""
-        return rotor_input in self.inputs or self.theta == self.name
+        return not self.optional and (rotor_input in self.inputs or self.theta == self.name)
+
+
+def _axis_damping(axis: int) -> Parameter:
+    """Where the axes are damped differently; `rotational_damping` is then that of roll and
+    pitch.
+    """
+    name = ("roll", "pitch", "yaw")[axis]
+    return Parameter(
+        f"{name}_damping", f"d_{'pqr'[axis]}", "N m s", f"{name} damping torque over {name} rate",
+        f"decay of {name}", label=f"d_{name}", sign="not negative", axes=(axis,), rigid_body=axis
+        == 2, yardstick=Yardstick(("Ixx",), or_value=True), clock=ClockError(0.1, "Ixx"),
+        optional=True,
+    )  # fmt: skip
 
 
 def _moment(axis: int, told_by: str, usual: float) -> Parameter:
@@ -219,6 +234,7 @@ _DECLARED = (
         axes=(0, 1, 2), rigid_body=True, yardstick=Yardstick(("Ixx",), or_value=True),
         clock=ClockError(0.1, "Ixx"), in_flight=True,
     ),
+    *(_axis_damping(axis) for axis in range(3)),
     Parameter(
         "rotor_inertia", "J_r", "kg m^2", "inertia of one rotor about its axis",
         "changes of rotor speed", theta="rotor_inertia", inputs=("speed",),

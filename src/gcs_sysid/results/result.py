@@ -178,6 +178,14 @@ class Result:
     airframe: dict[str, Any] = field(default_factory=dict)
     """Name and rotors that the identification rests on, as in airframe files."""
 
+    disturbance: dict[str, float] = field(default_factory=dict)
+    """Axis -> nats a second by which a moment that nobody models explains it better; above 1 there
+    is one. Empty where rows were not whitened."""
+    rotors: tuple[dict[str, Estimate], ...] = ()
+    """k_T and k_M of each rotor in motor order, with measured rotor speeds."""
+    covariance: dict[str, Any] = field(default_factory=dict)
+    """`names` and `matrix`, of all parameters with a value and a standard deviation."""
+
     advice: dict[str, Any] | None = None
     """What to fly next, of a running session: see `Advice`."""
 
@@ -200,6 +208,9 @@ class Result:
             "segments": list(self.segments),
             "validation": self.validation,
             "priors": self.priors,
+            "disturbance": self.disturbance,
+            "rotors": [{k: v.as_json() for k, v in rotor.items()} for rotor in self.rotors],
+            "covariance": self.covariance,
             "telemetry": self.telemetry,
             **advice,
         }

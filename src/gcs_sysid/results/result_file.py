@@ -82,6 +82,13 @@ def parse_result(document: object, where: str) -> Result:
         priors=table.table("priors").entries,
         telemetry=table.table("telemetry").entries,
         airframe=table.table("airframe").entries,
+        disturbance=table.table("disturbance").entries,
+        rotors=tuple(
+            _estimates(_Table(rotor, where), PARAMETERS)
+            for rotor in table.list("rotors")
+            if isinstance(rotor, dict)
+        ),
+        covariance=table.table("covariance").entries,
     )
 
 

@@ -5,13 +5,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gcs_sysid.estimation.evidence import AXES
 from gcs_sysid.estimation.given_errors import Given, alignment_of, given_stds, with_given
 from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.parameter_covariance import parameter_covariance
 from gcs_sysid.estimation.physical_parameters import (
+    rotor_values,
     timing_values,
     verdict,
     with_clock_error,
 )
+from gcs_sysid.estimation.scale import Scale, resolve_scale
 from gcs_sysid.estimation.status import Value
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import REGISTRY
@@ -92,7 +96,50 @@ class Findings:
             },
             telemetry=self._telemetry(),
             airframe=self.airframe.as_json(),
+            disturbance=self._disturbance(),
+            rotors=self._rotors(),
+            covariance=self._covariance(parameters),
         )
+
+    @property
+    def _scale(self) -> Scale:
+        fit, airframe, anchor = self.learner.fit, self.airframe, self._anchor
+        priors = summary.priors_for(airframe.priors, self.learner.rotor_input)
+        return resolve_scale(anchor, fit.translation, {} if anchor.origin else priors)
+
+    def _disturbance(self) -> dict[str, float]:
+        rotation = self.learner.fit.rotation
+        if rotation is None or not np.isfinite(rotation.disturbance).all():
+            return {}
+        return dict(zip(AXES, rotation.disturbance.tolist(), strict=True))
+
+    def _rotors(self) -> tuple[dict[str, Estimate], ...]:
+        """Each rotor's coefficients; with commands there are none."""
+        if self.learner.rotor_input != "speed":
+            return ()
+        each = rotor_values(self.learner.fit.rotation, self._scale, len(self.airframe.rotors))
+        return tuple(
+            {
+                name: Estimate(value.value, value.std, REGISTRY[name].unit, value.status)
+                for name, value in rotor.items()
+            }
+            for rotor in each
+        )
+
+    def _covariance(self, parameters: dict[str, Estimate]) -> dict[str, Any]:
+        rotation = self.learner.fit.rotation
+        if rotation is None:
+            return {}
+        values = {
+            name: (e.value, e.std)
+            for name, e in parameters.items()
+            if e.value is not None and e.std is not None
+        }
+        given = {name: parameters[name].std_given for name in values}
+        names, matrix = parameter_covariance(rotation, self._scale, values, given)
+        if not np.isfinite(matrix).all():
+            return {}
+        return {"names": list(names), "matrix": matrix.tolist()}
 
     def _estimates(
         self,
