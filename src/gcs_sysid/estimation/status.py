@@ -81,6 +81,8 @@ def judged(value: float, std: float, reference: float, sign: Sign = "positive") 
     ratio = std / reference if reference > 0.0 else math.inf
     if ratio < RULES.identified_below:
         low = -math.inf if sign == "not negative" else -Z95 * std
+        if sign == "positive" and value <= 0.0:
+            return Value(value, std, "weak")
         zero = sign != "positive" and low <= value <= Z95 * std
         return Value(value, std, "zero" if zero else "identified")
     return Value(value, std, "weak" if ratio < RULES.unobservable_above else "unobservable")
