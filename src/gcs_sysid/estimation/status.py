@@ -81,8 +81,6 @@ def judged(value: float, std: float, reference: float, sign: Sign = "positive") 
     ratio = std / reference if reference > 0.0 else math.inf
     if ratio < RULES.identified_below:
         low = -math.inf if sign == "not negative" else -Z95 * std
-        if sign == "positive" and value <= 0.0:
-            return Value(value, std, "weak")
         zero = sign != "positive" and low <= value <= Z95 * std
         return Value(value, std, "zero" if zero else "identified")
     return Value(value, std, "weak" if ratio < RULES.unobservable_above else "unobservable")
@@ -94,11 +92,14 @@ def doubted(
     """The value, its status lowered where the model explains too little on one of its axes.
 
     Args:
-        value: of the parameter.
+        value: of the parameter. What must be positive, and is not, is weak at most: the airframe's
+            spins are wrong.
         parameter: which.
         r_squared: of roll, pitch and yaw.
         whitened: whether it is of whitened rows.
     """
+    if parameter.sign == "positive" and value.value is not None and value.value <= 0.0:
+        value = replace(value, status="weak" if value.status == "identified" else value.status)
     weak_below, lost_below = RULES.explained(whitened=whitened)
     axes = () if parameter.mean_torque else parameter.axes
     worst = min((r_squared[axis] for axis in axes), default=1.0)
