@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.model.airframe import CommandRange, Rotor
-from gcs_sysid.model.parameters import GRAVITY, REGISTRY
+from gcs_sysid.model.parameters import AXIS_DAMPINGS, GRAVITY, REGISTRY
 from sim_bridge.uneven_rotors import RotorTraits, per_thrust
 
 Value = Any
@@ -71,7 +71,7 @@ class Vehicle:
         they differ: `k_T` and `k_M` are then their means.
         """
         told: dict[str, Any] = {
-            **{n: getattr(self, n) for n, p in REGISTRY.items() if p.of_vehicle},
+            **{n: getattr(self, n) for n, p in REGISTRY.items() if p.of_vehicle and not p.optional},
             **{
                 name: getattr(self, name)
                 for name in ("imu_x", "imu_y", "imu_z")
@@ -80,6 +80,8 @@ class Vehicle:
         }
         if self.damping is not None:
             told["damping"] = list(self.damping)
+            told |= dict(zip(AXIS_DAMPINGS, self.damping, strict=True))
+            told["rotational_damping"] = 0.5 * (self.damping[0] + self.damping[1])
         if self.traits is not None:
             for name, shares in (("k_T", self.traits.thrust), ("k_M", self.traits.torque)):
                 each = [e * getattr(self, name) for e in shares]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gcs_sysid.cli import arguments
 from gcs_sysid.cli.option_groups import limits_of
-from gcs_sysid.cli.output import Deliveries, print_file, save, show
+from gcs_sysid.cli.output import Deliveries, check_json, print_file, save, show
 from gcs_sysid.coach.flight_plan import make_plan
 from gcs_sysid.coach.interval_targets import shares
 from gcs_sysid.coach.plan_picture import plan_svg, plan_text
@@ -24,6 +24,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; 1 where no plan within the limits is enough."""
     if options.json == options.svg == "-":
         raise InputError("--json and --svg cannot both go to standard output: give one a file")
+    for path in (options.json, options.svg):
+        check_json(path, force=options.force)
     airframe = arguments.airframe_of(options)
     own = airframe.anchor()
     assert own is not None

@@ -11,8 +11,6 @@ from gcs_sysid.estimation.priors import N_UNKNOWNS
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.model import rigid_body as rb
 
-AXIS_DAMPINGS = ("roll_damping", "pitch_damping", "yaw_damping")
-
 
 def axis_dampings(fit: RotationFit) -> tuple[Array, Array]:
     """(3,) of roll, pitch and yaw relative to k_T, and their (3,) standard deviations."""

@@ -8,7 +8,6 @@ import numpy as np
 
 from gcs_sysid.estimation.actuator_dynamics import COORDINATE_NAMES, CURVE, LAG
 from gcs_sysid.estimation.individual_values import (
-    AXIS_DAMPINGS,
     axis_dampings,
     mean_damping,
     rotor_coefficients,
@@ -21,6 +20,7 @@ from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import (
     ARM,
+    AXIS_DAMPINGS,
     CORE_OF,
     PARAMETERS,
     REGISTRY,

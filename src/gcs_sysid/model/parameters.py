@@ -272,6 +272,8 @@ THETA = tuple(n for n, p in REGISTRY.items() if p.theta == n)
 """Names of theta's entries, relative to k_T (commands: T_max), except lengths."""
 INERTIA = tuple(n for n, p in REGISTRY.items() if p.group.endswith("of inertia"))
 """The elements of the inertia matrix."""
+AXIS_DAMPINGS = ("roll_damping", "pitch_damping", "yaw_damping")
+"""Names of the damping of each axis."""
 CORE_OF: dict[RotorInput, tuple[str, ...]] = {
     kind: tuple(n for n, p in REGISTRY.items() if kind in p.core) for kind in INPUTS
 }
