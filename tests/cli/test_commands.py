@@ -17,7 +17,7 @@ from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.tlog_writer import TlogWriter
 
 PAPER = ("--airframe", "paper")
-ESTIMATE_KEYS = {"value", "std", "ci95", "unit", "status"}
+ESTIMATE_KEYS = {"value", "std", "std_data", "std_given", "ci95", "unit", "status"}
 RESULT_KEYS = {
     *("schema", "verdict", "reasons", "source", "vehicle", "scale", "rotor_input"),
     *("parameters", "timing", "events", "segments", "validation", "telemetry"),
@@ -104,7 +104,8 @@ def test_table_shows_truth_and_error(analyze, paper_flight):
     assert "truth" in head
     assert "error %" in head
     table = {row.split()[0]: row.split() for row in rows if row}
-    assert set(table) == {n for n in PARAMETERS if n not in ("T_max", "thrust_curve")}
+    expected = {n for n, p in PARAMETERS.items() if p.in_result("speed")}
+    assert set(table) == expected
     for name in ("Ixx", "Izz", "k_M"):
         value, half, truth, error = (float(table[name][k]) for k in (1, 2, -2, -1))
         assert truth == pytest.approx(paper_flight.truth[name], rel=1e-5)
@@ -183,8 +184,8 @@ def test_scale_and_size_from_the_command_line(analyze, paper_flight):
     heavy = read_strict(analyze(paper_flight.tlog, *PAPER, "--mass", "3", "--json", "-")[1])
     for name in ("Ixx", "Izz", "k_T", "k_M"):
         value = plain["parameters"][name]["value"]
-        # The same layout, written with other roundings.
-        assert by_size["parameters"][name]["value"] == pytest.approx(value, rel=1e-6)
+        # The same layout, but not given as exact: the flight then shows how the IMU is turned.
+        assert by_size["parameters"][name]["value"] == pytest.approx(value, rel=5e-3)
         assert heavy["parameters"][name]["value"] == pytest.approx(2 * value, rel=1e-9)
     assert heavy["scale"] == {"anchor": "mass", "value": 3.0, "unit": "kg"}
 

@@ -58,8 +58,12 @@ CASES = {
     ("demo", "record"): Case(("demo", *FLIGHT, "--record", "{out}"), ".tlog", "Ixx", dash=False),
     ("inspect", "json"): Case(("inspect", "{flight}", "--json", "{out}"), ".json", "HIGHRES_IMU"),
     ("health", "json"): Case(("health", *ON_LOG, "--json", "{out}"), ".json", "CG"),
-    ("health", "params"): Case(("health", *ON_LOG, "--params", "{out}"), ".param", "CG", dash=False),
-    ("health", "picture"): Case(("health", *ON_LOG, "--picture", "{out}"), ".svg", "CG", dash=False),
+    ("health", "params"): Case(
+        ("health", *ON_LOG, "--params", "{out}"), ".param", "CG", dash=False
+    ),
+    ("health", "picture"): Case(
+        ("health", *ON_LOG, "--picture", "{out}"), ".svg", "CG", dash=False
+    ),
     ("plan", "json"): Case(("plan", "--airframe", "paper", "--json", "{out}"), ".json", "Ixx"),
     ("plan", "svg"): Case(("plan", "--airframe", "paper", "--svg", "{out}"), ".svg", "Ixx"),
     ("compare", "json"): Case(

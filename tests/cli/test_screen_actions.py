@@ -63,7 +63,9 @@ class Recorded:
         return argparse.Namespace(link=status)
 
 
-OPTIONS = argparse.Namespace(airframe="paper", arm=None, prior=[("k_M", 6.1e-6, 1e-7)])
+OPTIONS = argparse.Namespace(
+    airframe="paper", arm=None, mass=None, k_t=None, t_max=None, prior=[("k_M", 6.1e-6, 1e-7)]
+)
 
 
 @pytest.mark.slow

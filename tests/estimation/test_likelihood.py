@@ -214,7 +214,7 @@ def test_prior_enters_as_information(truth, slow, start):
 def test_nothing_to_fit(truth, slow, start):
     samples, dt = slow
     assert maximise_likelihood(samples.part(slice(20)), truth.geometry, dt, start) is None
-    with pytest.raises(ValueError, match="no rigid body"):
+    with pytest.raises(ValueError, match="not that of a rigid body"):
         maximise_likelihood(samples, truth.geometry, dt, -start)
     noise = AxisNoise(0.02, None, 0.0, 0.0)
     with pytest.raises(ValueError, match="without a gap"):

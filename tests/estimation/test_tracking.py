@@ -185,7 +185,8 @@ def test_a_change_takes_the_third_of_a_second_before_it_along(truth, flight):
     speeds[round(at / dt) :] *= np.sqrt(1.2)
     samples = replace(flight, gyro=gyro, rates=gyro, force=force, speeds=speeds)
     # Batches, of which whole ones are forgotten, as short as two rows.
-    tracker = Tracker(truth.geometry, dt, Tuning(batch_time=0.05), ChangeTuning())
+    tuning = Tuning(smoother="window", batch_time=0.05)
+    tracker = Tracker(truth.geometry, dt, tuning, ChangeTuning())
     tracker.update(np.arange(len(gyro)) * dt, samples)
     (event,), (segment,) = tracker.events, tracker.segments
     assert segment.end == event.onset == at

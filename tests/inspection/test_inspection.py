@@ -308,7 +308,7 @@ def test_a_radio_is_no_vehicle(inspect):
 def test_hover_is_named_axis_by_axis(fly):
     found = inspect_log(fly("--mission", "hover", "--rate", "100", "--duration", "16").tlog)
     assert found.verdict == "partly"
-    assert "too little roll, pitch and yaw motion to tell Ixx, Iyy, Izz" in texts(found, "limits")
+    assert "too little roll, pitch and yaw motion to identify Ixx, Iyy, Izz" in texts(found, "limits")
 
 
 @pytest.mark.slow
@@ -319,7 +319,7 @@ def test_commands_alone_will_do_but_not_slow_ones(fly):
     assert "commands: no usable measured speeds" in texts(found, "note")
     slow = inspect_log(fly(*flight, "--rate", "50").tlog)
     assert slow.verdict == "partly"
-    assert "commands at 50 Hz miss" in texts(slow, "limits")
+    assert "commands at 50 Hz leave out" in texts(slow, "limits")
 
 
 @pytest.mark.slow
@@ -334,7 +334,7 @@ def test_a_narrow_link_is_refused_with_what_to_do(fly):
 def test_a_vehicle_that_is_not_there(paper_flight):
     found = inspect_log(paper_flight.tlog, (9, None))
     assert found.verdict == "no"
-    assert "heard: PX4 quadrotor 1:1" in texts(found)
+    assert "found: PX4 quadrotor 1:1" in texts(found)
 
 
 @pytest.mark.slow

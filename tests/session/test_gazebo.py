@@ -74,7 +74,8 @@ def test_mass_and_yaw_are_told_and_the_rest_is_not_claimed(tmp_path):
     assert result.rotor_input == "command"
     assert result.verdict == "partial"
     assert found["mass"].value == pytest.approx(truth["mass"], rel=0.04)
-    assert found["Izz"].value == pytest.approx(truth["izz"], rel=0.06)
+    izz = found["Izz"]
+    assert abs(izz.value - truth["izz"]) <= 1.96 * izz.std < 0.25 * truth["izz"]
     for name, true in (("Ixx", truth["ixx"]), ("Iyy", truth["iyy"])):
         holds = abs(found[name].value - true) <= 1.96 * found[name].std
         assert found[name].status in ("weak", "unobservable") or holds, name

@@ -43,12 +43,13 @@ def run(options: argparse.Namespace) -> int:
             why = "; ".join(health.reasons)
             print(f"gcs-sysid: {log}: nothing to tell: {why}", file=sys.stderr)
     best = max((health for health in found if health.told), key=lambda h: h.seconds, default=None)
-    _write(options, found, best, form)
     if options.json != "-":
         texts = [health_text(health) for health in found if health.told]
         if trend := trend_of(found):
             texts.append("\n".join(["Over the flights", *(f"  {line}" for line in trend)]))
-        print("\n\n".join(texts), end="\n" if texts else "")
+        print("\n\n".join(texts), end="\n" if texts else "", flush=True)
+    # Files last: what cannot be written costs no number.
+    _write(options, found, best, form)
     if unreadable:
         return 2
     return 0 if all(health.told for health in found) else 1
@@ -76,14 +77,16 @@ def _write(
 ) -> None:
     """The files that were asked for; parameters and picture are of the longest hover."""
     documents = [document_of(health) for health in found]
+    deliveries = output.Deliveries()
     if documents:
         document = documents[0] if len(options.logs) == 1 else documents
-        output.write_json(options.json, document, force=options.force)
-    if best is None:
-        return
-    if form is not None:
-        output.save(Path(options.params), parameter_file(best, form), force=options.force)
-    if options.picture is not None:
+        deliveries.give(lambda: output.write_json(options.json, document, force=options.force))
+    if best is not None and form is not None:
+        text = parameter_file(best, form)
+        deliveries.give(lambda: output.save(Path(options.params), text, force=options.force))
+    if best is not None and options.picture is not None:
         from gcs_sysid.report.health_picture import health_picture  # only who asks waits for it
 
-        output.save(Path(options.picture), health_picture(document_of(best)), force=options.force)
+        picture = health_picture(document_of(best))
+        deliveries.give(lambda: output.save(Path(options.picture), picture, force=options.force))
+    deliveries.check()

@@ -9,8 +9,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Protocol
 
-import platformdirs
-
 from gcs_sysid.cli import arguments, output, told_airframe
 from gcs_sysid.cli.json_lines import JsonLines
 from gcs_sysid.cli.option_groups import coach_options
@@ -92,6 +90,10 @@ def refit_interval(options: argparse.Namespace) -> float:
 
 def state_folder() -> Path:
     """Where what a killed session leaves is kept for the next one."""
+    try:
+        import platformdirs
+    except ImportError:  # no user ids where it looks for them
+        return Path.home() / ".gcs-sysid"
     return platformdirs.user_state_path("gcs-sysid", appauthor=False)
 
 

@@ -23,6 +23,8 @@ _OFF, _SURE = 0.3, 4.0
 _NONE = 1e-8
 """Share of an axis' acceleration below which there is no gyroscopic torque to speak of."""
 _TINY = 1e-300
+_ROUNDING = 1e-30
+"""Of the largest input, what the square of one must exceed."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,9 @@ def judge_rigid_body(batches: Array, P: Array, Q: Array) -> RigidBodyTest:
 def _apart(total: Array, combination: Array) -> Array:
     """A combination of columns without what all the other inputs explain of it."""
     moments = total[np.ix_(_OTHERS, _OTHERS)]
-    d = np.sqrt(np.maximum(np.diag(moments), _TINY))
+    diagonal = np.diag(moments)
+    # What is next to nothing is left as it is: its share of anything is rounding.
+    d = np.sqrt(np.where(diagonal > _ROUNDING * diagonal.max(initial=0.0), diagonal, 1.0))
     scaled = np.linalg.pinv(moments / np.outer(d, d), rcond=1e-10, hermitian=True)
     out: Array = combination.copy()
     out[_OTHERS] -= scaled @ (total[_OTHERS] @ combination / d) / d

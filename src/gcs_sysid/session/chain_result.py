@@ -60,9 +60,12 @@ class Findings:
         values = self.learner.values(self.learner.fit, self._anchor)
         objections = self._objections(values)
         capped = plausibility.capped(values, objections)
-        parameters, whole = self._estimates(capped, self.learner.fit, self._anchor, self._bounds())
+        fit, anchor = self.learner.fit, self._anchor
+        parameters = self._estimates(capped, fit, anchor, self._bounds())[0]
+        # What is implausible is refused by nobody: the verdict is that of the flight, partial at most.
+        whole = self._estimates(values, fit, anchor)[1]
         word, reasons = verdict(whole, self.learner.rotor_input, self.learner.fit.rigid_body_test)
-        reasons = (*reasons, *limit_by_given(capped, whole))
+        reasons = (*reasons, *limit_by_given(values, whole))
         first = data_reasons(self.sampler, self.learner, self.outdated)
         doubts = self.learner.evidence(self.learner.fit).reasons
         if word == "identified" and doubts:
