@@ -114,6 +114,7 @@ def test_every_way_out_of_the_gate_is_known():
     ways = {name for name in vars(Gate) if not name.startswith("_")}
     assert ways == {
         "signing", "send", "heartbeat", "set_message_interval", "get_message_interval",
+        "request_message_interval",
         "request_group", "timesync", "read_parameter", "read_all_parameters",
     }  # fmt: skip
 

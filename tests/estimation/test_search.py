@@ -238,7 +238,6 @@ def test_the_search_goes_on_from_the_best_of_all_starts():
         np.testing.assert_allclose(best.unknowns, point.unknowns, rtol=1e-5)
 
 
-@pytest.mark.xfail(strict=True, reason="the steps at a node clip its coordinates to 0, 0 and 1")
 def test_starts_are_at_the_nodes_that_fit_best():
     rows = rows_of(SPEEDS, np.array([0.006, 0.0, 1.0]), sigma=0.1)
     problem = Problem((rows.T @ rows)[None], N, SPEEDS, None)

@@ -167,7 +167,7 @@ def test_reasons_where_there_is_nothing(airframe):
     health = told([replace(block, tracks=no_rotors)], airframe)
     assert health.reasons == ("no rotor speeds and no actuator outputs",)
     hexa = load_airframe("px4-hexa-x").with_anchor("mass", 2.0)
-    assert told([block], hexa).reasons == ("ESC_STATUS tells 4 of 6 rotors",)
+    assert told([block], hexa).reasons == ("ESC_STATUS covers 4 of 6 rotors",)
     health = told(flight(seconds=3.0), airframe)
     assert not health.told
     assert "hover" in health.reasons[0]
@@ -191,5 +191,5 @@ def test_robust_fit_shrugs_at_outliers_and_collinear_columns():
     assert balance.robust_fit(x[:, None], y).value[0] == pytest.approx(2.0, abs=0.02)
     both = balance.robust_fit(np.column_stack([x, x]), 2.0 * x)
     assert both.value.sum() == pytest.approx(2.0)
-    with pytest.raises(ValueError, match="do not tell"):
+    with pytest.raises(ValueError, match="do not show"):
         balance.robust_fit(np.ones((2, 3)), np.ones(2))

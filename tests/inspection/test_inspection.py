@@ -308,7 +308,9 @@ def test_a_radio_is_no_vehicle(inspect):
 def test_hover_is_named_axis_by_axis(fly):
     found = inspect_log(fly("--mission", "hover", "--rate", "100", "--duration", "16").tlog)
     assert found.verdict == "partly"
-    assert "too little roll, pitch and yaw motion to identify Ixx, Iyy, Izz" in texts(found, "limits")
+    assert "too little roll, pitch and yaw motion to identify Ixx, Iyy, Izz" in texts(
+        found, "limits"
+    )
 
 
 @pytest.mark.slow

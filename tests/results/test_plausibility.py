@@ -136,7 +136,8 @@ def test_what_cannot_be_negative_is_not():
     assert bounded.value == 0.0
     assert bounded.ci95 == pytest.approx((0.0, Z95 * 2e-3))
     assert {n for n, p in PARAMETERS.items() if p.sign == "not negative"} == {
-        "rotational_damping", "rotor_inertia", "linear_drag",
+        "rotational_damping", "roll_damping", "pitch_damping", "yaw_damping",
+        "rotor_inertia", "linear_drag",
     }  # fmt: skip
 
 

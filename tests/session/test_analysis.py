@@ -20,6 +20,10 @@ class Made:
     std: float | None = 0.01
 
     @property
+    def std_data(self):
+        return self.std
+
+    @property
     def parameters(self):
         return {"k_T": self}
 

@@ -176,7 +176,7 @@ def test_groups_of_one_kind_are_one_source():
     assert judged(first, second, airframe=airframe).choice.name == "ESC_TELEMETRY"
     half = judged(first, airframe=airframe)
     assert half.choice is None
-    assert half.refused == {"ESC_TELEMETRY": "tells 4 of 6 rotors"}
+    assert half.refused == {"ESC_TELEMETRY": "covers 4 of 6 rotors"}
 
 
 @pytest.mark.parametrize(

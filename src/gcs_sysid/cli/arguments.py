@@ -23,8 +23,7 @@ EXPORT_TARGETS = ("px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy")
 
 NO_SCALE = (
     "nothing sets the scale: weigh the vehicle and give --mass KG (or --k-t VALUE, or "
-    "--t-max VALUE with commands), because IMU and rotors alone do not tell heavy and "
-    "strong from light and weak"
+    "--t-max VALUE with commands); IMU and rotor data alone fix ratios only"
 )
 
 _Group = argparse._ArgumentGroup
@@ -95,7 +94,7 @@ def _add_layout(parser: argparse.ArgumentParser, default: str | None = None) -> 
         metavar="NAME|FILE",
         default=default,
         help="built-in name (paper, px4-quad-x, ...) or .toml file; live and analyze: auto, which "
-        "is what the vehicle's parameters tell, and the default there"
+        "is what the vehicle's parameters say, and the default there"
         + (f" (default {default})" if default else ""),
     )
     group.add_argument(
@@ -428,7 +427,10 @@ def add_health(parser: argparse.ArgumentParser) -> None:
         "logs", nargs="+", metavar="LOG", help=".tlog, .ulg, .bin, .bbl; several: of one vehicle"
     )
     _add_layout(parser).add_argument(
-        "--battery-mass", type=mass, metavar="KG", help="of what can be moved: tells by how much"
+        "--battery-mass",
+        type=mass,
+        metavar="KG",
+        help="of what can be moved: by how much is then worked out",
     )
     _add_vehicle_choice(parser)
     parser.add_argument(
@@ -492,7 +494,7 @@ def check_scale_given(options: argparse.Namespace) -> None:
     given = (options.mass, options.k_t, options.t_max, getattr(options, "added_mass", None))
     if given.count(None) == len(given):
         raise InputError(
-            f"{NO_SCALE}; the rotors are those that the vehicle tells, unless --airframe names "
+            f"{NO_SCALE}; the rotors are those that the vehicle reports, unless --airframe names "
             "others"
         )
 

@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
             given = replace(given, baseline=as_baseline(health))
         if not health.told:
             why = "; ".join(health.reasons)
-            print(f"gcs-sysid: {log}: nothing to tell: {why}", file=sys.stderr)
+            print(f"gcs-sysid: {log}: no result: {why}", file=sys.stderr)
     best = max((health for health in found if health.told), key=lambda h: h.seconds, default=None)
     if options.json != "-":
         texts = [health_text(health) for health in found if health.told]

@@ -82,9 +82,9 @@ def build_parser() -> argparse.ArgumentParser:
     health = commands.add_parser(
         "health",
         help="see CG, rotor loads and margins in any flight that hovers",
-        description="Tells from any log in which the vehicle hovers, at any message rate: center "
+        description="Shows from any log in which the vehicle hovers, at any message rate: center "
         "of gravity, each rotor's share of the thrust, margins, and which autopilot parameters "
-        "fit. Without --airframe the log's own parameters tell where the rotors are.",
+        "fit. Without --airframe the log's own parameters give the rotor positions.",
     )
     arguments.add_health(health)
     plan = commands.add_parser(

@@ -34,7 +34,7 @@ def of_log(path: Path, options: argparse.Namespace) -> Airframe:
     for _ in log.blocks():
         pass
     told = None if log.vehicle is None else told_layout(log.vehicle.key, log.parameters)
-    return _airframe(told, options, f"{path} does not tell the vehicle's layout")
+    return _airframe(told, options, f"{path} does not hold the vehicle's layout")
 
 
 def of_link(receiver: ReceiverProcess, options: argparse.Namespace) -> Airframe:
@@ -70,7 +70,9 @@ def of_link(receiver: ReceiverProcess, options: argparse.Namespace) -> Airframe:
         if receiver.link_report.ended or (limit is not None and waited >= limit):
             break
     receiver.put_back(taken)
-    who = "no vehicle was heard" if intake.vehicle is None else f"{intake.vehicle} does not tell"
+    who = (
+        "no vehicle was found" if intake.vehicle is None else f"{intake.vehicle} does not report it"
+    )
     return _airframe(told, options, f"{who}: its layout is not known")
 
 

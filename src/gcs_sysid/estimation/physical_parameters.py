@@ -336,7 +336,7 @@ def verdict(
             "yaw, to separate them"
         )
     ratio = parameters.get("moment_ratio", NOTHING)
-    if ratio.value is not None and ratio.status == "identified" and ratio.value < 0.0:
+    if ratio.value is not None and ratio.std is not None and ratio.value < -3.0 * ratio.std:
         reasons.append(f"{torque} is negative: check spin in the airframe file")
     if not any(parameters[n].status in ("identified", "zero") for n in core):
         return "refused", tuple(reasons)

@@ -227,7 +227,10 @@ def scan(problem: Problem, unknowns: Array) -> Array:
     cost = point.cost + problem.weak_cost(every) / rows
     starts = 1 if len(basis.free) == 1 else _STARTS
     best = np.argsort(cost.reshape(leaks, nodes), axis=1)[:, :starts]
-    found = point.unknowns.reshape(leaks, nodes, -1)
+    # Rows as they are have no coordinates to move; those of the node are where each search goes on.
+    found = point.unknowns.copy()
+    found[:, COORDINATES] = every[:, COORDINATES]
+    found = found.reshape(leaks, nodes, -1)
     chosen: Array = np.swapaxes(np.take_along_axis(found, best[..., None], axis=1), 0, 1)
     return chosen
 

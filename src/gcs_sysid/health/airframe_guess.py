@@ -115,7 +115,7 @@ def _by_type(vehicle: Vehicle, parameters: Mapping[str, float]) -> GuessedAirfra
             )
     if shape is None:
         raise InputError(
-            "where are the rotors? The log does not tell the frame: give --airframe FILE.toml "
+            "where are the rotors? The log does not hold the frame: give --airframe FILE.toml "
             "(gcs-sysid airframe new writes one)"
         )
     if vehicle.key not in ("px4", "ardupilot"):

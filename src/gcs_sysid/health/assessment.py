@@ -53,7 +53,7 @@ def health_of_log(
     source = str(path)
     if log.vehicle is None:
         heard = ", ".join(map(str, log.systems))
-        text = "no heartbeat of an autopilot was heard" + (f"; heard: {heard}" if heard else "")
+        text = "no heartbeat of an autopilot was found" + (f"; found: {heard}" if heard else "")
         return Health(source, reasons=(text,))
     autopilot = log.vehicle.key
     guess = guess_airframe(log.vehicle, log.parameters, given.airframe, given.arm)
@@ -274,7 +274,7 @@ def _compared(
     if base.load.kind != health.load.kind:
         what = {"speed": "speeds", "command": "commands"}
         raise InputError(
-            f"{base.source}: its rotors were told by {what[base.load.kind]}, here by "
+            f"{base.source}: its rotors were measured by {what[base.load.kind]}, here by "
             f"{what[health.load.kind]}: take a baseline of the same kind of log"
         )
     if len(base.load.value) != len(health.airframe.rotors):

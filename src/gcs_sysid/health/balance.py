@@ -109,7 +109,7 @@ def robust_fit(
     noise = np.zeros_like(columns) if jitter is None else jitter
     told = columns if projected is None else projected
     if n <= p:
-        raise ValueError(f"{n} windows do not tell {p} coefficients")
+        raise ValueError(f"{n} windows do not show {p} coefficients")
     weight = np.ones(n)
     scale = float(np.std(y)) or 1e-12
     penalty = np.zeros(p) if ridge is None else 1.0 / ridge**2

@@ -125,4 +125,4 @@ def condition_text(condition: Condition) -> str:
     )
     if condition.verdict == "cg":
         return f"the CG moved by {moved}"
-    return f"something changed: a weak rotor, or the CG by {moved}; these data do not tell which"
+    return f"something changed: a weak rotor, or the CG by {moved}; these data cannot separate them"

@@ -192,7 +192,7 @@ def airframe_told(told: ToldLayout, arm: float | None) -> Airframe:
         return airframe.with_arm(arm)
     if not told.sized:
         raise InputError(
-            f"--airframe auto: the vehicle tells its layout ({told.by}) but no lengths: "
+            f"--airframe auto: the vehicle reports its layout ({told.by}) but no lengths: "
             "give --arm M, from the center to each motor"
         )
     return airframe
