@@ -18,6 +18,7 @@ _WIDTH = 100
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when the results do not allow an answer."""
+    output.check_json(options.json, force=options.force)
     comparison = compare(read_result(Path(options.before)), read_result(Path(options.after)))
     deliveries = output.Deliveries()
     if options.json != "-":

@@ -31,8 +31,7 @@ def advice_of(health: Health, given: Given, guess: GuessedAirframe) -> tuple[str
         out.append(f"weigh the vehicle and give --mass KG for {name}")
     if health.rotor_input == "command":
         out.append(
-            "log rotor speeds (ESC telemetry): commands cannot separate a weak motor from a moved
-            CG"
+            "log rotor speeds (ESC telemetry): by commands a weak motor looks like a moved CG"
         )
     return tuple(out)
 

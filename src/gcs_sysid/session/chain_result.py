@@ -62,8 +62,7 @@ class Findings:
         capped = plausibility.capped(values, objections)
         fit, anchor = self.learner.fit, self._anchor
         parameters = self._estimates(capped, fit, anchor, self._bounds())[0]
-        # What is implausible is refused by nobody: the verdict is that of the flight, partial at
-        # most.
+        # What is implausible is partial at most, but not refused.
         whole = self._estimates(values, fit, anchor)[1]
         word, reasons = verdict(whole, self.learner.rotor_input, self.learner.fit.rigid_body_test)
         reasons = (*reasons, *limit_by_given(values, whole))
