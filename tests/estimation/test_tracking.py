@@ -1,11 +1,13 @@
 """A vehicle that changes in flight: segments, carried knowledge, events."""
 
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from gcs_sysid.estimation.change_detection import ChangeTuning
+from gcs_sysid.estimation.change_kinds import Cause
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
@@ -179,17 +181,18 @@ def test_a_change_takes_the_third_of_a_second_before_it_along(truth, flight):
     rng = np.random.default_rng(1)
     gyro = flight.gyro + 0.005 * rng.standard_normal(flight.gyro.shape)
     force = flight.force + 0.05 * rng.standard_normal(flight.force.shape)
-    dt, at = 0.005, 15.0
-    # The same motion with a fifth more thrust: all of the vehicle is a fifth heavier.
-    speeds = flight.speeds.copy()
-    speeds[round(at / dt) :] *= np.sqrt(1.2)
-    samples = replace(flight, gyro=gyro, rates=gyro, force=force, speeds=speeds)
+    dt, at, now = 0.005, 15.0, 16.0
+    samples = replace(flight, gyro=gyro, rates=gyro, force=force).part(slice(0, round(now / dt)))
     # Batches, of which whole ones are forgotten, as short as two rows.
     tuning = Tuning(smoother="window", batch_time=0.05)
     tracker = Tracker(truth.geometry, dt, tuning, ChangeTuning())
-    tracker.update(np.arange(len(gyro)) * dt, samples)
-    (event,), (segment,) = tracker.events, tracker.segments
-    assert segment.end == event.onset == at
+    tracker.update(np.arange(len(samples.gyro)) * dt, samples)
+    cause = Cause("mass_change", None, 0.0, 0.0, 1.2, (0.0, 0.0), 0.9)
+    decided = SimpleNamespace(onset=at, cause=cause)
+    alarm = SimpleNamespace(detected=at + 0.1, change=None, step_of=lambda found: (at, at))
+    tracker._change(alarm, decided, now)
+    (segment,) = tracker.segments
+    assert segment.end == at
     # Rows are 25 ms apart, and the first ends 0.31 s from the start: window, and room for delays.
     newest = 0.31 + segment.fit.seconds - 0.025
     assert at - 0.3 - 0.1 < newest <= at - 0.3

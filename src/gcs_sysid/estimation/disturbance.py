@@ -28,8 +28,8 @@ class DisturbanceRules:
     apart: float = 2.0
     """Standard deviations by which whiteners may differ where there is none."""
     floor: float = 0.04
-    """Error of a moment of inertia, or of thrust over mass, over the share of the motion that the
-    rotors do not explain: a moment of 7 rad/s^2 rms leaves 1 % at a share of 0.76."""
+    """Error of a moment of inertia over the share of the motion that the rotors do not explain: a
+    moment of 7 rad/s^2 rms leaves 1 % at a share of 0.76."""
 
 
 RULES = DisturbanceRules()
@@ -74,7 +74,8 @@ class Trial:
 
         Args:
             fit: with the whiteners of least innovation power.
-            hover: rad^2/s^2 (1 with commands), thrust signal in hover.
+            hover: rad^2/s^2 (1 with commands), thrust signal in hover; 0 where the air is known to
+                be calm: what disturbs is then zero in the mean.
         """
         errors = [self._contrast(fit)]
         for axis, strength in enumerate(self.detected):

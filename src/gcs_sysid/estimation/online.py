@@ -425,6 +425,11 @@ class OnlineEstimator:
         without = window - instant.rows * basis.noise_at(instant.noise, at)
         return FitMoments(np.broadcast_to(without, (3, *without.shape)), window)
 
+    def _is_calm(self) -> bool:
+        """Whether it is known that no steady wind blows; without velocity nothing is."""
+        momentum = self._fit_momentum(self._coordinates(None))
+        return momentum is not None and momentum.wind < translation.CALM
+
     def _renew_prior(self) -> None:
         if self.prior_source is not None:
             self.prior = self.prior_source(self.fit_translation()[0])
@@ -434,7 +439,7 @@ class OnlineEstimator:
         if record.article:
             return record.article.fit()
         if self._whitened is not None:
-            found = self._whitened.fit(start, self.prior)
+            found = self._whitened.fit(start, self.prior, calm=self._is_calm())
             if found is None:
                 return None
             self._left_out = found[1]

@@ -28,7 +28,7 @@ ACCELEROMETER_BIAS_STD = 0.2
 """m/s^2, what a MEMS accelerometer's bias may be in flight: temperature, a level calibration of a
 degree or two, and a sensor 5 cm off the centre of gravity with rates of 2 rad/s."""
 
-_CALM, _LIFT = 0.8, 0.25
+CALM, _LIFT = 0.8, 0.25
 """m/s^2, and a share. Wind lifts rotors, which looks like a larger kappa: by 2 to 10 % where it
 pushes with 1.7 to 3.4 m/s^2. Flights without wind read up to 0.4."""
 TILT_ERROR_SHARE = 5e-4
@@ -145,7 +145,7 @@ def _momentum(balance: "_Balance", inflated: Array) -> list[TranslationFit]:
     variance = np.diagonal(balance.covariance(inflated), axis1=1, axis2=2)
     kappas, deltas = -balance.estimate[:, 0], -balance.estimate[:, 1]
     wind = np.hypot(balance.estimate[:, 3], balance.estimate[:, 4])
-    by_wind = np.where(wind > _CALM, _LIFT * wind / GRAVITY, 0.0)
+    by_wind = np.where(wind > CALM, _LIFT * wind / GRAVITY, 0.0)
     shares = np.hypot(_tilt_shares(balance), by_wind)
     kappa_stds = np.hypot(np.sqrt(variance[:, 0]), shares * kappas)
     delta_stds = np.sqrt(variance[:, 1])

@@ -14,7 +14,6 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.estimation.deviations import DeviationChoice
-from gcs_sysid.estimation.disturbance import RULES
 from gcs_sysid.estimation.layout_test import SUSPECTED, find_other_layout
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.record import FlightRecord
@@ -100,6 +99,7 @@ class WhitenedEstimator:
         prior: Prior | None = None,
         *,
         rigid: bool = True,
+        calm: bool = False,
     ) -> tuple[RotationFit, LeftOut] | None:
         """Fit what the record holds.
 
@@ -107,6 +107,7 @@ class WhitenedEstimator:
             start: an earlier fit of it; None: from the data alone.
             prior: what else is known.
             rigid: whether the body has gyroscopic torque.
+            calm: whether no steady wind blows.
 
         Returns:
             The fit and the shocks that it left out; None while the data cannot even start one.
@@ -115,7 +116,7 @@ class WhitenedEstimator:
         if not rigid:
             data = replace(data, muted=tuple(self.basis.body_places(PRODUCTS)))
         doubt = self._record.noise_doubt
-        known = prior, doubt, self._choice, self._hover
+        known = prior, doubt, self._choice, 0.0 if calm else self._hover
         found = fit_whitened(data, self.basis, start, *known)
         if start is not None and (found is None or not found.rotation.converged):
             found = fit_whitened(data, self.basis, None, *known)
@@ -184,22 +185,16 @@ class WhitenedEstimator:
         return None if found is None else found.says
 
     def judged_thrust(self, thrust: TranslationFit, fit: RotationFit) -> TranslationFit:
-        """Thrust over mass of the mean rotor, where rotors differ; less sure in disturbed air.
+        """Thrust over mass of the mean rotor, where rotors differ.
 
         The whole vehicle's thrust weighs those most that carry most of it:
-        sum k_i O_i = k (1 + sum e_i share_i) sum O_i. What gusts do to thrust is not seen, but
-        what they do to the rotation.
+        sum k_i O_i = k (1 + sum e_i share_i) sum O_i.
         """
-        factor, spread = 1.0, 0.0
-        explained = float(fit.r_squared.min())
-        if fit.deviating.thrusts.any() and explained >= _BELIEVED:
-            effect = fit.deviating.thrusts @ self._choice.shares(fit.unknowns)
-            factor = 1.0 / (1.0 + float(fit.deviations @ effect))
-            spread = float(np.sqrt(effect @ fit.deviations_covariance @ effect))
-        if fit.disturbance.max() > RULES.detected:
-            spread = math.hypot(spread, RULES.floor * (1.0 - max(explained, 0.0)))
-        if factor == 1.0 and not spread:
+        if not fit.deviating.thrusts.any() or fit.r_squared.min() < _BELIEVED:
             return thrust
+        effect = fit.deviating.thrusts @ self._choice.shares(fit.unknowns)
+        factor = 1.0 / (1.0 + float(fit.deviations @ effect))
+        spread = float(np.sqrt(effect @ fit.deviations_covariance @ effect))
         kappa = factor * thrust.kappa
         return replace(
             thrust, kappa=kappa, kappa_std=math.hypot(factor * thrust.kappa_std, spread * kappa)

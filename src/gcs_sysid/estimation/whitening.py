@@ -36,6 +36,8 @@ WALKS = (2.0, 6.0, 18.0, 40.0, 120.0)
 """Hz, below which torque noise exceeds the gyro's noise."""
 DISTURBED = (1.0, 2.0, 4.0, 8.0, 11.0, 16.0, 23.0, 32.0, 45.0, 64.0)
 """Hz, below which a disturbance exceeds the gyro's noise."""
+QUICK, QUICKLY_DISTURBED = 0.15, (4.0, 11.0, 23.0)
+"""s and Hz, of a disturbance that leaves slow motion, and with it the CG, more alone."""
 BOTH = (
     (4.0, 15.0), (8.0, 15.0), (16.0, 15.0),
     (6.0, 40.0), (11.0, 40.0), (16.0, 40.0), (23.0, 40.0), (32.0, 40.0),
@@ -138,6 +140,7 @@ def gauss_markov(T: float, f_d: float, f_u: float = 0.0, tau: float = TAU) -> Wh
     rho_d, rho_u = (2.0 * np.pi * f_d * T) ** 4, (2.0 * np.pi * f_u * T) ** 2
     c1, c2 = spectral_factor(a, rho_d, rho_u)
     name = f"moment to {f_d:g} Hz" + (f", torque noise to {f_u:g} Hz" if f_u else "")
+    name += f", {tau:g} s" if tau != TAU else ""
     return Whitener(name, a, c1, c2, f_d)
 
 
@@ -175,6 +178,7 @@ def bank_for(T: float) -> tuple[Whitener, ...]:
         *calm,
         *(averaged(whitener, b) for b in AVERAGED for whitener in calm[1:_AVERAGED]),
         *(gauss_markov(T, f) for f in DISTURBED),
+        *(gauss_markov(T, f, tau=QUICK) for f in QUICKLY_DISTURBED),
         *(gauss_markov(T, f_d, f_u) for f_d, f_u in BOTH),
     )
 
@@ -191,7 +195,7 @@ def essential(whiteners: Sequence[Whitener], picked: Sequence[int]) -> list[int]
 
 _OF_EVERY_KIND = frozenset(
     ("leak 0.3 s", "leak 1 s", "torque noise to 18 Hz", "moment to 4 Hz", "moment to 11 Hz",
-     "moment to 23 Hz", "moment to 16 Hz, torque noise to 40 Hz")
+     "moment to 23 Hz", "moment to 16 Hz, torque noise to 40 Hz", "moment to 11 Hz, 0.15 s")
 )  # fmt: skip
 
 
