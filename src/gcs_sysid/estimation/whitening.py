@@ -63,6 +63,7 @@ class Whitener:
         c1, c2: of the spectral factor 1 + c1 z^-1 + c2 z^-2.
         below: Hz, where the disturbance exceeds the gyro's noise.
         b: of a gyro whose noise is averaged over neighbouring samples; 0: it is white.
+        quick: whether the disturbance's time constant is the shorter one.
     """
 
     name: str
@@ -71,6 +72,7 @@ class Whitener:
     c2: float
     below: float = 0.0
     b: float = 0.0
+    quick: bool = False
 
     @property
     def factor(self) -> tuple[float, float, float]:
@@ -141,7 +143,7 @@ def gauss_markov(T: float, f_d: float, f_u: float = 0.0, tau: float = TAU) -> Wh
     c1, c2 = spectral_factor(a, rho_d, rho_u)
     name = f"moment to {f_d:g} Hz" + (f", torque noise to {f_u:g} Hz" if f_u else "")
     name += f", {tau:g} s" if tau != TAU else ""
-    return Whitener(name, a, c1, c2, f_d)
+    return Whitener(name, a, c1, c2, f_d, quick=tau < TAU)
 
 
 def torque_noise(T: float, f_u: float) -> Whitener:
@@ -202,13 +204,14 @@ _OF_EVERY_KIND = frozenset(
 def slower(whiteners: Sequence[Whitener], i: int) -> int:
     """Index of a whitener that weighs low frequencies more than the one of index i does.
 
-    Of a disturbance, that of one up to about half its frequency; else a leak, the other one where
-    i is a leak itself.
+    Of a disturbance, that of one up to about half its frequency; of a quick one or none a leak, the
+    other one where i is a leak itself.
     """
     short, long = (whiteners.index(w) for w in whiteners if w.name.startswith("leak") and not w.b)
-    if not whiteners[i].disturbed:
+    if not whiteners[i].disturbed or whiteners[i].quick:
         return long if i == short else short
-    below = [k for k, w in enumerate(whiteners) if 0.0 < w.below <= 0.6 * whiteners[i].below]
+    most = 0.6 * whiteners[i].below
+    below = [k for k, w in enumerate(whiteners) if 0.0 < w.below <= most and not w.quick]
     return max(below, key=lambda k: whiteners[k].below, default=short)
 
 
