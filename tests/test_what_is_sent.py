@@ -357,7 +357,7 @@ def test_the_screen_its_keys_and_its_end_over_a_signed_link(how, folder):
         program = OnTerminal("live", url, *AIRFRAME, *options, folder=folder)
         try:
             assert program.shows(b"2:1")
-            program.type(b"mrv")
+            program.type(b"mv")
             assert program.shows(b"Which vehicle?"), program.shown
             program.type(b"\x1b[B\r")
             assert other.wait(PATIENCE), program.shown

@@ -101,7 +101,7 @@ def test_a_stray_heartbeat_is_not_the_vehicle_for_long(make_sender):
     assert intake.monitor.lost == 0
     assert [event.text for event in intake.take_events()] == [
         "PX4 quadrotor 66:1 found",
-        "more than one vehicle on the link: PX4 quadrotor 1:1 too; using PX4 quadrotor 66:1, "
+        "several vehicles: PX4 quadrotor 1:1 too; using PX4 quadrotor 66:1, "
         "the first received (choose with --vehicle 1:1)",
         "PX4 quadrotor 66:1, the first received, sends heartbeats only: using PX4 quadrotor "
         "1:1, which sends IMU data",

@@ -363,7 +363,7 @@ class Intake:
         else:
             self._note(
                 "vehicles",
-                f"more than one vehicle on the link: {other} too; using {chosen}, the first "
+                f"several vehicles: {other} too; using {chosen}, the first "
                 f"received "
                 f"(choose with --vehicle {other.system}:{other.component})",
             )
