@@ -207,7 +207,7 @@ class AnsweringAutopilot(ABC):
         """Do what SET_MESSAGE_INTERVAL asks; its MAV_RESULT."""
 
     _off = -1
-    """What MESSAGE_INTERVAL tells of a message that is not sent."""
+    """The interval that MESSAGE_INTERVAL reports for a message that is not sent."""
 
     def _interval(self, msgid: int) -> bytes:
         """MESSAGE_INTERVAL: 0 for a message there is none of."""

@@ -1,4 +1,4 @@
-"""`gcs-sysid health`: what any flight that hovers tells of the vehicle."""
+"""`gcs-sysid health`: the vehicle's condition from any flight that hovers."""
 
 import argparse
 import sys

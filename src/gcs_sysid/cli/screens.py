@@ -146,7 +146,7 @@ def live_actions(
 
 
 _LOOK_EVERY = 0.5
-"""s; Windows tells of Ctrl-C between two looks alone."""
+"""s between polls; Windows delivers Ctrl-C only between them."""
 
 
 def show(session: Session, scene: Scene, address: tuple[str, int]) -> None:

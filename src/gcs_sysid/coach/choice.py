@@ -73,8 +73,8 @@ def choose(
         library: to choose from.
         judge: tells the shares of a fit.
         target: share to reach.
-        achieved: what the vehicle makes of a manoeuvre, as far as it was seen: the same with
-            smaller swings. What is expected, is of that.
+        achieved: a maneuver as the vehicle was seen to fly it: the same with smaller swings.
+            Expected information is that of the achieved one.
     """
     now = judge(prospect.after())
     far = excess(now, _CLOSE * target)

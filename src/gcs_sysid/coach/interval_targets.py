@@ -32,8 +32,8 @@ def shares(
         if told.value is None or told.std is None:
             out[name] = None
             continue
-        yardstick = max(abs(told.value), _SMALL * REGISTRY[name].yardstick.counterpart(sizes))
-        out[name] = Z95 * told.std / yardstick if yardstick > 0.0 else None
+        reference = max(abs(told.value), _SMALL * REGISTRY[name].yardstick.counterpart(sizes))
+        out[name] = Z95 * told.std / reference if reference > 0.0 else None
     return out
 
 

@@ -37,7 +37,7 @@ RULES = DisturbanceRules()
 
 @dataclass(frozen=True)
 class Trial:
-    """What every whitener makes of the data.
+    """The fit to the data under every whitener.
 
     Attributes:
         whiteners: of the bank.

@@ -59,7 +59,7 @@ _CROSS = np.array(
     [[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]],
      [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]], float
 )  # fmt: skip
-"""What an IMU that is turned about each axis makes of rates, to first order: w - turn x w."""
+"""Body rates as read by an IMU rotated about each axis, to first order: w - turn x w."""
 _PAIRS = [(1, 2), (2, 0), (0, 1), (0, 0), (1, 1), (2, 2)]
 _PRODUCT = {frozenset(pair): _COLUMN["qr"] + i for i, pair in enumerate(_PAIRS)}
 """Column of the product of two rates."""
@@ -136,8 +136,8 @@ def with_given(
 ) -> dict[str, Value]:
     """Values with the whole of their uncertainty: the flight's and that of what was given.
 
-    What is no longer known to a twentieth of its yardstick is no longer identified; it remains
-    weak, however wrong what was given may be, because the flight does tell it.
+    A parameter whose total standard deviation exceeds 5 % of its reference value is no longer
+    identified. It remains weak, however uncertain the givens are: it is observable.
 
     Args:
         values: with standard deviations by the flight alone.

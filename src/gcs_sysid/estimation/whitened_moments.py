@@ -1,7 +1,7 @@
 """Moments of whitened rows, batch by batch, as a record hands them to a fit."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,12 +54,6 @@ class WhitenedMoments:
         moments[..., columns, :] = 0.0
         moments[..., :, columns] = 0.0
         return moments
-
-    def first(self, batches: int) -> "WhitenedMoments":
-        """The oldest batches."""
-        left = np.maximum(batches - self.edges[:-1], 0)
-        parts = tuple(part[:n] for part, n in zip(self.parts, left, strict=True))
-        return replace(self, parts=parts, counts=self.counts[:batches])
 
 
 def grouped(
