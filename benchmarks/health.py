@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.truth.emulated import fly_into
 from benchmarks.truth.vehicles import Drawn, draw
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.health import balance
@@ -37,9 +38,7 @@ from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.logs import open_log
-from sim_bridge.autopilot import BOOT_US
 from sim_bridge.doublets import DoubletMission
-from sim_bridge.links import TlogLink
 from sim_bridge.missions import HoverMission, Mission
 from sim_bridge.physics import IDEAL, Physics
 from sim_bridge.px4 import Px4
@@ -122,17 +121,7 @@ def fly(
     ):
         autopilot.schedule.set_interval(message, 1e6 / ROTORS, 0)
         autopilot.schedule.streams[message].due = float(phase.uniform(0.0, 1e6 / ROTORS))
-    length = mission.duration if seconds is None else seconds
-    link = TlogLink(log, replace=True)
-    try:
-        for tick in range(round(length / simulation.step_size) + 1):
-            if tick:
-                simulation.step()
-            frames = autopilot.poll(tick)
-            if frames:
-                link.send(frames, BOOT_US + tick * simulation.step_us)
-    finally:
-        link.close()
+    fly_into(log, simulation, autopilot, seconds)
 
 
 def streams_in(log: Path, airframe: Airframe, *, speeds: bool, thin: bool = False) -> Streams:

@@ -124,6 +124,13 @@ def write(
         phase = np.random.default_rng([seed, 3]).uniform(0.0, 1e6 / esc)
         autopilot.schedule.streams[mavlink.MAVLINK_MSG_ID_ESC_STATUS].due = float(phase)
         autopilot.instruments.retime("rotor", 1.0 / esc)
+    fly_into(log, simulation, autopilot, seconds)
+
+
+def fly_into(
+    log: Path, simulation: Simulation, autopilot: Px4, seconds: float | None = None
+) -> None:
+    """Fly a simulation from its start into a .tlog, for so many seconds or the whole mission."""
     length = simulation.mission.duration if seconds is None else seconds
     link = TlogLink(log, replace=True)
     try:

@@ -11,24 +11,10 @@ from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS, Prior, prior_of
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
+from tests.known_theta import THETA
 
 IZZ, RATIO = 2, rb.MOMENT_RATIO
 ROWS, PER_BATCH = 4000, 40  # a hundred batches: their scatter is known well
-THETA = rb.theta_of(
-    {
-        "Ixx": 80.0,
-        "Iyy": 81.0,
-        "Izz": 143.0,
-        "Ixy": 6.6,
-        "Iyz": 12.4,
-        "Ixz": -8.1,
-        "cg_x": 0.1,
-        "cg_y": 0.05,
-        "moment_ratio": 0.03,
-        "rotational_damping": 20.0,
-        "rotor_inertia": 0.3,
-    }
-)
 
 
 def inputs(rng, tumbling):

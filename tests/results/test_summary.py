@@ -10,26 +10,11 @@ from gcs_sysid.estimation.physical_parameters import Value
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.uncertainty import watched_factor
-from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.summary import next_anchor, values_of
+from tests.known_theta import THETA
 
 SHARE = 0.04
-THETA = rb.theta_of(
-    {
-        "Ixx": 80.0,
-        "Iyy": 81.0,
-        "Izz": 143.0,
-        "Ixy": 6.6,
-        "Iyz": 12.4,
-        "Ixz": -8.1,
-        "cg_x": 0.1,
-        "cg_y": 0.05,
-        "moment_ratio": 0.03,
-        "rotational_damping": 20.0,
-        "rotor_inertia": 0.3,
-    }
-)
 ROTATION = RotationFit(
     THETA, np.diag((SHARE * THETA) ** 2), np.eye(3), np.full(3, 0.99), 1000, converged=True
 )

@@ -234,10 +234,7 @@ def minimise_axes(problem: AxisProblem, unknowns: Array, limit: int) -> tuple[Ax
     eye = np.eye(p)
     point = problem.evaluate(unknowns)
     for _ in range(limit):
-        gradient, hessian = point.gradient, point.hessian
-        if problem.prior is not None:
-            gradient = gradient + problem.prior_pull(point.unknowns)
-            hessian = hessian + problem.prior_information()
+        gradient, hessian = problem.with_prior(point.gradient, point.hessian, point.unknowns)
         d = scales(hessian)
         H = hessian / (d[:, :, None] * d[:, None, :])
         H = H + (damping + _lift(H))[:, None, None] * eye

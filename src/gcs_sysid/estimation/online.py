@@ -232,7 +232,6 @@ class OnlineEstimator:
         if rigid_body_test is not None and rigid_body_test.contradicted:
             # What rotors turn against remains to be told: inertia in roll and pitch.
             rot = self._fit_without_products()
-        other_layout = None if self._whitened is None else self._whitened.other_layout(rot)
         return Fit(
             rot,
             trans,
@@ -240,9 +239,12 @@ class OnlineEstimator:
             validation,
             accelerometer,
             rigid_body_test,
-            other_layout=other_layout,
             moments=self._moments(rot),
         )
+
+    def other_layout(self, fit: RotationFit | None) -> str | None:
+        """What is wrong with the airframe's layout, if another explains the motion far better."""
+        return None if self._whitened is None else self._whitened.other_layout(fit)
 
     def fit_translation(
         self, at: RotationFit | None = None

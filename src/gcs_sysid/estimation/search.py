@@ -121,6 +121,12 @@ class Problem:
         pull: Array = self.prior.pull(unknowns)[..., self.free]
         return pull
 
+    def with_prior(self, gradient: Array, hessian: Array, unknowns: Array) -> tuple[Array, Array]:
+        """(..., p) gradient and (..., p, p) curvature at unknowns, with what the prior adds."""
+        if self.prior is None:
+            return gradient, hessian
+        return gradient + self.prior_pull(unknowns), hessian + self.prior_information()
+
     def weak_cost(self, unknowns: Array) -> Array:
         """(...) of leaving the ordinary, see COORDINATE_STD."""
         away = unknowns[..., self.free_coordinates] - self._mean
@@ -265,10 +271,7 @@ def minimise(problem: Problem, unknowns: Array, limit: int) -> tuple[Point, Mask
     gain = np.full(K, np.inf)
     point = problem.evaluate(unknowns)
     for _ in range(limit):
-        gradient, hessian = point.gradient, point.hessian
-        if problem.prior is not None:
-            gradient = gradient + problem.prior_pull(point.unknowns)
-            hessian = hessian + problem.prior_information()
+        gradient, hessian = problem.with_prior(point.gradient, point.hessian, point.unknowns)
         d = scales(hessian)
         H = hessian / (d[:, :, None] * d[:, None, :]) + damping[:, None, None] * eye
         downhill = gradient / d

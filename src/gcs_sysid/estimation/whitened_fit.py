@@ -347,10 +347,7 @@ def _chosen(
     phi = np.linalg.lstsq(flat.T, torque, rcond=None)[0]
     unknowns[:, N_UNKNOWNS:] = phi
     at = problem.evaluate(unknowns)
-    gradient, hessian = at.gradient[0], at.hessian[0]
-    if prior is not None:
-        gradient = gradient + problem.prior_pull(unknowns)[0]
-        hessian = hessian + problem.prior_information()
+    gradient, hessian = (part[0] for part in problem.with_prior(at.gradient, at.hessian, unknowns))
     of = np.arange(n, n + m)
     others = np.setdiff1d(np.arange(problem.p), of)
     d = scales(hessian[None])[0][others]

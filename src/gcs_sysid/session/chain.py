@@ -161,7 +161,11 @@ class Chain:
     def refit(self) -> Result:
         """Fit now and give the result."""
         if self._learner.tracker is not None:
-            self._learner.fit = self._learner.tracker.fit()
+            tracker = self._learner.tracker
+            fit = tracker.fit()
+            # Only for a result: it costs more than the fit where the layout is wrong.
+            other = tracker.estimator.other_layout(fit.rotation)
+            self._learner.fit = replace(fit, other_layout=other)
         return self.result()
 
     @property

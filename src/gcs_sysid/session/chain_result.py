@@ -106,9 +106,8 @@ class Findings:
 
     @property
     def _scale(self) -> Scale:
-        fit, airframe, anchor = self.learner.fit, self.airframe, self._anchor
-        priors = summary.priors_for(airframe.priors, self.learner.rotor_input)
-        return resolve_scale(anchor, fit.translation, {} if anchor.origin else priors)
+        fit, anchor = self.learner.fit, self._anchor
+        return resolve_scale(anchor, fit.translation, self.learner.known_beforehand(anchor))
 
     def _disturbance(self) -> dict[str, float]:
         rotation = self.learner.fit.rotation
@@ -153,7 +152,7 @@ class Findings:
     ) -> tuple[dict[str, Estimate], dict[str, Value]]:
         """Estimates with all of their uncertainty; the values of the same, for the verdict."""
         rotor_input, airframe = self.learner.rotor_input, self.airframe
-        known = {} if anchor.origin else summary.priors_for(airframe.priors, rotor_input)
+        known = self.learner.known_beforehand(anchor)
         stds = given_stds(values, fit, Given(airframe, anchor, rotor_input, known))
         timed = with_clock_error(values, self.clock_error)
         estimates = summary.estimates_of(

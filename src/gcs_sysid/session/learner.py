@@ -112,14 +112,16 @@ class Learner:
 
     def values(self, fit: Fit, anchor: ScaleReference) -> dict[str, Value]:
         """Physical parameters of a fit, by the rules of this flight."""
-        # A prior on the mass is of the vehicle as it took off.
-        priors, arm = self._airframe.priors, self._airframe.arm
-        known = {} if anchor.origin else summary.priors_for(priors, self.rotor_input)
+        arm, known = self._airframe.arm, self.known_beforehand(anchor)
         late = low_pass_delay(self.cutoffs[0])
         aligned_fit = aligned(fit, alignment_of(fit, self._airframe))
         values = summary.values_of(aligned_fit, anchor, arm, known, self.rotor_input, late)
         evidence = self.evidence(fit)
         return {name: evidence.cap(value, REGISTRY[name]) for name, value in values.items()}
+
+    def known_beforehand(self, anchor: ScaleReference) -> Mapping[str, tuple[float, float]]:
+        """Priors that hold with a scale; one on the mass is of the vehicle as it took off."""
+        return {} if anchor.origin else summary.priors_for(self._airframe.priors, self.rotor_input)
 
     def evidence(self, fit: Fit) -> Evidence:
         """What speaks against a fit; nothing against the article's, which are for study."""
