@@ -212,7 +212,7 @@ def test_of_commands_an_uncertain_curve_is_in_the_margin():
     matrix[1:, :4] *= SUM * 3.0 / 4.0
     shares = []
     for curve_std in (0.01, 1.0):
-        known = Reference(GEOMETRY, matrix, 0.0, Actuator(0.0, 0.0, 0.0, curve_std))
+        known = Reference(GEOMETRY, matrix, 0.0, Actuator(0.0, 0.0, curve_std=curve_std))
         shares.append(looked(samples, 1, known=known))
     assert [found.verdict for found in shares] == ["changed", "undecided"]
 

@@ -7,6 +7,16 @@ measures:
     motor lag tau   s, of first order, where commands are the input; measured speeds have none
     thrust curve c  T / T_max = (1 - c) w + c w^2 of the lagged command w; speeds have none
 
+What lags behind the command decides on the second order. A motor turns a propeller, so speed does:
+sqrt(T) follows the root of the share of full thrust that is commanded; a simulator may let thrust
+lag, or the command itself. Around hover all three are
+
+    T / T_max = (1 - c) w + c w^2 + k (L[u^2] - w^2),    w = L[u]
+
+with L the lag of command u. k is 0 where the command lags, c where thrust does, and below zero where
+speed does (`LagPlace`). The last term is largest where two axes turn together: what lags matters
+for Izz and k_M, which are told apart there.
+
 The rotors' signals are filtered with a few pairs of lag and delay, the elements of a basis. What
 any other pair would make of them, exp(i omega d) / (1 + i omega tau), is a sum of the elements
 with weights found by least squares over the frequencies that pass the window, to 2e-4 of the
@@ -21,6 +31,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -40,6 +51,8 @@ ROTOR_COLUMNS = (0, 1, 2, 3, rb.SIGNALS.index("dH"))
 """Columns of x that come from the rotors: roll, pitch, thrust, yaw torque, and H'."""
 _BODY_COLUMNS = tuple(i for i in range(WIDTH) if i not in ROTOR_COLUMNS)
 SIGNALS, BODY = len(ROTOR_COLUMNS), len(_BODY_COLUMNS)
+N_BENT = 4
+"""Of these columns, those of torques and thrust: what lags matters there."""
 
 _COUPLED = tuple(rb.SIGNALS.index(name) for name in ("qH", "pH"))
 """Columns of x that are products of the rates with H."""
@@ -189,6 +202,53 @@ class _Span:
         return np.concatenate([weighed.real, weighed.imag], axis=-1)
 
 
+LagOf = Literal["speed", "command", "thrust"]
+LAGS_OF: tuple[LagOf, ...] = get_args(LagOf)
+
+
+_NODES = np.array([-(3.0**0.5), 0.0, 3.0**0.5])
+_WEIGHTS = np.array([1.0, 4.0, 1.0]) / 6.0
+"""Means over a normal distribution (Gauss-Hermite)."""
+_LEAST_SHARE = 0.01
+"""Of full thrust: the root has no slope at none."""
+
+
+@dataclass(frozen=True)
+class LagPlace:
+    """What lags behind the command.
+
+    Attributes:
+        of: the rotor's speed, the command itself before the thrust curve, or thrust.
+        hover: mean command.
+        spread: standard deviation of commands.
+    """
+
+    of: LagOf = "speed"
+    hover: float = 0.5
+    spread: float = 0.02
+
+    def bend(self, curve: Array) -> tuple[Array, Array]:
+        """(K,) k at (K,) thrust curves, see the module, and its derivative by the curve.
+
+        Where speed lags, k is such that a lag without end leaves the square of the mean speed.
+        """
+        inside = (curve > 0.0) & (curve < 1.0)
+        c = np.clip(curve, 0.0, 1.0)[:, None]
+        if self.of == "command":
+            return np.zeros(len(c)), np.zeros(len(c))
+        if self.of == "thrust":
+            return c[:, 0], 1.0 * inside
+        spread = max(self.spread, 1e-3)
+        u = self.hover + spread * _NODES
+        share = np.maximum((1.0 - c) * u + c * u * u, _LEAST_SHARE)
+        by = np.where(share > _LEAST_SHARE, u * u - u, 0.0)
+        root = np.sqrt(share)
+        mean, change = root @ _WEIGHTS, (0.5 * by / root) @ _WEIGHTS
+        k: Array = (mean * mean - share[:, 1]) / spread**2
+        slope: Array = (2.0 * mean * change - by[:, 1]) / spread**2 * inside
+        return k, slope
+
+
 @dataclass(frozen=True)
 class Element:
     """A pair of filters, by index into a basis' lags and delays."""
@@ -201,7 +261,8 @@ class ActuatorDynamics:
     """Elements, and the maps from rows that hold them all to rows [x, y].
 
     A row of elements is laid out element by element, each with its `sets` (of w and of w^2 where
-    commands are the input) of SIGNALS, then the further products, then the BODY columns.
+    commands are the input) of SIGNALS, then the further products, then the bends, then the BODY
+    columns. Bends are L[u^2] - w^2 at a few lags, of commands; their delay is made by mixing.
 
     Products q H and p H are no filtered signals: H must have its lag and delay before it is
     multiplied. Rotors that speed up turn the body against them, J_r H is most of what Izz r is, and
@@ -257,7 +318,15 @@ class ActuatorDynamics:
         forms = len(self.coupled_lags) * self.sets + len(self.coupled_shifts)
         self.products = max(forms - 1, 0) * len(_COUPLED)
         """Columns of the further products."""
-        self.width = self.late + self.products + BODY
+        self.lag_place = LagPlace("command")
+        """What lags; may change."""
+        self.bent_lags: tuple[int, ...] = ()
+        """Indices of the lags of the bends."""
+        if coupled and commands and len(self.lags) > 1 and self.lags[0] == 0.0:
+            self.bent_lags = tuple(range(len(self.lags) - 1, 0, -2))[::-1]
+        self.bends = len(self.bent_lags) * N_BENT
+        """Columns of the bends."""
+        self.width = self.late + self.products + self.bends + BODY
         """Of a row of elements."""
         self._span = _Span(
             half_width,
@@ -274,6 +343,11 @@ class ActuatorDynamics:
             self._coupled_span = _Span(half_width, past, lags_of_H, dt)
         self._lag_span = _Span(
             half_width, np.zeros_like(self.lags), self.lags, dt, squared=commands
+        )
+        # Without a lag there is no bend: its weight, which makes up the sum, goes nowhere.
+        bent = self.lags[[0, *self.bent_lags]]
+        self._bent_span = (
+            _Span(half_width, np.zeros_like(bent), bent, dt, squared=True) if self.bends else None
         )
         scan = [_thinned(axis, most) for axis, most in zip(axes, _SCANNED, strict=True)]
         self.nodes = np.array(list(product(*scan)))
@@ -319,7 +393,22 @@ class ActuatorDynamics:
                 first = self.width - BODY + _BODY_COLUMNS.index(column)
                 further = range(self.late + place, self.late + self.products, len(_COUPLED))
                 maps[:, :, column, [first, *further]] = forms
+        if self.bends:
+            bent = np.stack([self._bent(at, i) for i in by], axis=1)
+            start = self.late + self.products
+            for place, column in enumerate(ROTOR_COLUMNS[:N_BENT]):
+                maps[:, :, column, start + place : start + self.bends : N_BENT] = bent
         return maps
+
+    def _bent(self, at: Array, by: int | None, delayed: bool = True) -> Array:
+        """(K, bent lags) weights of the bends at (K, 3) coordinates, or their derivatives."""
+        if self._bent_span is None:
+            return np.empty((len(at), 0))
+        delay = at[:, DELAY] if delayed else np.zeros(len(at))
+        k, change = self.lag_place.bend(at[:, CURVE])
+        weights = self._bent_span.weights(delay, at[:, LAG], by)[:, 1:]
+        bent: Array = (change if by == CURVE else k)[:, None] * weights
+        return bent
 
     def map_at(self, at: Array) -> Array:
         """(WIDTH, width) that makes rows [x, y] at (3,) coordinates of rows of elements."""
@@ -345,12 +434,18 @@ class ActuatorDynamics:
         return [self.width - BODY + _BODY_COLUMNS.index(column) for column in columns]
 
     def thrust_weights(self, at: Array) -> Array:
-        """(lags * sets,) what makes thrust, undelayed, of that of the lags at (3,) coordinates."""
+        """(thrusts,) what makes thrust, undelayed, of that of the lags at (3,) coordinates."""
         if not self.commands:
             return np.ones(1)
         weights = self._lag_span.weights(np.zeros(1), at[LAG : LAG + 1])
         mixture = self._mixture(at[CURVE : CURVE + 1], None)
-        return np.outer(weights, mixture).ravel()
+        bent = self._bent(at[None], None, delayed=False)[0]
+        return np.concatenate([np.outer(weights, mixture).ravel(), bent])
+
+    @property
+    def thrusts(self) -> int:
+        """How many thrusts `thrust_weights` mixes."""
+        return len(self.lags) * self.sets + len(self.bent_lags)
 
     def _mixture(self, curve: Array, by: int | None) -> Array:
         """(K, sets) of w and w^2 at (K,) curves, differentiated by a coordinate or none."""

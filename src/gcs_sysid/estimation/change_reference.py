@@ -7,7 +7,8 @@ window that would add lag:
     roll, pitch, yaw:  gyro increment / dt - Q x     (rad/s^2, x by the trapezoid)
 
 O are the rotors' squared speeds; with commands u as the input their shares of full thrust, those of
-the reference's lag and thrust curve c: (1 - c) w + c w^2 with w the lagged command.
+the reference's lag and thrust curve c: (1 - c) w + c w^2 with w the lagged command, or where the
+rotors' speed lags the square of the lagged root of (1 - c) u + c u^2.
 """
 
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
-from gcs_sysid.estimation.actuator_dynamics import CURVE, LAG, motor_filter
+from gcs_sysid.estimation.actuator_dynamics import CURVE, LAG, LagOf, motor_filter
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.model import attitude
@@ -45,14 +46,46 @@ class Actuator:
     Attributes:
         lag: s, of first order.
         curve: thrust curve c.
+        lag_of: what lags.
         lag_std: s.
         curve_std: both standard deviations are those of the fit.
     """
 
     lag: float
     curve: float
+    lag_of: LagOf = "command"
     lag_std: float = 0.0
     curve_std: float = 0.0
+
+    def before_lag(self, commands: Array) -> Array:
+        """What lags."""
+        if self.lag_of == "command":
+            return commands
+        share = self._share(commands)
+        return share if self.lag_of == "thrust" else np.sqrt(share)
+
+    def after_lag(self, lagged: Array) -> Array:
+        """Roots of the shares of full thrust."""
+        if self.lag_of == "speed":
+            return np.maximum(lagged, 0.0)
+        share = self._share(lagged) if self.lag_of == "command" else np.maximum(lagged, 0.0)
+        return np.sqrt(share)
+
+    def lagged_of(self, root: Array) -> Array:
+        """What lags, of roots of shares of full thrust."""
+        if self.lag_of == "speed":
+            return root
+        share = root * root
+        if self.lag_of == "thrust":
+            return share
+        linear = 1.0 - self.curve
+        whole = np.sqrt(np.maximum(linear * linear + 4.0 * self.curve * share, 0.0))
+        command: Array = 2.0 * share / np.maximum(linear + whole, 1e-6)
+        return command
+
+    def _share(self, u: Array) -> Array:
+        share: Array = np.maximum((1.0 - self.curve) * u + self.curve * u * u, 0.0)
+        return share
 
 
 class Rotors:
@@ -62,7 +95,21 @@ class Rotors:
         self._dt = dt
         self._w: Array | None = None
         self._command: Array = np.empty(0)
-        self.actuator = actuator
+        """The newest one, as it was sent."""
+        self._actuator = actuator
+
+    @property
+    def actuator(self) -> Actuator | None:
+        """In force; with another one the rotors go on with the thrust that they have."""
+        return self._actuator
+
+    @actuator.setter
+    def actuator(self, actuator: Actuator | None) -> None:
+        before, self._actuator = self._actuator, actuator
+        if actuator is None or before is None:
+            self._w = None
+        elif self._w is not None:
+            self._w = actuator.lagged_of(before.after_lag(self._w))
 
     def restart(self) -> None:
         """What comes next does not join on."""
@@ -79,14 +126,13 @@ class Rotors:
             if not there:
                 self._w = None
                 continue
-            part = speeds[run]
             if self._w is None:
-                self._w, self._command = part[:1], part[:1]
-            driven = b0 * part + b1 * np.concatenate([self._command, part[:-1]])
-            w, _ = lfilter([1.0], [1.0, -a], driven, a * self._w)
-            self._w, self._command = w[-1:].copy(), part[-1:].copy()
-            c = actuator.curve
-            out[run] = np.sqrt(np.maximum((1.0 - c) * w + c * w * w, 0.0))
+                self._command = speeds[run.start : run.start + 1].copy()
+                self._w = actuator.before_lag(self._command)
+            part = actuator.before_lag(np.concatenate([self._command, speeds[run]]))
+            w, _ = lfilter([1.0], [1.0, -a], b0 * part[1:] + b1 * part[:-1], a * self._w)
+            self._w, self._command = w[-1:].copy(), speeds[run.stop - 1 : run.stop].copy()
+            out[run] = actuator.after_lag(w)
         return out
 
 
@@ -227,7 +273,11 @@ def reference_of(
         if commands:
             where, std = rot.coordinates, rot.coordinates_std
             actuator = Actuator(
-                float(where[LAG]), float(where[CURVE]), float(std[LAG]), float(std[CURVE])
+                float(where[LAG]),
+                float(where[CURVE]),
+                "command" if rot.lag_place is None else rot.lag_place.of,
+                float(std[LAG]),
+                float(std[CURVE]),
             )
     if commands and actuator is None:
         matrix[:] = np.nan  # of commands nothing is known without lag and curve

@@ -87,6 +87,7 @@ class CommandNoise(InputNoise):
         self._mixer = rigid_body.mixer(geometry)
         self._count = 0
         self._sum = np.zeros(rotors)
+        self._squares = np.zeros(rotors)
         self._differences = 0
         self._products = np.zeros((rotors, rotors))
         self._overlaps: dict[float, Array] = {}
@@ -104,6 +105,7 @@ class CommandNoise(InputNoise):
     def _add(self, commands: Array) -> None:
         self._count += len(commands)
         self._sum += commands.sum(axis=0)
+        self._squares += (commands * commands).sum(axis=0)
         if not self._slow:
             return
         joined = np.concatenate([self._last, commands])
@@ -149,6 +151,13 @@ class CommandNoise(InputNoise):
         # Near half throttle thrust follows the command one to one, whatever the curve.
         out[:4, :4] = average * self._torques
         return out
+
+    @property
+    def level(self) -> tuple[float, float]:
+        """Mean and standard deviation of commands, the latter about each rotor's own mean."""
+        mean = self._sum / max(self._count, 1)
+        variance = np.maximum(self._squares / max(self._count, 1) - mean * mean, 0.0)
+        return float(mean.mean()), float(variance.mean() ** 0.5)
 
     @property
     def of_signals(self) -> tuple[Array, Array]:

@@ -14,7 +14,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import rotation, translation
-from gcs_sysid.estimation.actuator_dynamics import CURVE
+from gcs_sysid.estimation.actuator_dynamics import CURVE, LAGS_OF, LagPlace
+from gcs_sysid.estimation.command_noise import CommandNoise
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
@@ -346,7 +347,9 @@ class OnlineEstimator:
         if self._whitened is not None:
             moments = [i.whitened for i in instants if i.whitened is not None]
             return self._whitened.follow(moments, warm_start.rotation, self.prior)
-        return rotation.follow_rotation(
+        place = warm_start.rotation.lag_place
+        self._use_place(place)
+        fits = rotation.follow_rotation(
             np.stack([i.rotation for i in instants]),
             np.array([i.rows for i in instants]),
             self._basis,
@@ -354,18 +357,38 @@ class OnlineEstimator:
             warm_start.rotation,
             self.prior,
         )
+        if place is None:
+            return fits
+        doubt = warm_start.rotation.lag_doubt
+        return [rotation.with_lag_doubt(fit, place, doubt) for fit in fits]
+
+    def _use_place(self, place: LagPlace | None) -> None:
+        """Let maps of the basis be those of what lags by a fit; None: as long as there is none."""
+        if self._basis.bends:
+            self._basis.lag_place = place or self._places(None)[0]
+
+    def _places(self, start: RotationFit | None) -> list[LagPlace]:
+        """What may lag behind the commands, that of an earlier fit first."""
+        noise = self._record.input_noise
+        assert isinstance(noise, CommandNoise)
+        level = noise.level
+        known = None if start is None else start.lag_place
+        first = LAGS_OF[0] if known is None else known.of
+        return [LagPlace(of, *level) for of in (first, *(of for of in LAGS_OF if of != first))]
 
     def _renewed(self, series: str, warm_start: _WarmStart, fit: Fit) -> Fit:
         """A quick fit of now with all that is renewed now and then; the next ones go on from it."""
         record, rot = self._record, fit.rotation
         assert rot is not None
-        thrust = self._fit_momentum(rot.coordinates)
-        trans = thrust or self._fit_accelerometer(rot.coordinates)
+        where = self._coordinates(rot)
+        thrust = self._fit_momentum(where)
+        trans = thrust or self._fit_accelerometer(where)
         followed = rot if warm_start.batches != record.batches else warm_start.rotation
         self._warm_starts[series] = replace(
             warm_start, rotation=followed, thrust=thrust, batches=record.batches
         )
         self._renew_prior()
+        self._use_place(rot.lag_place)
         rigid_body_test = (
             self._rigid_body_test_of(rot)
             if self._is_rigid_body_test_due()
@@ -448,12 +471,27 @@ class OnlineEstimator:
             return found[0]
         moments = record.rotation
         data = moments.batches, moments.counts, self._basis, self._noise()
+        if self._basis.bends:
+            return self._fit_lag_places(start)
         if start is not None:
             fit = rotation.fit_rotation(*data, start, self.prior, record.noise_doubt)
             if fit is not None and fit.converged:
                 return fit
         doubt = record.noise_doubt
         return rotation.fit_rotation(*data, prior=self.prior, doubt=doubt)
+
+    def _fit_lag_places(self, start: RotationFit | None) -> RotationFit | None:
+        """Of commands, with what lags as a hypothesis."""
+        record = self._record
+        moments, places = record.rotation, self._places(start)
+        data = moments.batches, moments.counts, self._basis, self._noise()
+        independent = record.seconds / record.half_width
+        others = self.prior, record.noise_doubt
+        if start is not None:
+            fit = rotation.fit_lag_places(*data, places, independent, start, *others)
+            if fit is not None and fit.converged:
+                return fit
+        return rotation.fit_lag_places(*data, places, independent, None, *others)
 
     def _fit_momentum(self, where: Array) -> TranslationFit | None:
         """Of the momentum balance, at (3,) coordinates; None while it is too early."""
@@ -473,6 +511,7 @@ class OnlineEstimator:
 
     def _coordinates(self, fit: RotationFit | None) -> Array:
         """(3,) of a fit, or the basis' middle."""
+        self._use_place(None if fit is None else fit.lag_place)
         where: Array = self._basis.nodes[self._basis.middle] if fit is None else fit.coordinates
         return where
 

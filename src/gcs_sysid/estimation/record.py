@@ -42,6 +42,8 @@ class FlightRecord:
         accelerometer: (thrusts + 3, ...) of its z axis.
         article: the article's estimator, where that is asked for.
         whitened: moments of whitened rows, where they are asked for.
+        input_noise: of the rotors' stream.
+        half_width: s, of the window.
     """
 
     def __init__(self, geometry: Array, dt: float, tuning: Tuning) -> None:
@@ -54,8 +56,9 @@ class FlightRecord:
             half_width = half * dt
             smoother = WindowSmoother(dt, half, tuning.delays)
         self._smoother = smoother
+        self.half_width = half_width
         commands = tuning.rotor_input == "command"
-        self._input_noise = (
+        self.input_noise = (
             CommandNoise(geometry, dt, tuning.loop_cutoff) if commands else SpeedNoise(geometry, dt)
         )
         # Beside whitened rows those of the window only judge.
@@ -97,7 +100,7 @@ class FlightRecord:
             if tuning.method == "forward"
             else article.ArticleEstimator(geometry, dt, tuning.method)
         )
-        width = len(basis.lags) * basis.sets + 3
+        width = basis.thrusts + 3
         self.momentum = NormalEquations((3, width, width), per_batch, kept)
         self.accelerometer = NormalEquations((width, width), per_batch, kept)
 
@@ -112,7 +115,7 @@ class FlightRecord:
         """A gap: what comes next does not join on to what came before."""
         self.flush()
         self._rows.restart()
-        self._input_noise.restart()
+        self.input_noise.restart()
         self._leaks.restart()
         if self.whitened is not None:
             self.whitened.restart()
@@ -157,7 +160,7 @@ class FlightRecord:
         for number, (part, rows, few) in enumerate(parts):
             piece = slice(*part)
             if part[0] < part[1]:
-                self._input_noise.update(samples.speeds[piece], samples.apart[piece, 0])
+                self.input_noise.update(samples.speeds[piece], samples.apart[piece, 0])
                 if self.article:
                     self.article.update(samples.part(piece))
             if rows[0] < rows[1]:
@@ -187,19 +190,19 @@ class FlightRecord:
     @property
     def speed_std(self) -> Array:
         """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
-        return self._input_noise.std
+        return self.input_noise.std
 
     @property
     def noise_doubt(self) -> float:
         """One standard deviation of what `noise` tells, relative."""
-        return self._input_noise.doubt
+        return self.input_noise.doubt
 
     def noise(self, leak: int) -> Array:
         """What known noise of the inputs adds to the moments of one row.
 
         (WIDTH, WIDTH) of speeds, (width, width) of commands, see `ActuatorDynamics.noise_at`.
         """
-        noise, memory = self._input_noise, self.memories[leak]
+        noise, memory = self.input_noise, self.memories[leak]
         if isinstance(noise, CommandNoise):
             return noise.element_moments(self.basis, self._smoother, memory)
         return noise.moments(self._smoother, memory)
@@ -211,7 +214,7 @@ class FlightRecord:
             some: whiteners; None: all of the bank.
         """
         assert self.whitened is not None
-        noise = self._input_noise
+        noise = self.input_noise
         if isinstance(noise, CommandNoise):
             torques, gains = noise.of_signals
             return self.whitened.noise(torques, np.zeros(4), 0.0, gains, some)

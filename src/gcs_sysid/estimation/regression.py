@@ -65,13 +65,14 @@ class RowMaker:
         self._basis = basis
         self._smoother = smoother
         self._one_step = one_step
-        self._thrusts = thrusts = len(basis.lags) * basis.sets
-        self._late = late = SIGNALS * thrusts
+        self._thrusts = thrusts = basis.thrusts
+        self._late = late = SIGNALS * len(basis.lags) * basis.sets
         # Columns of what is smoothed: after the rotors' signals those of the body, then the rest.
         self._lift = slice(late + BODY, late + BODY + 3 * thrusts)
         self._thrust = slice(self._lift.stop, self._lift.stop + thrusts)
         self._products = slice(self._thrust.stop, self._thrust.stop + basis.products)
-        self._width = self._products.stop + 4
+        self._bends = slice(self._products.stop, self._products.stop + basis.bends)
+        self._width = self._bends.stop + 4
         self._past: Array = np.empty(0)
 
     def restart(self) -> None:
@@ -127,8 +128,11 @@ class RowMaker:
         delays, lags = [e.delay for e in basis.elements], [e.lag for e in basis.elements]
         chosen = rotors[delays, :, lags]
         out[:, : basis.late] = np.swapaxes(chosen, 0, 1).reshape(n, basis.late)
+        bent = basis.late + basis.products
         if basis.products:
-            out[:, basis.late : -BODY] = rows.average[:, self._products]
+            out[:, basis.late : bent] = rows.average[:, self._products]
+        if basis.bends:
+            out[:, bent:-BODY] = rows.average[:, self._bends]
         out[:, -BODY:-3] = rows.average[:, late : late + BODY - 3]
         out[:, -3:] = rows.derivative[:, late + BODY - 3 : late + BODY]
         return out
@@ -137,7 +141,7 @@ class RowMaker:
         inputs = s.speeds
         if self._drift is not None:
             inputs = inputs * self._drift.update(inputs, s.force[:, 2])[:, None]
-        rotors, thrust = self._path.signals(inputs)
+        rotors, bent, thrust = self._path.signals(inputs)
         n, late = len(s.gyro), self._late
         H = rotors[0, :, 4]
         out = np.empty((n, self._width))
@@ -146,6 +150,7 @@ class RowMaker:
             forms = self._forms(rotors[..., 4])[1:]
             products = s.rates[None, :, 1::-1] * forms[..., None]
             out[:, self._products] = np.swapaxes(products, 0, 1).reshape(n, -1)
+        out[:, self._bends] = np.swapaxes(bent, 0, 1).reshape(n, -1)
         out[:, late : late + 6] = rigid_body.rate_products(s.rates)
         out[:, late + 6 : late + 9] = s.rates
         out[:, late + 9 : late + 11] = s.rates[:, 1::-1] * H[:, None]  # q H, p H

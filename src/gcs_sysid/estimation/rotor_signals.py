@@ -46,6 +46,7 @@ class RotorPath:
         self._geometry = geometry
         self._commands = basis.commands
         lags = basis.lags
+        self._bent = list(basis.bent_lags)
         self._filters = [motor_filter(dt, lag) for lag in lags]
         self._lag_settling = int(np.ceil(_SETTLED * lags[-1] / dt))
         self._low_pass: tuple[Array, Array] | None = None
@@ -59,40 +60,50 @@ class RotorPath:
         """What comes next does not join on to what came before."""
         self._last: Array | None = None
         self._last_command: Array = np.empty(0)
+        self._last_square: Array = np.empty(0)
         self._state: Array | None = None
         self._wait = self._settle = 0
 
-    def signals(self, rotors: Array) -> tuple[Array, Array]:
+    def signals(self, rotors: Array) -> tuple[Array, Array, Array]:
         """The signals of (n, rotors) speeds in rad/s, or commands of 0 to 1; NaN where missing.
 
         Returns:
             (lags * sets, n, SIGNALS): roll, pitch, thrust, yaw and H for the rotation, as the
-            autopilot's gyro feels them, and (lags * sets, n) thrust as it acts.
+            autopilot's gyro feels them, (bent lags, n, 4) the bends of the first four of them, and
+            (lags * sets + bent lags, n) thrust as it acts.
         """
+        bent = np.empty((0, len(rotors), 4))
         if self._commands:
-            mixed, H = self._of_commands(rotors)
+            w, squares = self._lagged(rotors)
+            mixed, H = self._of_commands(w)
+            bent = (squares - w[self._bent] ** 2) @ rigid_body.mixer(self._geometry)
         else:
             mixed, H = rigid_body.rotor_signals(self._geometry, rotors[None])
         signals = np.concatenate([mixed, H[..., None]], axis=-1)
-        thrust = mixed[..., 2]
+        thrust = np.concatenate([mixed[..., 2], bent[..., 2]])
         if self._low_pass is not None:
-            signals = self._filtered(signals)
-        return signals, thrust
+            k, n = len(signals), len(rotors)
+            flat = np.zeros((len(bent), n, signals.shape[2] - bent.shape[2]))
+            both = self._filtered(
+                np.concatenate([signals, np.concatenate([bent, flat], axis=-1)])
+            )
+            signals, bent = both[:k], both[k:, :, :4]
+        return signals, bent, thrust
 
-    def _of_commands(self, commands: Array) -> tuple[Array, Array]:
-        """(lags * 2, n, 4) signals and (lags * 2, n) H of commands: of each lag, w and w^2."""
-        w = self._lagged(commands)
+    def _of_commands(self, w: Array) -> tuple[Array, Array]:
+        """(lags * 2, n, 4) signals and (lags * 2, n) H of lagged commands: of each w and w^2."""
         shares = np.stack([w, w * w], axis=1)
         mixed = shares @ rigid_body.mixer(self._geometry)
         # A rotor's speed goes with the root of its thrust: sqrt(w) at one end of the curves, w at
         # the other; between them a straight line will do.
         H = np.stack([np.sqrt(np.clip(w, 0.0, None)), w], axis=1) @ self._geometry[2]
-        n = len(commands)
+        n = w.shape[1]
         return mixed.reshape(-1, n, 4), H.reshape(-1, n)
 
-    def _lagged(self, commands: Array) -> Array:
-        """(lags, n, rotors) what first-order motors make of commands."""
+    def _lagged(self, commands: Array) -> tuple[Array, Array]:
+        """(lags, n, rotors) what first-order motors make of commands, (bent lags, ...) of squares."""
         out = np.full((len(self._filters), *commands.shape), np.nan)
+        squares = np.full((len(self._bent), *commands.shape), np.nan)
         for run, there in runs(complete_rows(commands)):
             if not there:
                 self._last = None
@@ -101,6 +112,7 @@ class RotorPath:
             if self._last is None:
                 self._last = np.repeat(part[:1], len(self._filters), axis=0)
                 self._last_command = part[:1]
+                self._last_square = np.repeat(part[:1] ** 2, len(self._bent), axis=0)
                 self._wait = self._lag_settling
             skip = min(self._wait, len(part))
             self._wait -= skip
@@ -111,7 +123,14 @@ class RotorPath:
                 lagged, _ = lfilter([1.0], [1.0, -a], driven, a * self._last[i : i + 1])
                 self._last[i] = lagged[-1]
                 out[i, run.start + skip : run.stop] = lagged[skip:]
-        return out
+            square = with_last * with_last
+            for i, lag in enumerate(self._bent):
+                a, b0, b1 = self._filters[lag]
+                driven = b0 * square[1:] + b1 * square[:-1]
+                lagged, _ = lfilter([1.0], [1.0, -a], driven, a * self._last_square[i : i + 1])
+                self._last_square[i] = lagged[-1]
+                squares[i, run.start + skip : run.stop] = lagged[skip:]
+        return out, squares
 
     def _filtered(self, signals: Array) -> Array:
         """(lags * sets, n, SIGNALS) through the gyro's low-pass; it needs some time to settle."""

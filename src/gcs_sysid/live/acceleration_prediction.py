@@ -123,7 +123,7 @@ class Predictor:
         late = np.full((n, _ROTOR_SIGNALS), np.nan)
         H = late[:, 4:]
         if self._path is not None and model is not None:
-            signals, _ = self._path.signals(piece.rotors)
+            signals, _, _ = self._path.signals(piece.rotors)
             curve = float(model.coordinates[CURVE])
             late = signals[0]
             if len(signals) > 1:
