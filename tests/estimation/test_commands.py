@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-from gcs_sysid.estimation.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics
+from gcs_sysid.estimation.actuator_dynamics import SIGNALS, ActuatorDynamics, LagPlace
 from gcs_sysid.estimation.command_noise import CommandNoise
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.record import FlightRecord
@@ -184,7 +184,7 @@ def test_elements_show_noise_as_their_filters_let_it_pass(truth):
     for _ in record.take(Samples(still, still, commands, level, still, still)):
         pass
     record.flush()
-    roll = [k for k in range(record.basis.width - BODY) if k % SIGNALS == 0]
+    roll = [k for k in range(record.basis.late) if k % SIGNALS == 0]
     for leak in range(len(tuning.leaks)):
         seen = record.rotation.total[leak] / record.rotation.rows
         said = record.noise(leak)

@@ -491,7 +491,7 @@ class OnlineEstimator:
             fit = rotation.fit_lag_places(*data, places, independent, start, *others)
             if fit is not None and fit.converged:
                 return fit
-        return rotation.fit_lag_places(*data, places, independent, None, *others)
+        return rotation.fit_lag_places(*data, places, independent, None, *others, start)
 
     def _fit_momentum(self, where: Array) -> TranslationFit | None:
         """Of the momentum balance, at (3,) coordinates; None while it is too early."""
@@ -588,7 +588,7 @@ class OnlineEstimator:
         if self._whitened is not None:
             found = self._whitened.fit(prior=self.prior, rigid=False)
             return None if found is None else found[0]
-        return rotation.fit_rotation(
+        fit = rotation.fit_rotation(
             self._without_products(),
             self._record.rotation.counts,
             self._basis,
@@ -596,6 +596,9 @@ class OnlineEstimator:
             prior=self.prior,
             doubt=self._record.noise_doubt,
         )
+        if fit is None or not self._basis.bends:
+            return fit
+        return replace(fit, lag_place=self._basis.lag_place)
 
     def _without_products(self) -> Array:
         """The moments as if products of rates were zero: of a body without gyroscopic torque."""

@@ -25,8 +25,10 @@ from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation import actuator_dynamics as coordinate
 from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics, LagPlace
 from gcs_sysid.estimation.deviations import NO_DEVIATIONS, Deviations
-from gcs_sysid.estimation.priors import COORDINATES, CURVE, N_UNKNOWNS, Prior
+from gcs_sysid.estimation.priors import COORDINATES, CURVE, LAG, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.search import (
+    COORDINATE_STD,
+    MAX_ITERATIONS,
     N_X,
     Point,
     Problem,
@@ -47,6 +49,8 @@ _BLIND_STEP = 3.0
 """Standard deviations; a smaller step of a fit that follows is taken unseen."""
 _ALIKE = 0.1
 """Of standard deviations, relative: in a minute of flight chance makes them differ by 0.07."""
+_NEAR, _ROUNDS = 0.1, 4
+"""Standard deviations, squared, that a search may be from the minimum; how often it goes on."""
 _HALVINGS = 20
 """A step that leads out of the physical inertias is shortened so often, then not taken."""
 
@@ -183,6 +187,7 @@ def fit_rotation(
     start: RotationFit | None = None,
     prior: Prior | None = None,
     doubt: float = 0.0,
+    hint: RotationFit | None = None,
 ) -> RotationFit | None:
     """Fit theta and the basis' coordinates to moments.
 
@@ -196,6 +201,7 @@ def fit_rotation(
             the data alone, to the minimum.
         prior: what else is known.
         doubt: one standard deviation of the noise, relative.
+        hint: an earlier fit, from which a search from the data alone starts too.
 
     Returns:
         The fit, or None while the data cannot even start one (fewer rows than unknowns, or no
@@ -213,6 +219,9 @@ def fit_rotation(
     unknowns = np.stack([guess for guess in first if guess is not None])
     if start is None:
         starts = scan(problem, unknowns)
+        if hint is not None:
+            known = np.broadcast_to(hint.unknowns, (1, len(bank), N_UNKNOWNS))
+            starts = np.concatenate([starts, known])
         point, converged = search(problem, starts)
     else:
         # An earlier estimate from too little motion may lie in a valley of its own.
@@ -220,6 +229,14 @@ def fit_rotation(
         closer = problem.evaluate(earlier).cost < problem.evaluate(unknowns).cost
         unknowns = np.where(closer[:, None], earlier, unknowns)
         point, converged = minimise(problem, unknowns, _WARM_ITERATIONS)
+    if basis.commands:
+        for _ in range(_ROUNDS):
+            # A search that steps out of the physical inertias only is at no minimum.
+            converged = Outcome(problem, point, noise).left < _NEAR
+            if converged.any():
+                break
+            # Curve and lag bend the valley: it takes many steps along.
+            point, _ = minimise(problem, point.unknowns, MAX_ITERATIONS)
     pull = None
     if basis.commands and noise.any():
         problem, point, pull = without_noise(problem, point, noise)
@@ -233,7 +250,8 @@ def fit_rotation(
     spread, widening = (np.stack(parts) for parts in zip(*scatter, strict=True))
     if doubt:
         spread = spread + outcome.spread_of(doubt * (outcome.pull if pull is None else pull))
-    return most_certain(outcome.fits(spread, widening, converged, range(len(bank))))
+    fits = outcome.fits(spread, widening, converged, range(len(bank)))
+    return most_certain([fit for fit in fits if fit.converged] or fits)
 
 
 def fit_lag_places(
@@ -246,6 +264,7 @@ def fit_lag_places(
     start: RotationFit | None = None,
     prior: Prior | None = None,
     doubt: float = 0.0,
+    hint: RotationFit | None = None,
 ) -> RotationFit | None:
     """The fit with what lags behind the commands as a hypothesis; the others widen it.
 
@@ -254,13 +273,13 @@ def fit_lag_places(
     Statistical Science 14, 382-417).
 
     Args:
-        batches, counts, basis, noise, start, prior, doubt: as of `fit_rotation`; the basis is left
-            with the place that is taken.
+        batches, counts, basis, noise, start, prior, doubt, hint: as of `fit_rotation`; the basis
+            is left with the place that is taken.
         places: hypotheses; the others start from the first one's fit.
         independent: how many rows there would be, did windows not overlap.
     """
     basis.lag_place = places[0]
-    first = fit_rotation(batches, counts, basis, noise, start, prior, doubt)
+    first = fit_rotation(batches, counts, basis, noise, start, prior, doubt, hint)
     if first is None:
         return None
     leak = slice(first.leak, first.leak + 1)
@@ -331,6 +350,7 @@ def follow_rotation(
         point, converged = minimise(alone, starts, _FOLLOW_ITERATIONS)
         if noisy:
             alone, point, _ = without_noise(alone, point, noise[far])
+        converged = converged | start.converged
         leaks = [start.leak] * len(converged)
         better = Outcome(alone, point, noise[far]).fits(*scatter, converged, leaks)
         for i, fit in zip(np.flatnonzero(far), better, strict=True):
@@ -380,6 +400,15 @@ class Outcome:
         moved = _times(self.roots[1], pull / self._scale)
         spread: Array = moved[:, :, None] * moved[:, None, :]
         return spread
+
+    @property
+    def left(self) -> Array:
+        """(K,) twice by how much the likelihood could still rise: standard deviations, squared."""
+        problem, point = self._problem, self._point
+        gradient, hessian = problem.with_prior(point.gradient, point.hessian, point.unknowns)
+        inverse_roots = symmetric_roots(hessian / self._scales)[1]
+        left: Array = (_times(inverse_roots, gradient / self._scale) ** 2).sum(axis=1)
+        return left
 
     @property
     def pull(self) -> Array:
@@ -509,11 +538,18 @@ class Outcome:
         every = np.zeros((K, unknowns.shape[1], unknowns.shape[1]))
         every[:, problem.free[:, None], problem.free] = covariance / self._scales
         full = every[:, :N_UNKNOWNS, :N_UNKNOWNS]
-        full = every[:, :N_UNKNOWNS, :N_UNKNOWNS]
         if problem.basis.curve_doubt and CURVE in problem.free:
             # Were the curve another, all unknowns would go with it.
             along = full[:, :, CURVE] / full[:, CURVE, CURVE, None] * problem.basis.curve_doubt
             full += along[:, :, None] * along[:, None, :]
+        converged = list(converged)
+        if problem.basis.commands and CURVE in problem.free:
+            for i in np.flatnonzero(~np.array(converged)).tolist():
+                # Where the search did not end, curve and lag are what they ordinarily are.
+                for place, std in ((CURVE, COORDINATE_STD[2]), (LAG, COORDINATE_STD[1])):
+                    if full[i, place, place] > 0.0:
+                        along = full[i, :, place] / full[i, place, place] * std
+                        full[i] += np.outer(along, along)
         data_std = np.sqrt(np.diagonal(data_covariance, axis1=1, axis2=2)) / d
         r_squared = self._explained()
         return [
