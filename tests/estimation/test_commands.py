@@ -65,6 +65,60 @@ def test_lag_and_curve_are_found_with_the_rest(truth, flight, lag, curve):
     assert np.all(error[6:8] < 1e-4)
 
 
+def commands_of_speed(flight, lag):
+    """Commands, on which thrust is linear, whose motors' speeds lag; and T_max / k_T."""
+    full = FULL * (flight.speeds**2).max()
+    a = np.exp(-DT / lag)
+    before = np.vstack([flight.speeds[:1], flight.speeds[:-1]])
+    return ((flight.speeds - a * before) / (1.0 - a)) ** 2 / full, full
+
+
+def test_a_lag_of_speed_is_told_from_one_of_the_command(truth, flight, monkeypatch):
+    """Thrust is its square: taken for a lag of the command, Izz goes astray."""
+    commands, full = commands_of_speed(flight, 0.06)
+    gyro = flight.gyro + 0.005 * np.random.default_rng(1).standard_normal(flight.gyro.shape)
+    samples = replace(flight, gyro=gyro, rates=gyro, speeds=commands)
+    Izz = truth.theta[2] / full
+
+    def fitted():
+        estimator = OnlineEstimator(truth.geometry, DT, COMMANDS)
+        estimator.update(samples)
+        return estimator.fit().rotation
+
+    fit = fitted()
+    assert fit.lag_place.of == "speed"
+    assert fit.coordinates[1] == pytest.approx(0.06, abs=0.001)
+    off = abs(fit.theta[2] / Izz - 1.0)
+    assert off < 0.03
+    only = [LagPlace("command")]
+    monkeypatch.setattr(OnlineEstimator, "_places", lambda self, start: only)
+    assert abs(fitted().theta[2] / Izz - 1.0) > 2.0 * off
+
+
+@pytest.mark.parametrize(
+    ("of", "lagged"),
+    [
+        ("command", lambda u, share, mean: share(mean(u))),
+        ("thrust", lambda u, share, mean: mean(share(u))),
+        ("speed", lambda u, share, mean: mean(np.sqrt(share(u))) ** 2),
+    ],
+)
+@pytest.mark.parametrize("curve", [0.0, 0.4, 1.0])
+def test_bends_make_the_mean_thrust_of_a_lag_without_end(of, lagged, curve):
+    """Such a lag leaves the mean of what lags; the bend is the commands' variance."""
+    u = np.random.default_rng(2).normal(0.4, 0.08, 20_000)
+
+    def share(u):
+        return (1.0 - curve) * u + curve * u * u
+
+    place = LagPlace(of, float(u.mean()), float(u.std()))
+    k, slope = (float(part[0]) for part in place.bend(np.array([curve])))
+    assert share(u.mean()) + k * u.var() == pytest.approx(lagged(u, share, np.mean), abs=2e-4)
+    if 0.0 < curve < 1.0:
+        ahead, behind = (place.bend(np.array([curve + h]))[0][0] for h in (1e-5, -1e-5))
+        assert slope == pytest.approx((ahead - behind) / 2e-5, abs=1e-6)
+
+
 def test_given_lag_and_curve_are_kept(truth, flight):
     commands, _ = commands_of(flight, truth, 0.05, 0.4)
     given = replace(COMMANDS, lags=(0.05,), curves=(0.4,))

@@ -20,6 +20,7 @@ from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.search import COORDINATE_STD
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.estimation.validation import Validation, validate
@@ -530,22 +531,27 @@ class OnlineEstimator:
             at: what else is known.
             momentum: (3, ...) moments of the momentum balance at that instant; None: of now.
         """
-        if fit is None or at is None:
+        if fit is None or (at is None and CURVE not in self._basis.free):
             return fit
-        if self._whitened is not None:
+        if self._whitened is not None and at is not None:
             fit = self._whitened.judged_thrust(fit, at)
         if CURVE not in self._basis.free:
             return fit
+        where = self._coordinates(at)
         total = self._record.momentum.total if momentum is None else momentum
         if fit.source == "accelerometer":
             total = self._record.accelerometer.total
         step = 0.05 * np.eye(3)[CURVE]
         less, more = (
             float(mixed[..., 2, 0].ravel()[-1])  # of the vertical axis
-            for c in (at.coordinates - step, at.coordinates + step)
+            for c in (where - step, where + step)
             for mixed in (_mixed(self._basis.thrust_weights(c), total),)
         )
         change = -fit.kappa * (more - less) / (0.5 * (more + less)) / (2.0 * step[CURVE])
+        if at is None:
+            # Of the curve nothing is known yet but what it ordinarily is.
+            std = float(np.hypot(fit.kappa_std, change * COORDINATE_STD[CURVE]))
+            return replace(fit, kappa_std=std)
         return replace(fit, curve_slope=float(change))
 
     def _is_rigid_body_test_due(self) -> bool:

@@ -51,6 +51,8 @@ _ALIKE = 0.1
 """Of standard deviations, relative: in a minute of flight chance makes them differ by 0.07."""
 _NEAR, _ROUNDS = 0.1, 4
 """Standard deviations, squared, that a search may be from the minimum; how often it goes on."""
+_ABSURD = -0.5
+"""Share of an axis' acceleration explained: less is of a minimum that is none of the vehicle's."""
 _HALVINGS = 20
 """A step that leads out of the physical inertias is shortened so often, then not taken."""
 
@@ -542,16 +544,18 @@ class Outcome:
             # Were the curve another, all unknowns would go with it.
             along = full[:, :, CURVE] / full[:, CURVE, CURVE, None] * problem.basis.curve_doubt
             full += along[:, :, None] * along[:, None, :]
-        converged = list(converged)
+        r_squared = self._explained()
+        reached = np.array(list(converged), dtype=bool)
         if problem.basis.commands and CURVE in problem.free:
-            for i in np.flatnonzero(~np.array(converged)).tolist():
-                # Where the search did not end, curve and lag are what they ordinarily are.
+            # Whoever explains an axis worse than nothing sits in a false minimum.
+            reached &= r_squared.min(axis=1) > _ABSURD
+            for i in np.flatnonzero(~reached).tolist():
+                # There curve and lag are what they ordinarily are.
                 for place, std in ((CURVE, COORDINATE_STD[2]), (LAG, COORDINATE_STD[1])):
                     if full[i, place, place] > 0.0:
                         along = full[i, :, place] / full[i, place, place] * std
                         full[i] += np.outer(along, along)
         data_std = np.sqrt(np.diagonal(data_covariance, axis1=1, axis2=2)) / d
-        r_squared = self._explained()
         return [
             RotationFit(
                 theta=unknowns[i, :n],
@@ -559,7 +563,7 @@ class Outcome:
                 residual_covariance=point.residual[i],
                 r_squared=r_squared[i],
                 rows=int(problem.rows[i]),
-                converged=bool(reached),
+                converged=bool(done),
                 coordinates=unknowns[i, COORDINATES],
                 leak=leak,
                 data_std=data_std[i, :n],
@@ -568,7 +572,7 @@ class Outcome:
                 deviations=unknowns[i, N_UNKNOWNS:],
                 extended_covariance=every[i],
             )
-            for i, (reached, leak) in enumerate(zip(converged, leaks, strict=True))
+            for i, (done, leak) in enumerate(zip(reached, leaks, strict=True))
         ]
 
     def _explained(self) -> Array:

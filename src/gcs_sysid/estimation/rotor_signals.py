@@ -84,9 +84,7 @@ class RotorPath:
         if self._low_pass is not None:
             k, n = len(signals), len(rotors)
             flat = np.zeros((len(bent), n, signals.shape[2] - bent.shape[2]))
-            both = self._filtered(
-                np.concatenate([signals, np.concatenate([bent, flat], axis=-1)])
-            )
+            both = self._filtered(np.concatenate([signals, np.concatenate([bent, flat], axis=-1)]))
             signals, bent = both[:k], both[k:, :, :4]
         return signals, bent, thrust
 
@@ -101,7 +99,7 @@ class RotorPath:
         return mixed.reshape(-1, n, 4), H.reshape(-1, n)
 
     def _lagged(self, commands: Array) -> tuple[Array, Array]:
-        """(lags, n, rotors) what first-order motors make of commands, (bent lags, ...) of squares."""
+        """(lags, n, rotors) commands through motors of first order; (bent lags, ...) squares."""
         out = np.full((len(self._filters), *commands.shape), np.nan)
         squares = np.full((len(self._bent), *commands.shape), np.nan)
         for run, there in runs(complete_rows(commands)):
