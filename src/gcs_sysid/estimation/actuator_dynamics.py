@@ -13,9 +13,9 @@ lag, or the command itself. Around hover all three are
 
     T / T_max = (1 - c) w + c w^2 + k (L[u^2] - w^2),    w = L[u]
 
-with L the lag of command u. k is 0 where the command lags, c where thrust does, and below zero where
-speed does (`LagPlace`). The last term is largest where two axes turn together: what lags matters
-for Izz and k_M, which are told apart there.
+with L the lag of command u. k is 0 where the command lags, c where thrust does, and below zero
+where speed does (`LagPlace`). The last term is largest where two axes turn together: what lags
+matters for Izz and k_M, which are told apart there.
 
 The rotors' signals are filtered with a few pairs of lag and delay, the elements of a basis. What
 any other pair would make of them, exp(i omega d) / (1 + i omega tau), is a sum of the elements

@@ -16,6 +16,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import rotation, translation
 from gcs_sysid.estimation.actuator_dynamics import CURVE, LAGS_OF, LagPlace
 from gcs_sysid.estimation.command_noise import CommandNoise
+from gcs_sysid.estimation.lag_hypotheses import fit_lag_places, with_lag_doubt
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
@@ -361,7 +362,7 @@ class OnlineEstimator:
         if place is None:
             return fits
         doubt = warm_start.rotation.lag_doubt
-        return [rotation.with_lag_doubt(fit, place, doubt) for fit in fits]
+        return [with_lag_doubt(fit, place, doubt) for fit in fits]
 
     def _use_place(self, place: LagPlace | None) -> None:
         """Let maps of the basis be those of what lags by a fit; None: as long as there is none."""
@@ -489,10 +490,10 @@ class OnlineEstimator:
         independent = record.seconds / record.half_width
         others = self.prior, record.noise_doubt
         if start is not None:
-            fit = rotation.fit_lag_places(*data, places, independent, start, *others)
+            fit = fit_lag_places(*data, places, independent, start, *others)
             if fit is not None and fit.converged:
                 return fit
-        return rotation.fit_lag_places(*data, places, independent, None, *others, start)
+        return fit_lag_places(*data, places, independent, None, *others, start)
 
     def _fit_momentum(self, where: Array) -> TranslationFit | None:
         """Of the momentum balance, at (3,) coordinates; None while it is too early."""
