@@ -63,12 +63,14 @@ class WhitenedFit:
         shocks: (k,) which batches were left out.
         left_out: (3, width, width) moments of these, as each axis' whitener made them.
         rows_left_out: in them.
+        cost: nats a row, summed over the axes; the less, the better.
     """
 
     rotation: RotationFit
     shocks: Mask
     left_out: Array
     rows_left_out: int
+    cost: float
 
 
 def fit_whitened(
@@ -161,7 +163,15 @@ def fit_whitened(
         deviating=deviations,
     )
     pick = list(solved.pick)
-    return WhitenedFit(fit, ~kept, everything[pick] - total[pick], all_rows - rows)
+    power = solved.trial.variance[pick, np.arange(_AXES)]
+    cost = 0.5 * float(np.log(power).sum() + solved.point.weak[0] / rows)
+    return WhitenedFit(fit, ~kept, everything[pick] - total[pick], all_rows - rows, cost)
+
+
+def least_power(data: WhitenedMoments, basis: ActuatorDynamics, unknowns: Array) -> tuple[int, ...]:
+    """Whitener of least innovation power, of each axis, near (N_UNKNOWNS,) of a fit."""
+    total, rows = data.total(np.ones(len(data.counts), dtype=bool)), int(data.counts.sum())
+    return _tried(total, rows, data, basis, None, unknowns).pick
 
 
 def follow_whitened(
