@@ -251,7 +251,7 @@ def minimise_axes(problem: AxisProblem, unknowns: Array, limit: int) -> tuple[Ax
         small = gain < _CONVERGED**2
         better = physical & ((after <= before) | small) & ~converged
         point = point.where(better, tried)
-        # Between two delays there is less noise than a straight line would have: steps may overshoot.
+        # Between two delays there is less noise than on a straight line: steps may overshoot.
         poor = ~small & (before - after < _POOR * gain)
         change = np.where(better, np.where(poor, 5.0, 0.1), 10.0)
         damping = np.maximum(change * damping, _LEAST_DAMPING)
