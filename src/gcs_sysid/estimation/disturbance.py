@@ -77,12 +77,15 @@ class Trial:
             hover: rad^2/s^2 (1 with commands), thrust signal in hover; 0 where the air is known to
                 be calm: what disturbs is then zero in the mean.
         """
-        errors = [self._contrast(fit)]
+        disturbed = self.detected.max() > RULES.detected
+        errors = [self._contrast(fit)] if disturbed else []
         for axis, strength in enumerate(self.detected):
             if strength > RULES.detected:
                 errors.append(axis_floor(fit, axis))
                 if axis < 2:
                     errors.append(self._trim(fit, axis, hover))
+        if not errors:
+            return np.zeros((0, rb.N_THETA))
         found = np.stack(errors)
         present: Array = found[found.any(axis=1)]
         return present

@@ -186,6 +186,7 @@ def assemble(
             if dependent not in given:
                 known.pop(dependent, None)
     _complete(known)
+    _stand_upright(rotors, known)
     return Vehicle(_identifier(name or label), rotors, known, result)
 
 
@@ -276,6 +277,21 @@ def _complete(known: dict[str, Quantity]) -> None:
                 f"T_max = {full:.4g} N is not k_T times rotor_speed_max squared "
                 f"({k_T * speed**2:.4g} N): give one of the two"
             )
+
+
+def _stand_upright(rotors: tuple[Rotor, ...], known: dict[str, Quantity]) -> None:
+    """The drag torque with which upright rotors would turn the vehicle as its canted ones do.
+
+    Formats know upright rotors alone.
+    """
+    cant = Airframe("canted", rotors).cant
+    for name, share in (
+        ("moment_ratio", 1.0),
+        ("k_M", known["k_T"].value if "k_T" in known else 0),
+    ):
+        if cant and name in known and share:
+            own = known[name]
+            known[name] = Quantity(own.value + cant * share, own.std, f"{own.origin}, cant added")
 
 
 def _identifier(name: str) -> str:

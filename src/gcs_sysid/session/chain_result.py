@@ -119,7 +119,8 @@ class Findings:
         """Each rotor's coefficients; with commands there are none."""
         if self.learner.rotor_input != "speed":
             return ()
-        each = rotor_values(self.learner.fit.rotation, self._scale, len(self.airframe.rotors))
+        rotors, cant = len(self.airframe.rotors), self.airframe.cant
+        each = rotor_values(self.learner.fit.rotation, self._scale, rotors, cant)
         return tuple(
             {
                 name: Estimate(value.value, value.std, REGISTRY[name].unit, value.status)
