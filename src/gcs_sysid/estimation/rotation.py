@@ -128,8 +128,7 @@ class RotationFit:
     @property
     def std(self) -> Array:
         """(N_THETA,) standard deviations."""
-        std: Array = np.sqrt(np.diag(self.covariance))
-        return std
+        return _deviations(np.diag(self.covariance))
 
     @property
     def deviations_covariance(self) -> Array:
@@ -447,12 +446,11 @@ class Outcome:
         every = np.zeros((K, unknowns.shape[1], unknowns.shape[1]))
         every[:, problem.free[:, None], problem.free] = covariance / self._scales
         full = every[:, :N_UNKNOWNS, :N_UNKNOWNS]
-        full = every[:, :N_UNKNOWNS, :N_UNKNOWNS]
         if problem.basis.curve_doubt and CURVE in problem.free:
             # Were the curve another, all unknowns would go with it.
             along = full[:, :, CURVE] / full[:, CURVE, CURVE, None] * problem.basis.curve_doubt
             full += along[:, :, None] * along[:, None, :]
-        data_std = np.sqrt(np.diagonal(data_covariance, axis1=1, axis2=2)) / d
+        data_std = _deviations(np.diagonal(data_covariance, axis1=1, axis2=2)) / d
         r_squared = self._explained()
         return [
             RotationFit(
@@ -490,6 +488,12 @@ class Outcome:
             step = np.where(physical[:, None], step, 0.5 * step)
         physical = rb.are_physical(unknowns)
         return np.where(physical[:, None], unknowns, self._unknowns)
+
+
+def _deviations(variances: Array) -> Array:
+    """Square roots; without limit where less noise than there is left negative information."""
+    root: Array = np.sqrt(np.where(variances >= 0.0, variances, np.inf))
+    return root
 
 
 def _times(matrices: Array, vectors: Array) -> Array:
