@@ -33,9 +33,11 @@ SHOCK = 6.0
 """Times the median power of innovations, from which a batch is left out."""
 _JUDGED = 3
 """Rounds of judging them, each by the fit without those found before."""
-_JUDGED_ALIKE = 5
+_JUDGED_ALIKE = 12
 """Times that batches are judged by the whiteners found before, 5 s each: whoever is bumped, is by
 any."""
+_JUDGES = 3
+"""Iterations of a fit that judges, from the one before: the strongest are 6 times the median."""
 _MOST_SHOCKS = 0.25
 """Share of the batches; what happens more often is no shock."""
 _SCAN, _TRY, _AGAIN, _FIT, _FOLLOW = 5, 8, 4, 30, 3
@@ -257,9 +259,9 @@ def shocks_in(
     """
     kept = np.ones(len(data.counts), dtype=bool)
     total, rows = data.total(kept), int(data.counts.sum())
-    age = 0
+    age, limit = 0, _TRY
     if start is not None and start.age < _JUDGED_ALIKE:
-        pick, unknowns, age = start.pick, start.unknowns[None], start.age + 1
+        pick, unknowns, age, limit = start.pick, start.unknowns[None], start.age + 1, _JUDGES
     else:
         if start is None:
             trial = _scanned(total, rows, data, basis, None)
@@ -271,7 +273,7 @@ def shocks_in(
         unknowns = trial.unknowns[list(pick)[:1]]
     places = list(pick)
     problem = AxisProblem(total[places][None], rows, basis, None, data.noise[places][None])
-    point, _ = minimise_axes(problem, unknowns, _TRY)
+    point, _ = minimise_axes(problem, unknowns, limit)
     shocks = _shocks(point, data.of_axes(pick), data.counts, basis)
     return shocks, Reference(point.unknowns[0], pick, age)
 
