@@ -185,7 +185,7 @@ def assemble(
         for dependent in _FOLLOWS.get(n, ()):
             if dependent not in given:
                 known.pop(dependent, None)
-    _complete(known)
+    complete(known)
     return Vehicle(_identifier(name or label), rotors, known, result)
 
 
@@ -263,7 +263,7 @@ _RULES = (
 )
 
 
-def _complete(known: dict[str, Quantity]) -> None:
+def complete(known: dict[str, Quantity]) -> None:
     """Add what follows from two others."""
     for rule in _RULES:
         if rule.name not in known and all(name in known for name in rule.of):
