@@ -76,8 +76,8 @@ def propose(dynamics: HoverDynamics, loop: RateLoop, limits: DesignLimits = LIMI
         short = _short(few, loop, limits)
         if not short.any():
             return loop
-        for axis in np.flatnonzero(short):
-            loop = loop.with_gains(int(axis), _scaled(loop.gains[axis], 0.94))
+        for lacking in map(int, np.flatnonzero(short)):
+            loop = loop.with_gains(lacking, _scaled(loop.gains[lacking], 0.94))
     raise InputError(
         "no gains keep the margins on "
         + " and ".join(AXES[axis] for axis in np.flatnonzero(short))

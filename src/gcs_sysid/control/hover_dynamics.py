@@ -28,6 +28,9 @@ FLIGHT_FOR = {
     "mass": "weigh the vehicle and analyze again with --mass KG",
 }
 """What would help where something is missing."""
+_USUAL_REACTION = (0.0, 0.25)
+"""s, J_r / (2 k_M Omega) in hover: 0.02 of a Crazyflie with bare propellers, 0.2 where rotor and
+bell are heavy for the propeller (the vehicles of benchmarks/truth: 0.1 to 0.25)."""
 _LEAST_SHARE = 0.02
 """Of T_max, of a rotor in hover."""
 
@@ -59,8 +62,15 @@ class HoverDynamics:
 
     def first(self, count: int) -> "HoverDynamics":
         """The nominal vehicle and the first draws: `count` altogether."""
-        names = ("effectiveness", "reaction", "damping", "lag", "delay", "hover")
-        return HoverDynamics(*(getattr(self, n)[:count] for n in names), self.notes)
+        return HoverDynamics(
+            self.effectiveness[:count],
+            self.reaction[:count],
+            self.damping[:count],
+            self.lag[:count],
+            self.delay[:count],
+            self.hover[:count],
+            self.notes,
+        )
 
     def response(self, omega: Array, period: float = 0.0) -> Array:
         """(N, w, 3, 3) body rates over normalised torques.
@@ -119,16 +129,27 @@ def hover_dynamics(
     random = np.random.default_rng(seed)
     delays = np.maximum(delay[0] + delay[1] * random.standard_normal(len(vehicles)), 0.0)
     delays[0] = delay[0]
-    parts = [_one(vehicle, loop) for vehicle in vehicles]
-    arrays = [np.array(values) for values in zip(*parts, strict=True)]
+    # What the flight does not tell of the rotors' inertia is drawn from all that is usual.
+    unknown = first.get("rotor_inertia") is None or first.get("k_T") is None
+    reactions = random.uniform(*_USUAL_REACTION, len(vehicles))
+    reactions[0] = np.mean(_USUAL_REACTION)
+    parts = [
+        _one(vehicle, loop, float(reaction) if unknown else None)
+        for vehicle, reaction in zip(vehicles, reactions, strict=True)
+    ]
+    B, reaction, damping, lag, hover = (np.array(v) for v in zip(*parts, strict=True))
     notes = []
     if first.get("thrust_curve") is None:
         notes.append(
             "the thrust curve is not identified: assumed to be the one that the autopilot inverts"
         )
-    if first.get("rotor_inertia") is None or first.get("k_T") is None:
-        notes.append("rotor inertia is not identified: yaw without its reaction")
-    return HoverDynamics(*arrays[:4], delays, arrays[4], tuple(notes))
+    if unknown:
+        low, high = _USUAL_REACTION
+        notes.append(
+            "rotor inertia is not identified: its reaction in yaw, J_r / (2 k_M Omega), is "
+            f"drawn from {low:g} to {high:g} s; a result by rotor speeds (--with) narrows it"
+        )
+    return HoverDynamics(B, reaction, damping, lag, delays, hover, tuple(notes))
 
 
 def check_needs(vehicle: Vehicle) -> None:
@@ -156,7 +177,9 @@ def check_needs(vehicle: Vehicle) -> None:
     vehicle.check_inertia() if all(n in vehicle.known for n in INERTIA) else None
 
 
-def _one(v: Vehicle, loop: RateLoop) -> tuple[Array, Array, Array, float, Array]:
+def _one(
+    v: Vehicle, loop: RateLoop, reaction_time: float | None
+) -> tuple[Array, Array, Array, float, Array]:
     places = np.array([[r.x, r.y] for r in v.rotors])
     spins = np.array([float(r.spin) for r in v.rotors])
     cg = np.array([v.get("cg_x") or 0.0, v.get("cg_y") or 0.0])
@@ -174,9 +197,11 @@ def _one(v: Vehicle, loop: RateLoop) -> tuple[Array, Array, Array, float, Array]
     slope = v["T_max"] * thrust * (1.0 - c + 2.0 * c * u) / (1.0 - f + 2.0 * f * u)
     inverse = np.linalg.inv(J)
     B = inverse @ (E * slope) @ loop.mixer
-    reaction = np.zeros((3, 3))
     k_T, J_r = v.get("k_T"), v.get("rotor_inertia")
-    if k_T is not None and J_r:
+    reaction = np.zeros((3, 3))
+    if reaction_time is not None:
+        reaction = inverse[:, 2:] @ (spins * ratio * reaction_time * slope @ loop.mixer)[None]
+    elif k_T is not None and J_r:
         speed = np.sqrt(np.maximum(hover, 1e-9) / (k_T * thrust))
         # T = k_T Omega^2: a rotor turns faster by dT / (2 k_T Omega).
         turning = spins * J_r * slope / (2.0 * k_T * thrust * speed)

@@ -96,7 +96,7 @@ class RateLoop:
         """The same with other gains on one axis."""
         changed = list(self.gains)
         changed[axis] = gains
-        return replace(self, gains=tuple(changed))
+        return replace(self, gains=(changed[0], changed[1], changed[2]))
 
     def as_parameters(self) -> dict[str, float]:
         """The gains as the autopilot's parameters, by name; K of PX4 is 1."""
@@ -140,14 +140,14 @@ class RateLoop:
         if self.gyro_cutoff > 0.0:
             x = s / (2.0 * np.pi * self.gyro_cutoff)
             gyro = 1.0 / (1.0 + np.sqrt(2.0) * x + x * x)
-        P, I, D, attitude, FF = (
+        P, Ki, D, attitude, FF = (
             np.array([getattr(g, name) for g in self.gains])
             for name in ("P", "I", "D", "attitude", "FF")
         )
         torque = self._first_order(self.torque_cutoff, z_inverse)
         if self.autopilot == "px4":
             # The integral of the last step acts; it is updated behind the output.
-            PI = P + I * self.period * z_inverse / (1.0 - z_inverse)
+            PI = P + Ki * self.period * z_inverse / (1.0 - z_inverse)
             cutoff = np.array(self.derivative_cutoff)
             # At the gyro's own rate, which is fast against the cutoff.
             lag = np.where(cutoff > 0.0, 1.0 / (2.0 * np.pi * np.maximum(cutoff, 1e-9)), 0.0)
@@ -157,7 +157,7 @@ class RateLoop:
             error = self._first_order(self.error_cutoff, z_inverse)
             derivative = self._first_order(self.derivative_cutoff, z_inverse)
             slope = (1.0 - z_inverse) / self.period
-            PID = error * (P + I * self.period / (1.0 - z_inverse) + D * slope * derivative)
+            PID = error * (P + Ki * self.period / (1.0 - z_inverse) + D * slope * derivative)
             rate = gyro * PID
             reference = (PID + FF) * self._first_order(self.target_cutoff, z_inverse)
         return torque * rate, torque * reference * attitude, torque * reference
@@ -207,14 +207,14 @@ class _Reader:
 
 def _px4(reader: _Reader, rotors: tuple[Rotor, ...]) -> RateLoop:
     gains = []
-    for name, (P, I, D, attitude) in zip(_PX4_AXES, _PX4_USUAL, strict=True):
+    for name, (P, I, D, angle) in zip(_PX4_AXES, _PX4_USUAL, strict=True):  # noqa: E741
         K = reader.get(f"MC_{name}RATE_K", 1.0)
         gains.append(
             AxisGains(
                 K * reader.get(f"MC_{name}RATE_P", P),
                 K * reader.get(f"MC_{name}RATE_I", I),
                 K * reader.get(f"MC_{name}RATE_D", D),
-                reader.get(f"MC_{name}_P", attitude),
+                reader.get(f"MC_{name}_P", angle),
                 reader.get(f"MC_{name}RATE_FF", 0.0),
             )
         )
@@ -235,20 +235,20 @@ def _px4(reader: _Reader, rotors: tuple[Rotor, ...]) -> RateLoop:
 
 def _ardupilot(reader: _Reader, rotors: tuple[Rotor, ...]) -> RateLoop:
     gains, filters = [], []
-    for name, (P, I, D, attitude) in zip(_ARDUPILOT_AXES, _ARDUPILOT_USUAL, strict=True):
+    for name, usual in zip(_ARDUPILOT_AXES, _ARDUPILOT_USUAL, strict=True):
         prefix = f"ATC_RAT_{name}_"
         gains.append(
             AxisGains(
-                reader.get(prefix + "P", P),
-                reader.get(prefix + "I", I),
-                reader.get(prefix + "D", D),
-                reader.get(f"ATC_ANG_{name}_P", attitude),
+                reader.get(prefix + "P", usual[0]),
+                reader.get(prefix + "I", usual[1]),
+                reader.get(prefix + "D", usual[2]),
+                reader.get(f"ATC_ANG_{name}_P", usual[3]),
                 reader.get(prefix + "FF", 0.0),
             )
         )
-        usual = (20.0, 2.5 if name == "YAW" else 0.0, 20.0)
+        cutoffs = (20.0, 2.5 if name == "YAW" else 0.0, 20.0)
         filters.append(
-            [reader.get(prefix + f"FLT{x}", f) for x, f in zip("TED", usual, strict=True)]
+            [reader.get(prefix + f"FLT{x}", f) for x, f in zip("TED", cutoffs, strict=True)]
         )
     target, error, derivative = (tuple(f) for f in zip(*filters, strict=True))
     return RateLoop(
@@ -275,7 +275,7 @@ def _rate(reader: _Reader, name: str, usual: float) -> float:
 def _px4_rotors(parameters: Mapping[str, float], rotors: tuple[Rotor, ...]) -> tuple[Array, Array]:
     """(n, 2) positions and (n,) moment ratios that PX4 was given, the airframe's where not."""
     places, ratios = [], []
-    for i, rotor in enumerate(rotors):
+    for i in range(len(rotors)):
         x = parameters.get(f"CA_ROTOR{i}_PX")
         y = parameters.get(f"CA_ROTOR{i}_PY")
         ratio = parameters.get(f"CA_ROTOR{i}_KM")
@@ -302,8 +302,8 @@ def px4_mixer(places: Array, ratios: Array) -> Array:
     acting = np.maximum((np.abs(mixer[:, :2]) > _NEGLIGIBLE).sum(axis=0), 1)
     scale = np.sqrt((mixer[:, :2] ** 2).sum(axis=0) / (acting / 2.0)).max()
     mixer = mixer / [scale, scale, max(mixer[:, 2].max(), 1e-9)]
-    mixer[np.abs(mixer) < _NEGLIGIBLE] = 0.0
-    return mixer
+    out: Array = np.where(np.abs(mixer) < _NEGLIGIBLE, 0.0, mixer)
+    return out
 
 
 def ardupilot_mixer(rotors: tuple[Rotor, ...]) -> Array:
