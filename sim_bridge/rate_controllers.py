@@ -232,13 +232,13 @@ class Px4RateController(RateController):
     def _torques(self, targets: list[Value]) -> list[Value]:
         out = []
         for i, name in enumerate(self.names):
-            K, P, I, D, FF = (self._get(f"MC_{name}RATE_{x}") for x in ("K", "P", "I", "D", "FF"))
+            K, P, Ki, D, FF = (self._get(f"MC_{name}RATE_{x}") for x in ("K", "P", "I", "D", "FF"))
             error = targets[i] - self._gyro[i]
             torque = K * P * error + self._integral[i] - K * D * self._slope[i] + FF * targets[i]
             factor = np.maximum(1.0 - (error / _SLOW_RATE) ** 2, 0.0)
             limit = self._get(self._limits[i])
             self._integral[i] = clip(
-                self._integral[i] + factor * K * I * error * self.period, -limit, limit
+                self._integral[i] + factor * K * Ki * error * self.period, -limit, limit
             )
             out.append(torque)
         # Begins at the trim, as a vehicle that hovers for a while.
@@ -282,7 +282,7 @@ class ArduPilotRateController(RateController):
     def _torques(self, targets: list[Value]) -> list[Value]:
         out = []
         for i, name in enumerate(self.names):
-            P, I, D, FF, t, e, d, limit = (
+            P, Ki, D, FF, t, e, d, limit = (
                 self._get(f"ATC_RAT_{name}_{x}")
                 for x in ("P", "I", "D", "FF", "FLTT", "FLTE", "FLTD", "IMAX")
             )
@@ -295,7 +295,7 @@ class ArduPilotRateController(RateController):
             self._derivative[i] = self._derivative[i] + _share(d, step) * (
                 slope - self._derivative[i]
             )
-            self._integral[i] = clip(self._integral[i] + I * self._error[i] * step, -limit, limit)
+            self._integral[i] = clip(self._integral[i] + Ki * self._error[i] * step, -limit, limit)
             out.append(
                 P * self._error[i]
                 + self._integral[i]

@@ -73,7 +73,8 @@ def test_weak_values_are_used_and_named(result):
     result = replace(result, parameters=result.parameters | {"Izz": rough})
     vehicle = assemble(result, given=EVERYTHING)
     for target in TARGETS.values():
-        assert "Note: weak: Izz\n" in target.write(vehicle)
+        # A line of a comment, or of the list that stands for one in JSON.
+        assert re.search(r'Note: weak: Izz(",)?\n', target.write(vehicle))
         assert "weak: Izz" in target.notes(vehicle)
 
 

@@ -218,15 +218,10 @@ _ELEMENTS = (("Ixx", "Ixy", "Ixz"), ("Ixy", "Iyy", "Iyz"), ("Ixz", "Iyz", "Izz")
 def _of_each_rotor(v: Vehicle) -> tuple[Array, Array]:
     """(n,) thrust of each rotor over their mean, and moment ratio, m."""
     n = len(v.rotors)
-    thrust, ratio = np.ones(n), np.full(n, v["moment_ratio"])
-    rotors = v.result.rotors
-    if len(rotors) == n and v.known["moment_ratio"].origin != "by hand":
-        each = np.array([[r[k].value if k in r else None for k in ("k_T", "k_M")] for r in rotors])
-        if all(value is not None for value in each.flat):
-            k_T, k_M = each.T.astype(float)
-            thrust = k_T / k_T.mean()
-            ratio = (k_M / k_T) * v["moment_ratio"] / (k_M.mean() / k_T.mean())
-    return thrust, ratio
+    if not v.rotors_differ or v.get("k_T") is None:
+        return np.ones(n), np.full(n, v["moment_ratio"])
+    k_T, ratio = np.array([v.rotor_coefficients(i) for i in range(n)]).T
+    return k_T / v["k_T"], ratio
 
 
 def _command(share: Array, c: float) -> Array:
