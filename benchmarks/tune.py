@@ -188,7 +188,7 @@ def first_flight(drawn: Drawn, loop: RateLoop) -> bool:
         sim.step()
         _, b, c, _ = sim.state.quaternion
         worst = max(worst, b * b + c * c)
-    return worst < math.sin(math.radians(15.0)) ** 2
+    return bool(worst < math.sin(math.radians(15.0)) ** 2)
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ def vehicle_rows(drawn: Drawn, ours: Vehicle, autopilot: Autopilot) -> tuple[lis
             Row(
                 (float(predicted.phase[0]), float(found.phase[0])),
                 (float(predicted.gain[0]), float(found.gain[0])),
-                (expected, max(peak - 1.0, 0.0)),
+                (expected, float(max(peak - 1.0, 0.0))),
                 float(predicted.crossover[0]),
             )
         )

@@ -14,9 +14,12 @@ Both filter the gyro by a second-order Butterworth low-pass, bilinear with prewa
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 import numpy as np
 
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.parameter_file import read_parameter_file
 from sim_bridge.controller import Controller, Gains, clip, multiply, sign
 from sim_bridge.dynamics import State
 from sim_bridge.missions import Reference
@@ -305,4 +308,26 @@ class ArduPilotRateController(RateController):
         return out
 
 
-CONTROLLERS = {"px4": Px4RateController, "ardupilot": ArduPilotRateController}
+CONTROLLERS: dict[str, type[RateController]] = {
+    "px4": Px4RateController,
+    "ardupilot": ArduPilotRateController,
+}
+
+
+def rate_controller(autopilot: str, gains: str) -> Callable[[Vehicle, float], RateController]:
+    """What makes the rate controller of an autopilot.
+
+    Args:
+        autopilot: "px4" or "ardupilot".
+        gains: a .params, .param or .parm file, or "default".
+
+    Raises:
+        InputError: the file cannot be read, or holds no gain of this autopilot.
+    """
+    settings: dict[str, float] = {}
+    if gains != "default":
+        found = read_parameter_file(Path(gains))
+        settings = {name: found[name] for name in DEFAULTS[autopilot] if name in found}
+        if not settings:
+            raise InputError(f"--gains {gains}: holds no gains of {autopilot}: give its own file")
+    return lambda vehicle, period: CONTROLLERS[autopilot](vehicle, period, settings)

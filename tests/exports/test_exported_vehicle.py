@@ -1,5 +1,6 @@
 """What is known of a vehicle, where from, and what is refused rather than invented."""
 
+import json
 import re
 from dataclasses import replace
 from xml.etree import ElementTree
@@ -145,7 +146,11 @@ def test_names_cannot_break_a_file(result, target):
     if text.startswith("#"):
         plain = TARGETS[target].write(assemble(result, given=EVERYTHING, name="x"))
         code = [line for line in text.splitlines() if not line.startswith("#")]
-        assert code == [line for line in plain.splitlines() if not line.startswith("#")]
+        expected = [line for line in plain.splitlines() if not line.startswith("#")]
+        # A section of TOML has the vehicle's name, made harmless.
+        assert [line.replace("[_3______]", "[x]") for line in code] == expected
+    elif text.startswith("{"):
+        assert "3____" in json.loads(text)["_comment"][0]
     else:
         ElementTree.fromstring(text)
         assert "3____" in text
