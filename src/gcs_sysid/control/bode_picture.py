@@ -14,7 +14,7 @@ from gcs_sysid.control.rate_loops import AXES, RateLoop
 from gcs_sysid.control.tuning_study import BAND, Tuning
 from gcs_sysid.report.markup import Markup, element, joined
 
-_COLUMN, _UPPER, _LOWER, _LEFT, _TOP, _GAP = 300.0, 190.0, 170.0, 58.0, 56.0, 26.0
+_COLUMN, _UPPER, _LOWER, _LEFT, _TOP, _GAP = 300.0, 190.0, 170.0, 58.0, 66.0, 26.0
 _LOW, _HIGH = 0.5, 300.0
 """rad/s, shown."""
 _DECIBELS, _DEGREES = (-40.0, 40.0), (-270.0, -90.0)

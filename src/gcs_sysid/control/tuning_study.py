@@ -211,7 +211,7 @@ def document_of(tuning: Tuning) -> dict[str, Any]:
             "effectiveness": _banded(values),
             "damping": float(dynamics.damping[0, axis, axis]),
             "reaction": float(dynamics.reaction[0, axis, axis]),
-            "unit": "rad/s^2 per normalised torque",
+            "unit": "rad/s^2 per normalized torque",
         }
     return {
         "schema": SCHEMA,
