@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import Any, cast
 
 from gcs_sysid.cli.export_command import airframe_for
-from gcs_sysid.cli.output import Deliveries, check_json, print_file, save, show, write_json
+from gcs_sysid.cli.output import (
+    Deliveries,
+    check_json,
+    is_device,
+    show,
+    write_json,
+    write_text,
+)
 from gcs_sysid.control.bode_picture import bode_svg
 from gcs_sysid.control.rate_loops import AUTOPILOTS, Autopilot
 from gcs_sysid.control.tuning_study import (
@@ -22,7 +29,6 @@ from gcs_sysid.control.tuning_study import (
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import MissingError, Vehicle, assemble
 from gcs_sysid.exports.formats import TARGETS
-from gcs_sysid.files import check_target
 from gcs_sysid.model.parameter_file import SUFFIXES, read_parameter_file
 from gcs_sysid.results.result_file import read_result
 
@@ -32,33 +38,30 @@ _INDI = {"indi": "indiflight", "paparazzi": "paparazzi"}
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 where the result does not carry gains."""
-    path = _target(options)
-    check_json(options.json, force=options.force)
-    if options.bode is not None:
-        check_target(Path(options.bode), replace=options.force)
-    if "-" in (options.json, options.output) and options.json == options.output:
-        raise InputError("--json and --output cannot both go to standard output")
+    _check_outputs(options)
     vehicle = _vehicle(options)
     try:
         if options.to in _INDI:
-            return _effectiveness(options, vehicle, path)
-        return _gains(options, vehicle, path)
+            return _effectiveness(options, vehicle)
+        return _gains(options, vehicle)
     except MissingError as error:
         print(f"gcs-sysid: {options.result}: {error}", file=sys.stderr)
         return 1
 
 
-def _target(options: argparse.Namespace) -> Path | None:
+def _check_outputs(options: argparse.Namespace) -> None:
+    """See beforehand whether all that is asked for can be written."""
     if (options.to is None) != (options.output is None):
         raise InputError("--to and -o go together: give both, or neither")
-    if options.output is None or options.output == "-":
-        return None
-    path = Path(options.output)
-    check_target(path, replace=options.force)
+    for path in (options.json, options.output, options.bode):
+        check_json(path, force=options.force)
+    if (options.json, options.output, options.bode).count("-") > 1:
+        raise InputError("--json, --bode and --output: only one can go to standard output")
     wanted = {"px4-params": (".params",), "ardupilot-param": (".param", ".parm")}.get(options.to)
-    if wanted is not None and path.suffix not in wanted:
-        raise InputError(f"{path}: {options.to} is written to a file NAME{wanted[0]}")
-    return path
+    if wanted is None or options.output == "-" or is_device(options.output):
+        return
+    if Path(options.output).suffix not in wanted:
+        raise InputError(f"{options.output}: {options.to} is written to a file NAME{wanted[0]}")
 
 
 def _vehicle(options: argparse.Namespace) -> Vehicle:
@@ -73,7 +76,7 @@ def _vehicle(options: argparse.Namespace) -> Vehicle:
     return with_deviations(vehicle, deviations)
 
 
-def _gains(options: argparse.Namespace, vehicle: Vehicle, path: Path | None) -> int:
+def _gains(options: argparse.Namespace, vehicle: Vehicle) -> int:
     parameters, heard = _parameters(options)
     autopilot = _autopilot(options, vehicle, heard, parameters)
     try:
@@ -88,35 +91,28 @@ def _gains(options: argparse.Namespace, vehicle: Vehicle, path: Path | None) -> 
     except ValueError as error:
         raise InputError(f"{options.result}: {error}") from error
     deliveries = Deliveries()
-    if "-" not in (options.json, options.output):
+    if "-" not in (options.json, options.output, options.bode):
         deliveries.give(lambda: show(tuning_text(tuning)))
     deliveries.give(lambda: write_json(options.json, document_of(tuning), force=options.force))
     if options.bode is not None:
         picture = bode_svg(tuning)
-        deliveries.give(lambda: save(Path(options.bode), picture, force=options.force))
+        deliveries.give(lambda: write_text(options.bode, picture, force=options.force))
     if options.to is not None:
         text = parameter_text(tuning, ".params" if autopilot == "px4" else ".param")
-        deliveries.give(lambda: _write(text, path, options))
+        deliveries.give(lambda: write_text(options.output, text, force=options.force))
     deliveries.check()
     return 0
 
 
-def _effectiveness(options: argparse.Namespace, vehicle: Vehicle, path: Path | None) -> int:
+def _effectiveness(options: argparse.Namespace, vehicle: Vehicle) -> int:
     """G1 and G2, which INDI has in place of gains."""
     if options.json is not None or options.bode is not None:
         raise InputError("--json and --bode are of gains: leave them out with INDI")
     target = TARGETS[_INDI[options.to]]
-    _write(target.write(vehicle), path, options)
+    write_text(options.output, target.write(vehicle), force=options.force)
     for note in target.notes(vehicle):
         print(f"gcs-sysid: note: {note}", file=sys.stderr)
     return 0
-
-
-def _write(text: str, path: Path | None, options: argparse.Namespace) -> None:
-    if path is None:
-        print_file(text)
-    else:
-        save(path, text, force=options.force)
 
 
 def _parameters(options: argparse.Namespace) -> tuple[Mapping[str, float], str]:
