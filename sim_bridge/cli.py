@@ -156,7 +156,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--gains",
         metavar="FILE|default",
         help="fly the autopilot's own rate controller with the gains of a .params or .param file, "
-        "or its defaults (default: a controller that knows the vehicle)",
+        "or as shipped (else by a controller that knows the vehicle)",
     )
     add(
         "--turbulence",

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.control.rate_loops import AXES, RateLoop
+from gcs_sysid.control.rate_loops import RateLoop
 from gcs_sysid.exports.exported_vehicle import MissingError, Vehicle
 from gcs_sysid.model.parameters import AXIS_DAMPINGS, GRAVITY, INERTIA
 
@@ -174,7 +174,8 @@ def check_needs(vehicle: Vehicle) -> None:
         names = ", ".join(missing.values())
         advice = "; ".join(FLIGHT_FOR[group] for group in missing)
         raise MissingError(f"no gains from this result: {names} not identified: {advice}")
-    vehicle.check_inertia() if all(n in vehicle.known for n in INERTIA) else None
+    if all(n in vehicle.known for n in INERTIA):
+        vehicle.check_inertia()
 
 
 def _one(
@@ -229,6 +230,3 @@ def _command(share: Array, c: float) -> Array:
     linear = 1.0 - c
     out: Array = 2.0 * share / (linear + np.sqrt(np.maximum(linear**2 + 4.0 * c * share, 1e-12)))
     return out
-
-
-assert AXES == ("roll", "pitch", "yaw")
