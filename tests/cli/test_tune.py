@@ -57,6 +57,7 @@ def files(tmp_path, monkeypatch):
 FEW = ("--draws", "10")
 
 
+@pytest.mark.slow
 def test_gains_now_and_proposed(files, capsys):
     more = ["--with", "command.json", "--json", "t.json", "--bode", "b.svg", *FEW]
     assert run(["tune", "speed.json", "now.params", *more]) == 0
@@ -84,6 +85,7 @@ def test_gains_now_and_proposed(files, capsys):
     assert names.count("polyline") == names.count("polygon") == 12
 
 
+@pytest.mark.slow
 def test_a_file_for_qgroundcontrol_and_one_for_mission_planner(files, capsys):
     assert run(["tune", "command.json", "--to", "px4-params", "-o", "g.params", *FEW]) == 0
     values = read_parameter_file(files / "g.params")

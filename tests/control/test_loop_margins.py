@@ -104,6 +104,7 @@ def test_the_step_response_is_that_of_the_loop_simulated_in_time():
     assert step.overshoot[0] == pytest.approx(max(max(track) - 1.0, 0.0), abs=0.01)
 
 
+@pytest.mark.slow
 def test_proposed_gains_keep_the_margins_on_every_draw():
     _, vehicle = known_vehicle(share=0.03)
     loop = read_loop("px4", {}, vehicle.rotors)
