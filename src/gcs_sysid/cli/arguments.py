@@ -18,7 +18,10 @@ from gcs_sysid.errors import InputError
 ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-difference")
 """Names of `estimation.article.METHODS` (a test compares); not imported, to start fast."""
 
-EXPORT_TARGETS = ("px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy")
+EXPORT_TARGETS = (
+    "px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy", "ardupilot-sitl", "crazyflow", "l2f",
+    "indiflight", "paparazzi",
+)  # fmt: skip
 """Names of `exports.formats.TARGETS` (a test compares); not imported either."""
 
 NO_SCALE = (
@@ -338,6 +341,13 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--name", metavar="NAME", help="name of the vehicle (default: the airframe's)"
     )
+    parser.add_argument(
+        "--ensemble",
+        type=draws,
+        metavar="N",
+        help="N vehicles drawn from the covariance, as FILE-001, FILE-002, ...",
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of --ensemble (default 1)")
     group = parser.add_argument_group("values that the flight did not identify")
     group.add_argument(
         "--set",
@@ -355,6 +365,13 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--arm", type=positive, metavar="M", help="mean distance of the rotors from the center, m"
     )
+
+
+def draws(text: str) -> int:
+    """An argparse type: how many draws."""
+    if not text.isdecimal() or not 1 <= int(text) <= 10_000:
+        raise argparse.ArgumentTypeError(f"must be a whole number from 1 to 10000, got {text!r}")
+    return int(text)
 
 
 def add_compare(parser: argparse.ArgumentParser) -> None:

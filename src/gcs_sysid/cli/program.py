@@ -97,9 +97,19 @@ def build_parser() -> argparse.ArgumentParser:
     export = commands.add_parser(
         "export",
         help="write an identified vehicle for a simulator",
-        description="Writes a result as a file for PX4's SIH, Gazebo, MuJoCo, RotorPy or as URDF.",
+        description="Writes a result as a file for a simulator (PX4's SIH, ArduPilot's SITL, "
+        "Gazebo, MuJoCo, RotorPy, crazyflow, l2f), as URDF, or as effectiveness for INDI; also as "
+        "an ensemble drawn from its covariance.",
     )
     arguments.add_export(export)
+    tune = commands.add_parser(
+        "tune",
+        help="margins of the autopilot's gains, and gains for the vehicle",
+        description="Shows phase and gain margins of the gains that PX4 or ArduPilot has, over "
+        "the whole interval of the result, and proposes gains, as a file for QGroundControl or "
+        "Mission Planner. Nothing is sent to a vehicle.",
+    )
+    option_groups.add_tune(tune)
     compare = commands.add_parser(
         "compare",
         help="test whether a vehicle has changed",
