@@ -1,0 +1,60 @@
+"""Starts a worker, passes on what it tells, and ends it when nobody wants it any more."""
+
+import asyncio
+import contextlib
+import json
+import os
+import sys
+from collections.abc import AsyncGenerator, Mapping
+from typing import Any
+
+_LONGEST_LINE = 1 << 20
+"""Bytes that a worker says at once."""
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class WorkerPool:
+    """A few processes at once; whoever comes later waits.
+
+    Args:
+        most: processes at once.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._free = asyncio.Semaphore(most)
+
+    async def run(self, job: Mapping[str, Any]) -> AsyncGenerator[dict[str, Any], None]:
+        """What a worker says about a job, the last of it `done` or `error`.
+
+        The process is ended when the iterator is closed or its task cancelled, as it is when the
+        browser that wanted it goes.
+        """
+        if self._free.locked():
+            yield {"progress": 0.0, "stage": "waiting for another analysis"}
+        async with self._free:
+            process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-P", "-m", "gcs_sysid.web.log_worker"),
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.DEVNULL,
+                limit=_LONGEST_LINE,
+                env={**dict.fromkeys(_ONE_THREAD, "1"), **os.environ},
+            )
+            assert process.stdin is not None
+            assert process.stdout is not None
+            try:
+                process.stdin.write(json.dumps(job).encode() + b"\n")
+                with contextlib.suppress(ConnectionError):
+                    await process.stdin.drain()
+                ended = False
+                async for line in process.stdout:
+                    said = json.loads(line)
+                    ended = "done" in said or "error" in said
+                    yield said
+                if not ended:
+                    yield {"error": "the analysis ended unexpectedly; is there enough memory?"}
+            finally:
+                with contextlib.suppress(ProcessLookupError):
+                    process.kill()
+                # Cancelled or not, no process is left behind.
+                await asyncio.shield(process.wait())
