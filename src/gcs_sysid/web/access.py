@@ -135,7 +135,7 @@ class Access:
 
     @web.middleware
     async def middleware(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Let through what is allowed; the role is `request["role"]`, the first visit's cookie set."""
+        """Let through what is allowed, with its role in `request["role"]`; set the cookie."""
         why = self.why_not(request)
         if why:
             return refuse(403, why)

@@ -163,13 +163,16 @@ def _link(link: LinkStatus) -> dict[str, Any]:
 
 def _coach(advice: Advice) -> dict[str, Any]:
     left = max(0.0, (1.0 - advice.progress) * advice.seconds)
+    # The order in large letters, and aloud; what it is for below.
+    text, _, aim = advice.text.partition(": ") if advice.manoeuvre else (advice.text, "", "")
     return {
-        "text": advice.text,
+        "text": text,
+        "aim": aim,
         "fly": bool(advice.manoeuvre),
         "enough": advice.enough,
         "progress": round(advice.progress, 2),
         "left": f"{left:.0f} s left" if advice.manoeuvre else "",
-        "gains": [gain_text(gain) for gain in advice.gains[:4]],
+        "gains": [] if aim else [gain_text(gain) for gain in advice.gains[:4]],
     }
 
 

@@ -42,19 +42,22 @@ class WorkerPool:
             )
             assert process.stdin is not None
             assert process.stdout is not None
+            ended = False
             try:
                 process.stdin.write(json.dumps(job).encode() + b"\n")
                 with contextlib.suppress(ConnectionError):
                     await process.stdin.drain()
-                ended = False
+                said: dict[str, Any] = {}
                 async for line in process.stdout:
                     said = json.loads(line)
-                    ended = "done" in said or "error" in said
                     yield said
-                if not ended:
+                if not said.keys() & {"done", "error"}:
                     yield {"error": "the analysis ended unexpectedly; is there enough memory?"}
+                ended = True
             finally:
-                with contextlib.suppress(ProcessLookupError):
-                    process.kill()
+                process.stdin.close()
+                if not ended:
+                    with contextlib.suppress(ProcessLookupError):
+                        process.kill()
                 # Cancelled or not, no process is left behind.
                 await asyncio.shield(process.wait())

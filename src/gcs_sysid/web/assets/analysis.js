@@ -205,10 +205,6 @@ async function identify(event) {
   }
 }
 
-function status(row) {
-  return make("span", { class: `status ${row.status}`, title: row.hint }, make("span", { "aria-hidden": "true" }, row.sign), ` ${row.status}`);
-}
-
 async function show(id) {
   const found = await ask(`/items/${id}/result`);
   const { verdict } = found;
@@ -218,8 +214,7 @@ async function show(id) {
   fill(byId("reasons"), ...verdict.reasons.map((reason) => make("li", {}, reason)));
   fill(byId("parameters"), ...found.parameters.map((row) => make("tr", {},
     make("th", { scope: "row" }, row.name, make("span", { class: "meaning" }, row.meaning)),
-    make("td", { class: "number" }, `${row.value} ${row.half}`), make("td", { class: "unit" }, row.unit),
-    make("td", { class: "number", "data-title": row.percent ? "±" : null }, row.percent), make("td", {}, status(row)))));
+    valueCell(row), percentCell(row), statusCell(row))));
   const links = [make("a", { class: "button", href: `/items/${id}/result.json`, download: "" }, "Save the result (JSON)")];
   if (found.report) links.unshift(make("a", { class: "button main", href: `/items/${id}/report.html`, target: "_blank", rel: "noopener" }, "Open the report"));
   fill(byId("downloads"), ...links);
@@ -265,8 +260,8 @@ async function compareResults(event) {
     setText(byId("comparison-text"), `${found.sign} ${found.sentence}`);
     setText(byId("comparison-caption"), `${found.before} and ${found.after}, values with 95 % intervals`);
     fill(byId("differences"), ...found.rows.map((row) => make("tr", {}, make("th", { scope: "row" }, row.name),
-      make("td", { "data-title": "before" }, row.before), make("td", { "data-title": "after" }, row.after),
-      make("td", { "data-title": "difference" }, row.difference), make("td", {}, `${row.sign} ${row.verdict}${row.why ? `: ${row.why}` : ""}`))));
+      make("td", {}, row.before), make("td", {}, row.after),
+      make("td", {}, row.difference), make("td", {}, `${row.sign} ${row.verdict}${row.why ? `: ${row.why}` : ""}`))));
     fill(byId("notes"), ...found.notes.map((note) => make("li", {}, note)));
     toggle(byId("comparison"), true);
     byId("comparison").focus();

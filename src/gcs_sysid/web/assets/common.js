@@ -68,3 +68,9 @@ function setUpTheme() {
     applyTheme(choice.value);
   });
 }
+
+/* Cells that both pages show: a value with its unit, and a status with its sign. */
+const valueCell = (row) => make("td", {}, make("span", { class: "value" }, `${row.value} ${row.half}`), " ", make("span", { class: "unit" }, row.unit));
+const percentCell = (row) => make("td", { class: "number narrow-off" }, row.percent);
+const statusCell = (row) => make("td", {}, make("span", { class: `status ${row.status}`, title: row.hint },
+  make("span", { "aria-hidden": "true" }, row.sign), ` ${row.status}`));
