@@ -12,6 +12,7 @@ import json
 import secrets
 import socket
 from collections.abc import Awaitable, Callable
+from contextvars import ContextVar
 from typing import Any, Literal
 
 from aiohttp import web
@@ -21,6 +22,8 @@ from gcs_sysid.sanitize import one_line
 
 Role = Literal["pilot", "viewer"]
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+_ROLE: ContextVar[Role] = ContextVar("role", default="viewer")
 
 TOKEN_BYTES = 16
 """128 bits: not to be guessed over a network."""
@@ -39,6 +42,11 @@ HEADERS = {
     "X-Frame-Options": "DENY",
 }
 """Of every response that does not set its own."""
+
+
+def present_role() -> Role:
+    """Of whoever sent the request that is being answered."""
+    return _ROLE.get()
 
 
 def refuse(status: int, text: str) -> web.Response:
@@ -135,7 +143,7 @@ class Access:
 
     @web.middleware
     async def middleware(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Let through what is allowed, with its role in `request["role"]`; set the cookie."""
+        """Let through what is allowed, with its role as `present_role`; set the cookie."""
         why = self.why_not(request)
         if why:
             return refuse(403, why)
@@ -144,7 +152,7 @@ class Access:
             return refuse(403, "no valid token: open the whole address that gcs-sysid printed")
         if role != "pilot" and request.method not in _READING:
             return refuse(403, "viewers can only look; the pilot's link allows this")
-        request["role"] = role
+        _ROLE.set(role)
         try:
             response = await handler(request)
         except web.HTTPException as error:

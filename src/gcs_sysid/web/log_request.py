@@ -84,7 +84,7 @@ def file_name(text: str) -> str:
     Raises:
         InputError: nothing is left of it.
     """
-    name = printable(text).replace("\\", "/").rpartition("/")[2].strip()
+    name = printable(text.replace("\\", "/").rpartition("/")[2]).strip()
     if not name or name.strip(".") == "":
         raise InputError("a file needs a name")
     stem, dot, suffix = name.rpartition(".")

@@ -21,7 +21,7 @@ from gcs_sysid.results.snapshot import Snapshot
 from gcs_sysid.sanitize import one_line
 from gcs_sysid.screen.scene import Scene
 from gcs_sysid.screen.source import SnapshotSource
-from gcs_sysid.web.access import json_of, refuse
+from gcs_sysid.web.access import json_of, present_role, refuse
 from gcs_sysid.web.log_request import PICTURE
 from gcs_sysid.web.session_view import history_view, session_view
 from gcs_sysid.web.worker_process import WorkerPool
@@ -159,12 +159,12 @@ class SessionPage:
             text=path.read_text(encoding="utf-8"), content_type="image/svg+xml", headers=_PICTURE
         )
 
-    async def _offered(self, request: web.Request) -> web.StreamResponse:
+    async def _offered(self, _: web.Request) -> web.StreamResponse:
         """What the one who asks may do here."""
-        names = sorted(self._commands()) if request["role"] == "pilot" else []
+        names = sorted(self._commands()) if present_role() == "pilot" else []
         return web.json_response(
             {
-                "role": request["role"],
+                "role": present_role(),
                 "actions": names,
                 "exports": list(self._scene.actions.export_targets),
                 "absent": self._scene.actions.absent,

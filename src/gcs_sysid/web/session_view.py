@@ -164,15 +164,15 @@ def _link(link: LinkStatus) -> dict[str, Any]:
 def _coach(advice: Advice) -> dict[str, Any]:
     left = max(0.0, (1.0 - advice.progress) * advice.seconds)
     # The order in large letters, and aloud; what it is for below.
-    text, _, aim = advice.text.partition(": ") if advice.manoeuvre else (advice.text, "", "")
+    text, _, aim = advice.text.rpartition(": ") if advice.manoeuvre else (advice.text, "", "")
     return {
-        "text": text,
-        "aim": aim,
+        "text": text or aim,
+        "aim": aim if text else "",
         "fly": bool(advice.manoeuvre),
         "enough": advice.enough,
         "progress": round(advice.progress, 2),
         "left": f"{left:.0f} s left" if advice.manoeuvre else "",
-        "gains": [] if aim else [gain_text(gain) for gain in advice.gains[:4]],
+        "gains": [] if text and aim else [gain_text(gain) for gain in advice.gains[:4]],
     }
 
 

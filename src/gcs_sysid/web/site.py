@@ -13,7 +13,7 @@ from aiohttp import web
 
 from gcs_sysid.errors import GcsSysidError, InputError
 from gcs_sysid.sanitize import one_line
-from gcs_sysid.web.access import Access, Handler, Role, authority, refuse
+from gcs_sysid.web.access import Access, Handler, Role, authority, present_role, refuse
 
 MOST_BODY = 64 << 10
 """Bytes of a request, but for uploads, which are counted as they come."""
@@ -122,8 +122,8 @@ class Site:
                 raise web.HTTPNotFound
             return web.Response(text=asset(name), content_type=_TYPES[name.rpartition(".")[2]])
 
-        async def role(request: web.Request) -> web.StreamResponse:
-            return web.json_response({"role": request["role"]})
+        async def role(_: web.Request) -> web.StreamResponse:
+            return web.json_response({"role": present_role()})
 
         application.add_routes(
             [web.get("/", index), web.get("/assets/{name}", file), web.get("/role", role)]

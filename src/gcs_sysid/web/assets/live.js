@@ -43,7 +43,7 @@ function show(session) {
   const state = byId("state");
   state.className = `chip ${link.state}`;
   setText(state, `${SIGNS[link.state]} ${link.state}`);
-  setText(byId("clock"), `${session.t}, ${session.flying ? "flying" : "on the ground"}, ${session.used} used${link.recording ? `, recording ${link.recording}` : ""}`);
+  setText(byId("clock"), `${session.t}${link.state === "ended" ? "" : session.flying ? ", flying" : ", on the ground"}, ${session.used} used${link.recording ? `, recording ${link.recording}` : ""}`);
   const notice = link.notice || (link.too_slow ? "This computer is too slow: data wait, advice is late." : "");
   setText(byId("notice"), notice);
   toggle(byId("notice"), Boolean(notice));
@@ -109,14 +109,15 @@ function showParameters(parameters) {
     head.firstElementChild.setAttribute("aria-pressed", String(chosen === row.name));
     line.className = chosen === row.name ? "chosen" : "";
     while (head.nextSibling) head.nextSibling.remove();
-    const bar = make("td", { class: "narrow-off" });
+    const bar = make("td", { class: "narrow-off value" });
     if (row.done !== null) {
       const full = make("i");
       full.style.width = `${100 * row.done}%`;
-      bar.append(make("span", { class: "bar", role: "img", "aria-label": `${Math.round(100 * row.done)} % of the way` }, full));
+      bar.append(make("span", { class: "bar", role: "img", "aria-label": `${Math.round(100 * row.done)} % of the way` }, full), " ");
     }
-    line.append(valueCell(row), percentCell(row), statusCell(row), bar);
-    if (errors) line.append(make("td", { class: "number" }, row.error));
+    bar.append(row.percent ? `± ${row.percent}` : "");
+    line.append(valueCell(row), statusCell(row), bar);
+    if (errors) line.append(make("td", { class: "number narrow-off" }, row.error));
   }
 }
 
