@@ -399,7 +399,6 @@ def test_a_page_and_its_buttons_over_tcp(end_by, folder, capsys, monkeypatch):
             {"action": "reset"},
             {"action": "record"},
             {"action": "scale", "name": "mass", "value": 2.0},
-            {"action": "vehicle", "address": [1, 1]},
             {"action": "health"},
         ):
             assert viewer.post("/live/action", action)[0] == 403

@@ -3,7 +3,8 @@
 
 let chosen = ""; // the parameter in the plot
 let offered = []; // what may be done
-let plotted = 0;
+let newest = null; // the snapshot shown
+let plotting = 0; // the timer of the next plot
 let said = {}; // what was spoken last
 let toastTimer = 0;
 const SIGNS = { waiting: "○", connected: "●", replay: "▶", lost: "✗", ended: "■" };
@@ -38,6 +39,7 @@ function callOut(session) {
 /* --- drawing */
 
 function show(session) {
+  newest = session;
   const { link, verdict, playback } = session;
   setText(byId("vehicle"), link.vehicle || "gcs-sysid");
   const state = byId("state");
@@ -62,7 +64,7 @@ function show(session) {
   if (playback) showPlayback(playback);
   showVehicles(link.vehicles);
   callOut(session);
-  if (performance.now() - plotted > 900) plot();
+  if (!plotting) plot();
 }
 
 /* Children anew only where they differ: focus and scrolling stay, and a phone's battery. */
@@ -161,8 +163,11 @@ function showVehicles(vehicles) {
 
 /* --- the plot */
 
+/* Now, and again a second later for what has come meanwhile; not while nothing comes. */
 async function plot() {
-  plotted = performance.now();
+  clearTimeout(plotting);
+  const of = newest;
+  plotting = setTimeout(() => { plotting = 0; if (newest !== of) plot(); }, 1000);
   if (!chosen || document.hidden) return;
   let history;
   try { history = await ask(`/live/history?name=${encodeURIComponent(chosen)}`); } catch { return; }
