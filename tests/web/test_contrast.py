@@ -72,7 +72,7 @@ def test_the_pages_colors_are_all_the_themes():
 def resolved(style, variables, ground):
     """A style of the screen as a color: `bold $text-error`, `$foreground 65%`."""
     words = style.partition(" on ")[0].split()
-    name = next(word[1:] for word in words if word.startswith("$"))
+    name = next((word[1:] for word in words if word.startswith("$")), "foreground")
     text = variables[name]
     share = next((float(word[:-1]) / 100.0 for word in words if word.endswith("%")), 1.0)
     auto = re.fullmatch(r"auto (\d+)%", text)
@@ -89,10 +89,10 @@ def test_the_screens_text_can_be_read(theme):
     styles = {*fmt.STATUS_STYLE.values(), *fmt.LINK_STYLE.values(), *fmt.CHANGE_STYLE.values()}
     styles |= {fmt.MUTED, "$foreground", "$text-primary", "$text-muted", "$text-success"}
     low = {}
-    for ground in ("background", "surface", "panel"):
+    for ground in ("background", "surface", "panel", "primary-muted"):
         color = Color.parse(variables[ground])
         for style in styles:
-            found = contrast(resolved(style or "$foreground", variables, color), color)
+            found = contrast(resolved(style, variables, color), color)
             if found < TEXT:
                 low[style, ground] = round(found, 2)
     for kind in ("primary", "success", "warning", "error"):  # banners and the verdict
