@@ -241,7 +241,9 @@ def test_call_outs_are_spoken(web, live, source):
     page.click("#speak")
     advice = replace(fake.advice(), text="yaw, ±30°, about 0.5 Hz, 8 s: Izz to about 2 %")
     source.snapshot = replace(source.snapshot, advice=advice)
-    page.wait_for_function("() => spoken.some((t) => t.startsWith('yaw, plus or minus 30 degrees'))")
+    page.wait_for_function(
+        "() => spoken.some((t) => t.startsWith('yaw, plus or minus 30 degrees'))"
+    )
     assert page.evaluate("spoken.filter((t) => t.startsWith('yaw')).length") == 1
 
 
@@ -347,7 +349,9 @@ def test_a_replay_is_moved_on_the_page(web, command, fly):
     run = command("replay", str(flight.tlog), "--airframe", "paper", "--web", "0")
     page, viewer = web.page(run.pilot), web.page(run.viewer)
     page.locator("#playing", has_text="▶ 1x").wait_for()
-    page.locator("#seek").evaluate("e => { e.value = e.max; e.dispatchEvent(new Event('change')); }")
+    page.locator("#seek").evaluate(
+        "e => { e.value = e.max; e.dispatchEvent(new Event('change')); }"
+    )
     for one in (page, viewer):
         one.locator("#playing", has_text="end").wait_for()
     assert viewer.locator("#transport button:visible").count() == 0

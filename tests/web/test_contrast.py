@@ -18,9 +18,7 @@ _COLOR = re.compile(r"--([\w-]+): (#[0-9a-f]{6});")
 
 def luminance(color):
     """WCAG 2.2, relative luminance; the color opaque."""
-    linear = [
-        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in color.normalized
-    ]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in color.normalized]
     return sum(weight * c for weight, c in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
 
 

@@ -129,7 +129,12 @@ def test_what_a_pilot_asks_for_is_done_once(pilot, source):
     ):
         status, text = pilot.post("/live/action", action)
         assert (status, json.loads(text)["said"]) == (200, said)
-    assert source.calls == ["mark 'here\\\\x1b[2J'", "record", "anchor mass 1.6", "export urdf partial"]
+    assert source.calls == [
+        "mark 'here\\\\x1b[2J'",
+        "record",
+        "anchor mass 1.6",
+        "export urdf partial",
+    ]
 
 
 @pytest.mark.parametrize(
