@@ -45,6 +45,7 @@ class Viewer(threading.Thread):
         return link.getresponse()
 
     def run(self) -> None:
+        """Follow until the session ends."""
         drawn = 0.0
         try:
             for line in self._open("/live"):

@@ -34,9 +34,10 @@ def cut(app):
                     yield f"{lines.id}: {text!r} has {len(text)} columns of {room}"
     for widget in app.screen.walk_children():
         # The footer names as many keys as it has room for; ? names all.
-        if widget.is_on_screen and not isinstance(widget, FooterKey) and not scrolled(widget):
-            if widget.region.area and not app.screen.region.contains_region(widget.region):
-                yield f"{widget.id}: {widget.region} is outside"
+        if isinstance(widget, FooterKey) or not widget.is_on_screen or scrolled(widget):
+            continue
+        if widget.region.area and not app.screen.region.contains_region(widget.region):
+            yield f"{widget.id}: {widget.region} is outside"
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,8 @@ def drop(page, path):
     data = path.read_bytes()
     transfer = page.evaluate_handle(
         """([name, bytes]) => { const t = new DataTransfer();
-        t.items.add(new File([Uint8Array.from(atob(bytes), (c) => c.charCodeAt(0))], name)); return t; }""",
+        const data = Uint8Array.from(atob(bytes), (c) => c.charCodeAt(0));
+        t.items.add(new File([data], name)); return t; }""",
         [path.name, base64.b64encode(data).decode()],
     )
     page.dispatch_event("#drop", "drop", {"dataTransfer": transfer})
@@ -235,7 +236,8 @@ def test_call_outs_are_spoken(web, live, source):
     page = web.page(live.address("viewer"))
     page.evaluate(
         """() => { window.spoken = [];
-        Object.defineProperty(window, "speechSynthesis", { value: { cancel() {}, speak: (u) => spoken.push(u.text) } }); }"""
+        const value = { cancel() {}, speak: (u) => spoken.push(u.text) };
+        Object.defineProperty(window, "speechSynthesis", { value }); }"""
     )
     page.locator("#coach").wait_for()
     page.click("#speak")

@@ -171,7 +171,7 @@ def add_web(parser: argparse.ArgumentParser) -> None:
         type=web_address,
         default=LOCAL_PAGE,
         metavar="[HOST:]PORT",
-        help="where to serve (default 8000, this machine only)",
+        help="address to serve on (default 8000, this machine only)",
     )
 
 
