@@ -11,7 +11,7 @@ from gcs_sysid.screen.widgets.lines import Lines
 
 from . import fake
 
-SOME = [(60, 20), (62, 24), (72, 80), (161, 40), (196, 40), (300, 80)]
+SOME = [(60, 20), (62, 24), (72, 80), (161, 40), (196, 36), (196, 40), (300, 80)]
 ALL = [
     *((width, 24 + width % 3) for width in range(60, 301)),
     *((width, 50) for width in range(60, 301, 7)),

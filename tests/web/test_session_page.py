@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.screen import Actions, Baseline
 from gcs_sysid.screen.scene import Scene
@@ -205,3 +206,27 @@ def test_a_replay_is_moved(source):
         }
         assert pilot.post("/live/action", {"action": "reset"})[0] == 400
         assert pilot.events(1)[0]["session"]["playback"]["state"] == "▶ 1x"
+
+
+@pytest.mark.slow
+def test_the_health_of_the_flight_so_far_reaches_every_viewer(source, fly):
+    words = ("--mission", "hover", "--rate", "50", "--duration", "14", "--seed", "2")
+    log = fly(*words).tlog
+    before = log.read_bytes()
+    page = SessionPage(source, Scene(), lambda: log, lambda: load_airframe("paper"))
+    with served(page) as site:
+        pilot, viewer = Client(site, "pilot"), Client(site, "viewer")
+        assert viewer.get("/live/health.svg")[0] == 400
+        with viewer.open("GET", "/live") as response:
+            told = (event["health"] for event in viewer.stream(response) if "health" in event)
+            assert next(told)["state"] == "none"
+            assert pilot.post("/live/action", {"action": "health"})[0] == 200
+            states = [next(told)]
+            while states[-1]["state"] == "running":
+                states.append(next(told))
+        assert states[-1]["state"] == "done", states
+        assert "s of hover" in states[-1]["text"]
+        status, text = viewer.get("/live/health.svg")
+        assert status == 200
+        assert text.startswith("<svg")
+    assert log.read_bytes() == before

@@ -25,8 +25,8 @@ from gcs_sysid.screen.widgets.verdict import VerdictPanel
 
 COLUMNS_WIDTH, COLUMNS_HEIGHT = 118, 34
 """From this size on, all panels stand side by side; below it, pages."""
-WIDE_WIDTH = 196
-"""From this width on, the right side has two columns of its own."""
+WIDE_WIDTH, WIDE_HEIGHT = 196, 40
+"""From this size on, the right side has two columns of its own."""
 NARROW_WIDTH = 62
 """Below it the table needs the columns of the scroll bar."""
 TALL_HEIGHT = 40
@@ -47,7 +47,8 @@ def layout_classes(width: int, height: int) -> set[str]:
         if width < NARROW_WIDTH:
             classes.add("-narrow")
     else:
-        classes.add("-wide" if width >= WIDE_WIDTH else "-columns")
+        wide = width >= WIDE_WIDTH and height >= WIDE_HEIGHT
+        classes.add("-wide" if wide else "-columns")
     return classes
 
 

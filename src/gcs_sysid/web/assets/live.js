@@ -111,7 +111,7 @@ function showParameters(parameters) {
     head.firstElementChild.setAttribute("aria-pressed", String(chosen === row.name));
     line.className = chosen === row.name ? "chosen" : "";
     while (head.nextSibling) head.nextSibling.remove();
-    const bar = make("td", { class: "narrow-off value" });
+    const bar = make("td", { class: "narrow-off" });
     if (row.done !== null) {
       const full = make("i");
       full.style.width = `${100 * row.done}%`;
@@ -168,7 +168,7 @@ async function plot() {
   clearTimeout(plotting);
   const of = newest;
   plotting = setTimeout(() => { plotting = 0; if (newest !== of) plot(); }, 1000);
-  if (!chosen || document.hidden) return;
+  if (!newest || !chosen || document.hidden) return;
   let history;
   try { history = await ask(`/live/history?name=${encodeURIComponent(chosen)}`); } catch { return; }
   if (history.name !== chosen) return;
@@ -296,7 +296,7 @@ function follow() {
     const { session, health, ended } = JSON.parse(event.data);
     if (session) show(session);
     if (health) showChecked(health);
-    if (ended) { stream.close(); gone("The session has ended, and its page with it."); speak("link", "The session has ended."); }
+    if (ended) { stream.close(); newest = null; clearTimeout(plotting); gone("The session has ended, and its page with it."); speak("link", "The session has ended."); }
   };
   stream.onerror = () => {
     gone(stream.readyState === EventSource.CLOSED ? "The page was refused: too many viewers, or the session has ended." : "No connection to gcs-sysid; trying again.");
