@@ -254,7 +254,8 @@ def test_the_numbers_are_those_of_analyze(bench, paper_flight, tmp_path):
     assert said[-1]["done"]["verdict"] in ("identified", "partial")
     shares = [line["progress"] for line in said[:-1]]
     assert shares == sorted(shares)
-    assert len(shares) > 5
+    assert len(shares) >= 3
+    assert shares[-1] > 0.9
     expected = analyze_log(paper_flight.tlog, load_airframe("paper")).as_json()
     viewer = Client(site, "viewer")
     document = json.loads(viewer.get(f"/items/{key}/result.json")[1])

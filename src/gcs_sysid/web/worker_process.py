@@ -6,7 +6,9 @@ import json
 import os
 import sys
 from collections.abc import AsyncGenerator, Mapping
-from typing import Any
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 _LONGEST_LINE = 1 << 20
 """Bytes that a worker says at once."""
@@ -32,14 +34,21 @@ class WorkerPool:
         if self._free.locked():
             yield {"progress": 0.0, "stage": "waiting for another analysis"}
         async with self._free:
-            process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-P", "-m", "gcs_sysid.web.log_worker"),
-                stdin=asyncio.subprocess.PIPE,
-                stdout=asyncio.subprocess.PIPE,
-                stderr=asyncio.subprocess.DEVNULL,
-                limit=_LONGEST_LINE,
-                env={**dict.fromkeys(_ONE_THREAD, "1"), **os.environ},
+            starting = asyncio.ensure_future(
+                asyncio.create_subprocess_exec(
+                    *(sys.executable, "-P", "-m", "gcs_sysid.web.log_worker"),
+                    stdin=asyncio.subprocess.PIPE,
+                    stdout=asyncio.subprocess.PIPE,
+                    stderr=asyncio.subprocess.DEVNULL,
+                    limit=_LONGEST_LINE,
+                    env={**dict.fromkeys(_ONE_THREAD, "1"), **os.environ},
+                )
             )
+            try:
+                process = await asyncio.shield(starting)
+            except asyncio.CancelledError:
+                await _end(await _settled(starting))
+                raise
             assert process.stdin is not None
             assert process.stdout is not None
             ended = False
@@ -55,9 +64,23 @@ class WorkerPool:
                     yield {"error": "the analysis ended unexpectedly; is there enough memory?"}
                 ended = True
             finally:
-                process.stdin.close()
-                if not ended:
-                    with contextlib.suppress(ProcessLookupError):
-                        process.kill()
-                # Cancelled or not, no process is left behind.
-                await asyncio.shield(process.wait())
+                await _end(process, kill=not ended)
+
+
+async def _end(process: asyncio.subprocess.Process, *, kill: bool = True) -> None:
+    """Leave neither the process nor its pipes behind."""
+    if process.stdin is not None:
+        process.stdin.close()
+    if kill:
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()
+    await _settled(asyncio.ensure_future(process.communicate()))
+    await asyncio.sleep(0)  # the pipes are closed by the loop
+
+
+async def _settled(future: "asyncio.Future[T]") -> T:
+    """What becomes of a future, however often the wait for it is cancelled."""
+    while not future.done():
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.shield(future)
+    return future.result()

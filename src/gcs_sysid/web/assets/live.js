@@ -117,7 +117,7 @@ function showParameters(parameters) {
       full.style.width = `${100 * row.done}%`;
       bar.append(make("span", { class: "bar", role: "img", "aria-label": `${Math.round(100 * row.done)} % of the way` }, full), " ");
     }
-    bar.append(row.percent ? `± ${row.percent}` : "");
+    bar.append(row.percent ? `±\u00a0${row.percent}` : "");
     line.append(valueCell(row), statusCell(row), bar);
     if (errors) line.append(make("td", { class: "number narrow-off" }, row.error));
   }
