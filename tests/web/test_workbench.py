@@ -13,8 +13,9 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.web import log_worker, workbench
-from gcs_sysid.web.log_analysis import airframe_of
+from gcs_sysid.web.log_analysis import HISTORY_INTERVAL, airframe_of
 from gcs_sysid.web.log_request import file_name, parse_request
 
 from .conftest import Client
@@ -246,7 +247,7 @@ def lines_of(text):
 def test_the_numbers_are_those_of_analyze(bench, paper_flight, tmp_path):
     _, client, site = bench
     data = paper_flight.tlog.read_bytes()
-    key = json.loads(put(client, "my <b>flight</b>.tlog", data)[1])["id"]
+    key = json.loads(put(client, "my <b>flight<b>.tlog", data)[1])["id"]
     assert client.get(f"/items/{key}/report.html")[0] == 400
     status, text = client.post(f"/items/{key}/analysis", PAPER)
     assert status == 200
@@ -256,17 +257,23 @@ def test_the_numbers_are_those_of_analyze(bench, paper_flight, tmp_path):
     assert shares == sorted(shares)
     assert len(shares) >= 3
     assert shares[-1] > 0.9
-    expected = analyze_log(paper_flight.tlog, load_airframe("paper")).as_json()
+    options = ChainOptions(history_interval=HISTORY_INTERVAL)  # as of `analyze --report`
+    expected = analyze_log(paper_flight.tlog, load_airframe("paper"), options=options).as_json()
     viewer = Client(site, "viewer")
     document = json.loads(viewer.get(f"/items/{key}/result.json")[1])
-    assert document["parameters"] == expected["parameters"]
-    assert document["source"] == "my <b>flight</b>.tlog"
+    assert document["parameters"].keys() == expected["parameters"].keys()
+    for name, estimate in expected["parameters"].items():
+        found = document["parameters"][name]
+        assert found["status"] == estimate["status"]
+        for key in ("value", "std"):
+            assert found[key] == pytest.approx(estimate[key], rel=1e-9, abs=1e-15)
+    assert document["source"] == "my <b>flight<b>.tlog"
     shown = json.loads(viewer.get(f"/items/{key}/result")[1])
     assert {row["name"] for row in shown["parameters"]} >= set(expected["parameters"])
     with viewer.open("GET", f"/items/{key}/report.html") as response:
         report = response.read().decode()
         assert response.getheader("Content-Security-Policy").startswith("sandbox allow-scripts;")
-    assert "my &lt;b&gt;flight&lt;/b&gt;.tlog" in report
+    assert "my &lt;b&gt;flight&lt;b&gt;.tlog" in report
     assert "<b>flight" not in report
     assert "/upload.tlog" not in report  # where it lay here
     # A result that was saved is compared with it.

@@ -112,6 +112,7 @@ class Workbench:
         with tempfile.TemporaryDirectory(prefix="gcs-sysid-", ignore_cleanup_errors=True) as folder:
             self._folder = Path(folder)
             yield
+            await self._pool.ended()
 
     # -- what is there
 

@@ -24,6 +24,12 @@ class WorkerPool:
 
     def __init__(self, most: int) -> None:
         self._free = asyncio.Semaphore(most)
+        self._users: set[asyncio.Task[Any]] = set()
+
+    async def ended(self) -> None:
+        """Wait until whoever was cancelled has ended their process."""
+        if self._users:
+            await asyncio.wait(self._users)
 
     async def run(self, job: Mapping[str, Any]) -> AsyncGenerator[dict[str, Any], None]:
         """What a worker says about a job, the last of it `done` or `error`.
@@ -31,6 +37,9 @@ class WorkerPool:
         The process is ended when the iterator is closed or its task cancelled, as it is when the
         browser that wanted it goes.
         """
+        if (user := asyncio.current_task()) is not None:
+            self._users.add(user)
+            user.add_done_callback(self._users.discard)
         if self._free.locked():
             yield {"progress": 0.0, "stage": "waiting for another analysis"}
         async with self._free:
