@@ -265,8 +265,8 @@ def test_the_numbers_are_those_of_analyze(bench, paper_flight, tmp_path):
     for name, estimate in expected["parameters"].items():
         found = document["parameters"][name]
         assert found["status"] == estimate["status"]
-        for key in ("value", "std"):
-            assert found[key] == pytest.approx(estimate[key], rel=1e-9, abs=1e-15)
+        for number in ("value", "std"):
+            assert found[number] == pytest.approx(estimate[number], rel=1e-9, abs=1e-15)
     assert document["source"] == "my <b>flight<b>.tlog"
     shown = json.loads(viewer.get(f"/items/{key}/result")[1])
     assert {row["name"] for row in shown["parameters"]} >= set(expected["parameters"])
