@@ -8,7 +8,7 @@ BENCH_INSTALLED := $(VENV)/.installed-bench
 SPEED_INSTALLED := $(VENV)/.installed-speed
 SIMULATORS_INSTALLED := $(VENV)/.installed-simulators
 
-.PHONY: help demo test test-all quick mutate check bench bench-accuracy bench-truth bench-speed fuzz soak soak-short \
+.PHONY: help demo test test-all test-web quick mutate check bench bench-accuracy bench-truth bench-speed fuzz soak soak-short \
   docs pictures sample clean
 .DEFAULT_GOAL := help
 
@@ -38,13 +38,21 @@ $(SIMULATORS_INSTALLED): $(INSTALLED)
 	@touch $@
 
 # One thread a process: more would only wait for each other.
-test test-all quick mutate soak soak-short: export OMP_NUM_THREADS = 1
+test test-all test-web quick mutate soak soak-short: export OMP_NUM_THREADS = 1
 
 test: $(SIMULATORS_INSTALLED) ## the tests
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test-all: $(SIMULATORS_INSTALLED) ## those too that repeat on more flights what others show on one
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m ''
+
+# Debian: apt-get install chromium npm
+AXE := build/node_modules/axe-core/axe.min.js
+$(AXE):
+	npm install --silent --no-save --prefix build axe-core@4.14.1
+
+test-web: $(INSTALLED) $(AXE) ## the pages in a Chromium, with axe-core from npm
+	$(BIN)/python -m pytest -n 0 tests/web -m ''
 
 quick: $(SIMULATORS_INSTALLED) ## the tests without whole flights
 	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow and not thorough"

@@ -162,6 +162,22 @@ def web_address(text: str) -> tuple[str, int]:
     return host, int(port)
 
 
+LOCAL_PAGE = ("127.0.0.1", 8000)
+"""Where a page is served unless told otherwise."""
+
+
+def add_web(parser: argparse.ArgumentParser) -> None:
+    """Options of `web`."""
+    parser.add_argument(
+        "address",
+        nargs="?",
+        type=web_address,
+        default=LOCAL_PAGE,
+        metavar="[HOST:]PORT",
+        help="address to serve on (default 8000, this machine only)",
+    )
+
+
 def _add_display(parser: argparse.ArgumentParser) -> None:
     """Where a session is shown."""
     parser.add_argument("--headless", action="store_true", help="print instead of the screen")
@@ -169,9 +185,9 @@ def _add_display(parser: argparse.ArgumentParser) -> None:
         "--web",
         nargs="?",
         type=web_address,
-        const=("127.0.0.1", 8000),
+        const=LOCAL_PAGE,
         metavar="[HOST:]PORT",
-        help="serve the screen to browsers (default 8000, this machine only)",
+        help="serve a page for browsers (default 8000, this machine only)",
     )
     parser.add_argument("--json", metavar="FILE", help="snapshots, one per line; - is stdout")
     _add_force(parser)

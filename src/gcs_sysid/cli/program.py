@@ -131,6 +131,14 @@ def build_parser() -> argparse.ArgumentParser:
         "flights, and where they changed.",
     )
     arguments.add_trend(trend)
+    web = commands.add_parser(
+        "web",
+        help="drop logs on a page in the browser",
+        description="Serves a page: drop a log on it, check the proposed airframe, enter the "
+        "mass, read the report; compare two results. Works offline. Prints the address, whose "
+        "token lets in.",
+    )
+    arguments.add_web(web)
     airframe = commands.add_parser(
         "airframe",
         help="describe your vehicle, with a picture",
