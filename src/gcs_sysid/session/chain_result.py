@@ -134,10 +134,10 @@ class Findings:
             return {}
         values = {
             name: (e.value, e.std)
-            for name, e in parameters.items()
+            for name, e in (parameters | self._timing()).items()
             if e.value is not None and e.std is not None
         }
-        given = {name: parameters[name].std_given for name in values}
+        given = {name: parameters[name].std_given for name in values if name in parameters}
         names, matrix = parameter_covariance(rotation, self._scale, values, given)
         if not np.isfinite(matrix).all():
             return {}
