@@ -171,7 +171,7 @@ class FlightModel:
         times, inputs = self._checked(t, rotors)
         start = MotionState() if initial is None else initial
         if self.rotor_input == "command":
-            inputs = self._lagged(times, inputs, start.rotors)
+            inputs = self.lagged(times, inputs, start.rotors)
         forcing = self._forcing(times, inputs)
         steps = len(times) - 1
         noise = (
@@ -208,7 +208,7 @@ class FlightModel:
             )
         return times, inputs
 
-    def _lagged(self, t: Array, commands: Array, before: ArrayLike | None) -> Array:
+    def lagged(self, t: Array, commands: Array, before: ArrayLike | None = None) -> Array:
         """(..., n, rotors) commands behind the motors' lag, exact for straight lines.
 
         w_k = a w_{k-1} + b0 u_k + b1 u_{k-1} with a = exp(-dt / tau), as of `motor_filter`.
