@@ -11,8 +11,8 @@ Body axes are forward, right, down, world axes north, east, down. These are the 
 `model.rigid_body` identifies; a_d and f_d are accelerations that nobody models.
 """
 
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -133,6 +133,16 @@ class FlightModel:
         # (1-c) u + c u^2 = load, in the form that holds at c = 0.
         command: Array = 2.0 * load / (1.0 - c + np.sqrt((1.0 - c) ** 2 + 4.0 * c * load))
         return command
+
+    def over_stretches(self) -> "FlightModel":
+        """An ensemble (samples,) as (samples, 1): each sample then flies each of many inputs."""
+        arrays: dict[str, Any] = {
+            each.name: np.expand_dims(value, 1)
+            for each in fields(self)
+            if each.name not in ("geometry", "rotor_input")
+            and np.ndim(value := getattr(self, each.name))
+        }
+        return replace(self, **arrays)
 
     def simulate(
         self,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import parse_airframe
 from gcs_sysid.model.flight_model import FlightModel
@@ -89,7 +89,7 @@ def draw_samples(result: Result, n: int, seed: int) -> ParameterSamples:
         kept.append(drawn[good])
         found, tried = found + int(good.sum()), tried + len(drawn)
         if found < _LEAST_ACCEPTED * tried and tried >= 10_000:
-            raise InputError(
+            raise NoAnswerError(
                 "samples: hardly any draw from the covariance is a possible rigid body; the "
                 "inertia is too uncertain: fly more of all axes, or give priors"
             )
@@ -104,7 +104,7 @@ def covariance_of(result: Result) -> tuple[tuple[str, ...], Array]:
     """
     names = result.covariance.get("names")
     if not names:
-        raise InputError(
+        raise NoAnswerError(
             "the result has no covariance: nothing was identified, or an earlier version wrote it; "
             "analyze the log again"
         )
@@ -147,7 +147,7 @@ def flight_model(result: Result, samples: ParameterSamples | None = None) -> Fli
     torque = "moment_ratio" if command else "k_M"
     required = ("mass", *INERTIA, "cg_x", "cg_y", thrust, torque)
     if missing := [name for name in required if name not in values]:
-        raise InputError(
+        raise NoAnswerError(
             f"a flight model needs {', '.join(missing)}, which this flight did not tell; fly "
             + "; ".join(sorted({REGISTRY[name].told_by for name in missing}))
         )

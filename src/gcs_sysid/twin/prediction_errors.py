@@ -43,8 +43,7 @@ class Accuracy:
         band: rms of the half width of the 95 % band.
         band_parameters: rms of 1.96 standard deviations by the covariance alone.
         inside: share of the errors inside the band.
-        r_squared: 1 - error power over the variance of what was measured, over the whole stretches.
-        r_squared_end: the same at their ends.
+        r_squared: 1 - error power over the variance of what was measured, at the end.
         guess: rms error at the end of the guess that rates, and velocity, stay as they are.
         count: stretches.
     """
@@ -54,7 +53,6 @@ class Accuracy:
     band_parameters: float
     inside: float
     r_squared: float
-    r_squared_end: float
     guess: float
     count: int
 
@@ -273,19 +271,16 @@ def _accuracy(name: str, found: Sequence[tuple[_Errors, _Errors]]) -> Accuracy:
         guesses.append(errors.guess[name][:, -1])
     end, band = np.concatenate(ends), np.concatenate(bands)
     there = np.isfinite(end).all(axis=1) & np.isfinite(band).all(axis=1)
-    error, measured = (
-        np.concatenate([getattr(e, kind)[name] for e, _ in found]) for kind in ("error", "measured")
-    )
+    measured = np.concatenate([e.measured[name][:, -1] for e, _ in found])
     nan = float("nan")
     if not there.any():
-        return Accuracy(nan, nan, nan, nan, nan, nan, nan, 0)
+        return Accuracy(nan, nan, nan, nan, nan, nan, 0)
     return Accuracy(
         rms=float(_rms(end[there])),
         band=float(_rms(band[there])),
         band_parameters=1.96 * float(_rms(np.concatenate(own)[there])),
         inside=float((np.abs(end[there]) <= band[there]).mean()),
-        r_squared=_r_squared(error[there].reshape(-1, 3), measured[there].reshape(-1, 3)),
-        r_squared_end=_r_squared(end[there], measured[there][:, -1]),
+        r_squared=_r_squared(end[there], measured[there]),
         guess=float(_rms(np.concatenate(guesses)[there])),
         count=int(there.sum()),
     )
