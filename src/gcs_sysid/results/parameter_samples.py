@@ -60,7 +60,7 @@ class ParameterSamples(Mapping[str, Array]):
         return needed("pandas", "to_dataframe()").DataFrame(self.table, columns=list(self.names))
 
 
-def draw_samples(result: Result, n: int, seed: int) -> ParameterSamples:
+def draw_samples(result: Result, n: int, seed: int, *, given: bool = True) -> ParameterSamples:
     """Draw vehicles from the normal distribution of a result's covariance, cut to physical ones.
 
     Inertia matrices are those of rigid bodies, masses and coefficients positive; damping, drag,
@@ -70,16 +70,20 @@ def draw_samples(result: Result, n: int, seed: int) -> ParameterSamples:
         result: with its covariance.
         n: vehicles.
         seed: of the random numbers.
+        given: whether errors of what was given (arm, scale, IMU) are drawn too. Without them the
+            samples are of vehicles that move alike: an arm and an inertia that are too large by
+            the same share change no motion.
 
     Raises:
-        InputError: there is no covariance, or hardly any draw is physical.
+        InputError: n is below 1.
+        NoAnswerError: there is no covariance, or hardly any draw is physical.
     """
     if n < 1:
         raise InputError(f"samples: n must be 1 or more, got {n}")
     mean = {name: e.value for name, e in _estimates(result).items() if e.value is not None}
     names = tuple(mean)
     center = np.array(list(mean.values()))
-    root = _root(result, names)
+    root = _root(result, names, given=given)
     rng = np.random.default_rng(seed)
     kept: list[Array] = []
     found = tried = 0
@@ -100,7 +104,8 @@ def covariance_of(result: Result) -> tuple[tuple[str, ...], Array]:
     """Names and (n, n) covariance, SI.
 
     Raises:
-        InputError: the result has none, or it is malformed.
+        NoAnswerError: the result has none.
+        InputError: it is malformed.
     """
     names = result.covariance.get("names")
     if not names:
@@ -179,21 +184,28 @@ def _estimates(result: Result) -> dict[str, Estimate]:
     return result.parameters | result.timing
 
 
-def _root(result: Result, names: tuple[str, ...]) -> Array:
+def _root(result: Result, names: tuple[str, ...], *, given: bool) -> Array:
     """(names, names) A with A A' the covariance; what it does not name varies by itself."""
     told, matrix = covariance_of(result)
-    whole = np.zeros((len(names), len(names)))
-    for i, name in enumerate(names):
-        whole[i, i] = (_estimates(result)[name].std or 0.0) ** 2
+    estimates = [_estimates(result)[name] for name in names]
+    whole = np.diag([(e.std or 0.0) ** 2 for e in estimates])
     at = [i for i, name in enumerate(told) if name in names]
     to = [names.index(told[i]) for i in at]
     whole[np.ix_(to, to)] = matrix[np.ix_(at, at)]
+    if not given:
+        # As `parameter_covariance` adds it: one error, which all that rests on it shares.
+        shared = np.array([np.copysign(e.std_given, e.value or 0.0) for e in estimates])
+        whole -= np.outer(shared, shared)
+        whole[np.diag_indices(len(names))] = [(e.std_data or 0.0) ** 2 for e in estimates]
     scale = np.sqrt(np.diag(whole))
     scale[scale == 0.0] = 1.0
-    # Of correlations: units differ by many powers of ten. Rounding may leave tiny negative ones.
-    power, axes = np.linalg.eigh(whole / np.outer(scale, scale))
-    root: Array = scale[:, None] * axes * np.sqrt(np.maximum(power, 0.0))
-    return root
+    correlation = whole / np.outer(scale, scale)
+    # Units differ by many powers of ten. Rounding, and rounded shares, leave negative powers.
+    power, axes = np.linalg.eigh(correlation)
+    root: Array = axes * np.sqrt(np.maximum(power, 0.0))
+    size = np.sqrt((root**2).sum(axis=1))
+    size[size == 0.0] = 1.0
+    return (scale * np.sqrt(np.diag(correlation)) / size)[:, None] * root
 
 
 def _shares(result: Result, name: str, rotors: int) -> Array:

@@ -255,8 +255,14 @@ class Result:
             estimate.not_negative,
         )
 
-    def samples(self, n: int, seed: int = 0) -> "ParameterSamples":
+    def samples(self, n: int, seed: int = 0, *, given: bool = True) -> "ParameterSamples":
         """Vehicles drawn from the full covariance, all of them physical; see `draw_samples`.
+
+        Args:
+            n: vehicles.
+            seed: of the random numbers.
+            given: whether errors of arm, scale and IMU as given are drawn too; without them the
+                samples tell what this vehicle's motion may differ by.
 
         Raises:
             InputError: there is no covariance, or hardly any draw is physical.
@@ -269,7 +275,7 @@ class Result:
         """
         from gcs_sysid.results.parameter_samples import draw_samples
 
-        return draw_samples(self, n, seed)
+        return draw_samples(self, n, seed, given=given)
 
     def model(self, samples: "ParameterSamples | None" = None) -> "FlightModel":
         """The equations of motion with these numbers: `model().simulate(t, rotors, initial)`.

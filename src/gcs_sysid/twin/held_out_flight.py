@@ -181,7 +181,9 @@ def fly_held_out(
         notes.append("noise and disturbances of each half of the log are those of the other half")
     notes += _doubts(flown)
     model = flown.model()
-    ensemble = flown.model(flown.samples(SAMPLES, seed)).over_stretches()
+    # Errors of what was given are the model's and the vehicle's alike, and change no motion.
+    samples = flown.samples(SAMPLES, seed, given=False)
+    ensemble = flown.model(samples).over_stretches()
     twin = Twin(model, ensemble, record)
     accuracy, growth = judge(twin, judged, record.has_velocity)
     if growth is None:
