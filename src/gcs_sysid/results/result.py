@@ -216,7 +216,7 @@ class Result:
     history: "History | None" = field(default=None, compare=False)
     """Estimates over time, where `analyze(..., history=True)` kept them; not in files."""
     prediction: "Acceleration | None" = field(default=None, compare=False)
-    """Angular acceleration measured and predicted by the earlier fit, kept in the same way."""
+    """Angular acceleration of the held-out part, by the fit to the rest; kept in the same way."""
 
     def identified(self, name: str) -> IdentifiedEstimate:
         """A parameter whose number can be relied upon, typed so: its value is a float.
