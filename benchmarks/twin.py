@@ -27,7 +27,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
 from gcs_sysid.results.parameter_samples import covariance_of
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.twin.held_out_flight import TwinFlight, fly_held_out
+from gcs_sysid.twin.held_out_flight import TwinFlight, as_exact, fly_held_out
 from gcs_sysid.twin.prediction_errors import QUANTITIES
 
 SECONDS = 50.0
@@ -35,7 +35,6 @@ SECONDS = 50.0
 JUDGED = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M")
 """What the normalized error is made of: `moment_ratio` follows from two of them, and what is cut at
 zero is not normal."""
-EXACT = {"arm": 0.0, "mass": 0.0, "imu_position": 0.0, "imu_rotation": 0.0}
 _AHEAD = 1.0
 
 
@@ -136,8 +135,7 @@ def covariance(count: int) -> None:
         with tempfile.TemporaryDirectory() as folder:
             flown = record(scenario, number, Path(folder), SECONDS)
             # What is given is exact here: its part of the covariance is the same in every flight.
-            airframe = flown.airframe.with_uncertainty(EXACT, "benchmark")
-            result = analyze_log(flown.log, airframe)
+            result = analyze_log(flown.log, as_exact(flown.airframe))
         names, matrix = covariance_of(result)
         at = [names.index(name) for name in JUDGED]
         error = np.array(

@@ -143,7 +143,9 @@ def test_identified_parameters_have_a_number():
 
 
 def test_it_prints_on_one_screen():
-    lines = repr(replace(result(), reasons=tuple(f"reason {i} " * 20 for i in range(9)))).split("\n")
+    lines = repr(replace(result(), reasons=tuple(f"reason {i} " * 20 for i in range(9)))).split(
+        "\n"
+    )
     assert len(lines) <= 30
     assert max(map(len, lines)) <= 80
     assert any(line.split()[:2] == ["Izz", "0.0294"] for line in lines)
@@ -184,7 +186,7 @@ def test_data_frames_have_the_numbers():
 def test_plots_draw_what_there_is():
     pytest.importorskip("matplotlib")
     r = result()
-    assert [a.get_title() for a in r.plot().axes][0] == "correlation of the errors"
+    assert r.plot().axes[0].get_title() == "correlation of the errors"
     t = np.arange(3.0)
     kept = replace(
         r,

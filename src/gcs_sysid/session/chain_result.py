@@ -6,7 +6,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gcs_sysid.estimation.evidence import AXES
-from gcs_sysid.estimation.given_errors import Given, alignment_of, given_stds, with_given
+from gcs_sysid.estimation.given_errors import (
+    Given,
+    aligned,
+    alignment_of,
+    given_stds,
+    with_given,
+)
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.parameter_covariance import parameter_covariance
 from gcs_sysid.estimation.physical_parameters import (
@@ -129,7 +135,9 @@ class Findings:
         )
 
     def _covariance(self, parameters: dict[str, Estimate]) -> dict[str, Any]:
-        rotation = self.learner.fit.rotation
+        # As the values are: with rotors and IMU where the flight tells that they are.
+        fit = self.learner.fit
+        rotation = aligned(fit, alignment_of(fit, self.airframe)).rotation
         if rotation is None:
             return {}
         values = {
