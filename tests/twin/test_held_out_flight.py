@@ -11,7 +11,7 @@ import pytest
 import gcs_sysid
 from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
-from gcs_sysid.twin.held_out_flight import airframe_of_result, fly_held_out
+from gcs_sysid.twin.held_out_flight import airframe_of_result, fly_held_out, is_same_flight
 from gcs_sysid.twin.twin_text import twin_svg, twin_table
 
 SAMPLE = Path(__file__).resolve().parents[2] / "logs" / "sample.tlog"
@@ -60,7 +60,7 @@ def test_errors_grow_from_the_measured_state(twin):
 
 def test_a_wrong_model_leaves_the_band(result):
     """The band is of what the result claims: a vehicle with another inertia flies out of it."""
-    elsewhere = replace(result, source="another.tlog")
+    elsewhere = replace(result, source="another.tlog", validation={})
     right = fly_held_out(_scaled(elsewhere, 1.0 + 1e-6), SAMPLE)
     wrong = fly_held_out(_scaled(elsewhere, 1.25), SAMPLE)
     assert not right.same_flight
@@ -127,7 +127,7 @@ def test_the_command_writes_what_the_function_gives(tmp_path, capsys, result, tw
 )
 def test_what_cannot_be_flown_is_one_line(tmp_path, capsys, result, arguments, status, says):
     result.write(tmp_path / "result.json")
-    elsewhere = _scaled(replace(result, source="another.tlog"), 1.1)
+    elsewhere = _scaled(replace(result, source="another.tlog", validation={}), 1.1)
     own = {n: e for n, e in elsewhere.parameters.items() if n != "Izz"}
     replace(elsewhere, parameters=own).write(tmp_path / "unable.json")
     names = {"result": tmp_path / "result.json", "unable": tmp_path / "unable.json"}
@@ -136,6 +136,20 @@ def test_what_cannot_be_flown_is_one_line(tmp_path, capsys, result, arguments, s
     assert told.out == ""
     assert told.err.count("\n") == 1
     assert says in told.err
+
+
+def test_the_same_flight_is_known_by_any_name(tmp_path, result):
+    """By its content, by its numbers whatever was given, and where it is gone by its name."""
+    again = gcs_sysid.analyze(SAMPLE, "paper", mass=1.6)
+    other = replace(again, source="link", validation={"r_squared": {"roll": 0.5}})
+    copy = tmp_path / "copy.tlog"
+    copy.write_bytes(SAMPLE.read_bytes())
+    assert is_same_flight(replace(again, source="udpin:0.0.0.0:14550"), result, SAMPLE)
+    assert is_same_flight(replace(other, source=str(copy)), result, SAMPLE)
+    assert is_same_flight(replace(other, source="elsewhere/sample.ulg"), result, SAMPLE)
+    assert not is_same_flight(other, result, SAMPLE)
+    copy.write_bytes(SAMPLE.read_bytes() + b"x")
+    assert not is_same_flight(replace(other, source=str(copy)), result, SAMPLE)
 
 
 def test_the_airframe_is_that_of_the_result(result):

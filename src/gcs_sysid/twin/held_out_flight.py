@@ -7,7 +7,8 @@ held out; the model is then fitted again, to the first part of the flight as in 
 judged on the rest.
 """
 
-from collections.abc import Callable
+import filecmp
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,12 +37,12 @@ if TYPE_CHECKING:
 SCHEMA = "gcs-sysid-twin/1"
 SAMPLES = 48
 """Vehicles drawn from the covariance; the standard deviation is then known to 10 %."""
-_SETTLING, _SETTLING_SHARE = 20.0, 0.4
+_SETTLING, _SETTLING_SHARE = 20.0, 0.5
 """s in which the complementary filter finds the gyro's bias and the attitude, and the share of a
 part of the flight that may be left out for it. On emulated flights with a bias of 0.01 rad/s errors
 of attitude and velocity are two to three times as large in the first 10 s, and level after 20."""
 _SAME = 1e-9
-"""Relative difference below which two results are of the same data."""
+"""Difference of the validation's R2 below which two results are of the same data."""
 
 
 @dataclass(frozen=True)
@@ -217,19 +218,24 @@ def is_same_flight(result: Result, whole: Result, log: Path) -> bool:
         whole: of the whole log.
         log: its path.
     """
-    values = [
-        (result.parameters[name].value, estimate.value)
-        for name, estimate in whole.parameters.items()
-        if estimate.status == "identified" and name in result.parameters
-    ]
-    alike = [a is not None and b is not None and abs(a - b) <= _SAME * abs(b) for a, b in values]
-    if alike and all(alike):
+    if _alike(result.validation, whole.validation):
         return True
     source = Path(result.source)
-    if source.exists() and log.exists():
-        return source.samefile(log) or (source.stem == log.stem and source.parent == log.parent)
+    if source.is_file() and log.is_file():
+        beside = source.stem == log.stem and source.parent == log.parent
+        return beside or filecmp.cmp(source, log, shallow=False)
     # A result that was moved: the name is what is left. A .ulg and a .tlog may be of one flight.
     return bool(result.source) and source.stem == log.stem
+
+
+def _alike(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
+    """Whether two validations are of the same data: scale and givens do not move them."""
+    first, second = a.get("r_squared"), b.get("r_squared")
+    if not isinstance(first, dict) or not isinstance(second, dict) or first.keys() != second.keys():
+        return False
+    pairs = [(x, second[axis]) for axis, x in first.items()]
+    numbers = [(x, y) for x, y in pairs if isinstance(x, float) and isinstance(y, float)]
+    return bool(numbers) and all(abs(x - y) <= _SAME for x, y in numbers)
 
 
 def as_exact(airframe: Airframe) -> Airframe:
