@@ -153,7 +153,7 @@ def flight_model(result: Result, samples: ParameterSamples | None = None) -> Fli
     required = ("mass", *INERTIA, "cg_x", "cg_y", thrust, torque)
     if missing := [name for name in required if name not in values]:
         raise NoAnswerError(
-            f"a flight model needs {', '.join(missing)}, which this flight did not tell; fly "
+            f"a flight model needs {', '.join(missing)}, which this flight did not identify; fly "
             + "; ".join(sorted({REGISTRY[name].told_by for name in missing}))
         )
     zero = np.zeros(np.shape(values["mass"]))
@@ -205,7 +205,8 @@ def _root(result: Result, names: tuple[str, ...], *, given: bool) -> Array:
     root: Array = axes * np.sqrt(np.maximum(power, 0.0))
     size = np.sqrt((root**2).sum(axis=1))
     size[size == 0.0] = 1.0
-    return (scale * np.sqrt(np.diag(correlation)) / size)[:, None] * root
+    scaled: Array = (scale * np.sqrt(np.diag(correlation)) / size)[:, None] * root
+    return scaled
 
 
 def _shares(result: Result, name: str, rotors: int) -> Array:

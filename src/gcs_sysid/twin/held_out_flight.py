@@ -157,7 +157,7 @@ def fly_held_out(
     )
     if whole.rotor_input != result.rotor_input:
         raise InputError(
-            f"{log}: has no {result.rotor_input}s of the rotors, which the result rests on"
+            f"{log}: has no {result.rotor_input}s of the rotors, which the result was identified from"
         )
     since = max((float(segment["end"]) for segment in whole.segments), default=0.0)
     flown, notes = result, []
@@ -200,7 +200,7 @@ def fly_held_out(
             "it is too short, or the link lost too much"
         )
     if not record.has_velocity:
-        notes.append("the log has no velocity: the drag rests on nothing, and no velocity is held")
+        notes.append("the log has no velocity: drag and velocity are not judged")
     return TwinFlight(flown, result.source, str(log), same, spans, accuracy, growth, tuple(notes))
 
 
