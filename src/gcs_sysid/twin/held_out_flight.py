@@ -157,7 +157,8 @@ def fly_held_out(
     )
     if whole.rotor_input != result.rotor_input:
         raise InputError(
-            f"{log}: has no {result.rotor_input}s of the rotors, which the result was identified from"
+            f"{log}: has no {result.rotor_input}s of the rotors, which the result was identified "
+            "from: analyze this log by itself"
         )
     since = max((float(segment["end"]) for segment in whole.segments), default=0.0)
     flown, notes = result, []
