@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 SCHEMA = "gcs-sysid-twin/1"
 SAMPLES = 48
 """Vehicles drawn from the covariance; the standard deviation is then known to 10 %."""
-_SETTLING, _SETTLING_SHARE = 20.0, 0.5
+_SETTLING, _SETTLING_SHARE = 20.0, 0.4
 """s in which the complementary filter finds the gyro's bias and the attitude, and the share of a
 part of the flight that may be left out for it. On emulated flights with a bias of 0.01 rad/s errors
 of attitude and velocity are two to three times as large in the first 10 s, and level after 20."""
