@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 _LEAST_ACCEPTED = 1e-3
 """Share of draws that a rigid body must be able to have; below it the covariance says nothing."""
+_FEW = 3
+"""Missing parameters whose motions are named one by one."""
 _OPTIONAL = ("rotational_damping", *AXIS_DAMPINGS, "rotor_inertia", "linear_drag", "thrust_curve")
 """Zero in a flight model where the flight does not tell them."""
 
@@ -154,7 +156,11 @@ def flight_model(result: Result, samples: ParameterSamples | None = None) -> Fli
     if missing := [name for name in required if name not in values]:
         raise NoAnswerError(
             f"a flight model needs {', '.join(missing)}, which this flight did not identify; fly "
-            + "; ".join(sorted({REGISTRY[name].told_by for name in missing}))
+            + (
+                "roll, pitch and yaw, several at once: gcs-sysid plan"
+                if len(missing) > _FEW
+                else "; ".join(sorted({REGISTRY[name].told_by for name in missing}))
+            )
         )
     zero = np.zeros(np.shape(values["mass"]))
     values |= {name: zero for name in _OPTIONAL if name not in values and name not in AXIS_DAMPINGS}
