@@ -398,6 +398,26 @@ def add_compare(parser: argparse.ArgumentParser) -> None:
     _add_force(parser)
 
 
+def add_twin(parser: argparse.ArgumentParser) -> None:
+    """Options of `twin`."""
+    parser.add_argument(
+        "result", metavar="RESULT", help="result written by --json, or another log of the vehicle"
+    )
+    parser.add_argument("log", metavar="LOG", help="flight to fly the model along")
+    parser.add_argument("--json", metavar="FILE", help="write the errors; - is stdout")
+    parser.add_argument("--picture", metavar="FILE.svg", help="draw how the errors grow")
+    _add_force(parser)
+    _add_airframe(parser)
+    parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="of the vehicles drawn from the covariance (default 0)",
+    )
+
+
 def _workers(text: str) -> int:
     """An argparse type: how many processes."""
     if not text.isdecimal() or not 1 <= int(text) <= 1024:

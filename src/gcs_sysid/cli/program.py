@@ -116,6 +116,15 @@ def build_parser() -> argparse.ArgumentParser:
         description="Compares two results of one vehicle, parameter by parameter.",
     )
     arguments.add_compare(compare)
+    twin = commands.add_parser(
+        "twin",
+        help="fly the identified model beside the vehicle",
+        description="Flies a result with a log's inputs from the measured state, over every "
+        "held-out stretch of 0.1, 0.3, 1 and 3 s, and shows how its errors in body rates, attitude "
+        "and velocity grow, beside the predicted band and a guess of constant rates. Without "
+        "--airframe, vehicle and scale are those of the result.",
+    )
+    arguments.add_twin(twin)
     batch = commands.add_parser(
         "batch",
         help="identify from many logs",
