@@ -136,10 +136,11 @@ def build_parser() -> argparse.ArgumentParser:
     option_groups.add_doctor(doctor)
     completion = commands.add_parser(
         "completion",
-        help="tab completion for bash, zsh and fish",
+        help="tab completion for bash, zsh, fish and PowerShell",
         description='Prints a script for the shell. bash: eval "$(gcs-sysid completion bash)" '
         "in ~/.bashrc; zsh: the same in ~/.zshrc, after compinit; fish: gcs-sysid completion "
-        "fish > ~/.config/fish/completions/gcs-sysid.fish",
+        "fish > ~/.config/fish/completions/gcs-sysid.fish; PowerShell, in $PROFILE: "
+        "gcs-sysid completion powershell | Out-String | Invoke-Expression",
     )
     option_groups.add_completion(completion)
     return parser
