@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-CORE = ("model", "signals", "estimation", "results", "telemetry", "exports", "sim_bridge", "cli")
+CORE = ("model", "signals", "estimation", "results", "coach")
 """Folders of tests to run, without whole flights."""
 TEST_TOOLS = ("pytest", "pytest-asyncio", "pytest-xdist", "hypothesis", "packaging", "pyulog")
 
