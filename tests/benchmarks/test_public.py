@@ -149,7 +149,9 @@ def test_stretches_end_at_gaps_and_on_the_ground():
     airframe = Airframe("x", tuple(Rotor(1.0, 1.0, 1) for _ in range(4)), mass=1.0)
     source = RotorSource("speed", "ESC_STATUS", "why")
     times = [0.01 * np.arange(a, b) for a, b in ((0, 300), (300, 500), (500, 800), (900, 1000))]
-    blocks = [block(t, flying, source) for t, flying in zip(times, (True, True, False, True), strict=True)]
+    blocks = [
+        block(t, flying, source) for t, flying in zip(times, (True, True, False, True), strict=True)
+    ]
     given = flight_of(blocks, airframe)
     assert given is not None
     assert [len(s.t) for s in given.stretches] == [500]  # 1 s after the gap is too short

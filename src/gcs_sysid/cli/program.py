@@ -169,6 +169,12 @@ def run(argv: Sequence[str]) -> int:
         if isinstance(error, MemoryError):
             say(f"{PROGRAM}: error: not enough memory for this")
             return USAGE
+        if isinstance(error, ModuleNotFoundError) and error.name and _is_foreign(error.name):
+            say(
+                f"{PROGRAM}: error: the Python package {error.name} is not installed; "
+                f"pip install {PROGRAM} brings it (--headless and notebooks need no screen)"
+            )
+            return USAGE
         # A defect. The user gets one line; whoever mends it sets GCS_SYSID_DEBUG.
         if os.environ.get("GCS_SYSID_DEBUG"):
             raise
@@ -183,6 +189,11 @@ def run(argv: Sequence[str]) -> int:
             "please report it, with GCS_SYSID_DEBUG=1 set"
         )
         return USAGE
+
+
+def _is_foreign(module: str) -> bool:
+    """Whether a module is another project's, which an installation may lack."""
+    return module.partition(".")[0] not in ("gcs_sysid", "sim_bridge")
 
 
 def _stdout_is_full() -> bool:
