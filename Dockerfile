@@ -17,7 +17,7 @@ FROM python:${PYTHON}-slim
 COPY --from=build /opt/gcs-sysid /opt/gcs-sysid
 # Recordings belong to whoever runs it: docker run --user "$(id -u):$(id -g)".
 RUN useradd --create-home --uid 1000 pilot && mkdir /logs && chown pilot /logs
-USER pilot
+USER 1000:1000
 WORKDIR /logs
 ENV PATH=/opt/gcs-sysid/bin:$PATH \
     PYTHONUNBUFFERED=1 \

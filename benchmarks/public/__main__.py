@@ -3,7 +3,8 @@
     python -m benchmarks.public [--logs FOLDER] [--estimator FILE.py:FUNCTION]
 
 Outcomes are kept as JSON under build/public, one file a flight, and not made again; --fresh makes
-them anew. With --estimator one more is entered, and the table is printed, not written.
+them anew, --page writes the page from what is kept. With --estimator one more is entered, and the
+table is printed, not written.
 """
 
 import argparse
@@ -138,6 +139,9 @@ def study(options: argparse.Namespace, others: Mapping[str, Entry]) -> list[scor
         done = None
         if file.exists() and not options.fresh:
             done = json.loads(file.read_text(encoding="utf-8"))
+        if options.page:
+            flown += [done] if done and done["version"] == VERSION else []
+            continue
         missing = {w: e for w, e in others.items() if not done or w not in done["estimators"]}
         if done is None or done["version"] != VERSION or missing:
             if sys.stderr.isatty():
@@ -155,12 +159,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.public", description=(__doc__ or "").split("\n\n")[0]
     )
-    parser.add_argument("--vehicles", type=int, default=2, metavar="N", help="of each scenario")
+    parser.add_argument("--vehicles", type=int, default=1, metavar="N", help="of each scenario")
     parser.add_argument("--logs", type=Path, metavar="FOLDER", help="recorded flights with truths")
     parser.add_argument(
         "--estimator", action="append", default=[], metavar="FILE.py:FUNCTION", help="one more"
     )
     parser.add_argument("--fresh", action="store_true", help="make again what is kept")
+    parser.add_argument("--page", action="store_true", help="write from what is kept")
     options = parser.parse_args(argv)
     others = entries.available()
     try:
