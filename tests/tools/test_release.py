@@ -1,5 +1,6 @@
 """Release notes from the changelog, the README of the package, the lock."""
 
+import fnmatch
 import re
 import runpy
 from datetime import date
@@ -105,3 +106,12 @@ def test_the_version_is_told_alike_everywhere():
 
     cited = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert f"\nversion: {gcs_sysid.__version__}\n" in cited
+
+
+def test_every_file_of_the_top_folder_is_in_the_sdist():
+    manifest = (ROOT / "MANIFEST.in").read_text(encoding="utf-8").splitlines()
+    patterns = [p for line in manifest if line.startswith("include") for p in line.split()[1:]]
+    # setuptools takes these unasked.
+    patterns += ["pyproject.toml", "setup.py", "setup.cfg", "LICENSE", "MANIFEST.in", "PKG-INFO"]
+    names = [path.name for path in ROOT.iterdir() if path.is_file() and path.name != ".git"]
+    assert [n for n in names if not any(fnmatch.fnmatch(n, p) for p in patterns)] == []
