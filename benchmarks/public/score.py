@@ -172,7 +172,7 @@ def page(flights: list[Flown]) -> str:
     }
     text = TEMPLATE.read_text(encoding="utf-8")
     for name, lines in parts.items():
-        text = text.replace("{{" + name + "}}", "\n".join(lines))
-    while "\n\n\n" in text:
-        text = text.replace("\n\n\n", "\n\n")
+        mark = "{{" + name + "}}"
+        # What is empty takes its blank line along; others are code's own.
+        text = text.replace(mark if lines else f"{mark}\n\n", "\n".join(lines))
     return text.rstrip() + "\n"
