@@ -116,7 +116,7 @@ LAYOUTS = (
 )  # fmt: skip
 """Names of `setup_help.layouts.LAYOUTS` (a test compares); not imported, to start fast."""
 
-SHELLS = ("bash", "zsh", "fish")
+SHELLS = ("bash", "zsh", "fish", "powershell")
 
 
 def add_doctor(parser: argparse.ArgumentParser) -> None:

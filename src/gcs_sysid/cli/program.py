@@ -163,10 +163,11 @@ def build_parser() -> argparse.ArgumentParser:
     option_groups.add_doctor(doctor)
     completion = commands.add_parser(
         "completion",
-        help="tab completion for bash, zsh and fish",
+        help="tab completion for bash, zsh, fish and PowerShell",
         description='Prints a script for the shell. bash: eval "$(gcs-sysid completion bash)" '
         "in ~/.bashrc; zsh: the same in ~/.zshrc, after compinit; fish: gcs-sysid completion "
-        "fish > ~/.config/fish/completions/gcs-sysid.fish",
+        "fish > ~/.config/fish/completions/gcs-sysid.fish; PowerShell, in $PROFILE: "
+        "gcs-sysid completion powershell | Out-String | Invoke-Expression",
     )
     option_groups.add_completion(completion)
     return parser
@@ -195,6 +196,12 @@ def run(argv: Sequence[str]) -> int:
         if isinstance(error, MemoryError):
             say(f"{PROGRAM}: error: not enough memory for this")
             return USAGE
+        if isinstance(error, ModuleNotFoundError) and error.name and _is_foreign(error.name):
+            say(
+                f"{PROGRAM}: error: the Python package {error.name} is not installed; "
+                f"pip install {PROGRAM} brings it (--headless and notebooks need no screen)"
+            )
+            return USAGE
         # A defect. The user gets one line; whoever mends it sets GCS_SYSID_DEBUG.
         if os.environ.get("GCS_SYSID_DEBUG"):
             raise
@@ -209,6 +216,11 @@ def run(argv: Sequence[str]) -> int:
             "please report it, with GCS_SYSID_DEBUG=1 set"
         )
         return USAGE
+
+
+def _is_foreign(module: str) -> bool:
+    """Whether a module is another project's, which an installation may lack."""
+    return module.partition(".")[0] not in ("gcs_sysid", "sim_bridge")
 
 
 def _stdout_is_full() -> bool:
