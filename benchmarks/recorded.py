@@ -49,7 +49,9 @@ def truth_of(log: Path) -> dict[str, float]:
 
 
 def airframe_of(log: Path) -> Airframe:
-    """Where its rotors were."""
+    """Where its rotors were: the .toml beside it, or as its truth tells."""
+    if (file := log.with_suffix(".toml")).exists():
+        return load_airframe(str(file))
     table = json.loads(log.with_suffix(".truth.json").read_text())
     if "rotor_pos_rel_cg_m" in table:
         airframe = load_airframe("ardupilot-quad-x")

@@ -9,6 +9,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from sim_bridge.missions import Mission
 from sim_bridge.physics import make_physics, parse_physics, physics_help
 from sim_bridge.playback import play, wait_for_somebody
 from sim_bridge.px4 import Px4
+from sim_bridge.rate_controllers import rate_controller
 from sim_bridge.sensor_faults import (
     SensorFaults,
     make_sensor_faults,
@@ -149,6 +151,12 @@ def make_parser() -> argparse.ArgumentParser:
         default=[],
         metavar="T:FACTOR",
         help="multiply the mass by FACTOR at time T; may be repeated",
+    )
+    add(
+        "--gains",
+        metavar="FILE|default",
+        help="fly the autopilot's own rate controller with the gains of a .params or .param file, "
+        "or as shipped (else by a controller that knows the vehicle)",
     )
     add(
         "--turbulence",
@@ -279,9 +287,11 @@ def run(args: argparse.Namespace) -> None:
     duration = args.duration or mission.duration
     # One seed, independent generators: what one draws never moves the other.
     gusts, sensors = np.random.SeedSequence(args.seed).spawn(2)
-    loop = {}
+    loop: dict[str, Any] = {}
     if args.autopilot == "ardupilot":
         loop = {"step_us": ardupilot.STEP_US, "control_steps": ardupilot.LOOP_STEPS}
+    if args.gains is not None:
+        loop["controller"] = rate_controller(args.autopilot, args.gains)
     physics = make_physics(args.physics)
     simulation = Simulation(
         vehicle, mission, gusts, args.turbulence, args.mass_step, physics=physics, **loop

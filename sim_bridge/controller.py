@@ -69,6 +69,9 @@ class Controller:
         self._rate_integral: list[Value] = [0.0, 0.0, 0.0]
         self._height_integral: Value = 0.0
 
+    def observe(self, state: State, step: float) -> None:
+        """See every step of the physics, as a gyro does; this controller needs none of them."""
+
     def update(self, state: State, reference: Reference) -> list[Value]:
         """Rotor-speed targets, rad/s, for the next period."""
         a_x, a_y, a_z = self._acceleration(state, reference)

@@ -1,5 +1,7 @@
 """The few parameters an emulated PX4 shows."""
 
+import math
+
 from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.vehicle_parameters import INT32, REAL32, Parameter
 
@@ -26,7 +28,13 @@ def px4_parameters(vehicle: Vehicle, sysid: int) -> list[Parameter]:
         "SYS_HITL": 0,
         "THR_MDL_FAC": 0.0,
     }
+    tilt = vehicle.traits.tilt if vehicle.traits is not None else 0.0
     for i, rotor in enumerate(vehicle.rotors):
+        if tilt:
+            side = rotor.spin * math.sin(tilt) / (math.hypot(rotor.x, rotor.y) or 1.0)
+            table[f"CA_ROTOR{i}_AX"] = -side * rotor.y
+            table[f"CA_ROTOR{i}_AY"] = side * rotor.x
+            table[f"CA_ROTOR{i}_AZ"] = -math.cos(tilt)
         table[f"PWM_MAIN_FUNC{i + 1}"] = 101 + i
         table[f"CA_ROTOR{i}_PX"] = rotor.x
         table[f"CA_ROTOR{i}_PY"] = rotor.y

@@ -117,6 +117,7 @@ class Simulation:
         step_us: int = STEP_US,
         control_steps: int = CONTROL_STEPS,
         physics: Physics = IDEAL,
+        controller: Callable[[Vehicle, float], Controller] = Controller,
     ) -> None:
         self.step_us = step_us
         self.step_size = 1e-6 * step_us
@@ -130,7 +131,8 @@ class Simulation:
         self._changes = sorted(changes, key=lambda change: change.time)
         self._control_steps = control_steps
         self._period = control_steps * self.step_size
-        self._controller = Controller(vehicle, self._period)
+        self._make_controller = controller
+        self._controller = controller(vehicle, self._period)
         wobble = mission.turbulence if turbulence is None else turbulence
         self._turbulence = Turbulence(vehicle, wobble, self._period, seed)
         self._surroundings = (
@@ -168,6 +170,7 @@ class Simulation:
             # The ground holds the body; the rotors are free to turn.
             state.body = self.state.body
         self.state = state
+        self._controller.observe(state, self.step_size)
         self.tick += 1
         while self._changes and self._changes[0].time <= self.time:
             change = self._changes.pop(0)
@@ -225,7 +228,7 @@ class Simulation:
         if self.grounded:
             self.grounded = False
             # A controller of the last flight has wound up its integrators.
-            self._controller = Controller(self.vehicle, self._period)
+            self._controller = self._make_controller(self.vehicle, self._period)
         physics = self.physics
         self._controller.full_throttle = physics.punch_out is not None and physics.punch_out.holds(
             self.time

@@ -26,9 +26,8 @@ from sim_bridge.swings import read_plan
 
 TOOL = Path(gcs_sysid.__file__).parent
 ROOTS = [TOOL, Path(sim_bridge.__file__).parent]
-# Between processes of the program itself: the pipe to a child, and a socket of this machine that
-# listens to nobody without the key.
-MAY_PICKLE = {"cli/live_report.py", "web/share.py"}
+# Between processes of the program itself: the pipe to a child.
+MAY_PICKLE = {"cli/live_report.py"}
 
 
 @functools.cache

@@ -20,6 +20,7 @@ import serial
 
 from gcs_sysid.__main__ import main
 from gcs_sysid.cli import live_command as live_command
+from gcs_sysid.cli import screens as screens
 from gcs_sysid.live import live_session as live_session
 from gcs_sysid.live.reception import Reception
 from gcs_sysid.live.recording import Recording
@@ -28,8 +29,8 @@ from gcs_sysid.telemetry.link import Chunk, Link
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.transceiver import Transceiver
 from gcs_sysid.telemetry.urls import parse_url
-from gcs_sysid.web.share import VARIABLE, Door, RemoteSource
 from tests.autopilots import GROUPS, INTERVALS, MESSAGES, READS, SETS, Autopilot
+from tests.web.conftest import Client
 
 HEARTBEAT = "HEARTBEAT"
 AIRFRAME = ("--airframe", "paper")
@@ -383,18 +384,27 @@ def test_the_screen_its_keys_and_its_end_over_a_signed_link(how, folder):
 
 
 @needs_posix
-def test_browsers_and_their_keys_over_tcp(end_by, folder, capsys):
+def test_a_page_and_its_buttons_over_tcp(end_by, folder, capsys, monkeypatch):
     """`--web`, ended by SIGHUP as by a terminal that closes."""
-    vehicle = Autopilot()
+    vehicle, served = Autopilot(), []
+    monkeypatch.setattr(screens, "say_addresses", lambda site, _host: served.append(site))
 
     def act():
-        """What a page does whose keys are pressed."""
-        viewer = RemoteSource(Door.parse(os.environ[VARIABLE]), lambda: None)
-        actions = viewer.scene.actions
-        actions.mark("here")
-        actions.reset()
-        actions.toggle_recording()
-        actions.set_anchor("mass", 2.0)
+        """What a page sends whose buttons are pressed, and more than it has."""
+        pilot, viewer = (Client(served[0], role) for role in ("pilot", "viewer"))
+        offered = json.loads(pilot.get("/live/scene")[1])["actions"]
+        assert {"mark", "record", "reset", "scale", "vehicle"} <= set(offered)
+        for action in (
+            {"action": "mark", "text": "here"},
+            {"action": "reset"},
+            {"action": "record"},
+            {"action": "scale", "name": "mass", "value": 2.0},
+            {"action": "health"},
+        ):
+            assert viewer.post("/live/action", action)[0] == 403
+            pilot.post("/live/action", action)
+        for name in ("arm", "send", "command", "set_mode", "request_stop", "gate"):
+            assert pilot.post("/live/action", {"action": name, "text": "MAV_CMD"})[0] == 400
         end_by(signal.SIGHUP)()
 
     with on_tcp(vehicle, streams_and_parameters, act) as url:

@@ -10,6 +10,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.innovations import AxisNoise, Noise
 from gcs_sysid.estimation.likelihood import cramer_rao_bound, maximise_likelihood
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
+from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS
 from gcs_sysid.estimation.speed_noise import ROUNDING_STD
 from gcs_sysid.estimation.status import Value
 from gcs_sysid.estimation.tuning import Tuning
@@ -40,7 +41,12 @@ def offline(samples: Samples, dt: float, start: Fit, speed_std: float | None) ->
     assert start.rotation is not None
     found = maximise_likelihood(samples, GEOMETRY, dt, start.rotation.theta, speed_std)
     assert found is not None
-    rotation = replace(start.rotation, theta=found.theta, covariance=found.covariance)
+    full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+    full[: DELAY + 1, : DELAY + 1] = found.covariance
+    n = rb.N_THETA
+    rotation = replace(
+        start.rotation, theta=found.theta, covariance=full[:n, :n], full_covariance=full
+    )
     return replace(start, rotation=rotation)
 
 

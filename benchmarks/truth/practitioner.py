@@ -51,16 +51,31 @@ def estimate(blocks: list[SampleBlock], airframe: Airframe) -> dict[str, tuple[f
     rates, speeds, force = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     known = np.isfinite(np.column_stack([rates, speeds, force])).all(axis=1)
     rates, speeds, force = rates[known], speeds[known], force[known]
-    dt = blocks[0].dt
+    return fit(rates, speeds, force, blocks[0].dt, airframe.geometry, airframe.mass)
+
+
+def fit(
+    rates: Array, speeds: Array, force: Array, dt: float, geometry: Array, mass: float
+) -> dict[str, tuple[float, float]]:
+    """The same from arrays.
+
+    Args:
+        rates: (n, 3) rad/s.
+        speeds: (n, rotors) rad/s, or commands.
+        force: (n, 3) specific force, m/s^2.
+        dt: s from sample to sample.
+        geometry: (3, rotors) x, y, spin.
+        mass: kg.
+    """
     length = max(5, round(WINDOW / dt) | 1)
     if len(rates) < 10 * length:
         return {}
-    rotors, _ = rb.rotor_signals(airframe.geometry, speeds)
+    rotors, _ = rb.rotor_signals(geometry, speeds)
     smooth = savgol_filter(rates, length, 3, axis=0)
     turning = savgol_filter(rates, length, 3, deriv=1, delta=dt, axis=0)
     rotors = savgol_filter(rotors, length, 3, axis=0)
     total = rotors[:, 2]
-    k_T = -airframe.mass * float(force[:, 2] @ total) / float(total @ total)
+    k_T = -mass * float(force[:, 2] @ total) / float(total @ total)
     phi, y = rb.direct_rows(smooth, turning, rotors)
     x = phi.reshape(-1, 9)
     size = np.sqrt(np.mean(x**2, axis=0)) + 1e-300

@@ -11,6 +11,7 @@ from gcs_sysid.model.airframe import Airframe, Rotor
 from sim_bridge.physics import IDEAL, Physics
 
 Random = np.random.Generator
+_CANT = math.radians(4.0)
 _AIR_BESIDES = ("linear_drag", "rotational_damping")
 """Parameters with no one true value where the air does more than drag and damp linearly."""
 
@@ -67,6 +68,17 @@ def _spun(airframe: Airframe) -> Airframe:
 def _turned(airframe: Airframe) -> Airframe:
     """Front taken for the right-hand side."""
     return replace(airframe, rotors=tuple(Rotor(-r.y, r.x, r.spin) for r in airframe.rotors))
+
+
+def _canted(airframe: Airframe) -> Airframe:
+    """The builder knows by what angle the rotors are canted."""
+    sine, cosine = math.sin(_CANT), math.cos(_CANT)
+
+    def axis(r: Rotor) -> tuple[float, float, float]:
+        side = r.spin * sine / math.hypot(r.x, r.y)
+        return -side * r.y, side * r.x, -cosine
+
+    return replace(airframe, rotors=tuple(replace(r, axis=axis(r)) for r in airframe.rotors))
 
 
 @dataclass(frozen=True)
@@ -138,8 +150,9 @@ SCENARIOS = (
     Scenario(
         "l",
         "hexa, rotors canted by 4 degrees",
-        lambda _: Physics(tilt=math.radians(4.0)),
+        lambda _: Physics(tilt=_CANT),
         layouts=("hexa",),
+        known=_canted,
     ),
     Scenario(
         "n",

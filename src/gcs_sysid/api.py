@@ -5,6 +5,7 @@ a file, a name or an array, is an `InputError` with one line that says what and 
 """
 
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
@@ -15,22 +16,36 @@ from numpy.typing import ArrayLike
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
+from gcs_sysid.live.acceleration_prediction import Model
 from gcs_sysid.model.airframe import ANCHORS, Airframe
 from gcs_sysid.model.airframe import load_airframe as read_airframe
-from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.model.flight_model import FlightModel, MotionState, Trajectory
+from gcs_sysid.report.prediction_series import predict
+from gcs_sysid.report.recorder import Recorder
+from gcs_sysid.results.parameter_samples import ParameterSamples
+from gcs_sysid.results.result import Estimate, IdentifiedEstimate, Result
 from gcs_sysid.results.result_file import read_result
+from gcs_sysid.results.snapshot import Acceleration
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
 from gcs_sysid.signals.columns import RecordBlock, Track
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.twin.held_out_flight import TwinFlight, fly_held_out
 
 __all__ = [
     "Airframe",
     "Estimate",
+    "FlightModel",
+    "IdentifiedEstimate",
     "InputError",
+    "MotionState",
+    "ParameterSamples",
     "Result",
     "Signals",
+    "Trajectory",
+    "TwinFlight",
     "analyze",
+    "fly_twin",
     "identify",
     "load_airframe",
     "read_result",
@@ -204,6 +219,7 @@ def analyze(
     start: float = 0.0,
     end: float = float("inf"),
     offline: bool = False,
+    history: bool = False,
     **known: Unpack[Known],
 ) -> Result:
     """Identify from a recorded flight, to the numbers of `gcs-sysid analyze`.
@@ -215,6 +231,8 @@ def analyze(
         start: s after the first record; earlier records are not used.
         end: s after the first record; later ones are not used.
         offline: whether to maximise the likelihood of the whole record.
+        history: whether to keep estimates and predicted acceleration over time, for
+            `Result.plot`; takes longer.
         known: scale, arm and priors, see `Known`.
 
     Raises:
@@ -229,8 +247,67 @@ def analyze(
         >>> low < 0.0294 < high  # kg m^2, see logs/sample.truth.json
         True
     """
-    options = ChainOptions(history_interval=None, start=start, end=end, offline=offline)
-    return analyze_log(Path(log), load_airframe(airframe, **known), vehicle, options)
+    interval = ChainOptions().history_interval if history else None
+    options = ChainOptions(history_interval=interval, start=start, end=end, offline=offline)
+    whole = load_airframe(airframe, **known)
+    if not history:
+        return analyze_log(Path(log), whole, vehicle, options)
+    with closing(Recorder(len(whole.rotors))) as recorder:
+        result = analyze_log(Path(log), whole, vehicle, options, observer=recorder)
+        return replace(
+            result, history=recorder.history, prediction=_prediction(recorder, result, whole)
+        )
+
+
+def _prediction(recorder: Recorder, result: Result, airframe: Airframe) -> Acceleration | None:
+    """Angular acceleration of the part that the validation held out; None: none was."""
+    told = recorder.validation
+    if told is None or recorder.dt is None:
+        return None
+    source = result.telemetry["rotor_input"]
+    model = Model(
+        told.theta, told.coordinates, airframe.geometry, result.rotor_input,
+        source.get("gyro_filter"), source.get("loop_filter"),
+    )  # fmt: skip
+    since = max((float(segment["end"]) for segment in result.segments), default=0.0)
+    rows = predict(recorder.samples(), recorder.dt, model, since, np.inf, told.fitted_share)
+    part = rows.held_out
+    return Acceleration(rows.t[part], rows.measured[part], rows.predicted[part])
+
+
+def fly_twin(
+    result: Result,
+    log: str | PathLike[str],
+    airframe: str | PathLike[str] | Airframe | None = None,
+    *,
+    vehicle: tuple[int, int | None] | None = None,
+    seed: int = 0,
+    **known: Unpack[Known],
+) -> TwinFlight:
+    """Fly a result along a log's held-out stretches, to the numbers of `gcs-sysid twin`.
+
+    Args:
+        result: of this flight (the model is then fitted again to its first part) or of another.
+        log: a .tlog, .ulg, .bin or .bbl file.
+        airframe: as for `load_airframe`; None: what the result tells of it.
+        vehicle: system and perhaps component; None: the first autopilot in the log.
+        seed: of the vehicles drawn from the covariance.
+        known: scale, arm and priors, see `Known`.
+
+    Raises:
+        InputError: the log cannot be used, or does not fit the result.
+
+    Example:
+        >>> import gcs_sysid
+        >>> result = gcs_sysid.analyze("logs/sample.tlog", "paper", mass=1.5)
+        >>> twin = gcs_sysid.fly_twin(result, "logs/sample.tlog")
+        >>> twin.same_flight, twin.accuracy[1.0]["rates"].r_squared > 0.9
+        (True, True)
+    """
+    if airframe is None and known:
+        raise InputError(f"{', '.join(sorted(known))}: give the airframe too")
+    whole = None if airframe is None else load_airframe(airframe, **known)
+    return fly_held_out(result, Path(log), whole, vehicle, seed=seed)
 
 
 def identify(

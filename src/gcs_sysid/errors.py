@@ -20,3 +20,7 @@ class InputError(GcsSysidError):
 
 class LinkError(GcsSysidError):
     """A link that cannot be opened or was lost for good (exit status 2)."""
+
+
+class NoAnswerError(InputError):
+    """Data that can be read and do not allow an answer (exit status 1)."""

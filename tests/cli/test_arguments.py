@@ -209,7 +209,32 @@ def test_help_and_version_load_nothing_heavy(argument):
     )
     assert done.returncode == 0
     assert done.stderr == "[]\n"
-    assert done.stdout.startswith(("usage: gcs-sysid", "gcs-sysid ", "# Completion"))
+    assert done.stdout.startswith(("usage: gcs-sysid", "gcs-sysid ", "# AUTOMATICALLY GENERATED"))
+
+
+@pytest.mark.slow
+def test_commands_and_notebooks_load_neither_screen_nor_slow_parts_of_scipy():
+    code = (
+        "import gcs_sysid, importlib, sys\n"
+        "from gcs_sysid.cli.program import build_parser\n"
+        "from gcs_sysid.cli.welcome import commands_of\n"
+        "for name, _ in commands_of(build_parser()):\n"
+        "    importlib.import_module(f'gcs_sysid.cli.{name}_command')\n"
+        "gcs_sysid.analyze, gcs_sysid.identify\n"
+        "slow = {'textual', 'aiohttp', 'rich', 'scipy.stats', 'scipy.interpolate',"
+        " 'scipy.optimize', 'pyarrow', 'distributed'}\n"
+        "print(sorted(slow & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("[]\n", "")
+
+
+def test_a_package_that_is_missing_is_one_line(monkeypatch, capsys):
+    monkeypatch.setattr("importlib.import_module", lambda name: __import__("no_such_package"))
+    assert run(["doctor"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("gcs-sysid: error: the Python package no_such_package is not installed")
+    assert said.count("\n") == 1
 
 
 def test_help_fits_a_terminal_of_80_columns():

@@ -46,6 +46,7 @@ class Case(NamedTuple):
 
 
 ON_LOG = ("{flight}", "--airframe", "paper")
+TUNED = ("{a}", "--set", "motor_lag=0.03", "--set", "rotor_speed_max=230", "--draws", "3")
 CASES = {
     ("analyze", "json"): Case(("analyze", *ON_LOG, "--json", "{out}"), ".json", "Ixx"),
     ("analyze", "report"): Case(
@@ -72,6 +73,11 @@ CASES = {
     ("export", "output"): Case(
         ("export", "--to", "urdf", "{a}", "-o", "{out}"), ".urdf", seconds=False
     ),
+    ("tune", "json"): Case(("tune", *TUNED, "--json", "{out}"), ".json", "MC_ROLLRATE_P"),
+    ("tune", "output"): Case(
+        ("tune", *TUNED, "--to", "px4-params", "-o", "{out}"), ".params", "MC_ROLLRATE_P"
+    ),
+    ("tune", "bode"): Case(("tune", *TUNED, "--bode", "{out}"), ".svg", "MC_ROLLRATE_P"),
     ("airframe new", "output"): Case(
         ("airframe", "new", "--layout", "px4-quad-x", "--arm", "0.2", "-o", "{out}"),
         ".toml", seconds=False,

@@ -49,11 +49,11 @@ def backend_is_good():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not backend_is_good(), reason="needs the build backend: pip install .[dev]")
+@pytest.mark.skipif(not backend_is_good(), reason="no build backend: pip install --group dev")
 def test_the_wheel_has_both_commands_and_all_their_files(tmp_path):
     source = tmp_path / "source"
     source.mkdir()
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
     clean = shutil.ignore_patterns("__pycache__", "*.egg-info")
     shutil.copytree(ROOT / "src", source / "src", ignore=clean)

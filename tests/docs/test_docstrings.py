@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 MODULES = [
     "api",
     "model.airframe",
+    "model.flight_model",
     "results.comparison",
     "results.result",
     "results.result_file",
@@ -34,6 +35,6 @@ def test_examples_give_what_they_say(name, monkeypatch):
 def test_every_public_function_has_an_example():
     public = [getattr(gcs_sysid, name) for name in gcs_sysid.__all__]
     functions = [each for each in public if inspect.isfunction(each)]
-    assert len(functions) == 4
+    assert len(functions) == 5
     for function in functions:
         assert ">>>" in (function.__doc__ or ""), function.__name__

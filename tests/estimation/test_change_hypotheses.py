@@ -286,3 +286,16 @@ def test_frames_know_the_flight_before_and_are_bounded():
         frames.add(list(np.zeros((200, 4 + N_X + 3))))
     assert len(frames.before(0.0, STEP, reference()).left) <= Frames.MOST
     assert len(Frames().before(0.0, STEP, reference()).left) == 0
+
+
+@pytest.mark.parametrize("before", [0.0, 0.01, 0.05, 0.2])
+def test_a_step_at_the_very_end_says_nothing(before):
+    """As where a flight ends while an alarm is undecided."""
+    found = judge(TIME, fly(), DT, reference(), quiet(), TIME[-1] - before, LAST, decide=False)
+    assert found.verdict != "change"
+
+
+def test_rotors_that_stand_still_are_no_change():
+    samples = fly(thrust=np.zeros(len(TIME)))
+    found = judge(TIME, samples, DT, reference(watched=(0,)), quiet(), AT, LAST, decide=False)
+    assert found.verdict != "change"

@@ -97,10 +97,15 @@ def test_covariance_keeps_deviations_and_common_causes():
     assert covariance[at["Ixx"], at["Izz"]] == pytest.approx(shared)
     assert covariance[at["k_T"], at["Ixx"]] == pytest.approx(0.02**2 * K_T * size["Ixx"][0])
     assert covariance[at["k_T"], at["cg_x"]] == 0.0
-    # What widens one parameter alone does not make it hang together with others more.
+    # What widens a parameter keeps the correlation of its part of the fit.
     wider = {n: size[n] for n in names} | {"Ixx": (size["Ixx"][0], 10.0 * size["Ixx"][1])}
     _, wide = parameter_covariance(fit, scale, wider, {})
-    assert wide[at["Ixx"], at["Izz"]] == pytest.approx(shared)
+    value, std = size["Ixx"]
+    widening = np.sqrt((10.0 * std) ** 2 - (0.02 * value) ** 2) / (K_T * fit.std[0])
+    by_thrust = 0.02**2 * value * size["Izz"][0]
+    expected = by_thrust + widening * K_T**2 * fit.covariance[0, 2]
+    assert wide[at["Ixx"], at["Izz"]] == pytest.approx(expected)
+    assert np.linalg.eigvalsh(wide / np.outer(stds, stds)).min() > 0.0
     given = {name: 0.5 * std for name, (_, std) in size.items()}
     _, together = parameter_covariance(fit, replace(scale, thrust_share=0.0), size, given)
     assert together[at["cg_x"] - 0, at["k_T"]] != 0.0

@@ -7,10 +7,12 @@ import pytest
 
 from gcs_sysid.estimation.physical_parameters import (
     physical_parameters,
+    rotor_values,
     timing_values,
     verdict,
 )
 from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.scale import relative_prior, resolve_scale
 from gcs_sysid.estimation.status import NOTHING, Value
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.model import rigid_body as rb
@@ -44,6 +46,24 @@ def test_either_true_anchor_gives_the_truth(anchor):
     assert {n: v.value for n, v in values.items()} == pytest.approx(TRUE, rel=1e-12)
     assert values[anchor[0]] == Value(anchor[1], 0.0, "given")
     assert verdict(values) == ("identified", ())
+
+
+def test_what_canted_rotors_add_is_no_drag_torque():
+    cant = 0.012
+    theta = THETA.copy()
+    theta[rb.MOMENT_RATIO] += cant
+    anchor = ScaleReference("mass", MASS)
+    values = physical_parameters(
+        anchor, replace(ROTATION, theta=theta), TRANSLATION, ARM, cant=cant
+    )
+    assert {n: v.value for n, v in values.items()} == pytest.approx(TRUE, rel=1e-12)
+    scale = resolve_scale(anchor, TRANSLATION, {})
+    each = rotor_values(replace(ROTATION, theta=theta), scale, 4, cant)
+    assert [r["k_M"].value for r in each] == pytest.approx([TRUE["k_M"]] * 4, rel=1e-12)
+    prior = {"k_M": (TRUE["k_M"], 1e-8)}
+    assert relative_prior(prior, scale, cant).mean[rb.MOMENT_RATIO] == pytest.approx(
+        theta[rb.MOMENT_RATIO]
+    )
 
 
 @pytest.mark.parametrize(("kind", "known"), [("mass", MASS), ("k_T", K_T)])

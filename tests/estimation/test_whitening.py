@@ -17,6 +17,7 @@ from gcs_sysid.estimation.whitening import (
     WhitenerBank,
     averaged,
     bank_for,
+    essential,
     gauss_markov,
     leak,
     slower,
@@ -410,3 +411,12 @@ def test_a_shock_is_found_by_whiteners_of_the_batches_before(disturbed):
     assert not found[0].any()
     assert set(np.flatnonzero(found[1])) <= {23, 24, 25}
     assert found[1].any()
+
+
+def test_after_a_minute_all_whiteners_of_the_gyro_that_was_found_go_on():
+    bank = bank_for(0.004)
+    picked = next(i for i, w in enumerate(bank) if w.b == 0.9 and w.name.startswith("torque"))
+    kept = essential(bank, [picked])
+    assert {i for i, w in enumerate(bank) if w.b == 0.9} <= set(kept)
+    assert not any(bank[i].b == 0.4 for i in kept)
+    assert len(kept) < 0.5 * len(bank)

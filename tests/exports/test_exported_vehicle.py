@@ -1,5 +1,6 @@
 """What is known of a vehicle, where from, and what is refused rather than invented."""
 
+import json
 import re
 from dataclasses import replace
 from xml.etree import ElementTree
@@ -73,7 +74,8 @@ def test_weak_values_are_used_and_named(result):
     result = replace(result, parameters=result.parameters | {"Izz": rough})
     vehicle = assemble(result, given=EVERYTHING)
     for target in TARGETS.values():
-        assert "Note: weak: Izz\n" in target.write(vehicle)
+        # A line of a comment, or of the list that stands for one in JSON.
+        assert re.search(r'Note: weak: Izz(",)?\n', target.write(vehicle))
         assert "weak: Izz" in target.notes(vehicle)
 
 
@@ -144,7 +146,11 @@ def test_names_cannot_break_a_file(result, target):
     if text.startswith("#"):
         plain = TARGETS[target].write(assemble(result, given=EVERYTHING, name="x"))
         code = [line for line in text.splitlines() if not line.startswith("#")]
-        assert code == [line for line in plain.splitlines() if not line.startswith("#")]
+        expected = [line for line in plain.splitlines() if not line.startswith("#")]
+        # A section of TOML has the vehicle's name, made harmless.
+        assert [line.replace("[_3______]", "[x]") for line in code] == expected
+    elif text.startswith("{"):
+        assert "3____" in json.loads(text)["_comment"][0]
     else:
         ElementTree.fromstring(text)
         assert "3____" in text

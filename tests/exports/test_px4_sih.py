@@ -76,7 +76,11 @@ def test_values_units_and_signs(vehicle, by):
         "SIH_IXZ": VALUES["Ixz"], "SIH_T_MAX": full, "SIH_Q_MAX": full * VALUES["moment_ratio"],
         "SIH_L_ROLL": at, "SIH_L_PITCH": at, "SIH_KDV": VALUES["linear_drag"],
         "SIH_KDW": VALUES["rotational_damping"], "SIH_T_TAU": LAG, "SIH_VEHICLE_TYPE": 0,
+        "CA_AIRFRAME": 0, "CA_ROTOR_COUNT": 4, "THR_MDL_FAC": 0.0,
     }  # fmt: skip
+    for i, (x, y, spin) in enumerate([(at, at, 1), (-at, -at, 1), (at, -at, -1), (-at, at, -1)]):
+        expected |= {f"CA_ROTOR{i}_PX": x, f"CA_ROTOR{i}_PY": y}
+        expected[f"CA_ROTOR{i}_KM"] = spin * VALUES["moment_ratio"]
     assert found == pytest.approx(expected, rel=1e-6)
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import (
     ANCHORS,
     builtin_names,
+    is_evenly_canted,
     load_airframe,
     parse_airframe,
     read_airframe_table,
@@ -63,7 +65,7 @@ def test_paper_airframe_is_table_1():
     assert airframe.anchor() == ("mass", 1.5)
     # Rows of MODEL.md's table by PX4 motor number: front right, rear left, front left, rear right.
     expected = [(0.25, 0.25, 1), (-0.25, -0.25, 1), (0.25, -0.25, -1), (-0.25, 0.25, -1)]
-    assert [dataclasses.astuple(r) for r in airframe.rotors] == expected
+    assert [(r.x, r.y, r.spin) for r in airframe.rotors] == expected
 
 
 def test_a_full_file_is_read(write):
@@ -147,6 +149,10 @@ WRONG = {
     "command range": (ROTORS + "[command]\nmin = 2000\nmax = 1000\n", "[command]: max"),
     "command min": (ROTORS + "[command]\nmin = 'low'\n", "[command] min"),
     "thrust_curve": (ROTORS + "[command]\nthrust_curve = 1.5\n", "thrust_curve"),
+    "axis is a number": (ROTORS.replace('"ccw"', '"ccw"\naxis = 1', 1), "number 1: axis"),
+    "axis points down": (ROTORS.replace('"ccw"', '"ccw"\naxis = [0, 0, 1]', 1), "number 1: axis"),
+    "axis is zero": (ROTORS.replace('"ccw"', '"ccw"\naxis = [0, 0, 0]', 1), "number 1: axis"),
+    "one rotor canted": (ROTORS.replace('"ccw"', '"ccw"\naxis = [0, 0.1, -1]', 1), "canted"),
     "not TOML": ("mass == 1\n" + ROTORS, "TOML"),
 }
 
@@ -160,6 +166,39 @@ def test_what_is_wrong_gives_one_line_with_file_and_key(write, text, names):
     assert "\n" not in message
     assert path in message
     assert names in message
+
+
+def canted(airframe, degrees):
+    """About the arms, thrust helping the drag torque."""
+    sine, cosine = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
+    sides = [r.spin * sine / np.hypot(r.x, r.y) for r in airframe.rotors]
+    return tuple(
+        replace(r, axis=(-s * r.y, s * r.x, -cosine))
+        for r, s in zip(airframe.rotors, sides, strict=True)
+    )
+
+
+def test_canted_rotors_are_read_and_scale_with_the_arm(write):
+    upright = load_airframe(write(ROTORS))
+    assert upright.cant == 0.0
+    axes = [[float(n) for n in r.axis] for r in canted(upright, 4.0)]
+    parts = ROTORS.split("[[rotor]]")
+    text = parts[0] + "".join(
+        f"[[rotor]]\naxis = {axis}{part}" for axis, part in zip(axes, parts[1:], strict=True)
+    )
+    airframe = load_airframe(write(text))
+    # r x F over the thrust along z: the arm times tan(4 degrees), whatever the spin.
+    assert airframe.cant == pytest.approx(airframe.arm * np.tan(np.radians(4.0)))
+    assert airframe.with_arm(2.0 * airframe.arm).cant == pytest.approx(2.0 * airframe.cant)
+    table = {"name": "canted", "rotor": airframe.as_json()["rotors"]}
+    assert parse_airframe(table, "its JSON").rotors == airframe.rotors
+
+
+def test_rotors_canted_outward_add_no_yaw(write):
+    airframe = load_airframe(write(ROTORS))
+    outward = tuple(replace(r, axis=(0.1 * r.x, 0.1 * r.y, -1.0)) for r in airframe.rotors)
+    assert is_evenly_canted(outward)
+    assert replace(airframe, rotors=outward).cant == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_name_that_is_none_lists_the_builtin_ones():

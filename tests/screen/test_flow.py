@@ -139,6 +139,10 @@ async def test_event_text_is_never_taken_for_markup(run_screen):
         ((200, 24), {"-paged"}),
         ((120, 40), {"-columns"}),
         ((200, 50), {"-wide"}),
+        ((196, 40), {"-wide"}),
+        ((195, 40), {"-columns"}),
+        ((196, 39), {"-columns"}),
+        ((61, 24), {"-paged", "-narrow"}),
     ],
 )
 def test_layout_of_a_size(size, classes):

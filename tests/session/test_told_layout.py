@@ -21,6 +21,7 @@ from gcs_sysid.setup_help.layouts import layout_rotors
 from sim_bridge.ardupilot_parameters import ardupilot_parameters
 from sim_bridge.cli import main as sim_bridge
 from sim_bridge.px4_parameters import px4_parameters
+from sim_bridge.uneven_rotors import even
 from sim_bridge.vehicle_files import load_vehicle
 
 QUAD = load_airframe("px4-quad-x")
@@ -233,3 +234,14 @@ def test_the_airframe_of_a_log_that_tells_it(flight, capsys):
     assert found.anchor() == ("mass", 1.5)
     assert "6 rotors by CA_ROTORn_PX" in capsys.readouterr().err
     assert analyze_log(flight, found).verdict != "refused"
+
+
+def test_canted_rotors_of_px4_are_taken_over():
+    canted = replace(load_vehicle("px4-hexa-x"), traits=replace(even(6), tilt=0.07))
+    table = {p.name: float(p.value) for p in px4_parameters(canted, 1)}
+    rotors = told_layout("px4", table).rotors
+    told = Airframe("told", rotors)
+    assert told.cant == pytest.approx(told.arm * np.tan(0.07))
+    # One alone is no way to cant rotors: it is left out.
+    table["CA_ROTOR0_AX"] = 0.2
+    assert Airframe("told", told_layout("px4", table).rotors).cant == 0.0

@@ -2,6 +2,7 @@
 
 import json
 import re
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,23 @@ def spans(*events):
 def test_without_advisories_it_says_so_and_passes(osv, capsys):
     assert audit.main() == 0
     assert "skipped" in capsys.readouterr().out
+
+
+def test_a_release_that_could_not_be_checked_fails(osv, tmp_path, capsys):
+    assert audit.main(["--release"]) == 2
+    assert "no advisories" in capsys.readouterr().out
+    osv(advisory("other", "A") | {"modified": "2026-01-01T00:00:00Z"})
+    assert audit.main(["--release"], today=datetime(2026, 1, 20, tzinfo=UTC)) == 0
+    assert audit.main(["--release"], today=datetime(2026, 3, 1, tzinfo=UTC)) == 2
+    assert "2026-01-01" in capsys.readouterr().out
+    (tmp_path / "half.json").write_text('{"id": ')
+    assert audit.main(["--release"], today=datetime(2026, 1, 20, tzinfo=UTC)) == 2
+    assert "half.json is no OSV advisory" in capsys.readouterr().out
+
+
+def test_advisories_of_other_ecosystems_check_nothing(osv):
+    osv({"id": "GO-1", "affected": [{"package": {"ecosystem": "Go", "name": "numpy"}}]})
+    assert audit.main(["--release"]) == 2
 
 
 @pytest.mark.parametrize(

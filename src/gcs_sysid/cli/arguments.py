@@ -18,7 +18,10 @@ from gcs_sysid.errors import InputError
 ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-difference")
 """Names of `estimation.article.METHODS` (a test compares); not imported, to start fast."""
 
-EXPORT_TARGETS = ("px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy")
+EXPORT_TARGETS = (
+    "px4-sih", "gazebo-sdf", "urdf", "mjcf", "rotorpy", "ardupilot-sitl", "crazyflow", "l2f",
+    "indiflight", "paparazzi",
+)  # fmt: skip
 """Names of `exports.formats.TARGETS` (a test compares); not imported either."""
 
 NO_SCALE = (
@@ -159,6 +162,22 @@ def web_address(text: str) -> tuple[str, int]:
     return host, int(port)
 
 
+LOCAL_PAGE = ("127.0.0.1", 8000)
+"""Where a page is served unless told otherwise."""
+
+
+def add_web(parser: argparse.ArgumentParser) -> None:
+    """Options of `web`."""
+    parser.add_argument(
+        "address",
+        nargs="?",
+        type=web_address,
+        default=LOCAL_PAGE,
+        metavar="[HOST:]PORT",
+        help="address to serve on (default 8000, this machine only)",
+    )
+
+
 def _add_display(parser: argparse.ArgumentParser) -> None:
     """Where a session is shown."""
     parser.add_argument("--headless", action="store_true", help="print instead of the screen")
@@ -166,9 +185,9 @@ def _add_display(parser: argparse.ArgumentParser) -> None:
         "--web",
         nargs="?",
         type=web_address,
-        const=("127.0.0.1", 8000),
+        const=LOCAL_PAGE,
         metavar="[HOST:]PORT",
-        help="serve the screen to browsers (default 8000, this machine only)",
+        help="serve a page for browsers (default 8000, this machine only)",
     )
     parser.add_argument("--json", metavar="FILE", help="snapshots, one per line; - is stdout")
     _add_force(parser)
@@ -338,6 +357,13 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--name", metavar="NAME", help="name of the vehicle (default: the airframe's)"
     )
+    parser.add_argument(
+        "--ensemble",
+        type=draws,
+        metavar="N",
+        help="N vehicles drawn from the covariance, as FILE-001, FILE-002, ...",
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of --ensemble (default 1)")
     group = parser.add_argument_group("values that the flight did not identify")
     group.add_argument(
         "--set",
@@ -357,12 +383,39 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def draws(text: str) -> int:
+    """An argparse type: how many draws."""
+    if not text.isdecimal() or not 1 <= int(text) <= 10_000:
+        raise argparse.ArgumentTypeError(f"must be a whole number from 1 to 10000, got {text!r}")
+    return int(text)
+
+
 def add_compare(parser: argparse.ArgumentParser) -> None:
     """Options of `compare`."""
     parser.add_argument("before", metavar="A.json", help="result written by --json")
     parser.add_argument("after", metavar="B.json", help="another result of the same vehicle")
     parser.add_argument("--json", metavar="FILE", help="write the comparison; - is stdout")
     _add_force(parser)
+
+
+def add_twin(parser: argparse.ArgumentParser) -> None:
+    """Options of `twin`."""
+    parser.add_argument(
+        "result", metavar="RESULT", help="result written by --json, or another log of the vehicle"
+    )
+    parser.add_argument("log", metavar="LOG", help="flight to fly the model along")
+    parser.add_argument("--json", metavar="FILE", help="write the errors; - is stdout")
+    parser.add_argument("--picture", metavar="FILE.svg", help="draw how the errors grow")
+    _add_force(parser)
+    _add_airframe(parser)
+    parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="of the vehicles drawn from the covariance (default 0)",
+    )
 
 
 def _workers(text: str) -> int:

@@ -63,6 +63,7 @@ def run(options: argparse.Namespace) -> int:
                     rate=options.rate,
                     refit_interval=refit_interval(options),
                     coach=coach_options(options),
+                    predict=not options.web,
                 ),
                 record_to=record_to,
                 sender_gone=lambda: emulator.poll() is not None,

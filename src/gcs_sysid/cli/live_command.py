@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
                 signing_key=signing_key,
                 coach=coach_options(options),
                 state_folder=state_folder(),
-                predict=is_watched(options),
+                predict=is_watched(options) and not options.web,
             ),
             record_to=record_to,
             on_result=(writer := JsonLines(options.json, force=options.force)).write,
@@ -84,8 +84,8 @@ def baseline_of(options: argparse.Namespace) -> Result | None:
 
 
 def refit_interval(options: argparse.Namespace) -> float:
-    """Vehicle time between estimates in s: as often as somebody looks."""
-    return 0.5 if options.headless else 0.2
+    """Vehicle time between estimates in s: as often as a screen is drawn, or a line or page."""
+    return 0.5 if options.headless or options.web else 0.2
 
 
 def state_folder() -> Path:
@@ -154,7 +154,7 @@ def follow(
         session: not yet started.
         writer: gets the final result as its last line.
         truth: shown beside the estimates.
-        options: of the command line; `headless`: print instead of the screen; `web`: the screen
+        options: of the command line; `headless`: print instead of the screen; `web`: a page
             in browsers.
         baseline: an earlier result that the screen compares with.
         late_truth: gives the truth in force at the end, when that may have changed.

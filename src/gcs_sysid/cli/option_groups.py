@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gcs_sysid.argument_types import between, number, positive
+from gcs_sysid.argument_types import between, not_negative, number, positive, split_prior
 from gcs_sysid.cli import arguments
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ LAYOUTS = (
 )  # fmt: skip
 """Names of `setup_help.layouts.LAYOUTS` (a test compares); not imported, to start fast."""
 
-SHELLS = ("bash", "zsh", "fish")
+SHELLS = ("bash", "zsh", "fish", "powershell")
 
 
 def add_doctor(parser: argparse.ArgumentParser) -> None:
@@ -197,3 +197,87 @@ def add_airframe(parser: argparse.ArgumentParser) -> None:
 def add_completion(parser: argparse.ArgumentParser) -> None:
     """Options of `completion`."""
     parser.add_argument("shell", choices=SHELLS, metavar="|".join(SHELLS), help="shell")
+
+
+def uncertain_setting(text: str) -> tuple[str, float, float]:
+    """An argparse type: NAME=VALUE or NAME=VALUE±STD; +- and +/- do as well."""
+    words = split_prior(text)
+    try:
+        if words:
+            return words[0], number(words[1]), not_negative(words[2])
+    except argparse.ArgumentTypeError:
+        raise argparse.ArgumentTypeError(f"must be NAME=VALUE[±STD], got {text!r}") from None
+    name, value = arguments.setting(text)
+    return name, value, 0.0
+
+
+def uncertain_delay(text: str) -> tuple[float, float]:
+    """An argparse type: seconds, perhaps with ±STD."""
+    _, value, std = uncertain_setting(f"delay={text}")
+    if not 0.0 <= value <= 0.2:
+        raise argparse.ArgumentTypeError(f"must be 0 to 0.2 s, got {text!r}")
+    return value, std
+
+
+def add_tune(parser: argparse.ArgumentParser) -> None:
+    """Options of `tune`."""
+    parser.add_argument("result", metavar="RESULT.json", help="written by --json")
+    parser.add_argument(
+        "parameters",
+        nargs="?",
+        metavar="LOG|PARAMETERS",
+        help="log, .params or .param file with the autopilot's parameters: its gains and filters",
+    )
+    parser.add_argument(
+        "--with",
+        dest="beside",
+        metavar="RESULT2.json",
+        help="second result of the flight, by commands beside one by rotor speeds: it adds what "
+        "the first does not have",
+    )
+    parser.add_argument("--autopilot", choices=("px4", "ardupilot"), help="default: the vehicle's")
+    parser.add_argument(
+        "--delay",
+        type=uncertain_delay,
+        metavar="S[±STD]",
+        help="from the gyro's sample to the rotors' command (default: as identified, else 5 ms)",
+    )
+    parser.add_argument("--json", metavar="FILE", help="write margins and gains; - is stdout")
+    parser.add_argument("--bode", metavar="FILE.svg", help="Bode diagram with the 95 %% band")
+    parser.add_argument(
+        "--to",
+        choices=("px4-params", "ardupilot-param", "indi", "paparazzi"),
+        help="format of -o: gains, or G1 and G2 of INDI (Indiflight, Paparazzi)",
+    )
+    parser.add_argument("-o", "--output", metavar="FILE", help="file for a ground station")
+    parser.add_argument("--force", action="store_true", help="overwrite existing files")
+    parser.add_argument(
+        "--draws", type=arguments.draws, default=100, metavar="N", help="from the covariance"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of the draws (default 1)")
+    parser.add_argument(
+        "--vehicle",
+        type=arguments.vehicle_address,
+        metavar="SYSID[:COMPID]",
+        help="whose parameters, if several are in the log",
+    )
+    parser.add_argument(
+        "--name", metavar="NAME", help="name of the vehicle (default: the airframe's)"
+    )
+    group = parser.add_argument_group("values that the flight did not identify")
+    group.add_argument(
+        "--set",
+        type=uncertain_setting,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE[±STD]",
+        help="a value from elsewhere, SI, such as motor_lag=0.03+-0.005; may be repeated",
+    )
+    group.add_argument(
+        "--airframe",
+        metavar="NAME|FILE",
+        help="supplies [prior], scale, and rotors if the result has none",
+    )
+    group.add_argument(
+        "--arm", type=positive, metavar="M", help="mean distance of the rotors from the center, m"
+    )

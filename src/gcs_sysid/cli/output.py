@@ -121,7 +121,7 @@ def open_output(path: str, *, force: bool) -> TextIO:
     if path == "-":
         return sys.stdout
     try:
-        return open(path, "w" if force or _is_device(path) else "x", encoding="utf-8")
+        return open(path, "w" if force or is_device(path) else "x", encoding="utf-8")
     except FileExistsError as error:
         raise InputError(f"{path} exists; --force overwrites it") from error
     except (OSError, ValueError) as error:  # ValueError: a name with a null character
@@ -135,7 +135,7 @@ def check_json(path: str | None, *, force: bool) -> None:
     Raises:
         InputError: as of `write_json`.
     """
-    if path is not None and path != "-" and not _is_device(path):
+    if path is not None and path != "-" and not is_device(path):
         check_target(Path(path), replace=force)
 
 
@@ -147,10 +147,18 @@ def write_json(path: str | None, document: object, *, force: bool) -> None:
     """
     if path is None:
         return
-    text = json.dumps(document, indent=2, allow_nan=False) + "\n"
+    write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n", force=force)
+
+
+def write_text(path: str, text: str, *, force: bool) -> None:
+    """Write a text whole or not at all: to a file, or to standard output for `-`.
+
+    Raises:
+        InputError: the file cannot be written, or is there already and is not to be overwritten.
+    """
     if path == "-":
         show(text.rstrip("\n"))
-    elif _is_device(path):
+    elif is_device(path):
         try:
             with open_output(path, force=force) as file:
                 file.write(text)
@@ -162,7 +170,7 @@ def write_json(path: str | None, document: object, *, force: bool) -> None:
         write_whole(Path(path), text, replace=force)
 
 
-def _is_device(path: str) -> bool:
+def is_device(path: str) -> bool:
     """Whether it is there and no file, as a pipe or /dev/null: nothing takes the place of those."""
     place = Path(path)
     return place.exists() and not place.is_file() and not place.is_dir()

@@ -97,15 +97,34 @@ def build_parser() -> argparse.ArgumentParser:
     export = commands.add_parser(
         "export",
         help="write an identified vehicle for a simulator",
-        description="Writes a result as a file for PX4's SIH, Gazebo, MuJoCo, RotorPy or as URDF.",
+        description="Writes a result as a file for a simulator (PX4's SIH, ArduPilot's SITL, "
+        "Gazebo, MuJoCo, RotorPy, crazyflow, l2f), as URDF, or as effectiveness for INDI; also as "
+        "an ensemble drawn from its covariance.",
     )
     arguments.add_export(export)
+    tune = commands.add_parser(
+        "tune",
+        help="margins of the autopilot's gains, and gains for the vehicle",
+        description="Shows phase and gain margins of the gains that PX4 or ArduPilot has, over "
+        "the whole interval of the result, and proposes gains, as a file for QGroundControl or "
+        "Mission Planner. Nothing is sent to a vehicle.",
+    )
+    option_groups.add_tune(tune)
     compare = commands.add_parser(
         "compare",
         help="test whether a vehicle has changed",
         description="Compares two results of one vehicle, parameter by parameter.",
     )
     arguments.add_compare(compare)
+    twin = commands.add_parser(
+        "twin",
+        help="fly the identified model beside the vehicle",
+        description="Flies a result with a log's inputs from the measured state, over every "
+        "held-out stretch of 0.1, 0.3, 1 and 3 s, and shows how its errors in body rates, attitude "
+        "and velocity grow, beside the predicted band and a guess of constant rates. Without "
+        "--airframe, vehicle and scale are those of the result.",
+    )
+    arguments.add_twin(twin)
     batch = commands.add_parser(
         "batch",
         help="identify from many logs",
@@ -121,6 +140,14 @@ def build_parser() -> argparse.ArgumentParser:
         "flights, and where they changed.",
     )
     arguments.add_trend(trend)
+    web = commands.add_parser(
+        "web",
+        help="drop logs on a page in the browser",
+        description="Serves a page: drop a log on it, check the proposed airframe, enter the "
+        "mass, read the report; compare two results. Works offline. Prints the address, whose "
+        "token lets in.",
+    )
+    arguments.add_web(web)
     airframe = commands.add_parser(
         "airframe",
         help="describe your vehicle, with a picture",
@@ -136,10 +163,11 @@ def build_parser() -> argparse.ArgumentParser:
     option_groups.add_doctor(doctor)
     completion = commands.add_parser(
         "completion",
-        help="tab completion for bash, zsh and fish",
+        help="tab completion for bash, zsh, fish and PowerShell",
         description='Prints a script for the shell. bash: eval "$(gcs-sysid completion bash)" '
         "in ~/.bashrc; zsh: the same in ~/.zshrc, after compinit; fish: gcs-sysid completion "
-        "fish > ~/.config/fish/completions/gcs-sysid.fish",
+        "fish > ~/.config/fish/completions/gcs-sysid.fish; PowerShell, in $PROFILE: "
+        "gcs-sysid completion powershell | Out-String | Invoke-Expression",
     )
     option_groups.add_completion(completion)
     return parser
@@ -168,6 +196,12 @@ def run(argv: Sequence[str]) -> int:
         if isinstance(error, MemoryError):
             say(f"{PROGRAM}: error: not enough memory for this")
             return USAGE
+        if isinstance(error, ModuleNotFoundError) and error.name and _is_foreign(error.name):
+            say(
+                f"{PROGRAM}: error: the Python package {error.name} is not installed; "
+                f"pip install {PROGRAM} brings it (--headless and notebooks need no screen)"
+            )
+            return USAGE
         # A defect. The user gets one line; whoever mends it sets GCS_SYSID_DEBUG.
         if os.environ.get("GCS_SYSID_DEBUG"):
             raise
@@ -182,6 +216,11 @@ def run(argv: Sequence[str]) -> int:
             "please report it, with GCS_SYSID_DEBUG=1 set"
         )
         return USAGE
+
+
+def _is_foreign(module: str) -> bool:
+    """Whether a module is another project's, which an installation may lack."""
+    return module.partition(".")[0] not in ("gcs_sysid", "sim_bridge")
 
 
 def _stdout_is_full() -> bool:

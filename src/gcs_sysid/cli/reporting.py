@@ -1,22 +1,16 @@
 """`analyze --report`: gathers what a report needs while a log is analysed, then writes it."""
 
 import argparse
-import hashlib
-import platform
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 
-import numpy as np
-import scipy
-
-from gcs_sysid import __version__
 from gcs_sysid.cli import output
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import check_target, split_session, write_whole
+from gcs_sysid.files import check_target, write_whole
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.report.data import Provenance, gather
+from gcs_sysid.report.data import gather, provenance_of
 from gcs_sysid.report.page import render
 from gcs_sysid.report.recorder import Recorder
 from gcs_sysid.results.result import Result
@@ -82,17 +76,3 @@ class Reporter:
             self._truth,
         )
         write_whole(Path(options.report), render(data), replace=options.force)
-
-
-def provenance_of(command: tuple[str, ...], log: Path) -> Provenance:
-    """What reproduces a report of this log."""
-    log, _ = split_session(log)
-    with log.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-    versions = {
-        "gcs-sysid": __version__,
-        "Python": f"{platform.python_version()}, {platform.system()} {platform.machine()}",
-        "NumPy": np.__version__,
-        "SciPy": scipy.__version__,
-    }
-    return Provenance(command, versions, log.stat().st_size, digest)

@@ -10,6 +10,7 @@ from gcs_sysid.cli.live_command import Session, say_until_end
 from gcs_sysid.cli.live_report import ReportJob, have_written
 from gcs_sysid.cli.output import save
 from gcs_sysid.cli.signals import on_signals
+from gcs_sysid.cli.web_command import say_addresses
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import assemble
 from gcs_sysid.exports.formats import TARGETS
@@ -21,8 +22,8 @@ from gcs_sysid.screen import Actions, Baseline
 from gcs_sysid.screen.scene import Scene
 from gcs_sysid.screen.widgets.transport import Transport
 from gcs_sysid.telemetry.tlog_writer import unused_path
-from gcs_sysid.web.share import Share
-from gcs_sysid.web.site import Site, is_loopback
+from gcs_sysid.web.session_page import SessionPage
+from gcs_sysid.web.site import Site
 
 
 def scene_of(
@@ -167,21 +168,20 @@ def show(session: Session, scene: Scene, address: tuple[str, int]) -> None:
         stopped.set()
         session.request_stop()
 
-    share = Share(session, scene)
-    site = Site(host, port, share.door)
+    assert isinstance(session, LiveSession | ReplaySession)
+    page = SessionPage(session, scene, session.flushed_recording, lambda: session.airframe)
+    site = Site(host, port, page)
     try:
-        url = site.start()
+        site.start()
     except InputError:
         # Nothing of the session may stay: its link, an empty recording.
         session.request_stop()
         session.start()
         session.join()
         raise
-    share.start()
     try:
         with on_signals(stop):
-            far = "" if is_loopback(host) else "; everyone who can open it can press every key"
-            output.say(f"open {url} in a browser (Ctrl-C ends){far}")
+            say_addresses(site, host)
             session.start()
             say_until_end(session)
             if not stopped.is_set():
@@ -190,5 +190,4 @@ def show(session: Session, scene: Scene, address: tuple[str, int]) -> None:
                 pass
     finally:
         session.stop()
-        share.close()
         site.stop()

@@ -3,18 +3,18 @@
 import argparse
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gcs_sysid.cli import arguments, output
 from gcs_sysid.errors import InputError
-from gcs_sysid.live.receiver_process import ReceiverProcess
-from gcs_sysid.live.reception import Item
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.told_layout import ToldLayout, airframe_told, proposal, told_layout
-from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.logs import open_log
-from gcs_sysid.telemetry.parameter_requests import ParameterRequests
-from gcs_sysid.telemetry.receiver import Batch
 from gcs_sysid.telemetry.requests import HEARTBEAT_EVERY
+
+if TYPE_CHECKING:  # a log needs no receiver, which takes a while to load
+    from gcs_sysid.live.receiver_process import ReceiverProcess
+    from gcs_sysid.live.reception import Item
 
 _POLL = 0.05
 """s."""
@@ -37,13 +37,17 @@ def of_log(path: Path, options: argparse.Namespace) -> Airframe:
     return _airframe(told, options, f"{path} does not hold the vehicle's layout")
 
 
-def of_link(receiver: ReceiverProcess, options: argparse.Namespace) -> Airframe:
+def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airframe:
     """The airframe for a vehicle on a link, which is asked; what comes meanwhile is kept.
 
     Raises:
         InputError: the vehicle does not tell; nothing sets the scale.
         LinkError: the receiver has died.
     """
+    from gcs_sysid.telemetry.intake import Intake
+    from gcs_sysid.telemetry.parameter_requests import ParameterRequests
+    from gcs_sysid.telemetry.receiver import Batch
+
     output.say(f"listening on {receiver.url} for the vehicle's own layout (--airframe auto)")
     intake = Intake(options.vehicle)
     requests = ParameterRequests(receiver.gate, _USUAL)

@@ -20,7 +20,6 @@ Begin with
               identify the emulated vehicle
   gcs-sysid live udpin:0.0.0.0:14550 --airframe px4-quad-x --arm 0.25 --mass 1.5
               identify yours: m from its center to a motor, and its mass in kg
-
 Commands
 {commands}
 

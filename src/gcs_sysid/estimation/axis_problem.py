@@ -31,6 +31,8 @@ _AXES = 3
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e6
 _CONVERGED = 3e-4
 """Steps smaller than this many standard deviations change nothing."""
+_POOR = 0.25
+"""Of the gain expected; a step that brings less is too long."""
 _EPSILON = 4e-15
 """Rounding of sums of products, relative to the squares in them."""
 _DIAGONAL = np.arange(WIDTH)
@@ -249,7 +251,10 @@ def minimise_axes(problem: AxisProblem, unknowns: Array, limit: int) -> tuple[Ax
         small = gain < _CONVERGED**2
         better = physical & ((after <= before) | small) & ~converged
         point = point.where(better, tried)
-        damping = np.where(better, np.maximum(0.1 * damping, _LEAST_DAMPING), 10.0 * damping)
+        # Between two delays there is less noise than on a straight line: steps may overshoot.
+        poor = ~small & (before - after < _POOR * gain)
+        change = np.where(better, np.where(poor, 5.0, 0.1), 10.0)
+        damping = np.maximum(change * damping, _LEAST_DAMPING)
         converged = converged | small | (damping > _MOST_DAMPING)
         if converged.all():
             break

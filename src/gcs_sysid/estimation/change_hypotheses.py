@@ -322,7 +322,9 @@ class _Trial:
             right = A.T @ y if right is None else right + A.T @ y
         if normal is None or right is None:
             return _NOTHING
-        d = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        # A step after the last frame leaves nothing to see: its unknown stays zero.
+        seen = np.diag(normal)
+        d = np.sqrt(np.where(seen > 0.0, seen, 1.0))
         inverse = np.linalg.inv(normal / np.outer(d, d) + 1e-9 * np.eye(len(d)))
         covariance = inverse / np.outer(d, d)
         value = covariance @ right

@@ -25,8 +25,6 @@ class DisturbanceRules:
     detected: float = 1.0
     """Nats a second. Undisturbed flights of every simulator tried have 0.0 to 0.4, disturbed ones
     4 to 350, real ones 9 to 82."""
-    apart: float = 2.0
-    """Standard deviations by which whiteners may differ where there is none."""
     floor: float = 0.04
     """Error of a moment of inertia over the share of the motion that the rotors do not explain: a
     moment of 7 rad/s^2 rms leaves 1 % at a share of 0.76."""
@@ -77,12 +75,15 @@ class Trial:
             hover: rad^2/s^2 (1 with commands), thrust signal in hover; 0 where the air is known to
                 be calm: what disturbs is then zero in the mean.
         """
-        errors = [self._contrast(fit)]
+        disturbed = self.detected.max() > RULES.detected
+        errors = [self._contrast(fit)] if disturbed else []
         for axis, strength in enumerate(self.detected):
             if strength > RULES.detected:
                 errors.append(axis_floor(fit, axis))
                 if axis < 2:
                     errors.append(self._trim(fit, axis, hover))
+        if not errors:
+            return np.zeros((0, rb.N_THETA))
         found = np.stack(errors)
         present: Array = found[found.any(axis=1)]
         return present
@@ -93,7 +94,8 @@ class Trial:
         If the rows' model is right all of them estimate the same; those that weigh low
         frequencies less are only less sure (specification test: Hausman 1978, Econometrica 46,
         1251-1271). What a controller answers, and what moves with the vehicle (aerodynamics),
-        biases slow motion most.
+        biases slow motion most. In calm air it is no disturbance by which they differ, but the
+        noise of rotors and gyro, to which the fastest are most sensitive; they do not count there.
         """
         pick, n = list(self.pick), rb.N_THETA
         slowest = min(self.whiteners[i].below for i in pick)
@@ -107,9 +109,7 @@ class Trial:
         weights = std**-2.0 / (std**-2.0).sum(axis=0)
         apart = (weights * (self.unknowns[faster, :n] - fit.theta)).sum(axis=0)
         chance = std.min(axis=0)
-        disturbed = self.detected.max() > RULES.detected
-        beyond = apart**2 - chance**2 * (1.0 if disturbed else RULES.apart**2)
-        contrast: Array = np.sign(apart) * np.sqrt(np.maximum(beyond, 0.0))
+        contrast: Array = np.sign(apart) * np.sqrt(np.maximum(apart**2 - chance**2, 0.0))
         return contrast
 
     def _trim(self, fit: RotationFit, axis: int, hover: float) -> Array:

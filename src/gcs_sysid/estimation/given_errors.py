@@ -114,7 +114,10 @@ def given_stds(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[str,
             share = math.hypot(arm, of_thrust if p.scale == "thrust" else 0.0)
             at = rb.THETA.index(p.theta)
             offset = middle if p.mean_torque else 0.0
-            out[name] = float(weight[at]) * math.hypot(share * told.value, offset)
+            cant = 0.0
+            if at == rb.MOMENT_RATIO:  # as long as the arms are wrong, so is what cant adds
+                cant = arm * airframe.cant * (scale.thrust or 0.0 if p.scale == "thrust" else 1.0)
+            out[name] = float(weight[at]) * math.hypot(share * told.value, offset, cant)
         elif p.fit in ("scale", "translation"):
             share = of_mass if p.scale == "mass" else of_thrust
             out[name] = share * abs(told.value)

@@ -2,7 +2,8 @@
 
 Values of theta hang together as the fit has them; all that is multiplied with thrust shares the
 error of the scale, and all that rests on given arms or masses shares theirs. Standard deviations
-are those of the result, with all that widens them; the correlations are of these common causes.
+are those of the result, with all that widens them; the correlations are of the fit and of these
+common causes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -48,11 +49,15 @@ def parameter_covariance(
         elif p.scale == "mass":
             common[i, 1] = value * scale.mass_share
         common[i, 2] = np.copysign(given.get(name, 0.0), value)
-    covariance = maps @ rotation.full_covariance @ maps.T + common @ common.T
-    own = np.diag(covariance)
+    fit = maps @ rotation.full_covariance @ maps.T
     stds = np.array([values[name][1] for name in names])
-    # What else widens a parameter is its own.
-    less = np.where(own > stds**2, stds / np.sqrt(np.maximum(own, 1e-300)), 1.0)
-    covariance *= np.outer(less, less)
+    shared = (common**2).sum(axis=1)
+    common *= np.minimum(1.0, stds / np.sqrt(np.maximum(shared, 1e-300)))[:, None]
+    # What else widens a parameter (systematic errors, the IMU's alignment) has the correlations of
+    # the fit: Izz and k_M, which it can hardly tell apart, are not told apart by more error.
+    rest = np.maximum(stds**2 - shared, 0.0)
+    own = np.diag(fit)
+    widening = np.sqrt(np.divide(rest, own, out=np.zeros_like(own), where=own > 0.0))
+    covariance = fit * np.outer(widening, widening) + common @ common.T
     covariance[np.diag_indices(len(names))] = stds**2
     return names, covariance

@@ -71,6 +71,7 @@ def physical_parameters(
     rotor_input: RotorInput = "speed",
     rigid_body_test: RigidBodyTest | None = None,
     lateness: float = 0.0,
+    cant: float = 0.0,
 ) -> dict[str, Value]:
     """Physical parameters of the fits, at the anchor's scale.
 
@@ -86,6 +87,7 @@ def physical_parameters(
         rotor_input: what the fits are relative to.
         rigid_body_test: whether the vehicle moves like a rigid body.
         lateness: s, known delay of the gyro, and so of the attitude.
+        cant: m, what canted rotors add to the moment ratio.
     """
     scale = resolve_scale(anchor, translation, known or {})
     # What a wrong thrust curve would do to thrust over mass, as a share of it.
@@ -97,7 +99,7 @@ def physical_parameters(
     if rotation is not None:
         # A given T_max does not depend on the curve.
         own_bend = 0.0 if anchor.kind == THRUST_OF[rotor_input] else bend
-        raw |= _rotation_values(rotation, scale, arm, rotor_input, own_bend, doubt)
+        raw |= _rotation_values(rotation, scale, arm, rotor_input, own_bend, doubt, cant)
         raw |= _axis_values(rotation, scale)
     if translation is not None and scale.mass is not None and math.isfinite(translation.delta):
         if rotor_input == "speed" and rotation is not None:
@@ -157,6 +159,7 @@ def _rotation_values(
     rotor_input: RotorInput,
     bend: float,
     doubt: float,
+    cant: float,
 ) -> Raw:
     """What is read off theta: lengths as they are, the rest times thrust where that is known.
 
@@ -167,9 +170,11 @@ def _rotation_values(
         rotor_input: what theta is relative to.
         bend: relative change of thrust with the thrust curve.
         doubt: relative error of what rests on commands.
+        cant: m, of canted rotors.
     """
     out: Raw = {}
-    theta, std = rotation.theta, rotation.std
+    theta, std = rotation.theta.copy(), rotation.std
+    theta[rb.MOMENT_RATIO] -= cant
     n, curve = rb.N_THETA, rb.N_THETA + CURVE
     full = rotation.full_covariance
     # Errors of the curve move the relative values and the scale together.
@@ -208,17 +213,21 @@ def _axis_values(rotation: RotationFit, scale: Scale) -> Raw:
     }
 
 
-def rotor_values(rotation: RotationFit | None, scale: Scale, rotors: int) -> list[dict[str, Value]]:
+def rotor_values(
+    rotation: RotationFit | None, scale: Scale, rotors: int, cant: float = 0.0
+) -> list[dict[str, Value]]:
     """k_T and k_M of each rotor, in motor order; empty where nothing sets the scale.
 
     Args:
         rotation: of measured rotor speeds.
         scale: with the mean k_T.
         rotors: how many there are.
+        cant: m, what canted rotors add to the moment ratio.
     """
     if rotation is None or scale.thrust is None:
         return []
     k_T, k_T_std, ratio, ratio_std = rotor_coefficients(rotation, rotors)
+    ratio = ratio - cant * k_T
     out = []
     for i in range(rotors):
         each = {}

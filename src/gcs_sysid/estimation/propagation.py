@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.model import rigid_body as rb
@@ -135,6 +134,8 @@ def _interpolate(values: Array, steps: int, shift: float = 0.0) -> tuple[Array, 
 
     Those of `shift` samples later; at the ends, where there are none, the last.
     """
+    from scipy.interpolate import make_interp_spline  # takes a while to load
+
     n = len(values)
     times = np.arange(n - 1)[None, :] + np.linspace(0.0, 1.0, 2 * steps + 1)[:, None]
     times = np.clip(times + shift, 0.0, n - 1.0)

@@ -23,8 +23,14 @@ from gcs_sysid.signals.smoothers import DifferentiatorSmoother, Smoother, Window
 
 _PIECE_TIME = 0.1
 """s of samples that are taken at once."""
+_NOTED_TIME = 2.0
+"""s between notes of the inputs' noise, by which batches are judged: the same however blocks are
+cut."""
 _BATCHES, _FEWER_BATCHES = 512, 256
 """Rows of commands are wide, and their batches large: fewer are kept apart."""
+
+_SignalsNoise = tuple[Array, Array, float, Array]
+"""What noise of the inputs adds to the rotors' signals, as `WhitenedRecord.noise` takes it."""
 
 
 class FlightRecord:
@@ -66,6 +72,9 @@ class FlightRecord:
         # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
         piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
         self._held = _Held(piece, geometry.shape[1])
+        self._noted_every = piece * max(round(_NOTED_TIME / (piece * dt)), 1)
+        self._since_noted = 0
+        self._note: _SignalsNoise | None = None
         self.basis = basis = ActuatorDynamics(
             smoother.delays,
             tuning.lags,
@@ -149,7 +158,9 @@ class FlightRecord:
 
     def _take(self, samples: Samples, ends: Sequence[int]) -> Iterator[None]:
         """Make rows of all samples at once; add them up from each end to the next."""
-        edges = [0, *ends, len(samples.gyro)]
+        n, every = len(samples.gyro), self._noted_every
+        notes = range(every - self._since_noted, n + 1, every) if self.whitened is not None else ()
+        edges = sorted([0, *ends, *notes, n])
         counts = [self._rows.count_after(end) for end in edges]
         steps = [self._rows.steps_after(end) for end in edges]
         made = self._rows.update(samples)
@@ -157,7 +168,8 @@ class FlightRecord:
             self.basis.curve_doubt = self._drift.curve_doubt
         sections = _Sections(made, self._leaks)
         parts = zip(pairwise(edges), pairwise(counts), pairwise(steps), strict=True)
-        for number, (part, rows, few) in enumerate(parts):
+        ends_left = list(ends)
+        for part, rows, few in parts:
             piece = slice(*part)
             if part[0] < part[1]:
                 self.input_noise.update(samples.speeds[piece], samples.apart[piece, 0])
@@ -168,8 +180,13 @@ class FlightRecord:
                 self.momentum.add(sections.momentum(*rows))
                 self.accelerometer.add(sections.accelerometer(*rows))
             if self.whitened is not None and few[0] < few[1]:
-                self.whitened.add(made.one_step[slice(*few)], self.whitened_noise)
-            if number < len(ends):
+                self.whitened.add(made.one_step[slice(*few)], self._noted_noise)
+            self._since_noted += part[1] - part[0]
+            if self._since_noted >= every:
+                self._since_noted = 0
+                self._note = self._signals_noise()
+            if ends_left and part[1] == ends_left[0]:
+                del ends_left[0]
                 yield
 
     @property
@@ -214,12 +231,22 @@ class FlightRecord:
             some: whiteners; None: all of the bank.
         """
         assert self.whitened is not None
+        return self.whitened.noise(*self._signals_noise(), some)
+
+    def _noted_noise(self) -> Array:
+        """(bank, width, width) of a whitened row, as known when it was last noted."""
+        assert self.whitened is not None
+        if self._note is None:
+            self._note = self._signals_noise()
+        return self.whitened.noise(*self._note)
+
+    def _signals_noise(self) -> _SignalsNoise:
         noise = self.input_noise
         if isinstance(noise, CommandNoise):
             torques, gains = noise.of_signals
-            return self.whitened.noise(torques, np.zeros(4), 0.0, gains, some)
+            return torques, np.zeros(4), 0.0, gains
         assert isinstance(noise, SpeedNoise)
-        return self.whitened.noise(*noise.of_signals, np.ones(1), some)
+        return *noise.of_signals, np.ones(1)
 
     def noise_gains(self) -> Array:
         """(leaks,) variance of a row's derivative over that of white noise of the gyro."""

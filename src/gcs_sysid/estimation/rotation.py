@@ -139,8 +139,7 @@ class RotationFit:
     @property
     def std(self) -> Array:
         """(N_THETA,) standard deviations."""
-        std: Array = np.sqrt(np.diag(self.covariance))
-        return std
+        return _deviations(np.diag(self.covariance))
 
     @property
     def deviations_covariance(self) -> Array:
@@ -497,7 +496,7 @@ class Outcome:
                     if full[i, place, place] > 0.0:
                         along = full[i, :, place] / full[i, place, place] * std
                         full[i] += np.outer(along, along)
-        data_std = np.sqrt(np.diagonal(data_covariance, axis1=1, axis2=2)) / d
+        data_std = _deviations(np.diagonal(data_covariance, axis1=1, axis2=2)) / d
         return [
             RotationFit(
                 theta=unknowns[i, :n],
@@ -534,6 +533,12 @@ class Outcome:
             step = np.where(physical[:, None], step, 0.5 * step)
         physical = rb.are_physical(unknowns)
         return np.where(physical[:, None], unknowns, self._unknowns)
+
+
+def _deviations(variances: Array) -> Array:
+    """Square roots; without limit where less noise than there is left negative information."""
+    root: Array = np.sqrt(np.where(variances >= 0.0, variances, np.inf))
+    return root
 
 
 def _times(matrices: Array, vectors: Array) -> Array:

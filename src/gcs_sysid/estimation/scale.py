@@ -109,8 +109,14 @@ def _combined(
 _UNKNOWNS = (*THETA, *COORDINATE_NAMES)
 
 
-def relative_prior(known: Mapping[str, Known], scale: Scale) -> Prior | None:
-    """Priors on physical parameters as one on theta, as far as the scale is known."""
+def relative_prior(known: Mapping[str, Known], scale: Scale, cant: float = 0.0) -> Prior | None:
+    """Priors on physical parameters as one on theta, as far as the scale is known.
+
+    Args:
+        known: priors.
+        scale: with thrust.
+        cant: m, what canted rotors add to the moment ratio.
+    """
     mean, information = np.zeros(N_UNKNOWNS), np.zeros(N_UNKNOWNS)
     for name, (value, std) in known.items():
         parameter = REGISTRY[name]
@@ -122,6 +128,8 @@ def relative_prior(known: Mapping[str, Known], scale: Scale) -> Prior | None:
                 continue
             value, std = value / scale.thrust, std / scale.thrust
             std = math.hypot(std, value * scale.thrust_share, value * scale.thrust_given)
+        if parameter.theta == "moment_ratio":
+            value += cant
         # Two priors on one unknown (k_M and moment_ratio) add up.
         weight = 1.0 / std**2
         total = information[index] + weight

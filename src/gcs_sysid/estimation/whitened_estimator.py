@@ -118,8 +118,10 @@ class WhitenedEstimator:
         doubt = self._record.noise_doubt
         known = prior, doubt, self._choice, 0.0 if calm else self._hover
         found = fit_whitened(data, self.basis, start, *known)
-        if start is not None and (found is None or not found.rotation.converged):
-            found = fit_whitened(data, self.basis, None, *known)
+        if start is not None and (found is None or _is_doubtful(found.rotation)):
+            fresh = fit_whitened(data, self.basis, None, *known)
+            if found is None or (fresh is not None and fresh.cost < found.cost):
+                found = fresh
         if found is None:
             return None
         return found.rotation, LeftOut(found.left_out, found.rows_left_out)
@@ -278,3 +280,8 @@ class WhitenedEstimator:
             powers.append(by_parts(power, batches))
         own, slow = powers
         return told_whiteness(slow, ratio * own, counts)
+
+
+def _is_doubtful(fit: RotationFit) -> bool:
+    """Whether it may have started near a wrong solution."""
+    return not fit.converged or float(fit.r_squared.min()) < _BELIEVED

@@ -33,9 +33,11 @@ SHOCK = 6.0
 """Times the median power of innovations, from which a batch is left out."""
 _JUDGED = 3
 """Rounds of judging them, each by the fit without those found before."""
-_JUDGED_ALIKE = 5
+_JUDGED_ALIKE = 12
 """Times that batches are judged by the whiteners found before, 5 s each: whoever is bumped, is by
 any."""
+_JUDGES = 3
+"""Iterations of a fit that judges, from the one before: the strongest are 6 times the median."""
 _MOST_SHOCKS = 0.25
 """Share of the batches; what happens more often is no shock."""
 _SCAN, _TRY, _AGAIN, _FIT, _FOLLOW = 5, 8, 4, 30, 3
@@ -63,12 +65,14 @@ class WhitenedFit:
         shocks: (k,) which batches were left out.
         left_out: (3, width, width) moments of these, as each axis' whitener made them.
         rows_left_out: in them.
+        cost: nats a row, summed over the axes; the less, the better.
     """
 
     rotation: RotationFit
     shocks: Mask
     left_out: Array
     rows_left_out: int
+    cost: float
 
 
 def fit_whitened(
@@ -161,7 +165,15 @@ def fit_whitened(
         deviating=deviations,
     )
     pick = list(solved.pick)
-    return WhitenedFit(fit, ~kept, everything[pick] - total[pick], all_rows - rows)
+    power = solved.trial.variance[pick, np.arange(_AXES)]
+    cost = 0.5 * float(np.log(power).sum() + solved.point.weak[0] / rows)
+    return WhitenedFit(fit, ~kept, everything[pick] - total[pick], all_rows - rows, cost)
+
+
+def least_power(data: WhitenedMoments, basis: ActuatorDynamics, unknowns: Array) -> tuple[int, ...]:
+    """Whitener of least innovation power, of each axis, near (N_UNKNOWNS,) of a fit."""
+    total, rows = data.total(np.ones(len(data.counts), dtype=bool)), int(data.counts.sum())
+    return _tried(total, rows, data, basis, None, unknowns).pick
 
 
 def follow_whitened(
@@ -247,9 +259,9 @@ def shocks_in(
     """
     kept = np.ones(len(data.counts), dtype=bool)
     total, rows = data.total(kept), int(data.counts.sum())
-    age = 0
+    age, limit = 0, _TRY
     if start is not None and start.age < _JUDGED_ALIKE:
-        pick, unknowns, age = start.pick, start.unknowns[None], start.age + 1
+        pick, unknowns, age, limit = start.pick, start.unknowns[None], start.age + 1, _JUDGES
     else:
         if start is None:
             trial = _scanned(total, rows, data, basis, None)
@@ -261,7 +273,7 @@ def shocks_in(
         unknowns = trial.unknowns[list(pick)[:1]]
     places = list(pick)
     problem = AxisProblem(total[places][None], rows, basis, None, data.noise[places][None])
-    point, _ = minimise_axes(problem, unknowns, _TRY)
+    point, _ = minimise_axes(problem, unknowns, limit)
     shocks = _shocks(point, data.of_axes(pick), data.counts, basis)
     return shocks, Reference(point.unknowns[0], pick, age)
 

@@ -15,7 +15,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics, motor_filter
 from gcs_sysid.estimation.normal_equations import NormalEquations
 from gcs_sysid.estimation.priors import DELAY
-from gcs_sysid.estimation.whitened_fit import Reference, shocks_in
+from gcs_sysid.estimation.whitened_fit import Reference, least_power, shocks_in
 from gcs_sysid.estimation.whitened_moments import WhitenedMoments
 from gcs_sysid.estimation.whitening import Whitener, WhitenerBank, essential
 from gcs_sysid.signals.one_step import OneStep
@@ -106,7 +106,7 @@ class WhitenedRecord:
                 if self._full == _RECENT:
                     self._settle(noise())
                     if self._columns is None and self.rows * self.time >= _LEARNT:
-                        white = self._narrow(white)
+                        white = self._narrow(white, noise())
                 room = self._per_short - int(self._counts[self._full])
                 part = white[:, done : done + room]
                 for rows_of, total, recent in zip(
@@ -176,13 +176,14 @@ class WhitenedRecord:
         self._recent[half:], self._counts[half:] = 0.0, 0
         self._full = half
 
-    def _narrow(self, white: Array) -> Array:
+    def _narrow(self, white: Array, noise: Array) -> Array:
         """Go on with fewer whiteners, and with the delays about the one found.
 
         Most of the cost of a long flight is for whiteners and delays that it does not need.
 
         Args:
             white: (bank, n, width) innovations that were made with all of them.
+            noise: that of the inputs in one row.
 
         Returns:
             Those that go on.
@@ -190,7 +191,9 @@ class WhitenedRecord:
         reference = self._reference
         if reference is None:
             return white
-        keep = essential(self.whiteners, reference.pick)
+        # The last quarter-minute, which they were picked for, may be unlike the rest.
+        picked = least_power(self.moments(noise), self.basis, reference.unknowns)
+        keep = essential(self.whiteners, (*reference.pick, *picked))
         away = np.abs(self.basis.delays - reference.unknowns[DELAY])
         delays = np.sort(np.argsort(away, kind="stable")[:_DELAYS])
         per_delay = self.basis.sets * SIGNALS
@@ -206,8 +209,7 @@ class WhitenedRecord:
         some = np.ix_(keep, columns, columns)
         self._recent = np.stack([batch[some] for batch in self._recent])
         self.total = self.total[some]
-        picked = tuple(keep.index(i) for i in reference.pick)
-        self._reference = replace(reference, pick=picked)
+        self._reference = replace(reference, pick=tuple(keep.index(i) for i in reference.pick))
         self.narrowed = True
         return white[np.ix_(keep, range(white.shape[1]), columns)]
 

@@ -188,9 +188,12 @@ def bank_for(T: float) -> tuple[Whitener, ...]:
 def essential(whiteners: Sequence[Whitener], picked: Sequence[int]) -> list[int]:
     """Indices of the whiteners to go on with once a flight has shown what it is like.
 
-    Those picked, what they are compared with, and some of every kind, should the weather change.
+    Those picked, what they are compared with, those for the same gyro, and some of every kind,
+    should the weather change.
     """
     kept = {*picked, *(slower(whiteners, i) for i in picked)}
+    means = {whiteners[i].b for i in picked} - {0.0}
+    kept |= {i for i, whitener in enumerate(whiteners) if whitener.b in means}
     kept |= {i for i, whitener in enumerate(whiteners) if whitener.name in _OF_EVERY_KIND}
     return sorted(kept)
 

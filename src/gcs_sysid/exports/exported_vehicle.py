@@ -135,6 +135,30 @@ class Vehicle:
             )
 
     @property
+    def rotors_differ(self) -> bool:
+        """Whether the flight tells k_T and k_M of each rotor, and none was given by hand."""
+        own = self.result.rotors
+        return (
+            len(own) == len(self.rotors)
+            and all(rotor[name].shown for rotor in own for name in ("k_T", "k_M") if name in rotor)
+            and all({"k_T", "k_M"} <= rotor.keys() for rotor in own)
+            and all(self.known[n].origin == "identified" for n in ("k_T", "k_M") if n in self.known)
+        )
+
+    def rotor_coefficients(self, rotor: int) -> tuple[float, float]:
+        """k_T in N s^2 and moment ratio in m of one rotor: its own where rotors differ.
+
+        In a vehicle drawn from the covariance the rotors keep their proportions.
+        """
+        k_T, ratio = self["k_T"], self["moment_ratio"]
+        if not self.rotors_differ:
+            return k_T, ratio
+        own = [{n: e.value or 0.0 for n, e in r.items()} for r in self.result.rotors]
+        mean_T, mean_M = (sum(r[n] for r in own) / len(own) for n in ("k_T", "k_M"))
+        share_T, share_M = own[rotor]["k_T"] / mean_T, own[rotor]["k_M"] / mean_M
+        return k_T * share_T, ratio * share_M / share_T
+
+    @property
     def inertia(self) -> Array:
         """(3, 3) matrix about the CG, kg m^2, axes forward, right, down."""
         return rb.inertia_matrix(np.array([self[name] for name in INERTIA]))
@@ -185,7 +209,8 @@ def assemble(
         for dependent in _FOLLOWS.get(n, ()):
             if dependent not in given:
                 known.pop(dependent, None)
-    _complete(known)
+    complete(known)
+    _stand_upright(rotors, known)
     return Vehicle(_identifier(name or label), rotors, known, result)
 
 
@@ -263,7 +288,7 @@ _RULES = (
 )
 
 
-def _complete(known: dict[str, Quantity]) -> None:
+def complete(known: dict[str, Quantity]) -> None:
     """Add what follows from two others."""
     for rule in _RULES:
         if rule.name not in known and all(name in known for name in rule.of):
@@ -276,6 +301,21 @@ def _complete(known: dict[str, Quantity]) -> None:
                 f"T_max = {full:.4g} N is not k_T times rotor_speed_max squared "
                 f"({k_T * speed**2:.4g} N): give one of the two"
             )
+
+
+def _stand_upright(rotors: tuple[Rotor, ...], known: dict[str, Quantity]) -> None:
+    """The drag torque with which upright rotors would turn the vehicle as its canted ones do.
+
+    Formats know upright rotors alone.
+    """
+    cant = Airframe("canted", rotors).cant
+    for name, share in (
+        ("moment_ratio", 1.0),
+        ("k_M", known["k_T"].value if "k_T" in known else 0),
+    ):
+        if cant and name in known and share:
+            own = known[name]
+            known[name] = Quantity(own.value + cant * share, own.std, f"{own.origin}, cant added")
 
 
 def _identifier(name: str) -> str:

@@ -39,6 +39,8 @@ def notes(vehicle: Vehicle) -> list[str]:
         out.append("motor_lag is not known: Gazebo's own time constants are used")
     out.append("rotor links have a token mass, taken from base_link: the total is right")
     out.append("CG and rotors are at one height: their vertical offset is not observable")
+    if vehicle.rotors_differ:
+        out.append("each rotor has its own k_T and moment ratio, as identified")
     out.append("shapes are visual only, without collision")
     return out
 
@@ -118,6 +120,7 @@ def _box(size: float) -> str:
 
 def _motor(vehicle: Vehicle, i: int, spin: str) -> str:
     lag = vehicle.get("motor_lag")
+    k_T, ratio = vehicle.rotor_coefficients(i)
     settings = {
         "robotNamespace": vehicle.name,
         "jointName": f"rotor_{i}_joint",
@@ -125,8 +128,8 @@ def _motor(vehicle: Vehicle, i: int, spin: str) -> str:
         "turningDirection": spin,
         **({"timeConstantUp": number(lag), "timeConstantDown": number(lag)} if lag else {}),
         "maxRotVelocity": number(vehicle["rotor_speed_max"]),
-        "motorConstant": number(vehicle["k_T"]),
-        "momentConstant": number(vehicle["moment_ratio"]),
+        "motorConstant": number(k_T),
+        "momentConstant": number(ratio),
         "commandSubTopic": "command/motor_speed",
         "motorNumber": str(i),
         # Not identified in this form; left out, Gazebo would put in its own.

@@ -56,7 +56,11 @@ def notes(vehicle: Vehicle) -> list[str]:
     if abs(vehicle.get("thrust_curve") or 0.0) > _LITTLE_CURVE:
         out.append("SIH's thrust is linear in the output, this vehicle's is not")
     elif vehicle.result.rotor_input == "speed":
-        out.append("SIH's thrust is linear in the output: set THR_MDL_FAC to 0 there")
+        out.append("SIH's thrust is linear in the output: THR_MDL_FAC is 0 here")
+    out.append(
+        "CA_ROTORn_PX, PY are from the geometric center, as SIH flies them: on the vehicle itself "
+        "they count from the CG"
+    )
     return out
 
 
@@ -86,9 +90,21 @@ def write(vehicle: Vehicle) -> str:
         "",
         "Vehicle-Id Component-Id Name Value Type",
     ]
+    values |= _allocation(vehicle)
+    whole = {"SIH_VEHICLE_TYPE": kind, "CA_AIRFRAME": 0, "CA_ROTOR_COUNT": len(vehicle.rotors)}
     # PX4 holds single precision; QGroundControl writes 18 decimals.
     rows = [f"1\t1\t{n}\t{np.float32(v):.18f}\t{_FLOAT}\n" for n, v in sorted(values.items())]
-    return commented(head, "#") + "".join(rows) + f"1\t1\tSIH_VEHICLE_TYPE\t{kind}\t{_INT32}\n"
+    rows += [f"1\t1\t{n}\t{v}\t{_INT32}\n" for n, v in whole.items()]
+    return commented(head, "#") + "".join(rows)
+
+
+def _allocation(vehicle: Vehicle) -> dict[str, float]:
+    """CA_*: the rotors as PX4's control allocation has them, from the center as SIH flies them."""
+    out: dict[str, float] = {"THR_MDL_FAC": 0.0}
+    for i, rotor in enumerate(vehicle.rotors):
+        out[f"CA_ROTOR{i}_PX"], out[f"CA_ROTOR{i}_PY"] = rotor.x, rotor.y
+        out[f"CA_ROTOR{i}_KM"] = rotor.spin * vehicle["moment_ratio"]
+    return out
 
 
 def _layout(vehicle: Vehicle) -> tuple[int, float, float]:

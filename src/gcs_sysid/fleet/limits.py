@@ -53,7 +53,7 @@ def analyze_within(
         f"{log}: needs more than {limits.megabytes:g} MB of memory; --log-memory MB allows more"
     )
     try:
-        with _within_memory(limits.megabytes), _within_time(limits.seconds):
+        with within(limits):
             return work(task)
     except OverTime:
         raise InputError(
@@ -65,6 +65,13 @@ def analyze_within(
         if isinstance(error.__cause__, MemoryError):
             raise memory from None
         raise
+
+
+@contextlib.contextmanager
+def within(limits: Limits) -> Iterator[None]:
+    """Have what is done meanwhile end in `OverTime` or `MemoryError` beyond the limits."""
+    with _within_memory(limits.megabytes), _within_time(limits.seconds):
+        yield
 
 
 @contextlib.contextmanager

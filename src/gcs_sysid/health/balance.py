@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.health.hover import Windows
@@ -130,7 +130,7 @@ def robust_fit(
         cross = score[lag:].T @ score[:-lag]
         meat += (1.0 - lag / (lags + 1.0)) * (cross + cross.T)
     free = max(n / (1.0 + lags) - 1.0, 2.0)
-    stretch = float(student.ppf(0.975, free)) / Z95
+    stretch = float(stdtrit(free, 0.975)) / Z95
     # A prior's part of the knowledge is its own variance.
     covariance = bread @ (meat + scale**2 * np.diag(scale**2 * penalty)) @ bread
     return Fit(value, covariance * stretch**2, scale)

@@ -3,7 +3,7 @@
 import math
 import sys
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
@@ -49,6 +49,12 @@ SIMULATION_TABLE = "simulation"
 """A table for the emulator alone. This reader drops it unread: truth never gets in here."""
 
 
+_UPRIGHT = (0.0, 0.0, -1.0)
+_MOST_TILT = math.radians(30.0)
+_UNEVEN_CANT = 1e-3
+"""m, rms by which yaw arms of canted rotors may differ from rotor to rotor."""
+
+
 @dataclass(frozen=True)
 class Rotor:
     """One rotor.
@@ -57,11 +63,21 @@ class Rotor:
         x: m forward of the geometric center.
         y: m to the right of it.
         spin: +1 counter-clockwise seen from above (the s_i of the yaw equation), -1 clockwise.
+        axis: unit vector of its thrust, forward, right and down.
     """
 
     x: float
     y: float
     spin: int
+    axis: tuple[float, float, float] = _UPRIGHT
+
+    @property
+    def yaw_arm(self) -> float:
+        """m, yaw torque of a canted rotor's thrust over the part of it along the body's z axis.
+
+        (x n_y - y n_x) / -n_z, n the axis.
+        """
+        return (self.x * self.axis[1] - self.y * self.axis[0]) / -self.axis[2]
 
 
 @dataclass(frozen=True)
@@ -124,9 +140,25 @@ class Airframe:
         """Mean distance of the rotors from the geometric centre, in m."""
         return sum(math.hypot(r.x, r.y) for r in self.rotors) / len(self.rotors)
 
+    @property
+    def cant(self) -> float:
+        """m, what canted rotors add to the moment ratio: their yaw arm in the way of their spin.
+
+        Rotors canted so that thrust helps their drag torque turn the vehicle,
+
+            N = sum k_T Omega_i^2 (s_i k_M / k_T + yaw_arm_i) ,  yaw_arm_i = s_i cant
+
+        look to any flight like rotors of more drag torque.
+        """
+        return sum(r.spin * r.yaw_arm for r in self.rotors) / len(self.rotors)
+
     def as_json(self) -> dict[str, Any]:
         """Name and rotors, as a result tells what it rests on."""
-        rotors = [{"x": r.x, "y": r.y, "spin": "ccw" if r.spin > 0 else "cw"} for r in self.rotors]
+        rotors: list[dict[str, Any]] = []
+        for r in self.rotors:
+            rotors.append({"x": r.x, "y": r.y, "spin": "ccw" if r.spin > 0 else "cw"})
+            if r.axis != _UPRIGHT:
+                rotors[-1]["axis"] = list(r.axis)
         return {"name": self.name, "rotors": rotors}
 
     @property
@@ -233,7 +265,7 @@ class Airframe:
                 + ("; 250 mm are 0.25" if meters > MOST_ARM else "")
             )
         k = meters / self.arm
-        rotors = tuple(Rotor(r.x * k, r.y * k, r.spin) for r in self.rotors)
+        rotors = tuple(replace(r, x=r.x * k, y=r.y * k) for r in self.rotors)
         return replace(self, rotors=rotors, placeholder=())
 
 
@@ -373,7 +405,7 @@ def _rotors(entries: object, where: str) -> tuple[Rotor, ...]:
         at = f"{where}: [[rotor]] number {i}"
         if not isinstance(entry, dict):
             raise InputError(f"{at}: must be a table with x, y and spin")
-        _reject_unknown(entry, {"x", "y", "spin"}, at)
+        _reject_unknown(entry, {"x", "y", "spin", "axis"}, at)
         for key in ("x", "y", "spin"):
             if key not in entry:
                 raise InputError(f"{at}: {key} is missing")
@@ -383,7 +415,7 @@ def _rotors(entries: object, where: str) -> tuple[Rotor, ...]:
         x, y = (_number(entry[key], f"{at}: {key}") for key in ("x", "y"))
         if math.hypot(x, y) > MOST_ARM:
             raise InputError(f"{at}: x and y are in meters; {math.hypot(x, y):g} m is too far out")
-        rotors.append(Rotor(x, y, spin))
+        rotors.append(Rotor(x, y, spin, _axis(entry.get("axis"), f"{at}: axis")))
     layout = np.array([[1.0, r.x, r.y, r.spin] for r in rotors])
     # Without full rank the rotors cannot make all three torques and the thrust apart.
     if np.linalg.matrix_rank(layout / np.maximum(np.abs(layout).max(axis=0), 1e-9)) < 4:
@@ -391,7 +423,37 @@ def _rotors(entries: object, where: str) -> tuple[Rotor, ...]:
             f"{where}: these rotors cannot control roll, pitch, yaw and thrust independently; "
             "check positions and spins"
         )
+    if not is_evenly_canted(rotors):
+        raise InputError(
+            f"{where}: rotors can be canted outward, or all in the direction of their own drag "
+            "torque (or all against it); check the axes"
+        )
     return tuple(rotors)
+
+
+def is_evenly_canted(rotors: Sequence[Rotor]) -> bool:
+    """Whether rotors' axes add the same to the yaw torque of each, along its spin."""
+    arms = np.array([r.spin * r.yaw_arm for r in rotors])
+    return bool(arms.std() <= _UNEVEN_CANT)
+
+
+def _axis(entry: object, where: str) -> tuple[float, float, float]:
+    if entry is None:
+        return _UPRIGHT
+    if not isinstance(entry, list) or len(entry) != 3:
+        raise InputError(
+            f"{where} must be [x, y, z], forward, right and down, got {_shown(entry)}; "
+            "[0, 0, -1] is upright"
+        )
+    numbers = [_number(value, where) for value in entry]
+    length = math.hypot(*numbers)
+    if not 0.0 < length < math.inf or -numbers[2] < math.cos(_MOST_TILT) * length:
+        raise InputError(
+            f"{where} must point up to within {math.degrees(_MOST_TILT):.0f} degrees, as "
+            f"[0, 0, -1] does, got {_shown(entry)}"
+        )
+    x, y, z = (value / length for value in numbers)
+    return x, y, z
 
 
 def _command(table: object, where: str) -> CommandRange:

@@ -1,10 +1,18 @@
 """Everything that a report is made of."""
 
+import hashlib
+import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+import scipy
+
+from gcs_sysid import __version__
 from gcs_sysid.arrays import Array
+from gcs_sysid.files import split_session
 from gcs_sysid.live.acceleration_prediction import Model
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.report.prediction_series import Prediction, Spectrum, predict, residual_spectrum
@@ -30,6 +38,20 @@ class Provenance:
     versions: Mapping[str, str]
     log_bytes: int
     log_sha256: str
+
+
+def provenance_of(command: tuple[str, ...], log: Path) -> Provenance:
+    """What reproduces a report of this log."""
+    log, _ = split_session(log)
+    with log.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    versions = {
+        "gcs-sysid": __version__,
+        "Python": f"{platform.python_version()}, {platform.system()} {platform.machine()}",
+        "NumPy": np.__version__,
+        "SciPy": scipy.__version__,
+    }
+    return Provenance(command, versions, log.stat().st_size, digest)
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,21 @@ import json
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
+from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.status import Status
 from gcs_sysid.files import write_whole
 from gcs_sysid.intervals import Z95
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+    from gcs_sysid.model.flight_model import FlightModel
+    from gcs_sysid.results.notebook_view import PlotKind
+    from gcs_sysid.results.parameter_samples import ParameterSamples
+    from gcs_sysid.results.snapshot import Acceleration, History
 
 SCHEMA = "gcs-sysid/1"
 
@@ -124,6 +134,20 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class IdentifiedEstimate(Estimate):
+    """An estimate that has a value and an interval: what `Result.identified` gives."""
+
+    value: float
+    std: float
+
+    @property
+    def ci95(self) -> tuple[float, float]:
+        """The 95 % interval, as of `Estimate`."""
+        low, high = self.value - Z95 * self.std, self.value + Z95 * self.std
+        return (max(low, 0.0) if self.not_negative else low, high)
+
+
+@dataclass(frozen=True)
 class Scale:
     """The anchor that sets the scale of all masses, inertias and coefficients."""
 
@@ -147,7 +171,7 @@ class Scale:
         return out
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Result:
     """Everything an identification says, at one instant.
 
@@ -188,6 +212,114 @@ class Result:
 
     advice: dict[str, Any] | None = None
     """What to fly next, of a running session: see `Advice`."""
+
+    history: "History | None" = field(default=None, compare=False)
+    """Estimates over time, where `analyze(..., history=True)` kept them; not in files."""
+    prediction: "Acceleration | None" = field(default=None, compare=False)
+    """Angular acceleration of the held-out part, by the fit to the rest; kept in the same way."""
+
+    def identified(self, name: str) -> IdentifiedEstimate:
+        """A parameter whose number can be relied upon, typed so: its value is a float.
+
+        Args:
+            name: of a parameter or timing value that is identified, given, or known to be small.
+
+        Raises:
+            InputError: there is no such parameter, or it is weak or unobservable.
+
+        Example:
+            >>> import gcs_sysid
+            >>> result = gcs_sysid.analyze("logs/sample.tlog", "paper")
+            >>> low, high = result.identified("Izz").ci95
+            >>> low < 0.0294 < high
+            True
+        """
+        estimate = self.parameters.get(name) or self.timing.get(name)
+        if estimate is None:
+            known = ", ".join([*self.parameters, *self.timing])
+            raise InputError(f"the result has no {name!r}; it has {known}")
+        if (
+            estimate.value is None
+            or estimate.std is None
+            or estimate.status in ("weak", "unobservable")
+        ):
+            raise InputError(f"{name} is {estimate.status} in this result, not identified")
+        return IdentifiedEstimate(
+            estimate.value,
+            estimate.std,
+            estimate.unit,
+            estimate.status,
+            estimate.bound,
+            estimate.rests_on,
+            estimate.std_given,
+            estimate.not_negative,
+        )
+
+    def samples(self, n: int, seed: int = 0, *, given: bool = True) -> "ParameterSamples":
+        """Vehicles drawn from the full covariance, all of them physical; see `draw_samples`.
+
+        Args:
+            n: vehicles.
+            seed: of the random numbers.
+            given: whether errors of arm, scale and IMU as given are drawn too; without them the
+                samples tell what this vehicle's motion may differ by.
+
+        Raises:
+            InputError: there is no covariance, or hardly any draw is physical.
+
+        Example:
+            >>> import gcs_sysid
+            >>> samples = gcs_sysid.analyze("logs/sample.tlog", "paper").samples(500, seed=1)
+            >>> samples["Izz"].shape, bool(abs(samples["Izz"].mean() - 0.0294) < 0.001)
+            ((500,), True)
+        """
+        from gcs_sysid.results.parameter_samples import draw_samples
+
+        return draw_samples(self, n, seed, given=given)
+
+    def model(self, samples: "ParameterSamples | None" = None) -> "FlightModel":
+        """The equations of motion with these numbers: `model().simulate(t, rotors, initial)`.
+
+        Args:
+            samples: an ensemble from `samples`; None: the estimate itself.
+
+        Raises:
+            InputError: the result lacks a parameter that no flight does without.
+        """
+        from gcs_sysid.results.parameter_samples import flight_model
+
+        return flight_model(self, samples)
+
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """A row per parameter and timing value.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        from gcs_sysid.results.notebook_view import dataframe
+
+        return dataframe(self)
+
+    def plot(self, kind: "PlotKind | None" = None) -> "Figure":
+        """Draw `convergence`, `correlation` or `prediction`; by default all there is to draw.
+
+        Raises:
+            InputError: matplotlib is not installed, or the result does not hold what is wanted.
+        """
+        from gcs_sysid.results.notebook_view import plot
+
+        return plot(self, kind)
+
+    def __repr__(self) -> str:
+        """One screen of text."""
+        from gcs_sysid.results.notebook_view import text
+
+        return text(self)
+
+    def _repr_html_(self) -> str:
+        from gcs_sysid.results.notebook_view import html
+
+        return html(self)
 
     def as_json(self) -> dict[str, Any]:
         """The result as the dictionary that `--json` writes."""

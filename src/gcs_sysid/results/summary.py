@@ -47,6 +47,7 @@ def values_of(
     known: Mapping[str, Known],
     rotor_input: RotorInput = "speed",
     lateness: float = 0.0,
+    cant: float = 0.0,
 ) -> dict[str, Value]:
     """Physical parameters of a fit, or nothing but the anchor while it is too early.
 
@@ -57,8 +58,9 @@ def values_of(
         fit = _widened(fit, watched_factor(fit.seconds))
     early = fit.seconds < MIN_SECONDS and not anchor.origin
     rotation = None if early else fit.rotation
+    test = fit.rigid_body_test
     return physical_parameters(
-        anchor, rotation, fit.translation, arm, known, rotor_input, fit.rigid_body_test, lateness
+        anchor, rotation, fit.translation, arm, known, rotor_input, test, lateness, cant
     )
 
 

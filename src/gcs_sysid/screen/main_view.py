@@ -25,8 +25,10 @@ from gcs_sysid.screen.widgets.verdict import VerdictPanel
 
 COLUMNS_WIDTH, COLUMNS_HEIGHT = 118, 34
 """From this size on, all panels stand side by side; below it, pages."""
-WIDE_WIDTH = 160
-"""From this width on, the right side has two columns of its own."""
+WIDE_WIDTH, WIDE_HEIGHT = 196, 40
+"""From this size on, the right side has two columns of its own."""
+NARROW_WIDTH = 62
+"""Below it the table needs the columns of the scroll bar."""
 TALL_HEIGHT = 40
 """From this height on, the first page holds the plot too."""
 
@@ -42,8 +44,11 @@ def layout_classes(width: int, height: int) -> set[str]:
         classes.add("-paged")
         if height >= TALL_HEIGHT:
             classes.add("-tall")
+        if width < NARROW_WIDTH:
+            classes.add("-narrow")
     else:
-        classes.add("-wide" if width >= WIDE_WIDTH else "-columns")
+        wide = width >= WIDE_WIDTH and height >= WIDE_HEIGHT
+        classes.add("-wide" if wide else "-columns")
     return classes
 
 
@@ -146,7 +151,7 @@ class MainScreen(Screen[None]):
 
     def _lay_out(self, width: int, height: int) -> None:
         wanted = layout_classes(width, height)
-        for name in ("-paged", "-tall", "-columns", "-wide"):
+        for name in ("-paged", "-tall", "-narrow", "-columns", "-wide"):
             self.set_class(name in wanted, name)
         self._verdict.large = "-paged" not in wanted
         self.call_after_refresh(self._show_again)

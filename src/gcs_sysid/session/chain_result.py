@@ -6,7 +6,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gcs_sysid.estimation.evidence import AXES
-from gcs_sysid.estimation.given_errors import Given, alignment_of, given_stds, with_given
+from gcs_sysid.estimation.given_errors import (
+    Given,
+    aligned,
+    alignment_of,
+    given_stds,
+    with_given,
+)
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.parameter_covariance import parameter_covariance
 from gcs_sysid.estimation.physical_parameters import (
@@ -119,7 +125,8 @@ class Findings:
         """Each rotor's coefficients; with commands there are none."""
         if self.learner.rotor_input != "speed":
             return ()
-        each = rotor_values(self.learner.fit.rotation, self._scale, len(self.airframe.rotors))
+        rotors, cant = len(self.airframe.rotors), self.airframe.cant
+        each = rotor_values(self.learner.fit.rotation, self._scale, rotors, cant)
         return tuple(
             {
                 name: Estimate(value.value, value.std, REGISTRY[name].unit, value.status)
@@ -129,15 +136,17 @@ class Findings:
         )
 
     def _covariance(self, parameters: dict[str, Estimate]) -> dict[str, Any]:
-        rotation = self.learner.fit.rotation
+        # As the values are: with rotors and IMU where the flight tells that they are.
+        fit = self.learner.fit
+        rotation = aligned(fit, alignment_of(fit, self.airframe)).rotation
         if rotation is None:
             return {}
         values = {
             name: (e.value, e.std)
-            for name, e in parameters.items()
+            for name, e in (parameters | self._timing()).items()
             if e.value is not None and e.std is not None
         }
-        given = {name: parameters[name].std_given for name in values}
+        given = {name: parameters[name].std_given for name in values if name in parameters}
         names, matrix = parameter_covariance(rotation, self._scale, values, given)
         if not np.isfinite(matrix).all():
             return {}

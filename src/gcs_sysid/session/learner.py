@@ -115,7 +115,9 @@ class Learner:
         arm, known = self._airframe.arm, self.known_beforehand(anchor)
         late = low_pass_delay(self.cutoffs[0])
         aligned_fit = aligned(fit, alignment_of(fit, self._airframe))
-        values = summary.values_of(aligned_fit, anchor, arm, known, self.rotor_input, late)
+        values = summary.values_of(
+            aligned_fit, anchor, arm, known, self.rotor_input, late, self._airframe.cant
+        )
         evidence = self.evidence(fit)
         return {name: evidence.cap(value, REGISTRY[name]) for name, value in values.items()}
 
@@ -296,4 +298,5 @@ class Learner:
 
     def _prior(self, translation: TranslationFit | None) -> Prior | None:
         known = summary.priors_for(self._airframe.priors, self.rotor_input)
-        return relative_prior(known, resolve_scale(self.anchors[0], translation, known))
+        scale = resolve_scale(self.anchors[0], translation, known)
+        return relative_prior(known, scale, self._airframe.cant)

@@ -13,13 +13,21 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.model.airframe import MOST_ARM, Airframe, Rotor, load_airframe
+from gcs_sysid.model.airframe import (
+    MOST_ARM,
+    Airframe,
+    Rotor,
+    is_evenly_canted,
+    load_airframe,
+)
 
 _MOST_ROTORS = 12
 _UNIT = 1e-3
 """Of a mean distance of 1 or sqrt(2): what simulators and mixers tell, who need no lengths."""
 _SAME_ARM = 0.1
 """Share by which arms may differ before it is worth a word."""
+_LEAST_UPRIGHT = math.cos(math.radians(30.0))
+"""Of an axis; others are not of rotors that lift."""
 _MULTIROTOR = 0.0
 """CA_AIRFRAME."""
 _AUTOSTART = {
@@ -129,14 +137,25 @@ def _px4(parameters: Mapping[str, float]) -> ToldLayout | None:
         x, y, ratio = (parameters.get(f"CA_ROTOR{i}_{name}") for name in ("PX", "PY", "KM"))
         if x is None or y is None or not ratio or not math.hypot(x, y) <= MOST_ARM:
             return None
-        rotors.append(Rotor(x, y, 1 if ratio > 0.0 else -1))
+        rotors.append(Rotor(x, y, 1 if ratio > 0.0 else -1, _axis(parameters, i)))
+    if not is_evenly_canted(rotors):
+        rotors = [Rotor(r.x, r.y, r.spin) for r in rotors]
     arm = Airframe("told", tuple(rotors)).arm
     if arm == 0.0:
         return None
     sized = min(abs(arm - 1.0), abs(arm - math.sqrt(2.0))) > _UNIT
     scale = 1.0 if sized else 1.0 / arm
-    placed = tuple(Rotor(r.x * scale, r.y * scale, r.spin) for r in rotors)
+    placed = tuple(replace(r, x=r.x * scale, y=r.y * scale) for r in rotors)
     return ToldLayout(placed, sized, "CA_ROTORn_PX, _PY and _KM")
+
+
+def _axis(parameters: Mapping[str, float], i: int) -> tuple[float, float, float]:
+    """Of thrust, upright where it is not told."""
+    x, y, z = (parameters.get(f"CA_ROTOR{i}_A{axis}", -(axis == "Z")) for axis in "XYZ")
+    length = math.hypot(x, y, z)
+    if not 0.0 < length < math.inf or -z < _LEAST_UPRIGHT * length:
+        return 0.0, 0.0, -1.0
+    return x / length, y / length, z / length
 
 
 def _ardupilot(parameters: Mapping[str, float]) -> ToldLayout | None:

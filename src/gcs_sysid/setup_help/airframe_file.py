@@ -74,6 +74,8 @@ def airframe_text(answers: AirframeAnswers) -> str:
         lines.append(f"x = {_in_meters(rotor.x)}  # m forward")
         lines.append(f"y = {_in_meters(rotor.y)}  # m to the right")
         lines.append(f'spin = "{spin}"')
+        if rotor.axis != Rotor.axis:
+            lines.append(f"axis = {list(rotor.axis)!r}  # of thrust, forward, right and down")
     if answers.priors:
         lines += ["", "[prior]  # value and standard deviation, SI"]
         lines += [f"{name} = [{value!r}, {std!r}]" for name, (value, std) in answers.priors.items()]

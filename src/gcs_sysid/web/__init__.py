@@ -1,6 +1,6 @@
-"""The screen in browsers: one session, and as many viewers as look.
+"""Pages in the browser: analysis of dropped logs, and a session that runs.
 
-The process with the session serves its snapshots on a local port (`share`). For each browser the
-web server (`site`) starts a viewer: a process with the screen alone, which takes the snapshots
-from there and sends back what its user does.
+`site` serves and `access` decides who may; the pages are in `assets`, without a framework and
+without a build step. `workbench` takes logs and has `log_worker` analyze them in processes of
+their own; `session_page` shows snapshots and passes on what a pilot asks for.
 """

@@ -1,76 +1,81 @@
-"""The web server: a page with a terminal in it, and a viewer's process for each that opens it.
-
-The page is ours, so that nothing is loaded from elsewhere; terminal, fonts and the way between
-browser and viewer are textual-serve's.
-"""
+"""The web server, in a thread of its own."""
 
 import asyncio
-import ipaddress
+import logging
 import os
-import shlex
-import subprocess
 import sys
 import threading
 from concurrent.futures import Future
 from importlib import resources
-from urllib.parse import urlsplit
+from typing import Protocol
 
 from aiohttp import web
-from aiohttp.typedefs import Handler
-from textual_serve.server import Server
 
-from gcs_sysid.errors import InputError
-from gcs_sysid.web.share import VARIABLE, Door
+from gcs_sysid.errors import GcsSysidError, InputError
+from gcs_sysid.sanitize import one_line
+from gcs_sysid.web.access import Access, Handler, Role, authority, present_role, refuse
 
-MOST_VIEWERS = 16
-"""Each is a process of some 60 MB."""
-_HEADERS = {
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'self'; script-src 'self' 'unsafe-inline'; "
-    "style-src 'self' 'unsafe-inline'; img-src 'self' data:; connect-src 'self' ws: wss:; "
-    "frame-ancestors 'none'",
-}
+MOST_BODY = 64 << 10
+"""Bytes of a request, but for uploads, which are counted as they come."""
+_TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
+_ASSETS = ("page.css", "common.js", "analysis.js", "live.js")
+_SHUTDOWN = 2.0
+"""s that responses under way have to end."""
+
+
+class Part(Protocol):
+    """What a site serves beside its fixed files."""
+
+    page: str
+    """Name of the page in `assets`."""
+
+    def add_to(self, application: web.Application) -> None:
+        """Add routes, and what is to be done at the end."""
 
 
 class Site:
-    """Serves the screen, in a thread of its own.
+    """Serves pages.
 
     Args:
         host: address or name to listen on.
         port: 0 for any that is free.
-        door: of the `Share` that viewers look at.
+        part: what is served.
+
+    Attributes:
+        access: who may look.
     """
 
-    def __init__(self, host: str, port: int, door: Door) -> None:
-        self._host, self._port, self._door = host, port, door
-        self._viewers = 0
+    def __init__(self, host: str, port: int, part: Part) -> None:
+        self._host, self._port, self._part = host, port, part
+        self.access = Access(host)
         self._bound: Future[int] = Future()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stopped = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="web", daemon=True)
 
-    def start(self) -> str:
-        """Begin; returns the page's address.
+    def start(self) -> None:
+        """Begin.
 
         Raises:
             InputError: there is no listening there.
         """
         self._thread.start()
         try:
-            port = self._bound.result()
+            self.access.port = self._bound.result()
         except (OSError, UnicodeError) as error:  # UnicodeError: no name of a host
             why = getattr(error, "strerror", None) or error
             raise InputError(
-                f"cannot serve on {_authority(self._host, self._port)}: {why}; "
-                "give another port, such as --web 8001"
+                f"cannot serve on {authority(self._host, self._port)}: {why}; "
+                "give another port, such as 8001"
             ) from error
-        os.environ[VARIABLE] = str(self._door)
-        return f"http://{_authority(self._host, port)}"
+
+    def address(self, role: Role) -> str:
+        """Where the page is for a pilot or a viewer, with the token."""
+        return self.access.address(role)
 
     def stop(self) -> None:
-        """End it; viewers must have been sent away, else it waits for them a little."""
-        os.environ.pop(VARIABLE, None)
-        if self._loop is not None:
+        """End it; whoever looks is sent away, their processes are ended."""
+        if self._loop is not None and self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._stopped.set)
         self._thread.join()
 
@@ -84,83 +89,75 @@ class Site:
 
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
-        runner = web.AppRunner(self._application(), access_log=None, shutdown_timeout=2.0)
+        # Who leaves ends what was done for them; aiohttp's log would be lines for nobody.
+        runner = web.AppRunner(
+            self._application(),
+            access_log=None,
+            logger=_silent(),
+            shutdown_timeout=_SHUTDOWN,
+            handler_cancellation=True,
+        )
         await runner.setup()
         try:
             await web.TCPSite(runner, self._host, self._port).start()
-            self._bound.set_result(runner.addresses[0][1])
+            self.access.port = runner.addresses[0][1]
+            self._bound.set_result(self.access.port)
             await self._stopped.wait()
         finally:
             await runner.cleanup()
 
     def _application(self) -> web.Application:
-        words = [sys.executable, "-P", "-m", "gcs_sysid.web.viewer"]
-        command = subprocess.list2cmdline(words) if os.name == "nt" else shlex.join(words)
-        terminals = Server(command, self._host, self._port)
-        page = resources.files("gcs_sysid.web").joinpath("page.html").read_text(encoding="utf-8")
+        application = web.Application(
+            middlewares=[self.access.middleware, _errors_in_a_line], client_max_size=MOST_BODY
+        )
+        application.on_response_prepare.append(self.access.prepare)
+        page = asset(self._part.page)
 
         async def index(_: web.Request) -> web.StreamResponse:
-            return web.Response(text=page, content_type="text/html", headers=_HEADERS)
+            return web.Response(text=page, content_type="text/html")
 
-        async def terminal(request: web.Request) -> web.StreamResponse:
-            if self._viewers >= MOST_VIEWERS:
-                raise web.HTTPServiceUnavailable(text=f"{MOST_VIEWERS} viewers already")
-            self._viewers += 1
-            try:
-                return await terminals.handle_websocket(request)
-            finally:
-                self._viewers -= 1
+        async def file(request: web.Request) -> web.StreamResponse:
+            name = request.match_info["name"]
+            if name not in _ASSETS:
+                raise web.HTTPNotFound
+            return web.Response(text=asset(name), content_type=_TYPES[name.rpartition(".")[2]])
 
-        @web.middleware
-        async def only_own(request: web.Request, handler: Handler) -> web.StreamResponse:
-            if not is_own(request.headers.get("Host"), request.headers.get("Origin"), self._host):
-                raise web.HTTPForbidden(text="requested by another page or under another host name")
-            return await handler(request)
+        async def role(_: web.Request) -> web.StreamResponse:
+            return web.json_response({"role": present_role()})
 
-        application = web.Application(middlewares=[only_own])
         application.add_routes(
-            [
-                web.get("/", index),
-                web.get("/ws", terminal),
-                web.get("/download/{key}", terminals.handle_download),
-                web.static("/static", terminals.statics_path),
-            ]
+            [web.get("/", index), web.get("/assets/{name}", file), web.get("/role", role)]
         )
+        self._part.add_to(application)
         return application
 
 
-def is_own(host: str | None, origin: str | None, own: str) -> bool:
-    """Whether a request comes from the page itself, or from the browser's address line.
+def asset(name: str) -> str:
+    """A file of the pages, with the line ends of every system."""
+    text = (resources.files("gcs_sysid.web") / "assets" / name).read_text(encoding="utf-8")
+    return text.replace("\r\n", "\n")
 
-    Any page on the web may have the browser ask here; it gives itself away by its origin, or, where
-    its name was made to point here, by that name.
 
-    Args:
-        host: the request's `Host`.
-        origin: its `Origin`, None when it has none.
-        own: host that is served.
-    """
-    if not host:
-        return False
-    if origin is not None and urlsplit(origin).netloc != host:
-        return False
-    name = urlsplit(f"//{host}").hostname or ""
-    if name == own.lower() or "." not in name or name.endswith(".local"):
-        return True
+@web.middleware
+async def _errors_in_a_line(request: web.Request, handler: Handler) -> web.StreamResponse:
+    """What is wrong with a request is said to who sent it; a defect is said here, too."""
     try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
+        return await handler(request)
+    except GcsSysidError as error:
+        return refuse(400, str(error))
+    except (web.HTTPException, ConnectionError):
+        raise
+    except Exception as error:
+        if os.environ.get("GCS_SYSID_DEBUG"):
+            raise
+        text = one_line(f"internal error ({type(error).__name__}: {error})")
+        print(f"gcs-sysid: web page: {text}; please report it", file=sys.stderr, flush=True)
+        return refuse(500, text)
 
 
-def is_loopback(host: str) -> bool:
-    """Whether nobody from other machines reaches what listens there."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
-def _authority(host: str, port: int) -> str:
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+def _silent() -> logging.Logger:
+    """A log that leads nowhere: garbage on the port is answered, and no news."""
+    logger = logging.getLogger("gcs_sysid.web")
+    logger.addHandler(logging.NullHandler())
+    logger.propagate = False
+    return logger

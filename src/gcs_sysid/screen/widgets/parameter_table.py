@@ -106,12 +106,12 @@ BAR = 7
 COLUMNS = (
     Column("   value ± 95 %    ", _value),
     Column("unit       ", _unit),
-    Column("  ± % ", _percent),
+    Column("  ± % ", _percent, 1),
     Column("status        ", _status),
-    Column("target ", _converged, 2),
-    Column(" change ", _change, 1, _has_baseline),
-    Column("   truth", _truth, 4, _has_truth),
-    Column("  error", _error, 3, _has_truth),
+    Column("target ", _converged, 3),
+    Column(" change ", _change, 2, _has_baseline),
+    Column("   truth", _truth, 5, _has_truth),
+    Column("  error", _error, 4, _has_truth),
 )
 """In this order from left to right."""
 NAME_HEAD = f" {'name':<{fmt.LABEL_WIDTH}}"

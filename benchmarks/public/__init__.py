@@ -1,0 +1,1 @@
+"""A benchmark that others can enter: the same flights for every estimator, and one score."""

@@ -1,0 +1,140 @@
+"""How long every command takes to start: `make startup`.
+
+    python -m benchmarks.startup [--runs 5] [--why COMMAND] [--sizes]
+
+Prints a row for each command: processor time of `COMMAND --help`, and of loading all that the
+command needs before it looks at its input, the least of several runs; what the latter has loaded of
+the heavy packages; and its ratio to Python with NumPy alone. --why lists the imports that take
+longest, --sizes what the dependencies take on disk, with the screen and without. A ratio means the
+same on any machine. Not on Windows.
+"""
+
+import argparse
+import os
+import re
+import resource
+import subprocess
+import sys
+import tomllib
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+
+from gcs_sysid.cli.program import build_parser
+from gcs_sysid.cli.welcome import commands_of
+
+ROOT = Path(__file__).parents[1]
+SCREEN = ("textual", "textual-serve", "aiohttp")
+HEAVY = ("numpy", "scipy", "pymavlink", "textual", "aiohttp", "rich", "serial", "asyncio",
+         "multiprocessing", "pyarrow", "distributed")  # fmt: skip
+_CACHED = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+"""Users' Python compiles a module once."""
+_SHOW = "import sys; print(*(n for n in {heavy} if n in sys.modules))"
+
+
+def cost(code: str, runs: int) -> tuple[float, str]:
+    """Least processor time of a program in s, user and system; and what it prints."""
+    best, said = float("inf"), ""
+    for _ in range(runs):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=_CACHED
+        )
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        spent = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+        if spent < best:
+            best, said = spent, done.stdout
+    return best, said.strip()
+
+
+def longest(command: str) -> list[str]:
+    """The imports that take longest by themselves, with their ms."""
+    code = f"import gcs_sysid.cli.{command}_command"
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=_CACHED,
+    )
+    rows = re.findall(r"import time:\s*(\d+) \|\s*(\d+) \|(\s*)(\S+)", done.stderr)
+    top = sorted(((int(own), int(whole), name) for own, whole, _, name in rows), reverse=True)[:25]
+    return [f"{own / 1e3:8.1f} ms of {whole / 1e3:8.1f}  {name}" for own, whole, name in top]
+
+
+def needed(roots: Sequence[str]) -> dict[str, int]:
+    """Installed project -> bytes on disk, of some projects and all that they depend on."""
+    found: dict[str, int] = {}
+    todo = list(roots)
+    while todo:
+        name = re.sub(r"[-_.]+", "-", todo.pop()).lower()
+        if name in found:
+            continue
+        try:
+            there = distribution(name)
+        except PackageNotFoundError:
+            continue  # a system's or a Python's that is not this one
+        files = (Path(str(there.locate_file(f))) for f in there.files or ())
+        found[name] = sum(f.stat().st_size for f in files if f.is_file() and f.suffix != ".pyc")
+        for line in there.requires or ():
+            if "extra ==" not in line:
+                todo.append(re.match(r"[\w.-]+", line)[0])  # type: ignore[index]
+    return found
+
+
+def sizes() -> list[str]:
+    """What is installed for the program, and what of it for the screen alone."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    names = [re.match(r"[\w.-]+", line)[0] for line in project["dependencies"]]  # type: ignore[index]
+    core = needed([name for name in names if name not in SCREEN])
+    alone = {n: size for n, size in needed(SCREEN).items() if n not in core}
+    whole, part = sum(core.values()), sum(alone.values())
+    return [
+        f"dependencies: {(whole + part) / 1e6:.0f} MB",
+        f"of them for screen and browser alone: {part / 1e6:.0f} MB, {part / (whole + part):.0%} "
+        f"({', '.join(sorted(alone, key=lambda n: -alone[n]))})",
+    ]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the table, or the reasons."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.startup")
+    names = [name for name, _ in commands_of(build_parser())]
+    parser.add_argument("--runs", type=int, default=5, metavar="N")
+    parser.add_argument("--why", choices=names, metavar="COMMAND")
+    parser.add_argument("--sizes", action="store_true")
+    options = parser.parse_args(argv)
+    if options.sizes:
+        print("\n".join(sizes()))
+        return 0
+    if options.runs < 1:
+        print("benchmarks.startup: error: --runs begins at 1", file=sys.stderr)
+        return 2
+    if options.why:
+        print("\n".join(longest(options.why)))
+        return 0
+    bare, _ = cost("pass", options.runs)
+    with_numpy, _ = cost("import numpy", options.runs)
+    print(f"Python {1e3 * bare:.0f} ms, with NumPy {1e3 * with_numpy:.0f} ms (processor time)")
+    print("| command | --help, ms | loaded, ms | of Python with NumPy | packages |")
+    print("|---|---|---|---|---|")
+    show = _SHOW.format(heavy=HEAVY)
+    for name in names:
+        help_time, _ = cost(
+            f"from gcs_sysid.cli.program import run; run(['{name}', '--help'])", options.runs
+        )
+        loaded, packages = cost(
+            "from gcs_sysid.cli.program import build_parser; build_parser();"
+            f"import gcs_sysid.cli.{name}_command; {show}",
+            options.runs,
+        )
+        print(
+            f"| {name} | {1e3 * help_time:.0f} | {1e3 * loaded:.0f} | {loaded / with_numpy:.2f} | "
+            f"{packages} |",
+            flush=True,
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,324 @@
+"""Proposed gains against emulated vehicles: margins by injected sweeps, steps, first flights.
+
+    python -m benchmarks.tune --vehicles 8
+    python -m benchmarks.tune --vehicles 50 --keep build/tune.jsonl    # goes on where it stopped
+
+A vehicle of 0.25 to 15 kg is drawn, flown and identified from its commands; `propose` makes gains
+from the result alone, within its covariance. Then the emulator flies the autopilot's own rate
+controller with these gains from the first second: a multisine is added to the torque of one axis
+after the other and the loop transfer is read off at its tones; attitude and rate set-points step.
+Predictions are those of the result, not of the true vehicle. Phase in degrees, gain in dB.
+"""
+
+import argparse
+import json
+import math
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.truth.vehicles import Drawn, draw
+from gcs_sysid.api import Signals, identify
+from gcs_sysid.control.gain_design import LIMITS, propose
+from gcs_sysid.control.hover_dynamics import hover_dynamics
+from gcs_sysid.control.loop_margins import frequencies, margins_of, open_loops, step_response
+from gcs_sysid.control.rate_loops import AUTOPILOTS, AXES, Autopilot, RateLoop, read_loop
+from gcs_sysid.control.tuning_study import joined_vehicle, with_delay
+from gcs_sysid.errors import GcsSysidError
+from gcs_sysid.exports.exported_vehicle import Vehicle, assemble
+from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
+from gcs_sysid.model.airframe import CommandRange
+from gcs_sysid.model.parameters import GRAVITY
+from sim_bridge.controller import Gains
+from sim_bridge.doublets import ALL_MISSIONS
+from sim_bridge.ensemble import fly_ensemble
+from sim_bridge.missions import HEIGHT, Reference
+from sim_bridge.rate_controllers import CONTROLLERS, LOOP_RATE
+from sim_bridge.simulation import Simulation
+
+LAYOUTS = ("quad-x", "hexa", "quad-h", "octo", "quad-plus")
+DELAY_LOOPS = 2
+DELAY = DELAY_LOOPS / LOOP_RATE
+"""s from the gyro's sample to the rotors' command, as computing and a digital protocol take."""
+STEP_US, CONTROL_STEPS = 1250, 2
+SETTLE, PERIOD, TONES = 3.0, 8.0, 32
+SWEEP_SHARE = 0.05
+"""Largest change of a rotor's thrust command by the sweep, of full."""
+ATTITUDE_ONLY = Gains(position=0.0, velocity=0.0)
+"""Position is not held: its loop would act on what is measured."""
+STEP_ANGLE = math.radians(3.0)
+
+
+@dataclass(frozen=True)
+class Steps:
+    """A mission of one attitude step."""
+
+    axis: int
+    at: float = 1.0
+    name: str = "step"
+    duration: float = 5.0
+    turbulence: float = 0.0
+    angle: float = STEP_ANGLE
+
+    def reference(self, t: float) -> Reference:
+        """Level until the step, then turned about one axis."""
+        zero = (0.0, 0.0, 0.0)
+        level = (1.0, 0.0, 0.0, 0.0)
+        half = 0.5 * self.angle if t >= self.at else 0.0
+        turned = [math.cos(half), 0.0, 0.0, 0.0]
+        turned[1 + self.axis] = math.sin(half)
+        tilt, heading = (tuple(turned), level) if self.axis < 2 else (level, tuple(turned))
+        return Reference(
+            (0.0, 0.0, -HEIGHT),
+            zero,
+            zero,
+            heading,
+            tilt,
+            zero,
+            zero,
+            zero,  # type: ignore[arg-type]
+        )
+
+
+def identified(drawn: Drawn, seed: int) -> Vehicle:
+    """What a flight with speeds and commands tells; the commands reach the rotors late."""
+    mission = ALL_MISSIONS["all-axes"]
+    flight = fly_ensemble(drawn.vehicle, mission, 250.0, 60.0, seed).with_noise("mems", 0.0, [seed])
+    signals = Signals(
+        t=flight.t,
+        gyro=flight.gyro[0],
+        force=flight.specific_force[0],
+        attitude=flight.quaternion[0],
+        velocity=flight.velocity[0],
+    )
+    airframe = drawn.airframe
+    speeds = identify(
+        replace(signals, speeds=flight.speeds[0]), replace(airframe, rotor_input="speed")
+    )
+    own = CommandRange(0.0, 1.0, given=True)
+    commands = identify(
+        replace(signals, commands=flight.commands[0], times={"commands": flight.t - DELAY}),
+        replace(airframe, rotor_input="command", command=own),
+    )
+    return joined_vehicle(assemble(speeds), with_delay(assemble(commands)))
+
+
+def loop_of(autopilot: Autopilot, ours: Vehicle, drawn: Drawn) -> RateLoop:
+    """The autopilot's settings before the tuning: the thrust curve as identified, else defaults."""
+    curve = ours.get("thrust_curve") or 0.0
+    name = "THR_MDL_FAC" if autopilot == "px4" else "MOT_THST_EXPO"
+    return read_loop(autopilot, {name: min(max(curve, 0.0), 1.0)}, drawn.vehicle.rotors)
+
+
+def flown(drawn: Drawn, loop: RateLoop, mission, injection=None) -> Simulation:
+    """The emulator with the gains of a loop, in calm air."""
+    curve = "THR_MDL_FAC" if loop.autopilot == "px4" else "MOT_THST_EXPO"
+    settings = {**loop.as_parameters(), curve: loop.curve}
+
+    def controller(vehicle, period):
+        kind = CONTROLLERS[loop.autopilot]
+        return kind(vehicle, period, settings, DELAY_LOOPS, ATTITUDE_ONLY, injection)
+
+    return Simulation(
+        drawn.vehicle,
+        mission,
+        np.random.SeedSequence(1),
+        0.0,
+        step_us=STEP_US,
+        control_steps=CONTROL_STEPS,
+        controller=controller,
+    )
+
+
+def measured_loop(drawn: Drawn, loop: RateLoop, axis: int) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (rad/s) of a multisine on one torque, and the loop transfer there."""
+    grid = 2.0 * math.pi / PERIOD
+    tones = np.unique(np.round(np.geomspace(1.2, 140.0, TONES) / grid)) * grid
+    # Schroeder's phases keep the peak low.
+    phases = math.pi * np.arange(len(tones)) ** 2 / len(tones)
+    size = SWEEP_SHARE / np.abs(loop.mixer[:, axis]).max() / math.sqrt(len(tones))
+    # Small where the vehicle answers most: at low frequencies.
+    sizes = size * np.minimum(tones / 8.0, 1.0)
+
+    def injection(t: float) -> tuple[float, float, float]:
+        out = [0.0, 0.0, 0.0]
+        out[axis] = float(sizes @ np.cos(tones * t + phases))
+        return (out[0], out[1], out[2])
+
+    sim = flown(drawn, loop, Steps(axis, at=math.inf), injection)
+    controller = sim._controller
+    rows = []
+    for _ in range(round((SETTLE + PERIOD) / (STEP_US * 1e-6))):
+        sim.step()
+        if sim.tick % CONTROL_STEPS == 0:
+            rows.append((sim.time, controller.asked[axis], controller.sent[axis]))
+    t, asked, sent = np.array(rows)[-round(PERIOD * LOOP_RATE) :].T
+    wave = np.exp(-1j * np.outer(tones, t))
+    return tones, -(wave @ asked) / (wave @ sent)
+
+
+def measured_step(drawn: Drawn, loop: RateLoop, axis: int) -> tuple[float, float]:
+    """Peak of an attitude step over the step, and the largest deviation of the other angles."""
+    mission = Steps(axis)
+    sim = flown(drawn, loop, mission)
+    angles = []
+    for _ in range(round(4.0 / (STEP_US * 1e-6))):
+        sim.step()
+        a, b, c, d = sim.state.quaternion
+        angles.append((2.0 * b * a, 2.0 * c * a, 2.0 * d * a))
+    track = np.array(angles)
+    others = np.abs(np.delete(track, axis, axis=1)).max()
+    start = track[round(mission.at / (STEP_US * 1e-6)) - 1, axis]
+    return float((track[:, axis].max() - start) / mission.angle), float(others)
+
+
+def first_flight(drawn: Drawn, loop: RateLoop) -> bool:
+    """Whether it holds attitude in gusts from the first second, position held."""
+    hover = Steps(0, at=math.inf)
+    curve = "THR_MDL_FAC" if loop.autopilot == "px4" else "MOT_THST_EXPO"
+    settings = {**loop.as_parameters(), curve: loop.curve}
+    sim = Simulation(
+        drawn.vehicle, hover, np.random.SeedSequence(2), 0.1, step_us=STEP_US,
+        control_steps=CONTROL_STEPS,
+        controller=lambda v, p: CONTROLLERS[loop.autopilot](v, p, settings, DELAY_LOOPS),
+    )  # fmt: skip
+    worst = 0.0
+    for _ in range(round(12.0 / (STEP_US * 1e-6))):
+        sim.step()
+        _, b, c, _ = sim.state.quaternion
+        worst = max(worst, b * b + c * c)
+    return bool(worst < math.sin(math.radians(15.0)) ** 2)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One axis of one vehicle: predicted and measured."""
+
+    phase: tuple[float, float]
+    gain: tuple[float, float]
+    overshoot: tuple[float, float]
+    crossover: float
+
+
+def vehicle_rows(drawn: Drawn, ours: Vehicle, autopilot: Autopilot) -> tuple[list[Row], bool]:
+    """Everything of one vehicle with one autopilot."""
+    loop = loop_of(autopilot, ours, drawn)
+    delay = ours.known["rotor_delay"]
+    # The emulator's own controller held its commands for 4 ms.
+    late = (max(-delay.value - 0.002, 0.0), delay.std or 0.0)
+    draws = drawn_vehicles(ours, LIMITS.draws - 1, 1)
+    dynamics = hover_dynamics([ours, *draws], loop, late)
+    loop = propose(dynamics, loop)
+    omega = frequencies(loop)
+    loops = open_loops(dynamics.first(1), loop, omega)
+    rows = []
+    for axis in range(3):
+        predicted = margins_of(omega, loops[:, :, axis])
+        tones, transfer = measured_loop(drawn, loop, axis)
+        found = margins_of(tones, transfer[None])
+        peak, _ = measured_step(drawn, loop, axis)
+        expected = float(step_response(dynamics.first(1), loop, axis).overshoot[0])
+        rows.append(
+            Row(
+                (float(predicted.phase[0]), float(found.phase[0])),
+                (float(predicted.gain[0]), float(found.gain[0])),
+                (expected, float(max(peak - 1.0, 0.0))),
+                float(predicted.crossover[0]),
+            )
+        )
+    return rows, first_flight(drawn, loop)
+
+
+def main() -> None:
+    """Print a line an axis, then the summary."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--vehicles", type=int, default=8)
+    parser.add_argument("--most", type=int, default=1000, help="vehicles flown in this run")
+    parser.add_argument("--keep", type=Path, help="file of what is done, to go on from")
+    options = parser.parse_args()
+    done: dict[int, dict] = {}
+    if options.keep is not None and options.keep.exists():
+        lines = options.keep.read_text().splitlines()
+        done = {entry["vehicle"]: entry for entry in map(json.loads, lines)}
+    todo = [seed for seed in range(options.vehicles) if seed not in done][: options.most]
+    for seed in todo:
+        done[seed] = one_vehicle(seed)
+        if options.keep is not None:
+            options.keep.parent.mkdir(parents=True, exist_ok=True)
+            with options.keep.open("a") as file:
+                file.write(json.dumps(done[seed]) + "\n")
+    for entry in done.values():
+        show(entry)
+    summary(list(done.values()))
+
+
+def one_vehicle(seed: int) -> dict:
+    """Both autopilots on one vehicle, as an entry of the file."""
+    drawn = draw(seed, LAYOUTS)
+    v = drawn.vehicle
+    entry: dict = {
+        "vehicle": seed, "layout": drawn.layout, "mass": v.mass, "lag": v.motor_lag,
+        "thrust_to_weight": v.T_max * len(v.rotors) / v.mass / GRAVITY,
+    }  # fmt: skip
+    ours = identified(drawn, seed)
+    for autopilot in AUTOPILOTS:
+        try:
+            rows, flew = vehicle_rows(drawn, ours, autopilot)
+            entry[autopilot] = {"flew": flew, "axes": [asdict(row) for row in rows]}
+        except GcsSysidError as error:
+            entry[autopilot] = {"refused": str(error)}
+    return entry
+
+
+def show(entry: dict) -> None:
+    """A vehicle's lines: predicted / measured."""
+    print(
+        f"{entry['vehicle']:3} {entry['layout']:9} {entry['mass']:5.2f} kg, motor lag "
+        f"{1e3 * entry['lag']:.0f} ms, thrust to weight {entry['thrust_to_weight']:.1f}"
+    )
+    for autopilot in AUTOPILOTS:
+        one = entry[autopilot]
+        if "refused" in one:
+            print(f"    {autopilot} refused: {one['refused']}")
+            continue
+        if not one["flew"]:
+            print(f"    {autopilot} DID NOT FLY")
+        for axis, row in zip(AXES, one["axes"], strict=True):
+            phase, gain, over = row["phase"], row["gain"], row["overshoot"]
+            print(
+                f"    {autopilot:9} {axis:5} crossover {row['crossover']:5.1f} rad/s, phase "
+                f"{phase[0]:5.1f} / {phase[1]:5.1f}, gain {gain[0]:5.1f} / {gain[1]:5.1f}, "
+                f"overshoot {100 * over[0]:4.1f} / {100 * over[1]:4.1f} %"
+            )
+
+
+def summary(entries: list[dict]) -> None:
+    """The figures of docs/tune.md."""
+    tunings = [entry[autopilot] for entry in entries for autopilot in AUTOPILOTS]
+    given = [one for one in tunings if "axes" in one]
+    rows = [row for one in given for row in one["axes"]]
+    if not rows:
+        print("no gains for any vehicle")
+        return
+    phase, gain, over = (
+        np.array([row[name] for row in rows]) for name in ("phase", "gain", "overshoot")
+    )
+    finite = np.isfinite(gain).all(axis=1)
+    off = [np.abs(np.diff(x)[:, 0]) for x in (phase, gain[finite], over)]
+    masses = [entry["mass"] for entry in entries]
+    print(
+        f"\n{len(entries)} vehicles of {min(masses):.2f} to {max(masses):.1f} kg with both "
+        f"autopilots: {len(tunings) - len(given)} of {len(tunings)} refused, "
+        f"{sum(one['flew'] for one in given)} of {len(given)} flew first time"
+        f"\nmeasured phase margin at least {phase[:, 1].min():.1f} deg, gain margin at least "
+        f"{gain[:, 1].min():.1f} dB"
+        f"\nmeasured less predicted, of {len(rows)} axes: phase at most {off[0].max():.1f} deg "
+        f"({(off[0] <= 5.0).sum()} within 5), gain at most {off[1].max():.2f} dB "
+        f"({(off[1] <= 1.0).sum()} within 1), overshoot at most {100 * off[2].max():.1f} % of the "
+        f"step ({(off[2] <= 0.1).sum()} within 10)"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,184 @@
+"""Does the twin's band hold, and is the covariance right?
+
+    python -m benchmarks.twin flights [--count N] [--scenario NAME]
+    python -m benchmarks.twin logs PATH...
+    python -m benchmarks.twin covariance [--count N]
+
+`flights` flies vehicles drawn at random (0.25 to 15 kg, four to eight rotors, MEMS at 250 Hz) on
+the emulator, fits the first 60 % of each flight and flies the rest with the fit; `logs` does so
+with recorded flights. Both print, for each stretch of 1 s, the share of errors inside the 95 % band
+and R2 of the body rates, beside a guess of constant rates. `covariance` holds the normalized
+estimation error squared of the parameter vector, e' P^-1 e, against chi-square.
+"""
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import chi2, kstest
+
+from benchmarks.truth.emulated import record
+from benchmarks.truth.scenarios import SCENARIOS, Scenario
+from benchmarks.unchanged import airframe_for, logs_in
+from gcs_sysid.arrays import Array
+from gcs_sysid.errors import InputError
+from gcs_sysid.results.parameter_samples import covariance_of
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.twin.held_out_flight import TwinFlight, as_exact, fly_held_out
+from gcs_sysid.twin.prediction_errors import QUANTITIES
+
+SECONDS = 50.0
+"""Of each emulated flight, at most."""
+JUDGED = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M")
+"""What the normalized error is made of: `moment_ratio` follows from two of them, and what is cut at
+zero is not normal."""
+_AHEAD = 1.0
+
+
+def twin_of(log: Path, airframe: object) -> TwinFlight:
+    """The twin of a log whose own first part is fitted."""
+    result = analyze_log(log, airframe)  # type: ignore[arg-type]
+    return fly_held_out(result, log, airframe)  # type: ignore[arg-type]
+
+
+def row(name: str, twin: TwinFlight) -> str:
+    """A flight's figures a second ahead."""
+    each = twin.accuracy.get(_AHEAD)
+    if each is None:
+        return f"{name:<26} no stretch of {_AHEAD:g} s"
+    inside = "  ".join(
+        f"{100.0 * each[q].inside:5.1f}" if q in each else "    -" for q in QUANTITIES
+    )
+    rates = each["rates"]
+    return (
+        f"{name:<26}{twin.result.verdict:<11}{rates.count:5}   {inside}{rates.r_squared:9.3f}"
+        f"{rates.rms:9.4f}{rates.band / 1.96:9.4f}{rates.guess:9.3f}"
+    )
+
+
+HEAD = (
+    f"{'flight':<26}{'fit':<11}{'of 1 s':>5}   rates   att.   vel.       R2    error predicted"
+    "   guess (rates, rad/s)"
+)
+
+
+def pooled(twins: Iterable[TwinFlight]) -> list[str]:
+    """Shares inside the band over all flights, by length and quantity."""
+    twins = list(twins)
+    lines = []
+    for q in QUANTITIES:
+        cells = []
+        for seconds in (0.1, 0.3, 1.0, 3.0):
+            told = [
+                (a.inside, a.count)
+                for twin in twins
+                if (a := twin.accuracy.get(seconds, {}).get(q)) is not None and a.count
+            ]
+            if told:
+                share, count = np.array(told).T
+                cells.append(f"{seconds:g} s {100.0 * np.average(share, weights=count):5.1f} %")
+        lines.append(f"inside the band, {q}: " + ", ".join(cells))
+    found = [t.accuracy[_AHEAD]["rates"].r_squared for t in twins if _AHEAD in t.accuracy]
+    if found:
+        lines.append(
+            f"R2 of the rates 1 s ahead: least {min(found):.3f}, median {np.median(found):.3f}"
+        )
+    return lines
+
+
+def flights(count: int, scenario: Scenario) -> None:
+    """Emulated vehicles."""
+    print(f"{count} emulated vehicles, {scenario.says}\n{HEAD}")
+    twins = []
+    for number in range(count):
+        with tempfile.TemporaryDirectory() as folder:
+            flown = record(scenario, number, Path(folder), SECONDS)
+            try:
+                twins.append(twin_of(flown.log, flown.airframe))
+            except InputError as error:
+                print(f"{flown.vehicle}: {error}".replace(folder, ""))
+                continue
+        print(row(flown.vehicle[:25], twins[-1]), flush=True)
+    print("\n".join(pooled(twins)))
+
+
+def logs(paths: list[Path]) -> None:
+    """Recorded flights."""
+    print(HEAD)
+    twins = []
+    for log in logs_in(paths):
+        try:
+            twins.append(twin_of(log, airframe_for(log)))
+        except InputError as error:
+            print(f"{log.name}: {str(error).replace(str(log), log.name)}")
+            continue
+        print(row(log.name, twins[-1]), flush=True)
+    print("\n".join(pooled(twins)))
+
+
+def normalized_error(error: Array, covariance: Array) -> float:
+    """E' P^-1 e, scaled first: units differ by many powers of ten."""
+    std = np.sqrt(np.diag(covariance))
+    e = error / std
+    return float(e @ np.linalg.solve(covariance / np.outer(std, std), e))
+
+
+def covariance(count: int) -> None:
+    """Normalized error squared of the parameter vector over emulated flights."""
+    found = []
+    scaled = []
+    scenario = SCENARIOS[0]
+    for number in range(count):
+        with tempfile.TemporaryDirectory() as folder:
+            flown = record(scenario, number, Path(folder), SECONDS)
+            # What is given is exact here: its part of the covariance is the same in every flight.
+            result = analyze_log(flown.log, as_exact(flown.airframe))
+        names, matrix = covariance_of(result)
+        at = [names.index(name) for name in JUDGED]
+        error = np.array(
+            [(result.parameters[n].value or 0.0) - float(flown.truth[n]) for n in JUDGED]
+        )
+        P = matrix[np.ix_(at, at)]
+        found.append(normalized_error(error, P))
+        scaled.append(error / np.sqrt(np.diag(P)))
+    squared, single = np.array(found), np.array(scaled)
+    freedom = len(JUDGED)
+    p = kstest(squared, chi2(freedom).cdf).pvalue
+    print(f"{count} emulated flights of {SECONDS:g} s, {freedom} parameters: {', '.join(JUDGED)}")
+    print(
+        f"normalized error squared: mean {squared.mean():.2f} (chi-square {freedom}), median "
+        f"{np.median(squared):.2f} ({chi2(freedom).median():.2f}), 95th percentile "
+        f"{np.percentile(squared, 95):.2f} ({chi2(freedom).ppf(0.95):.2f})"
+    )
+    print(f"Kolmogorov-Smirnov p = {p:.3g}; standard deviations are off by a factor of "
+          f"{np.sqrt(np.median(squared) / chi2(freedom).median()):.2f}")  # fmt: skip
+    print("rms error over standard deviation, each by itself: " + ", ".join(
+        f"{name} {value:.2f}"
+        for name, value in zip(JUDGED, np.sqrt((single**2).mean(axis=0)), strict=True)
+    ))  # fmt: skip
+
+
+def main() -> int:
+    """Run what is named."""
+    parser = argparse.ArgumentParser(description=__doc__, prog="python -m benchmarks.twin")
+    parser.add_argument("what", choices=("flights", "logs", "covariance"))
+    parser.add_argument("paths", nargs="*", type=Path)
+    parser.add_argument("--count", type=int, default=12)
+    parser.add_argument("--scenario", choices=[s.name for s in SCENARIOS], default="a")
+    options = parser.parse_args()
+    if options.what == "logs":
+        if not options.paths:
+            parser.error("logs: name files or folders")
+        logs(options.paths)
+    elif options.what == "flights":
+        flights(options.count, next(s for s in SCENARIOS if s.name == options.scenario))
+    else:
+        covariance(options.count)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,333 @@
+"""The rate controllers of PX4 and ArduPilot, as their sources document them.
+
+They replace the torque loop of `controller.Controller`; position and attitude set-points stay
+those of the mission. A loop runs at the controller's period, the gyro's filters at every step of
+the physics. What an autopilot does where rotors saturate is left out but for its end: a command
+stays within 0 to 1, and the integrators stop growing.
+
+PX4: `RateControl::update`, `VehicleAngularVelocity`, `ControlAllocationPseudoInverse`, THR_MDL_FAC.
+ArduPilot: `AC_PID::update_all`, `AC_AttitudeControl_Multi`, `AP_MotorsMatrix`, MOT_THST_EXPO.
+Both filter the gyro by a second-order Butterworth low-pass, bilinear with prewarping
+(`LowPassFilter2p`), and other signals by y += dt / (dt + 1 / (2 pi f)) (x - y).
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.parameter_file import read_parameter_file
+from sim_bridge.controller import Controller, Gains, clip, multiply, sign
+from sim_bridge.dynamics import State
+from sim_bridge.missions import Reference
+from sim_bridge.simulated_vehicle import Value, Vehicle, hover_thrusts
+
+PX4_DEFAULTS: dict[str, float] = {
+    "IMU_GYRO_CUTOFF": 40.0, "IMU_DGYRO_CUTOFF": 30.0, "MC_YAW_TQ_CUTOFF": 2.0, "THR_MDL_FAC": 0.0,
+    **{f"MC_{a}RATE_{x}": v for a, row in
+       {"ROLL": (1.0, 0.15, 0.2, 0.003, 0.0), "PITCH": (1.0, 0.15, 0.2, 0.003, 0.0),
+        "YAW": (1.0, 0.2, 0.1, 0.0, 0.0)}.items()
+       for x, v in zip(("K", "P", "I", "D", "FF"), row, strict=True)},
+    "MC_ROLL_P": 6.5, "MC_PITCH_P": 6.5, "MC_YAW_P": 2.8,
+    "MC_RR_INT_LIM": 0.3, "MC_PR_INT_LIM": 0.3, "MC_YR_INT_LIM": 0.3,
+}  # fmt: skip
+ARDUPILOT_DEFAULTS: dict[str, float] = {
+    "INS_GYRO_FILTER": 20.0, "MOT_THST_EXPO": 0.65,
+    **{f"ATC_RAT_{a}_{x}": v for a, row in
+       {"RLL": (0.135, 0.135, 0.0036, 0.0, 20.0, 0.0, 20.0, 0.5),
+        "PIT": (0.135, 0.135, 0.0036, 0.0, 20.0, 0.0, 20.0, 0.5),
+        "YAW": (0.18, 0.018, 0.0, 0.0, 20.0, 2.5, 20.0, 0.5)}.items()
+       for x, v in zip(("P", "I", "D", "FF", "FLTT", "FLTE", "FLTD", "IMAX"), row, strict=True)},
+    "ATC_ANG_RLL_P": 4.5, "ATC_ANG_PIT_P": 4.5, "ATC_ANG_YAW_P": 4.5,
+}  # fmt: skip
+DEFAULTS = {"px4": PX4_DEFAULTS, "ardupilot": ARDUPILOT_DEFAULTS}
+"""Of each autopilot; an ensemble may have arrays of shape (N,) in their place."""
+
+LOOP_RATE = 400.0
+"""Hz: IMU_GYRO_RATEMAX and SCHED_LOOP_RATE as shipped."""
+_SLOW_RATE = math.radians(400.0)
+"""rad/s, rate error at which PX4's integrator stops."""
+_LEAST = 0.01
+"""Of a rotor's command: it keeps turning."""
+Injection = Callable[[float], tuple[Value, Value, Value]]
+
+
+class LowPass2:
+    """Second-order Butterworth low-pass of three signals at a fixed rate; `LowPassFilter2p`."""
+
+    def __init__(self, cutoff: float, step: float) -> None:
+        self._on = cutoff > 0.0
+        k = math.tan(math.pi * cutoff * step)
+        c = 1.0 + 2.0 * math.cos(math.pi / 4.0) * k + k * k
+        self._b = k * k / c, 2.0 * k * k / c, k * k / c
+        self._a = 2.0 * (k * k - 1.0) / c, (1.0 - 2.0 * math.cos(math.pi / 4.0) * k + k * k) / c
+        self._delayed: list[tuple[Value, Value]] = [(0.0, 0.0)] * 3
+
+    def __call__(self, signals: list[Value]) -> list[Value]:
+        """The three signals behind it."""
+        if not self._on:
+            return signals
+        b0, b1, b2 = self._b
+        a1, a2 = self._a
+        out = []
+        for i, x in enumerate(signals):
+            d1, d2 = self._delayed[i]
+            d0 = x - a1 * d1 - a2 * d2
+            out.append(b0 * d0 + b1 * d1 + b2 * d2)
+            self._delayed[i] = d0, d1
+        return out
+
+
+def _share(cutoff: Value, step: float) -> Value:
+    """Of the new sample in a first-order low-pass; 1 where it is off."""
+    with np.errstate(divide="ignore"):
+        lag = 1.0 / (2.0 * np.pi * np.maximum(cutoff, 1e-12))
+    return np.where(np.asarray(cutoff) > 0.0, step / (step + lag), 1.0)
+
+
+class RateController(Controller):
+    """What both autopilots share: attitude loop, mixer, thrust curve, delay.
+
+    Args:
+        vehicle: as the builder knows it: its rotors and thrust at full command.
+        period: s, of the rate loop.
+        settings: parameters by name; the defaults of the autopilot fill up.
+        delay_loops: periods from the gyro's sample to the rotors' command, beyond the loop's hold.
+        gains: of the position loops.
+        injection: added to the normalised torques at a time in s, to measure the loop.
+
+    Attributes:
+        asked: normalised torques as the loops asked for them, last period.
+        sent: the same with what was injected.
+    """
+
+    names: tuple[str, str, str]
+    curve_name: str
+    autopilot: str
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        period: float,
+        settings: Mapping[str, Value],
+        delay_loops: int = 0,
+        gains: Gains | None = None,
+        injection: Injection | None = None,
+    ) -> None:
+        super().__init__(vehicle, period, gains)
+        self._settings: dict[str, Value] = {**DEFAULTS[self.autopilot], **settings}
+        self._injection = injection
+        self._time = 0.0
+        self._gyro: list[Value] = [0.0, 0.0, 0.0]
+        self._filter: LowPass2 | None = None
+        self._mixer = self._make_mixer(vehicle)
+        self.asked: tuple[Value, ...] = (0.0, 0.0, 0.0)
+        self.sent: tuple[Value, ...] = (0.0, 0.0, 0.0)
+        shares = [thrust / vehicle.T_max for thrust in hover_thrusts(vehicle)]
+        self._integral: list[Value] = self._trim(shares)
+        first = [vehicle.speed_of(vehicle.command_of((s * vehicle.T_max / vehicle.k_T) ** 0.5))
+                 for s in shares]  # fmt: skip
+        self._late: deque[list[Value]] = deque([first] * delay_loops)
+
+    def _get(self, name: str) -> Value:
+        return self._settings[name]
+
+    def _make_mixer(self, vehicle: Vehicle) -> list[tuple[Value, Value, Value]]:
+        raise NotImplementedError
+
+    def _trim(self, shares: list[Value]) -> list[Value]:
+        """Integrators that hold the hover from the start: what the rotors differ by."""
+        columns = np.array([[float(np.mean(x)) for x in row] for row in self._mixer])
+        whole = np.column_stack([columns, np.ones(len(columns))])
+        hover = np.array(np.broadcast_arrays(*shares))
+        solution = np.linalg.pinv(whole) @ hover.reshape(len(columns), -1)
+        values = solution[:3].reshape((3, *hover.shape[1:]))
+        return [float(v) if v.ndim == 0 else v for v in values]
+
+    def observe(self, state: State, step: float) -> None:
+        """Filter the gyro, at every step of the physics."""
+        self._time += step
+        if self._filter is None:
+            cutoff = self._get("IMU_GYRO_CUTOFF" if self.autopilot == "px4" else "INS_GYRO_FILTER")
+            self._filter = LowPass2(float(np.mean(cutoff)), step)
+        filtered = self._filter(list(state.rates))
+        self._differentiate(filtered, step)
+        self._gyro = filtered
+
+    def _differentiate(self, filtered: list[Value], step: float) -> None:
+        """PX4 has the angular acceleration from here."""
+
+    def update(self, state: State, reference: Reference) -> list[Value]:
+        """Rotor-speed targets, rad/s, for the next period."""
+        thrust, set_point = self._attitude(state, reference, *self._acceleration(state, reference))
+        a, b, c, d = state.quaternion
+        e0, *error = multiply((a, -b, -c, -d), set_point)
+        turn = 2.0 * sign(e0)
+        attitude = (self._get(name) for name in self._attitude_names)
+        targets = [
+            r + P * turn * e for r, P, e in zip(reference.rate, attitude, error, strict=True)
+        ]
+        self.asked = tuple(self._torques(targets))
+        extra = (0.0, 0.0, 0.0) if self._injection is None else self._injection(self._time)
+        self.sent = tuple(u + e for u, e in zip(self.asked, extra, strict=True))
+        v = self._model
+        collective = thrust / (len(v.rotors) * v.T_max)
+        f = self._get(self.curve_name)
+        speeds = []
+        for row in self._mixer:
+            share = clip(
+                collective + sum(m * u for m, u in zip(row, self.sent, strict=True)), 0.0, 1.0
+            )
+            # The inverse of (1 - f) u + f u^2.
+            u = 2.0 * share / (1.0 - f + ((1.0 - f) ** 2 + 4.0 * f * share) ** 0.5 + 1e-12)
+            speeds.append(v.speed_of(clip(u, _LEAST, 1.0)))
+        self._late.append(speeds)
+        return self._late.popleft()
+
+    @property
+    def _attitude_names(self) -> tuple[str, str, str]:
+        raise NotImplementedError
+
+    def _torques(self, targets: list[Value]) -> list[Value]:
+        raise NotImplementedError
+
+
+class Px4RateController(RateController):
+    """PX4's: K (P e + integral - D w') + FF w_sp, the integral updated behind the output."""
+
+    autopilot = "px4"
+    curve_name = "THR_MDL_FAC"
+    names = ("ROLL", "PITCH", "YAW")
+    _limits = ("MC_RR_INT_LIM", "MC_PR_INT_LIM", "MC_YR_INT_LIM")
+    _slope: tuple[Value, ...] = (0.0, 0.0, 0.0)
+    _yaw: Value = None
+
+    @property
+    def _attitude_names(self) -> tuple[str, str, str]:
+        return "MC_ROLL_P", "MC_PITCH_P", "MC_YAW_P"
+
+    def _make_mixer(self, vehicle: Vehicle) -> list[tuple[Value, Value, Value]]:
+        rotors = vehicle.rotors
+        # CA_ROTORn_CT is one for all, and falls out by the normalisation.
+        effect = np.array(
+            [[-r.y for r in rotors], [r.x for r in rotors], [0.05 * r.spin for r in rotors],
+             [-1.0] * len(rotors)]
+        )  # fmt: skip
+        mix = np.linalg.pinv(effect)[:, :3]
+        scales = []
+        for column in mix.T[:2]:
+            acting = max(int((np.abs(column) > 1e-3).sum()), 1)
+            scales.append(math.sqrt(float(column @ column) / (acting / 2.0)))
+        mix = mix / [max(scales), max(scales), mix[:, 2].max()]
+        mix[np.abs(mix) < 1e-3] = 0.0
+        return [tuple(row) for row in mix.tolist()]
+
+    def _differentiate(self, filtered: list[Value], step: float) -> None:
+        share = _share(self._get("IMU_DGYRO_CUTOFF"), step)
+        self._slope = tuple(
+            y + share * ((new - old) / step - y)
+            for y, new, old in zip(self._slope, filtered, self._gyro, strict=True)
+        )
+
+    def _torques(self, targets: list[Value]) -> list[Value]:
+        out = []
+        for i, name in enumerate(self.names):
+            K, P, Ki, D, FF = (self._get(f"MC_{name}RATE_{x}") for x in ("K", "P", "I", "D", "FF"))
+            error = targets[i] - self._gyro[i]
+            torque = K * P * error + self._integral[i] - K * D * self._slope[i] + FF * targets[i]
+            factor = np.maximum(1.0 - (error / _SLOW_RATE) ** 2, 0.0)
+            limit = self._get(self._limits[i])
+            self._integral[i] = clip(
+                self._integral[i] + factor * K * Ki * error * self.period, -limit, limit
+            )
+            out.append(torque)
+        # Begins at the trim, as a vehicle that hovers for a while.
+        previous = out[2] if self._yaw is None else self._yaw
+        self._yaw = previous + _share(self._get("MC_YAW_TQ_CUTOFF"), self.period) * (
+            out[2] - previous
+        )
+        return [out[0], out[1], self._yaw]
+
+
+class ArduPilotRateController(RateController):
+    """ArduPilot's `AC_PID` on each axis."""
+
+    autopilot = "ardupilot"
+    curve_name = "MOT_THST_EXPO"
+    names = ("RLL", "PIT", "YAW")
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        period: float,
+        settings: Mapping[str, Value],
+        delay_loops: int = 0,
+        gains: Gains | None = None,
+        injection: Injection | None = None,
+    ) -> None:
+        super().__init__(vehicle, period, settings, delay_loops, gains, injection)
+        self._target: list[Value] = [0.0, 0.0, 0.0]
+        self._error: list[Value] = [0.0, 0.0, 0.0]
+        self._derivative: list[Value] = [0.0, 0.0, 0.0]
+
+    @property
+    def _attitude_names(self) -> tuple[str, str, str]:
+        return "ATC_ANG_RLL_P", "ATC_ANG_PIT_P", "ATC_ANG_YAW_P"
+
+    def _make_mixer(self, vehicle: Vehicle) -> list[tuple[Value, Value, Value]]:
+        factors = np.array([[-r.y, r.x, float(r.spin)] for r in vehicle.rotors])
+        scaled = 0.5 * factors / np.abs(factors).max(axis=0)
+        return [tuple(row) for row in scaled.tolist()]
+
+    def _torques(self, targets: list[Value]) -> list[Value]:
+        out = []
+        for i, name in enumerate(self.names):
+            P, Ki, D, FF, t, e, d, limit = (
+                self._get(f"ATC_RAT_{name}_{x}")
+                for x in ("P", "I", "D", "FF", "FLTT", "FLTE", "FLTD", "IMAX")
+            )
+            step = self.period
+            self._target[i] = self._target[i] + _share(t, step) * (targets[i] - self._target[i])
+            before = self._error[i]
+            error = self._target[i] - self._gyro[i]
+            self._error[i] = before + _share(e, step) * (error - before)
+            slope = (self._error[i] - before) / step
+            self._derivative[i] = self._derivative[i] + _share(d, step) * (
+                slope - self._derivative[i]
+            )
+            self._integral[i] = clip(self._integral[i] + Ki * self._error[i] * step, -limit, limit)
+            out.append(
+                P * self._error[i]
+                + self._integral[i]
+                + D * self._derivative[i]
+                + FF * self._target[i]
+            )
+        return out
+
+
+CONTROLLERS: dict[str, type[RateController]] = {
+    "px4": Px4RateController,
+    "ardupilot": ArduPilotRateController,
+}
+
+
+def rate_controller(autopilot: str, gains: str) -> Callable[[Vehicle, float], RateController]:
+    """What makes the rate controller of an autopilot.
+
+    Args:
+        autopilot: "px4" or "ardupilot".
+        gains: a .params, .param or .parm file, or "default".
+
+    Raises:
+        InputError: the file cannot be read, or holds no gain of this autopilot.
+    """
+    settings: dict[str, float] = {}
+    if gains != "default":
+        found = read_parameter_file(Path(gains))
+        settings = {name: found[name] for name in DEFAULTS[autopilot] if name in found}
+        if not settings:
+            raise InputError(f"--gains {gains}: holds no gains of {autopilot}: give its own file")
+    return lambda vehicle, period: CONTROLLERS[autopilot](vehicle, period, settings)

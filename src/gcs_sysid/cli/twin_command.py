@@ -1,0 +1,68 @@
+"""`gcs-sysid twin`: does the identified model fly like the vehicle?"""
+
+import argparse
+import sys
+from pathlib import Path
+
+from gcs_sysid.cli import arguments, output, told_airframe
+from gcs_sysid.errors import InputError, NoAnswerError
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_file import read_result
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.twin.held_out_flight import as_exact, fly_held_out
+from gcs_sysid.twin.twin_text import twin_svg, twin_table
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; 1 when result or log do not allow an answer."""
+    log = Path(options.log)
+    output.check_json(options.json, force=options.force)
+    if options.picture is not None:
+        output.check_json(options.picture, force=options.force)
+    airframe = _airframe(options, log)
+    try:
+        result = _result(options, airframe)
+        bar = output.progress_bar(str(log))
+        twin = fly_held_out(result, log, airframe, options.vehicle, bar, options.seed)
+    except NoAnswerError as error:
+        print(f"gcs-sysid: {error}", file=sys.stderr)
+        return 1
+    deliveries = output.Deliveries()
+    if options.json != "-":
+        deliveries.give(lambda: output.show(twin_table(twin)))
+    deliveries.give(lambda: output.write_json(options.json, twin.as_json(), force=options.force))
+    if options.picture is not None:
+        picture = twin_svg(twin)
+        deliveries.give(lambda: output.save(Path(options.picture), picture, force=options.force))
+    deliveries.check()
+    return 0
+
+
+def _airframe(options: argparse.Namespace, log: Path) -> Airframe | None:
+    """What is given of the vehicle; None: the result tells it."""
+    given = (options.arm, options.mass, options.k_t, options.t_max)
+    if options.airframe == "auto":
+        arguments.check_scale_given(options)
+        return told_airframe.of_log(log, options)
+    if options.airframe is not None:
+        return arguments.airframe_of(options)
+    if options.prior or any(value is not None for value in given):
+        raise InputError("--arm, --mass, --k-t, --t-max and --prior need --airframe")
+    return None
+
+
+def _result(options: argparse.Namespace, airframe: Airframe | None) -> Result:
+    """The result, read or analyzed."""
+    path = Path(options.result)
+    if path.suffix.lower() == ".json":
+        return read_result(path)
+    if airframe is None:
+        raise InputError(
+            f"{path}: a log as RESULT needs --airframe, or write its result first: "
+            f"gcs-sysid analyze {path} --json result.json"
+        )
+    result = analyze_log(path, as_exact(airframe), options.vehicle)
+    if result.verdict == "refused":
+        raise NoAnswerError(f"{path}: cannot identify from this: {'; '.join(result.reasons)}")
+    return result

@@ -1,0 +1,172 @@
+"""Control effectiveness G1 and G2 of INDI, as Indiflight and Paparazzi want them.
+
+    [f_z, p', q', r'] = G1 u + G2 u',   axes forward, right, down
+
+G1 is what a rotor's thrust does to the specific force along z and to the angular accelerations;
+G2 what the change of its speed does to yaw, by the rotor's inertia.
+
+Indiflight (`flight/indi.h`, `indi_init.c`): u is a rotor's thrust over its full thrust; G1 in
+(m/s^2) * 100 and (rad/s^2) * 10, G2 in (rad/s^2) / (rad/s^2) * 1e5, integers.
+Paparazzi (`stabilization_indi.c`; Smeur et al. 2016): u is a command of 0 to 9600, its effect that
+around hover, scaled by 1000; G2 is that of the change of u from one period to the next, at 512 Hz.
+"""
+
+import math
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.exports.exported_vehicle import Vehicle
+from gcs_sysid.exports.header import Format, commented, provenance, xml_comment
+from gcs_sysid.exports.xml import number
+from gcs_sysid.model.parameters import GRAVITY, INERTIA
+
+_NEEDS = ("mass", *INERTIA, "cg_x", "cg_y", "T_max", "moment_ratio", "motor_lag")
+INDIFLIGHT_FORMAT = Format(
+    "indiflight",
+    "effectiveness for Indiflight, lines of its CLI",
+    ".txt",
+    "INDI has",
+    needs=_NEEDS,
+    uses=("k_T", "rotor_inertia", "thrust_curve"),
+)
+PAPARAZZI_FORMAT = Format(
+    "paparazzi",
+    "effectiveness for Paparazzi, a section of its airframe file",
+    ".xml",
+    "INDI has",
+    needs=_NEEDS,
+    uses=("k_T", "rotor_inertia", "thrust_curve"),
+)
+_PPRZ, _SCALE, _RATE = 9600.0, 1000.0, 512.0
+"""Largest command, INDI_G_SCALING and PERIODIC_FREQUENCY of Paparazzi."""
+
+
+def g1(vehicle: Vehicle) -> Array:
+    """(4, n) effect of each rotor's thrust over its full thrust on f_z, p', q', r'; SI."""
+    x = np.array([r.x for r in vehicle.rotors]) - vehicle["cg_x"]
+    y = np.array([r.y for r in vehicle.rotors]) - vehicle["cg_y"]
+    spin = np.array([float(r.spin) for r in vehicle.rotors])
+    moments = np.stack([-y, x, spin * vehicle["moment_ratio"]])
+    angular = np.linalg.solve(vehicle.inertia, moments)
+    force = np.full((1, len(x)), -1.0 / vehicle["mass"])
+    out: Array = np.vstack([force, angular]) * vehicle["T_max"]
+    return out
+
+
+def g2(vehicle: Vehicle) -> Array:
+    """(3, n) effect of each rotor's acceleration in rad/s^2 on p', q', r'; zero if not known."""
+    spin = np.array([float(r.spin) for r in vehicle.rotors])
+    inertia = vehicle.get("rotor_inertia") or 0.0
+    moments = np.stack([0.0 * spin, 0.0 * spin, inertia * spin])
+    out: Array = np.linalg.solve(vehicle.inertia, moments)
+    return out
+
+
+def _notes(form: Format, vehicle: Vehicle) -> list[str]:
+    out = form.notes(vehicle)
+    if not vehicle.get("rotor_inertia"):
+        out.append("rotor_inertia is not known: G2 is zero")
+    if vehicle.get("k_T") is None:
+        out.append("k_T is not known: nothing is said of rotor speeds")
+    return out
+
+
+def indiflight_notes(vehicle: Vehicle) -> list[str]:
+    """What the user should know."""
+    out = _notes(INDIFLIGHT_FORMAT, vehicle)
+    if np.abs(_indiflight_g1(vehicle)).max() > 32767 or np.abs(g2(vehicle)).max() * 1e5 > 32767:
+        out.append("some values exceed Indiflight's 16 bits and are cut off")
+    return out
+
+
+def _indiflight_g1(vehicle: Vehicle) -> Array:
+    scaled: Array = g1(vehicle) * [[100.0], [10.0], [10.0], [10.0]]
+    return scaled
+
+
+def indiflight_text(vehicle: Vehicle) -> str:
+    """Lines for Indiflight's CLI.
+
+    Raises:
+        MissingError: a parameter that INDI cannot do without is not known.
+    """
+    INDIFLIGHT_FORMAT.check(vehicle)
+    n = len(vehicle.rotors)
+    effect, reaction = _indiflight_g1(vehicle), g2(vehicle) * 1e5
+    names = ("fz", "roll", "pitch", "yaw")
+    rows = [f"set indi_act_num = {n}"]
+    rows += [f"set indi_act_g1_{axis} = {_integers(np.zeros(n))}" for axis in ("fx", "fy")]
+    rows += [
+        f"set indi_act_g1_{a} = {_integers(row)}" for a, row in zip(names, effect, strict=True)
+    ]
+    rows += [
+        f"set indi_act_g2_{axis} = {_integers(row)}"
+        for axis, row in zip(names[1:], reaction, strict=True)
+    ]
+    lag = np.full(n, 1e3 * vehicle["motor_lag"])
+    rows.append(f"set indi_act_time_const_ms = {_integers(lag, 255)}")
+    k_T = vehicle.get("k_T")
+    if k_T is not None:
+        hover = math.sqrt(vehicle["mass"] * GRAVITY / (n * k_T))
+        full = math.sqrt(vehicle["T_max"] / k_T)
+        for name, speed in (("hover", hover), ("max", full)):
+            rpm = np.full(n, speed * 60.0 / (2.0 * math.pi))
+            rows.append(f"set indi_act_{name}_rpm = {_integers(rpm, 10**6)}")
+    c = vehicle.get("thrust_curve")
+    if c is not None:
+        curve = np.full(n, 100.0 * min(max(c, 0.0), 1.0))
+        rows.append(f"set indi_act_nonlinearity = {_integers(curve)}")
+    head = provenance(vehicle, INDIFLIGHT_FORMAT, indiflight_notes(vehicle))
+    return commented(head, "#") + "\n".join(rows) + "\n"
+
+
+def _integers(values: Array, most: int = 32767) -> str:
+    return ",".join(str(int(v)) for v in np.clip(np.rint(values), -most, most))
+
+
+def paparazzi_notes(vehicle: Vehicle) -> list[str]:
+    """What the user should know."""
+    return [
+        *_notes(PAPARAZZI_FORMAT, vehicle),
+        f"commands of 0 to {_PPRZ:g} span the range of outputs; G2 is for {_RATE:g} Hz",
+    ]
+
+
+def paparazzi_text(vehicle: Vehicle) -> str:
+    """A section of Paparazzi's airframe file.
+
+    Raises:
+        MissingError: a parameter that INDI cannot do without is not known.
+    """
+    PAPARAZZI_FORMAT.check(vehicle)
+    n = len(vehicle.rotors)
+    c = vehicle.get("thrust_curve") or 0.0
+    share = vehicle["mass"] * GRAVITY / (n * vehicle["T_max"])
+    u = 2.0 * share / (1.0 - c + math.sqrt((1.0 - c) ** 2 + 4.0 * c * share) + 1e-12)
+    # Thrust over full thrust per command, around hover.
+    slope = (1.0 - c + 2.0 * c * u) / _PPRZ * _SCALE
+    force, *angular = g1(vehicle) * slope
+    k_T = vehicle.get("k_T")
+    yaw = np.zeros(n)
+    if k_T is not None:
+        # Omega goes with the root of thrust: dOmega = dT / (2 k_T Omega).
+        speed = math.sqrt(share * vehicle["T_max"] / k_T)
+        yaw = g2(vehicle)[2] * vehicle["T_max"] * slope / (2.0 * k_T * speed) * _RATE
+    rows = [
+        *zip(("G1_ROLL", "G1_PITCH", "G1_YAW"), angular, strict=True),
+        ("G1_THRUST", force),
+        ("G2", yaw),
+        ("ACT_FREQ", np.full(n, 1.0 / max(vehicle["motor_lag"], 1e-3))),
+    ]
+    lines = [
+        f'  <define name="{name}" value="{", ".join(map(number, values))}" type="float[]"/>'
+        for name, values in rows
+    ]
+    head = xml_comment(provenance(vehicle, PAPARAZZI_FORMAT, paparazzi_notes(vehicle)))
+    return (
+        head
+        + '<section name="STABILIZATION_ATTITUDE_INDI" prefix="STABILIZATION_INDI_">\n'
+        + "\n".join(lines)
+        + "\n</section>\n"
+    )

@@ -1,0 +1,75 @@
+"""The `dynamics` of l2f's parameters (learning to fly, rl-tools), as JSON.
+
+Axes are forward, left, up. A rotor's state x is 0 to 1 and lags its action; with the coefficients
+c of the rotor
+
+    thrust = c[0] + c[1] x + c[2] x^2,   torque = rotor_torque_constants thrust
+
+x is the command where the thrust curve is known, else the rotor's speed over that at full command.
+l2f's JSON has no comments, and takes members that it does not know: the origin is in `_comment`.
+"""
+
+import json
+
+import numpy as np
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.exports.exported_vehicle import Vehicle
+from gcs_sysid.exports.header import Format, provenance
+from gcs_sysid.model.parameters import GRAVITY, INERTIA
+
+FORMAT = Format(
+    "l2f",
+    "dynamics of l2f's parameters",
+    ".json",
+    "l2f has",
+    needs=("mass", *INERTIA, "cg_x", "cg_y", "T_max", "moment_ratio", "motor_lag"),
+    uses=("thrust_curve",),
+)
+_ROTORS = 4
+
+
+def notes(vehicle: Vehicle) -> list[str]:
+    """What the user should know."""
+    out = FORMAT.notes(vehicle)
+    out.append(
+        "put `dynamics` in place of that of l2f.parameters_to_json, then parameters_from_json"
+    )
+    if vehicle.get("thrust_curve") is None:
+        out.append("the thrust curve is not known: actions are rotor speeds over the fastest")
+    return out
+
+
+def write(vehicle: Vehicle) -> str:
+    """The dynamics as JSON.
+
+    Raises:
+        MissingError: a parameter that l2f cannot do without is not known.
+        InputError: it has other than four rotors.
+    """
+    if len(vehicle.rotors) != _ROTORS:
+        raise InputError(f"l2f: it flies four rotors, this has {len(vehicle.rotors)}")
+    FORMAT.check(vehicle)
+    J = vehicle.inertia_flu
+    full, c = vehicle["T_max"], vehicle.get("thrust_curve")
+    c = 1.0 if c is None else c
+    share = vehicle["mass"] * GRAVITY / (_ROTORS * full)
+    hover = 2.0 * share / (1.0 - c + float(np.sqrt(max((1.0 - c) ** 2 + 4.0 * c * share, 0.0))))
+    dynamics = {
+        "rotor_positions": (vehicle.rotors_flu - vehicle.cg_flu).tolist(),
+        "rotor_thrust_directions": [[0.0, 0.0, 1.0]] * _ROTORS,
+        "rotor_torque_directions": [[0.0, 0.0, -float(r.spin)] for r in vehicle.rotors],
+        "rotor_thrust_coefficients": [[0.0, full * (1.0 - c), full * c]] * _ROTORS,
+        "rotor_torque_constants": [vehicle["moment_ratio"]] * _ROTORS,
+        "rotor_time_constants_rising": [vehicle["motor_lag"]] * _ROTORS,
+        "rotor_time_constants_falling": [vehicle["motor_lag"]] * _ROTORS,
+        "mass": vehicle["mass"],
+        "gravity": [0.0, 0.0, -GRAVITY],
+        "J": J.tolist(),
+        "J_inv": np.linalg.inv(J).tolist(),
+        "hovering_throttle_relative": hover,
+        "action_limit": {"min": 0.0, "max": 1.0},
+    }
+    lines = ",\n".join(map(json.dumps, provenance(vehicle, FORMAT, notes(vehicle))))
+    body = json.dumps({"dynamics": dynamics}, indent=1, allow_nan=False)
+    return f'{{"_comment": [\n{lines}\n],' + body.removeprefix("{") + "\n"

@@ -1,0 +1,74 @@
+"""Files of autopilot parameters as ground stations write them.
+
+QGroundControl: vehicle, component, name, value and MAV_PARAM_TYPE between tabs (.params). Mission
+Planner and MAVProxy: name and value between a comma or blanks (.param, .parm). Lines that begin
+with # are comments.
+"""
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.files import read_text
+
+SUFFIXES = (".params", ".param", ".parm")
+_REAL32, _INT32 = 9, 6
+"""MAV_PARAM_TYPE."""
+_MOST_BYTES = 4_000_000
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
+
+
+def read_parameter_file(path: Path) -> dict[str, float]:
+    """Name -> value of a .params, .param or .parm file.
+
+    Raises:
+        InputError: it cannot be read, or a line in it is no parameter.
+    """
+    found: dict[str, float] = {}
+    for number, line in enumerate(read_text(path, _MOST_BYTES, "the parameters").splitlines(), 1):
+        text = line.strip()
+        if not text or text.startswith("#"):
+            continue
+        words = re.split(r"[\s,]+", text)
+        name, value = words[2:4] if len(words) == 5 else (words[0], words[1:2] and words[1])
+        if not _NAME.fullmatch(name) or not value:
+            raise InputError(f"{path}: line {number} is not a parameter: {text[:60]!r}")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            found[name] = math.nan
+        if not math.isfinite(found[name]):
+            raise InputError(f"{path}: line {number}: {name} is not a number: {str(value)[:40]!r}")
+    if not found:
+        raise InputError(f"{path}: holds no parameters")
+    return found
+
+
+def qgroundcontrol_lines(
+    values: Mapping[str, float], notes: Mapping[str, str], integers: Iterable[str] = ()
+) -> list[str]:
+    """Lines of a .params file: each parameter, below what is said of it.
+
+    Args:
+        values: name -> value.
+        notes: name -> words, for some or all of them.
+        integers: names of the parameters that are integers.
+    """
+    whole = set(integers)
+    lines = ["# Vehicle-Id Component-Id Name Value Type"]
+    for name, value in values.items():
+        lines += [f"# {name}: {notes[name]}"] if name in notes else []
+        number = f"{value:.0f}\t{_INT32}" if name in whole else f"{value:.9g}\t{_REAL32}"
+        lines.append(f"1\t1\t{name}\t{number}")
+    return lines
+
+
+def mission_planner_lines(values: Mapping[str, float], notes: Mapping[str, str]) -> list[str]:
+    """Lines of a .param file: each parameter, below what is said of it; as above."""
+    lines = []
+    for name, value in values.items():
+        lines += [f"# {name}: {notes[name]}"] if name in notes else []
+        lines.append(f"{name},{value:.9g}")
+    return lines

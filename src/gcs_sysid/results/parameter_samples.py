@@ -1,0 +1,239 @@
+"""Vehicles drawn from a result's covariance, and the flight model of a result or of its samples."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.errors import InputError, NoAnswerError
+from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.model.airframe import parse_airframe
+from gcs_sysid.model.flight_model import FlightModel
+from gcs_sysid.model.parameters import AXIS_DAMPINGS, INERTIA, REGISTRY, THRUST_OF
+from gcs_sysid.results.notebook_view import needed
+from gcs_sysid.results.result import Estimate, Result
+
+if TYPE_CHECKING:
+    import pandas
+
+_LEAST_ACCEPTED = 1e-3
+"""Share of draws that a rigid body must be able to have; below it the covariance says nothing."""
+_FEW = 3
+"""Missing parameters whose motions are named one by one."""
+_OPTIONAL = ("rotational_damping", *AXIS_DAMPINGS, "rotor_inertia", "linear_drag", "thrust_curve")
+"""Zero in a flight model where the flight does not tell them."""
+
+
+@dataclass(frozen=True)
+class ParameterSamples(Mapping[str, Array]):
+    """Vehicles that a result allows: name -> (n,) values, SI. Given values are the same in all.
+
+    Attributes:
+        names: of the parameters and timing values.
+        table: (n, names) values.
+    """
+
+    names: tuple[str, ...]
+    table: Array
+
+    def __getitem__(self, name: str) -> Array:
+        """(n,) values of a parameter."""
+        if name not in self.names:
+            raise KeyError(name)
+        column: Array = self.table[:, self.names.index(name)]
+        return column
+
+    def __iter__(self) -> Iterator[str]:
+        """The names."""
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        """How many parameters there are."""
+        return len(self.names)
+
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """A row per vehicle, a column per parameter.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        return needed("pandas", "to_dataframe()").DataFrame(self.table, columns=list(self.names))
+
+
+def draw_samples(result: Result, n: int, seed: int, *, given: bool = True) -> ParameterSamples:
+    """Draw vehicles from the normal distribution of a result's covariance, cut to physical ones.
+
+    Inertia matrices are those of rigid bodies, masses and coefficients positive; damping, drag,
+    rotor inertia and lag below zero are zero, as in exports.
+
+    Args:
+        result: with its covariance.
+        n: vehicles.
+        seed: of the random numbers.
+        given: whether errors of what was given (arm, scale, IMU) are drawn too. Without them the
+            samples are of vehicles that move alike: an arm and an inertia that are too large by
+            the same share change no motion.
+
+    Raises:
+        InputError: n is below 1.
+        NoAnswerError: there is no covariance, or hardly any draw is physical.
+    """
+    if n < 1:
+        raise InputError(f"samples: n must be 1 or more, got {n}")
+    mean = {name: e.value for name, e in _estimates(result).items() if e.value is not None}
+    names = tuple(mean)
+    center = np.array(list(mean.values()))
+    root = _root(result, names, given=given)
+    rng = np.random.default_rng(seed)
+    kept: list[Array] = []
+    found = tried = 0
+    while found < n:
+        drawn = center + rng.standard_normal((max(n, 64), len(names))) @ root.T
+        drawn, good = _physical(names, drawn)
+        kept.append(drawn[good])
+        found, tried = found + int(good.sum()), tried + len(drawn)
+        if found < _LEAST_ACCEPTED * tried and tried >= 10_000:
+            raise NoAnswerError(
+                "samples: hardly any draw from the covariance is a possible rigid body; the "
+                "inertia is too uncertain: fly more of all axes, or give priors"
+            )
+    return ParameterSamples(names, np.concatenate(kept)[:n])
+
+
+def covariance_of(result: Result) -> tuple[tuple[str, ...], Array]:
+    """Names and (n, n) covariance, SI.
+
+    Raises:
+        NoAnswerError: the result has none.
+        InputError: it is malformed.
+    """
+    names = result.covariance.get("names")
+    if not names:
+        raise NoAnswerError(
+            "the result has no covariance: nothing was identified, or an earlier version wrote it; "
+            "analyze the log again"
+        )
+    try:
+        matrix = np.asarray(result.covariance.get("matrix"), np.float64)
+    except (TypeError, ValueError):
+        matrix = np.empty(0)
+    if matrix.shape != (len(names), len(names)) or not np.isfinite(matrix).all():
+        raise InputError("the result's covariance is malformed: matrix and names do not fit")
+    return tuple(map(str, names)), matrix
+
+
+def flight_model(result: Result, samples: ParameterSamples | None = None) -> FlightModel:
+    """The equations of motion with a result's numbers in them.
+
+    What the flight does not tell of damping, drag and rotor inertia is zero. Rotors have the shares
+    of thrust and torque that the result gives each of them.
+
+    Args:
+        result: with its airframe.
+        samples: an ensemble drawn from it; None: the estimate itself.
+
+    Raises:
+        InputError: the result lacks rotors or a parameter that no flight does without.
+    """
+    if not result.airframe:
+        raise InputError("the result has no rotor positions; analyze the log again")
+    table = {"name": result.airframe.get("name"), "rotor": result.airframe.get("rotors")}
+    geometry = parse_airframe(table, "the result's airframe").geometry
+    if samples is None:
+        estimates = _estimates(result)
+        names = tuple(n for n, e in estimates.items() if e.value is not None)
+        center = np.array([[estimates[name].value for name in names]], np.float64)
+        samples = ParameterSamples(names, _physical(names, center)[0])
+        values = {name: samples[name][0] for name in samples}
+    else:
+        values = dict(samples)
+    command = result.rotor_input == "command"
+    thrust = THRUST_OF[result.rotor_input]
+    torque = "moment_ratio" if command else "k_M"
+    required = ("mass", *INERTIA, "cg_x", "cg_y", thrust, torque)
+    if missing := [name for name in required if name not in values]:
+        raise NoAnswerError(
+            f"a flight model needs {', '.join(missing)}, which this flight did not identify; fly "
+            + (
+                "roll, pitch and yaw, several at once: gcs-sysid plan"
+                if len(missing) > _FEW
+                else "; ".join(sorted({REGISTRY[name].told_by for name in missing}))
+            )
+        )
+    zero = np.zeros(np.shape(values["mass"]))
+    values |= {name: zero for name in _OPTIONAL if name not in values and name not in AXIS_DAMPINGS}
+    thrusts = values[thrust][..., None] * _shares(result, "k_T", geometry.shape[1])
+    torques = values[torque][..., None] * _shares(result, "k_M", geometry.shape[1])
+    return FlightModel(
+        geometry,
+        result.rotor_input,
+        mass=values["mass"],
+        inertia=np.stack([values[name] for name in INERTIA], axis=-1),
+        cg=np.stack([values["cg_x"], values["cg_y"]], axis=-1),
+        thrust=thrusts,
+        # With commands the ratio is that of torque and thrust.
+        torque=torques * values[thrust][..., None] if command else torques,
+        damping=np.stack(
+            [values.get(name, values["rotational_damping"]) for name in AXIS_DAMPINGS], axis=-1
+        ),
+        rotor_inertia=values["rotor_inertia"],
+        drag=values["linear_drag"],
+        thrust_curve=values["thrust_curve"],
+        motor_lag=values.get("motor_lag", zero),
+    )
+
+
+def _estimates(result: Result) -> dict[str, Estimate]:
+    """All that a vehicle is drawn of."""
+    return result.parameters | result.timing
+
+
+def _root(result: Result, names: tuple[str, ...], *, given: bool) -> Array:
+    """(names, names) A with A A' the covariance; what it does not name varies by itself."""
+    told, matrix = covariance_of(result)
+    estimates = [_estimates(result)[name] for name in names]
+    whole = np.diag([(e.std or 0.0) ** 2 for e in estimates])
+    at = [i for i, name in enumerate(told) if name in names]
+    to = [names.index(told[i]) for i in at]
+    whole[np.ix_(to, to)] = matrix[np.ix_(at, at)]
+    if not given:
+        # As `parameter_covariance` adds it: one error, which all that rests on it shares.
+        shared = np.array([np.copysign(e.std_given, e.value or 0.0) for e in estimates])
+        whole -= np.outer(shared, shared)
+        whole[np.diag_indices(len(names))] = [(e.std_data or 0.0) ** 2 for e in estimates]
+    scale = np.sqrt(np.diag(whole))
+    scale[scale == 0.0] = 1.0
+    correlation = whole / np.outer(scale, scale)
+    # Units differ by many powers of ten. Rounding, and rounded shares, leave negative powers.
+    power, axes = np.linalg.eigh(correlation)
+    root: Array = axes * np.sqrt(np.maximum(power, 0.0))
+    size = np.sqrt((root**2).sum(axis=1))
+    size[size == 0.0] = 1.0
+    scaled: Array = (scale * np.sqrt(np.diag(correlation)) / size)[:, None] * root
+    return scaled
+
+
+def _shares(result: Result, name: str, rotors: int) -> Array:
+    """(rotors,) each rotor's coefficient over their mean; ones where they are not told apart."""
+    each = [rotor[name].value for rotor in result.rotors if name in rotor]
+    values = np.array([np.nan if value is None else value for value in each])
+    if len(values) != rotors or not np.isfinite(values).all() or not (values > 0.0).all():
+        return np.ones(rotors)
+    share: Array = values / values.mean()
+    return share
+
+
+def _physical(names: tuple[str, ...], drawn: Array) -> tuple[Array, Array]:
+    """Draws with what cannot be negative cut at zero, and (n,) which of them are vehicles."""
+    drawn = drawn.copy()
+    good = np.ones(len(drawn), bool)
+    for i, name in enumerate(names):
+        if REGISTRY[name].sign == "not negative":
+            drawn[:, i] = np.maximum(drawn[:, i], 0.0)
+        elif REGISTRY[name].sign == "positive":
+            good &= drawn[:, i] > 0.0
+    if set(INERTIA) <= set(names):
+        good &= rb.are_physical(drawn[:, [names.index(name) for name in INERTIA]])
+    return drawn, good

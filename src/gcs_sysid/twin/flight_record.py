@@ -1,0 +1,183 @@
+"""What a log holds of flight, as the twin takes it: measured motion and the rotors' inputs."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gcs_sysid.arrays import Array, complete_rows, runs
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.flight_model import FlightModel, MotionState
+from gcs_sysid.model.parameters import RotorInput
+from gcs_sysid.session.chain import Chain
+from gcs_sysid.signals.recursions import lfilter
+from gcs_sysid.signals.rotor_units import RotorSource
+from gcs_sysid.signals.sampling import SampleBlock
+
+_SETTLED = 5.0
+"""Time constants after which a motor's past is forgotten."""
+_FILTER_SETTLED = 1.5
+"""Periods of its cutoff that the gyro's low-pass needs to settle."""
+
+
+@dataclass(frozen=True)
+class FlightRecord:
+    """Measured flight on a uniform grid; NaN where something is missing or it does not fly.
+
+    Attributes:
+        t: (n,) s since the first record.
+        rates: (n, 3) without bias, rad/s.
+        attitude: (n, 4) body to world.
+        velocity: (n, 3) m/s; NaN throughout where the log has none.
+        rotors: (n, rotors) speeds in rad/s or commands, at the time at which they act: without
+            their delay, behind the low-pass that the gyro went through.
+        dt: s.
+        rotor_input: what `rotors` holds.
+        settling: s before a stretch that it needs of the rotors.
+    """
+
+    t: Array
+    rates: Array
+    attitude: Array
+    velocity: Array
+    rotors: Array
+    dt: float
+    rotor_input: RotorInput
+    settling: float = 0.0
+
+    @property
+    def has_velocity(self) -> bool:
+        """Whether any velocity was measured."""
+        return bool(np.isfinite(self.velocity).all(axis=1).any())
+
+    def runs(self, since: float, until: float) -> list[slice]:
+        """Stretches without a gap between two times, s; the velocity may be missing."""
+        there = complete_rows(np.hstack([self.rates, self.attitude, self.rotors]))
+        there &= (self.t >= since) & (self.t <= until)
+        return [part for part, ok in runs(there) if ok]
+
+    def flown(self, since: float = 0.0) -> Array:
+        """(k,) times at which all is there."""
+        there = complete_rows(np.hstack([self.rates, self.attitude, self.rotors]))
+        times: Array = self.t[there & (self.t >= since)]
+        return times
+
+    def one_step(self, model: FlightModel, part: slice) -> tuple[Array, Array, Array]:
+        """What one step of the model leaves, summed up: (n, 3) each of a gapless part.
+
+        Returns:
+            Rates in rad/s, turn of the attitude in rad (body axes), velocity in m/s: their
+            increments over any time are what the model, fed with the measured motion, does not say.
+        """
+        from gcs_sysid.model import attitude as quaternions
+
+        rates, q, velocity, rotors = (
+            values[part] for values in (self.rates, self.attitude, self.velocity, self.rotors)
+        )
+        v = np.where(np.isfinite(velocity), velocity, 0.0)
+        start = MotionState(rates[:-1], q[:-1], v[:-1])
+        if self.rotor_input == "command":
+            lagged = model.lagged(self.t[part], rotors)
+            start = MotionState(rates[:-1], q[:-1], v[:-1], rotors=lagged[:-1])
+        pairs = np.stack([rotors[:-1], rotors[1:]], axis=1)
+        flown = model.simulate([0.0, self.dt], pairs, start)
+        turn = quaternions.to_rotation_vector(
+            quaternions.multiply(quaternions.conjugate(flown.attitude[:, 1]), q[1:])
+        )
+        left = rates[1:] - flown.rates[:, 1], turn, velocity[1:] - flown.velocity[:, 1]
+        sums = (np.concatenate([np.zeros((1, 3)), np.cumsum(each, axis=0)]) for each in left)
+        w, a, u = sums
+        return w, a, u
+
+
+class FlightRecorder:
+    """An observer of `analyze_log` that keeps the flight, in single precision but for times."""
+
+    def __init__(self) -> None:
+        self._rows: list[Array] = []
+        self._t: list[Array] = []
+        self._dt: float | None = None
+        self._source: RotorSource | None = None
+        self.gyro_cutoff: float | None = None
+        self.delay = 0.0
+        self.rotor_input: RotorInput = "speed"
+
+    def begin(self) -> None:
+        """A reading of the log begins; one before it does not count."""
+        self._rows, self._t, self._dt, self._source = [], [], None, None
+
+    def take(self, block: SampleBlock) -> None:
+        """The next block of samples."""
+        s = block.samples
+        if block.rotors is None or not np.isfinite(s.gyro).any():
+            return
+        if block.dt != self._dt or block.rotors is not self._source:
+            self.begin()
+            self._dt, self._source = block.dt, block.rotors
+        joins = bool(self._t) and not block.fresh and block.t[0] - self._t[-1][-1] < 1.5 * block.dt
+        rows = np.column_stack([s.rates, s.attitude, s.velocity, s.speeds]).astype(np.float32)
+        if self._t and not joins:
+            self._t.append(self._t[-1][-1:] + block.dt)
+            self._rows.append(np.full((1, rows.shape[1]), np.nan, np.float32))
+        self._t.append(block.t)
+        self._rows.append(rows)
+
+    def end(self, chain: Chain) -> None:
+        """All is read, and the estimate final."""
+        self.gyro_cutoff, self.rotor_input = chain.gyro_cutoff, chain.rotor_input
+        fit = chain.fit.rotation
+        self.delay = 0.0 if fit is None else fit.delay
+
+    def record(self, motor_lag: float, where: str) -> FlightRecord:
+        """What was flown.
+
+        Args:
+            motor_lag: s, with commands.
+            where: name of the log, for messages.
+
+        Raises:
+            InputError: nothing flies in the log, or it has no rotor speeds or commands.
+        """
+        if self._dt is None:
+            raise InputError(
+                f"{where}: no flight with rotor speeds or commands in it: see gcs-sysid inspect"
+            )
+        t, x = np.concatenate(self._t), np.concatenate(self._rows).astype(np.float64)
+        rotors = _acting(t, x[:, 10:], self._dt, self.delay, self.gyro_cutoff)
+        settling = _SETTLED * motor_lag if self.rotor_input == "command" else 0.0
+        if self.gyro_cutoff is not None:
+            settling += _FILTER_SETTLED / self.gyro_cutoff
+        return FlightRecord(
+            t, x[:, :3], x[:, 3:7], x[:, 7:10], rotors, self._dt, self.rotor_input, settling
+        )
+
+
+def _acting(t: Array, rotors: Array, dt: float, delay: float, cutoff: float | None) -> Array:
+    """(n, rotors) of rotors whose stamps are late by `delay`, behind the gyro's low-pass."""
+    out = np.full_like(rotors, np.nan)
+    for part, there in runs(complete_rows(rotors)):
+        if not there:
+            continue
+        now = t[part]
+        told = np.stack(
+            [np.interp(now + delay, now, column, np.nan, np.nan) for column in rotors[part].T], 1
+        )
+        out[part] = told
+        if cutoff is not None and cutoff < 0.45 / dt:
+            inside = complete_rows(told)
+            out[part][inside] = _low_passed(told[inside], cutoff * dt)
+    return out
+
+
+def _low_passed(values: Array, cutoff: float) -> Array:
+    """Behind a second-order Butterworth low-pass, its cutoff in cycles a sample (bilinear)."""
+    if not len(values):
+        return values
+    w = math.tan(math.pi * cutoff)
+    scale = 1.0 / (1.0 + math.sqrt(2.0) * w + w * w)
+    b = scale * w * w * np.array([1.0, 2.0, 1.0])
+    a = np.array([1.0, 2.0 * scale * (w * w - 1.0), scale * (1.0 - math.sqrt(2.0) * w + w * w)])
+    first = values[0]
+    settled = np.stack([(1.0 - b[0]) * first, (b[2] - a[2]) * first])
+    filtered, _ = lfilter(b, a, values, settled)
+    return filtered

@@ -1,0 +1,283 @@
+"""`gcs-sysid twin`: a result, flown along a log where the result has not seen it.
+
+A result of another flight has seen none of the log: all of it is judged, but for the seconds in
+which the attitude filter settles, and each half of it tells
+the noise that the other half's errors are held against. Of a result of the same flight nothing is
+held out; the model is then fitted again, to the first part of the flight as in the validation, and
+judged on the rest.
+"""
+
+import filecmp
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.errors import InputError, NoAnswerError
+from gcs_sysid.estimation.validation import FITTED_SHARE
+from gcs_sysid.model.airframe import (
+    ANCHORS,
+    Airframe,
+    builtin_names,
+    load_airframe,
+    parse_airframe,
+)
+from gcs_sysid.results.result import Result
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.twin.flight_record import FlightRecorder
+from gcs_sysid.twin.prediction_errors import HORIZONS, Accuracy, Growth, Part, Twin, judge
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SCHEMA = "gcs-sysid-twin/1"
+SAMPLES = 48
+"""Vehicles drawn from the covariance; the standard deviation is then known to 10 %."""
+_SETTLING, _SETTLING_SHARE = 20.0, 0.4
+"""s in which the complementary filter finds the gyro's bias and the attitude, and the share of a
+part of the flight that may be left out for it. On emulated flights with a bias of 0.01 rad/s errors
+of attitude and velocity are two to three times as large in the first 10 s, and level after 20."""
+_SAME = 1e-9
+"""Difference of the validation's R2 below which two results are of the same data."""
+
+
+@dataclass(frozen=True)
+class TwinFlight:
+    """How the identified model flies beside the vehicle.
+
+    Attributes:
+        result: that was flown; of a result of the same flight, the fit to its first part.
+        source: the result that was given.
+        log: that it was flown along.
+        same_flight: whether the result that was given is of this log.
+        judged: (start, end) of the parts of the log that were judged, s.
+        accuracy: length of the stretches in s -> quantity -> errors and band.
+        growth: of the errors over the longest stretches.
+        notes: what is to be known beside the numbers.
+    """
+
+    result: Result
+    source: str
+    log: str
+    same_flight: bool
+    judged: tuple[tuple[float, float], ...]
+    accuracy: dict[float, dict[str, Accuracy]]
+    growth: Growth
+    notes: tuple[str, ...] = ()
+
+    @property
+    def held_out(self) -> str:
+        """In words, what of the log the model has not seen."""
+        spans = " and ".join(f"{start:.0f} to {end:.0f} s" for start, end in self.judged)
+        if self.same_flight:
+            return (
+                f"{spans}; the result is of this same flight, so the model flown is fitted again, "
+                "to what comes before"
+            )
+        return f"{spans}: the result is of another flight"
+
+    def as_json(self) -> dict[str, Any]:
+        """As `twin --json` writes it."""
+        return {
+            "schema": SCHEMA,
+            "result": self.source,
+            "log": self.log,
+            "same_flight": self.same_flight,
+            "held_out": [list(span) for span in self.judged],
+            "verdict": self.result.verdict,
+            "rotor_input": self.result.rotor_input,
+            "parameters": {name: e.as_json() for name, e in self.result.parameters.items()},
+            "horizons": [
+                {"seconds": seconds, **{name: a.as_json() for name, a in each.items()}}
+                for seconds, each in self.accuracy.items()
+            ],
+            "growth": {
+                "t": self.growth.t.tolist(),
+                "rms": {name: values.tolist() for name, values in self.growth.rms.items()},
+                "guess": {name: values.tolist() for name, values in self.growth.guess.items()},
+            },
+            "notes": list(self.notes),
+        }
+
+    def plot(self) -> "Figure":
+        """Draw the growth of the errors with matplotlib.
+
+        Raises:
+            InputError: matplotlib is not installed.
+        """
+        from gcs_sysid.twin.twin_text import plot_growth
+
+        return plot_growth(self)
+
+    def __repr__(self) -> str:
+        """The table of `gcs-sysid twin`."""
+        from gcs_sysid.twin.twin_text import twin_table
+
+        return twin_table(self)
+
+
+def fly_held_out(
+    result: Result,
+    log: Path,
+    airframe: Airframe | None = None,
+    wanted: tuple[int, int | None] | None = None,
+    progress: Callable[[float], None] | None = None,
+    seed: int = 0,
+) -> TwinFlight:
+    """Fly a result along a log, over every held-out stretch of 0.1, 0.3, 1 and 3 s.
+
+    Args:
+        result: of this flight or of another one of the same vehicle.
+        log: a .tlog, .ulg, .bin or .bbl file.
+        airframe: with a scale; None: what the result tells of it.
+        wanted: system and perhaps component; None: the first autopilot in the log.
+        progress: called with the share of the work done.
+        seed: of the samples of the covariance.
+
+    Raises:
+        InputError: the log cannot be read, or does not fit the result.
+        NoAnswerError: the result lacks what a flight needs, or the log is too short.
+    """
+    vehicle = airframe_of_result(result) if airframe is None else airframe
+    if len(vehicle.rotors) != len(result.airframe.get("rotors") or vehicle.rotors):
+        raise InputError(
+            f"the result has {len(result.airframe['rotors'])} rotors, the airframe "
+            f"{len(vehicle.rotors)}: give the airframe that the result was analyzed with"
+        )
+    # The other kind of input would need other coefficients.
+    vehicle = replace(vehicle, rotor_input=result.rotor_input)
+    told = progress or (lambda _: None)
+    recorder = FlightRecorder()
+    whole = analyze_log(
+        log, vehicle, wanted, None, lambda share: told(0.5 * share), observer=recorder
+    )
+    if whole.rotor_input != result.rotor_input:
+        raise InputError(
+            f"{log}: has no {result.rotor_input}s of the rotors, which the result was identified "
+            "from: analyze this log by itself"
+        )
+    since = max((float(segment["end"]) for segment in whole.segments), default=0.0)
+    flown, notes = result, []
+    if since:
+        notes.append(f"the vehicle changed at {since:.1f} s; the flight before is left out")
+    lag = whole.timing.get("motor_lag")
+    record = recorder.record((lag.value if lag else None) or 0.0, str(log))
+    times = record.flown(since)
+    if len(times) < 2:
+        raise NoAnswerError(
+            f"{log}: nothing is flown in it with attitude, rates and rotors at once"
+        )
+    same = is_same_flight(result, whole, log)
+    if same:
+        cut = float(times[round(FITTED_SHARE * (len(times) - 1))])
+        options = ChainOptions(history_interval=None, start=since, end=cut)
+        flown = analyze_log(
+            log, as_exact(vehicle), wanted, options, lambda share: told(0.5 + 0.5 * share)
+        )
+        before, rest = _settled(times, since, cut), Part(cut, np.inf)
+        judged = [(rest, before)]
+        spans = ((cut, float(times[-1])),)
+        if flown.verdict != "identified":
+            notes.append(f"the fit to the first part alone is {flown.verdict}")
+    else:
+        middle = float(times[len(times) // 2])
+        first, second = _settled(times, since, middle), Part(middle, np.inf)
+        judged = [(first, second), (second, first)]
+        spans = ((first.since, float(times[-1])),)
+        notes.append("noise and disturbances of each half of the log are those of the other half")
+    notes += _doubts(flown)
+    model = flown.model()
+    samples = flown.samples(SAMPLES, seed, given=False)
+    ensemble = flown.model(samples).over_stretches()
+    twin = Twin(model, ensemble, record)
+    accuracy, growth = judge(twin, judged, record.has_velocity)
+    if growth is None:
+        raise NoAnswerError(
+            f"{log}: no stretch of {HORIZONS[0]:g} s without a gap in both parts of the flight: "
+            "it is too short, or the link lost too much"
+        )
+    if not record.has_velocity:
+        notes.append("the log has no velocity: drag and velocity are not judged")
+    return TwinFlight(flown, result.source, str(log), same, spans, accuracy, growth, tuple(notes))
+
+
+def _settled(times: Array, since: float, until: float) -> Part:
+    """The part of a flight from when the filters have settled, up to a time."""
+    begin = max(float(times[0]), since)
+    return Part(begin + min(_SETTLING, _SETTLING_SHARE * (until - begin)), until)
+
+
+def is_same_flight(result: Result, whole: Result, log: Path) -> bool:
+    """Whether a result is of this log: of the same file, or of the same data by another name.
+
+    Args:
+        result: that was given.
+        whole: of the whole log.
+        log: its path.
+    """
+    if _alike(result.validation, whole.validation):
+        return True
+    source = Path(result.source)
+    if source.is_file() and log.is_file():
+        beside = source.stem == log.stem and source.parent == log.parent
+        return beside or filecmp.cmp(source, log, shallow=False)
+    # A result that was moved: the name is what is left. A .ulg and a .tlog may be of one flight.
+    return bool(result.source) and source.stem == log.stem
+
+
+def _alike(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
+    """Whether two validations are of the same data: scale and givens do not move them."""
+    first, second = a.get("r_squared"), b.get("r_squared")
+    if not isinstance(first, dict) or not isinstance(second, dict) or first.keys() != second.keys():
+        return False
+    pairs = [(x, second[axis]) for axis, x in first.items()]
+    numbers = [(x, y) for x, y in pairs if isinstance(x, float) and isinstance(y, float)]
+    return bool(numbers) and all(abs(x - y) <= _SAME for x, y in numbers)
+
+
+def as_exact(airframe: Airframe) -> Airframe:
+    """The airframe with what is given taken as exact.
+
+    A twin is flown in the axes of the IMU and with the givens that it was fitted with: their errors
+    are the model's and the vehicle's alike, and change no motion.
+    """
+    exact = {each.name: 0.0 for each in fields(airframe.uncertainty)}
+    return airframe.with_uncertainty(exact, "the twin")
+
+
+def airframe_of_result(result: Result) -> Airframe:
+    """The airframe that a result rests on, with its scale, as far as the result tells it.
+
+    Raises:
+        InputError: it has no rotors or no scale.
+    """
+    if not result.airframe:
+        raise InputError("the result has no rotor positions: give --airframe")
+    table = {"name": result.airframe.get("name"), "rotor": result.airframe.get("rotors")}
+    airframe = parse_airframe(table, "the result's airframe")
+    if airframe.name in builtin_names():
+        # It also says how well the rotors' positions are known.
+        named = load_airframe(airframe.name)
+        named = named if np.allclose(named.arm, airframe.arm) else named.with_arm(airframe.arm)
+        if named.geometry.shape == airframe.geometry.shape and np.allclose(
+            named.geometry, airframe.geometry
+        ):
+            airframe = named
+    if result.scale is not None and result.scale.anchor in ANCHORS:
+        return airframe.with_anchor(result.scale.anchor, result.scale.value)
+    mass = result.parameters.get("mass")
+    if mass is None or not mass.value:
+        raise InputError("the result has no scale: give --airframe and --mass")
+    return airframe.with_anchor("mass", mass.value)
+
+
+def _doubts(result: Result) -> list[str]:
+    found = {axis: gain for axis, gain in result.disturbance.items() if gain > 1.0}
+    if not found:
+        return []
+    axes = ", ".join(f"{axis} {gain:.0f}" for axis, gain in found.items())
+    return [f"disturbed air or unmodeled moments while the model was fitted (nats/s): {axes}"]

@@ -1,0 +1,326 @@
+"""How far the identified model flies from the vehicle, and how far it may.
+
+From the measured state at the start of every stretch the model is flown with the log's inputs, and
+its error at the end is held against a 95 % band:
+
+    sigma^2 = var(ensemble drawn from the covariance) + s^2
+
+with s the error that the twin had over stretches of the same length in a part of the flight that is
+not judged. It holds what no parameter covers: noise of the sensors in the state at the start and
+the end, noise of the rotors' stream, and whatever disturbs the vehicle.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import stdtrit
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.model import attitude
+from gcs_sysid.model.flight_model import FlightModel, MotionState, Trajectory
+from gcs_sysid.twin.flight_record import FlightRecord
+
+HORIZONS = (0.1, 0.3, 1.0, 3.0)
+"""s, lengths of the stretches."""
+QUANTITIES = ("rates", "attitude", "velocity")
+UNITS = {"rates": "rad/s", "attitude": "rad", "velocity": "m/s"}
+_MOST_AVERAGED = 0.1
+"""s of the past that the state at the start may be averaged over, at most."""
+_JUDGED_AT = 0.1
+"""s ahead at which an average is chosen."""
+_OVERLAP = 4
+"""Stretches of the part that tells the noise begin this often in a length."""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Errors of one quantity over stretches of one length.
+
+    Attributes:
+        rms: of the three axes, at the end of the stretch; `UNITS`.
+        band: rms of the half width of the 95 % band.
+        band_parameters: rms of 1.96 standard deviations by the covariance alone.
+        inside: share of the errors inside the band.
+        r_squared: 1 - error power over the variance of what was measured, at the end.
+        guess: rms error at the end of the guess that rates, and velocity, stay as they are.
+        count: stretches.
+    """
+
+    rms: float
+    band: float
+    band_parameters: float
+    inside: float
+    r_squared: float
+    guess: float
+    count: int
+
+    def as_json(self) -> dict[str, Any]:
+        """As the file has it."""
+        return {name: value if np.isfinite(value) else None for name, value in vars(self).items()}
+
+
+@dataclass(frozen=True)
+class Growth:
+    """Errors over the longest stretches that there are, as a picture shows them.
+
+    Attributes:
+        t: (n,) s since the start of the stretch.
+        rms: quantity -> (n,) of the model.
+        guess: quantity -> (n,) of the constant guess.
+    """
+
+    t: Array
+    rms: dict[str, Array]
+    guess: dict[str, Array]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a flight: what is judged, or what tells the noise.
+
+    Attributes:
+        since: s.
+        until: s.
+    """
+
+    since: float
+    until: float
+
+
+@dataclass(frozen=True)
+class _Errors:
+    """Of stretches of one length.
+
+    Attributes:
+        error: quantity -> (stretches, n, 3), NaN where it was not measured.
+        guess: the same of the constant guess.
+        measured: the same as measured; the attitude as a turn from its mean.
+        parameters: quantity -> (stretches, 3) standard deviation at the end by the ensemble.
+    """
+
+    error: dict[str, Array]
+    guess: dict[str, Array]
+    measured: dict[str, Array]
+    parameters: dict[str, Array]
+
+    @property
+    def count(self) -> int:
+        return len(self.error["rates"])
+
+
+class Twin:
+    """Flies a model and its ensemble along a record.
+
+    Args:
+        model: the estimate.
+        ensemble: (samples, 1) drawn from its covariance.
+        record: of the flight.
+    """
+
+    def __init__(self, model: FlightModel, ensemble: FlightModel, record: FlightRecord) -> None:
+        self._model, self._ensemble, self._record = model, ensemble, record
+        self.averaged = 1
+        """Samples of the past that the rates at the start are averaged over."""
+
+    def choose_average(self, part: Part) -> None:
+        """Take the average of the past that predicts best over a tenth of a second."""
+        record = self._record
+        ahead = max(1, round(_JUDGED_AT / record.dt))
+        most = max(1, int(_MOST_AVERAGED / record.dt))
+        candidates = [2**k for k in range(int(np.log2(most)) + 1)]
+        power = np.zeros(len(candidates))
+        for run in record.runs(part.since, part.until):
+            if run.stop - run.start < most + ahead + 2:
+                continue
+            left, _, _ = record.one_step(self._model, run)
+            total = np.concatenate([np.zeros((1, 3)), np.cumsum(left, axis=0)])
+            at = np.arange(most, len(left) - ahead)
+            for i, m in enumerate(candidates):
+                mean = (total[at + 1] - total[at + 1 - m]) / m
+                power[i] += ((left[at + ahead] - mean) ** 2).sum()
+        self.averaged = candidates[int(np.argmin(power))]
+
+    def starts(self, part: Part, seconds: float, overlap: int = 1) -> tuple[Array, int]:
+        """First samples of the stretches of a length in a part of the flight, and their steps."""
+        record = self._record
+        steps = max(1, round(seconds / record.dt))
+        room = int(np.ceil(record.settling / record.dt)) + self.averaged
+        found = [
+            np.arange(run.start + room, run.stop - steps, max(1, steps // overlap))
+            for run in record.runs(part.since, part.until)
+        ]
+        return np.concatenate([np.empty(0, np.int64), *found]).astype(np.int64), steps
+
+    def errors(self, part: Part, seconds: float, overlap: int = 1) -> _Errors:
+        """Fly every stretch of a length; of those that tell the noise no ensemble is flown."""
+        record = self._record
+        starts, steps = self.starts(part, seconds, overlap)
+        rows = starts[:, None] + np.arange(steps + 1)
+        measured = {
+            "rates": record.rates[rows],
+            "attitude": record.attitude[rows],
+            "velocity": record.velocity[rows],
+        }
+        if not len(starts):
+            empty = {name: np.empty((0, steps, 3)) for name in QUANTITIES}
+            return _Errors(empty, empty, empty, {name: np.empty((0, 3)) for name in QUANTITIES})
+        rates = self._averaged_rates(starts)
+        velocity = np.where(np.isfinite(measured["velocity"]), measured["velocity"], 0.0)[:, 0]
+        start = MotionState(rates, measured["attitude"][:, 0], velocity)
+        t = record.dt * np.arange(steps + 1)
+        flown = self._fly(self._model, t, starts, rows, start)
+        error = _difference(flown, measured)
+        spread = {name: np.zeros((len(starts), 3)) for name in QUANTITIES}
+        if overlap == 1:
+            each = self._fly(self._ensemble, t, starts, rows, start)
+            for name, turned in _difference(each, measured).items():
+                end = turned[..., -1, :] - error[name][:, -1]
+                spread[name] = np.sqrt((end**2).mean(axis=0))
+        return _Errors(
+            {name: e[:, 1:] for name, e in error.items()},
+            {name: e[:, 1:] for name, e in _difference(_held(t, start), measured).items()},
+            {name: e[:, 1:] for name, e in _as_vectors(measured).items()},
+            spread,
+        )
+
+    def _fly(
+        self, model: FlightModel, t: Array, starts: Array, rows: Array, start: MotionState
+    ) -> Trajectory:
+        record = self._record
+        if record.rotor_input == "command":
+            room = int(np.ceil(record.settling / record.dt))
+            before = starts[:, None] + np.arange(-room, 1)
+            lagged = model.lagged(record.dt * np.arange(room + 1), record.rotors[before])
+            start = MotionState(
+                start.rates, start.attitude, start.velocity, rotors=lagged[..., -1, :]
+            )
+        return model.simulate(t, record.rotors[rows], start)
+
+    def _averaged_rates(self, starts: Array) -> Array:
+        """(stretches, 3) rates at the start, by those of the past carried on by the model."""
+        record, m = self._record, self.averaged
+        rates = record.rates[starts]
+        if m == 1:
+            return rates
+        before = starts[:, None] + np.arange(-m + 1, 1)
+        out = np.empty_like(rates)
+        for run in record.runs(-np.inf, np.inf):
+            inside = (starts >= run.start) & (starts < run.stop)
+            if inside.any():
+                left, _, _ = record.one_step(self._model, run)
+                mean = left[before[inside] - run.start].mean(axis=1)
+                out[inside] = rates[inside] - (left[starts[inside] - run.start] - mean)
+        return out
+
+
+def judge(
+    twin: Twin, judged: Sequence[tuple[Part, Part]], has_velocity: bool
+) -> tuple[dict[float, dict[str, Accuracy]], Growth | None]:
+    """Hold the twin's errors against their bands.
+
+    Args:
+        twin: to fly.
+        judged: parts to judge, each with the part that tells its noise.
+        has_velocity: whether it was measured.
+
+    Returns:
+        Length in s -> quantity -> accuracy, of lengths that there are stretches of; growth of the
+        errors over the longest of them.
+    """
+    names = QUANTITIES if has_velocity else QUANTITIES[:2]
+    out: dict[float, dict[str, Accuracy]] = {}
+    growth = None
+    for seconds in HORIZONS:
+        found = []
+        for part, noise in judged:
+            twin.choose_average(noise)
+            errors = twin.errors(part, seconds)
+            told = twin.errors(noise, seconds, _OVERLAP)
+            if errors.count and told.count:
+                found.append((errors, told))
+        if not found:
+            continue
+        out[seconds] = {name: _accuracy(name, found) for name in names}
+        t = seconds / found[0][0].error["rates"].shape[1]
+        growth = Growth(
+            t * np.arange(1, found[0][0].error["rates"].shape[1] + 1),
+            *(
+                {
+                    name: _rms(np.concatenate([getattr(e, kind)[name] for e, _ in found]), (0, 2))
+                    for name in names
+                }
+                for kind in ("error", "guess")
+            ),
+        )
+    return out, growth
+
+
+def _accuracy(name: str, found: Sequence[tuple[_Errors, _Errors]]) -> Accuracy:
+    ends, bands, own, guesses = [], [], [], []
+    for errors, told in found:
+        end, noise = errors.error[name][:, -1], told.error[name][:, -1]
+        noise = noise[np.isfinite(noise).all(axis=1)]
+        independent = max(2.0, len(noise) / _OVERLAP)
+        spread = errors.parameters[name]
+        sigma = np.sqrt(spread**2 + (noise**2).mean(axis=0) if len(noise) else np.nan)
+        bands.append(float(stdtrit(independent, 0.975)) * np.broadcast_to(sigma, end.shape))
+        ends.append(end)
+        own.append(spread)
+        guesses.append(errors.guess[name][:, -1])
+    end, band = np.concatenate(ends), np.concatenate(bands)
+    there = np.isfinite(end).all(axis=1) & np.isfinite(band).all(axis=1)
+    measured = np.concatenate([e.measured[name][:, -1] for e, _ in found])
+    nan = float("nan")
+    if not there.any():
+        return Accuracy(nan, nan, nan, nan, nan, nan, 0)
+    return Accuracy(
+        rms=float(_rms(end[there])),
+        band=float(_rms(band[there])),
+        band_parameters=1.96 * float(_rms(np.concatenate(own)[there])),
+        inside=float((np.abs(end[there]) <= band[there]).mean()),
+        r_squared=_r_squared(end[there], measured[there]),
+        guess=float(_rms(np.concatenate(guesses)[there])),
+        count=int(there.sum()),
+    )
+
+
+def _r_squared(error: Array, measured: Array) -> float:
+    """1 - sum |e|^2 / sum |x - mean|^2."""
+    power = float(np.nansum((measured - np.nanmean(measured, axis=0)) ** 2))
+    return 1.0 - float(np.nansum(error**2)) / power if power > 0.0 else float("nan")
+
+
+def _rms(values: Array, axis: int | tuple[int, ...] | None = None) -> Array:
+    root: Array = np.sqrt(np.nanmean(values**2, axis=axis))
+    return root
+
+
+def _difference(flown: Trajectory, measured: dict[str, Array]) -> dict[str, Array]:
+    """Measured less flown; of attitudes the turn between them, in body axes."""
+    turn = attitude.multiply(attitude.conjugate(flown.attitude), measured["attitude"])
+    return {
+        "rates": measured["rates"] - flown.rates,
+        "attitude": attitude.to_rotation_vector(turn),
+        "velocity": measured["velocity"] - flown.velocity,
+    }
+
+
+def _as_vectors(measured: dict[str, Array]) -> dict[str, Array]:
+    """The same with attitudes as turns from their mean."""
+    q = measured["attitude"]
+    flat = q.reshape(-1, 4)
+    _, axes = np.linalg.eigh(flat.T @ flat)
+    turn = attitude.multiply(attitude.conjugate(axes[:, -1]), q)
+    return measured | {"attitude": attitude.to_rotation_vector(turn)}
+
+
+def _held(t: Array, start: MotionState) -> Trajectory:
+    """The guess that body rates and velocity stay as they are."""
+    rates, q, v = (
+        np.asarray(part)[:, None] for part in (start.rates, start.attitude, start.velocity)
+    )
+    turned = attitude.multiply(q, attitude.from_rotation_vector(rates * t[:, None]))
+    ones = np.ones((len(t), 1))
+    return Trajectory(t, rates * ones, turned, v * ones, v * t[:, None])

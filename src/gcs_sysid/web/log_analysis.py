@@ -1,0 +1,194 @@
+"""A log's analysis for a page, and the health of a recording: files in a folder."""
+
+import contextlib
+import json
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from gcs_sysid.argument_types import Measured
+from gcs_sysid.errors import InputError
+from gcs_sysid.fleet.limits import MEGABYTE, Limits, OverTime, within
+from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.health_file import document_of
+from gcs_sysid.health.vehicle_health import Given
+from gcs_sysid.inspection.inspector import inspect_log
+from gcs_sysid.model.airframe import Airframe, load_airframe, parse_airframe
+from gcs_sysid.report.data import gather, provenance_of
+from gcs_sysid.report.health_picture import health_picture
+from gcs_sysid.report.page import render
+from gcs_sysid.report.recorder import Recorder
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.chain import ChainOptions
+from gcs_sysid.session.told_layout import airframe_told, told_layout
+from gcs_sysid.telemetry.logs import open_log
+from gcs_sysid.web.log_request import PICTURE, REPORT, RESULT, AnalysisRequest
+
+HISTORY_INTERVAL = 0.5
+"""s between the instants of the estimates' history in the report."""
+
+Tell = Callable[[str, float], None]
+
+
+@contextlib.contextmanager
+def limited() -> Iterator[None]:
+    """Give up what takes too much time or memory.
+
+    Raises:
+        InputError: it does.
+    """
+    limits = Limits()
+    try:
+        with within(limits):
+            yield
+    except OverTime:
+        raise InputError(f"not done after {limits.seconds:g} s") from None
+    except MemoryError:
+        most = 1e-9 * limits.megabytes * MEGABYTE
+        raise InputError(f"needs more than {most:g} GB of memory") from None
+
+
+def analyze(log: Path, name: str, request: AnalysisRequest, folder: Path, tell: Tell) -> Any:
+    """Identify, and leave result, report and health picture in a folder.
+
+    Args:
+        log: the file.
+        name: that it had where it came from.
+        request: airframe and scale.
+        folder: for the files.
+        tell: told of progress.
+
+    Raises:
+        InputError: the log cannot be read, or the request makes no sense.
+    """
+    airframe = airframe_of(request, log)
+    recorder = Recorder(len(airframe.rotors))
+    try:
+        options = ChainOptions(history_interval=HISTORY_INTERVAL)
+        found = analyze_log(
+            log,
+            airframe,
+            options=options,
+            progress=lambda share: tell("identifying", 0.6 * share),
+            observer=recorder,
+        )
+        result = replace(found, source=name)
+        inspection = inspect_log(
+            log, None, lambda share: tell("inspecting telemetry", 0.6 + 0.3 * share)
+        ).as_json()
+        tell("writing the report", 0.9)
+        data = gather(
+            result, recorder, inspection, airframe, provenance_of(_command(request, name), log)
+        )
+        (folder / REPORT).write_text(render(data), encoding="utf-8")
+    finally:
+        recorder.close()
+    tell("looking at the hover", 0.95)
+    document = result.as_json()
+    health = _health(log, name, airframe)
+    if health is not None:
+        document["health"] = health
+        (folder / PICTURE).write_text(health_picture(health), encoding="utf-8")
+    (folder / RESULT).write_text(
+        json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8"
+    )
+    return {"verdict": result.verdict, "reasons": list(result.reasons), "health": bool(health)}
+
+
+def health(log: Path, name: str, table: Mapping[str, Any], folder: Path, tell: Tell) -> Any:
+    """The health picture of a recording that may still be growing.
+
+    Raises:
+        InputError: it tells nothing yet.
+    """
+    airframe = parse_airframe(table, "the session's airframe")
+    # What is recorded meanwhile must not come in between.
+    copy = folder / "recording.tlog"
+    shutil.copyfile(log, copy)
+    tell("looking at the hover", 0.3)
+    try:
+        found = _health(copy, name, airframe)
+    finally:
+        copy.unlink()
+    if found is None:
+        raise InputError("no health yet: the vehicle has not hovered long enough in this recording")
+    (folder / PICTURE).write_text(health_picture(found), encoding="utf-8")
+    return {"advice": found["advice"], "seconds": found["seconds_of_hover"]}
+
+
+def _health(log: Path, name: str, airframe: Airframe) -> dict[str, Any] | None:
+    found = health_of_log(log, Given(airframe))
+    return document_of(replace(found, source=name)) if found.told else None
+
+
+def airframe_of(request: AnalysisRequest, log: Path) -> Airframe:
+    """The airframe with its scale, as a page asks for it.
+
+    Raises:
+        InputError: the log does not tell its layout, or something given makes no sense.
+    """
+    if request.kind == "log":
+        airframe = _told_airframe(log, request.arm)
+    elif request.kind == "builtin":
+        airframe = load_airframe(request.name)
+    elif request.kind == "file":
+        path = log.with_suffix(".airframe.toml")
+        try:
+            path.write_text(request.text, encoding="utf-8")
+            airframe = load_airframe(str(path))
+        except InputError as error:
+            raise InputError(str(error).replace(str(path), request.name)) from None
+        finally:
+            path.unlink(missing_ok=True)
+    else:
+        table = {"name": "drawn", "rotor": list(request.rotors)}
+        airframe = parse_airframe(table, "the picture")
+    if request.arm is not None:
+        airframe = _with_std(airframe.with_arm(request.arm), "arm", request.arm)
+    if request.scale is not None:
+        name, value = request.scale
+        airframe = _with_std(airframe.with_anchor(name, value), name, value)
+    if airframe.anchor() is None:
+        raise InputError("nothing sets the scale: weigh the vehicle and enter its mass")
+    airframe.check_scale_fits()
+    return airframe
+
+
+def _with_std(airframe: Airframe, key: str, value: Measured) -> Airframe:
+    if value.sigma is None:
+        return airframe
+    return airframe.with_uncertainty({key: value.sigma}, key)
+
+
+def _told_airframe(log: Path, arm: float | None) -> Airframe:
+    opened = open_log(log)
+    for _ in opened.blocks():
+        pass
+    vehicle = opened.vehicle
+    told = None if vehicle is None else told_layout(vehicle.key, opened.parameters)
+    if told is None:
+        raise InputError("the log does not hold the vehicle's layout: choose or draw the airframe")
+    if arm is None and not told.sized:
+        raise InputError(
+            f"the log gives the layout ({told.by}) but no lengths: enter the arm, from the center "
+            "to each motor"
+        )
+    return airframe_told(told, arm)
+
+
+def _command(request: AnalysisRequest, name: str) -> tuple[str, ...]:
+    """The command line that makes the same report."""
+    airframe = {"log": "auto", "builtin": request.name, "file": request.name}.get(
+        request.kind, "my-airframe.toml"
+    )
+    words = ["gcs-sysid", "analyze", name, "--airframe", airframe]
+    options = {"mass": "--mass", "k_T": "--k-t", "T_max": "--t-max"}
+    given = [("--arm", request.arm)]
+    if request.scale is not None:
+        given.append((options[request.scale[0]], request.scale[1]))
+    for option, value in given:
+        if value is not None:
+            words += [option, f"{value:.9g}" + (f"+-{value.sigma}" if value.sigma else "")]
+    return (*words, "--report", f"{Path(name).stem}.html")

@@ -1,0 +1,137 @@
+"""What a page asks for, checked before a process is started for it."""
+
+import argparse
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+from gcs_sysid.argument_types import Measured, between, measured, positive
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import MOST_ARM, builtin_names
+from gcs_sysid.sanitize import printable
+
+Kind = Literal["log", "builtin", "rotors", "file"]
+AnchorName = Literal["mass", "k_T", "T_max"]
+RESULT, REPORT, PICTURE = "result.json", "report.html", "health.svg"
+"""Files that an analysis leaves in its folder."""
+_MOST_ROTORS = 32
+_MOST_NAME = 120
+"""Characters of a file's name that are kept."""
+_SCALES: dict[AnchorName, Callable[[str], Measured]] = {
+    "mass": measured(between(0.001, 1e5, "kg")),
+    "k_T": measured(positive),
+    "T_max": measured(positive),
+}
+_MEANING = {"mass": "mass (kg)", "k_T": "k_T (N s²)", "T_max": "T_max (N)", "arm": "arm (m)"}
+
+
+@dataclass(frozen=True)
+class AnalysisRequest:
+    """Airframe and scale for one log.
+
+    Attributes:
+        kind: where the airframe comes from.
+        name: of a built-in airframe, or of the file.
+        text: of the file.
+        rotors: of the picture, as `[[rotor]]` tables.
+        arm: m, mean distance of the rotors from the center; None: as the airframe has it.
+        scale: what sets it, and its value in SI; None: the airframe's own.
+    """
+
+    kind: Kind
+    name: str = ""
+    text: str = ""
+    rotors: tuple[Mapping[str, Any], ...] = ()
+    arm: Measured | None = None
+    scale: tuple[AnchorName, Measured] | None = None
+
+
+def parse_request(document: object) -> AnalysisRequest:
+    """A page's request.
+
+    Args:
+        document: JSON as it came.
+
+    Raises:
+        InputError: it is none, in one line.
+    """
+    table = _table(document, "request", {"airframe", "arm", "scale"})
+    airframe = _table(table.get("airframe"), "airframe", {"kind", "name", "text", "rotors"})
+    kind: Kind | None = next((k for k in get_args(Kind) if k == airframe.get("kind")), None)
+    if kind is None:
+        raise InputError(f"airframe: kind must be one of {', '.join(get_args(Kind))}")
+    name = _text(airframe.get("name", ""), "airframe: name", _MOST_NAME)
+    if kind == "builtin" and name not in builtin_names():
+        raise InputError(f"no built-in airframe {name!r}: choose one from the list")
+    rotors = airframe.get("rotors", [])
+    if not isinstance(rotors, list) or len(rotors) > _MOST_ROTORS:
+        raise InputError(f"airframe: rotors must be a list of at most {_MOST_ROTORS}")
+    arm = table.get("arm")
+    return AnalysisRequest(
+        kind,
+        name or "airframe.toml",
+        _text(airframe.get("text", ""), "airframe: text", 60_000),
+        tuple(_rotor(rotor, i) for i, rotor in enumerate(rotors, 1)),
+        None if arm in (None, "") else _number(measured(positive), arm, "arm"),
+        _scale(table.get("scale")),
+    )
+
+
+def file_name(text: str) -> str:
+    """The name of an uploaded file, harmless and short; never a path.
+
+    Raises:
+        InputError: nothing is left of it.
+    """
+    name = printable(text.replace("\\", "/").rpartition("/")[2]).strip()
+    if not name or name.strip(".") == "":
+        raise InputError("a file needs a name")
+    stem, dot, suffix = name.rpartition(".")
+    return f"{stem[: _MOST_NAME - 10]}{dot}{suffix[:9]}" if dot else name[:_MOST_NAME]
+
+
+def _scale(entry: object) -> tuple[AnchorName, Measured] | None:
+    if entry is None:
+        return None
+    table = _table(entry, "scale", {"name", "value"})
+    for name, check in _SCALES.items():
+        if table.get("name") == name:
+            return name, _number(check, table.get("value"), name)
+    raise InputError(f"scale: name must be one of {', '.join(_SCALES)}")
+
+
+def _table(value: object, what: str, known: set[str]) -> Mapping[str, Any]:
+    if not isinstance(value, dict):
+        raise InputError(f"{what}: must be a JSON object")
+    unknown = set(value) - known
+    if unknown:
+        raise InputError(f"{what}: unknown key {min(unknown)!r}")
+    return value
+
+
+def _text(value: object, what: str, most: int) -> str:
+    if not isinstance(value, str) or len(value) > most:
+        raise InputError(f"{what}: must be text of at most {most} characters")
+    return value
+
+
+def _rotor(value: object, number: int) -> Mapping[str, Any]:
+    at = f"rotor {number}"
+    table = _table(value, at, {"x", "y", "spin"})
+    out: dict[str, Any] = {"spin": _text(table.get("spin"), f"{at}: spin", 3)}
+    for key in ("x", "y"):
+        place = table.get(key)
+        if isinstance(place, bool) or not isinstance(place, int | float):
+            raise InputError(f"{at}: {key} must be a number of meters")
+        if not (math.isfinite(place) and abs(place) <= MOST_ARM):
+            raise InputError(f"{at}: {key} must lie within {MOST_ARM:g} m")
+        out[key] = float(place)
+    return out
+
+
+def _number(check: Callable[[str], Measured], value: object, name: str) -> Measured:
+    try:
+        return check(_text(str(value) if isinstance(value, int | float) else value, name, 40))
+    except argparse.ArgumentTypeError as error:
+        raise InputError(f"{_MEANING[name]} {error}") from error

@@ -1,0 +1,117 @@
+"""What is done with a log for a page: `python -m gcs_sysid.web.log_worker`, a process of its own.
+
+A job comes as one line of JSON on standard input, progress and the end go as lines of JSON to
+standard output. When standard input closes the process ends at once, so that none outlives the
+page that wanted it or the server.
+"""
+
+import contextlib
+import json
+import os
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from gcs_sysid.errors import GcsSysidError
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.session.told_layout import proposal, told_layout
+from gcs_sysid.telemetry.logs import open_log
+from gcs_sysid.web.log_request import parse_request
+
+_LEAST_STEP = 0.01
+"""Of progress that is worth a line."""
+
+Tell = Callable[[str, float], None]
+
+
+def look(log: Path, tell: Tell) -> dict[str, Any]:
+    """Who flew, for how long, and the layout that the log's parameters tell.
+
+    Raises:
+        InputError: the log cannot be read.
+    """
+    opened = open_log(log)
+    first, last = float("inf"), float("-inf")
+    for block in opened.blocks():
+        tell("reading", opened.share_read)
+        for track in block.tracks:
+            if len(track.t):
+                first, last = min(first, float(track.t[0])), max(last, float(track.t[-1]))
+    vehicle = opened.vehicle
+    told = None if vehicle is None else told_layout(vehicle.key, opened.parameters)
+    return {
+        "vehicle": None if vehicle is None else str(vehicle),
+        "duration": max(last - first, 0.0) if last > first else 0.0,
+        "airframe": None
+        if told is None
+        else {
+            "rotors": Airframe("log", told.by_output).as_json()["rotors"],
+            "arm": Airframe("log", told.by_output).arm if told.sized else None,
+            "by": told.by,
+            "words": proposal(told),
+        },
+    }
+
+
+class Progress:
+    """Says how far the work is, as often as there is something to see."""
+
+    def __init__(self) -> None:
+        self._stage, self._share = "", 0.0
+
+    def tell(self, stage: str, share: float) -> None:
+        """Say it, if it has changed."""
+        if stage != self._stage or abs(share - self._share) >= _LEAST_STEP:
+            self._stage, self._share = stage, share
+            _say({"progress": round(min(share, 1.0), 3), "stage": stage})
+
+
+def run(job: Mapping[str, Any], tell: Tell) -> Any:
+    """Do a job.
+
+    Raises:
+        InputError: it cannot be done, or takes too much.
+    """
+    log = Path(job["log"])
+    if job["do"] == "look":
+        return look(log, tell)
+    from gcs_sysid.web import log_analysis  # looking does not wait for it
+
+    folder = Path(job["folder"])
+    with log_analysis.limited():
+        if job["do"] == "health":
+            return log_analysis.health(log, job["name"], job["airframe"], folder, tell)
+        request = parse_request(job["request"])
+        return log_analysis.analyze(log, job["name"], request, folder, tell)
+
+
+def main() -> int:
+    """Do the job on standard input; 2 where it cannot be done."""
+    line = sys.stdin.readline()
+    threading.Thread(target=_end_with_input, daemon=True).start()
+    job = json.loads(line)
+    try:
+        _say({"done": run(job, Progress().tell)})
+    except (GcsSysidError, OSError) as error:
+        # Where the log lies here is nobody's business.
+        text = str(error).replace(str(job["log"]), str(job.get("name", "the log")))
+        _say({"error": text})
+        return 2
+    return 0
+
+
+def _say(document: Mapping[str, Any]) -> None:
+    print(json.dumps(document, allow_nan=False), flush=True)
+
+
+def _end_with_input() -> None:
+    with contextlib.suppress(OSError, ValueError):
+        while sys.stdin.read(1):
+            pass
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

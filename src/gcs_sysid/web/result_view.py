@@ -1,0 +1,119 @@
+"""Results as the pages show them: numbers, units and words are made here, not in the browser."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from gcs_sysid.intervals import Z95
+from gcs_sysid.model.parameters import REGISTRY
+from gcs_sysid.report.wording import verdict_sentence
+from gcs_sysid.results.comparison import Comparison, Difference
+from gcs_sysid.results.number_format import PAGE, scaled_unit
+from gcs_sysid.results.result import Estimate, Result
+from gcs_sysid.results.words import CHANGE, STATUS, VERDICT, WAITING, rows
+
+
+def verdict_view(result: Result) -> dict[str, Any]:
+    """The verdict in words."""
+    word = VERDICT[result.verdict]
+    return {
+        "word": result.verdict,
+        "sign": word.sign,
+        "meaning": word.meaning,
+        "sentence": verdict_sentence(result.as_json()),
+        "reasons": list(result.reasons),
+    }
+
+
+def value_view(estimate: Estimate) -> dict[str, str]:
+    """Value, half of the 95 % interval and unit of an estimate, on one power of ten."""
+    nothing = {"value": PAGE.nothing, "half": "", "unit": "", "percent": ""}
+    if not estimate.shown or estimate.value is None:
+        return nothing
+    if estimate.limit is not None:
+        limit = f"< {PAGE.number(estimate.limit, 2)} {PAGE.unit(estimate.unit)}".rstrip()
+        return {**nothing, "value": "~0", "half": f"({limit})"}
+    if not estimate.half:
+        return {
+            **nothing,
+            "value": PAGE.number(estimate.value, 6),
+            "unit": PAGE.unit(estimate.unit),
+        }
+    value, half, _, exponent = PAGE.value_and_half(estimate.value, estimate.half)
+    return {
+        "value": value,
+        "half": f"± {half}",
+        "unit": scaled_unit(estimate.unit, exponent).strip(),
+        "percent": PAGE.percent(estimate.relative_half),
+    }
+
+
+def result_rows(result: Result, *, waiting: bool = False) -> list[dict[str, Any]]:
+    """The parameters in the order of all tables.
+
+    Args:
+        result: theirs.
+        waiting: whether what is not observable may still become so by flying.
+    """
+    out = []
+    for parameter, estimate in rows(result):
+        status, word = estimate.status, STATUS[estimate.status]
+        if waiting and status == "unobservable":
+            word, shown = WAITING, WAITING.meaning
+        else:
+            shown = status
+        out.append(
+            {
+                "name": parameter.name,
+                "meaning": parameter.meaning,
+                "status": shown,
+                "sign": word.sign,
+                "hint": word.meaning,
+                **value_view(estimate),
+            }
+        )
+    return out
+
+
+def comparison_rows(comparison: Comparison) -> dict[str, Any]:
+    """Two results side by side."""
+    changed, unknown = comparison.named("changed"), comparison.named("cannot_tell")
+    if comparison.verdict == "cannot_tell":
+        sentence = "Undetermined: no parameter is identified in both results."
+    elif changed:
+        sentence = f"The vehicle has changed: {', '.join(changed)}."
+    else:
+        sentence = f"No change seen in {', '.join(comparison.named('no_change_seen'))}."
+    if unknown and comparison.verdict != "cannot_tell":
+        sentence += f" Undetermined: {', '.join(unknown)}."
+    return {
+        "verdict": comparison.verdict,
+        "sign": CHANGE[comparison.verdict].sign,
+        "sentence": sentence,
+        "rows": [_difference(found) for found in comparison.differences.values()],
+        "notes": list(comparison.notes),
+    }
+
+
+def _difference(found: Difference) -> dict[str, Any]:
+    out: dict[str, Any] = {
+        "name": found.name,
+        "meaning": REGISTRY[found.name].meaning,
+        "before": _both(found.before),
+        "after": _both(found.after),
+        "difference": PAGE.nothing,
+        "verdict": CHANGE[found.verdict].meaning,
+        "sign": CHANGE[found.verdict].sign,
+        "why": found.why,
+    }
+    if found.value is not None and found.std:
+        value, half, _, exponent = PAGE.value_and_half(found.value, Z95 * found.std)
+        unit = scaled_unit(found.unit, exponent).strip()
+        out["difference"] = f"{value} ± {half} {unit}".rstrip()
+    return out
+
+
+def _both(estimate: Estimate | None) -> str:
+    if estimate is None:
+        return PAGE.nothing
+    shown: Mapping[str, str] = value_view(estimate)
+    return " ".join(filter(None, (shown["value"], shown["half"], shown["unit"])))

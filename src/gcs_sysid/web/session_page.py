@@ -1,0 +1,301 @@
+"""A session on a page: snapshots go out, what a pilot asks for goes in.
+
+What may be asked for is what the terminal's screen offers (`Actions`, `Transport`), by name; it
+goes into the session's command queue as from there. Nothing here knows a link or a message.
+"""
+
+import asyncio
+import contextlib
+import json
+import math
+import tempfile
+from collections.abc import AsyncIterator, Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from aiohttp import web
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.results.snapshot import Snapshot
+from gcs_sysid.sanitize import one_line
+from gcs_sysid.screen.scene import Scene
+from gcs_sysid.screen.source import SnapshotSource
+from gcs_sysid.web.access import json_of, present_role, refuse
+from gcs_sysid.web.log_request import PICTURE
+from gcs_sysid.web.session_view import history_view, session_view
+from gcs_sysid.web.worker_process import WorkerPool
+
+Command = Callable[[Mapping[str, Any]], Any]
+
+MOST_VIEWERS = 16
+"""Each is an open response; what it shows is made once for all."""
+_LOOK_EVERY = 0.2
+"""s between looks for a new snapshot."""
+_STILL_THERE = 10.0
+"""s of silence after which a word is said, so that a viewer that has gone is noticed."""
+_MOST_TEXT = 200
+_KEPT_PLOTS = 32
+_PICTURE = {"Content-Security-Policy": "default-src 'none'; sandbox"}
+
+
+class SessionPage:
+    """Serves one session.
+
+    Args:
+        source: of the snapshots; not stopped when a viewer leaves.
+        scene: truth, baseline, and what a pilot may do.
+        recording: of the flight so far, whole up to now; None without one.
+        airframe: in force.
+    """
+
+    page = "live.html"
+
+    def __init__(
+        self,
+        source: SnapshotSource,
+        scene: Scene,
+        recording: Callable[[], Path | None] = lambda: None,
+        airframe: Callable[[], Airframe | None] = lambda: None,
+    ) -> None:
+        self._source, self._scene = source, scene
+        self._recording, self._airframe = recording, airframe
+        self._viewers = 0
+        self._serial = 0
+        self._known: Snapshot | None = None
+        self._packed = b""
+        self._plots: dict[str, bytes] = {}
+        self._health: dict[str, Any] = {"state": "none", "text": ""}
+        self._checking: asyncio.Task[None] | None = None
+        self._closing = asyncio.Event()
+        self._folder = Path()
+
+    def add_to(self, application: web.Application) -> None:
+        """As `Part` says."""
+        application.add_routes(
+            [
+                web.get("/live", self._live),
+                web.get("/live/scene", self._offered),
+                web.get("/live/history", self._history),
+                web.get(f"/live/{PICTURE}", self._picture),
+                web.post("/live/action", self._act),
+            ]
+        )
+        application.cleanup_ctx.append(self._life)
+        application.on_shutdown.append(self._leave)
+
+    async def _life(self, _: web.Application) -> AsyncIterator[None]:
+        with tempfile.TemporaryDirectory(prefix="gcs-sysid-", ignore_cleanup_errors=True) as folder:
+            self._folder = Path(folder)
+            yield
+            if self._checking is not None:
+                self._checking.cancel()
+                await asyncio.gather(self._checking, return_exceptions=True)
+
+    async def _leave(self, _: web.Application) -> None:
+        self._closing.set()
+
+    # -- out
+
+    def _newest(self) -> tuple[int, bytes]:
+        """The newest snapshot as an event, and its number; made once for all viewers."""
+        snapshot = self._source.latest()
+        if snapshot is not None and snapshot is not self._known:
+            view = session_view(snapshot, self._scene.truth, self._scene.baseline)
+            self._known = snapshot
+            self._serial += 1
+            self._packed = _event({"session": view})
+            self._plots.clear()
+        return self._serial, self._packed
+
+    async def _live(self, request: web.Request) -> web.StreamResponse:
+        """Server-sent events: what is new, until the viewer leaves or the session's page ends."""
+        if self._viewers >= MOST_VIEWERS:
+            return refuse(503, f"{MOST_VIEWERS} viewers already")
+        self._viewers += 1
+        try:
+            response = web.StreamResponse(headers={"Content-Type": "text/event-stream"})
+            await response.prepare(request)
+            await self._follow(response)
+        finally:
+            self._viewers -= 1
+        return response
+
+    async def _follow(self, response: web.StreamResponse) -> None:
+        seen, health, silent = 0, None, 0.0
+        while not self._closing.is_set():
+            serial, packed = self._newest()
+            if serial != seen:
+                await response.write(packed)
+                seen, silent = serial, 0.0
+            if health is not self._health:
+                health, silent = self._health, 0.0
+                await response.write(_event({"health": health}))
+            if silent >= _STILL_THERE:
+                await response.write(b":\n\n")
+                silent = 0.0
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._closing.wait(), _LOOK_EVERY)
+            silent += _LOOK_EVERY
+        await response.write(_event({"ended": True}))
+
+    async def _history(self, request: web.Request) -> web.StreamResponse:
+        name = request.query.get("name", "")
+        self._newest()
+        if self._known is None:
+            raise InputError("no estimate yet")
+        if name not in self._plots:
+            made = history_view(self._known, name)
+            if len(self._plots) >= _KEPT_PLOTS:
+                self._plots.clear()
+            self._plots[name] = json.dumps(made, allow_nan=False).encode()
+        return web.Response(body=self._plots[name], content_type="application/json")
+
+    async def _picture(self, _: web.Request) -> web.StreamResponse:
+        path = self._folder / PICTURE
+        if not path.exists():
+            raise InputError("no health picture yet")
+        return web.Response(
+            text=path.read_text(encoding="utf-8"), content_type="image/svg+xml", headers=_PICTURE
+        )
+
+    async def _offered(self, _: web.Request) -> web.StreamResponse:
+        """What the one who asks may do here."""
+        names = sorted(self._commands()) if present_role() == "pilot" else []
+        return web.json_response(
+            {
+                "role": present_role(),
+                "actions": names,
+                "exports": list(self._scene.actions.export_targets),
+                "absent": self._scene.actions.absent,
+            }
+        )
+
+    # -- in
+
+    def _commands(self) -> Mapping[str, Command]:
+        """What is offered: name -> function of the arguments."""
+        actions, transport = self._scene.actions, self._scene.transport
+        out: dict[str, Command] = {}
+        if (mark := actions.mark) is not None:
+            out["mark"] = lambda a: mark(_text(a, "text"))
+        if (reset := actions.reset) is not None:
+            out["reset"] = lambda _: reset()
+        if (record := actions.toggle_recording) is not None:
+            out["record"] = lambda _: record()
+        if (scale := actions.set_anchor) is not None:
+            out["scale"] = lambda a: scale(_scale(a), _real(a, "value"))
+        if (choose := actions.choose_vehicle) is not None:
+            out["vehicle"] = lambda a: choose(_address(a))
+        if (report := actions.report) is not None:
+            out["report"] = lambda _: report()
+        if actions.export is not None:
+            out["export"] = self._export
+        if self._airframe() is not None:
+            out["health"] = self._check_health
+        if transport is not None:
+            out["pause"] = lambda _: transport.toggle_pause()
+            out["speed"] = lambda a: transport.change_speed(1 if _real(a, "step") > 0 else -1)
+            out["seek"] = lambda a: transport.seek(_real(a, "position"))
+            out["skip"] = lambda a: transport.skip(_real(a, "seconds"))
+        return out
+
+    async def _act(self, request: web.Request) -> web.StreamResponse:
+        """Do one thing; says what happened, or in one line why not."""
+        document = await json_of(request)
+        if not isinstance(document, dict) or not isinstance(document.get("action"), str):
+            raise InputError("must be a JSON object with an action")
+        function = self._commands().get(document["action"])
+        if function is None:
+            raise InputError(f"{one_line(document['action'])[:40]!r} is not available here")
+        try:
+            said = await asyncio.to_thread(function, document)
+        except OSError as error:
+            raise InputError(str(error)) from error
+        if document["action"] == "health":
+            self._begin_health()
+        return web.json_response({"said": said if isinstance(said, str) else ""})
+
+    def _export(self, arguments: Mapping[str, Any]) -> str:
+        target, actions = _text(arguments, "target"), self._scene.actions
+        snapshot = self._source.latest()
+        if target not in actions.export_targets:
+            raise InputError("no such export format")
+        if snapshot is None or actions.export is None:
+            raise InputError("no estimate yet")
+        return actions.export(target, snapshot.result)
+
+    # -- health of the flight so far
+
+    def _check_health(self, _: Mapping[str, Any]) -> str:
+        if self._recording() is None:
+            raise InputError("no recording to look at: start one")
+        return "looking at the hover so far"
+
+    def _begin_health(self) -> None:
+        if self._checking is None or self._checking.done():
+            self._checking = asyncio.create_task(self._look_at_health())
+
+    async def _look_at_health(self) -> None:
+        self._health = {"state": "running", "text": "Looking at the hover so far ..."}
+        recording, airframe = await asyncio.to_thread(self._recording), self._airframe()
+        if recording is None or airframe is None:
+            self._health = {"state": "failed", "text": "no recording to look at: start one"}
+            return
+        anchor = airframe.anchor()
+        table = {"name": airframe.name, "rotor": airframe.as_json()["rotors"]}
+        job = {
+            "do": "health",
+            "log": str(recording),
+            "name": recording.name,
+            "airframe": table if anchor is None else {**table, anchor[0]: anchor[1]},
+            "folder": str(self._folder),
+        }
+        async with contextlib.aclosing(WorkerPool(1).run(job)) as said:
+            async for one in said:
+                if "error" in one:
+                    self._health = {"state": "failed", "text": one["error"]}
+                elif "done" in one:
+                    seconds = one["done"]["seconds"]
+                    self._health = {
+                        "state": "done",
+                        "text": f"From {seconds:.0f} s of hover.",
+                        "advice": one["done"]["advice"],
+                        "serial": self._serial,
+                    }
+
+
+def _event(document: Mapping[str, Any]) -> bytes:
+    return b"data: " + json.dumps(document, allow_nan=False).encode() + b"\n\n"
+
+
+def _text(arguments: Mapping[str, Any], key: str) -> str:
+    value = arguments.get(key, "")
+    if not isinstance(value, str) or len(value) > _MOST_TEXT:
+        raise InputError(f"{key}: must be text of at most {_MOST_TEXT} characters")
+    return one_line(value)
+
+
+def _real(arguments: Mapping[str, Any], key: str) -> float:
+    value = arguments.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= 1e9:
+        raise InputError(f"{key}: must be a number")
+    return float(value) if math.isfinite(value) else 0.0
+
+
+def _scale(arguments: Mapping[str, Any]) -> str:
+    name = _text(arguments, "name")
+    if name not in ("mass", "k_T", "T_max"):
+        raise InputError("scale: name must be mass, k_T or T_max")
+    return name
+
+
+def _address(arguments: Mapping[str, Any]) -> tuple[int, int]:
+    value = arguments.get("address")
+    if (
+        not isinstance(value, list)
+        or len(value) != 2
+        or not all(type(v) is int and 0 <= v <= 255 for v in value)
+    ):
+        raise InputError("address: must be system and component, 0 to 255")
+    return value[0], value[1]

@@ -1,0 +1,204 @@
+"""A snapshot as the live page shows it."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.intervals import Z95
+from gcs_sysid.model.parameters import REGISTRY
+from gcs_sysid.results.comparison import compare
+from gcs_sysid.results.number_format import PAGE, engineering_exponent, scaled_unit
+from gcs_sysid.results.snapshot import Advice, LinkState, LinkStatus, Playback, Snapshot
+from gcs_sysid.results.words import VERDICT
+from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.verdict_summary import compared, headline, shares, standing_of
+from gcs_sysid.screen.view import Baseline, View
+from gcs_sysid.screen.widgets.coach_panel import gain_text
+from gcs_sysid.screen.widgets.transport import state_of
+from gcs_sysid.web.result_view import result_rows
+
+MOST_POINTS = 240
+"""Of a plot: more than a phone has columns for."""
+_EVENTS = 40
+_SLOW = 0.7
+"""Share of the rate asked for below which a message comes too slowly."""
+
+
+def session_view(
+    snapshot: Snapshot, truth: Mapping[str, float], baseline: Baseline | None
+) -> dict[str, Any]:
+    """All but the plot.
+
+    Args:
+        snapshot: to show.
+        truth: true values by parameter name, where somebody knows them.
+        baseline: an earlier result to compare with.
+    """
+    waiting = View(snapshot, truth, "", {}).waiting
+    standing = standing_of(snapshot)
+    reached = shares(snapshot.result)
+    parameters = result_rows(snapshot.result, waiting=waiting)
+    for row in parameters:
+        share = reached.get(row["name"])
+        row["done"] = (
+            round(fmt.converged(share, snapshot.target), 2) if row["name"] in reached else None
+        )
+        row["error"] = _error(snapshot, row["name"], truth)
+    return {
+        "t": fmt.clock(snapshot.t),
+        "used": fmt.duration(snapshot.used_seconds),
+        "flying": snapshot.flying,
+        "target": PAGE.percent(snapshot.target),
+        "verdict": {
+            "word": snapshot.result.verdict,
+            "sign": VERDICT[snapshot.result.verdict].sign,
+            "headline": headline(snapshot),
+            "reached": standing.reached,
+            "total": standing.total,
+            "reasons": list(snapshot.result.reasons),
+        },
+        "baseline": _baseline(snapshot, baseline),
+        "link": _link(snapshot.link),
+        "coach": None if snapshot.advice is None else _coach(snapshot.advice),
+        "parameters": parameters,
+        "rotors": _rotors(snapshot),
+        "attitude": None
+        if snapshot.attitude is None
+        else [round(math.degrees(angle), 1) for angle in snapshot.attitude],
+        "events": [
+            {"t": fmt.clock_tenths(event.t), "text": event.text}
+            for event in snapshot.events[-_EVENTS:]
+        ],
+        "playback": None if snapshot.playback is None else _playback(snapshot.playback),
+    }
+
+
+def history_view(snapshot: Snapshot, name: str) -> dict[str, Any]:
+    """The plot of one parameter: times, values and halves of 95 % intervals in a unit.
+
+    Raises:
+        InputError: there is no such parameter.
+    """
+    parameter = REGISTRY.get(name)
+    if parameter is None:
+        raise InputError(f"no parameter {name!r}")
+    history = snapshot.history
+    value = history.value.get(name, np.empty(0))
+    half = Z95 * history.std.get(name, np.full(value.shape, np.nan))
+    known = np.flatnonzero(np.isfinite(value))
+    if len(known) > MOST_POINTS:
+        known = known[np.linspace(0, len(known) - 1, MOST_POINTS).round().astype(int)]
+    exponent = engineering_exponent(float(np.abs(value[known]).max())) if len(known) else 0
+    scale = 10.0**-exponent
+
+    def rounded(column: "np.ndarray[Any, Any]") -> list[float | None]:
+        return [float(f"{v:.5g}") if math.isfinite(v) else None for v in column.tolist()]
+
+    return {
+        "name": name,
+        "meaning": parameter.meaning,
+        "unit": scaled_unit(parameter.unit, exponent).strip(),
+        "t": rounded(history.t[known]),
+        "value": rounded(scale * value[known]),
+        "half": rounded(scale * half[known]),
+    }
+
+
+def _error(snapshot: Snapshot, name: str, truth: Mapping[str, float]) -> str:
+    estimate = snapshot.result.parameters.get(name)
+    true = truth.get(name)
+    if estimate is None or not true or estimate.value is None:
+        return ""
+    if estimate.status in ("given", "unobservable"):
+        return ""
+    error = estimate.value / true - 1.0
+    return f"{'+' if error > 0.0 else ''}{PAGE.percent(error)}"
+
+
+def _baseline(snapshot: Snapshot, baseline: Baseline | None) -> dict[str, str] | None:
+    if baseline is None:
+        return None
+    try:
+        sign, text = compared(compare(baseline.result, snapshot.result), 400)
+    except InputError as error:
+        sign, text = "?", str(error)
+    return {"name": baseline.name, "sign": sign, "text": text}
+
+
+def _link(link: LinkStatus) -> dict[str, Any]:
+    rates = [
+        {
+            "name": name,
+            "rate": f"{link.rates.get(name, 0.0):.0f}",
+            "asked": f"{asked:.0f}",
+            "slow": link.rates.get(name, 0.0) < _SLOW * asked,
+        }
+        for name, asked in link.asked.items()
+    ]
+    words = {
+        LinkState.WAITING: f"Listening on {link.url}: no vehicle yet. Is it on, and does it "
+        "forward telemetry?",
+        LinkState.LOST: "Link lost. Estimates are kept; still listening.",
+        LinkState.ENDED: "Stream ended: the numbers are final.",
+    }
+    return {
+        "state": link.state.value,
+        "notice": words.get(link.state, ""),
+        "vehicle": link.vehicle,
+        "rates": rates,
+        "lost": f"{PAGE.fixed(link.lost_percent, 1)} %",
+        "gaps": link.gaps,
+        "waiting": link.waiting,
+        "too_slow": link.too_slow,
+        "recording": link.recording.replace("\\", "/").rpartition("/")[2],
+        "vehicles": [
+            {"address": list(one.address), "name": one.name, "chosen": one.chosen}
+            for one in link.vehicles
+        ],
+    }
+
+
+def _coach(advice: Advice) -> dict[str, Any]:
+    left = max(0.0, (1.0 - advice.progress) * advice.seconds)
+    # The order in large letters, and aloud; what it is for below.
+    text, _, aim = advice.text.rpartition(": ") if advice.manoeuvre else (advice.text, "", "")
+    return {
+        "text": text or aim,
+        "aim": aim if text else "",
+        "fly": bool(advice.manoeuvre),
+        "enough": advice.enough,
+        "progress": round(advice.progress, 2),
+        "left": f"{left:.0f} s left" if advice.manoeuvre else "",
+        "gains": [] if text and aim else [gain_text(gain) for gain in advice.gains[:4]],
+    }
+
+
+def _rotors(snapshot: Snapshot) -> list[dict[str, Any]]:
+    """Each rotor's speed or command against the mean of all."""
+    speeds = snapshot.rotor_speeds
+    if not speeds or not all(map(math.isfinite, speeds)):
+        return []
+    mean = sum(speeds) / len(speeds)
+    command = snapshot.result.rotor_input == "command"
+    places = snapshot.result.airframe.get("rotors", ())
+    return [
+        {
+            "value": f"{100.0 * speed:.0f} %" if command else f"{speed:.0f} rad/s",
+            "share": round(min(speed / mean, 2.0), 2) if mean > 0.0 else 0.0,
+            "spin": places[i]["spin"] if i < len(places) else "",
+        }
+        for i, speed in enumerate(speeds)
+    ]
+
+
+def _playback(playback: Playback) -> dict[str, Any]:
+    return {
+        "state": state_of(playback),
+        "position": round(playback.position, 1),
+        "duration": round(playback.duration, 1),
+        "clock": f"{fmt.clock(playback.position)} / {fmt.clock(playback.duration)}",
+        "paused": playback.paused,
+    }

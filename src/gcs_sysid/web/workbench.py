@@ -1,0 +1,318 @@
+"""Logs that are dropped on the page, what is made of them, and the comparison of two results."""
+
+import asyncio
+import contextlib
+import json
+import secrets
+import shutil
+import tempfile
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from aiohttp import web
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import builtin_names, load_airframe
+from gcs_sysid.results.comparison import compare
+from gcs_sysid.results.result import Result
+from gcs_sysid.results.result_file import read_result
+from gcs_sysid.web.access import json_of, refuse
+from gcs_sysid.web.log_request import PICTURE, REPORT, RESULT, file_name, parse_request
+from gcs_sysid.web.result_view import comparison_rows, result_rows, verdict_view
+from gcs_sysid.web.worker_process import WorkerPool
+
+MOST_LOG = 2 << 30
+"""Bytes of a log."""
+MOST_RESULT = 8 << 20
+"""Bytes of a result file."""
+MOST_KEPT = 24
+"""Logs and results at once; the oldest go."""
+MOST_BYTES = 4 << 30
+"""Of all of them."""
+MOST_PROCESSES = 2
+_MOST_UPLOADS = 4
+_SPARE = 1 << 30
+"""Bytes that stay free on the disk."""
+LOG_SUFFIXES = (".tlog", ".ulg", ".bin", ".bbl", ".bfl")
+_SANDBOX = {
+    # The report brings a policy of its own, by the hashes of its script and style.
+    "Content-Security-Policy": "sandbox allow-scripts; frame-ancestors 'self'",
+    "X-Frame-Options": "SAMEORIGIN",
+}
+_PICTURE = {"Content-Security-Policy": "default-src 'none'; sandbox"}
+
+
+@dataclass
+class Item:
+    """A log or a result.
+
+    Attributes:
+        key: in addresses; not to be guessed.
+        name: of the file where it came from.
+        kind: what it is.
+        folder: of its own.
+        size: bytes of the upload.
+        analyzed: whether there is a result.
+        busy: processes and requests that need it.
+    """
+
+    key: str
+    name: str
+    kind: Literal["log", "result"]
+    folder: Path
+    size: int = 0
+    analyzed: bool = False
+    busy: int = 0
+    about: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def upload(self) -> Path:
+        """The file as it came."""
+        return self.folder / f"upload{Path(self.name).suffix.lower()}"
+
+    def as_json(self) -> dict[str, Any]:
+        """For the page."""
+        return {"id": self.key, "name": self.name, "kind": self.kind, "analyzed": self.analyzed}
+
+
+class Workbench:
+    """Takes logs, has them analyzed, gives reports. Everything goes when the server does."""
+
+    page = "analysis.html"
+
+    def __init__(self) -> None:
+        self._items: dict[str, Item] = {}
+        self._uploads = 0
+        self._folder = Path()
+        self._pool: WorkerPool | None = None
+
+    def add_to(self, application: web.Application) -> None:
+        """As `Part` says."""
+        application.add_routes(
+            [
+                web.get("/airframes", self._airframes),
+                web.get("/items", self._list),
+                web.put("/items", self._take),
+                web.delete("/items/{id}", self._drop),
+                web.post("/items/{id}/look", self._look),
+                web.post("/items/{id}/analysis", self._analyze),
+                web.get("/items/{id}/result", self._result),
+                web.get(f"/items/{{id}}/{REPORT}", self._report),
+                web.get(f"/items/{{id}}/{RESULT}", self._result_file),
+                web.get(f"/items/{{id}}/{PICTURE}", self._picture),
+                web.get("/comparison", self._compare),
+            ]
+        )
+        application.cleanup_ctx.append(self._life)
+
+    async def _life(self, _: web.Application) -> AsyncIterator[None]:
+        self._pool = WorkerPool(MOST_PROCESSES)
+        with tempfile.TemporaryDirectory(prefix="gcs-sysid-", ignore_cleanup_errors=True) as folder:
+            self._folder = Path(folder)
+            yield
+            await self._pool.ended()
+
+    # -- what is there
+
+    async def _airframes(self, _: web.Request) -> web.StreamResponse:
+        return web.json_response(
+            [
+                {
+                    "name": name,
+                    "rotors": (airframe := load_airframe(name)).as_json()["rotors"],
+                    "arm": airframe.arm if airframe.arm_known else None,
+                }
+                for name in builtin_names()
+            ]
+        )
+
+    async def _list(self, _: web.Request) -> web.StreamResponse:
+        return web.json_response([item.as_json() for item in self._items.values()])
+
+    def _item(self, request: web.Request) -> Item:
+        item = self._items.get(request.match_info["id"])
+        if item is None:
+            raise InputError("that file is not there any more: drop it again")
+        return item
+
+    def _finished(self, key: str) -> Item:
+        item = self._items.get(key)
+        if item is None or not item.analyzed:
+            raise InputError("no result there: analyze the log first")
+        return item
+
+    # -- uploads
+
+    async def _take(self, request: web.Request) -> web.StreamResponse:
+        """Take a log, or a result that was saved before, piece by piece."""
+        name = file_name(request.query.get("name", ""))
+        suffix = Path(name).suffix.lower()
+        if suffix not in (*LOG_SUFFIXES, ".json"):
+            raise InputError(f"{name}: drop a .tlog, .ulg, .bin or .bbl log, or a result (.json)")
+        kind: Literal["log", "result"] = "result" if suffix == ".json" else "log"
+        most = MOST_RESULT if kind == "result" else MOST_LOG
+        too_large = f"{name}: too large, more than {most >> 20} MB"
+        if (request.content_length or 0) > most:
+            return refuse(413, too_large)
+        if self._uploads >= _MOST_UPLOADS:
+            return refuse(503, "too many uploads at once: try again in a moment")
+        item = Item(secrets.token_hex(8), name, kind, self._folder / secrets.token_hex(8))
+        item.folder.mkdir()
+        self._uploads += 1
+        try:
+            if not await self._receive(request, item, most):
+                return refuse(413, too_large)
+            if kind == "result":
+                await asyncio.to_thread(_accept_result, item)
+        except BaseException:
+            shutil.rmtree(item.folder, ignore_errors=True)
+            raise
+        finally:
+            self._uploads -= 1
+        self._items[item.key] = item
+        self._make_room()
+        return web.json_response(item.as_json())
+
+    async def _receive(self, request: web.Request, item: Item, most: int) -> bool:
+        """Write what comes; whether it was not too much."""
+        with open(item.upload, "wb") as file:
+            async for piece in request.content.iter_chunked(1 << 18):
+                item.size += len(piece)
+                if item.size > most:
+                    break
+                if shutil.disk_usage(self._folder).free < _SPARE:
+                    raise InputError("the server's disk is full: remove logs first")
+                file.write(piece)
+        if item.size > most:
+            shutil.rmtree(item.folder, ignore_errors=True)
+            return False
+        if item.size == 0:
+            raise InputError(f"{item.name}: the file is empty")
+        return True
+
+    def _make_room(self) -> None:
+        idle = [item for item in self._items.values() if not item.busy]
+        while idle and (
+            len(self._items) > MOST_KEPT
+            or sum(item.size for item in self._items.values()) > MOST_BYTES
+        ):
+            self._remove(idle.pop(0))
+
+    def _remove(self, item: Item) -> None:
+        self._items.pop(item.key, None)
+        shutil.rmtree(item.folder, ignore_errors=True)
+
+    async def _drop(self, request: web.Request) -> web.StreamResponse:
+        item = self._item(request)
+        if item.busy:
+            return refuse(409, f"{item.name} is being analyzed")
+        self._remove(item)
+        return web.json_response({})
+
+    # -- analysis
+
+    async def _look(self, request: web.Request) -> web.StreamResponse:
+        item = self._item(request)
+        job = {"do": "look", "log": str(item.upload), "name": item.name}
+        return await self._stream(request, item, job)
+
+    async def _analyze(self, request: web.Request) -> web.StreamResponse:
+        item = self._item(request)
+        document = await json_of(request)
+        parse_request(document)  # refused before a process is started
+        if item.kind != "log":
+            raise InputError(f"{item.name} is a result, not a log")
+        job = {
+            "do": "analyze",
+            "log": str(item.upload),
+            "name": item.name,
+            "request": document,
+            "folder": str(item.folder),
+        }
+        return await self._stream(request, item, job)
+
+    async def _stream(
+        self, request: web.Request, item: Item, job: dict[str, Any]
+    ) -> web.StreamResponse:
+        """Pass on a worker's progress, a line of JSON each; a browser that goes ends it."""
+        assert self._pool is not None
+        response = web.StreamResponse(headers={"Content-Type": "application/x-ndjson"})
+        item.busy += 1
+        try:
+            await response.prepare(request)
+            async with contextlib.aclosing(self._pool.run(job)) as said:
+                async for one in said:
+                    if "done" in one and job["do"] == "analyze":
+                        item.analyzed = True
+                        item.about = one["done"]
+                    await response.write(json.dumps(one).encode() + b"\n")
+            await response.write_eof()
+        finally:
+            item.busy -= 1
+        return response
+
+    # -- results
+
+    async def _result(self, request: web.Request) -> web.StreamResponse:
+        item = self._finished(request.match_info["id"])
+        result = await asyncio.to_thread(read_result, item.folder / RESULT)
+        return web.json_response(
+            {
+                **item.as_json(),
+                "verdict": verdict_view(result),
+                "parameters": result_rows(result),
+                "health": (item.folder / PICTURE).exists(),
+                "report": (item.folder / REPORT).exists(),
+            }
+        )
+
+    def _file(self, request: web.Request, name: str) -> Path:
+        path = self._finished(request.match_info["id"]).folder / name
+        if not path.exists():
+            raise InputError(f"no {name} of that flight")
+        return path
+
+    async def _report(self, request: web.Request) -> web.StreamResponse:
+        text = await asyncio.to_thread(self._file(request, REPORT).read_text, encoding="utf-8")
+        return web.Response(text=text, content_type="text/html", headers=_SANDBOX)
+
+    async def _picture(self, request: web.Request) -> web.StreamResponse:
+        text = await asyncio.to_thread(self._file(request, PICTURE).read_text, encoding="utf-8")
+        return web.Response(text=text, content_type="image/svg+xml", headers=_PICTURE)
+
+    async def _result_file(self, request: web.Request) -> web.StreamResponse:
+        item = self._finished(request.match_info["id"])
+        data = await asyncio.to_thread(self._file(request, RESULT).read_bytes)
+        name = "".join(c if c.isascii() and c.isalnum() else "-" for c in Path(item.name).stem)
+        return web.Response(
+            body=data,
+            content_type="application/json",
+            headers={"Content-Disposition": f'attachment; filename="{name}.json"'},
+        )
+
+    async def _compare(self, request: web.Request) -> web.StreamResponse:
+        items = [self._finished(request.query.get(key, "")) for key in ("before", "after")]
+
+        def made() -> dict[str, Any]:
+            before, after = (read_result(item.folder / RESULT) for item in items)
+            return comparison_rows(compare(before, after))
+
+        names = {"before": items[0].name, "after": items[1].name}
+        return web.json_response({**names, **await asyncio.to_thread(made)})
+
+
+def _accept_result(item: Item) -> Result:
+    """Take a result that was saved before.
+
+    Raises:
+        InputError: it is none.
+    """
+    try:
+        result = read_result(item.upload)
+    except InputError as error:
+        raise InputError(str(error).replace(str(item.upload), item.name)) from None
+    item.upload.rename(item.folder / RESULT)
+    item.analyzed = True
+    return result

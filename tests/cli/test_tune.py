@@ -1,0 +1,166 @@
+"""`gcs-sysid tune` and `export --ensemble`: what they print, write and return."""
+
+import json
+import re
+from xml.etree import ElementTree
+
+import pytest
+
+from gcs_sysid.cli.program import run
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.model.parameter_file import read_parameter_file
+from gcs_sysid.model.parameters import PARAMETERS, TIMING
+from gcs_sysid.results.result import Estimate, Result, Scale
+
+COMMON = {
+    "Ixx": 0.0165, "Iyy": 0.017, "Izz": 0.029, "Ixy": 1e-4, "Iyz": 1e-4, "Ixz": -1e-4,
+    "cg_x": 0.01, "cg_y": -0.02, "moment_ratio": 0.03, "rotational_damping": 0.01,
+}  # fmt: skip
+BY = {
+    "speed": {"k_T": 2e-4, "k_M": 6e-6, "rotor_inertia": 3e-5},
+    "command": {"T_max": 10.0, "thrust_curve": 0.3},
+}
+NOW = {"MC_ROLLRATE_P": 0.4, "MC_ROLLRATE_I": 0.2, "MC_ROLLRATE_D": 0.003, "THR_MDL_FAC": 0.3}
+
+
+def result(by, weak=(), autopilot="px4", **changes):
+    values = COMMON | BY[by] | changes
+    parameters = {
+        "mass": Estimate(1.5, 0.01, "kg", "given"),
+        **{
+            n: Estimate(v, 0.01 * abs(v), PARAMETERS[n].unit, "weak" if n in weak else "identified")
+            for n, v in values.items()
+        },
+    }
+    timing = {
+        "rotor_delay": Estimate(-0.007, 2e-4, "s", "identified"),
+        **({"motor_lag": Estimate(0.03, 5e-4, TIMING["motor_lag"].unit, "identified")}
+           if by == "command" else {}),
+    }  # fmt: skip
+    return Result(
+        "identified", (), f"{by}.tlog", {"sysid": 1, "compid": 1, "autopilot": autopilot},
+        Scale("mass", 1.5, "kg"), by, parameters, timing=timing,
+        airframe=load_airframe("paper").as_json(),
+    )  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result("speed").write(tmp_path / "speed.json")
+    result("command").write(tmp_path / "command.json")
+    lines = [f"1\t1\t{name}\t{value}\t9" for name, value in NOW.items()]
+    (tmp_path / "now.params").write_text("# Onboard parameters\n" + "\n".join(lines) + "\n")
+    return tmp_path
+
+
+FEW = ("--draws", "10")
+
+
+@pytest.mark.slow
+def test_gains_now_and_proposed(files, capsys):
+    more = ["--with", "command.json", "--json", "t.json", "--bode", "b.svg", *FEW]
+    assert run(["tune", "speed.json", "now.params", *more]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert re.search(r"^MC_ROLLRATE_P +0\.4 +0\.\d+$", out, re.MULTILINE)
+    assert "identified, from command to rotor" in out
+    document = json.loads((files / "t.json").read_text())
+    assert document["schema"] == "gcs-sysid-tune/1"
+    # -rotor_delay less half a period of the loop.
+    assert document["delay"]["value"] == pytest.approx(0.007 - 0.00125)
+    now, proposed = (document["margins"][n]["roll"] for n in ("now", "proposed"))
+    assert now["attitude_loop_closed"]["phase_deg"]["value"] < 45.0
+    for axis in document["margins"]["proposed"].values():
+        assert axis["attitude_loop_closed"]["phase_deg"]["worst"] >= 45.0
+        assert axis["attitude_loop_closed"]["gain_db"]["worst"] >= 6.0
+    assert (
+        proposed["attitude_loop_closed"]["phase_deg"]["low"]
+        < (proposed["attitude_loop_closed"]["phase_deg"]["high"])
+    )
+    assert document["parameters"]["now"]["MC_ROLLRATE_P"] == 0.4
+    picture = ElementTree.fromstring((files / "b.svg").read_text())
+    names = [element.tag.rpartition("}")[2] for element in picture.iter()]
+    # Two sets of gains, three axes, magnitude and phase: a line and a band each.
+    assert names.count("polyline") == names.count("polygon") == 12
+
+
+@pytest.mark.slow
+def test_a_file_for_qgroundcontrol_and_one_for_mission_planner(files, capsys):
+    assert run(["tune", "command.json", "--to", "px4-params", "-o", "g.params", *FEW]) == 0
+    values = read_parameter_file(files / "g.params")
+    assert values["MC_ROLLRATE_K"] == 1.0
+    assert 0.01 < values["MC_ROLLRATE_P"] < 1.0
+    assert len(values) == 18
+    args = ["tune", "command.json", "--to", "ardupilot-param", "-o", "g.param", *FEW]
+    assert run(args) == 0
+    values = read_parameter_file(files / "g.param")
+    assert {"ATC_RAT_RLL_P", "ATC_ANG_YAW_P", "ATC_RAT_PIT_D"} <= values.keys()
+    assert "rotor inertia is not identified" in capsys.readouterr().out
+    assert run(args) == 2
+    assert "g.param exists; --force overwrites it" in capsys.readouterr().err
+
+
+def test_indi_matrices(files):
+    assert run(["tune", "command.json", "--to", "indi", "-o", "g.txt"]) == 0
+    assert "set indi_act_g1_roll = " in (files / "g.txt").read_text()
+    assert run(["tune", "command.json", "--to", "paparazzi", "-o", "g.xml"]) == 0
+    assert "STABILIZATION_INDI_" in (files / "g.xml").read_text()
+
+
+def test_what_a_result_does_not_carry_is_said_with_the_flight_that_helps(files, capsys):
+    assert run(["tune", "speed.json"]) == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert err.startswith("gcs-sysid: speed.json: no gains from this result: T_max, motor_lag")
+    assert "analyze a flight with commands" in err
+    result("command", weak=("Ixx",)).write(files / "weak.json")
+    assert run(["tune", "weak.json"]) == 1
+    assert "Ixx (only weakly identified)" in capsys.readouterr().err
+    given = ["--set", "motor_lag=0.03+-0.003", "--set", "rotor_speed_max=220"]
+    assert run(["tune", "speed.json", *given, *FEW]) == 0
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (["command.json", "none.params"], "none.params"),
+        (["command.json", "--to", "px4-params"], "--to and -o go together"),
+        (["command.json", "--to", "px4-params", "-o", "g.txt"], "NAME.params"),
+        (["command.json", "--to", "px4-params", "-o", "g.params", "--autopilot", "ardupilot"],
+         "not for --autopilot"),
+        (["command.json", "now.params", "--autopilot", "ardupilot"], "holds no ATC_"),
+        (["command.json", "--set", "motor_lag=x"], "must be a number"),
+        (["command.json", "--delay", "7"], "0 to 0.2 s"),
+        (["speed.json", "--with", "other.json"], "Ixx = 0.0165 and 0.033"),
+    ],
+)  # fmt: skip
+def test_wrong_usage_is_one_line_and_status_2(files, capsys, args, says):
+    result("command", Ixx=0.033, Izz=0.04).write(files / "other.json")
+    assert run(["tune", *args]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert says in err
+
+
+@pytest.mark.parametrize(
+    "line", ["MC_ROLLRATE_P", "1\t1\tMC_ROLLRATE_P\tx\t9", "MC_ROLLRATE_P,nan", "§§ 1"]
+)
+def test_a_damaged_parameter_file_is_refused_with_its_line(files, capsys, line):
+    (files / "bad.param").write_text(f"# comment\n{line}\n")
+    assert run(["tune", "command.json", "bad.param"]) == 2
+    assert "bad.param: line 2" in capsys.readouterr().err
+
+
+def test_an_ensemble_is_a_file_each(files, capsys):
+    args = ["export", "speed.json", "--to", "urdf", "-o", "quad.urdf", "--ensemble", "4"]
+    assert run(args) == 0
+    found = sorted(path.name for path in files.glob("*.urdf"))
+    assert found == [f"quad-{i:03}.urdf" for i in range(1, 5)]
+    masses = {re.search(r'ixx="([^"]*)"', (files / name).read_text())[1] for name in found}
+    assert len(masses) == 4
+    assert run(args) == 2
+    assert "quad-001.urdf exists" in capsys.readouterr().err
+    assert run([*args[:4], "-o", "-", "--ensemble", "2"]) == 2

@@ -1,0 +1,232 @@
+"""A session on a page: what goes out, and what a pilot asks for."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.results.snapshot import LinkState
+from gcs_sysid.screen import Actions, Baseline
+from gcs_sysid.screen.scene import Scene
+from gcs_sysid.screen.widgets.transport import Transport
+from gcs_sysid.web import session_page
+from gcs_sysid.web.session_page import SessionPage
+from gcs_sysid.web.session_view import MOST_POINTS, history_view, session_view
+from tests.screen import fake
+
+from .conftest import Client, served
+
+
+def row(view, name):
+    return next(row for row in view["parameters"] if row["name"] == name)
+
+
+def test_a_snapshot_in_words():
+    view = session_view(replace(fake.snapshot(), advice=fake.advice()), fake.TRUTH, None)
+    assert view["link"]["vehicle"] == "PX4 quadrotor 1:1"
+    assert view["verdict"]["headline"] == "PARTIAL"
+    assert view["verdict"]["sign"] == "~"
+    found = row(view, "Ixx")
+    assert (found["value"], found["half"], found["unit"]) == ("16.553", "± 0.081", "10⁻³ kg m²")
+    assert (found["status"], found["sign"], found["percent"]) == ("identified", "✓", "0.49\u00a0%")
+    assert found["error"] == "+0.32\u00a0%"
+    assert 0.9 < found["done"] <= 1.0
+    unknown = row(view, "rotor_inertia")
+    assert (unknown["value"], unknown["status"], unknown["sign"]) == ("–", "unobservable", "✗")
+    slow = {rate["name"] for rate in view["link"]["rates"] if rate["slow"]}
+    assert slow == set()
+    assert view["coach"]["text"] == "roll and yaw together, ±20°, about 1 Hz, 10 s"
+    assert view["coach"]["left"] == "6 s left"
+    json.dumps(view, allow_nan=False)
+
+
+def test_the_order_stands_apart_from_what_it_is_for():
+    text = "roll and yaw together: roll ±20°, 18 s: Ixy from 2.2 % to about 1.8 %"
+    advice = replace(fake.advice(), text=text)
+    coach = session_view(replace(fake.snapshot(), advice=advice), {}, None)["coach"]
+    assert coach["text"] == "roll and yaw together: roll ±20°, 18 s"
+    assert coach["aim"] == "Ixy from 2.2 % to about 1.8 %"
+
+
+@pytest.mark.parametrize("make", [fake.waiting, fake.bare, fake.two_vehicles, fake.snapshot])
+def test_every_snapshot_can_be_shown(make):
+    snapshot = make()
+    view = session_view(snapshot, {}, None)
+    json.dumps(view, allow_nan=False)
+    assert view["rotors"] == [] or len(view["rotors"]) == 4
+    if make is fake.bare:
+        assert row(view, "Ixx")["status"] == "waiting"
+    for state in LinkState:
+        link = replace(snapshot.link, state=state)
+        assert session_view(replace(snapshot, link=link), {}, None)["link"]["state"] == state.value
+
+
+def test_a_baseline_is_compared_with():
+    view = session_view(fake.snapshot(), {}, Baseline("before.json", fake.earlier()))
+    assert view["baseline"]["name"] == "before.json"
+    assert view["baseline"]["sign"] == "≠"
+    assert "Ixx" in view["baseline"]["text"]
+
+
+def test_the_plot_has_a_bounded_number_of_points():
+    view = history_view(fake.snapshot(), "Ixx")
+    assert len(view["t"]) == len(view["value"]) == len(view["half"]) == MOST_POINTS
+    assert view["unit"] == "10⁻³ kg m²"
+    assert view["value"][-1] == pytest.approx(16.55, rel=0.02)
+    assert view["t"][-1] == pytest.approx(fake.history().t[-1], rel=1e-3)
+    json.dumps(view, allow_nan=False)
+    assert history_view(fake.bare(), "Ixx")["value"] == []
+    with pytest.raises(InputError, match="no parameter 'x'"):
+        history_view(fake.snapshot(), "x")
+
+
+def test_a_plot_without_an_interval_has_its_values():
+    history = fake.history()
+    history.std["Ixx"][:] = np.nan
+    view = history_view(replace(fake.snapshot(), history=history), "Ixx")
+    assert set(view["half"]) == {None}
+
+
+def test_every_viewer_sees_each_snapshot_once(site, source, viewer, pilot):
+    with viewer.open("GET", "/live") as first, pilot.open("GET", "/live") as second:
+        streams = viewer.stream(first), pilot.stream(second)
+        for stream in streams:
+            assert next(stream)["session"]["t"] == "00:42"
+            assert next(stream)["health"]["state"] == "none"
+        source.snapshot = replace(source.snapshot, t=99.0)
+        for stream in streams:
+            assert next(stream)["session"]["t"] == "01:39"
+        site.stop()
+        for stream in streams:
+            assert next(stream) == {"ended": True}
+    assert source.calls == []
+
+
+def test_a_page_is_packed_once_for_all(page, source, viewer, monkeypatch):
+    made = []
+    view = session_page.session_view
+    monkeypatch.setattr(session_page, "session_view", lambda *a: (made.append(a), view(*a))[1])
+    for _ in range(3):
+        viewer.events(1)
+    assert len(made) == 1
+
+
+def test_there_is_room_for_so_many(viewer, monkeypatch):
+    monkeypatch.setattr(session_page, "MOST_VIEWERS", 1)
+    with viewer.open("GET", "/live") as first:
+        assert first.status == 200
+        assert viewer.get("/live") == (503, "1 viewers already\n")
+
+
+def test_what_a_pilot_asks_for_is_done_once(pilot, source):
+    for action, said in (
+        ({"action": "mark", "text": "here\x1b[2J"}, ""),
+        ({"action": "record"}, "recording stopped"),
+        ({"action": "scale", "name": "mass", "value": 1.6}, "scale from mass = 1.6"),
+        ({"action": "export", "target": "urdf"}, "written: paper.urdf"),
+    ):
+        status, text = pilot.post("/live/action", action)
+        assert (status, json.loads(text)["said"]) == (200, said)
+    assert source.calls == [
+        "mark 'here\\\\x1b[2J'",
+        "record",
+        "anchor mass 1.6",
+        "export urdf partial",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        (b"", "not valid JSON"),
+        (b"\xff\xfe\x00", "not valid JSON"),
+        (b"[" * 5000, "not valid JSON"),
+        (b"[]", "must be a JSON object"),
+        (b'{"action": 3}', "must be a JSON object"),
+        (b'{"action": "stop"}', "'stop' is not available here"),
+        (b'{"action": "__class__"}', "is not available here"),
+        (b'{"action": "vehicle", "address": [1, 1]}', "is not available here"),
+        (b'{"action": "mark", "text": 5}', "text: must be text"),
+        (b'{"action": "mark", "text": "' + b"x" * 300 + b'"}', "text: must be text"),
+        (b'{"action": "scale", "name": "mass"}', "value: must be a number"),
+        (b'{"action": "scale", "name": "mass", "value": 1e999}', "value: must be a number"),
+        (b'{"action": "scale", "name": "mass", "value": NaN}', "value: must be a number"),
+        (b'{"action": "scale", "name": "arm", "value": 1}', "name must be"),
+        (b'{"action": "export", "target": "../x"}', "no such export format"),
+        (b'{"action": "health"}', "no recording"),
+    ],
+)
+def test_malformed_messages_are_refused_in_a_line(pilot, source, body, why, capfd):
+    status, text = pilot.post("/live/action", body)
+    assert status == 400
+    assert why in text
+    assert text.count("\n") == 1
+    assert source.calls == []
+    assert capfd.readouterr().err == ""
+
+
+def test_a_message_has_a_size(pilot, source):
+    status, text = pilot.post("/live/action", b'{"action": "mark", "text": "' + b"x" * 100_000)
+    assert (status, text.count("\n")) == (413, 1)
+    assert source.calls == []
+
+
+def test_why_something_failed_is_told(pilot, source):
+    source.broken = True
+    assert pilot.post("/live/action", {"action": "reset"}) == (400, "the disk is full\n")
+
+
+def test_a_defect_is_one_line_here_and_there(pilot, page, source, capfd):
+    source.toggle_recording = None
+    page._commands = None
+    status, text = pilot.post("/live/action", {"action": "reset"})
+    assert status == 500
+    assert text.startswith("internal error")
+    assert capfd.readouterr().err.count("\n") == 1
+
+
+def test_a_replay_is_moved(source):
+    told = []
+    transport = Transport(
+        lambda: "paused", lambda step: f"step {step}", lambda t: (told.append(t), "to")[1], str
+    )
+    page = SessionPage(source, Scene(actions=Actions(absent="in a replay"), transport=transport))
+    source.snapshot = replace(source.snapshot, playback=fake.PLAYING)
+    with served(page) as site:
+        pilot = Client(site, "pilot")
+        scene = json.loads(pilot.get("/live/scene")[1])
+        assert scene["actions"] == ["pause", "seek", "skip", "speed"]
+        assert pilot.post("/live/action", {"action": "seek", "position": 12.5})[0] == 200
+        assert told == [12.5]
+        assert json.loads(pilot.post("/live/action", {"action": "speed", "step": -3})[1]) == {
+            "said": "step -1"
+        }
+        assert pilot.post("/live/action", {"action": "reset"})[0] == 400
+        assert pilot.events(1)[0]["session"]["playback"]["state"] == "▶ 1x"
+
+
+@pytest.mark.slow
+def test_the_health_of_the_flight_so_far_reaches_every_viewer(source, fly):
+    words = ("--mission", "hover", "--rate", "50", "--duration", "14", "--seed", "2")
+    log = fly(*words).tlog
+    before = log.read_bytes()
+    page = SessionPage(source, Scene(), lambda: log, lambda: load_airframe("paper"))
+    with served(page) as site:
+        pilot, viewer = Client(site, "pilot"), Client(site, "viewer")
+        assert viewer.get("/live/health.svg")[0] == 400
+        with viewer.open("GET", "/live") as response:
+            told = (event["health"] for event in viewer.stream(response) if "health" in event)
+            assert next(told)["state"] == "none"
+            assert pilot.post("/live/action", {"action": "health"})[0] == 200
+            states = [next(told)]
+            while states[-1]["state"] == "running":
+                states.append(next(told))
+        assert states[-1]["state"] == "done", states
+        assert "s of hover" in states[-1]["text"]
+        status, text = viewer.get("/live/health.svg")
+        assert status == 200
+        assert text.startswith("<svg")
+    assert log.read_bytes() == before
