@@ -65,11 +65,13 @@ class WarmStart:
         unknowns: (N_UNKNOWNS,) at the minimum of the cost.
         inflation: (p, p) of the covariance, see `uncertainty.inflation`.
         widening: (p,) of the standard deviations, see `uncertainty.student_factor`.
+        stuck: whether the search ended elsewhere than near a minimum.
     """
 
     unknowns: Array
     inflation: Array
     widening: Array
+    stuck: bool = False
 
 
 @dataclass(frozen=True)
@@ -230,14 +232,16 @@ def fit_rotation(
         closer = problem.evaluate(earlier).cost < problem.evaluate(unknowns).cost
         unknowns = np.where(closer[:, None], earlier, unknowns)
         point, converged = minimise(problem, unknowns, _WARM_ITERATIONS)
+    stuck = np.zeros(len(bank), dtype=bool)
     if basis.commands:
-        for _ in range(_ROUNDS):
+        for round_ in range(_ROUNDS + 1):
             # A search that steps out of the physical inertias only is at no minimum.
-            converged = Outcome(problem, point, noise).left < _NEAR
-            if converged.any():
+            stuck = Outcome(problem, point, noise).left >= _NEAR
+            converged &= ~stuck
+            if converged.any() or round_ == _ROUNDS:
                 break
             # Curve and lag bend the valley: it takes many steps along.
-            point, _ = minimise(problem, point.unknowns, MAX_ITERATIONS)
+            point, converged = minimise(problem, point.unknowns, MAX_ITERATIONS)
     pull = None
     if basis.commands and noise.any():
         problem, point, pull = without_noise(problem, point, noise)
@@ -251,8 +255,8 @@ def fit_rotation(
     spread, widening = (np.stack(parts) for parts in zip(*scatter, strict=True))
     if doubt:
         spread = spread + outcome.spread_of(doubt * (outcome.pull if pull is None else pull))
-    fits = outcome.fits(spread, widening, converged, range(len(bank)))
-    return most_certain([fit for fit in fits if fit.converged] or fits)
+    fits = outcome.fits(spread, widening, converged, range(len(bank)), stuck)
+    return most_certain([fit for fit, no in zip(fits, stuck, strict=True) if not no] or fits)
 
 
 def follow_rotation(
@@ -285,7 +289,9 @@ def follow_rotation(
     scatter = start.warm_start.inflation, start.warm_start.widening
     outcome = Outcome(problem, problem.evaluate(unknowns), noise)
     near = outcome.take_step(_BLIND_STEP)
-    fits = outcome.fits(*scatter, [start.converged] * len(rows), [start.leak] * len(rows))
+    stuck = np.full(len(rows), start.warm_start.stuck)
+    leaks = [start.leak] * len(rows)
+    fits = outcome.fits(*scatter, [start.converged] * len(rows), leaks, stuck)
     if not near.all():
         far = ~near
         alone = Problem(totals[far], rows[far], basis, prior)
@@ -293,9 +299,8 @@ def follow_rotation(
         point, converged = minimise(alone, starts, _FOLLOW_ITERATIONS)
         if noisy:
             alone, point, _ = without_noise(alone, point, noise[far])
-        converged = converged | start.converged
-        leaks = [start.leak] * len(converged)
-        better = Outcome(alone, point, noise[far]).fits(*scatter, converged, leaks)
+        leaks = leaks[: len(converged)]
+        better = Outcome(alone, point, noise[far]).fits(*scatter, converged, leaks, stuck[far])
         for i, fit in zip(np.flatnonzero(far), better, strict=True):
             fits[i] = fit
     return fits
@@ -443,7 +448,12 @@ class Outcome:
         return near
 
     def fits(
-        self, spread: Array, widening: Array, converged: Iterable[bool], leaks: Iterable[int]
+        self,
+        spread: Array,
+        widening: Array,
+        converged: Iterable[bool],
+        leaks: Iterable[int],
+        stuck: Mask | None = None,
     ) -> list[RotationFit]:
         """The K estimates.
 
@@ -452,6 +462,7 @@ class Outcome:
             widening: (K, p) or (p,) factors on the standard deviations.
             converged: whether each minimum was reached.
             leaks: index of each one's leak.
+            stuck: (K,) whether each search ended elsewhere than near a minimum; None: none did.
         """
         problem, point, d, n = self._problem, self._point, self._scale, rb.N_THETA
         K, p = d.shape
@@ -486,11 +497,11 @@ class Outcome:
             along = full[:, :, CURVE] / full[:, CURVE, CURVE, None] * problem.basis.curve_doubt
             full += along[:, :, None] * along[:, None, :]
         r_squared = self._explained()
-        reached = np.array(list(converged), dtype=bool)
+        stuck = np.zeros(K, dtype=bool) if stuck is None else stuck
         if problem.basis.commands and CURVE in problem.free:
             # Whoever explains an axis worse than nothing sits in a false minimum.
-            reached &= r_squared.min(axis=1) > _ABSURD
-            for i in np.flatnonzero(~reached).tolist():
+            astray = stuck | (r_squared.min(axis=1) < _ABSURD)
+            for i in np.flatnonzero(astray).tolist():
                 # There curve and lag are what they ordinarily are.
                 for place, std in ((CURVE, COORDINATE_STD[2]), (LAG, COORDINATE_STD[1])):
                     if full[i, place, place] > 0.0:
@@ -509,11 +520,13 @@ class Outcome:
                 leak=leak,
                 data_std=data_std[i, :n],
                 full_covariance=full[i],
-                warm_start=WarmStart(self._unknowns[i], spread[i], widening[i]),
+                warm_start=WarmStart(
+                    self._unknowns[i], spread[i], widening[i], bool(stuck[i])
+                ),
                 deviations=unknowns[i, N_UNKNOWNS:],
                 extended_covariance=every[i],
             )
-            for i, (done, leak) in enumerate(zip(reached, leaks, strict=True))
+            for i, (done, leak) in enumerate(zip(converged, leaks, strict=True))
         ]
 
     def _explained(self) -> Array:
