@@ -279,7 +279,8 @@ def reference_of(
                 float(std[LAG]),
                 float(std[CURVE]),
             )
-    if commands and actuator is None:
+    stuck = rot is not None and rot.warm_start is not None and rot.warm_start.stuck
+    if commands and (actuator is None or stuck):
         matrix[:] = np.nan  # of commands nothing is known without lag and curve
     return Reference(geometry, matrix, shift, actuator)
 
