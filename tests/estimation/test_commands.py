@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 from gcs_sysid.estimation.actuator_dynamics import SIGNALS, ActuatorDynamics, LagPlace
+from gcs_sysid.estimation.change_reference import reference_of
 from gcs_sysid.estimation.command_noise import CommandNoise
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.record import FlightRecord
@@ -245,3 +246,15 @@ def test_elements_show_noise_as_their_filters_let_it_pass(truth):
         np.testing.assert_allclose(seen[np.ix_(roll, roll)], said[np.ix_(roll, roll)], rtol=0.1)
         # Nothing of it is in yaw.
         assert np.abs(said[3]).max() < 1e-9 * said[0, 0]
+
+
+def test_a_fit_that_got_stuck_is_no_reference_for_changes(truth, flight):
+    commands, _ = commands_of(flight, truth, 0.05, 0.4)
+    estimator = OnlineEstimator(truth.geometry, DT, COMMANDS)
+    estimator.update(replace(flight, speeds=commands))
+    fit = estimator.fit()
+    assert not fit.rotation.warm_start.stuck
+    assert reference_of(fit, truth.geometry, DT, commands=True).watched.all()
+    start = replace(fit.rotation.warm_start, stuck=True)
+    stuck = replace(fit, rotation=replace(fit.rotation, warm_start=start))
+    assert not reference_of(stuck, truth.geometry, DT, commands=True).watched.any()
