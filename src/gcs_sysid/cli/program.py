@@ -206,6 +206,7 @@ def _run(argv: Sequence[str]) -> int:
 
         print(welcome(parser))
         return DONE
+    arguments.with_mappings(options)
     command = importlib.import_module(f"gcs_sysid.cli.{options.command}_command")
     status: int = command.run(options)
     return status

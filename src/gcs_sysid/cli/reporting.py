@@ -13,7 +13,7 @@ import scipy
 from gcs_sysid import __version__
 from gcs_sysid.cli import output
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import check_target, split_session, write_whole
+from gcs_sysid.files import check_target, log_file, write_whole
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.report.data import Provenance, gather
@@ -86,7 +86,7 @@ class Reporter:
 
 def provenance_of(command: tuple[str, ...], log: Path) -> Provenance:
     """What reproduces a report of this log."""
-    log, _ = split_session(log)
+    log = log_file(log)
     with log.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     versions = {

@@ -9,7 +9,7 @@ from typing import Any
 
 from gcs_sysid import __version__
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import split_session
+from gcs_sysid.files import split_mapping, split_session
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
@@ -75,10 +75,13 @@ def make_task(job: Job) -> Task:
     Raises:
         OSError: it cannot be read.
     """
-    path, session = split_session(job.log)
+    table, mapping = split_mapping(job.log)
+    path, session = (table, None) if mapping is not None else split_session(job.log)
     with open(path, "rb") as file:
         made = hashlib.file_digest(file, "sha256")
         size = file.tell()
+    if mapping is not None:
+        made.update(mapping.read_bytes())
     if session is not None:
         made.update(f"#{session}".encode())
     digest = made.hexdigest()
