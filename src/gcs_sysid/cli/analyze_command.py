@@ -80,14 +80,15 @@ def run(options: argparse.Namespace) -> int:
             if result.verdict == "refused" and health is not None and options.json != "-":
                 print(f"What its hover shows all the same:\n\n{health_text(health)}")
             if reporter is not None:
-                deliveries.give(functools.partial(reporter.write, result))
+                document = None if health is None else document_of(health)
+                deliveries.give(functools.partial(reporter.write, result, document))
     if results:
         documents = [result.as_json() for result in results]
         for known, health in zip(documents, healths, strict=False):
             if health is not None:
                 known["health"] = document_of(health)
-        document = documents[0] if len(options.logs) == 1 else documents
-        deliveries.give(lambda: output.write_json(options.json, document, force=options.force))
+        content = documents[0] if len(options.logs) == 1 else documents
+        deliveries.give(lambda: output.write_json(options.json, content, force=options.force))
     deliveries.check()
     if unreadable:
         return 2

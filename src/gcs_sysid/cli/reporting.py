@@ -6,6 +6,7 @@ import platform
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 import scipy
@@ -63,8 +64,12 @@ class Reporter:
     ) -> None:
         self._recorder.close()
 
-    def write(self, result: Result) -> None:
+    def write(self, result: Result, health: Mapping[str, Any] | None = None) -> None:
         """Write the report of the log analysed.
+
+        Args:
+            result: of the analysis.
+            health: a health file's content; None where nothing hovers.
 
         Raises:
             InputError: the file cannot be written, or has come into being meanwhile.
@@ -80,6 +85,7 @@ class Reporter:
             self._airframe,
             provenance_of(options.argv, log),
             self._truth,
+            health,
         )
         write_whole(Path(options.report), render(data), replace=options.force)
 

@@ -46,6 +46,7 @@ class ReportData:
         spectrum: of the residual; None where too little of the flight was kept apart.
         truth: true parameters of an emulated vehicle.
         notes: of the analysis, such as which rotor stream it took, and when it began anew.
+        health: a health file's content; empty where nothing hovers.
     """
 
     result: Mapping[str, Any]
@@ -57,6 +58,7 @@ class ReportData:
     spectrum: Spectrum | None = None
     truth: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[Event, ...] = ()
+    health: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def geometry(self) -> Array:
@@ -71,6 +73,7 @@ def gather(
     airframe: Airframe,
     provenance: Provenance,
     truth: Mapping[str, float] | None = None,
+    health: Mapping[str, Any] | None = None,
 ) -> ReportData:
     """Put together what a report needs.
 
@@ -81,6 +84,7 @@ def gather(
         airframe: with its anchor.
         provenance: what reproduces it.
         truth: as `ReportData.truth`.
+        health: as `ReportData.health`.
     """
     found = result.as_json()
     prediction = spectrum = None
@@ -114,4 +118,5 @@ def gather(
         spectrum,
         dict(truth or {}),
         recorder.notes,
+        dict(health or {}),
     )
