@@ -139,7 +139,7 @@ def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -
     )
 
 
-def _add_csv(parser: argparse.ArgumentParser) -> None:
+def _add_csv(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--csv",
         metavar="MAPPING.toml",
@@ -157,7 +157,7 @@ def with_mappings(options: argparse.Namespace) -> None:
         raise InputError(f"--csv {mapping}: no such file")
     if getattr(options, "logs", None):
         options.logs = [str(with_mapping(Path(log), mapping)) for log in options.logs]
-    for name in ("log", "target"):
+    for name in ("log", "target", "result"):
         if getattr(options, name, None):
             setattr(options, name, str(with_mapping(Path(getattr(options, name)), mapping)))
 
@@ -357,12 +357,25 @@ def add_plan(parser: argparse.ArgumentParser) -> None:
 
 def add_export(parser: argparse.ArgumentParser) -> None:
     """Options of `export`."""
-    parser.add_argument("result", metavar="RESULT.json", help="written by --json")
-    parser.add_argument("--to", choices=EXPORT_TARGETS, required=True, help="target format")
     parser.add_argument(
-        "-o", "--output", metavar="FILE", required=True, help="output file; - is stdout"
+        "result", metavar="RESULT.json|LOG", help="written by --json; with --signals, a log"
     )
+    parser.add_argument("--to", choices=EXPORT_TARGETS, help="target format")
+    parser.add_argument("-o", "--output", metavar="FILE", help="output file; - is stdout")
     parser.add_argument("--force", action="store_true", help="overwrite FILE")
+    group = parser.add_argument_group("signals of a flight, instead of a vehicle")
+    group.add_argument(
+        "--signals",
+        metavar="FILE",
+        help="write aligned signals and residuals of LOG, as .csv, .parquet or .mcap, for "
+        "PlotJuggler, Foxglove or MATLAB; needs --airframe and a scale",
+    )
+    _add_csv(group)
+    group.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
+    scale = group.add_mutually_exclusive_group()
+    scale.add_argument("--mass", type=measured(mass), metavar="KG[±STD]", help="as of analyze")
+    scale.add_argument("--k-t", type=measured(positive), metavar="N_S2[±STD]")
+    scale.add_argument("--t-max", type=measured(positive), metavar="N[±STD]")
     parser.add_argument(
         "--name", metavar="NAME", help="name of the vehicle (default: the airframe's)"
     )

@@ -96,8 +96,9 @@ def build_parser() -> argparse.ArgumentParser:
     arguments.add_plan(plan)
     export = commands.add_parser(
         "export",
-        help="write an identified vehicle for a simulator",
-        description="Writes a result as a file for PX4's SIH, Gazebo, MuJoCo, RotorPy or as URDF.",
+        help="write an identified vehicle for a simulator, or a flight's signals",
+        description="Writes a result as a file for PX4's SIH, Gazebo, MuJoCo, RotorPy or as URDF; "
+        "with --signals, the aligned signals and residuals of a log as a table.",
     )
     arguments.add_export(export)
     compare = commands.add_parser(

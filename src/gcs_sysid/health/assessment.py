@@ -17,7 +17,7 @@ from gcs_sysid.health.command_curve import Curve, curve_of, thrust_of
 from gcs_sysid.health.drive_health import battery_of, idle_output, motor_gains, with_throttle
 from gcs_sysid.health.hover import Windows, windows_of
 from gcs_sysid.health.log_streams import Streams, streams_of
-from gcs_sysid.health.rotor_condition import compare_loads, load_of
+from gcs_sysid.health.rotor_condition import compare_loads, load_of, watch_rotors
 from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health, RotorHealth
 from gcs_sysid.health.vibration import vibration_of
@@ -172,6 +172,9 @@ def health_of(
     )
     health = with_throttle(health, streams, windows, hover, curve)
     health = _compared(health, given, hover, thrust, c)
+    places = [0.0 if place.value is None else place.value for place in health.cg or ()]
+    weakened, watched = watch_rotors(hover, thrust, c, airframe, places)
+    health = replace(health, weakened=weakened, watched=watched)
     return replace(health, advice=advice_of(health, given, guess))
 
 

@@ -138,13 +138,14 @@ class Condition:
     Attributes:
         verdict: "unchanged", "rotor", "cg", "all" (all rotors alike: air, battery, payload), or
             "unclear": something changed that these data do not tell apart.
-        rotor: which, from 0, where one is named; where the verdict is "unclear", the one that it
-            would be if nothing else had changed, where the data tell it from the other rotors.
+        rotor: which, from 0, where one is named.
         loss: share of thrust that it lost, where one is named.
         margin: chi-square by which the best explanation beats the next one of another kind.
         moved: (2,) m that the CG would have moved by, were it that.
         changes: (rotors,) relative change of load.
         efficiency: of each rotor against the baseline, shrunk to the mean.
+        suspect: which rotor it would be, from 0, where the verdict is "unclear" and the data tell
+            it from the other rotors.
     """
 
     verdict: str
@@ -154,12 +155,14 @@ class Condition:
     moved: tuple[float, float]
     changes: Array
     efficiency: tuple[Quantity, ...]
+    suspect: int | None = None
 
     def as_json(self) -> dict[str, Any]:
         """As health files write it; rotors count from 0."""
         return {
             "verdict": self.verdict,
             "rotor": self.rotor,
+            "suspect": self.suspect,
             "loss": None if self.loss is None else self.loss.as_json(),
             "margin": self.margin,
             "cg_moved": list(self.moved),
@@ -260,7 +263,7 @@ def compare_loads(
         if left_best - left > TUNING.rival_margin and left < least + each:
             margin = left_best - left
             return Condition(verdict, None, None, margin, shift, changes, efficiency)
-    return Condition("unclear", suspect, None, 0.0, shift, changes, efficiency)
+    return Condition("unclear", None, None, 0.0, shift, changes, efficiency, suspect)
 
 
 def _rival(best: Sequence[tuple[float, int, float, float]]) -> float:
@@ -309,8 +312,13 @@ def watch_rotors(
     if base is None:
         return None, 0
     judged, before = 0, None
+    per_lift = np.log(np.maximum(thrust, 1e-12) / lift_of(hover)[:, None])
+    usual = per_lift[:first].mean(axis=0)
     for start in range(first, len(hover.t) - count + 1, count // 2):
         rows = slice(start, start + count)
+        if float(np.ptp(per_lift[rows].mean(axis=0) - usual)) < TUNING.least_change:
+            judged, before = judged + 1, None
+            continue
         now = load_of(hover.part(rows), thrust[rows], c)
         if now is None:
             continue

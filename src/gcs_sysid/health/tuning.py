@@ -20,6 +20,7 @@ class Tuning:
         sure_of_order: standard deviations by which another axis' moment must turn the vehicle, or
             its own moment the wrong way, for the motor order to be wrong.
         carrying: of the most that the rotors do, from which they may carry the vehicle.
+        least_seen: share of the time in which rotors carry, below which heights do not tell flight.
         most_rate: rad/s, in hover.
         most_turning: rad/s^2, mean over a window.
         most_lift: relative deviation of thrust over mass from gravity.
@@ -45,6 +46,8 @@ class Tuning:
             yaw and sum gusts hide, was never named (`benchmarks.health --weak`).
         learnt_from: s of hover at the begin of a flight that later ones in it are held against.
         judged_by: s of hover in a stretch that is.
+        least_change: of a rotor's load over another's in a stretch, relative, that is looked into:
+            5 % less of one rotor of eight makes 2.5 %.
         named_margin: chi-square by which a weak rotor must beat all other explanations.
         rival_margin: by which it must beat another rotor.
         shortest_drift: s of flight from which a drift is told.
@@ -85,6 +88,7 @@ class Tuning:
     lag_step: float = 0.02
     sure_of_order: float = 5.0
     carrying: float = 0.2
+    least_seen: float = 0.1
     most_rate: float = 0.5
     most_turning: float = 3.0
     most_lift: float = 0.15
@@ -107,6 +111,7 @@ class Tuning:
     cg_fixed: float = 30.0
     learnt_from: float = 30.0
     judged_by: float = 10.0
+    least_change: float = 0.01
     named_margin: float = 14.0
     rival_margin: float = 9.0
     shortest_drift: float = 20.0

@@ -86,30 +86,12 @@ def gather(
         truth: as `ReportData.truth`.
         health: as `ReportData.health`.
     """
-    found = result.as_json()
-    prediction = spectrum = None
-    if recorder.dt is not None:
-        validation, model = recorder.validation, None
-        if validation is not None:
-            rotors = found["telemetry"]["rotor_input"]
-            model = Model(
-                validation.theta,
-                validation.coordinates,
-                airframe.geometry,
-                result.rotor_input,
-                rotors.get("gyro_filter"),
-                rotors.get("loop_filter"),
-            )
-        since = max((segment["end"] for segment in result.segments), default=float("-inf"))
-        failures = [event["t"] for event in result.events if event["kind"] == "rotor_failure"]
-        until = min((t for t in failures if t > since), default=float("inf"))
-        share = 0.0 if validation is None else validation.fitted_share
-        prediction = predict(
-            recorder.samples(), recorder.dt, model, since, until, share, result.rotor_input
-        )
+    prediction = predicted(result, recorder, airframe)
+    spectrum = None
+    if prediction is not None and recorder.dt is not None:
         spectrum = residual_spectrum(prediction, recorder.dt, result.rotor_input)
     return ReportData(
-        found,
+        result.as_json(),
         inspection,
         airframe,
         provenance,
@@ -120,3 +102,31 @@ def gather(
         recorder.notes,
         dict(health or {}),
     )
+
+
+def predicted(result: Result, recorder: Recorder, airframe: Airframe) -> Prediction | None:
+    """Measured and predicted angular acceleration of the flight; None where nothing flew.
+
+    Args:
+        result: of the analysis that the recorder looked at.
+        recorder: its samples are read once more.
+        airframe: with its anchor.
+    """
+    if recorder.dt is None:
+        return None
+    validation, model = recorder.validation, None
+    if validation is not None:
+        rotors = result.as_json()["telemetry"]["rotor_input"]
+        model = Model(
+            validation.theta,
+            validation.coordinates,
+            airframe.geometry,
+            result.rotor_input,
+            rotors.get("gyro_filter"),
+            rotors.get("loop_filter"),
+        )
+    since = max((segment["end"] for segment in result.segments), default=float("-inf"))
+    failures = [event["t"] for event in result.events if event["kind"] == "rotor_failure"]
+    until = min((t for t in failures if t > since), default=float("inf"))
+    share = 0.0 if validation is None else validation.fitted_share
+    return predict(recorder.samples(), recorder.dt, model, since, until, share, result.rotor_input)
