@@ -171,7 +171,13 @@ class Condition:
 
 
 def compare_loads(
-    before: Load, now: Load, airframe: Airframe, cg: Sequence[float], *, unchanged: bool
+    before: Load,
+    now: Load,
+    airframe: Airframe,
+    cg: Sequence[float],
+    *,
+    unchanged: bool,
+    same_flight: bool = False,
 ) -> Condition:
     """Judge what changed between two stretches of hover.
 
@@ -181,6 +187,7 @@ def compare_loads(
         airframe: places of the rotors.
         cg: (2,) m, of the baseline.
         unchanged: whether nothing was moved or loaded in between.
+        same_flight: whether the accelerometer's bias is the same in both.
     """
     x, y, spin = airframe.geometry
     n = len(x)
@@ -207,7 +214,10 @@ def compare_loads(
     places = np.full(2, still)
     if before.force is not None and now.force is not None:
         # Drag above the CG moves the center of thrust with the force that the wind makes.
-        wind = np.subtract(now.force, before.force)
+        wind = np.abs(np.subtract(now.force, before.force))
+        if not same_flight:
+            # From switching on to switching on the accelerometer's bias changes.
+            wind = np.maximum(wind - TUNING.bias_repeats, 0.0)
         places = np.hypot(places, TUNING.drag_lever * airframe.arm / GRAVITY * wind)
     noise = noise + moves @ np.diag(places**2) @ moves.T
     inverse = np.linalg.inv(noise)
@@ -323,7 +333,7 @@ def watch_rotors(
         if now is None:
             continue
         judged += 1
-        found = compare_loads(base, now, airframe, cg, unchanged=True)
+        found = compare_loads(base, now, airframe, cg, unchanged=True, same_flight=True)
         named = found.rotor if found.verdict == "rotor" else None
         if named is not None and named == before:
             return Weakened(float(hover.t[start + count - 1]), found), judged

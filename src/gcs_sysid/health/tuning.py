@@ -40,6 +40,8 @@ class Tuning:
         yaw_repeats: of the yaw balance.
         cg_repeats: m over meter of arm, of the CG from flight to flight, nothing having moved.
         cg_stays: the same where nothing was moved or loaded: what wind makes of it.
+        bias_repeats: m/s^2, change of specific force from flight to flight that is no wind: three
+            standard deviations of the difference of two accelerometer biases.
         parameter_penalty: chi-square for each number that an explanation may choose.
         cg_fixed: chi-square for a CG that moves where nothing was moved. A CG explains the moments
             of any weak rotor, so it must exceed `named_margin`: at 9 a rotor of six or eight, whose
@@ -107,6 +109,7 @@ class Tuning:
     yaw_repeats: float = 0.001
     cg_repeats: float = 0.0015
     cg_stays: float = 0.0004
+    bias_repeats: float = 0.3
     parameter_penalty: float = 2.0
     cg_fixed: float = 30.0
     learnt_from: float = 30.0
