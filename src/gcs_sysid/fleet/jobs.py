@@ -10,6 +10,9 @@ from typing import Any
 from gcs_sysid import __version__
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import split_mapping, split_session
+from gcs_sysid.health.assessment import HoverRecords
+from gcs_sysid.health.health_file import document_of
+from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
@@ -99,7 +102,12 @@ def analyze(task: Task) -> Document:
     made: Document
     try:
         options = ChainOptions(history_interval=None, offline=job.offline)
-        made = analyze_log(Path(task.path), job.airframe, job.vehicle, options).as_json()
+        records = HoverRecords()
+        result = analyze_log(Path(task.path), job.airframe, job.vehicle, options, keeper=records)
+        made = result.as_json()
+        health = records.health(str(job.log), Given(job.airframe))
+        if health.told:
+            made["health"] = document_of(health)
     except InputError as error:
         if isinstance(error.__cause__, OSError | MemoryError):
             raise
