@@ -93,7 +93,7 @@ def test_parquet_and_mcap_hold_the_same(analyzed):
         (["--signals", "a.csv", "--to", "urdf"], "neither --to nor -o"),
         (["--signals", "a.csv"], "which airframe?"),
         (["--signals", "a.csv", "--airframe", "px4-quad-x"], "nothing sets the scale"),
-        ([], "give --to FORMAT and -o FILE, or --signals FILE"),
+        ([], "give --to FORMAT and --output FILE, or --signals FILE"),
         (["--signals", "none/a.csv"], "no such folder"),
     ],
 )

@@ -21,7 +21,7 @@ def run(options: argparse.Namespace) -> int:
     if options.signals is not None:
         return _signals(options)
     if options.to is None or options.output is None:
-        raise InputError("give --to FORMAT and -o FILE, or --signals FILE with a log")
+        raise InputError("give --to FORMAT and --output FILE, or --signals FILE with a log")
     path = None if options.output == "-" else Path(options.output)
     if path is not None and path.exists() and not options.force:
         raise InputError(f"{path} exists; --force overwrites it")
