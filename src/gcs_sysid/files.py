@@ -29,6 +29,40 @@ def split_session(path: Path) -> tuple[Path, int | None]:
     return path.with_name(name), int(number)
 
 
+MAPPING_FILE = "columns.toml"
+"""Says what the columns of the tables in its folder are."""
+TABLE_SUFFIXES = frozenset({".csv", ".tsv", ".parquet"})
+
+
+def split_mapping(path: Path) -> tuple[Path, Path | None]:
+    """A table of signals and its mapping file; None for what is no such table.
+
+    `flight.csv#map.toml` names the mapping, from the table's folder unless it is absolute; else
+    `columns.toml` beside the table is it.
+    """
+    name, mark, mapping = str(path).rpartition("#")
+    if mark and name and mapping.endswith(".toml") and not path.exists():
+        return Path(name), Path(name).parent / mapping
+    beside = path.parent / MAPPING_FILE
+    if path.suffix.lower() in TABLE_SUFFIXES and beside.is_file():
+        return path, beside
+    return path, None
+
+
+def with_mapping(path: Path, mapping: Path) -> Path:
+    """A table's name with that of its mapping; what is no table stays as it is."""
+    if path.suffix.lower() not in TABLE_SUFFIXES:
+        return path
+    near = mapping.absolute().parent == path.absolute().parent
+    return Path(f"{path}#{mapping.name if near else mapping.absolute()}")
+
+
+def log_file(path: Path) -> Path:
+    """The file of a log that may be named with a session or a mapping."""
+    table, mapping = split_mapping(path)
+    return split_session(path)[0] if mapping is None else table
+
+
 def read_bytes(path: Path, most: int, what: str) -> bytes:
     """All of a file.
 

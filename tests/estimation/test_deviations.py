@@ -169,7 +169,7 @@ def test_looking_from_a_fit_with_deviations_tells_the_same(flown):
     of = [0, 1]
     for score, information in ((before, H), (after, H_after)):
         assert np.all(np.linalg.eigvalsh(information[np.ix_(of, of)]) > 0.0)
-        assert score.shape == (9,)
+        assert score.shape == (9 + 3,)  # and an IMU turned about each axis
     steps = [np.linalg.solve(h[np.ix_(of, of)], g[of]) for g, h in ((before, H), (after, H_after))]
     std = np.sqrt(np.diag(np.linalg.inv(H[np.ix_(of, of)])))
     assert np.all(np.abs(steps[1] - steps[0]) < 0.1 * std)
@@ -214,3 +214,26 @@ def test_intervals_hold_where_the_vehicle_deviates(fly, physics, seed, kinds):
     for name in ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y"):
         estimate = result.parameters[name]
         assert abs(estimate.value - flight.truth[name]) < Z95 * estimate.std, name
+
+
+def test_a_turned_imu_is_no_rotor_of_another_torque():
+    """What roll and pitch do is seen in yaw then, as if rotors differed in torque."""
+    choice = DeviationChoice(QUAD)
+    unknowns = unknowns_of()
+    every = choice.with_turns(choice.every(unknowns), unknowns)
+    turned = np.tensordot(np.radians([1.0, -0.8, 0.0]), every.torques[-3:], 1)
+    # Rows of all signals, each as strong as the torque that it makes is to be seen.
+    rng = np.random.default_rng(3)
+    rows = rng.standard_normal((4000, rb.N_SIGNALS))
+    rows *= 1.0 / np.maximum(np.abs(rb.forward_matrix(unknowns[: rb.N_THETA])).max(axis=0), 1e-9)
+    J = np.linalg.inv(rb.inertia_matrix(unknowns[: rb.N_THETA]))
+    noise = 0.02 * rng.standard_normal((4000, 3))
+    z = rows @ (J @ turned).T + noise
+    A = np.einsum("kas,ns->nak", J @ every.torques, rows)
+    score = np.einsum("nak,na->k", A, z) / 0.02**2
+    information = np.einsum("nak,nal->kl", A, A) / 0.02**2
+    m = len(every.std) - 3
+    alone = choice.choose(choice.every(unknowns), unknowns, score[:m], information[:m, :m])
+    assert np.abs(alone.ratios).any()
+    competing = choice.choose(choice.every(unknowns), unknowns, score, information)
+    assert not competing.ratios.any()

@@ -35,6 +35,13 @@ def test_columns_are_those_of_the_document(fleet):
     assert re.findall(r"`(\w+)`", first) == list(REGISTRY)[:2]
     assert re.findall(r"`(\w+)`", last) == list(REGISTRY)[-3:]
     assert not rest
+    hovers = [row["health"] for row in read_table(fleet) if row["health"] is not None]
+    assert len(hovers) == 4
+    for health in hovers:
+        assert health["seconds"] > 0.0
+        # The paper's vehicle has its CG 100 mm forward and 50 mm right of the rotors' center.
+        assert abs(health["cg_x"] - 0.1) < 4.0 * health["cg_x_std"]
+        assert abs(health["cg_y"] - 0.05) < 4.0 * health["cg_y_std"]
 
 
 @pytest.mark.slow

@@ -5,7 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from gcs_sysid.health.rotor_condition import Load, compare_loads
+from gcs_sysid.health.health_file import condition_text
+from gcs_sysid.health.hover import Windows
+from gcs_sysid.health.rotor_condition import Load, compare_loads, watch_rotors
 from gcs_sysid.model.airframe import load_airframe
 
 LAYOUTS = ("px4-quad-x", "px4-hexa-x", "px4-octo-x")
@@ -86,3 +88,108 @@ def test_a_load_is_read_back_from_its_file():
     for wrong in ({"value": [0.2, -1.0]}, {"covariance": [[1.0]]}, {"seconds": "x"}):
         with pytest.raises((KeyError, TypeError, ValueError)):
             Load.of_json({**one.as_json(), **wrong})
+
+
+def gusty(values, moments, airframe, rng=None, force=None):
+    """A load whose total, roll, pitch and yaw are off by standard deviations `moments`."""
+    x, y, spin = airframe.geometry
+    effect = np.vstack([np.ones(len(x)), x / airframe.arm, y / airframe.arm, spin])
+    asked = effect.T @ np.linalg.inv(effect @ effect.T) * len(x)
+    covariance = asked @ np.diag(np.square(moments)) @ asked.T + 1e-10 * np.eye(len(x))
+    off = 0.0 if rng is None else rng.multivariate_normal(np.zeros(len(x)), covariance)
+    return Load("speed", values * np.exp(off), covariance, 10.0, None, force)
+
+
+GUSTS = (0.003, 0.0005, 0.0005, 0.008)
+"""Of hover in the emulator's turbulence: yaw varies by more than a weak rotor of eight makes."""
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_rotor_is_named_in_gusts_where_nothing_was_moved(layout):
+    airframe = load_airframe(layout)
+    n = len(airframe.rotors)
+    rng = np.random.default_rng(5)
+    for rotor in range(n):
+        strength = 1.0 + 0.03 * rng.standard_normal(n)
+        weak = strength * np.where(np.arange(n) == rotor, 0.95, 1.0)
+        before = gusty(trim(airframe, (0.0, 0.0), strength), GUSTS, airframe, rng)
+        now = gusty(trim(airframe, (0.0, 0.0), weak), GUSTS, airframe, rng)
+        found = compare_loads(before, now, airframe, (0.0, 0.0), unchanged=True)
+        assert (found.verdict, found.rotor) == ("rotor", rotor)
+        # Where something may have been moved, no rotor is called weak, but the one is told.
+        unsure = compare_loads(before, now, airframe, (0.0, 0.0), unchanged=False)
+        assert unsure.verdict in ("unclear", "unchanged") or unsure.rotor == rotor
+        if unsure.verdict == "unclear":
+            assert unsure.rotor is None
+            assert unsure.suspect in (None, rotor)
+            words = condition_text(unsure)
+            assert "cannot separate" in words
+            assert unsure.suspect is None or f"rotor {rotor + 1} is weak" in words
+
+
+def test_gusts_alone_name_nobody():
+    rng = np.random.default_rng(6)
+    for layout in LAYOUTS:
+        airframe = load_airframe(layout)
+        even = trim(airframe, (0.0, 0.0), np.ones(len(airframe.rotors)))
+        for _ in range(60):
+            pair = (gusty(even, GUSTS, airframe, rng) for _ in range(2))
+            assert compare_loads(*pair, airframe, (0.0, 0.0), unchanged=True).verdict != "rotor"
+
+
+def test_what_wind_does_is_no_weak_rotor():
+    """Drag above the CG moves the center of thrust; the accelerometer feels the wind."""
+    airframe = load_airframe("px4-quad-x")
+    even = trim(airframe, (0.0, 0.0), np.ones(4))
+    calm = gusty(even, GUSTS, airframe, force=(0.0, 0.0))
+    x, y, _ = airframe.geometry
+    blown = even * (1.0 + 0.02 * (x + y) / airframe.arm)
+
+    def judged(force, *, same_flight):
+        now = gusty(blown, GUSTS, airframe, force=(force, force))
+        return compare_loads(
+            calm, now, airframe, (0.0, 0.0), unchanged=True, same_flight=same_flight
+        ).verdict
+
+    assert judged(0.0, same_flight=True) == "rotor"
+    assert judged(-0.4, same_flight=True) == "unchanged"
+    # Between two flights as much may be the accelerometer's bias.
+    assert judged(-0.25, same_flight=False) == "rotor"
+    assert judged(-0.8, same_flight=False) == "unchanged"
+
+
+def hover_of(airframe, strengths, rng):
+    """Windows of hover, half a second apart, at the speeds that these strengths ask for."""
+    n, rotors = len(strengths), len(airframe.rotors)
+    speeds = np.array([trim(airframe, (0.0, 0.0), strength) for strength in strengths])
+    speeds *= 1.0 + 0.002 * rng.standard_normal((n, rotors))
+    nothing, commands = np.full(n, np.nan), np.full((n, rotors), np.nan)
+    force = np.tile([0.0, 0.0, -9.81], (n, 1)) + 0.01 * rng.standard_normal((n, 3))
+    turning = 0.01 * rng.standard_normal((n, 3))
+    zeros = np.zeros((n, 3))
+    ends = np.full(rotors, np.nan)
+    return Windows(
+        t=0.5 * np.arange(n), half=0.5, rates=zeros, turning=turning, products=zeros, force=force,
+        lift=np.full(n, 9.81), sink=nothing, speed=nothing, speeds=speeds, commands=commands,
+        squares=commands, jitter=np.full((n, rotors, 2), np.nan), lag=0.0,
+        hovering=np.ones(n, bool), high=ends, low=ends,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_rotor_that_becomes_weak_in_flight_is_named_soon(layout):
+    airframe = load_airframe(layout)
+    rng = np.random.default_rng(7)
+    even = 1.0 + 0.03 * rng.standard_normal(len(airframe.rotors))
+    weak = even * np.where(np.arange(len(even)) == 1, 0.95, 1.0)
+    flight = hover_of(airframe, [even] * 100 + [weak] * 60, rng)
+    found, judged = watch_rotors(flight, flight.speeds, None, airframe, (0.0, 0.0))
+    assert judged > 0
+    assert (found.condition.verdict, found.condition.rotor) == ("rotor", 1)
+    assert 50.0 < found.t <= 66.0
+    sound = hover_of(airframe, [even] * 160, rng)
+    found, judged = watch_rotors(sound, sound.speeds, None, airframe, (0.0, 0.0))
+    assert found is None
+    assert judged == 9
+    short = hover_of(airframe, [even] * 70, rng)
+    assert watch_rotors(short, short.speeds, None, airframe, (0.0, 0.0)) == (None, 0)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.errors import InputError, NoAnswerError
+from gcs_sysid.model.airframe import parse_airframe
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.model.rigid_body import are_physical
 from gcs_sysid.results.result import Estimate, Result, Scale
@@ -109,6 +110,21 @@ def test_the_model_has_the_numbers_of_result_and_samples():
     assert uneven.thrust == pytest.approx(2.05e-4 * np.array([0.9, 1.1, 1.0, 1.0]))
     by_axis = dict(r.parameters) | {"yaw_damping": Estimate(0.004, 1e-4, "N m s", "identified")}
     assert replace(r, parameters=by_axis).model().damping.tolist() == [1e-5, 1e-5, 0.004]
+
+
+def test_canted_rotors_turn_by_thrust_too():
+    r = result()
+    airframe = parse_airframe({"name": "x", "rotor": ROTORS}, "here")
+    canted = replace(
+        airframe,
+        rotors=tuple(
+            replace(rotor, axis=(-rotor.spin * rotor.y, rotor.spin * rotor.x, -5.0))
+            for rotor in airframe.rotors
+        ),
+    )
+    expected = 6.14e-6 + 2.05e-4 * 0.125 / 5.0  # (x^2 + y^2) / 5
+    m = replace(r, airframe=canted.as_json()).model()
+    assert m.torque == pytest.approx(np.full(4, expected))
 
 
 def test_commands_turn_thrust_by_the_moment_ratio():

@@ -12,7 +12,7 @@ from gcs_sysid.cli.health_text import health_text
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.tuning import Tuning
-from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.assessment import HoverRecords
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import Given, Health
 from gcs_sysid.model.airframe import Airframe
@@ -56,10 +56,17 @@ def run(options: argparse.Namespace) -> int:
             _print(log, result, truth, deliveries, table=options.json != "-")
     for log in options.logs if not results else ():
         bar = output.progress_bar(log)
+        records = HoverRecords()
         with contextlib.nullcontext() if reporter is None else reporter as observer:
             try:
                 result = analyze_log(
-                    Path(log), airframe, options.vehicle, chain, bar, observer=observer
+                    Path(log),
+                    airframe,
+                    options.vehicle,
+                    chain,
+                    bar,
+                    observer=observer,
+                    keeper=records,
                 )
             except InputError as error:
                 # The others may still be good.
@@ -67,30 +74,32 @@ def run(options: argparse.Namespace) -> int:
                 unreadable += 1
                 continue
             results.append(result)
-            health = _health(log, options, airframe)
+            health = _health(log, options, airframe, records)
             healths.append(health)
             _print(log, result, truth, deliveries, table=options.json != "-")
             if result.verdict == "refused" and health is not None and options.json != "-":
                 print(f"What its hover shows all the same:\n\n{health_text(health)}")
             if reporter is not None:
-                deliveries.give(functools.partial(reporter.write, result))
+                document = None if health is None else document_of(health)
+                deliveries.give(functools.partial(reporter.write, result, document))
     if results:
         documents = [result.as_json() for result in results]
         for known, health in zip(documents, healths, strict=False):
             if health is not None:
                 known["health"] = document_of(health)
-        document = documents[0] if len(options.logs) == 1 else documents
-        deliveries.give(lambda: output.write_json(options.json, document, force=options.force))
+        content = documents[0] if len(options.logs) == 1 else documents
+        deliveries.give(lambda: output.write_json(options.json, content, force=options.force))
     deliveries.check()
     if unreadable:
         return 2
     return 1 if any(result.verdict == "refused" for result in results) else 0
 
 
-def _health(log: str, options: argparse.Namespace, airframe: Airframe) -> Health | None:
+def _health(
+    log: str, options: argparse.Namespace, airframe: Airframe, records: HoverRecords
+) -> Health | None:
     """What hover tells; None where nothing hovers."""
-    span = options.start, options.end
-    health = health_of_log(Path(log), Given(airframe), options.vehicle, span)
+    health = records.health(log, Given(airframe), (options.start, options.end))
     return health if health.told else None
 
 

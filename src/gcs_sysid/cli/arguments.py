@@ -2,6 +2,7 @@
 
 import argparse
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gcs_sysid.argument_types import (
@@ -14,6 +15,7 @@ from gcs_sysid.argument_types import (
 )
 from gcs_sysid.cli import option_groups
 from gcs_sysid.errors import InputError
+from gcs_sysid.files import with_mapping
 
 ARTICLE_METHODS = ("article", "article-usual-td", "article-stepwise", "central-difference")
 """Names of `estimation.article.METHODS` (a test compares); not imported, to start fast."""
@@ -140,6 +142,29 @@ def _add_airframe(parser: argparse.ArgumentParser, default: str | None = None) -
     )
 
 
+def _add_csv(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument(
+        "--csv",
+        metavar="MAPPING.toml",
+        help="says what the columns of LOGs that are .csv or .parquet mean (default: a "
+        "columns.toml beside them)",
+    )
+
+
+def with_mappings(options: argparse.Namespace) -> None:
+    """Name the mapping of `--csv` with each table among the logs."""
+    if getattr(options, "csv", None) is None:
+        return
+    mapping = Path(options.csv)
+    if not mapping.is_file():
+        raise InputError(f"--csv {mapping}: no such file")
+    if getattr(options, "logs", None):
+        options.logs = [str(with_mapping(Path(log), mapping)) for log in options.logs]
+    for name in ("log", "target", "result"):
+        if getattr(options, name, None):
+            setattr(options, name, str(with_mapping(Path(getattr(options, name)), mapping)))
+
+
 def _add_force(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="overwrite existing files")
 
@@ -264,7 +289,8 @@ def add_live(parser: argparse.ArgumentParser) -> None:
 
 def add_replay(parser: argparse.ArgumentParser) -> None:
     """Options of `replay`."""
-    parser.add_argument("log", metavar="LOG", help="a .tlog, .ulg, .bin or .bbl file")
+    parser.add_argument("log", metavar="LOG", help="a .tlog, .ulg, .bin, .bbl or .csv file")
+    _add_csv(parser)
     _add_airframe(parser)
     parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
     parser.add_argument(
@@ -280,6 +306,7 @@ def add_replay(parser: argparse.ArgumentParser) -> None:
 def add_analyze(parser: argparse.ArgumentParser) -> None:
     """Options of `analyze`."""
     parser.add_argument("logs", nargs="+", metavar="LOG")
+    _add_csv(parser)
     _add_airframe(parser)
     parser.add_argument("--json", metavar="FILE", help="write the result; - is stdout")
     parser.add_argument("--report", metavar="FILE.html", help="write an HTML report with figures")
@@ -314,6 +341,7 @@ def add_inspect(parser: argparse.ArgumentParser) -> None:
     """Options of `inspect`."""
     # Left out by `inspect --json LOG`, see the command.
     parser.add_argument("target", nargs="?", metavar="LOG|URL")
+    _add_csv(parser)
     parser.add_argument(
         "--json",
         nargs="?",
@@ -348,12 +376,25 @@ def add_plan(parser: argparse.ArgumentParser) -> None:
 
 def add_export(parser: argparse.ArgumentParser) -> None:
     """Options of `export`."""
-    parser.add_argument("result", metavar="RESULT.json", help="written by --json")
-    parser.add_argument("--to", choices=EXPORT_TARGETS, required=True, help="target format")
     parser.add_argument(
-        "-o", "--output", metavar="FILE", required=True, help="output file; - is stdout"
+        "result", metavar="RESULT.json|LOG", help="written by --json; with --signals, a log"
     )
+    parser.add_argument("--to", choices=EXPORT_TARGETS, help="target format")
+    parser.add_argument("-o", "--output", metavar="FILE", help="output file; - is stdout")
     parser.add_argument("--force", action="store_true", help="overwrite FILE")
+    group = parser.add_argument_group("signals of a flight, instead of a vehicle")
+    group.add_argument(
+        "--signals",
+        metavar="FILE",
+        help="write aligned signals and residuals of LOG, as .csv, .parquet or .mcap, for "
+        "PlotJuggler, Foxglove or MATLAB; needs --airframe and a scale",
+    )
+    _add_csv(group)
+    group.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
+    scale = group.add_mutually_exclusive_group()
+    scale.add_argument("--mass", type=measured(mass), metavar="KG[±STD]", help="as of analyze")
+    scale.add_argument("--k-t", type=measured(positive), metavar="N_S2[±STD]")
+    scale.add_argument("--t-max", type=measured(positive), metavar="N[±STD]")
     parser.add_argument(
         "--name", metavar="NAME", help="name of the vehicle (default: the airframe's)"
     )
@@ -430,6 +471,7 @@ def add_batch(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "logs", nargs="+", metavar="PATH", help="a log, or a folder searched for logs"
     )
+    _add_csv(parser)
     parser.add_argument(
         "-o", "--output", metavar="DIR", required=True, help="folder for results and table"
     )
@@ -477,8 +519,12 @@ def add_trend(parser: argparse.ArgumentParser) -> None:
 def add_health(parser: argparse.ArgumentParser) -> None:
     """Options of `health`."""
     parser.add_argument(
-        "logs", nargs="+", metavar="LOG", help=".tlog, .ulg, .bin, .bbl; several: of one vehicle"
+        "logs",
+        nargs="+",
+        metavar="LOG",
+        help=".tlog, .ulg, .bin, .bbl, .csv; several: of one vehicle",
     )
+    _add_csv(parser)
     _add_layout(parser).add_argument(
         "--battery-mass",
         type=mass,

@@ -29,7 +29,7 @@ _INTERRUPTED = 130
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when no log allows an answer, 2 when none can be read."""
     table.require()
-    logs = find_logs(map(Path, options.logs))
+    logs = find_logs(map(Path, options.logs), None if options.csv is None else Path(options.csv))
     if not logs:
         raise InputError(f"{', '.join(options.logs)}: contains no .tlog, .ulg, .bin or .bbl file")
     airframes = _airframes(options, logs)

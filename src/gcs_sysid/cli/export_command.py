@@ -4,18 +4,25 @@ import argparse
 import sys
 from pathlib import Path
 
-from gcs_sysid.cli.output import print_file, save
+from gcs_sysid.cli.arguments import airframe_of
+from gcs_sysid.cli.output import print_file, progress_bar, save
 from gcs_sysid.errors import InputError
 from gcs_sysid.exports.exported_vehicle import MissingError, Vehicle, assemble
 from gcs_sysid.exports.formats import TARGETS, Target
 from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
-from gcs_sysid.files import check_target
+from gcs_sysid.files import check_target, log_file, write_whole
 from gcs_sysid.model.airframe import Airframe, load_airframe
+from gcs_sysid.report.signal_table import SignalRecorder, writer_of
 from gcs_sysid.results.result_file import read_result
+from gcs_sysid.session.analysis import analyze_log
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when the result does not tell what the format needs."""
+    if options.signals is not None:
+        return _signals(options)
+    if options.to is None or options.output is None:
+        raise InputError("give --to FORMAT and --output FILE, or --signals FILE with a log")
     path = None if options.output == "-" else Path(options.output)
     if path is not None and path.exists() and not options.force and options.ensemble is None:
         raise InputError(f"{path} exists; --force overwrites it")
@@ -35,6 +42,29 @@ def run(options: argparse.Namespace) -> int:
         save(path, text, force=options.force)
     for note in target.notes(vehicle):
         print(f"gcs-sysid: note: {note}", file=sys.stderr)
+    return 0
+
+
+def _signals(options: argparse.Namespace) -> int:
+    """Write the signals of a log; 1 when nothing flies in it."""
+    if options.to is not None or options.output is not None:
+        raise InputError("--signals names its own file: give neither --to nor -o with it")
+    target, log = Path(options.signals), Path(options.result)
+    write = writer_of(target)
+    check_target(target, replace=options.force, sources=(log_file(log),))
+    options.prior = []
+    airframe = airframe_of(options)
+    recorder = SignalRecorder(len(airframe.rotors))
+    result = analyze_log(
+        log, airframe, options.vehicle, progress=progress_bar(str(log)), observer=recorder
+    )
+    table = recorder.table(result, airframe)
+    if not len(table["t"]):
+        why = "; ".join(result.reasons)
+        print(f"gcs-sysid: {log}: no signals to write: {why}", file=sys.stderr)
+        return 1
+    write_whole(target, write(table), replace=options.force)
+    print(f"{target}: {len(table['t'])} rows of {len(table)} columns")
     return 0
 
 

@@ -59,6 +59,9 @@ def _head(health: Health) -> Iterator[str]:
         yield _line("motor lag", f"{1e3 * health.motor_lag:.0f} ms")
     if health.condition is not None:
         yield _line("rotors", condition_text(health.condition))
+    if health.weakened is not None:
+        told = condition_text(health.weakened.condition)
+        yield _line("in this flight", f"by {health.weakened.t:.0f} s {told}")
 
 
 def _as_flown(moved: tuple[float, float]) -> str:

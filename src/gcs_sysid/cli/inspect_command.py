@@ -9,7 +9,7 @@ from gcs_sysid.cli import arguments, output
 from gcs_sysid.cli.inspection_text import report
 from gcs_sysid.cli.signals import on_signals
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import split_session
+from gcs_sysid.files import TABLE_SUFFIXES, log_file
 from gcs_sysid.inspection.derived_facts import assumed_airframe
 from gcs_sysid.inspection.facts import Inspection
 from gcs_sysid.inspection.inspector import inspect_link, inspect_log
@@ -42,8 +42,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _is_log(target: str) -> bool:
     """Whether it is a file, or is named like one; serial devices are neither."""
-    path, _ = split_session(Path(target))
-    return path.is_file() or path.is_dir() or path.suffix.lower() in LOG_SUFFIXES
+    path = log_file(Path(target))
+    return path.is_file() or path.is_dir() or path.suffix.lower() in LOG_SUFFIXES | TABLE_SUFFIXES
 
 
 def _airframe(options: argparse.Namespace) -> Airframe | None:

@@ -20,6 +20,7 @@ _KINDS = {
     "tlog": "recording of a ground station (.tlog)",
     "ulog": "PX4's own log (.ulg)",
     "dataflash": "ArduPilot's own log (.bin)",
+    "table": "table of signals",
     "blackbox": "blackbox log of Betaflight, INAV or Indiflight (.bbl)",
     "link": "live link",
 }

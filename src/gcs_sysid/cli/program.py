@@ -96,10 +96,11 @@ def build_parser() -> argparse.ArgumentParser:
     arguments.add_plan(plan)
     export = commands.add_parser(
         "export",
-        help="write an identified vehicle for a simulator",
+        help="write an identified vehicle for a simulator, or a flight's signals",
         description="Writes a result as a file for a simulator (PX4's SIH, ArduPilot's SITL, "
         "Gazebo, MuJoCo, RotorPy, crazyflow, l2f), as URDF, or as effectiveness for INDI; also as "
-        "an ensemble drawn from its covariance.",
+        "an ensemble drawn from its covariance. With --signals, the aligned signals and residuals "
+        "of a log as a table.",
     )
     arguments.add_export(export)
     tune = commands.add_parser(
@@ -245,6 +246,7 @@ def _run(argv: Sequence[str]) -> int:
 
         print(welcome(parser))
         return DONE
+    arguments.with_mappings(options)
     command = importlib.import_module(f"gcs_sysid.cli.{options.command}_command")
     status: int = command.run(options)
     return status

@@ -4,6 +4,7 @@ import argparse
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from gcs_sysid.cli import output
 from gcs_sysid.errors import InputError
@@ -57,8 +58,12 @@ class Reporter:
     ) -> None:
         self._recorder.close()
 
-    def write(self, result: Result) -> None:
+    def write(self, result: Result, health: Mapping[str, Any] | None = None) -> None:
         """Write the report of the log analysed.
+
+        Args:
+            result: of the analysis.
+            health: a health file's content; None where nothing hovers.
 
         Raises:
             InputError: the file cannot be written, or has come into being meanwhile.
@@ -74,5 +79,6 @@ class Reporter:
             self._airframe,
             provenance_of(options.argv, log),
             self._truth,
+            health,
         )
         write_whole(Path(options.report), render(data), replace=options.force)

@@ -20,8 +20,13 @@ for sigma is
 
 (empirical Bayes). A kind without evidence stays out: undisturbed flights of equal rotors lose
 nothing by it.
+
+An IMU turned by a degree looks much like rotors of unequal torque: what roll and pitch do is then
+seen in yaw. It is no deviation of the vehicle (`estimation.given_errors` looks for it), but it
+competes: its evidence comes first.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,6 +34,7 @@ from functools import cached_property
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.imu_rotation import PER_TURN, missed_by
 from gcs_sysid.model import rigid_body as rb
 
 SIZES: Mapping[str, tuple[float, ...]] = {
@@ -40,6 +46,8 @@ SIZES: Mapping[str, tuple[float, ...]] = {
 torque relative to the mean over the rotors."""
 SURE = 3.0
 """Nats of evidence from which a kind of deviation is believed."""
+TURN = math.radians(1.0)
+"""rad, standard deviation of how an IMU is turned, whatever is said of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +136,19 @@ class DeviationChoice:
             np.eye(len(self._kind), 3),
         )
 
+    def with_turns(self, every: Deviations, unknowns: Array) -> Deviations:
+        """The same and, last, what an IMU turned about roll, pitch and yaw looks like, by rad."""
+        theta = unknowns[: rb.N_THETA]
+        turns = rb.inertia_matrix(theta) @ missed_by(PER_TURN, rb.forward_matrix(theta))
+        none = np.zeros((len(turns), every.thrusts.shape[1]))
+        return Deviations(
+            np.concatenate([every.torques, turns]),
+            np.concatenate([every.std, np.full(len(turns), np.inf)]),
+            np.concatenate([every.thrusts, none]),
+            np.concatenate([every.ratios, none]),
+            np.concatenate([every.dampings, np.zeros((len(turns), 3))]),
+        )
+
     def shares(self, unknowns: Array) -> Array:
         """(rotors,) of thrust at hover, where it acts at the CG of a (N_UNKNOWNS,) fit."""
         trim = np.array([-unknowns[rb.CG_Y], unknowns[rb.CG_X], 1.0, 0.0])
@@ -142,32 +163,34 @@ class DeviationChoice:
         Args:
             every: of them.
             unknowns: (N_UNKNOWNS,) of a fit without them, or with some.
-            score: (m,) gradient of the log likelihood by `every` at phi = 0, the others
-                marginalised.
-            information: (m, m) of the same.
+            score: (m + k,) gradient of the log likelihood by `every` at phi = 0, the others
+                marginalised; the last k are turns of the IMU that compete.
+            information: (m + k, m + k) of the same.
         """
-        kinds = self._kind
+        kinds, turns = self._kind, len(score) - len(self._kind)
         units = np.concatenate(
             [
                 np.abs(unknowns[rb.MOMENTS]),
                 np.ones((kinds == _THRUST).sum()),
                 np.full((kinds == _TORQUE).sum(), max(abs(float(unknowns[rb.MOMENT_RATIO])), 1e-6)),
+                np.full(turns, TURN),
             ]
         )
         g, H = score * units, information * np.outer(units, units)
-        found, best = [0.0] * len(SIZES), 0.0
+        found, last = [0.0] * len(SIZES), np.ones(turns)
+        best = _evidence(g, H, np.concatenate([np.zeros(len(kinds)), last]))
         for _ in range(_ROUNDS):
             before = list(found)
             for kind, tried in enumerate(SIZES.values()):
                 for size in (0.0, *tried):
                     sizes = [*found[:kind], size, *found[kind + 1 :]]
-                    evidence = _evidence(g, H, np.array(sizes)[kinds])
+                    evidence = _evidence(g, H, np.concatenate([np.array(sizes)[kinds], last]))
                     evidence -= SURE * np.count_nonzero(sizes)
                     if evidence > best:
                         best, found = evidence, sizes
             if found == before:
                 break
-        std = np.array(found)[kinds] * units
+        std = np.array(found)[kinds] * units[: len(kinds)]
         use = std > 0.0
         if not use.any():
             return NO_DEVIATIONS

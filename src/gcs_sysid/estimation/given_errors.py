@@ -31,7 +31,10 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.actuator_dynamics import WIDTH
+from gcs_sysid.estimation.deviations import Deviations
+from gcs_sysid.estimation.imu_rotation import PER_TURN, missed_by, rotation_of, turned
 from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.priors import N_UNKNOWNS
 from gcs_sysid.estimation.scale import resolve_scale
 from gcs_sysid.estimation.search import N_X, residual_maker
 from gcs_sysid.estimation.status import RULES, Value
@@ -53,16 +56,6 @@ _STEPS = 3
 """Of Gauss-Newton; a degree needs two."""
 _COLUMN = {name: i for i, name in enumerate(rb.SIGNALS)}
 _AXES = 3
-_RATES = [_COLUMN[name] for name in "pqr"]
-_MOMENTUM = [_COLUMN["pH"], _COLUMN["qH"]]
-_CROSS = np.array(
-    [[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]],
-     [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]], float
-)  # fmt: skip
-"""Body rates as read by an IMU rotated about each axis, to first order: w - turn x w."""
-_PAIRS = [(1, 2), (2, 0), (0, 1), (0, 0), (1, 1), (2, 2)]
-_PRODUCT = {frozenset(pair): _COLUMN["qr"] + i for i, pair in enumerate(_PAIRS)}
-"""Column of the product of two rates."""
 
 
 @dataclass(frozen=True)
@@ -165,8 +158,8 @@ class Alignment:
     """Where rotors and IMU are, as a flight tells, and what that does to its estimate.
 
     Attributes:
-        shift: (N_THETA,) to be added to theta.
-        covariance: (N_THETA, N_THETA) of the shift.
+        shift: (N_THETA + m,) to be added to theta and to the m deviations of the fit.
+        covariance: (N_THETA + m, N_THETA + m) of the shift.
         turned: (3,) rotation of the IMU about roll, pitch and yaw, rad.
         turned_std: (3,) its standard deviation.
     """
@@ -188,29 +181,29 @@ def alignment_of(fit: Fit, airframe: Airframe) -> Alignment | None:
     errors = _errors(airframe)
     if rotation is None or moments is None or not any(error.any() for error in errors):
         return None
-    size = rb.counterparts(rotation.theta, airframe.arm)
+    size, n = rb.counterparts(rotation.theta, airframe.arm), rb.N_THETA
     W = np.linalg.inv(rotation.residual_covariance)
-    theta, eps = rotation.theta, np.zeros(len(errors))
-    torque = rotation.deviating.torque(rotation.deviations)
-    now = first = _Normal.at(theta, moments.rows, W, errors, size, torque)
+    # Rotors that differ imitate an IMU that is turned: what is free in the fit is free here.
+    free, eps = np.concatenate([rotation.theta, rotation.deviations]), np.zeros(len(errors))
+    now = first = _Normal.at(free, moments.rows, W, errors, size, rotation.deviating)
     told = rotation.data_std < _KNOWN_TO * size
     told[[rb.CG_X, rb.CG_Y, rb.DAMPING]] = False  # of slow errors of their own
-    f = float((rotation.data_std**2 / first.variance)[told].max()) if told.any() else np.inf
+    f = float((rotation.data_std**2 / first.variance[:n])[told].max()) if told.any() else np.inf
     turn = math.radians(airframe.uncertainty.imu_rotation.amount)
     imitated = np.zeros(len(errors))
     imitated[-_AXES:] = (_IMITATED / turn) ** 2 if turn else 0.0
     for _ in range(_STEPS):
         P, weight = _weighed(now.information / f, imitated)
         step = P @ (weight @ now.gradient / f - eps)
-        moved = theta - now.S @ step + (now.pull - first.pull)
+        moved = free - now.S @ step + (now.pull - first.pull)
         if not rb.is_physical(moved):
             break
-        theta, eps = moved, eps + step
-        A = _undoing(errors, eps)
-        now = _Normal.at(theta, A @ moments.rows @ A.T, W, errors, size, torque)
+        free, eps = moved, eps + step
+        A = _undoing(errors, eps, turn)
+        now = _Normal.at(free, A @ moments.rows @ A.T, W, errors, size, rotation.deviating)
     P, _ = _weighed(now.information / f, imitated)
     return Alignment(
-        theta - rotation.theta,
+        free - np.concatenate([rotation.theta, rotation.deviations]),
         now.S @ P @ now.S.T,
         turn * eps[-_AXES:],
         turn * np.sqrt(np.diag(P)[-_AXES:]),
@@ -234,15 +227,26 @@ def aligned(fit: Fit, alignment: Alignment | None) -> Fit:
     rotation, n = fit.rotation, rb.N_THETA
     if rotation is None or alignment is None:
         return fit
-    theta = rotation.theta + alignment.shift
+    theta, own = rotation.theta + alignment.shift[:n], alignment.covariance[:n, :n]
+    extended = rotation.extended_covariance.copy()
+    deviations = rotation.deviations
+    if rb.is_physical(theta):
+        deviations = deviations + alignment.shift[n:]
+    else:
+        theta = rotation.theta
+    places = [*range(n), *range(N_UNKNOWNS, N_UNKNOWNS + len(deviations))]
+    if len(extended) == N_UNKNOWNS + len(deviations):
+        extended[np.ix_(places, places)] += alignment.covariance
     full = rotation.full_covariance.copy()
-    full[:n, :n] += alignment.covariance
+    full[:n, :n] += own
     rotation = replace(
         rotation,
-        theta=theta if rb.is_physical(theta) else rotation.theta,
-        covariance=rotation.covariance + alignment.covariance,
+        theta=theta,
+        deviations=deviations,
+        covariance=rotation.covariance + own,
         full_covariance=full,
-        data_std=np.sqrt(rotation.data_std**2 + np.diag(alignment.covariance)),
+        extended_covariance=extended,
+        data_std=np.sqrt(rotation.data_std**2 + np.diag(own)),
     )
     return replace(fit, rotation=rotation)
 
@@ -252,9 +256,9 @@ class _Normal:
     """The normal equations of theta and errors at a point; symbols as above.
 
     Attributes:
-        variance: (N_THETA,) diagonal of H^-1.
-        S: (N_THETA, errors).
-        pull: (N_THETA,) step to the minimum in theta, H^-1 sum G' W r.
+        variance: (N_THETA + m,) diagonal of H^-1.
+        S: (N_THETA + m, errors).
+        pull: (N_THETA + m,) step to the minimum in theta and deviations, H^-1 sum G' W r.
         information: (errors, errors), I.
         gradient: (errors,) downhill, sum D' W r - S' sum G' W r.
     """
@@ -268,37 +272,39 @@ class _Normal:
     @classmethod
     def at(
         cls,
-        theta: Array,
+        free: Array,
         rows: Array,
         W: Array,
         errors: Sequence[Array],
         size: Array,
-        torque: Array,
+        deviating: Deviations,
     ) -> "_Normal":
-        """At theta.
+        """At theta and deviations.
 
         Args:
-            theta: (N_THETA,).
+            free: (N_THETA + m,).
             rows: (3, WIDTH, WIDTH) moments.
             W: (3, 3) weight; diagonal where axes have rows of their own.
             errors: (WIDTH, WIDTH) each, what one standard deviation does to a row.
             size: (N_THETA,) what each entry matters to.
-            torque: (3, N_X) of deviations from the model.
+            deviating: m deviations from the model.
         """
-        Q, G = rb.forward_jacobian(theta, torque)
-        # D = E Q - Q L
-        D = np.stack([e[N_X:, N_X:] @ Q - Q @ e[:N_X, :N_X] for e in errors])
+        theta, phi = free[: rb.N_THETA], free[rb.N_THETA :]
+        Q, G = rb.forward_jacobian(theta, deviating.torque(phi))
+        G = np.concatenate([G, np.linalg.inv(rb.inertia_matrix(theta)) @ deviating.torques])
+        D = missed_by(np.stack(errors), Q)
         inputs = rows[:, :N_X, :N_X]
         left = W @ (residual_maker(Q)[:, None] @ rows)[:, 0, :N_X]  # W r x', by axis
         weighted = W @ (G[:, :, None] @ inputs)[:, :, 0]
         own = np.einsum("kaz,laz->kl", weighted, G)
-        ridge = (_RIDGE * size) ** -2.0
+        ridge = np.concatenate([(_RIDGE * size) ** -2.0, deviating.information])
         d = 1.0 / np.sqrt(np.maximum(np.diag(own), 0.0) + ridge)
         H = _not_negative(d[:, None] * own * d) + np.diag(d * d * ridge)
         inverse = np.linalg.inv(H) * np.outer(d, d)
         C = np.einsum("kaz,saz->ks", weighted, D)
         S = inverse @ C
         downhill = np.einsum("kax,ax->k", G, left)
+        downhill[rb.N_THETA :] -= phi * deviating.information
         information = np.einsum("saz,taz->st", W @ (D[:, :, None] @ inputs)[:, :, 0], D) - C.T @ S
         gradient = np.einsum("sax,ax->s", D, left) - S.T @ downhill
         information = _not_negative(information)
@@ -333,37 +339,14 @@ def _errors(airframe: Airframe) -> list[Array]:
         error[_COLUMN["roll"], :4] = -y @ thrusts
         out.append(error)
     turn = math.radians(sigma.imu_rotation.amount)
-    # The map is of second order in R, so that this difference is its derivative.
-    out += [0.5 * turn * (_turned(np.eye(_AXES) + E) - _turned(np.eye(_AXES) - E)) for E in _CROSS]
-    return out
+    return [*out, *(turn * PER_TURN)]
 
 
-def _undoing(errors: Sequence[Array], eps: Array) -> Array:
+def _undoing(errors: Sequence[Array], eps: Array, turn: float) -> Array:
     """(WIDTH, WIDTH) that makes rows without errors of rows with them."""
     rotors = sum((e * L for e, L in zip(eps[:-_AXES], errors, strict=False)), np.eye(WIDTH))
-    K = sum(
-        (e * L[N_X:, N_X:] for e, L in zip(eps[-_AXES:], errors[-_AXES:], strict=True)),
-        np.zeros((_AXES, _AXES)),
-    )
-    # Cayley's transform: a rotation, which (1 + K)^-1 would not be
-    R = np.linalg.solve(np.eye(_AXES) + 0.5 * K, np.eye(_AXES) - 0.5 * K)
-    undone: Array = _turned(R) @ np.linalg.inv(rotors)
+    undone: Array = turned(rotation_of(turn * eps[-_AXES:])) @ np.linalg.inv(rotors)
     return undone
-
-
-def _turned(R: Array) -> Array:
-    """(WIDTH, WIDTH) what becomes of a row where rates are R times what they were, (3, 3)."""
-    out = np.eye(WIDTH)
-    out[np.ix_(_RATES, _RATES)] = out[N_X:, N_X:] = R
-    for i, j in _PAIRS:
-        own = out[_PRODUCT[frozenset((i, j))]]
-        own[:] = 0.0
-        for k in range(_AXES):
-            for m in range(_AXES):
-                own[_PRODUCT[frozenset((k, m))]] += R[i, k] * R[j, m]
-    # r H is not among the signals; rotors' angular momentum is small.
-    out[np.ix_(_MOMENTUM, _MOMENTUM)] = R[:2, :2]
-    return out
 
 
 def _lever_arm_share(fit: Fit, airframe: Airframe) -> float:

@@ -349,14 +349,16 @@ def _chosen(
     """The deviations for which there is evidence, from one look at all of them."""
     before, point = solved.problem, solved.point
     every = choice.every(point.unknowns[0])
-    n, m = rb.N_THETA, len(every.std)
+    competing = choice.with_turns(every, point.unknowns[0])
+    n, m = rb.N_THETA, len(competing.std)
     noise = (before.bank - before.without) / (TOLD * rows)
-    problem = AxisProblem(before.bank, rows, basis, prior, noise, every)
+    problem = AxisProblem(before.bank, rows, basis, prior, noise, competing)
     unknowns = problem.extended(point.unknowns[:, :N_UNKNOWNS])
     # Where the fit stands in terms of all deviations: the same torque.
-    flat = every.torques.reshape(m, -1)
+    flat = every.torques.reshape(len(every.std), -1)
     torque = before.deviations.torque(point.unknowns[:, N_UNKNOWNS:]).reshape(-1)
-    phi = np.linalg.lstsq(flat.T, torque, rcond=None)[0]
+    phi = np.zeros(m)
+    phi[: len(flat)] = np.linalg.lstsq(flat.T, torque, rcond=None)[0]
     unknowns[:, N_UNKNOWNS:] = phi
     at = problem.evaluate(unknowns)
     gradient, hessian = (part[0] for part in problem.with_prior(at.gradient, at.hessian, unknowns))

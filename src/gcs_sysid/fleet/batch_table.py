@@ -17,6 +17,18 @@ SCHEMA = "gcs-sysid/fleet/1"
 MOST_BYTES = 2**30
 """Of a table: some hundred thousand logs."""
 _ESTIMATE = ("value", "std", "std_given", "unit", "status", "rests_on")
+_HEALTH = {
+    "seconds": ("seconds_of_hover",),
+    "cg_x": ("cg", "x", "value"),
+    "cg_x_std": ("cg", "x", "std"),
+    "cg_y": ("cg", "y", "value"),
+    "cg_y_std": ("cg", "y", "std"),
+    "yaw_imbalance": ("yaw_imbalance", "value"),
+    "hover_throttle": ("hover_throttle", "value"),
+    "thrust_to_weight": ("thrust_to_weight", "value"),
+    "drift_per_minute": ("drift_per_minute", "value"),
+}
+"""Part of the column `health` -> where a health file has it."""
 _SCALE = ("anchor", "value", "unit", "std")
 
 Row = dict[str, Any]
@@ -76,10 +88,24 @@ def row(
         if "events" in made
         else None,
         "version": job.settings()["version"],
+        "health": _health(made.get("health")),
     }
     for key in REGISTRY:
         estimate = known.get(key)
         out[key] = estimate and {part: estimate.get(part) for part in _ESTIMATE}
+    return out
+
+
+def _health(document: Document | None) -> dict[str, float | None] | None:
+    """What hover told; None where nothing hovered."""
+    if document is None:
+        return None
+    out: dict[str, float | None] = {}
+    for name, keys in _HEALTH.items():
+        value: Any = document
+        for key in keys:
+            value = None if value is None else value.get(key)
+        out[name] = value
     return out
 
 
@@ -117,9 +143,15 @@ def _schema() -> Any:
         ("scale", struct(_SCALE)),
         ("changes", pa.int32()),
         ("version", pa.string()),
+        ("health", pa.struct([(name, pa.float64()) for name in _HEALTH])),
         *((name, struct(_ESTIMATE)) for name in REGISTRY),
     ]
     return pa.schema(columns, metadata={"schema": SCHEMA})
+
+
+def _required() -> set[str]:
+    """Columns without which a table cannot be used; older ones have no health."""
+    return set(_schema().names) - {"health"}
 
 
 def write_table(path: Path, rows: list[Row]) -> None:
@@ -154,7 +186,7 @@ def read_table(path: Path) -> list[Row]:
         reason = getattr(error, "strerror", None) or "not Parquet"
         raise InputError(f"{path}: cannot read the table: {reason}") from error
     known = (table.schema.metadata or {}).get(b"schema")
-    if known != SCHEMA.encode() or not set(_schema().names) <= set(table.schema.names):
+    if known != SCHEMA.encode() or not _required() <= set(table.schema.names):
         raise InputError(f"{path}: not a table of gcs-sysid batch (of this version)")
     rows: list[Row] = table.to_pylist()
     return rows

@@ -9,7 +9,10 @@ from typing import Any
 
 from gcs_sysid import __version__
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import split_session
+from gcs_sysid.files import split_mapping, split_session
+from gcs_sysid.health.assessment import HoverRecords
+from gcs_sysid.health.health_file import document_of
+from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
@@ -75,10 +78,13 @@ def make_task(job: Job) -> Task:
     Raises:
         OSError: it cannot be read.
     """
-    path, session = split_session(job.log)
+    table, mapping = split_mapping(job.log)
+    path, session = (table, None) if mapping is not None else split_session(job.log)
     with open(path, "rb") as file:
         made = hashlib.file_digest(file, "sha256")
         size = file.tell()
+    if mapping is not None:
+        made.update(mapping.read_bytes())
     if session is not None:
         made.update(f"#{session}".encode())
     digest = made.hexdigest()
@@ -96,7 +102,12 @@ def analyze(task: Task) -> Document:
     made: Document
     try:
         options = ChainOptions(history_interval=None, offline=job.offline)
-        made = analyze_log(Path(task.path), job.airframe, job.vehicle, options).as_json()
+        records = HoverRecords()
+        result = analyze_log(Path(task.path), job.airframe, job.vehicle, options, keeper=records)
+        made = result.as_json()
+        health = records.health(str(job.log), Given(job.airframe))
+        if health.told:
+            made["health"] = document_of(health)
     except InputError as error:
         if isinstance(error.__cause__, OSError | MemoryError):
             raise

@@ -6,7 +6,13 @@ from pathlib import Path
 from typing import NoReturn
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import check_regular, split_session
+from gcs_sysid.files import (
+    TABLE_SUFFIXES,
+    check_regular,
+    split_mapping,
+    split_session,
+    with_mapping,
+)
 from gcs_sysid.telemetry import blackbox_format, dataflash_format, ulog_scan
 from gcs_sysid.telemetry.blackbox import flight_sessions
 from gcs_sysid.telemetry.frames import Validity, read_frame
@@ -18,16 +24,18 @@ _HEAD = 4096
 """Bytes: the longest record of a .tlog and more."""
 
 
-def find_logs(paths: Iterable[Path]) -> list[Path]:
+def find_logs(paths: Iterable[Path], mapping: Path | None = None) -> list[Path]:
     """The logs among files and in folders, each once.
 
     A file that is named counts as a log whatever it is. In a folder and the folders in it, a log
     is what its content or its name says is one; a log that is damaged from the beginning is found
     by its name. What begins with a dot is passed over. A blackbox log of several sessions counts
-    once for each that holds frames, as `LOG.bbl#2`.
+    once for each that holds frames, as `LOG.bbl#2`. A table of signals is a log where a mapping
+    says what its columns are.
 
     Args:
         paths: of files and folders.
+        mapping: of all tables; None: a columns.toml beside them.
 
     Returns:
         As reached from `paths`, in their order, and by name within a folder.
@@ -38,17 +46,22 @@ def find_logs(paths: Iterable[Path]) -> list[Path]:
     found: dict[Path, Path] = {}
     for path in paths:
         file, session = split_session(path)
+        if (table := split_mapping(path))[1] is not None:
+            file = table[0]
         if not file.exists():
             raise InputError(f"{path}: no such file or folder")
         if not path.is_dir():
             check_regular(file)
-        for log in _in_folder(path) if path.is_dir() else [path]:
-            for flight in [log] if session is not None else _sessions(log):
+        for log in _in_folder(path, mapping) if path.is_dir() else [path]:
+            if mapping is not None:
+                log = with_mapping(log, mapping)
+            single = session is not None or split_mapping(log)[1] is not None
+            for flight in [log] if single else _sessions(log):
                 found.setdefault(flight.resolve(), flight)
     return list(found.values())
 
 
-def _in_folder(folder: Path) -> Iterable[Path]:
+def _in_folder(folder: Path, mapping: Path | None) -> Iterable[Path]:
     def refuse(error: OSError) -> NoReturn:
         raise InputError(f"{error.filename}: cannot read the folder: {error.strerror}")
 
@@ -56,7 +69,7 @@ def _in_folder(folder: Path) -> Iterable[Path]:
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         for name in sorted(files):
             path = Path(parent, name)
-            if not name.startswith(".") and path.is_file() and _is_log(path):
+            if not name.startswith(".") and path.is_file() and _is_log(path, mapping):
                 yield path
 
 
@@ -73,7 +86,9 @@ def _sessions(log: Path) -> list[Path]:
     return [log.with_name(f"{log.name}#{number}") for number in numbers]
 
 
-def _is_log(path: Path) -> bool:
+def _is_log(path: Path, mapping: Path | None) -> bool:
+    if path.suffix.lower() in TABLE_SUFFIXES:
+        return (mapping or split_mapping(path)[1]) is not None
     if path.suffix.lower() in _SUFFIXES:
         return True
     try:

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import read_text, write_whole
+from gcs_sysid.files import log_file, read_text, write_whole
 from gcs_sysid.fleet.jobs import FAILURE, Document, Task
 from gcs_sysid.results.result import SCHEMA
 from gcs_sysid.results.result_file import MOST_BYTES
@@ -55,7 +55,7 @@ class Store:
         """Where a task's document is, from the folder; of the first name that its log had."""
         known = self._names.get(task.key)
         if known is None:
-            stem = re.sub(r"[^A-Za-z0-9._-]+", "_", task.job.log.stem)[:_MOST_LETTERS]
+            stem = re.sub(r"[^A-Za-z0-9._-]+", "_", log_file(task.job.log).stem)[:_MOST_LETTERS]
             known = f"{stem or 'log'}-{task.key}.json"
         return f"{RESULTS}/{known}"
 

@@ -13,9 +13,15 @@ _AXES = (("forward", "aft"), ("right", "left"))
 def advice_of(health: Health, given: Given, guess: GuessedAirframe) -> tuple[str, ...]:
     """All that is worth doing, the most important first."""
     out: list[str] = []
-    if health.condition is not None and health.condition.verdict == "rotor":
-        assert health.condition.rotor is not None
-        out.append(f"look at rotor {health.condition.rotor + 1}: propeller, motor bearing and ESC")
+    conditions = [health.condition, None if health.weakened is None else health.weakened.condition]
+    weak = [c.rotor for c in conditions if c is not None and c.verdict == "rotor"]
+    for rotor in dict.fromkeys(weak):
+        assert rotor is not None
+        out.append(f"look at rotor {rotor + 1}: propeller, motor bearing and ESC")
+    if health.condition is not None and health.condition.verdict == "unclear":
+        out.append(
+            "if nothing was moved or loaded since the flight before, --unchanged names the rotor"
+        )
     out += _weak_motor(health)
     out += _cg(health, given)
     out += _margins(health)

@@ -17,13 +17,14 @@ from gcs_sysid.health.command_curve import Curve, curve_of, thrust_of
 from gcs_sysid.health.drive_health import battery_of, idle_output, motor_gains, with_throttle
 from gcs_sysid.health.hover import Windows, windows_of
 from gcs_sysid.health.log_streams import Streams, streams_of
-from gcs_sysid.health.rotor_condition import compare_loads, load_of
+from gcs_sysid.health.rotor_condition import compare_loads, load_of, watch_rotors
 from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health, RotorHealth
 from gcs_sysid.health.vibration import vibration_of
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.telemetry.logs import OnboardLog, open_log
+from gcs_sysid.telemetry.logs import Log, OnboardLog, open_log
 
 _ORDER = (
     "the vehicle does not turn as these rotors would turn it ({}): give --airframe with the rotors "
@@ -48,30 +49,67 @@ def health_of_log(
     Raises:
         InputError: the file cannot be read as a log, or the airframe is not known.
     """
+    keeper = HoverRecords()
     log = open_log(path, wanted)
-    blocks = list(log.blocks())
-    source = str(path)
-    if log.vehicle is None:
-        heard = ", ".join(map(str, log.systems))
-        text = "no heartbeat of an autopilot was found" + (f"; found: {heard}" if heard else "")
-        return Health(source, reasons=(text,))
-    autopilot = log.vehicle.key
-    guess = guess_airframe(log.vehicle, log.parameters, given.airframe, given.arm)
-    airframe = guess.airframe
-    if given.mass is not None:
-        airframe = airframe.with_anchor("mass", given.mass)
-    streams = streams_of(blocks, airframe, autopilot, log.parameters)
-    if isinstance(log, OnboardLog):
-        streams = replace(streams, extras=log.extras)
-    guess = replace(guess, airframe=airframe)
-    health = health_of(streams, guess, given, log.parameters, span)
-    return replace(
-        health,
-        source=source,
-        vehicle=log.vehicle.as_dict(),
-        autopilot=autopilot,
-        parameters=dict(log.parameters),
-    )
+    keeper.begin(log)
+    for block in log.blocks():
+        keeper.take(block)
+    return keeper.health(str(path), given, span)
+
+
+class HoverRecords:
+    """Keeps of a log what hovering needs, while an analysis or anyone else reads it."""
+
+    def __init__(self) -> None:
+        self._log: Log | None = None
+        self._blocks: list[RecordBlock] = []
+
+    def begin(self, log: Log) -> None:
+        """A reading of the log begins; one before it does not count."""
+        self._log, self._blocks = log, []
+
+    def take(self, block: RecordBlock) -> None:
+        """The next block of records."""
+        self._blocks.append(RecordBlock(block.tracks, events=block.events))
+
+    def health(
+        self, source: str, given: Given, span: tuple[float, float] = (0.0, math.inf)
+    ) -> Health:
+        """What the hover in the log read tells; the records are given up.
+
+        Args:
+            source: the log's name.
+            given: what is known beforehand.
+            span: s from the first record, between which hover counts.
+
+        Raises:
+            InputError: the airframe is not known.
+        """
+        log, blocks = self._log, self._blocks
+        self._blocks = []
+        if log is None:
+            return Health(source, reasons=("nothing was read",))
+        if log.vehicle is None:
+            heard = ", ".join(map(str, log.systems))
+            text = "no heartbeat of an autopilot was found" + (f"; found: {heard}" if heard else "")
+            return Health(source, reasons=(text,))
+        autopilot = log.vehicle.key
+        guess = guess_airframe(log.vehicle, log.parameters, given.airframe, given.arm)
+        airframe = guess.airframe
+        if given.mass is not None:
+            airframe = airframe.with_anchor("mass", given.mass)
+        streams = streams_of(blocks, airframe, autopilot, log.parameters)
+        if isinstance(log, OnboardLog):
+            streams = replace(streams, extras=log.extras)
+        guess = replace(guess, airframe=airframe)
+        health = health_of(streams, guess, given, log.parameters, span)
+        return replace(
+            health,
+            source=source,
+            vehicle=log.vehicle.as_dict(),
+            autopilot=autopilot,
+            parameters=dict(log.parameters),
+        )
 
 
 def health_of(
@@ -134,6 +172,9 @@ def health_of(
     )
     health = with_throttle(health, streams, windows, hover, curve)
     health = _compared(health, given, hover, thrust, c)
+    places = [0.0 if place.value is None else place.value for place in health.cg or ()]
+    weakened, watched = watch_rotors(hover, thrust, c, airframe, places)
+    health = replace(health, weakened=weakened, watched=watched)
     return replace(health, advice=advice_of(health, given, guess))
 
 

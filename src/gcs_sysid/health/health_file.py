@@ -44,6 +44,8 @@ def document_of(health: Health) -> dict[str, Any]:
         "drift_per_minute": plain(health.drift),
         "motor_lag": health.motor_lag,
         "condition": None if health.condition is None else health.condition.as_json(),
+        "weakened": None if health.weakened is None else health.weakened.as_json(),
+        "stretches_watched": health.watched,
         "load": None if health.load is None else health.load.as_json(),
         "airframe": None if health.airframe is None else health.airframe.as_json(),
         "autopilot_parameters": {
@@ -125,4 +127,9 @@ def condition_text(condition: Condition) -> str:
     )
     if condition.verdict == "cg":
         return f"the CG moved by {moved}"
-    return f"something changed: a weak rotor, or the CG by {moved}; these data cannot separate them"
+    which = (
+        "a weak rotor" if condition.suspect is None else f"rotor {condition.suspect + 1} is weak"
+    )
+    return (
+        f"something changed: {which}, or the CG moved by {moved}; these data cannot separate them"
+    )

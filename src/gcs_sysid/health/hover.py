@@ -356,10 +356,11 @@ def _flying(streams: Streams, rotors: int) -> tuple[Array, Mask]:
     told = held(Stream.IN_AIR)
     armed = held(Stream.ARMED)
     flying = FlightDetector().update(grid, told, armed, speeds, position)
-    if not flying.any() and not np.isfinite(told).any():
+    effort = np.nan_to_num(speeds**2).sum(axis=1)
+    carrying = effort > TUNING.carrying * float(np.percentile(effort, 99.0))
+    seen = np.count_nonzero(flying & carrying) >= TUNING.least_seen * np.count_nonzero(carrying)
+    if not (seen and flying.any()) and not np.isfinite(told).any():
         # Thrown by hand, or landed lower than it took off: rotors that carry must do.
-        effort = np.nan_to_num(speeds**2).sum(axis=1)
-        carrying = effort > TUNING.carrying * float(np.percentile(effort, 99.0))
         nowhere = np.full_like(position, np.nan)
         flying = FlightDetector().update(grid, told, armed, speeds, nowhere) & carrying
     return grid, flying

@@ -23,11 +23,12 @@ from typing import Any
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.health.balance import Quantity, lift_of, robust_fit
 from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.parameters import GRAVITY
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,8 @@ class Load:
         covariance: (rotors, rotors) of the logarithms of `value`.
         seconds: of hover.
         thrust_curve: by which commands were read; None for speeds.
+        force: (2,) m/s^2, mean specific force in the rotors' plane: the wind's drag, and how far
+            the accelerometer is off level. None in older files.
     """
 
     kind: str
@@ -47,6 +50,7 @@ class Load:
     covariance: Array
     seconds: float
     thrust_curve: float | None = None
+    force: tuple[float, float] | None = None
 
     def as_json(self) -> dict[str, Any]:
         """As health files keep it for a later flight."""
@@ -56,6 +60,7 @@ class Load:
             "covariance": self.covariance.tolist(),
             "seconds": self.seconds,
             "thrust_curve": self.thrust_curve,
+            "force": None if self.force is None else list(self.force),
         }
 
     @classmethod
@@ -69,13 +74,14 @@ class Load:
         covariance = np.asarray(table["covariance"], dtype=float)
         if value.ndim != 1 or covariance.shape != 2 * value.shape or not (value > 0.0).all():
             raise ValueError("loads of rotors must be positive, with a covariance")
-        curve = table["thrust_curve"]
+        curve, force = table["thrust_curve"], table.get("force")
         return cls(
             str(table["kind"]),
             value,
             covariance,
             float(table["seconds"]),
             None if curve is None else float(curve),
+            None if force is None else (float(force[0]), float(force[1])),
         )
 
 
@@ -104,9 +110,13 @@ def load_of(windows: Windows, thrust: Array, c: float | None) -> Load | None:
         influence.append(share / share.mean() - columns @ fit.value)
     residual = np.clip(np.array(influence), -0.3, 0.3)  # (rotors, n)
     covariance = _long_run(residual) / len(lift)
-    return Load(
-        "speed" if c is None else "command", np.array(values), covariance, windows.seconds, c
-    )
+    sideways = windows.force[:, :2][complete_rows(windows.force[:, :2])]
+    force = None
+    if len(sideways):
+        x, y = sideways.mean(axis=0).tolist()
+        force = x, y
+    kind = "speed" if c is None else "command"
+    return Load(kind, np.array(values), covariance, windows.seconds, c, force)
 
 
 def _long_run(residual: Array) -> Array:
@@ -134,6 +144,8 @@ class Condition:
         moved: (2,) m that the CG would have moved by, were it that.
         changes: (rotors,) relative change of load.
         efficiency: of each rotor against the baseline, shrunk to the mean.
+        suspect: which rotor it would be, from 0, where the verdict is "unclear" and the data tell
+            it from the other rotors.
     """
 
     verdict: str
@@ -143,12 +155,14 @@ class Condition:
     moved: tuple[float, float]
     changes: Array
     efficiency: tuple[Quantity, ...]
+    suspect: int | None = None
 
     def as_json(self) -> dict[str, Any]:
         """As health files write it; rotors count from 0."""
         return {
             "verdict": self.verdict,
             "rotor": self.rotor,
+            "suspect": self.suspect,
             "loss": None if self.loss is None else self.loss.as_json(),
             "margin": self.margin,
             "cg_moved": list(self.moved),
@@ -157,7 +171,13 @@ class Condition:
 
 
 def compare_loads(
-    before: Load, now: Load, airframe: Airframe, cg: Sequence[float], *, unchanged: bool
+    before: Load,
+    now: Load,
+    airframe: Airframe,
+    cg: Sequence[float],
+    *,
+    unchanged: bool,
+    same_flight: bool = False,
 ) -> Condition:
     """Judge what changed between two stretches of hover.
 
@@ -167,6 +187,7 @@ def compare_loads(
         airframe: places of the rotors.
         cg: (2,) m, of the baseline.
         unchanged: whether nothing was moved or loaded in between.
+        same_flight: whether the accelerometer's bias is the same in both.
     """
     x, y, spin = airframe.geometry
     n = len(x)
@@ -189,8 +210,16 @@ def compare_loads(
     common = TUNING.common_speed if now.kind == "speed" else TUNING.common_command
     noise = before.covariance + now.covariance + own
     noise = noise + common**2 * np.outer(ones, ones) + TUNING.yaw_repeats**2 * np.outer(yaw, yaw)
-    still = TUNING.cg_repeats * airframe.arm * (0.2 if unchanged else 1.0)
-    noise = noise + still**2 * moves @ moves.T
+    still = (TUNING.cg_stays if unchanged else TUNING.cg_repeats) * airframe.arm
+    places = np.full(2, still)
+    if before.force is not None and now.force is not None:
+        # Drag above the CG moves the center of thrust with the force that the wind makes.
+        wind = np.abs(np.subtract(now.force, before.force))
+        if not same_flight:
+            # From switching on to switching on the accelerometer's bias changes.
+            wind = np.maximum(wind - TUNING.bias_repeats, 0.0)
+        places = np.hypot(places, TUNING.drag_lever * airframe.arm / GRAVITY * wind)
+    noise = noise + moves @ np.diag(places**2) @ moves.T
     inverse = np.linalg.inv(noise)
 
     def fitted(patterns: Array) -> tuple[float, Array, Array]:
@@ -228,20 +257,88 @@ def compare_loads(
     shift = float(moved[0]), float(moved[1])
     if best:
         left, rotor, extra, std = best[0]
-        second = min([other for other, i, *_ in best if i != rotor], default=math.inf)
+        second = _rival(best)
         margin = min(others - left, second - left)
         if others - left > TUNING.named_margin and second - left > TUNING.rival_margin:
             loss = Quantity(-math.expm1(-extra), std * math.exp(-extra), "1")
             return Condition("rotor", rotor, loss, margin, shift, changes, efficiency)
     left_best = min((entry[0] for entry in best), default=math.inf)
     least = min(others, left_best)
+    suspect = None
+    if best and (len(best) < 2 or _rival(best) - best[0][0] > TUNING.rival_margin):
+        suspect = best[0][1]
     if left_unchanged - least < TUNING.named_margin:
         return Condition("unchanged", None, None, 0.0, shift, changes, efficiency)
     for verdict, left in (("all", left_all), ("cg", min(left_cg, left_both))):
         if left_best - left > TUNING.rival_margin and left < least + each:
             margin = left_best - left
             return Condition(verdict, None, None, margin, shift, changes, efficiency)
-    return Condition("unclear", None, None, 0.0, shift, changes, efficiency)
+    return Condition("unclear", None, None, 0.0, shift, changes, efficiency, suspect)
+
+
+def _rival(best: Sequence[tuple[float, int, float, float]]) -> float:
+    """Chi-square of the second best rotor; infinite where there is none."""
+    return min((left for left, i, *_ in best if i != best[0][1]), default=math.inf)
+
+
+@dataclass(frozen=True)
+class Weakened:
+    """A rotor that became weak in a flight.
+
+    Attributes:
+        t: s, end of the stretch of hover that named it.
+        condition: against the begin of the flight.
+    """
+
+    t: float
+    condition: Condition
+
+    def as_json(self) -> dict[str, Any]:
+        """As health files write it."""
+        return {"t": self.t, **self.condition.as_json()}
+
+
+def watch_rotors(
+    hover: Windows, thrust: Array, c: float | None, airframe: Airframe, cg: Sequence[float]
+) -> tuple[Weakened | None, int]:
+    """Whether a rotor became weak in a flight: stretches of hover against its begin.
+
+    Within a flight nothing is moved or loaded, so that a CG that shifts is the less likely.
+
+    Args:
+        hover: windows.
+        thrust: (n, rotors) of them.
+        c: the thrust curve of commands; None for speeds.
+        airframe: places of the rotors.
+        cg: (2,) m.
+
+    Returns:
+        The first rotor named in two stretches that follow each other, and how many were judged.
+    """
+    first, count = (round(s / hover.half) for s in (TUNING.learnt_from, TUNING.judged_by))
+    if len(hover.t) < first + count:
+        return None, 0
+    base = load_of(hover.part(slice(0, first)), thrust[:first], c)
+    if base is None:
+        return None, 0
+    judged, before = 0, None
+    per_lift = np.log(np.maximum(thrust, 1e-12) / lift_of(hover)[:, None])
+    usual = per_lift[:first].mean(axis=0)
+    for start in range(first, len(hover.t) - count + 1, count // 2):
+        rows = slice(start, start + count)
+        if float(np.ptp(per_lift[rows].mean(axis=0) - usual)) < TUNING.least_change:
+            judged, before = judged + 1, None
+            continue
+        now = load_of(hover.part(rows), thrust[rows], c)
+        if now is None:
+            continue
+        judged += 1
+        found = compare_loads(base, now, airframe, cg, unchanged=True, same_flight=True)
+        named = found.rotor if found.verdict == "rotor" else None
+        if named is not None and named == before:
+            return Weakened(float(hover.t[start + count - 1]), found), judged
+        before = named
+    return None, judged
 
 
 def _shrunk(r: Array, noise: Array, n: int) -> tuple[Quantity, ...]:

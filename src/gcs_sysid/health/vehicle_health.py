@@ -6,7 +6,7 @@ from typing import Any
 
 from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.command_curve import Curve
-from gcs_sysid.health.rotor_condition import Condition, Load
+from gcs_sysid.health.rotor_condition import Condition, Load, Weakened
 from gcs_sysid.model.airframe import Airframe
 
 
@@ -102,6 +102,9 @@ class Health:
         battery: V, highest, lowest and median; None where not logged.
         motor_lag: s that rotors or thrust follow the commands by; None without commands.
         condition: of the rotors against a baseline; None without one.
+        weakened: a rotor that became weak in this flight; None where none did, or the hover is
+            too short to tell.
+        watched: stretches of hover that were held against the begin of the flight for that.
         load: for later flights.
         assumptions: what the intervals rest on, in words.
         advice: what to do.
@@ -129,6 +132,8 @@ class Health:
     drift: Quantity | None = None
     motor_lag: float | None = None
     condition: Condition | None = None
+    weakened: Weakened | None = None
+    watched: int = 0
     load: Load | None = None
     idle: float | None = None
     arm_known: bool = True

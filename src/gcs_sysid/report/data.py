@@ -12,7 +12,7 @@ import scipy
 
 from gcs_sysid import __version__
 from gcs_sysid.arrays import Array
-from gcs_sysid.files import split_session
+from gcs_sysid.files import log_file
 from gcs_sysid.live.acceleration_prediction import Model
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.report.prediction_series import Prediction, Spectrum, predict, residual_spectrum
@@ -42,7 +42,7 @@ class Provenance:
 
 def provenance_of(command: tuple[str, ...], log: Path) -> Provenance:
     """What reproduces a report of this log."""
-    log, _ = split_session(log)
+    log = log_file(log)
     with log.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     versions = {
@@ -68,6 +68,7 @@ class ReportData:
         spectrum: of the residual; None where too little of the flight was kept apart.
         truth: true parameters of an emulated vehicle.
         notes: of the analysis, such as which rotor stream it took, and when it began anew.
+        health: a health file's content; empty where nothing hovers.
     """
 
     result: Mapping[str, Any]
@@ -79,6 +80,7 @@ class ReportData:
     spectrum: Spectrum | None = None
     truth: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[Event, ...] = ()
+    health: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def geometry(self) -> Array:
@@ -93,6 +95,7 @@ def gather(
     airframe: Airframe,
     provenance: Provenance,
     truth: Mapping[str, float] | None = None,
+    health: Mapping[str, Any] | None = None,
 ) -> ReportData:
     """Put together what a report needs.
 
@@ -103,31 +106,14 @@ def gather(
         airframe: with its anchor.
         provenance: what reproduces it.
         truth: as `ReportData.truth`.
+        health: as `ReportData.health`.
     """
-    found = result.as_json()
-    prediction = spectrum = None
-    if recorder.dt is not None:
-        validation, model = recorder.validation, None
-        if validation is not None:
-            rotors = found["telemetry"]["rotor_input"]
-            model = Model(
-                validation.theta,
-                validation.coordinates,
-                airframe.geometry,
-                result.rotor_input,
-                rotors.get("gyro_filter"),
-                rotors.get("loop_filter"),
-            )
-        since = max((segment["end"] for segment in result.segments), default=float("-inf"))
-        failures = [event["t"] for event in result.events if event["kind"] == "rotor_failure"]
-        until = min((t for t in failures if t > since), default=float("inf"))
-        share = 0.0 if validation is None else validation.fitted_share
-        prediction = predict(
-            recorder.samples(), recorder.dt, model, since, until, share, result.rotor_input
-        )
+    prediction = predicted(result, recorder, airframe)
+    spectrum = None
+    if prediction is not None and recorder.dt is not None:
         spectrum = residual_spectrum(prediction, recorder.dt, result.rotor_input)
     return ReportData(
-        found,
+        result.as_json(),
         inspection,
         airframe,
         provenance,
@@ -136,4 +122,33 @@ def gather(
         spectrum,
         dict(truth or {}),
         recorder.notes,
+        dict(health or {}),
     )
+
+
+def predicted(result: Result, recorder: Recorder, airframe: Airframe) -> Prediction | None:
+    """Measured and predicted angular acceleration of the flight; None where nothing flew.
+
+    Args:
+        result: of the analysis that the recorder looked at.
+        recorder: its samples are read once more.
+        airframe: with its anchor.
+    """
+    if recorder.dt is None:
+        return None
+    validation, model = recorder.validation, None
+    if validation is not None:
+        rotors = result.as_json()["telemetry"]["rotor_input"]
+        model = Model(
+            validation.theta,
+            validation.coordinates,
+            airframe.geometry,
+            result.rotor_input,
+            rotors.get("gyro_filter"),
+            rotors.get("loop_filter"),
+        )
+    since = max((segment["end"] for segment in result.segments), default=float("-inf"))
+    failures = [event["t"] for event in result.events if event["kind"] == "rotor_failure"]
+    until = min((t for t in failures if t > since), default=float("inf"))
+    share = 0.0 if validation is None else validation.fitted_share
+    return predict(recorder.samples(), recorder.dt, model, since, until, share, result.rotor_input)

@@ -7,6 +7,7 @@ from typing import Any
 
 from gcs_sysid.intervals import Z95
 from gcs_sysid.report.markup import Markup, element, joined
+from gcs_sysid.report.parts import note, section
 from gcs_sysid.results.number_format import PAGE
 
 _WIDTH, _HEIGHT = 900.0, 620.0
@@ -56,6 +57,22 @@ def health_picture(document: Mapping[str, Any]) -> str:
         fill=_INK,
     )
     return f"{picture}\n"
+
+
+def health_section(document: Mapping[str, Any]) -> Markup:
+    """The health of the vehicle as a section of a report.
+
+    Args:
+        document: a health file's content, in which something hovers.
+    """
+    picture = Markup(health_picture(document).strip())
+    assumed = "; ".join(document["assumptions"])
+    return section(
+        "health",
+        "Health",
+        element("div", picture, class_="health"),
+        note(f"Averages over hover, apart from the identification. Assumed: {assumed}."),
+    )
 
 
 def _text(

@@ -8,6 +8,7 @@ from importlib import resources
 from gcs_sysid.report import evidence
 from gcs_sysid.report import results_sections as findings
 from gcs_sysid.report.data import ReportData
+from gcs_sysid.report.health_picture import health_section
 from gcs_sysid.report.markup import Child, Markup, element
 from gcs_sysid.report.page_figures import Figures
 from gcs_sysid.report.parts import Column, facts, section, table
@@ -15,6 +16,7 @@ from gcs_sysid.results.number_format import PAGE
 from gcs_sysid.results.words import VERDICT
 
 _CONTENTS = (
+    ("health", "Health"),
     ("verdict", "Verdict"),
     ("parameters", "Parameters"),
     ("convergence", "Convergence"),
@@ -35,6 +37,7 @@ def render(data: ReportData) -> str:
     """The whole report as HTML text; the same data give the same text."""
     figures = Figures()
     sections: dict[str, Child] = {
+        "health": health_section(data.health) if data.health else None,
         "verdict": findings.verdict(data),
         "parameters": findings.parameters(data),
         "convergence": findings.convergence(data, figures),
@@ -59,7 +62,7 @@ def render(data: ReportData) -> str:
     )
     contents = element(
         "nav",
-        *(element("a", title, href=f"#{key}") for key, title in _CONTENTS if sections[key]),
+        *(element("a", title, href=f"#{key}") for key, title in _CONTENTS if sections.get(key)),
         aria_label="Contents",
     )
     body = element(
@@ -67,6 +70,7 @@ def render(data: ReportData) -> str:
         element("header", _heading(data, name), contents),
         element(
             "main",
+            sections.pop("health"),
             sections.pop("verdict"),
             element("p", _KEYS, id="keys", class_="note keys"),
             element("noscript", element("p", "Figures need scripts; tables do not.")),

@@ -140,7 +140,8 @@ def flight_model(result: Result, samples: ParameterSamples | None = None) -> Fli
     if not result.airframe:
         raise InputError("the result has no rotor positions; analyze the log again")
     table = {"name": result.airframe.get("name"), "rotor": result.airframe.get("rotors")}
-    geometry = parse_airframe(table, "the result's airframe").geometry
+    airframe = parse_airframe(table, "the result's airframe")
+    geometry = airframe.geometry
     if samples is None:
         estimates = _estimates(result)
         names = tuple(n for n, e in estimates.items() if e.value is not None)
@@ -173,8 +174,10 @@ def flight_model(result: Result, samples: ParameterSamples | None = None) -> Fli
         inertia=np.stack([values[name] for name in INERTIA], axis=-1),
         cg=np.stack([values["cg_x"], values["cg_y"]], axis=-1),
         thrust=thrusts,
-        # With commands the ratio is that of torque and thrust.
-        torque=torques * values[thrust][..., None] if command else torques,
+        # With commands the ratio is that of torque and thrust. What canted rotors' thrust adds in
+        # yaw goes with their torque.
+        torque=(torques * values[thrust][..., None] if command else torques)
+        + airframe.cant * thrusts,
         damping=np.stack(
             [values.get(name, values["rotational_damping"]) for name in AXIS_DAMPINGS], axis=-1
         ),

@@ -12,8 +12,9 @@ from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.pipeline import Pipeline
+from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.sampling import SampleBlock
-from gcs_sysid.telemetry.logs import open_log
+from gcs_sysid.telemetry.logs import Log, open_log
 
 
 class Observer(Protocol):
@@ -32,6 +33,18 @@ class Observer(Protocol):
         ...
 
 
+class RecordKeeper(Protocol):
+    """Keeps records of a log while it is analysed, so that it is read once."""
+
+    def begin(self, log: Log) -> None:
+        """A reading of the log begins; one before it does not count."""
+        ...
+
+    def take(self, block: RecordBlock) -> None:
+        """The next block of records."""
+        ...
+
+
 def analyze_log(
     path: Path,
     airframe: Airframe,
@@ -40,6 +53,7 @@ def analyze_log(
     progress: Callable[[float], None] | None = None,
     anchor: ScaleReference | None = None,
     observer: Observer | None = None,
+    keeper: RecordKeeper | None = None,
 ) -> Result:
     """Identify from a recording.
 
@@ -51,30 +65,34 @@ def analyze_log(
         progress: called with the share of the log done, 0 to 1, now and then.
         anchor: sets the scale instead of the airframe's.
         observer: looks on.
+        keeper: gets the records as they are read.
 
     Raises:
         InputError: the file cannot be read as a log.
     """
     options = options or ChainOptions(history_interval=None)
-    pipeline = Pipeline(airframe, str(path), wanted, options, anchor)
-    _watch(pipeline, observer)
-    pipeline.take_log(open_log(path, wanted), progress)
+
+    def read(options: ChainOptions) -> Pipeline:
+        pipeline = Pipeline(airframe, str(path), wanted, options, anchor)
+        if observer is not None:
+            observer.begin()
+            pipeline.chain.observers.append(observer.take)
+        log = open_log(path, wanted)
+        if keeper is not None:
+            keeper.begin(log)
+            pipeline.on_records = keeper.take
+        pipeline.take_log(log, progress)
+        return pipeline
+
+    pipeline = read(options)
     if pipeline.chain.outdated:
         # A ground station that fetched the parameters after the flight: they held all along.
         known = replace(options, parameters=dict(pipeline.chain.rotor_selector.parameters))
-        pipeline = Pipeline(airframe, str(path), wanted, known, anchor)
-        _watch(pipeline, observer)
-        pipeline.take_log(open_log(path, wanted), progress)
+        pipeline = read(known)
     result = pipeline.finish()
     if observer is not None:
         observer.end(pipeline.chain)
     return result
-
-
-def _watch(pipeline: Pipeline, observer: Observer | None) -> None:
-    if observer is not None:
-        observer.begin()
-        pipeline.chain.observers.append(observer.take)
 
 
 def analyze_pair(

@@ -21,6 +21,7 @@ from gcs_sysid.estimation.physical_parameters import (
     verdict,
     with_clock_error,
 )
+from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.scale import Scale, resolve_scale
 from gcs_sysid.estimation.status import Value
 from gcs_sysid.model.airframe import Airframe
@@ -126,7 +127,7 @@ class Findings:
         if self.learner.rotor_input != "speed":
             return ()
         rotors, cant = len(self.airframe.rotors), self.airframe.cant
-        each = rotor_values(self.learner.fit.rotation, self._scale, rotors, cant)
+        each = rotor_values(self._aligned_rotation, self._scale, rotors, cant)
         return tuple(
             {
                 name: Estimate(value.value, value.std, REGISTRY[name].unit, value.status)
@@ -135,10 +136,14 @@ class Findings:
             for rotor in each
         )
 
-    def _covariance(self, parameters: dict[str, Estimate]) -> dict[str, Any]:
-        # As the values are: with rotors and IMU where the flight tells that they are.
+    @property
+    def _aligned_rotation(self) -> RotationFit | None:
+        """As values are: with rotors and IMU where the flight tells that they are."""
         fit = self.learner.fit
-        rotation = aligned(fit, alignment_of(fit, self.airframe)).rotation
+        return aligned(fit, alignment_of(fit, self.airframe)).rotation
+
+    def _covariance(self, parameters: dict[str, Estimate]) -> dict[str, Any]:
+        rotation = self._aligned_rotation
         if rotation is None:
             return {}
         values = {

@@ -58,6 +58,8 @@ class Pipeline:
         self._recorded: datetime | None = None
         self._waiting = FrameGathering()
         self._contradicted: tuple[str, ...] = ()
+        self.on_records: Callable[[RecordBlock], None] | None = None
+        """Called with each block of a log as it is read, before the chain takes it."""
 
     @property
     def told(self) -> ToldLayout | None:
@@ -132,6 +134,8 @@ class Pipeline:
         """
         self._telemetry = log
         for block in log.blocks():
+            if self.on_records is not None:
+                self.on_records(block)
             yield from block.windows(samples)
         if log.recorded is not None and _SENSIBLE[0] <= log.recorded < _SENSIBLE[1]:
             self._recorded = datetime.fromtimestamp(log.recorded, UTC)
@@ -184,6 +188,7 @@ class Pipeline:
 
     def drop(self) -> None:
         """Forget who observes: they hold what they look at."""
+        self.on_records = None
         self.chain.observers.clear()
 
     def _complete(self, result: Result) -> Result:

@@ -18,7 +18,13 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import check_regular, split_session
+from gcs_sysid.files import (
+    MAPPING_FILE,
+    TABLE_SUFFIXES,
+    check_regular,
+    split_mapping,
+    split_session,
+)
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.telemetry import blackbox_format, dataflash_format, ulog_scan
@@ -26,6 +32,7 @@ from gcs_sysid.telemetry.blackbox import read_blackbox
 from gcs_sysid.telemetry.clock import ClockDrift
 from gcs_sysid.telemetry.dataflash import read_dataflash
 from gcs_sysid.telemetry.intake import Intake
+from gcs_sysid.telemetry.mapped_table import read_table
 from gcs_sysid.telemetry.monitor import GAP, GAPS_KEPT
 from gcs_sysid.telemetry.tlog import read_tlog
 from gcs_sysid.telemetry.track_collector import Recording
@@ -67,7 +74,7 @@ class Log(Telemetry, Protocol):
     """A recording. Its figures are those of what was read so far."""
 
     kind: str
-    """"tlog", "ulog", "dataflash" or "blackbox"."""
+    """"tlog", "ulog", "dataflash", "blackbox" or "table"."""
 
     recorded: float | None
     """When it begins, seconds of Unix time; None when the log does not say, or is not yet read."""
@@ -281,16 +288,18 @@ def _one_by_one(blocks: Iterable[RecordBlock], told: list[IntakeEvent]) -> Itera
 
 
 def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
-    """Open a .tlog, .ulg, .bin or .bbl.
+    """Open a .tlog, .ulg, .bin or .bbl, or a table of signals.
 
     Args:
-        path: of the file; `LOG.bbl#2` for its second session.
+        path: of the file; `LOG.bbl#2` for its second session, `flight.csv#map.toml` for a table
+            and its mapping.
         wanted: system and perhaps component to listen to; None: the first autopilot in it.
 
     Raises:
         InputError: it is none of these, or cannot be read.
     """
-    file_path, session = split_session(path)
+    table, mapping = split_mapping(path)
+    file_path, session = (table, None) if mapping is not None else split_session(path)
     try:
         if path.is_dir():
             raise InputError(f"{path} is a folder: give a .tlog, .ulg, .bin or .bbl file")
@@ -299,6 +308,8 @@ def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
             head = file.read(blackbox_format.SEARCHED)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from error
+    if mapping is not None:
+        return OnboardLog("table", read_table(table, mapping), wanted)
     if blackbox_format.MAGIC in head:
         return OnboardLog("blackbox", read_blackbox(file_path, session), wanted)
     if session is not None:
@@ -309,4 +320,9 @@ def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
         return OnboardLog("dataflash", read_dataflash(path), wanted)
     if head.startswith(b"FMT,"):
         raise InputError(f"{path} is a dataflash log converted to text: give the .bin")
+    if path.suffix.lower() in TABLE_SUFFIXES:
+        raise InputError(
+            f"{path} is a table: say what its columns are with --csv MAPPING.toml, or in a "
+            f"{MAPPING_FILE} beside it"
+        )
     return TlogLog(path, wanted)

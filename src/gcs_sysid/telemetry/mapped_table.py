@@ -1,0 +1,466 @@
+"""Tables of signals, CSV or Parquet, read by a mapping file that says what their columns are.
+
+The mapping is TOML; `docs/tables.md` lists its keys. World axes other than NED and body axes other
+than FRD are turned on reading: with M from the table's world to NED and B from FRD to the table's
+body, both turns by 180 degrees, q = M * q_table * B.
+"""
+
+import csv
+import math
+import tomllib
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.errors import InputError
+from gcs_sysid.files import read_text
+from gcs_sysid.model.attitude import conjugate, multiply
+from gcs_sysid.signals.records import Stream
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.rotor_messages import RPM
+from gcs_sysid.telemetry.track_collector import Recording
+
+_MOST_BYTES = 200_000
+_DEGREE = math.pi / 180.0
+_G = 9.80665
+_HALF = math.sqrt(0.5)
+_BODIES = {"FRD": (1.0, 1.0, 1.0), "FLU": (1.0, -1.0, -1.0)}
+_BODY_TURNS = {"FRD": (1.0, 0.0, 0.0, 0.0), "FLU": (0.0, 1.0, 0.0, 0.0)}
+_WORLDS = {
+    "NED": (1.0, 0.0, 0.0, 0.0),
+    "NWU": (0.0, 1.0, 0.0, 0.0),
+    "ENU": (0.0, _HALF, _HALF, 0.0),
+}
+"""Name -> quaternion of the turn from it to NED."""
+_ORDERS = {"wxyz": (0, 1, 2, 3), "xyzw": (3, 0, 1, 2)}
+_TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_RATES = {"rad/s": 1.0, "deg/s": _DEGREE}
+_SPEEDS = {"rad/s": 1.0, "rpm": RPM, "Hz": 2.0 * math.pi}
+_UNITS: dict[str, dict[str, float]] = {
+    "gyro": _RATES,
+    "force": {"m/s^2": 1.0, "g": _G},
+    "attitude": {"rad": 1.0, "deg": _DEGREE},
+    "velocity": {"m/s": 1.0},
+    "position": {"m": 1.0},
+    "speeds": _SPEEDS,
+    "commands": {"1": 1.0, "%": 0.01},
+    "in_air": {"1": 1.0},
+    "armed": {"1": 1.0},
+    "voltage": {"V": 1.0, "mV": 1e-3},
+}
+"""Signal -> unit -> what it is in SI; the first is the default."""
+_WIDTHS = {"gyro": (3,), "force": (3,), "attitude": (3, 4), "velocity": (3,), "position": (3,),
+           "in_air": (1,), "armed": (1,), "voltage": (1,)}  # fmt: skip
+_KEYS = {"columns", "unit", "frame", "world", "order", "inverse", "time", "min", "max"}
+_TOP = {"time", "time_unit", "frame", "world", "delimiter", "autopilot", "parameters", *_UNITS}
+_MOST_ROTORS = 32
+_TYPES = {
+    4: mavlink.MAV_TYPE_QUADROTOR,
+    6: mavlink.MAV_TYPE_HEXAROTOR,
+    8: mavlink.MAV_TYPE_OCTOROTOR,
+}
+_AUTOPILOTS = {
+    "": mavlink.MAV_AUTOPILOT_GENERIC,
+    "px4": mavlink.MAV_AUTOPILOT_PX4,
+    "ardupilot": mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
+}
+_MISSING = {"", "nan", "na", "null", "none"}
+
+
+@dataclass(frozen=True)
+class SignalColumns:
+    """What one signal is made of.
+
+    Attributes:
+        columns: names in the table's header, in the order of axes or of motors.
+        factor: of the unit to SI.
+        time: column of its times.
+        frame: FRD or FLU, of body axes.
+        world: NED, NWU or ENU.
+        order: of a quaternion, wxyz or xyzw.
+        inverse: whether an attitude turns world axes into the body's, instead of the reverse.
+        low: command that stops a motor.
+        high: command of full thrust.
+    """
+
+    columns: tuple[str, ...]
+    factor: float
+    time: str
+    frame: str
+    world: str
+    order: str
+    inverse: bool
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class TableMapping:
+    """A mapping file, checked."""
+
+    signals: Mapping[str, SignalColumns]
+    time_factor: float
+    delimiter: str | None
+    autopilot: str
+    parameters: Mapping[str, float]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """All columns that it names, each once."""
+        named = [c for s in self.signals.values() for c in (s.time, *s.columns)]
+        return tuple(dict.fromkeys(named))
+
+
+def read_mapping(path: Path) -> TableMapping:
+    """A mapping file.
+
+    Raises:
+        InputError: it cannot be read, or says what cannot be.
+    """
+    try:
+        table = tomllib.loads(read_text(path, _MOST_BYTES, "the mapping file"))
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from error
+    _check_keys(path, "", table, _TOP)
+    common = {key: _text(path, key, table.get(key, ""), "") for key in ("time", "frame", "world")}
+    delimiter = _text(path, "delimiter", table.get("delimiter", ","), ",")
+    if len(delimiter) != 1:
+        raise InputError(f'{path}: delimiter: must be one character, such as ";"')
+    signals = {}
+    for name in _UNITS:
+        if name in table:
+            signals[name] = _signal(path, name, table[name], common)
+    if "gyro" not in signals:
+        raise InputError(f'{path}: gyro is missing: [gyro] with columns = ["p", "q", "r"]')
+    if "speeds" not in signals and "commands" not in signals:
+        raise InputError(f"{path}: neither [speeds] nor [commands] of the rotors is mapped")
+    if "position" in signals and "velocity" not in signals:
+        raise InputError(f"{path}: [position] needs [velocity] too")
+    return TableMapping(
+        signals,
+        _choice(path, "time_unit", table.get("time_unit", "s"), _TIMES),
+        delimiter if "delimiter" in table else None,
+        _name(path, "autopilot", table.get("autopilot", ""), _AUTOPILOTS),
+        _parameters(path, table.get("parameters", {})),
+    )
+
+
+def _signal(path: Path, name: str, table: Any, common: Mapping[str, str]) -> SignalColumns:
+    if isinstance(table, list | str):
+        table = {"columns": table}
+    if not isinstance(table, dict):
+        raise InputError(f"{path}: {name}: must be a table with columns")
+    _check_keys(path, f"{name}: ", table, _KEYS)
+    columns = table.get("columns", [])
+    columns = [columns] if isinstance(columns, str) else columns
+    if not (isinstance(columns, list) and columns and all(isinstance(c, str) for c in columns)):
+        raise InputError(f'{path}: {name}: columns must be a list of names, such as ["a", "b"]')
+    widths = _WIDTHS.get(name)
+    if (widths and len(columns) not in widths) or len(columns) > _MOST_ROTORS:
+        wanted = " or ".join(map(str, widths or (f"at most {_MOST_ROTORS}",)))
+        raise InputError(f"{path}: {name}: needs {wanted} columns, not {len(columns)}")
+    if len(set(columns)) < len(columns):
+        raise InputError(f"{path}: {name}: names a column twice")
+    units = _UNITS[name]
+    inverse = table.get("inverse", False)
+    if not isinstance(inverse, bool):
+        raise InputError(f"{path}: {name}: inverse must be true or false")
+    low, high = (
+        _number(path, f"{name}: {k}", table.get(k, d)) for k, d in (("min", 0), ("max", 1))
+    )
+    if not low < high:
+        raise InputError(f"{path}: {name}: min {low:g} must be less than max {high:g}")
+    time = _text(path, f"{name}: time", table.get("time", common["time"]), "")
+    if not time:
+        raise InputError(f'{path}: time is missing: time = "name of the column of times"')
+    label = f"{name}: " if name else ""
+    return SignalColumns(
+        tuple(columns),
+        _choice(path, f"{label}unit", table.get("unit", next(iter(units))), units),
+        time,
+        _name(path, f"{label}frame", table.get("frame", common["frame"] or "FRD"), _BODIES),
+        _name(path, f"{label}world", table.get("world", common["world"] or "NED"), _WORLDS),
+        _name(path, f"{label}order", table.get("order", "wxyz"), _ORDERS),
+        inverse,
+        low,
+        high,
+    )
+
+
+def _check_keys(path: Path, where: str, table: Mapping[str, Any], known: set[str]) -> None:
+    unknown = sorted(set(table) - known)
+    if unknown:
+        raise InputError(
+            f"{path}: {where}unknown key {unknown[0]!r}; known are {', '.join(sorted(known))}"
+        )
+
+
+def _text(path: Path, key: str, value: Any, default: str) -> str:
+    if not isinstance(value, str):
+        raise InputError(f"{path}: {key} must be text in quotes, not {value!r}")
+    return value or default
+
+
+def _name(path: Path, key: str, value: Any, known: Mapping[str, Any]) -> str:
+    if not isinstance(value, str) or value not in known:
+        names = ", ".join(name for name in known if name)
+        raise InputError(f"{path}: {key} must be one of {names}, not {value!r}")
+    return value
+
+
+def _choice(path: Path, key: str, value: Any, known: Mapping[str, float]) -> float:
+    return known[_name(path, key, value, known)]
+
+
+def _number(path: Path, key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{path}: {key} must be a number, not {value!r}")
+    return float(value)
+
+
+def _parameters(path: Path, table: Any) -> dict[str, float]:
+    if not isinstance(table, dict):
+        raise InputError(f"{path}: parameters must be a table of NAME = number")
+    return {name: _number(path, f"parameters: {name}", value) for name, value in table.items()}
+
+
+def read_table(path: Path, mapping_path: Path) -> Recording:
+    """Read a table as a log.
+
+    Args:
+        path: of a .csv or .parquet file.
+        mapping_path: of its mapping.
+
+    Raises:
+        InputError: either cannot be read, or they do not fit each other.
+    """
+    mapping = read_mapping(mapping_path)
+    try:
+        with open(path, "rb") as file:
+            is_parquet = file.read(4) == b"PAR1"
+        read = _read_parquet if is_parquet else _read_csv
+        columns = read(path, mapping, mapping_path)
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    rotors = max(len(mapping.signals[n].columns) for n in _rotor_signals(mapping))
+    recording = Recording(
+        tracks=[],
+        system=1,
+        component=1,
+        vehicle_type=_TYPES.get(rotors, mavlink.MAV_TYPE_GENERIC),
+        autopilot=_AUTOPILOTS[mapping.autopilot],
+        counts={name: len(columns[s.time]) for name, s in mapping.signals.items()},
+    )
+    values = {n: _values(s, columns, mapping.time_factor) for n, s in mapping.signals.items()}
+    _check_times(path, mapping, values)
+    _add_tracks(recording, mapping, values)
+    if not any(track.stream is Stream.IMU for track in recording.tracks):
+        raise InputError(f"{path} holds no sample of the gyro: see [gyro] of {mapping_path}")
+    start = min(float(track.t[0]) for track in recording.tracks)
+    recording.parameters += [(start, name, v) for name, v in mapping.parameters.items()]
+    return recording
+
+
+def _rotor_signals(mapping: TableMapping) -> tuple[str, ...]:
+    return tuple(name for name in ("speeds", "commands") if name in mapping.signals)
+
+
+_Samples = tuple[Array, Array]
+
+
+def _values(signal: SignalColumns, columns: Mapping[str, Array], time_factor: float) -> _Samples:
+    """(n,) s and (n, width) in SI, of the rows in which the signal has any value."""
+    t = columns[signal.time] * time_factor
+    values = np.column_stack([columns[name] for name in signal.columns]) * signal.factor
+    there = np.isfinite(values).any(axis=1) & np.isfinite(t)
+    return t[there], values[there]
+
+
+def _check_times(path: Path, mapping: TableMapping, values: Mapping[str, _Samples]) -> None:
+    for name, (t, _) in values.items():
+        column = mapping.signals[name].time
+        if len(t) > 1 and not (np.diff(t) > 0.0).any():
+            raise InputError(f"{path}: times in column {column!r} never rise")
+        if name == "gyro" and len(t) > 1:
+            rate = 1.0 / max(float(np.median(np.diff(t))), 1e-12)
+            if not 0.1 < rate < 50_000.0:
+                raise InputError(
+                    f"{path}: by column {column!r} the gyro comes at {rate:.3g} Hz: "
+                    "set time_unit to s, ms, us or ns"
+                )
+
+
+def _add_tracks(
+    recording: Recording, mapping: TableMapping, values: Mapping[str, _Samples]
+) -> None:
+    gyro_t, gyro = values["gyro"]
+    gyro = gyro * _BODIES[mapping.signals["gyro"].frame]
+    force = np.full_like(gyro, np.nan)
+    if "force" in values:
+        force_t, found = values["force"]
+        found = found * _BODIES[mapping.signals["force"].frame]
+        # In rows of their own the two meet by time.
+        same = len(force_t) == len(gyro_t) and bool((force_t == gyro_t).all())
+        force = found if same else _joined(gyro_t, force_t, found)
+    recording.add(Stream.IMU, gyro_t, np.hstack([gyro, force]))
+    if "attitude" in values:
+        t, q = values["attitude"]
+        recording.add(Stream.ATTITUDE, t, _attitude(mapping.signals["attitude"], q))
+    if "velocity" in values:
+        t, v = values["velocity"]
+        motion = np.full((len(t), 6), np.nan)
+        motion[:, :3] = _in_ned(v, mapping.signals["velocity"].world)
+        if "position" in values:
+            at, places = values["position"]
+            motion[:, 3:] = _joined(t, at, _in_ned(places, mapping.signals["position"].world))
+        else:
+            motion[:, 3:] = 0.0
+        recording.add(Stream.VELOCITY, t, motion)
+    for name, stream in (("speeds", Stream.ROTOR_SPEED), ("commands", Stream.ROTOR_COMMAND)):
+        if name in values:
+            t, found = values[name]
+            signal = mapping.signals[name]
+            if name == "speeds":
+                found = np.abs(found)
+            else:
+                low, high = (signal.factor * end for end in (signal.low, signal.high))
+                found = (found - low) / (high - low)
+            whole = np.isfinite(found).all(axis=1)
+            recording.add(stream, t[whole], found[whole], source=name)
+    for name, stream in (("in_air", Stream.IN_AIR), ("armed", Stream.ARMED)):
+        if name in values:
+            recording.add(stream, values[name][0], values[name][1] != 0.0)
+    if "voltage" in values:
+        recording.extras["battery voltage"] = values["voltage"]
+
+
+def _joined(t: Array, times: Array, values: Array) -> Array:
+    """(n, width) at t, straight between samples; NaN before the first and after the last."""
+    if not len(times):
+        return np.full((len(t), values.shape[1]), np.nan)
+    order = np.argsort(times, kind="stable")
+    columns = [np.interp(t, times[order], column[order], np.nan, np.nan) for column in values.T]
+    return np.column_stack(columns)
+
+
+def _attitude(signal: SignalColumns, values: Array) -> Array:
+    """(n, 4) quaternions w, x, y, z, FRD to NED, of quaternions or Euler angles."""
+    if values.shape[1] == 4:
+        q = values[:, _ORDERS[signal.order]] / signal.factor
+        q = conjugate(q) if signal.inverse else q
+    else:
+        # Roll, pitch, yaw about x, y, z of the table's own axes (z-y'-x'').
+        q = np.tile([1.0, 0.0, 0.0, 0.0], (len(values), 1))
+        for axis, angle in ((3, values[:, 2]), (2, values[:, 1]), (1, values[:, 0])):
+            turn = np.zeros_like(q)
+            turn[:, 0], turn[:, axis] = np.cos(0.5 * angle), np.sin(0.5 * angle)
+            q = multiply(q, turn)
+        q = conjugate(q) if signal.inverse else q
+    world = np.array(_WORLDS[signal.world])
+    body = np.array(_BODY_TURNS[signal.frame])
+    out: Array = multiply(
+        multiply(np.broadcast_to(world, q.shape), q), np.broadcast_to(body, q.shape)
+    )
+    return out
+
+
+def _in_ned(values: Array, world: str) -> Array:
+    if world == "ENU":
+        return values[:, [1, 0, 2]] * (1.0, 1.0, -1.0)
+    out: Array = values * ((1.0, -1.0, -1.0) if world == "NWU" else 1.0)
+    return out
+
+
+def _check_header(
+    path: Path, mapping: TableMapping, mapping_path: Path, header: Sequence[str]
+) -> None:
+    missing = [name for name in mapping.columns if name not in header]
+    if missing:
+        there = ", ".join(name for name in header[:12] if name) + (" ..." if header[12:] else "")
+        raise InputError(
+            f"{path} has no column {missing[0]!r}, which {mapping_path} names; it has {there}"
+        )
+
+
+def _read_csv(path: Path, mapping: TableMapping, mapping_path: Path) -> dict[str, Array]:
+    """Column -> (n,) values; what is empty is NaN."""
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            first = file.readline()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a table: neither text nor Parquet") from error
+    delimiter = mapping.delimiter or max(",;\t", key=first.count)
+    header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
+    _check_header(path, mapping, mapping_path, header)
+    places = [header.index(name) for name in mapping.columns]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # that there are no rows is said below
+            values = np.loadtxt(path, float, None, delimiter, skiprows=1, usecols=places,
+                                ndmin=2, encoding="utf-8-sig")  # fmt: skip
+    except ValueError:  # empty fields, or what is no number: slower, and by line
+        values = _by_line(path, delimiter, mapping.columns, places)
+    if not len(values):
+        raise InputError(f"{path} has a header and no rows")
+    return dict(zip(mapping.columns, values.T, strict=True))
+
+
+def _by_line(path: Path, delimiter: str, names: Sequence[str], places: Sequence[int]) -> Array:
+    rows = []
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            reader = csv.reader(file, delimiter=delimiter)
+            next(reader, None)
+            for row in reader:
+                if row:
+                    rows.append([_field(path, reader.line_num, row, n, p)
+                                 for n, p in zip(names, places, strict=True)])  # fmt: skip
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not a table of text: {error}") from error
+    return np.array(rows, float).reshape(-1, len(names))
+
+
+def _field(path: Path, line: int, row: Sequence[str], name: str, place: int) -> float:
+    text = row[place].strip() if place < len(row) else ""
+    try:
+        return math.nan if text.lower() in _MISSING else float(text)
+    except ValueError:
+        states = {"true": 1.0, "false": 0.0}
+        if text.lower() in states:
+            return states[text.lower()]
+        raise InputError(
+            f"{path}: line {line}, column {name!r}: {text[:40]!r} is no number"
+        ) from None
+
+
+def _read_parquet(path: Path, mapping: TableMapping, mapping_path: Path) -> dict[str, Array]:
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as parquet
+    except ImportError as error:
+        raise InputError(
+            f'{path}: reading Parquet needs pyarrow: pip install "gcs-sysid[fleet]"'
+        ) from error
+    try:
+        header = parquet.read_schema(path).names
+        _check_header(path, mapping, mapping_path, header)
+        table = parquet.read_table(path, columns=list(mapping.columns))
+        out = {}
+        for name in mapping.columns:
+            column = table.column(name)
+            if pa.types.is_timestamp(column.type) or pa.types.is_duration(column.type):
+                unit = _TIMES[column.type.unit]
+                column = column.cast(pa.int64())
+                out[name] = column.to_numpy().astype(float) * unit / mapping.time_factor
+            else:
+                out[name] = column.cast(pa.float64()).to_numpy().astype(float)
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{path}: cannot read the Parquet file: {str(error)[:200]}") from error
+    if not len(out[mapping.columns[0]]):
+        raise InputError(f"{path} has no rows")
+    return out
