@@ -520,9 +520,7 @@ class Outcome:
                 leak=leak,
                 data_std=data_std[i, :n],
                 full_covariance=full[i],
-                warm_start=WarmStart(
-                    self._unknowns[i], spread[i], widening[i], bool(stuck[i])
-                ),
+                warm_start=WarmStart(self._unknowns[i], spread[i], widening[i], bool(stuck[i])),
                 deviations=unknowns[i, N_UNKNOWNS:],
                 extended_covariance=every[i],
             )
