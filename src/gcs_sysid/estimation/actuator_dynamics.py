@@ -37,6 +37,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 from gcs_sysid.signals.windows import cosine_window
 
 COORDINATE_NAMES = ("rotor_delay", "motor_lag", "thrust_curve")
@@ -322,7 +323,9 @@ class ActuatorDynamics:
         """What lags; may change."""
         self.bent_lags: tuple[int, ...] = ()
         """Indices of the lags of the bends."""
-        if coupled and commands and len(self.lags) > 1 and self.lags[0] == 0.0:
+        # Of slow commands the squares' mean between samples is not known.
+        bendable = coupled and commands and dt < SLOW_COMMANDS
+        if bendable and len(self.lags) > 1 and self.lags[0] == 0.0:
             self.bent_lags = tuple(range(len(self.lags) - 1, 0, -2))[::-1]
         self.bends = len(self.bent_lags) * N_BENT
         """Columns of the bends."""
