@@ -20,6 +20,7 @@ Begin with the emulated vehicle, then yours: m from its center to a motor, kg
   gcs-sysid live udpin:0.0.0.0:14550 --airframe px4-quad-x --arm 0.25 --mass 1.5
 Commands
 {commands}
+
 Options: gcs-sysid COMMAND --help. No vehicle found? gcs-sysid doctor"""
 
 
