@@ -73,6 +73,13 @@ CASES = {
     ("export", "output"): Case(
         ("export", "--to", "urdf", "{a}", "-o", "{out}"), ".urdf", seconds=False
     ),
+    ("export", "signals"): Case(
+        ("export", *ON_LOG, "--signals", "{out}"), ".csv", dash=False
+    ),
+    ("twin", "json"): Case(("twin", "{a}", "{flight}", "--json", "{out}"), ".json", "ahead"),
+    ("twin", "picture"): Case(
+        ("twin", "{a}", "{flight}", "--picture", "{out}"), ".svg", "ahead", dash=False
+    ),
     ("tune", "json"): Case(("tune", *TUNED, "--json", "{out}"), ".json", "MC_ROLLRATE_P"),
     ("tune", "output"): Case(
         ("tune", *TUNED, "--to", "px4-params", "-o", "{out}"), ".params", "MC_ROLLRATE_P"

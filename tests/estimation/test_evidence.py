@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.evidence import RULES, Evidence, evidence_of
-from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.online import Fit, FitMoments
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.status import Value
 from gcs_sysid.estimation.validation import Validation
@@ -50,6 +50,24 @@ def capped(evidence):
 def test_nothing_speaks_against_a_flight_that_is_predicted():
     assert found(GOOD) == Evidence()
     assert capped(found(GOOD)) == set()
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_an_axis_that_hardly_turns_identifies_nothing_but_the_cg(axis):
+    def moving(rms):
+        window = np.zeros((rb.N_SIGNALS + 3,) * 2)
+        for name, rate in zip("pqr", rms, strict=True):
+            i = rb.SIGNALS.index(name)
+            window[i, i] = 1000 * rate**2
+        fit = Fit(ROTATION, None, 30.0, GOOD, moments=FitMoments(window[None], window, 1000))
+        return evidence_of(fit, "speed", 0.004)
+
+    assert moving(on(axis, 0.3, 0.11)) == Evidence()
+    still = moving(on(axis, 0.3, 0.04))
+    assert AXES[axis] in still.reasons[0]
+    assert "0.04 rad/s" in still.reasons[0]
+    names = {name for name, p in CLAIMS.items() if axis in p.axes}
+    assert capped(still) == names - MEAN
 
 
 @pytest.mark.parametrize("axis", range(3))

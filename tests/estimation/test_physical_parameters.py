@@ -238,3 +238,17 @@ def test_a_motors_form_is_doubted_the_more_the_slower_it_is():
     np.testing.assert_allclose(usual, quick)
     np.testing.assert_allclose(slow, 2.0 * usual, rtol=0.01)
     assert usual[0] == pytest.approx(0.0015, rel=0.01)
+
+
+def test_wind_seems_to_move_the_cg():
+    anchor = ScaleReference("mass", MASS)
+    calm, windy = (
+        physical_parameters(anchor, ROTATION, replace(TRANSLATION, wind=wind), ARM)
+        for wind in (0.08, 0.1 + 0.981)
+    )
+    still = physical_parameters(anchor, ROTATION, TRANSLATION, ARM)
+    assert calm["cg_x"].std == still["cg_x"].std
+    # A tenth of the weight pushes at rotors that are 0.15 arms above the CG.
+    shift = 0.15 * ARM * 0.981 / 9.80665
+    assert windy["cg_x"].std == pytest.approx(np.hypot(still["cg_x"].std, shift))
+    assert windy["moment_ratio"].std == still["moment_ratio"].std

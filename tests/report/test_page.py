@@ -22,8 +22,8 @@ from .reading import Page
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'&\u202e\x1b[31m"
 RAISED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
-SECTIONS = ("verdict", "parameters", "convergence", "prediction", "residual", "excitation",
-            "events", "telemetry", "settings")  # fmt: skip
+SECTIONS = ("health", "verdict", "parameters", "convergence", "prediction", "residual",
+            "excitation", "events", "telemetry", "settings")  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def unpacked(page, name):
     return np.frombuffer(base64.b64decode(page.data["arrays"][name]), "<f4").astype(float)
 
 
-def test_sections_in_order_the_verdict_first(page):
+def test_sections_in_order(page):
     assert [e.attributes["id"] for e in page.all("section")] == list(SECTIONS)
     assert len(page.all("h1")) == 1
     ids = [e.attributes["id"] for e in page.elements if "id" in e.attributes]

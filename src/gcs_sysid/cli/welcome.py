@@ -15,11 +15,9 @@ def welcome(parser: argparse.ArgumentParser) -> str:
     commands = "\n".join(f"  {name:<12}{what}" for name, what in commands_of(parser))
     return f"""\
 gcs-sysid {__version__} identifies a multirotor from MAVLink, in flight or recorded.
-Begin with
+Begin with the emulated vehicle, then yours: m from its center to a motor, kg
   gcs-sysid demo
-              identify the emulated vehicle
   gcs-sysid live udpin:0.0.0.0:14550 --airframe px4-quad-x --arm 0.25 --mass 1.5
-              identify yours: m from its center to a motor, and its mass in kg
 Commands
 {commands}
 

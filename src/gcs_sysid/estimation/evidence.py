@@ -39,6 +39,10 @@ class EvidenceRules:
     and 100 Hz flights inside the model, whose intervals hold, have 1.5 to 4.6."""
     whiteness_p: float = 0.05
     """Probability of so much by chance, below which it counts."""
+    still: tuple[float, float, float] = (0.1, 0.1, 0.05)
+    """rad/s rms, below which an axis hardly turns: what it answers is then noise of rotors and
+    gyro, or crosstalk. Hovers have 0.003 to 0.06, flights with input on an axis 0.25 and more, in
+    yaw 0.08 and more."""
 
 
 RULES = EvidenceRules()
@@ -105,9 +109,16 @@ def evidence_of(
             f"residuals on {_named(colored)} are not noise (whiteness {found.whiteness[worst]:.1f} "
             f"on {AXES[worst]}): the model lacks something there"
         )
+    rates = None if fit.moments is None else fit.moments.rates
+    still = np.zeros(3, dtype=bool) if rates is None else rates < RULES.still
+    if rates is not None and still.any():
+        reasons.append(
+            f"hardly any rotation in {_named(still)} "
+            f"({', '.join(f'{rate:.2g}' for rate in rates[still])} rad/s rms): fly doublets there"
+        )
     least = RULES.least_whitened_r2 if fit.rotation.whiteners else RULES.least_r2
-    capped = tuple(bool(c) for c in ~(found.r_squared >= least) | colored)
-    unmoved = tuple(bool(c) for c in unpredicted & ~colored)
+    capped = tuple(bool(c) for c in ~(found.r_squared >= least) | colored | still)
+    unmoved = tuple(bool(c) for c in (unpredicted | still) & ~colored)
     return Evidence(capped, tuple(reasons), unmoved)  # type: ignore[arg-type]
 
 

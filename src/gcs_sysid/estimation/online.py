@@ -50,10 +50,21 @@ class FitMoments(NamedTuple):
     Attributes:
         rows: (3, WIDTH, WIDTH) of each axis' rows, without the inputs' known noise.
         window: (WIDTH, WIDTH) of the rows of the symmetric window.
+        number: of these; 0: not known.
     """
 
     rows: Array
     window: Array
+    number: int = 0
+
+    @property
+    def rates(self) -> Array | None:
+        """(3,) rms of roll, pitch and yaw rate, rad/s, slower than some 5 Hz; None: not known."""
+        if not self.number:
+            return None
+        squares = np.diag(self.window)[[rigid_body.SIGNALS.index(rate) for rate in "pqr"]]
+        rms: Array = np.sqrt(np.maximum(squares, 0.0) / self.number)
+        return rms
 
 
 @dataclass(frozen=True)
@@ -440,17 +451,21 @@ class OnlineEstimator:
 
     def _moments_at(self, fit: RotationFit, instant: _Instant) -> FitMoments:
         basis, at = self._record.basis, fit.coordinates
+        # Leaky sums of rates are no rates.
+        count = instant.rows if self._record.memories[fit.leak] == 0.0 else 0
         if instant.whitened is not None and self._whitened is not None:
             white = instant.whitened
             without = white.moments - white.rows * white.noise
             # Whitened rows have a range of their own.
             within = np.clip(at, basis.low, basis.high)
             return FitMoments(
-                white.basis.moments_at(without, at), basis.moments_at(instant.rotation, within)
+                white.basis.moments_at(without, at),
+                basis.moments_at(instant.rotation, within),
+                count,
             )
         window = basis.moments_at(instant.rotation, at)
         without = window - instant.rows * basis.noise_at(instant.noise, at)
-        return FitMoments(np.broadcast_to(without, (3, *without.shape)), window)
+        return FitMoments(np.broadcast_to(without, (3, *without.shape)), window, count)
 
     def _is_calm(self) -> bool:
         """Whether it is known that no steady wind blows; without velocity nothing is."""

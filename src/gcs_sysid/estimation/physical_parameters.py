@@ -22,6 +22,7 @@ from gcs_sysid.model.parameters import (
     ARM,
     AXIS_DAMPINGS,
     CORE_OF,
+    GRAVITY,
     PARAMETERS,
     REGISTRY,
     THRUST_OF,
@@ -55,6 +56,11 @@ class ModelErrors:
     """s, lag of the motors that these two were measured with."""
     lag: float = 0.02
     """Of a motor's lag: up to 3.5 % at 100 Hz and on recorded flights."""
+    rotor_height: float = 0.15
+    """Of the arm, rotors over the CG: where they are, wind pushes a hovering vehicle, whose CG then
+    seems to be elsewhere."""
+    still_air: float = 0.1
+    """m/s^2, of wind's push: flights without wind read 0.001 to 0.08."""
     not_rigid: float = 0.005
     """Of what the model still tells where the rigid-body test contradicts it."""
 
@@ -100,6 +106,8 @@ def physical_parameters(
         # A given T_max does not depend on the curve.
         own_bend = 0.0 if anchor.kind == THRUST_OF[rotor_input] else bend
         raw |= _rotation_values(rotation, scale, arm, rotor_input, own_bend, doubt, cant)
+        for name, shift in _wind_shifts(translation, arm).items():
+            raw[name] = raw[name][0], math.hypot(raw[name][1], shift)
         raw |= _axis_values(rotation, scale)
     if translation is not None and scale.mass is not None and math.isfinite(translation.delta):
         if rotor_input == "speed" and rotation is not None:
@@ -195,6 +203,15 @@ def _rotation_values(
             spread = value * math.hypot(scale.thrust_share, doubt)
             out[name] = value * scale.thrust, scale.thrust * math.hypot(bent[at], spread)
     return out
+
+
+def _wind_shifts(translation: TranslationFit | None, arm: float) -> dict[str, float]:
+    """m, by which a steady wind may shift what rests on the mean torque."""
+    push = 0.0 if translation is None else translation.wind - ERRORS.still_air
+    if push <= 0.0:
+        return {}
+    shift = ERRORS.rotor_height * arm * push / GRAVITY
+    return {name: shift for name, p in PARAMETERS.items() if p.mean_torque}
 
 
 def _axis_values(rotation: RotationFit, scale: Scale) -> Raw:

@@ -36,6 +36,8 @@ _BELIEVED = 0.5
 """Share of the motion explained, from which deviations are those of rotors."""
 _SHORTEST_VALIDATED = 4.0
 """s of flight."""
+_LEAST_RATE = 0.1
+"""rad/s rms, below which no layout is suspected: hover shows noise and vibration alone."""
 _HELD_OUT = 1.0
 """s: of five such stretches, two are predicted from the others."""
 _THRUST = rb.SIGNALS.index("thrust")
@@ -183,6 +185,8 @@ class WhitenedEstimator:
         data = self._data
         if given >= SUSPECTED or data.counts.sum() * self._white.time < _SHORTEST_VALIDATED:
             return None
+        if self._rates.min() < _LEAST_RATE:
+            return None
         found = find_other_layout(data, self.basis, self._geometry, max(given, 0.0))
         return None if found is None else found.says
 
@@ -246,6 +250,15 @@ class WhitenedEstimator:
             window.total[0], self._record.basis.nodes[self._record.basis.middle]
         )[_THRUST, _THRUST]
         return math.sqrt(float(thrust) / window.rows) if window.rows else 0.0
+
+    @property
+    def _rates(self) -> Array:
+        """(2,) rms of roll and pitch rate, rad/s, slower than some 5 Hz."""
+        window, basis = self._record.rotation, self._record.basis
+        sums = basis.moments_at(window.total[0], basis.nodes[basis.middle])
+        squares = np.diag(sums)[[rb.SIGNALS.index(rate) for rate in "pq"]]
+        rates: Array = np.sqrt(np.maximum(squares, 0.0) / max(window.rows, 1))
+        return rates
 
     def _whiteness(
         self, data: WhitenedMoments, kept: Mask, fit: RotationFit

@@ -33,7 +33,7 @@ INDIFLIGHT_FORMAT = Format(
 PAPARAZZI_FORMAT = Format(
     "paparazzi",
     "effectiveness for Paparazzi, a section of its airframe file",
-    ".xml",
+    ".paparazzi.xml",
     "INDI has",
     needs=_NEEDS,
     uses=("k_T", "rotor_inertia", "thrust_curve"),

@@ -21,7 +21,7 @@ from gcs_sysid.model.parameters import GRAVITY, INERTIA
 FORMAT = Format(
     "l2f",
     "dynamics of l2f's parameters",
-    ".json",
+    ".l2f.json",
     "l2f has",
     needs=("mass", *INERTIA, "cg_x", "cg_y", "T_max", "moment_ratio", "motor_lag"),
     uses=("thrust_curve",),

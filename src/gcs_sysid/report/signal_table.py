@@ -8,6 +8,7 @@ fit, and their difference. NaN, an empty field in CSV, where a signal is missing
 import io
 import json
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -111,7 +112,7 @@ def writer_of(path: Path) -> Callable[[Table], bytes]:
     package, extra = _NEEDS.get(suffix, ("", ""))
     if package:
         try:
-            __import__(package)
+            import_module(package)
         except ImportError as error:
             raise InputError(
                 f'{path}: writing {suffix} needs {package}: pip install "gcs-sysid[{extra}]"'
