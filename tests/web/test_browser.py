@@ -329,6 +329,7 @@ def command(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends the signal of Ctrl-C")
+@pytest.mark.thorough
 def test_live_with_a_page(web, command, fly):
     flight = fly("--mission", "all-axes", "--rate", "50", "--duration", "15", "--seed", "5")
     vehicle = TcpVehicle(frame for _, frame in read_tlog(flight.tlog))

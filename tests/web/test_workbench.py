@@ -296,7 +296,7 @@ needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="lo
 
 
 @needs_proc
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_who_leaves_ends_what_was_done_for_them(bench, paper_flight, capfd):
     part, client, site = bench
     key = json.loads(put(client, "a.tlog", paper_flight.tlog.read_bytes())[1])["id"]
