@@ -21,7 +21,7 @@ import time
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from benchmarks.screen import cpu_seconds, free_port
+from benchmarks.screen import cpu_seconds, free_port, start_emulator
 
 SETTLE = 15.0
 """s after take-off before anything is measured: imports, and the first estimates."""
@@ -75,12 +75,7 @@ def fly(seconds: float, viewers: int | None, seed: int) -> dict[str, float]:
         watching = [Viewer(found[0]) for _ in range(viewers or 0)] if found else []
         for viewer in watching:
             viewer.start()
-        flight = ["--airframe", "paper", "--mission", "all-axes", "--noise", "mems"]
-        flight += ["--rate", "250", "--seed", str(seed), "--duration", str(seconds + 60.0)]
-        emulator = subprocess.Popen(
-            [sys.executable, "-m", "sim_bridge", *flight, "--connect", link],
-            stdout=subprocess.DEVNULL,
-        )
+        emulator = start_emulator(link, seconds + 60.0, seed)
         try:
             time.sleep(SETTLE)
             cpu, began = cpu_seconds(session.pid), time.monotonic()

@@ -81,6 +81,16 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+def start_emulator(link: str, duration: float, seed: int) -> subprocess.Popen[bytes]:
+    """A flight of so many seconds, sent to a link."""
+    flight = ["--airframe", "paper", "--mission", "all-axes", "--noise", "mems"]
+    flight += ["--rate", "250", "--seed", str(seed), "--duration", str(duration)]
+    return subprocess.Popen(
+        [sys.executable, "-m", "sim_bridge", *flight, "--connect", link],
+        stdout=subprocess.DEVNULL,
+    )
+
+
 def fly(size: tuple[int, int], seconds: float, seed: int) -> dict[str, float]:
     """One flight before the screen; the figures."""
     rng = np.random.default_rng(seed)
@@ -92,12 +102,7 @@ def fly(size: tuple[int, int], seconds: float, seed: int) -> dict[str, float]:
         live += ["--json", str(out), "--record", str(Path(folder) / "flight.tlog")]
         terminal = Terminal(live, *size)
         terminal.read(20.0, b"Listening on")
-        flight = ["--airframe", "paper", "--mission", "all-axes", "--noise", "mems"]
-        flight += ["--rate", "250", "--seed", str(seed), "--duration", str(seconds + 60.0)]
-        emulator = subprocess.Popen(
-            [sys.executable, "-m", "sim_bridge", *flight, "--connect", link],
-            stdout=subprocess.DEVNULL,
-        )
+        emulator = start_emulator(link, seconds + 60.0, seed)
         try:
             terminal.read(30.0, b"flying")
             terminal.read(SETTLE)

@@ -12,6 +12,7 @@ Both filter the gyro by a second-order Butterworth low-pass, bilinear with prewa
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -88,7 +89,7 @@ def _share(cutoff: Value, step: float) -> Value:
     return np.where(np.asarray(cutoff) > 0.0, step / (step + lag), 1.0)
 
 
-class RateController(Controller):
+class RateController(Controller, ABC):
     """What both autopilots share: attitude loop, mixer, thrust curve, delay.
 
     Args:
@@ -135,8 +136,9 @@ class RateController(Controller):
     def _get(self, name: str) -> Value:
         return self._settings[name]
 
+    @abstractmethod
     def _make_mixer(self, vehicle: Vehicle) -> list[tuple[Value, Value, Value]]:
-        raise NotImplementedError
+        """Per rotor, its shares of roll, pitch and yaw."""
 
     def _trim(self, shares: list[Value]) -> list[Value]:
         """Integrators that hold the hover from the start: what the rotors differ by."""
@@ -188,11 +190,13 @@ class RateController(Controller):
         return self._late.popleft()
 
     @property
+    @abstractmethod
     def _attitude_names(self) -> tuple[str, str, str]:
-        raise NotImplementedError
+        """Parameters of the attitude loop, of roll, pitch and yaw."""
 
+    @abstractmethod
     def _torques(self, targets: list[Value]) -> list[Value]:
-        raise NotImplementedError
+        """Normalized torques that the rate loops ask for, by the rates wanted in rad/s."""
 
 
 class Px4RateController(RateController):

@@ -27,8 +27,8 @@ def main() -> int:
     done = subprocess.run(
         [
             *(sys.executable, "-m", "uv", "pip", "compile", "--quiet", "--universal"),
-            *("--generate-hashes", "--no-header", "--no-annotate", "--no-emit-index-url"),
-            *("--no-emit-find-links", "--python-version", "3.11"),
+            *("--generate-hashes", "--no-header", "--no-annotate"),
+            *("--python-version", "3.11"),
             *("--constraint", "constraints.txt", "pyproject.toml"),
         ],
         cwd=ROOT,

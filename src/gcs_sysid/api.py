@@ -289,7 +289,7 @@ def fly_twin(
     Args:
         result: of this flight (the model is then fitted again to its first part) or of another.
         log: a .tlog, .ulg, .bin or .bbl file.
-        airframe: as for `load_airframe`; None: what the result tells of it.
+        airframe: as for `load_airframe`; None: that of the result.
         vehicle: system and perhaps component; None: the first autopilot in the log.
         seed: of the vehicles drawn from the covariance.
         known: scale, arm and priors, see `Known`.

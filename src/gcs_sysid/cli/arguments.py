@@ -2,8 +2,9 @@
 
 import argparse
 import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gcs_sysid.argument_types import (
     between,
@@ -395,9 +396,7 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     scale.add_argument("--mass", type=measured(mass), metavar="KG[±STD]", help="as of analyze")
     scale.add_argument("--k-t", type=measured(positive), metavar="N_S2[±STD]")
     scale.add_argument("--t-max", type=measured(positive), metavar="N[±STD]")
-    parser.add_argument(
-        "--name", metavar="NAME", help="name of the vehicle (default: the airframe's)"
-    )
+    add_vehicle_name(parser)
     parser.add_argument(
         "--ensemble",
         type=draws,
@@ -405,14 +404,35 @@ def add_export(parser: argparse.ArgumentParser) -> None:
         help="N vehicles drawn from the covariance, as FILE-001, FILE-002, ...",
     )
     parser.add_argument("--seed", type=int, default=1, help="of --ensemble (default 1)")
+    add_other_values(parser, setting, "NAME=VALUE", "rotor_speed_max=900 or Ixy=0")
+
+
+def add_vehicle_name(parser: argparse.ArgumentParser) -> None:
+    """`--name`, of what is written."""
+    parser.add_argument(
+        "--name", metavar="NAME", help="name of the vehicle (default: the airframe's)"
+    )
+
+
+def add_other_values(
+    parser: argparse.ArgumentParser, read: Callable[[str], Any], metavar: str, example: str
+) -> None:
+    """Options for what a result does not have.
+
+    Args:
+        parser: of a command that reads a result.
+        read: argparse type of `--set`.
+        metavar: of the same.
+        example: of the same, in its help.
+    """
     group = parser.add_argument_group("values that the flight did not identify")
     group.add_argument(
         "--set",
-        type=setting,
+        type=read,
         action="append",
         default=[],
-        metavar="NAME=VALUE",
-        help="a value from elsewhere, SI, such as rotor_speed_max=900 or Ixy=0; may be repeated",
+        metavar=metavar,
+        help=f"a value from elsewhere, SI, such as {example}; may be repeated",
     )
     group.add_argument(
         "--airframe",

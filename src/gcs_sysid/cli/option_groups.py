@@ -261,23 +261,7 @@ def add_tune(parser: argparse.ArgumentParser) -> None:
         metavar="SYSID[:COMPID]",
         help="whose parameters, if several are in the log",
     )
-    parser.add_argument(
-        "--name", metavar="NAME", help="name of the vehicle (default: the airframe's)"
-    )
-    group = parser.add_argument_group("values that the flight did not identify")
-    group.add_argument(
-        "--set",
-        type=uncertain_setting,
-        action="append",
-        default=[],
-        metavar="NAME=VALUE[±STD]",
-        help="a value from elsewhere, SI, such as motor_lag=0.03+-0.005; may be repeated",
-    )
-    group.add_argument(
-        "--airframe",
-        metavar="NAME|FILE",
-        help="supplies [prior], scale, and rotors if the result has none",
-    )
-    group.add_argument(
-        "--arm", type=positive, metavar="M", help="mean distance of the rotors from the center, m"
+    arguments.add_vehicle_name(parser)
+    arguments.add_other_values(
+        parser, uncertain_setting, "NAME=VALUE[±STD]", "motor_lag=0.03+-0.005"
     )

@@ -26,14 +26,14 @@ def shares(
     sizes = {name: told.value or 0.0 for name, told in values.items()} | {ARM: arm}
     out: dict[str, float | None] = {}
     for name in CORE_OF[rotor_input]:
-        told = values[name]
-        if told.status == "given":
+        found = values[name]
+        if found.status == "given":
             continue
-        if told.value is None or told.std is None:
+        if found.value is None or found.std is None:
             out[name] = None
             continue
-        reference = max(abs(told.value), _SMALL * REGISTRY[name].yardstick.counterpart(sizes))
-        out[name] = Z95 * told.std / reference if reference > 0.0 else None
+        reference = max(abs(found.value), _SMALL * REGISTRY[name].yardstick.counterpart(sizes))
+        out[name] = Z95 * found.std / reference if reference > 0.0 else None
     return out
 
 

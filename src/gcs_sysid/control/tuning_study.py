@@ -148,7 +148,7 @@ def _delay(
 def joined_vehicle(vehicle: Vehicle, other: Vehicle) -> Vehicle:
     """A vehicle with what another result of it adds, as of commands beside speeds.
 
-    Values of the first come first. What follows from two values is reckoned anew.
+    The first takes precedence. Values derived from two others are computed again.
 
     Raises:
         InputError: they are not of one vehicle, or contradict.

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Mask
+from gcs_sysid.estimation.layout_test import LEAST_RATE
 from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.status import Value
 from gcs_sysid.model.parameters import Parameter, RotorInput
@@ -39,7 +40,7 @@ class EvidenceRules:
     and 100 Hz flights inside the model, whose intervals hold, have 1.5 to 4.6."""
     whiteness_p: float = 0.05
     """Probability of so much by chance, below which it counts."""
-    still: tuple[float, float, float] = (0.1, 0.1, 0.05)
+    still: tuple[float, float, float] = (LEAST_RATE, LEAST_RATE, 0.05)
     """rad/s rms, below which an axis hardly turns: what it answers is then noise of rotors and
     gyro, or crosstalk. Hovers have 0.003 to 0.06, flights with input on an axis 0.25 and more, in
     yaw 0.08 and more."""

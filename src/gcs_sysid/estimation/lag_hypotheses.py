@@ -32,7 +32,7 @@ def fit_lag_places(
     Statistical Science 14, 382-417).
 
     Args:
-        batches: this and all others that are not told of here are as of `fit_rotation`.
+        batches: as for `fit_rotation`, and so are all arguments not listed here.
         counts: rows in each batch.
         basis: of the elements; is left with the place that is taken.
         noise: of the inputs.

@@ -19,6 +19,9 @@ from gcs_sysid.model import rigid_body as rb
 
 SUSPECTED = 0.8
 """Share of roll and pitch that the given layout leaves unexplained where others are tried."""
+LEAST_RATE = 0.1
+"""rad/s rms of roll and pitch, below which nothing of the layout shows: a hover has noise and
+vibration alone."""
 _CONVINCING = 0.15
 """By how much of the motion another layout must explain more, on the worse of roll and pitch."""
 _WHITENERS = ("leak 0.3 s", "torque noise to 18 Hz", "moment to 4 Hz", "moment to 11 Hz")

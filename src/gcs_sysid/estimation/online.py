@@ -62,9 +62,7 @@ class FitMoments(NamedTuple):
         """(3,) rms of roll, pitch and yaw rate, rad/s, slower than some 5 Hz; None: not known."""
         if not self.number:
             return None
-        squares = np.diag(self.window)[[rigid_body.SIGNALS.index(rate) for rate in "pqr"]]
-        rms: Array = np.sqrt(np.maximum(squares, 0.0) / self.number)
-        return rms
+        return rigid_body.rms_rates(self.window, self.number)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
 from gcs_sysid.estimation.deviations import DeviationChoice
-from gcs_sysid.estimation.layout_test import SUSPECTED, find_other_layout
+from gcs_sysid.estimation.layout_test import LEAST_RATE, SUSPECTED, find_other_layout
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
@@ -36,8 +36,6 @@ _BELIEVED = 0.5
 """Share of the motion explained, from which deviations are those of rotors."""
 _SHORTEST_VALIDATED = 4.0
 """s of flight."""
-_LEAST_RATE = 0.1
-"""rad/s rms, below which no layout is suspected: hover shows noise and vibration alone."""
 _HELD_OUT = 1.0
 """s: of five such stretches, two are predicted from the others."""
 _THRUST = rb.SIGNALS.index("thrust")
@@ -185,7 +183,7 @@ class WhitenedEstimator:
         data = self._data
         if given >= SUSPECTED or data.counts.sum() * self._white.time < _SHORTEST_VALIDATED:
             return None
-        if self._rates.min() < _LEAST_RATE:
+        if self._rates[:2].min() < LEAST_RATE:
             return None
         found = find_other_layout(data, self.basis, self._geometry, max(given, 0.0))
         return None if found is None else found.says
@@ -253,12 +251,10 @@ class WhitenedEstimator:
 
     @property
     def _rates(self) -> Array:
-        """(2,) rms of roll and pitch rate, rad/s, slower than some 5 Hz."""
+        """(3,) rms of body rates, rad/s, slower than some 5 Hz."""
         window, basis = self._record.rotation, self._record.basis
         sums = basis.moments_at(window.total[0], basis.nodes[basis.middle])
-        squares = np.diag(sums)[[rb.SIGNALS.index(rate) for rate in "pq"]]
-        rates: Array = np.sqrt(np.maximum(squares, 0.0) / max(window.rows, 1))
-        return rates
+        return rb.rms_rates(sums, max(window.rows, 1))
 
     def _whiteness(
         self, data: WhitenedMoments, kept: Mask, fit: RotationFit

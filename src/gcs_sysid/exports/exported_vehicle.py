@@ -24,7 +24,7 @@ UNITS = {name: p.unit for name, p in REGISTRY.items() if p.of_vehicle} | {
 """Everything that a vehicle here may know; `rotor_speed_max` is the speed at full command."""
 
 _FOLLOWS = {"k_T": ("k_M",), "k_M": ("moment_ratio",), "moment_ratio": ("k_M",)}
-"""What is reckoned anew where a value is given in place of the flight's."""
+"""Values computed again where one is given in place of the flight's."""
 _APART = 0.02
 """Relative difference from which k_T, T_max and rotor_speed_max contradict."""
 

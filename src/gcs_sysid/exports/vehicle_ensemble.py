@@ -11,7 +11,7 @@ from gcs_sysid.model.parameters import INERTIA, REGISTRY
 _TRIES = 50
 """Times the wanted number that is drawn before it is given up: nearly all draws are bodies."""
 _FOLLOWING = "from "
-"""Begins the origin of what follows from two others: reckoned from the draws."""
+"""Prefix of the origin of a value derived from two others, which is computed from the draws."""
 
 
 def drawn_vehicles(vehicle: Vehicle, count: int, seed: int) -> list[Vehicle]:

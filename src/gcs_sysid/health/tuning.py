@@ -39,7 +39,7 @@ class Tuning:
         common_command: the same by commands: the battery's charge besides.
         yaw_repeats: of the yaw balance.
         cg_repeats: m over meter of arm, of the CG from flight to flight, nothing having moved.
-        cg_stays: the same where nothing was moved or loaded: what wind makes of it.
+        cg_stays: the same where nothing was moved or loaded: the apparent shift by wind.
         bias_repeats: m/s^2, change of specific force from flight to flight that is no wind: three
             standard deviations of the difference of two accelerometer biases.
         parameter_penalty: chi-square for each number that an explanation may choose.

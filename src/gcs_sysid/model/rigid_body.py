@@ -239,3 +239,15 @@ def direct_rows(rates: Array, accelerations: Array, rotors: Array) -> tuple[Arra
     ]
     phi = np.array(rows).transpose(2, 0, 1)
     return phi, np.stack([roll, pitch, zero], axis=1)
+
+
+def rms_rates(moments: Array, rows: int) -> Array:
+    """(3,) rms of the body rates p, q and r, rad/s.
+
+    Args:
+        moments: (N_SIGNALS or more, the same) sum of products of rows that begin with `SIGNALS`.
+        rows: in it, at least 1.
+    """
+    squares = np.diag(moments)[[SIGNALS.index(rate) for rate in "pqr"]]
+    rms: Array = np.sqrt(np.maximum(squares, 0.0) / rows)
+    return rms

@@ -1,12 +1,14 @@
 """What a chain has found so far, as a result."""
 
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gcs_sysid.estimation.evidence import AXES
 from gcs_sysid.estimation.given_errors import (
+    Alignment,
     Given,
     aligned,
     alignment_of,
@@ -139,8 +141,11 @@ class Findings:
     @property
     def _aligned_rotation(self) -> RotationFit | None:
         """As values are: with rotors and IMU where the flight tells that they are."""
-        fit = self.learner.fit
-        return aligned(fit, alignment_of(fit, self.airframe)).rotation
+        return aligned(self.learner.fit, self._alignment).rotation
+
+    @cached_property
+    def _alignment(self) -> Alignment | None:
+        return alignment_of(self.learner.fit, self.airframe)
 
     def _covariance(self, parameters: dict[str, Estimate]) -> dict[str, Any]:
         rotation = self._aligned_rotation
@@ -265,7 +270,7 @@ class Findings:
 
     def _imu_rotation(self) -> dict[str, Any] | None:
         """How the IMU is turned, in degrees; None where that is given as exact or not told."""
-        found = alignment_of(self.learner.fit, self.airframe)
+        found = self._alignment
         if found is None or not found.turned_std.any():
             return None
         return {

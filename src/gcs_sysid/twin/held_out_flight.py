@@ -28,7 +28,7 @@ from gcs_sysid.model.airframe import (
 from gcs_sysid.results.result import Result
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
-from gcs_sysid.twin.flight_record import FlightRecorder
+from gcs_sysid.twin.measured_flight import FlightRecorder
 from gcs_sysid.twin.prediction_errors import HORIZONS, Accuracy, Growth, Part, Twin, judge
 
 if TYPE_CHECKING:
@@ -133,7 +133,7 @@ def fly_held_out(
     Args:
         result: of this flight or of another one of the same vehicle.
         log: a .tlog, .ulg, .bin or .bbl file.
-        airframe: with a scale; None: what the result tells of it.
+        airframe: with a scale; None: that of the result.
         wanted: system and perhaps component; None: the first autopilot in the log.
         progress: called with the share of the work done.
         seed: of the samples of the covariance.

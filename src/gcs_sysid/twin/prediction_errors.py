@@ -20,7 +20,7 @@ from scipy.special import stdtrit
 from gcs_sysid.arrays import Array
 from gcs_sysid.model import attitude
 from gcs_sysid.model.flight_model import FlightModel, MotionState, Trajectory
-from gcs_sysid.twin.flight_record import FlightRecord
+from gcs_sysid.twin.measured_flight import MeasuredFlight
 
 HORIZONS = (0.1, 0.3, 1.0, 3.0)
 """s, lengths of the stretches."""
@@ -119,7 +119,7 @@ class Twin:
         record: of the flight.
     """
 
-    def __init__(self, model: FlightModel, ensemble: FlightModel, record: FlightRecord) -> None:
+    def __init__(self, model: FlightModel, ensemble: FlightModel, record: MeasuredFlight) -> None:
         self._model, self._ensemble, self._record = model, ensemble, record
         self.averaged = 1
         """Samples of the past that the rates at the start are averaged over."""

@@ -58,7 +58,7 @@ def analyze(log: Path, name: str, request: AnalysisRequest, folder: Path, tell: 
         name: that it had where it came from.
         request: airframe and scale.
         folder: for the files.
-        tell: told of progress.
+        tell: called with the step and the share of the work done.
 
     Raises:
         InputError: the log cannot be read, or the request makes no sense.

@@ -21,7 +21,7 @@ _FILTER_SETTLED = 1.5
 
 
 @dataclass(frozen=True)
-class FlightRecord:
+class MeasuredFlight:
     """Measured flight on a uniform grid; NaN where something is missing or it does not fly.
 
     Attributes:
@@ -128,7 +128,7 @@ class FlightRecorder:
         fit = chain.fit.rotation
         self.delay = 0.0 if fit is None else fit.delay
 
-    def record(self, motor_lag: float, where: str) -> FlightRecord:
+    def record(self, motor_lag: float, where: str) -> MeasuredFlight:
         """What was flown.
 
         Args:
@@ -147,7 +147,7 @@ class FlightRecorder:
         settling = _SETTLED * motor_lag if self.rotor_input == "command" else 0.0
         if self.gyro_cutoff is not None:
             settling += _FILTER_SETTLED / self.gyro_cutoff
-        return FlightRecord(
+        return MeasuredFlight(
             t, x[:, :3], x[:, 3:7], x[:, 7:10], rotors, self._dt, self.rotor_input, settling
         )
 
