@@ -93,25 +93,26 @@ class Autopilot:
         for frame in self._scanner.feed(data):
             fields = unpack(frame.message_id, frame.payload)
             self._judge(frame, fields)
+            sender = max(fields.get("target_system", 1) - 1, 0)
             if frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
                 said = mavlink.MAV_RESULT_UNSUPPORTED if self._old else mavlink.MAV_RESULT_ACCEPTED
                 answer = mavlink.MAVLink_command_ack_message(fields["command"], said)
-                answers += self._intervals(fields)
+                answers += self._intervals(fields, sender)
             elif frame.message_id == mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ:
                 name = fields["param_id"].encode()
                 answer = mavlink.MAVLink_param_value_message(name, 1.5, 9, 900, 1)
             else:
                 continue
-            answers.append(self._packed(answer))
+            answers.append(self._packed(answer, sender))
         return answers
 
-    def _intervals(self, fields):
+    def _intervals(self, fields, sender):
         """MESSAGE_INTERVAL, where it is asked for and known."""
         if self._mute or self._old or fields["command"] not in (510, 512):
             return
         asked = int(fields["param1" if fields["command"] == 510 else "param2"])
         own = self._own(message_name(asked))
-        yield self._packed(mavlink.MAVLink_message_interval_message(asked, own))
+        yield self._packed(mavlink.MAVLink_message_interval_message(asked, own), sender)
 
     def _own(self, name):
         """us between two messages, as SET_MESSAGE_INTERVAL has it; 0 where nobody can know."""

@@ -10,12 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
 
 from gcs_sysid.signals.records import Record
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import read_tlog
 from sim_bridge.cli import main as sim_bridge
+
+# The same examples in every run. Not all that is drawn must hold: of one damaged frame in 65 536
+# the CRC is right by chance.
+hypothesis.settings.register_profile("seeded", derandomize=True, database=None, deadline=None)
+hypothesis.settings.load_profile("seeded")
 
 AS_THE_ARTICLE = ("--mission", "paper", "--noise", "paper", "--sigma", "0.02", "--rate", "20")
 

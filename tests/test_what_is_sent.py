@@ -278,7 +278,8 @@ def streams_and_parameters(asked):
 
 def assert_harmless(vehicle):
     """And left as it was found."""
-    assert vehicle.asked.keys() == {HEARTBEAT, SETS, READS, INTERVALS}
+    # Whoever answers late is asked for its intervals another way.
+    assert vehicle.asked.keys() - {MESSAGES} == {HEARTBEAT, SETS, READS, INTERVALS}
     assert vehicle.received == vehicle.understood
     assert all(vehicle.own_rate.values())
 

@@ -97,13 +97,16 @@ def disk(monkeypatch):
 
 
 def until(writer, said):
-    """Wait until the writer says something; all that it said."""
+    """Wait until the writer says something; all that it said until then."""
     told = []
     pause = threading.Event()
     for _ in range(round(PATIENCE / 0.005)):
         told += writer.take_events()
-        if any(said in text for text in told):
-            return told
+        for place, text in enumerate(told, 1):
+            if said in text:
+                with writer._wake:  # what it said since is for the next who waits
+                    writer._events.extendleft(reversed(told[place:]))
+                return told[:place]
         pause.wait(0.005)
     raise AssertionError(told)
 
