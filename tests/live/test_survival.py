@@ -180,7 +180,11 @@ def flood(session, link, make, count, rng):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("make", FLOODS, ids=lambda make: make.__name__)
+@pytest.mark.parametrize(
+    "make",
+    [pytest.param(senders, marks=pytest.mark.thorough), *FLOODS[1:]],
+    ids=lambda make: make.__name__,
+)
 def test_memory_stays_flat_whatever_comes(session, make):
     rng = random.Random(3)
     count = COUNTS.get(make.__name__, 4000)

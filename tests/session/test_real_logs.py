@@ -30,7 +30,6 @@ SIH = {  # relative
 PRODUCTS = {"Ixy": 1e-4, "Iyz": 1e-4, "Ixz": 1e-4}
 CASES = [
     ("px4-sih-default.tlog", "command", {**SIH, "T_max": 0.02}, {**PRODUCTS, "thrust_curve": 0.1}),
-    ("px4-sih-default.ulg", "command", {**SIH, "T_max": 0.02}, {**PRODUCTS, "thrust_curve": 0.1}),
     ("px4-esc-cg.tlog", "speed", {**SIH, "k_T": 0.01}, {**PRODUCTS, "cg_x": 5e-4, "cg_y": 5e-4}),
     *(
         (
@@ -44,7 +43,10 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("log", "kind", "relative", "absolute"), CASES, ids=[c[0] for c in CASES])
+THE_SAME_ON_BOARD = pytest.param("px4-sih-default.ulg", *CASES[0][1:], marks=pytest.mark.thorough)
+
+
+@pytest.mark.parametrize(("log", "kind", "relative", "absolute"), [*CASES, THE_SAME_ON_BOARD])
 def test_recorded_flights_reach_the_bars(log, kind, relative, absolute):
     result, truth = analyzed(log), truth_of(LOGS / log)
     assert result.rotor_input == kind
@@ -59,7 +61,10 @@ def test_recorded_flights_reach_the_bars(log, kind, relative, absolute):
         assert result.timing["motor_lag"].value == pytest.approx(truth["motor_lag"], abs=0.004)
 
 
-@pytest.mark.parametrize("log", ["px4-sih-default.tlog", "px4-esc-cg.tlog"])
+@pytest.mark.parametrize(
+    "log",
+    ["px4-esc-cg.tlog", pytest.param("px4-sih-default.tlog", marks=pytest.mark.thorough)],
+)
 def test_a_known_thrust_gives_the_mass(log):
     result = analyzed(log, "k_T" if "esc" in log else "T_max")
     assert result.parameters["mass"].value == pytest.approx(truth_of(LOGS / log)["mass"], rel=0.02)
