@@ -1,19 +1,18 @@
-"""Theta of a made-up vehicle near the article's, for tests that need one and fly none."""
+"""Theta by name, and that of a made-up vehicle near the article's, for tests that fly none."""
 
 from gcs_sysid.model import rigid_body as rb
 
-THETA = rb.theta_of(
-    {
-        "Ixx": 80.0,
-        "Iyy": 81.0,
-        "Izz": 143.0,
-        "Ixy": 6.6,
-        "Iyz": 12.4,
-        "Ixz": -8.1,
-        "cg_x": 0.1,
-        "cg_y": 0.05,
-        "moment_ratio": 0.03,
-        "rotational_damping": 20.0,
-        "rotor_inertia": 0.3,
-    }
+NAMES = (
+    *("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "moment_ratio"),
+    *("rotational_damping", "rotor_inertia"),
 )
+
+
+def theta_from(*values, others=0.0):
+    """(N_THETA,) with these entries, relative, in the order of `NAMES`; a further entry of theta
+    that some day is declared is `others`.
+    """
+    return rb.theta_of(dict.fromkeys(rb.THETA, others) | dict(zip(NAMES, values, strict=True)))
+
+
+THETA = theta_from(80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3)

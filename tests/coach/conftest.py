@@ -8,6 +8,7 @@ from gcs_sysid.coach.motion import Craft
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.parameters import GRAVITY
 from sim_bridge.vehicle_files import load_vehicle
+from tests.known_theta import theta_from
 
 GYRO = np.radians(0.01)
 """rad/s per root hertz, one-sided, of the emulator's MEMS gyro."""
@@ -22,7 +23,7 @@ def vehicle():
 def craft(vehicle):
     v = vehicle
     inertia = np.array([v.Ixx, v.Iyy, v.Izz, v.Ixy, v.Iyz, v.Ixz]) / v.k_T
-    theta = np.concatenate([inertia, [v.cg_x, v.cg_y, v.k_M / v.k_T, 0.0, 0.0]])
+    theta = theta_from(*inertia, v.cg_x, v.cg_y, v.k_M / v.k_T, 0.0, 0.0)
     weight = v.mass * GRAVITY
     geometry = load_airframe("paper").geometry
     return Craft(geometry, theta, weight / v.k_T, most=4.0 * v.T_max / weight)

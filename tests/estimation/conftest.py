@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 from gcs_sysid.model import attitude
 from gcs_sysid.signals.samples import Samples
+from tests.known_theta import theta_from
 
 G = 9.80665
 
@@ -45,10 +46,10 @@ class Truth:
         J = np.array(self.J)
         inertia = [J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[1, 2], J[0, 2]]
         k = self.k_T
-        return np.array(
-            [i / k for i in inertia]
-            + [*self.cg, self.k_M / k, self.damping / k, self.rotor_inertia / k]
-        )
+        return theta_from(
+            *(i / k for i in inertia), *self.cg, self.k_M / k, self.damping / k,
+            self.rotor_inertia / k,
+        )  # fmt: skip
 
 
 def rates_wanted(t):

@@ -18,6 +18,7 @@ from sim_bridge.ensemble import fly_ensemble
 from sim_bridge.missions import MISSIONS
 from sim_bridge.simulation import Change, mass_step
 from sim_bridge.vehicle_files import load_vehicle
+from tests.known_theta import theta_from
 
 RATE = 250
 DT = 1.0 / RATE
@@ -68,7 +69,7 @@ def measured(flight, seed=1):
 def reference(delay=0.0, r_squared=0.99, kappa_factor=1.0):
     v = VEHICLE
     inertia = np.array([v.Ixx, v.Iyy, v.Izz, v.Ixy, v.Iyz, v.Ixz]) / v.k_T
-    theta = np.concatenate([inertia, [v.cg_x, v.cg_y, v.k_M / v.k_T, 0.0, 0.0]])
+    theta = theta_from(*inertia, v.cg_x, v.cg_y, v.k_M / v.k_T, 0.0, 0.0)
     rotation = RotationFit(
         theta=theta,
         covariance=np.diag((0.002 * np.abs(theta) + 1e-9) ** 2),

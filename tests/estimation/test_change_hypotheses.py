@@ -16,9 +16,10 @@ from gcs_sysid.estimation.change_window import (
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.samples import Samples
+from tests.known_theta import theta_from
 
 GEOMETRY = np.array([[0.25, -0.25, 0.25, -0.25], [0.25, -0.25, -0.25, 0.25], [1, 1, -1, -1]])
-THETA = np.array([80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.0, 0.0, 0.03, 0.0, 0.0])
+THETA = theta_from(80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.0, 0.0, 0.03, 0.0, 0.0)
 SUM = 7e4
 """rad^2/s^2, squared speeds in hover."""
 KAPPA = GRAVITY / SUM

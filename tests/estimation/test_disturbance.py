@@ -9,6 +9,7 @@ from gcs_sysid.estimation.priors import N_UNKNOWNS
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.whitening import gauss_markov, leak
 from gcs_sysid.model import rigid_body as rb
+from tests.known_theta import theta_from
 
 T = 0.004
 BANK = (
@@ -18,7 +19,7 @@ BANK = (
     gauss_markov(T, 11.0),
     gauss_markov(T, 23.0),
 )
-THETA = np.array([80.0, 90.0, 150.0, 2.0, 3.0, -2.0, 0.01, -0.005, 0.03, 0.0, 0.3])
+THETA = theta_from(80.0, 90.0, 150.0, 2.0, 3.0, -2.0, 0.01, -0.005, 0.03, 0.0, 0.3)
 STD = 0.01 * np.maximum(np.abs(THETA), 0.1)
 NOISE = np.diag([4.0, 5.0, 6.0])
 HOVER = 70_000.0

@@ -25,6 +25,7 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.given_uncertainty import UNCERTAIN
 from gcs_sysid.model.scale_reference import ScaleReference
+from tests.known_theta import theta_from
 
 ROWS = 4000
 QUAD = Airframe(
@@ -34,7 +35,7 @@ QUAD = Airframe(
 )
 EXACT = QUAD.with_uncertainty(dict.fromkeys(UNCERTAIN, 0), "here")
 # Over k_T, in m^2 and m.
-THETA = np.array([80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.01, 0.005, 0.03, 20.0, 0.3])
+THETA = theta_from(80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.01, 0.005, 0.03, 20.0, 0.3)
 MOTION = TranslationFit(1.4e-4, 1e-8, 0.1, 0.01, "momentum")
 
 

@@ -13,9 +13,10 @@ from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.scale import Scale
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import load_airframe
+from tests.known_theta import theta_from
 
 GEOMETRY = load_airframe("paper").geometry
-THETA = np.array([80.0, 82.0, 140.0, 5.0, 8.0, -6.0, 0.1, 0.05, 0.03, 20.0, 0.3])
+THETA = theta_from(80.0, 82.0, 140.0, 5.0, 8.0, -6.0, 0.1, 0.05, 0.03, 20.0, 0.3)
 K_T = 2e-4
 
 

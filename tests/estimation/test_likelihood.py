@@ -16,8 +16,9 @@ from gcs_sysid.estimation.propagation import SPLINE_END
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
+from tests.known_theta import theta_from
 
-SIZE = np.array([80.0, 80.0, 140.0, 7.0, 12.0, 8.0, 0.1, 0.05, 0.03, 20.0, 0.3])
+SIZE = theta_from(80.0, 80.0, 140.0, 7.0, 12.0, 8.0, 0.1, 0.05, 0.03, 20.0, 0.3, others=1.0)
 """Rough size of theta's entries: what an error is measured against."""
 
 

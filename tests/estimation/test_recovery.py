@@ -19,6 +19,7 @@ from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.interpolation import interpolate
 from gcs_sysid.signals.smoothers import DifferentiatorSmoother, WindowSmoother
+from tests.known_theta import theta_from
 
 DT = 0.005
 WINDOW = Tuning(smoother="window")
@@ -57,7 +58,7 @@ def rotation_fit(truth, samples, smoother, memory=0.0):
     return rotation.fit_rotation(*bank_of(truth, samples, smoother, memory))
 
 
-SIZE = np.array([80.0, 80.0, 140.0, 7.0, 12.0, 8.0, 0.1, 0.05, 0.03, 20.0, 0.3])
+SIZE = theta_from(80.0, 80.0, 140.0, 7.0, 12.0, 8.0, 0.1, 0.05, 0.03, 20.0, 0.3, others=1.0)
 """Rough size of theta's entries: what an error is measured against."""
 
 

@@ -12,9 +12,10 @@ from gcs_sysid.estimation.normal_equations import NormalEquations
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior, prior_of
 from gcs_sysid.estimation.rotation import RotationFit, fit_rotation, follow_rotation
 from gcs_sysid.model import rigid_body as rb
+from tests.known_theta import theta_from
 
 ROWS = 4000
-THETA = np.array([80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3])
+THETA = theta_from(80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3)
 TORQUES = (0, 1, 3)
 """Columns of roll, pitch and yaw torque."""
 

@@ -19,8 +19,9 @@ from gcs_sysid.estimation.search import (
     without_noise,
 )
 from gcs_sysid.model import rigid_body as rb
+from tests.known_theta import theta_from
 
-THETA = np.array([80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3])
+THETA = theta_from(80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.3)
 SPEEDS = ActuatorDynamics((-0.01, 0.0, 0.01))
 COMMANDS = ActuatorDynamics((-0.01, 0.0, 0.01), (0.0, 0.05, 0.1), (0.0, 1.0), commands=True)
 N = 400
