@@ -16,7 +16,7 @@ from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.estimation.thrust_drift import ThrustDrift
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.estimation.whitened_record import WhitenedRecord
-from gcs_sysid.estimation.whitening import bank_for
+from gcs_sysid.estimation.whitening import Whitener, bank_for
 from gcs_sysid.signals.one_step import step_for
 from gcs_sysid.signals.samples import Samples
 from gcs_sysid.signals.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
@@ -40,6 +40,9 @@ class FlightRecord:
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
         tuning: settings.
+        whiteners: the likeliest of this very record, and others (`estimation.filter_error`); none:
+            a bank to choose from.
+        judges: of each axis, as of `WhitenedMoments`, with `whiteners`.
 
     Attributes:
         basis: of the rotors' part of the rows.
@@ -52,7 +55,14 @@ class FlightRecord:
         half_width: s, of the window.
     """
 
-    def __init__(self, geometry: Array, dt: float, tuning: Tuning) -> None:
+    def __init__(
+        self,
+        geometry: Array,
+        dt: float,
+        tuning: Tuning,
+        whiteners: Sequence[Whitener] = (),
+        judges: Sequence[Whitener] = (),
+    ) -> None:
         smoother: Smoother
         half_width = tuning.half_width
         if tuning.smoother == "td":
@@ -94,7 +104,12 @@ class FlightRecord:
             )
             steps = step, elements
             self.whitened = WhitenedRecord(
-                elements, step, bank_for(step.time), dt, tuning.batch_time
+                elements,
+                step,
+                whiteners or bank_for(step.time),
+                dt,
+                tuning.batch_time,
+                judges=judges,
             )
         self._drift = ThrustDrift(dt) if commands else None
         self._rows = RowMaker(path, basis, smoother, steps, self._drift)

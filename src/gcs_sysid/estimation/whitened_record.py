@@ -47,6 +47,7 @@ class WhitenedRecord:
         whiteners: of the bank.
         dt: s between samples.
         batch_time: s, of long batches.
+        judges: as of `WhitenedMoments`; none: of a bank.
     """
 
     def __init__(
@@ -56,7 +57,10 @@ class WhitenedRecord:
         whiteners: Sequence[Whitener],
         dt: float,
         batch_time: float,
+        *,
+        judges: Sequence[Whitener] = (),
     ) -> None:
+        self._judges = tuple(judges)
         self.basis = basis
         self.time = step.time
         self.whiteners = tuple(whiteners)
@@ -105,7 +109,8 @@ class WhitenedRecord:
             while done < n:
                 if self._full == _RECENT:
                     self._settle(noise())
-                    if self._columns is None and self.rows * self.time >= _LEARNT:
+                    learnt = self.rows * self.time >= _LEARNT and not self._judges
+                    if self._columns is None and learnt:
                         white = self._narrow(white, noise())
                 room = self._per_short - int(self._counts[self._full])
                 part = white[:, done : done + room]
@@ -131,6 +136,7 @@ class WhitenedRecord:
             self.whiteners,
             self.time,
             self._per_short,
+            judges=tuple(self.places(self._judges)),
         )
 
     def places(self, whiteners: Sequence[Whitener]) -> list[int]:
