@@ -27,6 +27,7 @@ from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.rotor_signals import RotorPath
 from gcs_sysid.estimation.search import residual_maker
 from gcs_sysid.estimation.whitened_fit import SHOCK
+from gcs_sysid.estimation.whitened_moments import OfflineBank
 from gcs_sysid.estimation.whitening import (
     QUICK,
     TAU,
@@ -125,9 +126,7 @@ def likeliest_noise(
     )
 
 
-def offline_bank(
-    T: float, models: Sequence[AxisModel], judges: Sequence[Whitener] = ()
-) -> tuple[Whitener, ...]:
+def offline_bank(T: float, models: Sequence[AxisModel], judges: Sequence[Whitener]) -> OfflineBank:
     """Whiteners for a second look at a record: the likeliest, and what they are compared with.
 
     Args:
@@ -135,7 +134,7 @@ def offline_bank(
         models: of the axes.
         judges: those of the online estimate, by which predictions are judged.
     """
-    own = [model.whitener for model in models]
+    own = tuple(model.whitener for model in models)
     calm = [model.calm for model in models]
     faster = [
         _whitener(T, _FASTER * f_d, f_u, tau, b)
@@ -145,7 +144,8 @@ def offline_bank(
     known = [w for w in bank_for(T) if w.name in _KEPT_OF_BANK]
     by_name = {whitener.name: whitener for whitener in (*known, *judges, *calm, *faster, *own)}
     # Those without a disturbance come first.
-    return tuple(sorted(by_name.values(), key=lambda whitener: whitener.disturbed))
+    whiteners = tuple(sorted(by_name.values(), key=lambda whitener: whitener.disturbed))
+    return OfflineBank(whiteners, own, tuple(judges))
 
 
 def innovations(run: Array, whitener: Whitener) -> Array:

@@ -15,8 +15,9 @@ from gcs_sysid.estimation.rotor_signals import RotorPath
 from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.estimation.thrust_drift import ThrustDrift
 from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.whitened_moments import OfflineBank
 from gcs_sysid.estimation.whitened_record import WhitenedRecord
-from gcs_sysid.estimation.whitening import Whitener, bank_for
+from gcs_sysid.estimation.whitening import bank_for
 from gcs_sysid.signals.one_step import step_for
 from gcs_sysid.signals.samples import Samples
 from gcs_sysid.signals.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
@@ -40,9 +41,7 @@ class FlightRecord:
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
         tuning: settings.
-        whiteners: the likeliest of this very record, and others (`estimation.filter_error`); none:
-            a bank to choose from.
-        judges: of each axis, as of `WhitenedMoments`, with `whiteners`.
+        offline: whiteners for a second look at the same record; None: those of every flight.
 
     Attributes:
         basis: of the rotors' part of the rows.
@@ -60,8 +59,7 @@ class FlightRecord:
         geometry: Array,
         dt: float,
         tuning: Tuning,
-        whiteners: Sequence[Whitener] = (),
-        judges: Sequence[Whitener] = (),
+        offline: OfflineBank | None = None,
     ) -> None:
         smoother: Smoother
         half_width = tuning.half_width
@@ -106,10 +104,10 @@ class FlightRecord:
             self.whitened = WhitenedRecord(
                 elements,
                 step,
-                whiteners or bank_for(step.time),
+                bank_for(step.time) if offline is None else offline.whiteners,
                 dt,
                 tuning.batch_time,
-                judges=judges,
+                offline=offline,
             )
         self._drift = ThrustDrift(dt) if commands else None
         self._rows = RowMaker(path, basis, smoother, steps, self._drift)

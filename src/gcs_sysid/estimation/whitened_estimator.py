@@ -88,6 +88,9 @@ class WhitenedEstimator:
         self._geometry = geometry
         self._record = record
         self._white = record.whitened
+        self.bound = np.full(rb.N_THETA, np.nan)
+        """(N_THETA,) standard deviations of the latest fit, were its innovations white and the
+        model whole: the Cramer-Rao bound."""
 
     @property
     def basis(self) -> ActuatorDynamics:
@@ -125,6 +128,7 @@ class WhitenedEstimator:
                 found = fresh
         if found is None:
             return None
+        self.bound = found.bound
         return found.rotation, LeftOut(found.left_out, found.rows_left_out)
 
     def was_narrowed(self) -> bool:

@@ -129,7 +129,7 @@ def fit_whitened(
         total, rows = data.total(kept), int(data.counts[kept].sum())
         solved = _solved(total, rows, data, basis, prior, solved.trial, deviations)
         batches = data.of_axes(solved.pick)
-    if data.judges:
+    if data.own:
         data = data.weighed(_relative_power(solved.point, batches, data.counts, basis))
         total, rows = data.total(kept), int(data.counts[kept].sum())
         solved = _solved(total, rows, data, basis, prior, solved.trial, deviations)
@@ -152,7 +152,7 @@ def fit_whitened(
     scatter = meat(outcome.scores(0, batches, counts), _REACH)
     spread = inflation(outcome.roots[1][0], scatter)[None]
     widening = student_factor(outcome.shares(0, batches), _REACH)[None]
-    if data.judges:
+    if data.own:
         # That innovations are white rests on all rows, not on how few batches scatter.
         widening = np.ones_like(widening)
     if doubt:
@@ -182,10 +182,9 @@ def fit_whitened(
     pick = list(solved.pick)
     power = solved.trial.variance[pick, np.arange(_AXES)]
     cost = 0.5 * float(np.log(power).sum() + solved.point.weak[0] / rows)
-    if data.judges:
+    if data.own:
         total, rows = given.total(kept), int(given.counts[kept].sum())
-    p = len(widening[0])
-    bound = outcome.fits(np.eye(p)[None], np.ones((1, p)), [True], [0])[0].std
+    bound = outcome.fits(np.eye(solved.problem.p)[None], np.ones_like(widening), [True], [0])[0].std
     return WhitenedFit(fit, ~kept, everything[pick] - total[pick], all_rows - rows, cost, bound)
 
 
@@ -355,6 +354,9 @@ def _tried(
     point, _ = minimise_axes(problem, problem.extended(unknowns), limit)
     known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
     alike = _alike(point, rows, noise[:, 0], known, deviations)
+    for axis, own in enumerate(data.own):
+        # An axis' noise is its own.
+        alike[[i for i in data.own if i != own], axis] = np.inf
     return Trial(data.whiteners, data.time, point.unknowns, alike, point.hessian)
 
 

@@ -14,6 +14,23 @@ _MOST_WEIGHT = 3.0
 
 
 @dataclass(frozen=True)
+class OfflineBank:
+    """Whiteners for a second look at a record (`estimation.filter_error`).
+
+    Attributes:
+        whiteners: all of them, those without disturbance first.
+        own: the likeliest of the whole record, of each axis. Their innovations are as white as they
+            can be, and rows count by how strong these are in their batch.
+        judges: of each axis, those of the online estimate, by which it is told how much of the
+            motion is explained and predicted: bounds on that were found with them.
+    """
+
+    whiteners: tuple[Whitener, ...]
+    own: tuple[Whitener, ...]
+    judges: tuple[Whitener, ...]
+
+
+@dataclass(frozen=True)
 class WhitenedMoments:
     """Moments of rows of elements under every whitener of a bank, batch by batch.
 
@@ -25,10 +42,8 @@ class WhitenedMoments:
         time: s, T of a row.
         grouped: rows that a batch should have before its score counts as one.
         muted: columns that are taken as zero.
-        judges: whiteners by which it is told how much of each axis' motion is explained, where
-            others are the likeliest of the record (`estimation.filter_error`): their innovations
-            are as white as they can be, and rows count by how strong these are in their batch.
-            Empty: the bank's own.
+        own: places of `OfflineBank.own`; empty: there is none.
+        judges: places of its `judges`.
     """
 
     parts: tuple[Array, ...]
@@ -38,6 +53,7 @@ class WhitenedMoments:
     time: float
     grouped: int
     muted: tuple[int, ...] = ()
+    own: tuple[int, ...] = ()
     judges: tuple[int, ...] = ()
 
     @property
