@@ -36,6 +36,7 @@ from gcs_sysid.estimation.whitening import (
     gauss_markov,
     torque_noise,
 )
+from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.one_step import step_for
 from gcs_sysid.signals.samples import Samples
 from gcs_sysid.signals.smoothers import WindowSmoother
@@ -80,48 +81,76 @@ class AxisModel:
     shown: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
-def one_step_residuals(
+@dataclass(frozen=True)
+class ResidualRun:
+    """What a fit leaves of rows of one step without a gap.
+
+    Attributes:
+        residual: (n, 3) rad/s^2.
+        slope: (n, 2) by how much the predicted roll and pitch acceleration changes with ln Ixx and
+            ln Iyy, rad/s^2.
+        setpoint: (n, 3) rad/s, NaN where none is told.
+        sound: (n,) which rows belong to no shock, see `whitened_fit`.
+    """
+
+    residual: Array
+    slope: Array
+    setpoint: Array
+    sound: Mask
+
+
+def residual_runs(
     parts: Sequence[Samples], geometry: Array, dt: float, fit: RotationFit
-) -> list[Array]:
-    """Of each gapless run (n, 3) what a fit leaves of rows of one step, rad/s^2.
+) -> list[ResidualRun]:
+    """What a fit leaves of every gapless run.
 
     Args:
         parts: samples, in time order.
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
-        fit: to them.
+        fit: to them, with a whitener for each axis.
     """
-    step = step_for(dt)
+    step, asked = step_for(dt), step_for(dt)
     basis = ActuatorDynamics(step.delays, half_width=None, dt=dt)
     alone = ActuatorDynamics((0.0,), half_width=4 * dt, dt=dt)
     maker = RowMaker(
         RotorPath(geometry, dt, basis), alone, WindowSmoother(dt, 4, (0.0,)), (step, basis)
     )
-    left = residual_maker(fit.Q) @ basis.map_at(fit.coordinates)
-    residuals = np.concatenate(
-        [np.empty((0, 3)), *(maker.update(part).one_step @ left.T for part in parts)]
-    )
+    P = basis.map_at(fit.coordinates)
+    G = rb.forward_jacobian(fit.theta, fit.deviating.torque(fit.deviations))[1]
+    slopes = np.stack([fit.theta[i] * G[i, i] @ P[: G.shape[-1]] for i in (0, 1)])
+    columns = np.vstack([residual_maker(fit.Q) @ P, slopes])
+    blocks = [np.empty((0, 8))]
+    for part in parts:
+        rows = maker.update(part).one_step @ columns.T
+        blocks.append(np.hstack([rows, asked.update(part.setpoint, 0).average]))
+    made = np.concatenate(blocks)
     least = _SHORTEST / step.time
-    return [
-        residuals[run]
-        for run, there in runs(complete_rows(residuals))
+    runs_ = [
+        made[run]
+        for run, there in runs(complete_rows(made[:, :5]))
         if there and run.stop - run.start >= least
+    ]
+    sound = _sound([run[:, :3] for run in runs_], step.time, fit.whiteners)
+    return [
+        ResidualRun(run[:, :3], run[:, 3:5], run[:, 5:], mask)
+        for run, mask in zip(runs_, sound, strict=True)
     ]
 
 
 def likeliest_noise(
-    residuals: Sequence[Array], T: float, bank: Sequence[Whitener]
+    found: Sequence[ResidualRun], T: float, whiteners: Sequence[Whitener]
 ) -> tuple[AxisModel, ...]:
     """The likeliest noise of each axis.
 
     Args:
-        residuals: of each run, (n, 3).
+        found: of each run.
         T: s between rows.
-        bank: whitener of each axis that the online estimate took.
+        whiteners: of each axis, that the fit took.
     """
-    sound = _sound(residuals, T, bank)
+    sound = [run.sound for run in found]
     return tuple(
-        _AxisSearch([run[:, axis] for run in residuals], sound, T).best(bank[axis])
+        _AxisSearch([run.residual[:, axis] for run in found], sound, T).best(whiteners[axis])
         for axis in range(3)
     )
 
@@ -155,7 +184,9 @@ def innovations(run: Array, whitener: Whitener) -> Array:
 
 
 def _sound(residuals: Sequence[Array], T: float, bank: Sequence[Whitener]) -> list[Mask]:
-    """Of each run (n,) which rows belong to no shock, see `whitened_fit`."""
+    """Of each run (n,) which rows belong to no shock."""
+    if not residuals:
+        return []
     size = max(round(_BATCH / T), 1)
     powers = []
     for run in residuals:

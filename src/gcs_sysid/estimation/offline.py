@@ -12,7 +12,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.disturbance import RULES, axis_floor
-from gcs_sysid.estimation.filter_error import likeliest_noise, offline_bank, one_step_residuals
+from gcs_sysid.estimation.filter_error import likeliest_noise, offline_bank, residual_runs
+from gcs_sysid.estimation.instruments import combined, fit_by_instruments
 from gcs_sysid.estimation.likelihood import LikelihoodFit, maximise_likelihood, most_passes
 from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
@@ -84,10 +85,10 @@ def _second_look(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | 
     what = f"filter error over {sum(len(part.gyro) for part in tracker.kept)} samples"
     for look in range(_LOOKS):
         tell(what, look / _LOOKS)
-        residuals = one_step_residuals(tracker.kept, tracker.geometry, dt, rotation)
-        if not residuals:
+        left = residual_runs(tracker.kept, tracker.geometry, dt, rotation)
+        if not left:
             break
-        models = likeliest_noise(residuals, T, rotation.whiteners)
+        models = likeliest_noise(left, T, rotation.whiteners)
         if not any(model.gain for model in models):
             # The bank's own whiteners are as likely: nothing new to see.
             break
@@ -111,12 +112,14 @@ def _second_look(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | 
         return None
     fit, bound = found
     assert fit.rotation is not None
-    fit = replace(
-        fit, rotation=_widened(fit.rotation, online.rotation), other_layout=online.other_layout
-    )
-    assert fit.rotation is not None
-    bounded = replace(fit, rotation=replace(fit.rotation, covariance=np.diag(bound**2)))
-    return OfflineFit(fit, bounded, "filter error")
+    own = _widened(fit.rotation, online.rotation)
+    # With a fit's own residuals: those above are of the fit before.
+    left = residual_runs(tracker.kept, tracker.geometry, dt, fit.rotation)
+    own, instrumented = combined(own, fit_by_instruments(left, fit.rotation, T))
+    fit = replace(fit, rotation=own, aligned_by=fit.rotation, other_layout=online.other_layout)
+    bounded = replace(fit, rotation=replace(own, covariance=np.diag(bound**2)))
+    method = "filter error, instruments" if instrumented else "filter error"
+    return OfflineFit(fit, bounded, method)
 
 
 def _widened(fit: RotationFit, online: RotationFit) -> RotationFit:
