@@ -5,9 +5,11 @@ what the rate loop answered to them, however the disturbance is colored. With ro
 whitened, e what a fit leaves, s = dQ/d(ln I) x how that changes with the moment of inertia, and Z
 the setpoint through a bank of Laguerre filters (0 to 0.7 s of its past), two-stage least squares is
 
-    s^ = Z (Z'Z)^-1 Z's ,    delta = s^'e / s^'s ,    var delta = sigma_e^2 / s^'s^
+    s^ = Z (Z'Z)^-1 Z's ,    delta = s^'e / s^'s
 
 with I exp(delta) the estimate by instruments (Soderstrom and Stoica, System Identification, ch. 8).
+Its variance follows from the scatter of s^'e over batches, and is at least that of white e: where the
+whitener is not right, instruments must hold all the same.
 
 Instruments are weak where the first stage explains hardly more than chance (F below 10: Staiger and
 Stock 1997, Econometrica 65, 557-586). They are none where the setpoint itself answers what the
@@ -25,6 +27,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.disturbance import RULES as DISTURBANCE
 from gcs_sysid.estimation.filter_error import ResidualRun, innovations
 from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.uncertainty import meat
 from gcs_sysid.model import rigid_body as rb
 
 _POLE = 0.035
@@ -34,6 +37,8 @@ _ORDERS = 12
 _LATE = 2
 """Rows by which setpoints are late, so that they are past whatever stamps and averages do."""
 _LEAST_SECONDS = 5.0
+_BATCH = 1.0
+"""s."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +48,8 @@ class InstrumentRules:
     least_f: float = 10.0
     """F of the first stage."""
     most_answer: float = 7.0
-    """F with which innovations predict the setpoint. Of rates asked by a script it is 0.3 to 4.7, of
-    the loops around the rate loop on a real flight of 17 s 11 to 12, and more on longer ones."""
+    """F with which innovations predict the setpoint. Of rates asked by a script it is 0.3 to 4.7,
+    of those asked by the position loop of a real flight of 17 s it is 11 and 12."""
 
 
 RULES = InstrumentRules()
@@ -151,9 +156,11 @@ def _fit_axis(
     # What the setpoint's own past tells is no answer (Granger 1969, Econometrica 37).
     left_of_z = z - _projected(z, Z)
     left_of_answers = answers - _projected(answers, Z)
+    scores = np.add.reduceat(predicted * left, np.arange(0, rows, max(round(_BATCH / T), 1)))
+    variance = max(float(meat(scores[:, None])[0, 0]), float(left @ left) / rows * power)
     return InstrumentFit(
         delta,
-        float(np.sqrt(left @ left / rows / max(power, 1e-300))),
+        float(np.sqrt(variance)) / max(power, 1e-300),
         _f(s, predicted),
         _f(left_of_z, _projected(left_of_z, left_of_answers)),
     )
