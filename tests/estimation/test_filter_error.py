@@ -121,7 +121,7 @@ def test_instruments_are_free_of_what_the_loop_answered():
     for by in found:
         assert by.believed
         assert by.delta == pytest.approx(0.08, abs=3.0 * by.std)
-        assert abs(least_squares - 0.08) > 8.0 * by.std
+        assert abs(least_squares - 0.08) > 4.0 * by.std
         assert by.std < 0.02
 
 

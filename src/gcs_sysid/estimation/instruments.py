@@ -8,8 +8,8 @@ the setpoint through a bank of Laguerre filters (0 to 0.7 s of its past), two-st
     s^ = Z (Z'Z)^-1 Z's ,    delta = s^'e / s^'s
 
 with I exp(delta) the estimate by instruments (Soderstrom and Stoica, System Identification, ch. 8).
-Its variance follows from the scatter of s^'e over batches, and is at least that of white e: where the
-whitener is not right, instruments must hold all the same.
+Its variance follows from the scatter of s^'e over batches, and is at least that of white e: where
+the whitener is not right, instruments must hold all the same.
 
 Instruments are weak where the first stage explains hardly more than chance (F below 10: Staiger and
 Stock 1997, Econometrica 65, 557-586). They are none where the setpoint itself answers what the

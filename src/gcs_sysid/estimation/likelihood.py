@@ -167,7 +167,9 @@ def maximise_likelihood(
     record = OfflineRecord(samples, geometry, dt, speed_std, delay or 0.0, reach, torque)
     if record.rows < 2 * rb.N_THETA:
         return None
-    return _search(record, start, prior, progress or (lambda share: None))
+    # A step too far overflows, costs more than any other, and is taken back.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _search(record, start, prior, progress or (lambda share: None))
 
 
 def most_passes(samples: int) -> int:

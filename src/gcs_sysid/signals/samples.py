@@ -1,6 +1,6 @@
 """Aligned signals on a uniform grid: what estimators take."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -50,4 +50,5 @@ class Samples:
 
     def part(self, where: slice | Mask) -> "Samples":
         """Some of the samples."""
-        return Samples(*(signal[where] for signal in self.signals), self.setpoint[where])
+        some = Samples(*(signal[where] for signal in self.signals))
+        return replace(some, setpoint=self.setpoint[where])
