@@ -18,6 +18,7 @@ from gcs_sysid.estimation.filter_error import (
 from gcs_sysid.estimation.instruments import InstrumentFit, combined, fit_by_instruments
 from gcs_sysid.estimation.likelihood import most_passes
 from gcs_sysid.estimation.offline import fit_offline
+from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import Tuning
@@ -231,3 +232,14 @@ def test_a_search_out_of_budget_says_so(monkeypatch, truth, flight):
     )
     unfinished.passes = 7
     assert fit_offline(tracker, plain) == "the maximum-likelihood search did not converge"
+
+
+def test_disturbed_air_is_never_left_to_white_process_noise(monkeypatch):
+    """Where the likeliest noise leads nowhere, the online estimate stays."""
+    monkeypatch.setattr(offline, "_second_look", lambda *_: None)
+    monkeypatch.setattr(offline, "_maximum", lambda *_: "maximum likelihood")
+    tracker = SimpleNamespace(kept=["samples"])
+    said = fit_offline(tracker, Fit(fit_with(), None, 20.0))
+    assert said == "the fit by the likeliest noise did not converge"
+    calm = Fit(fit_with(disturbance=(0.1, 0.1, 0.1)), None, 20.0)
+    assert fit_offline(tracker, calm) == "maximum likelihood"

@@ -73,6 +73,9 @@ def fit_offline(
             assert found.fit.rotation is not None
             if found.fit.rotation.disturbance.max() > RULES.detected:
                 return found
+        elif online.rotation.disturbance.max() > RULES.detected:
+            # White process noise is no model of disturbed air.
+            return "the fit by the likeliest noise did not converge"
     return _maximum(tracker, online, tell)
 
 
@@ -82,6 +85,7 @@ def _second_look(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | 
     dt, T = tracker.dt, step_for(tracker.dt).time
     judges, rotation = online.rotation.whiteners, online.rotation
     found: tuple[Fit, Array] | None = None
+    chosen = False
     what = f"filter error over {sum(len(part.gyro) for part in tracker.kept)} samples"
     for look in range(_LOOKS):
         tell(what, look / _LOOKS)
@@ -89,9 +93,9 @@ def _second_look(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | 
         if not left:
             break
         models = likeliest_noise(left, T, rotation.whiteners)
-        if not any(model.gain for model in models):
-            # The bank's own whiteners are as likely: nothing new to see.
-            break
+        likelier = any(model.gain for model in models)
+        if look and not likelier:
+            break  # nothing new to see
         estimator = OnlineEstimator(
             tracker.geometry, dt, tracker.tuning, offline_bank(T, models, judges)
         )
@@ -104,7 +108,7 @@ def _second_look(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | 
         if fit.rotation is None or not fit.rotation.converged:
             break
         moved = np.abs(fit.rotation.theta - rotation.theta)[:3] / fit.rotation.std[:3]
-        found, rotation = (fit, estimator.bound), fit.rotation
+        found, rotation, chosen = (fit, estimator.bound), fit.rotation, chosen or likelier
         if moved.max() < _SETTLED:
             break
     tell(what, 1.0)
@@ -118,8 +122,8 @@ def _second_look(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | 
     own, instrumented = combined(own, fit_by_instruments(left, fit.rotation, T))
     fit = replace(fit, rotation=own, aligned_by=fit.rotation, other_layout=online.other_layout)
     bounded = replace(fit, rotation=replace(own, covariance=np.diag(bound**2)))
-    method = "filter error, instruments" if instrumented else "filter error"
-    return OfflineFit(fit, bounded, method)
+    method = "filter error" if chosen else "whitener bank"
+    return OfflineFit(fit, bounded, f"{method}, instruments" if instrumented else method)
 
 
 def _widened(fit: RotationFit, online: RotationFit) -> RotationFit:
