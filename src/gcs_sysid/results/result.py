@@ -193,8 +193,8 @@ class Result:
     parameters: dict[str, Estimate]
     estimator: Literal["online", "offline"] = "online"
     method: str = ""
-    """Which offline estimator: "filter error", "whitener bank" or "maximum likelihood"; perhaps with
-    "instruments"."""
+    """Which offline estimator: "filter error", "whitener bank" or "maximum likelihood", perhaps
+    with "instruments"."""
     timing: dict[str, Estimate] = field(default_factory=dict)
     events: tuple[dict[str, Any], ...] = ()
     segments: tuple[dict[str, Any], ...] = ()
