@@ -2,12 +2,15 @@
 
     python -m benchmarks.truth.closed_loop --flights 12
     python -m benchmarks.truth.closed_loop --cells doublets:ou1 gentle:wind --smoothers window
+    python -m benchmarks.truth.closed_loop --smoothers whitened offline setpoints
 
 A moment d that acts on the body from outside (gusts, blade flapping, a swinging battery) is
 answered by the rate loop, so that the rotors' torque is correlated with it. Whoever regresses
 acceleration on torque then takes some of the disturbance for inertia. Each cell flies the same
 vehicle under one kind of excitation and one kind of disturbance, hands the samples to
 `OnlineEstimator` as a flight's are, and prints bias, rms and coverage of the 95 % intervals.
+`offline` is the filter error estimate, `setpoints` the same with the rates asked for as
+instruments.
 
 The vehicle is the article's with a CG offset of a centimetre: rigid body, motors of 30 ms, a PI
 rate loop with a lagged derivative term that runs on the noisy gyro at 1 kHz. All flights of a
@@ -16,14 +19,16 @@ cell are integrated side by side.
 
 import argparse
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.offline import fit_offline
 from gcs_sysid.estimation.online import OnlineEstimator
 from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.parameters import GRAVITY
@@ -230,11 +235,12 @@ def fly(
 
         w = w + STEP * change(w + 0.5 * STEP * change(w, Omega), middle)
         Omega = command + (Omega - command) * fade
-    return [_samples(kept[:, i], vehicle, rng) for i in range(flights)]
+    asked = wanted[::every][: steps // every]
+    return [_samples(kept[:, i], asked[:, i], vehicle, rng) for i in range(flights)]
 
 
-def _samples(kept: Array, vehicle: Vehicle, rng: np.random.Generator) -> Samples:
-    """What is measured of (n, 3 + rotors) gyro and true rotor speeds."""
+def _samples(kept: Array, asked: Array, vehicle: Vehicle, rng: np.random.Generator) -> Samples:
+    """What is measured of (n, 3 + rotors) gyro and true rotor speeds, and (n, 3) setpoints."""
     gyro, Omega = kept[:, :3], kept[:, 3:]
     n = len(gyro)
     force = np.zeros((n, 3))
@@ -246,6 +252,7 @@ def _samples(kept: Array, vehicle: Vehicle, rng: np.random.Generator) -> Samples
         attitude=np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
         force=force + FORCE_STD * rng.standard_normal((n, 3)),
         velocity=np.full((n, 3), np.nan),
+        setpoint=asked,
     )
 
 
@@ -276,17 +283,48 @@ class Judged:
         )
 
 
-def judge(samples: Sequence[Samples], vehicle: Vehicle, dt: float, tuning: Tuning) -> Judged:
+def online(flight: Samples, vehicle: Vehicle, dt: float, tuning: Tuning) -> RotationFit:
+    """The online estimate of a flight."""
+    estimator = OnlineEstimator(vehicle.geometry, dt, tuning)
+    estimator.update(flight)
+    fit = estimator.fit().rotation
+    assert fit is not None
+    return fit
+
+
+def offline(flight: Samples, vehicle: Vehicle, dt: float, *, setpoints: bool) -> RotationFit:
+    """The offline estimate of a flight; the online one where there is none."""
+    if not setpoints:
+        flight = replace(flight, setpoint=np.full_like(flight.setpoint, np.nan))
+    tracker = Tracker(vehicle.geometry, dt, Tuning(), keep=True)
+    tracker.update(dt * np.arange(len(flight.gyro)), flight)
+    first = tracker.fit()
+    found = fit_offline(tracker, first)
+    fit = first.rotation if isinstance(found, str) else found.fit.rotation
+    assert fit is not None
+    return fit
+
+
+def estimators(dt: float) -> dict[str, Callable[[Samples, Vehicle], RotationFit]]:
+    """What a row of the table may be, by its name."""
+    return {
+        "window": lambda s, v: online(s, v, dt, Tuning(smoother="window")),
+        "td": lambda s, v: online(s, v, dt, Tuning(smoother="td")),
+        "whitened": lambda s, v: online(s, v, dt, Tuning()),
+        "offline": lambda s, v: offline(s, v, dt, setpoints=False),
+        "setpoints": lambda s, v: offline(s, v, dt, setpoints=True),
+    }
+
+
+def judge(
+    samples: Sequence[Samples],
+    vehicle: Vehicle,
+    estimate: Callable[[Samples, Vehicle], RotationFit],
+) -> Judged:
     """Estimate every flight of a cell by itself."""
     truth = vehicle.theta
     size = np.where(truth == 0.0, 1.0, np.abs(truth))
-    fits: list[RotationFit] = []
-    for flight in samples:
-        estimator = OnlineEstimator(vehicle.geometry, dt, tuning)
-        estimator.update(flight)
-        fit = estimator.fit().rotation
-        assert fit is not None
-        fits.append(fit)
+    fits = [estimate(flight, vehicle) for flight in samples]
     return Judged(
         np.stack([(fit.theta - truth) / size for fit in fits]),
         np.stack([fit.std / size for fit in fits]),
@@ -318,7 +356,8 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=known.rate, help="Hz: 500 or 250")
     parser.add_argument("--seed", type=int, default=known.seed)
     parser.add_argument("--cells", nargs="+", default=known.cells, metavar="EXCITATION:DISTURBANCE")
-    parser.add_argument("--smoothers", nargs="+", default=known.smoothers)
+    names = [*estimators(0.002)]
+    parser.add_argument("--smoothers", nargs="+", choices=names, default=known.smoothers)
     options = parser.parse_args(namespace=known)
     vehicle, dt = Vehicle(), 1.0 / options.rate
     head = "bias %    rms  cov  +-95"
@@ -335,7 +374,7 @@ def main() -> None:
             seed=options.seed + 1000 * number,
         )
         for smoother in options.smoothers:
-            found = judge(flights, vehicle, dt, Tuning(smoother=smoother))
+            found = judge(flights, vehicle, estimators(dt)[smoother])
             parts = ("Ixx", "Iyy"), ("Izz",), ("moment_ratio",)
             columns = " | ".join(found.line(*names) for names in parts)
             print(

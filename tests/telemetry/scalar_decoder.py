@@ -46,6 +46,7 @@ _attitude = picker("ATTITUDE", "time_boot_ms", "roll", "pitch", "yaw")
 _quaternion = picker("ATTITUDE_QUATERNION", "time_boot_ms", "q1", "q2", "q3", "q4")
 _position = picker("LOCAL_POSITION_NED", "time_boot_ms", "vx", "vy", "vz", "x", "y", "z")
 _global_position = picker("GLOBAL_POSITION_INT", "time_boot_ms", "relative_alt", "vx", "vy", "vz")
+_target = picker("ATTITUDE_TARGET", "body_roll_rate", "body_pitch_rate", "body_yaw_rate")
 _landed = picker("EXTENDED_SYS_STATE", "landed_state")
 _heartbeat = picker("HEARTBEAT", "autopilot", "base_mode", "system_status")
 _type_and_mode = picker("HEARTBEAT", "type", "autopilot", "base_mode")
@@ -146,6 +147,7 @@ class ScalarDecoder:
             "RAW_IMU": self._read_raw_imu,
             "ATTITUDE": self._read_attitude,
             "ATTITUDE_QUATERNION": self._read_quaternion,
+            "ATTITUDE_TARGET": self._read_target,
             "ESC_STATUS": self._read_esc_status,
             "RPM": partial(self._read_unstamped, rpm_sensors, 0, "RPM"),
             "ACTUATOR_OUTPUT_STATUS": self._read_outputs,
@@ -288,6 +290,9 @@ class ScalarDecoder:
         if not speeds:
             return None
         return self._record(Stream.ROTOR_SPEED, self._time_of_sending, speeds, first, name)
+
+    def _read_target(self, payload: bytes) -> Record | None:
+        return self._record(Stream.RATE_SETPOINT, self._time_of_sending, _target(payload))
 
     @property
     def _time_of_sending(self) -> float | None:

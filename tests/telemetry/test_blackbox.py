@@ -95,8 +95,9 @@ def test_betaflight(read):
     armed = of(recording, Stream.ARMED)
     assert armed.values[:, 0].tolist() == [1.0, 0.0]
     assert armed.t.tolist() == pytest.approx([5.005, 5.030])
-    _, setpoint = recording.extras["rate setpoint"]
-    assert setpoint[0] == pytest.approx(np.radians([90.0, -180.0, 90.0]))
+    assert of(recording, Stream.RATE_SETPOINT).values[0] == pytest.approx(
+        np.radians([90.0, -180.0, 90.0])
+    )
     assert recording.extras["battery voltage"][1][0] == pytest.approx([16.5])
     told = {name: value for _, name, value in recording.parameters}
     assert told["motorOutput[1]"] == 2047
@@ -179,7 +180,8 @@ def test_indiflight(read):
     velocity = of(recording, Stream.VELOCITY)
     assert len(velocity.t) == 3  # when motion capture told something new
     assert velocity.values[0] == pytest.approx([1.01, 0.0, -0.5, 1.001, 2.0, -3.0])
-    assert recording.extras["rate setpoint"][1][0] == pytest.approx([math.pi / 2, 0.0, 0.0])
+    asked = of(recording, Stream.RATE_SETPOINT)
+    assert asked.values[0] == pytest.approx([math.pi / 2, 0.0, 0.0])
 
 
 def test_a_motor_stop_disarms(read):

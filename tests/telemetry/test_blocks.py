@@ -68,6 +68,9 @@ class Flier:
             "ATTITUDE_QUATERNION": lambda: m.MAVLink_attitude_quaternion_message(
                 self.ms(), *self.quaternion(), 0, 0, 0
             ),
+            "ATTITUDE_TARGET": lambda: m.MAVLink_attitude_target_message(
+                self.ms(), 0, self.quaternion(), *self.numbers(4)
+            ),
             "ESC_STATUS": lambda: m.MAVLink_esc_status_message(
                 rng.choice([0, 4]), self.us(), self.whole(4, -9000, 9000), [0] * 4, [0] * 4
             ),

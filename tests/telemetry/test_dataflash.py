@@ -22,6 +22,7 @@ def flight(dataflash_file):
     log.type("PARM", "QNff", "TimeUS,Name,Value,Default")
     log.type("IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
     log.type("ATT", "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
+    log.type("RATE", "Qffffff", "TimeUS,RDes,R,PDes,P,YDes,Y")
     log.type("XKQ", "QBffff", "TimeUS,C,Q1,Q2,Q3,Q4")
     log.type("XKF1", "QBccCffffff", "TimeUS,C,Roll,Pitch,Yaw,VN,VE,VD,PN,PE,PD")
     log.type("XKF4", "QBb", "TimeUS,C,PI")
@@ -50,6 +51,7 @@ def flight(dataflash_file):
             log.row("ESC", t, esc, 100.0 * esc, 100.0 * esc + 5.0)
         if i % 10 == 0:
             log.row("ATT", t, 0.0, 10.0, 0.0, -20.0, 0.0, 350.0 + i / 10)
+            log.row("RATE", t, 90.0, 1.0, -180.0, 2.0, 9.0, 3.0)
             log.row("RCOU", t, 1500, 1102, 1103, 1104, 1105, 1106, 0, 1101)
             log.row("RPM", t, 0, 600.0, 1)
             log.row("RPM", t, 1, -1.0, 0)
@@ -74,6 +76,12 @@ def test_the_first_imu_alone_is_taken(path, of):
     assert len(records) == 300
     np.testing.assert_allclose(records[0].values, (1.0, 2.0, 3.0, 4.0, 5.0, -9.8), rtol=1e-6)
     assert (records[0].t, records[-1].t) == (5.0, pytest.approx(7.99))
+
+
+def test_setpoints_of_the_rate_loop_are_in_rad_per_s(path, of):
+    setpoints = of(open_log(path), Stream.RATE_SETPOINT)
+    assert len(setpoints) == 30
+    assert setpoints[0].values == pytest.approx((math.pi / 2, -math.pi, math.pi / 20))
 
 
 def test_rotors_come_in_motor_order_by_the_functions_of_the_channels(path, of):

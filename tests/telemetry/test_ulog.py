@@ -27,6 +27,7 @@ def flight(ulog_file):
     )
     log.topic("estimator_sensor_bias", ["float[3] gyro_bias", "float[3] accel_bias"])
     log.topic("vehicle_attitude", ["float[4] q"])
+    log.topic("vehicle_rates_setpoint", ["float roll", "float pitch", "float yaw"])
     log.topic("vehicle_local_position", [f"float {n}" for n in ("x", "y", "z", "vx", "vy", "vz")])
     log.topic("actuator_motors", ["float[12] control"])
     log.topic("actuator_outputs", ["uint32_t noutputs", "float[16] output"])
@@ -46,6 +47,7 @@ def flight(ulog_file):
         log.row(
             "vehicle_attitude", t + 1e-3, sign * math.cos(i / 100), sign * math.sin(i / 100), 0, 0
         )
+        log.row("vehicle_rates_setpoint", t, 0.1, -0.2, 0.3)
         log.row("actuator_motors", t, 0.5, 0.0, 1.0, NAN, *[NAN] * 8)
         if i % 20 == 0:
             log.row("actuator_outputs", t, 4, *[1500.0] * 4, *[0.0] * 12)
@@ -63,6 +65,12 @@ def test_the_imu_is_less_the_estimators_bias_as_on_the_link(path, of):
     assert len(records) == 80
     assert records[0] == Record(Stream.IMU, 2.0, (1.0, 2.0, 3.0, 0.0, 0.0, -9.0))
     assert records[-1].values == (0.5, 2.0, 3.0, 0.0, 0.0, -10.0)
+
+
+def test_setpoints_of_the_rate_loop_are_read(path, of):
+    setpoints = of(open_log(path), Stream.RATE_SETPOINT)
+    assert len(setpoints) == 80
+    assert setpoints[0].values == pytest.approx((0.1, -0.2, 0.3))
 
 
 def test_commands_undo_the_thrust_curve_and_keep_their_sources_apart(path, of):

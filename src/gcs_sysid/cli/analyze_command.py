@@ -42,6 +42,7 @@ def run(options: argparse.Namespace) -> int:
         start=options.start,
         end=options.end,
         offline=options.offline,
+        progress=output.offline_progress(),
     )
     if options.offline and options.method != "forward":
         raise InputError("--offline needs --method forward")

@@ -327,7 +327,8 @@ def add_analyze(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--offline",
         action="store_true",
-        help="maximum likelihood over the whole record, with the Cramer-Rao bound (slower)",
+        help="filter error or maximum likelihood over the whole record, with the Cramer-Rao bound "
+        "(slower)",
     )
     parser.add_argument(
         "--method",

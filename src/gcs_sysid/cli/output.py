@@ -203,6 +203,20 @@ def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
 
+def offline_progress() -> Callable[[str, float], None] | None:
+    """What the offline estimator does, on standard error, if that is a terminal."""
+    if not sys.stderr.isatty():
+        return None
+    bars: dict[str, Callable[[float], None] | None] = {}
+
+    def show(what: str, share: float) -> None:
+        bar = bars.setdefault(what, progress_bar(what))
+        if bar is not None:
+            bar(share)
+
+    return show
+
+
 def progress_bar(what: str) -> Callable[[float], None] | None:
     """A progress line on standard error, if that is a terminal."""
     if not sys.stderr.isatty():

@@ -20,7 +20,8 @@ residual, E[gradient] = tr(dL' S^-1 L) and the noise's part in the information
 tr(dL' S^-1 dL) are taken out where the level is given (Fuller, Measurement Error Models, 1.2).
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc
@@ -51,6 +52,11 @@ MODEL_PRECISION = 1e-4
 (250 Hz, 30 ms lag) leave about that between any samples of their speeds. A third of it would
 leave biases of a standard deviation, half as much again costs more accuracy than it saves."""
 _MAX_ITERATIONS = 25
+_BUDGET = 3_000_000
+"""Samples times passes: about five minutes of a processor, and a gigabyte for so many samples that
+only _FEWEST passes are left."""
+_FEWEST = 12
+"""Passes; most searches settle in fewer."""
 _NOISE_REFITS = 3
 """The noise model is fitted anew in so many first iterations, then where the search settles."""
 _MAX_REFITS = 6
@@ -98,6 +104,7 @@ class LikelihoodFit:
         rows: samples used; the first and last few beside a gap are not.
         seconds: rows times the sample time.
         converged: whether the last step was negligible.
+        passes: of the search over the record.
     """
 
     theta: Array
@@ -112,6 +119,7 @@ class LikelihoodFit:
     rows: int
     seconds: float
     converged: bool
+    passes: int = 0
 
     @property
     def std(self) -> Array:
@@ -129,6 +137,7 @@ def maximise_likelihood(
     prior: Prior | None = None,
     delay: float | None = None,
     torque: Array | float = 0.0,
+    progress: Callable[[float], None] | None = None,
 ) -> LikelihoodFit | None:
     """Fit theta, noise levels and noise colours to a whole record.
 
@@ -143,6 +152,7 @@ def maximise_likelihood(
         delay: s, of the speeds' stamps behind the gyro's, as known from the online estimate; it is
             estimated too, within 3 DELAY_STD of that. None: there is none.
         torque: (3, N_SIGNALS) of deviations from the model, as the online estimate has them.
+        progress: is told the share of the most passes that is done.
 
     Returns:
         The fit, or None if there is no piece of MIN_RUN samples without a gap, or fewer samples
@@ -157,7 +167,15 @@ def maximise_likelihood(
     record = OfflineRecord(samples, geometry, dt, speed_std, delay or 0.0, reach, torque)
     if record.rows < 2 * rb.N_THETA:
         return None
-    return _search(record, start, prior)
+    # A step too far overflows, costs more than any other, and is taken back.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _search(record, start, prior, progress or (lambda share: None))
+
+
+def most_passes(samples: int) -> int:
+    """How often a record is passed over at most; 0: it is too long."""
+    passes = min(_BUDGET // max(samples, 1), _MAX_ITERATIONS)
+    return passes if passes >= _FEWEST else 0
 
 
 def cramer_rao_bound(
@@ -194,7 +212,9 @@ def cramer_rao_bound(
 # ---- the search ------------------------------------------------------------------------------
 
 
-def _search(record: OfflineRecord, start: Array, prior: Prior | None) -> LikelihoodFit:
+def _search(
+    record: OfflineRecord, start: Array, prior: Prior | None, progress: Callable[[float], None]
+) -> LikelihoodFit:
     mean, weight = np.append(start, record.delay), np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     if prior is not None:
         mean[: rb.N_THETA], weight[: rb.N_THETA, : rb.N_THETA] = prior
@@ -212,7 +232,9 @@ def _search(record: OfflineRecord, start: Array, prior: Prior | None) -> Likelih
     weighed: Weighed | None = None
     damping, converged, refits = 0.0, False, 0
     before, weighed_anew = 0.0, True
-    for iteration in range(_MAX_ITERATIONS):
+    passes = max(most_passes(record.rows), _FEWEST)
+    for iteration in range(passes):
+        progress(iteration / passes)
         if 0 < iteration < _NOISE_REFITS:
             noise, weighed, weighed_anew = _fit_noise(record, point), None, True
             known = record.speed_process(point.theta)
@@ -265,7 +287,11 @@ def _search(record: OfflineRecord, start: Array, prior: Prior | None) -> Likelih
         damping = 0.1 * damping if damping > 1e-6 else 0.0
     if weighed is None:
         weighed = weigh(record, point, noise, known)
-    return _conclude(record, point, noise, weighed, weight, converged)
+    progress(1.0)
+    done = replace(
+        _conclude(record, point, noise, weighed, weight, converged), passes=iteration + 1
+    )
+    return done
 
 
 def _alike(one: Noise, other: Noise) -> bool:

@@ -1,19 +1,37 @@
-"""The offline estimate of a flight: maximum likelihood, started from the online fit."""
+"""The offline estimate of a flight, started from the online fit.
 
-from collections.abc import Sequence
+Where a moment that nobody models acts (gusts, propeller wash), the samples are looked at a second
+time with the noise that makes the record likeliest (`estimation.filter_error`). In calm air, and
+at slow rates, the likelihood of the whole record is maximized (`estimation.likelihood`).
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.disturbance import RULES, axis_floor
-from gcs_sysid.estimation.likelihood import LikelihoodFit, maximise_likelihood
-from gcs_sysid.estimation.online import Fit
+from gcs_sysid.estimation.filter_error import likeliest_noise, offline_bank, residual_runs
+from gcs_sysid.estimation.instruments import combined, fit_by_instruments
+from gcs_sysid.estimation.likelihood import LikelihoodFit, maximise_likelihood, most_passes
+from gcs_sysid.estimation.online import Fit, OnlineEstimator
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.signals.one_step import step_for
 from gcs_sysid.signals.samples import Samples
+
+_LOOKS = 3
+"""Most second looks: the noise is that of residuals, which change with the fit."""
+_SETTLED = 0.1
+"""Standard deviations that another look at the noise moves the moments of inertia by at most."""
+_CHANCE = 1.959963984540054
+"""Standard deviations by which two estimates may differ by chance."""
+
+Progress = Callable[[str, float], None]
+"""Is told what is being done, and the share of it that is, 0 to 1 at most."""
 
 
 @dataclass(frozen=True)
@@ -23,29 +41,120 @@ class OfflineFit:
     Attributes:
         fit: the online one with the rotation replaced.
         bounding_fit: the same with the Cramer-Rao bound as its covariance.
-        likelihood: how the maximum looks.
+        method: which estimator it is of, in words.
+        likelihood: how the maximum looks; None where the noise alone was looked for.
     """
 
     fit: Fit
     bounding_fit: Fit
-    likelihood: LikelihoodFit
+    method: str
+    likelihood: LikelihoodFit | None = None
 
 
-def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | str:
-    """Maximise the likelihood of the samples that the tracker kept.
+def fit_offline(
+    tracker: Tracker, online: Fit, progress: Progress | None = None
+) -> OfflineFit | str:
+    """Estimate offline from the samples that the tracker kept.
 
     Args:
         tracker: with `keep`.
         online: its last fit.
+        progress: is told of it.
 
     Returns:
         The fit, or why there is none.
     """
-    rotation = online.rotation
-    if rotation is None or not tracker.kept:
+    if online.rotation is None or not tracker.kept:
         return "no online estimate to start from"
+    tell = progress or (lambda what, share: None)
+    if online.rotation.whiteners:
+        found = _second_look(tracker, online, tell)
+        if found is not None:
+            assert found.fit.rotation is not None
+            if found.fit.rotation.disturbance.max() > RULES.detected:
+                return found
+        elif online.rotation.disturbance.max() > RULES.detected:
+            # White process noise is no model of disturbed air.
+            return "the fit by the likeliest noise did not converge"
+    return _maximum(tracker, online, tell)
+
+
+def _second_look(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | None:
+    """By the likeliest noise of each axis; None where the record is too short for that."""
+    assert online.rotation is not None
+    dt, T = tracker.dt, step_for(tracker.dt).time
+    judges, rotation = online.rotation.whiteners, online.rotation
+    found: tuple[Fit, Array] | None = None
+    chosen = False
+    what = f"filter error over {sum(len(part.gyro) for part in tracker.kept)} samples"
+    for look in range(_LOOKS):
+        tell(what, look / _LOOKS)
+        left = residual_runs(tracker.kept, tracker.geometry, dt, rotation)
+        if not left:
+            break
+        models = likeliest_noise(left, T, rotation.whiteners)
+        likelier = any(model.gain for model in models)
+        if look and not likelier:
+            break  # nothing new to see
+        estimator = OnlineEstimator(
+            tracker.geometry, dt, tracker.tuning, offline_bank(T, models, judges)
+        )
+        before = tracker.estimator
+        estimator.prior, estimator.prior_source = before.prior, before.prior_source
+        estimator.accelerometer_gain = before.accelerometer_gain
+        for part in tracker.kept:
+            estimator.update(part)
+        fit = estimator.fit()
+        if fit.rotation is None or not fit.rotation.converged:
+            break
+        moved = np.abs(fit.rotation.theta - rotation.theta)[:3] / fit.rotation.std[:3]
+        found, rotation, chosen = (fit, estimator.bound), fit.rotation, chosen or likelier
+        if moved.max() < _SETTLED:
+            break
+    tell(what, 1.0)
+    if found is None:
+        return None
+    fit, bound = found
+    assert fit.rotation is not None
+    own = _widened(fit.rotation, online.rotation)
+    # With a fit's own residuals: those above are of the fit before.
+    left = residual_runs(tracker.kept, tracker.geometry, dt, fit.rotation)
+    own, instrumented = combined(own, fit_by_instruments(left, fit.rotation, T))
+    fit = replace(fit, rotation=own, aligned_by=fit.rotation, other_layout=online.other_layout)
+    bounded = replace(fit, rotation=replace(own, covariance=np.diag(bound**2)))
+    method = "filter error" if chosen else "whitener bank"
+    return OfflineFit(fit, bounded, f"{method}, instruments" if instrumented else method)
+
+
+def _widened(fit: RotationFit, online: RotationFit) -> RotationFit:
+    """What is more than chance between two estimates of one flight is an error of either.
+
+    The online one weighs the same rows less well, so that by chance they differ by the difference
+    of their variances (Hausman 1978, Econometrica 46, 1251-1271).
+    """
+    n = rb.N_THETA
+    apart = fit.theta - online.theta
+    chance = _CHANCE**2 * np.maximum(online.std**2 - fit.std**2, 0.0)
+    strong = fit.disturbance > RULES.detected
+    error = np.sqrt(np.maximum(apart**2 - chance, 0.0)) * np.sign(apart)
+    if not strong.any() or not error.any():
+        return fit
+    full = fit.full_covariance.copy()
+    full[:n, :n] += np.outer(error, error)
+    return replace(fit, covariance=full[:n, :n], full_covariance=full)
+
+
+def _maximum(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | str:
+    """By the maximum of the whole record's likelihood."""
+    rotation = online.rotation
+    assert rotation is not None
+    samples = join(tracker.kept)
+    what = f"maximum likelihood of {len(samples.gyro)} samples"
+    passes = most_passes(len(samples.gyro))
+    if not passes:
+        return f"{what} is beyond its budget: analyze a part of the flight (--start, --end)"
     found = maximise_likelihood(
-        join(tracker.kept),
+        samples,
         tracker.geometry,
         tracker.dt,
         rotation.theta,
@@ -53,10 +162,13 @@ def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | str:
         prior=_on_theta(tracker.estimator.prior),
         delay=rotation.delay,
         torque=rotation.deviating.torque(rotation.deviations),
+        progress=lambda done: tell(f"{what}, at most {passes} passes", done),
     )
     if found is None:
         return "no gap-free stretch of flight is long enough"
     if not found.converged:
+        if found.passes >= passes:
+            return f"the {what} ran out of its budget of {passes} passes"
         return "the maximum-likelihood search did not converge"
     n = rb.N_THETA
     full = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
@@ -73,7 +185,12 @@ def fit_offline(tracker: Tracker, online: Fit) -> OfflineFit | str:
     )
     bounding = replace(fit, covariance=np.diag(found.bound**2))
     online = replace(online, aligned_by=rotation)
-    return OfflineFit(replace(online, rotation=fit), replace(online, rotation=bounding), found)
+    return OfflineFit(
+        replace(online, rotation=fit),
+        replace(online, rotation=bounding),
+        "maximum likelihood",
+        found,
+    )
 
 
 def _systematic(online: RotationFit, theta: Array) -> Array:

@@ -26,6 +26,7 @@ from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.estimation.validation import Validation, validate
 from gcs_sysid.estimation.whitened_estimator import Followed, LeftOut, WhitenedEstimator
+from gcs_sysid.estimation.whitened_moments import OfflineBank
 from gcs_sysid.model import rigid_body
 from gcs_sysid.signals.samples import Samples
 
@@ -138,9 +139,16 @@ class OnlineEstimator:
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
         tuning: settings.
+        offline: as of `FlightRecord`.
     """
 
-    def __init__(self, geometry: Array, dt: float, tuning: Tuning) -> None:
+    def __init__(
+        self,
+        geometry: Array,
+        dt: float,
+        tuning: Tuning,
+        offline: OfflineBank | None = None,
+    ) -> None:
         self.dt = dt
         self.prior: Prior | None = None
         """What else is known about the rotation; may be set at any time."""
@@ -148,7 +156,7 @@ class OnlineEstimator:
         """Renews the prior with each warm start and full fit."""
         self.accelerometer_gain: translation.Gain | None = None
         """How the accelerometer reads against gravity, from an earlier segment."""
-        self._record = FlightRecord(geometry, dt, tuning)
+        self._record = FlightRecord(geometry, dt, tuning, offline)
         self._basis = self._record.basis
         self._whitened = (
             WhitenedEstimator(self._record, geometry) if self._record.whitened else None
@@ -170,6 +178,12 @@ class OnlineEstimator:
     def speed_std(self) -> Array:
         """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
         return self._record.speed_std
+
+    @property
+    def bound(self) -> Array:
+        """(N_THETA,) Cramer-Rao standard deviations of the latest full fit to whitened rows."""
+        assert self._whitened is not None
+        return self._whitened.bound
 
     @property
     def free(self) -> tuple[int, ...]:

@@ -15,6 +15,7 @@ from gcs_sysid.estimation.rotor_signals import RotorPath
 from gcs_sysid.estimation.speed_noise import SpeedNoise
 from gcs_sysid.estimation.thrust_drift import ThrustDrift
 from gcs_sysid.estimation.tuning import Tuning
+from gcs_sysid.estimation.whitened_moments import OfflineBank
 from gcs_sysid.estimation.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.whitening import bank_for
 from gcs_sysid.signals.one_step import step_for
@@ -40,6 +41,7 @@ class FlightRecord:
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
         tuning: settings.
+        offline: whiteners for a second look at the same record; None: those of every flight.
 
     Attributes:
         basis: of the rotors' part of the rows.
@@ -52,7 +54,13 @@ class FlightRecord:
         half_width: s, of the window.
     """
 
-    def __init__(self, geometry: Array, dt: float, tuning: Tuning) -> None:
+    def __init__(
+        self,
+        geometry: Array,
+        dt: float,
+        tuning: Tuning,
+        offline: OfflineBank | None = None,
+    ) -> None:
         smoother: Smoother
         half_width = tuning.half_width
         if tuning.smoother == "td":
@@ -94,7 +102,12 @@ class FlightRecord:
             )
             steps = step, elements
             self.whitened = WhitenedRecord(
-                elements, step, bank_for(step.time), dt, tuning.batch_time
+                elements,
+                step,
+                bank_for(step.time) if offline is None else offline.whiteners,
+                dt,
+                tuning.batch_time,
+                offline=offline,
             )
         self._drift = ThrustDrift(dt) if commands else None
         self._rows = RowMaker(path, basis, smoother, steps, self._drift)

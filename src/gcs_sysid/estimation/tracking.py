@@ -151,6 +151,11 @@ class Tracker:
         self._newest = -np.inf
 
     @property
+    def tuning(self) -> Tuning:
+        """Of the estimators."""
+        return self._tuning
+
+    @property
     def estimator(self) -> OnlineEstimator:
         """The one in force."""
         return self._estimator

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
@@ -87,6 +88,9 @@ class WhitenedEstimator:
         self._geometry = geometry
         self._record = record
         self._white = record.whitened
+        self.bound = np.full(rb.N_THETA, np.nan)
+        """(N_THETA,) standard deviations of the latest fit, were its innovations white and the
+        model whole: the Cramer-Rao bound."""
 
     @property
     def basis(self) -> ActuatorDynamics:
@@ -124,6 +128,7 @@ class WhitenedEstimator:
                 found = fresh
         if found is None:
             return None
+        self.bound = found.bound
         return found.rotation, LeftOut(found.left_out, found.rows_left_out)
 
     def was_narrowed(self) -> bool:
@@ -155,27 +160,67 @@ class WhitenedEstimator:
         )
 
     def validate(self, prior: Prior | None) -> Validation | None:
-        """Fit the first part, predict the rest of the window's rows; whiteness of innovations."""
+        """Fit the first part, predict the rest of the window's rows; whiteness of innovations.
+
+        Where the likeliest whiteners are known, the flight is over, and every fifth of it is
+        predicted from the other four.
+        """
         data = self._data
         ends = np.cumsum(data.counts) * self._white.time
         if not len(ends) or ends[-1] < _SHORTEST_VALIDATED:
             return None
         # Held out now and then: manoeuvres come one after the other, and a part must have its own.
-        held_out = np.isin((ends - 1e-9) // _HELD_OUT % 5, (1, 3))
+        stretch = (ends - 1e-9) // _HELD_OUT % 5
+        folds = [(i,) for i in range(5)] if data.judges else [(1, 3)]
+        found = [
+            fold
+            for held_out in folds
+            if (fold := self._predicted(data, np.isin(stretch, held_out), prior)) is not None
+        ]
+        if not found:
+            return None
+        whiteness = told_whiteness(
+            *(np.concatenate(part) for part in zip(*(f.power for f in found), strict=True))
+        )
+        if len(found) == 1:
+            return replace(found[0].validation, whiteness=whiteness[0], whiteness_p=whiteness[1])
+        measured = np.stack([fold.measured for fold in found])
+        share = measured / np.maximum(measured.sum(axis=0), 1e-300)
+        return replace(
+            found[-1].validation,
+            r_squared=(share * [fold.validation.r_squared for fold in found]).sum(axis=0),
+            theil=(share * [fold.validation.theil for fold in found]).sum(axis=0),
+            whiteness=whiteness[0],
+            whiteness_p=whiteness[1],
+        )
+
+    def _predicted(
+        self, data: WhitenedMoments, held_out: Mask, prior: Prior | None
+    ) -> "_Fold | None":
+        """A part of the flight, predicted by a fit to the others."""
+        if held_out.all():
+            return None
         found = fit_whitened(data, self.basis, prior=prior, choice=self._choice, only=~held_out)
         if found is None:
             return None
         fit = found.rotation
-        batches = data.of_axes(self._white.places(fit.whiteners))
+        own = data.of_axes(self._white.places(fit.whiteners))
         P = self.basis.map_at(fit.coordinates)
         # Collisions and landings are not predicted by anybody.
-        shocks = find_shocks(residual_maker(fit.Q) @ P, fit, batches, data.counts)
+        shocks = find_shocks(residual_maker(fit.Q) @ P, fit, own, data.counts)
         kept = held_out & ~shocks
         if not kept.any():
             return None
-        rest = batches[kept].sum(axis=0)
+        batches = data.of_axes(data.judges) if data.judges else own
+        rest = P @ batches[kept].sum(axis=0) @ P.T
         share = 1.0 - float(data.counts[held_out].sum() / data.counts.sum())
-        return judge_prediction(P @ rest @ P.T, fit, share, *self._whiteness(data, kept, fit))
+        nothing = np.full(3, np.nan)
+        axes = np.arange(3)
+        return _Fold(
+            judge_prediction(rest, fit, share, nothing, nothing),
+            rest[axes, axes - 3, axes - 3],
+            self._slow_power(data, kept, fit),
+        )
 
     def other_layout(self, fit: RotationFit | None) -> str | None:
         """What is wrong with the given layout, if another one explains the motion far better."""
@@ -256,10 +301,10 @@ class WhitenedEstimator:
         sums = basis.moments_at(window.total[0], basis.nodes[basis.middle])
         return rb.rms_rates(sums, max(window.rows, 1))
 
-    def _whiteness(
+    def _slow_power(
         self, data: WhitenedMoments, kept: Mask, fit: RotationFit
-    ) -> tuple[Array, Array]:
-        """Of the innovations that were not fitted, and its p-value, per axis.
+    ) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Of the innovations that were not fitted, as `told_whiteness` takes it.
 
         Were they white, another whitener would make of them
 
@@ -288,7 +333,22 @@ class WhitenedEstimator:
             batches, counts = grouped(batches, counts, data.grouped)
             powers.append(by_parts(power, batches))
         own, slow = powers
-        return told_whiteness(slow, ratio * own, counts)
+        return slow, ratio * own, counts
+
+
+@dataclass(frozen=True)
+class _Fold:
+    """A part of a flight that was predicted.
+
+    Attributes:
+        validation: of it, without whiteness.
+        measured: (3,) power of its acceleration.
+        power: what its whiteness follows from, see `told_whiteness`.
+    """
+
+    validation: Validation
+    measured: Array
+    power: tuple[Array, Array, NDArray[np.int64]]
 
 
 def _is_doubtful(fit: RotationFit) -> bool:

@@ -66,6 +66,7 @@ class WhitenedFit:
         left_out: (3, width, width) moments of these, as each axis' whitener made them.
         rows_left_out: in them.
         cost: nats a row, summed over the axes; the less, the better.
+        bound: (N_THETA,) standard deviations, were innovations white and the model whole.
     """
 
     rotation: RotationFit
@@ -73,6 +74,7 @@ class WhitenedFit:
     left_out: Array
     rows_left_out: int
     cost: float
+    bound: Array
 
 
 def fit_whitened(
@@ -103,7 +105,8 @@ def fit_whitened(
     deviations = NO_DEVIATIONS if start is None else start.deviating
     wanted = np.ones(len(data.counts), dtype=bool) if only is None else only
     kept = wanted
-    all_rows = rows = int(data.counts[kept].sum())
+    given, all_rows = data, int(data.counts[kept].sum())
+    rows = all_rows
     if rows < 3 * rb.N_THETA:
         return None
     everything = total = data.total(kept)
@@ -126,6 +129,11 @@ def fit_whitened(
         total, rows = data.total(kept), int(data.counts[kept].sum())
         solved = _solved(total, rows, data, basis, prior, solved.trial, deviations)
         batches = data.of_axes(solved.pick)
+    if data.own:
+        data = data.weighed(_relative_power(solved.point, batches, data.counts, basis))
+        total, rows = data.total(kept), int(data.counts[kept].sum())
+        solved = _solved(total, rows, data, basis, prior, solved.trial, deviations)
+        batches = data.of_axes(solved.pick)
     for _ in range(_CHOSEN if choice is not None else 0):
         assert choice is not None
         chosen = _chosen(solved, rows, basis, prior, choice)
@@ -144,6 +152,9 @@ def fit_whitened(
     scatter = meat(outcome.scores(0, batches, counts), _REACH)
     spread = inflation(outcome.roots[1][0], scatter)[None]
     widening = student_factor(outcome.shares(0, batches), _REACH)[None]
+    if data.own:
+        # That innovations are white rests on all rows, not on how few batches scatter.
+        widening = np.ones_like(widening)
     if doubt:
         silent = np.zeros_like(noise)[None]
         raw = AxisProblem(solved.problem.bank, rows, basis, prior, silent, deviations)
@@ -151,6 +162,9 @@ def fit_whitened(
         spread = spread + outcome.spread_of(doubt * pull)
     # First as the scatter has it: how sure the contrasts are, it tells too.
     told = outcome.fits(spread, widening, [solved.converged], [0])[0]
+    if data.judges:
+        told = replace(told, r_squared=_explained(solved, given.total(kept), data.judges, basis))
+    r_squared = told.r_squared
     errors = solved.trial.systematic(told, hover)
     for error in errors:
         way = np.zeros(solved.problem.p)
@@ -160,6 +174,7 @@ def fit_whitened(
         told = outcome.fits(spread, widening, [solved.converged], [0])[0]
     fit = replace(
         told,
+        r_squared=r_squared,
         whiteners=tuple(data.whiteners[i] for i in solved.pick),
         disturbance=solved.trial.detected,
         deviating=deviations,
@@ -167,7 +182,10 @@ def fit_whitened(
     pick = list(solved.pick)
     power = solved.trial.variance[pick, np.arange(_AXES)]
     cost = 0.5 * float(np.log(power).sum() + solved.point.weak[0] / rows)
-    return WhitenedFit(fit, ~kept, everything[pick] - total[pick], all_rows - rows, cost)
+    if data.own:
+        total, rows = given.total(kept), int(given.counts[kept].sum())
+    bound = outcome.fits(np.eye(solved.problem.p)[None], np.ones_like(widening), [True], [0])[0].std
+    return WhitenedFit(fit, ~kept, everything[pick] - total[pick], all_rows - rows, cost, bound)
 
 
 def least_power(data: WhitenedMoments, basis: ActuatorDynamics, unknowns: Array) -> tuple[int, ...]:
@@ -336,6 +354,9 @@ def _tried(
     point, _ = minimise_axes(problem, problem.extended(unknowns), limit)
     known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
     alike = _alike(point, rows, noise[:, 0], known, deviations)
+    for axis, own in enumerate(data.own):
+        # An axis' noise is its own.
+        alike[[i for i in data.own if i != own], axis] = np.inf
     return Trial(data.whiteners, data.time, point.unknowns, alike, point.hessian)
 
 
@@ -438,6 +459,38 @@ def _scanned(
     found = point.unknowns.reshape(len(some), len(nodes), -1)[:, best]
     unknowns = np.repeat(found, every, axis=0)[: len(total)]
     return _tried(total, rows, data, basis, prior, unknowns, _TRY)
+
+
+def _explained(
+    solved: _Solved, total: Array, judges: tuple[int, ...], basis: ActuatorDynamics
+) -> Array:
+    """(3,) share of each axis' acceleration that a fit explains, rows whitened by others.
+
+    Args:
+        solved: the fit.
+        total: (bank, width, width) moments.
+        judges: whitener of each axis.
+        basis: of the elements.
+    """
+    point, axes = solved.point, np.arange(_AXES)
+    P = basis.map_at(point.unknowns[0, COORDINATES])
+    moments = P @ total[list(judges)] @ P.T
+    T = residual_maker(point.Q[0])
+    left = (T[:, None] @ moments)[:, 0] * T
+    share: Array = 1.0 - left.sum(axis=-1) / np.maximum(
+        moments[axes, axes - _AXES, axes - _AXES], 1e-300
+    )
+    return share
+
+
+def _relative_power(
+    point: AxisPoint, batches: Array, counts: NDArray[np.int64], basis: ActuatorDynamics
+) -> Array:
+    """(k,) of the innovations in each batch, over the median: geometric mean of the axes."""
+    TP = residual_maker(point.Q[0]) @ basis.map_at(point.unknowns[0, COORDINATES])
+    power = ((TP[:, None] @ batches)[:, :, 0] * TP).sum(axis=-1) / counts[:, None]
+    relative: Array = np.exp(np.log(power / np.median(power, axis=0)).mean(axis=1))
+    return relative
 
 
 def _shocks(

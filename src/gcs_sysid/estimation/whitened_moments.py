@@ -1,13 +1,33 @@
 """Moments of whitened rows, batch by batch, as a record hands them to a fit."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.whitening import Whitener
+
+_MOST_WEIGHT = 3.0
+"""Of a batch whose innovations are weak, by chance or because nothing moved."""
+
+
+@dataclass(frozen=True)
+class OfflineBank:
+    """Whiteners for a second look at a record (`estimation.filter_error`).
+
+    Attributes:
+        whiteners: all of them, those without disturbance first.
+        own: the likeliest of the whole record, of each axis. Their innovations are as white as they
+            can be, and rows count by how strong these are in their batch.
+        judges: of each axis, those of the online estimate, by which it is told how much of the
+            motion is explained and predicted: bounds on that were found with them.
+    """
+
+    whiteners: tuple[Whitener, ...]
+    own: tuple[Whitener, ...]
+    judges: tuple[Whitener, ...]
 
 
 @dataclass(frozen=True)
@@ -22,6 +42,8 @@ class WhitenedMoments:
         time: s, T of a row.
         grouped: rows that a batch should have before its score counts as one.
         muted: columns that are taken as zero.
+        own: places of `OfflineBank.own`; empty: there is none.
+        judges: places of its `judges`.
     """
 
     parts: tuple[Array, ...]
@@ -31,6 +53,8 @@ class WhitenedMoments:
     time: float
     grouped: int
     muted: tuple[int, ...] = ()
+    own: tuple[int, ...] = ()
+    judges: tuple[int, ...] = ()
 
     @property
     def edges(self) -> NDArray[np.int64]:
@@ -48,6 +72,26 @@ class WhitenedMoments:
     def of_axes(self, pick: Sequence[int]) -> Array:
         """(k, 3, width, width) of each axis' whitener."""
         return self._mute(np.concatenate([part[:, list(pick)] for part in self.parts]))
+
+    def weighed(self, power: Array) -> "WhitenedMoments":
+        """The same, where rows of a batch count by the inverse of its innovations' power.
+
+        Gusts and propeller wash come and go: the likelihood of innovations whose variance changes
+        from batch to batch. A batch with weight w counts as w times its rows.
+
+        Args:
+            power: (k,) of the innovations in each batch, relative to the median.
+        """
+        weights = 1.0 / np.maximum(power, 1.0 / _MOST_WEIGHT)
+        weights *= self.counts.sum() / float(weights @ self.counts)
+        counts = np.maximum(np.round(weights * self.counts), 1).astype(np.int64)
+        share = counts / np.maximum(self.counts, 1)
+        starts = self.edges[:-1]
+        parts = tuple(
+            part * share[start : start + len(part), None, None, None]
+            for part, start in zip(self.parts, starts, strict=True)
+        )
+        return replace(self, parts=parts, counts=counts)
 
     def _mute(self, moments: Array) -> Array:
         columns = list(self.muted)

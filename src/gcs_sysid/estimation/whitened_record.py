@@ -8,6 +8,7 @@ batches. There are so many of those, and as they fill up neighbours are merged.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from gcs_sysid.estimation.actuator_dynamics import BODY, SIGNALS, ActuatorDynami
 from gcs_sysid.estimation.normal_equations import NormalEquations
 from gcs_sysid.estimation.priors import DELAY
 from gcs_sysid.estimation.whitened_fit import Reference, least_power, shocks_in
-from gcs_sysid.estimation.whitened_moments import WhitenedMoments
+from gcs_sysid.estimation.whitened_moments import OfflineBank, WhitenedMoments
 from gcs_sysid.estimation.whitening import Whitener, WhitenerBank, essential
 from gcs_sysid.signals.one_step import OneStep
 from gcs_sysid.signals.recursions import lfilter
@@ -47,6 +48,7 @@ class WhitenedRecord:
         whiteners: of the bank.
         dt: s between samples.
         batch_time: s, of long batches.
+        offline: the bank, where it is of a second look at the record.
     """
 
     def __init__(
@@ -56,7 +58,10 @@ class WhitenedRecord:
         whiteners: Sequence[Whitener],
         dt: float,
         batch_time: float,
+        *,
+        offline: OfflineBank | None = None,
     ) -> None:
+        self._offline = offline
         self.basis = basis
         self.time = step.time
         self.whiteners = tuple(whiteners)
@@ -105,7 +110,8 @@ class WhitenedRecord:
             while done < n:
                 if self._full == _RECENT:
                     self._settle(noise())
-                    if self._columns is None and self.rows * self.time >= _LEARNT:
+                    learnt = self.rows * self.time >= _LEARNT and self._offline is None
+                    if self._columns is None and learnt:
                         white = self._narrow(white, noise())
                 room = self._per_short - int(self._counts[self._full])
                 part = white[:, done : done + room]
@@ -131,12 +137,17 @@ class WhitenedRecord:
             self.whiteners,
             self.time,
             self._per_short,
+            own=self._offline_places("own"),
+            judges=self._offline_places("judges"),
         )
 
     def places(self, whiteners: Sequence[Whitener]) -> list[int]:
         """Where whiteners are in the bank; of those that were given up, where the first leak is."""
         known = {whitener.name: i for i, whitener in enumerate(self.whiteners)}
         return [known.get(whitener.name, known["leak 0.3 s"]) for whitener in whiteners]
+
+    def _offline_places(self, which: Literal["own", "judges"]) -> tuple[int, ...]:
+        return () if self._offline is None else tuple(self.places(getattr(self._offline, which)))
 
     @property
     def batches(self) -> int:

@@ -45,6 +45,8 @@ _WRAP = 2**32 * 1e-6
 _POLL, _ASK_EVERY = 0.05, 0.2
 _RECORDS_AT_ONCE = 4096
 _STATES = (Stream.IN_AIR, Stream.ARMED)
+_UNWATCHED = (*_STATES, Stream.RATE_SETPOINT)
+"""Of which no rate is shown: nothing needs them."""
 _ROTORS = (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND)
 _MESSAGES: dict[Stream, tuple[str, ...]] = {
     Stream.IMU: ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "sensor_combined", "IMU"),
@@ -105,7 +107,7 @@ class Inspector:
             if flying is not self._flight.flying:
                 self._look_at_all()
                 self._flight.turn(max(t - self._began, 0.0), flying=flying)
-        if stream in _STATES or not count:
+        if stream in _UNWATCHED or not count:
             return
         key = stream, source, offset
         watch = self._streams.get(key)

@@ -192,6 +192,9 @@ class Result:
     rotor_input: Literal["speed", "command"]
     parameters: dict[str, Estimate]
     estimator: Literal["online", "offline"] = "online"
+    method: str = ""
+    """Which offline estimator: "filter error", "whitener bank" or "maximum likelihood", perhaps
+    with "instruments"."""
     timing: dict[str, Estimate] = field(default_factory=dict)
     events: tuple[dict[str, Any], ...] = ()
     segments: tuple[dict[str, Any], ...] = ()
@@ -333,6 +336,7 @@ class Result:
             "airframe": self.airframe,
             "scale": None if self.scale is None else self.scale.as_json(),
             "estimator": self.estimator,
+            **({"method": self.method} if self.method else {}),
             "rotor_input": self.rotor_input,
             "parameters": {k: v.as_json() for k, v in self.parameters.items()},
             "timing": {k: v.as_json() for k, v in self.timing.items()},

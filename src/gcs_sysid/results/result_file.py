@@ -75,6 +75,7 @@ def parse_result(document: object, where: str) -> Result:
         rotor_input="speed" if rotor_input == "speed" else "command",
         parameters=_estimates(table.table("parameters"), PARAMETERS),
         estimator="offline" if document.get("estimator") == "offline" else "online",
+        method=one_line(str(document.get("method", ""))),
         timing=_estimates(table.table("timing"), TIMING),
         events=tuple(event for event in table.list("events") if isinstance(event, dict)),
         segments=tuple(part for part in table.list("segments") if isinstance(part, dict)),

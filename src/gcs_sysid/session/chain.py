@@ -117,7 +117,7 @@ class Chain:
         # Splines and likelihoods take a while to load, and few ask for them.
         from gcs_sysid.estimation.offline import fit_offline
 
-        return fit_offline(self._learner.tracker, self._learner.fit)
+        return fit_offline(self._learner.tracker, self._learner.fit, self.options.progress)
 
     def reset(self) -> None:
         """Forget the estimate; go on with the next samples."""

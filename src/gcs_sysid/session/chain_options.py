@@ -1,6 +1,6 @@
 """What a user may set of a chain."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from gcs_sysid.estimation.change_detection import ChangeTuning
@@ -18,7 +18,8 @@ class ChainOptions:
         tick: s of vehicle time between blocks; the estimate does not depend on it.
         start: s after the first record; earlier records are not used.
         end: s after the first record; later ones are not used.
-        offline: whether the final estimate is the maximum-likelihood one.
+        offline: whether the final estimate is the offline one.
+        progress: is told what the offline estimator does, and the share of it that is done.
         parameters: of the autopilot, as far as they are known beforehand.
     """
 
@@ -29,4 +30,5 @@ class ChainOptions:
     start: float = 0.0
     end: float = float("inf")
     offline: bool = False
+    progress: Callable[[str, float], None] | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)

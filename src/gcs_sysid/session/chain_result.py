@@ -98,6 +98,7 @@ class Findings:
             rotor_input=self.learner.rotor_input,
             parameters=parameters,
             estimator="online" if isinstance(self.offline, str | None) else "offline",
+            method="" if isinstance(self.offline, str | None) else self.offline.method,
             timing=self._timing(),
             events=(*self.learner.input_events, *self._changes([*past, values])),
             segments=self._segments(past),

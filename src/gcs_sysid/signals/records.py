@@ -22,6 +22,8 @@ class Stream(StrEnum):
     """actuator outputs in the autopilot's own unit, in motor order from `offset` on."""
     VELOCITY = "velocity"
     """north, east, down velocity (m/s), then north, east, down position (m)."""
+    RATE_SETPOINT = "rate_setpoint"
+    """roll, pitch and yaw rate (rad/s) that the autopilot asks of its rate loop."""
     IN_AIR = "in_air"
     """1.0 while the autopilot says that it flies, else 0.0."""
     ARMED = "armed"

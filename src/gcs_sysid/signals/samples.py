@@ -1,6 +1,6 @@
 """Aligned signals on a uniform grid: what estimators take."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ class Samples:
         velocity: (n, 3) north, east, down, m/s.
         apart: (n, 1) s between the samples of two streams of commands whose mean `speeds` holds;
             NaN where there is one, as it is unless told.
+        setpoint: (n, 3) rad/s, body rates that the autopilot asked for; NaN unless told.
     """
 
     gyro: Array
@@ -32,18 +33,22 @@ class Samples:
     force: Array
     velocity: Array
     apart: Array = field(default_factory=lambda: np.empty((0, 1)))
+    setpoint: Array = field(default_factory=lambda: np.empty((0, 3)))
 
     def __post_init__(self) -> None:
+        if not len(self.setpoint):
+            object.__setattr__(self, "setpoint", np.full((len(self.gyro), 3), np.nan))
         if not len(self.apart):
             object.__setattr__(self, "apart", np.full((len(self.gyro), 1), np.nan))
 
     @property
     def signals(self) -> tuple[Array, ...]:
-        """All of them, in order."""
+        """Those that estimates rest on as they come, in order: all but setpoints."""
         return (
             self.gyro, self.rates, self.speeds, self.attitude, self.force, self.velocity, self.apart
         )  # fmt: skip
 
     def part(self, where: slice | Mask) -> "Samples":
         """Some of the samples."""
-        return Samples(*(signal[where] for signal in self.signals))
+        some = Samples(*(signal[where] for signal in self.signals))
+        return replace(some, setpoint=self.setpoint[where])

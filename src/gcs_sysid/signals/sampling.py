@@ -337,6 +337,7 @@ class Sampler:
             attitude=filtered,
             force=force,
             velocity=velocity[:, :3],
+            setpoint=_stream(block, Stream.RATE_SETPOINT, n, 3),
         )
         self.t = float(t[-1])
         self.flying = bool(flying[-1])

@@ -293,13 +293,13 @@ class _Reader:
         recording.add_state(Stream.ARMED, changes, float(self._t[-1]))
 
     def _add_extras(self, recording: Recording) -> None:
-        """What no stream takes yet, kept for later use."""
+        """Setpoints of the rate loop; and what no stream takes yet, kept for later use."""
         asked = self._fields("setpoint", 3)
         turns = self._fields("gyroSp", 3)
         if asked is not None:
-            recording.extras["rate setpoint"] = self._t, asked * self._degrees * _FRD
+            recording.add(Stream.RATE_SETPOINT, self._t, asked * self._degrees * _FRD)
         elif turns is not None:
-            recording.extras["rate setpoint"] = self._t, np.radians(turns)
+            recording.add(Stream.RATE_SETPOINT, self._t, np.radians(turns))
         for name in ("vbatLatest", "vbat"):
             volts = self._frames.main.columns(name)
             if volts is not None:

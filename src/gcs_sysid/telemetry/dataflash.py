@@ -7,6 +7,7 @@
 - Entries without a time (EV and PARM of old firmware) take that of the IMU entry before them.
 """
 
+import math
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -61,6 +62,7 @@ ENTRIES = (
     OnboardMessage("XKF1", Stream.VELOCITY, _NED, rank=1, sensors="primary"),
     OnboardMessage("NKF1", Stream.VELOCITY, _NED, rank=2, sensors="primary"),
     OnboardMessage("EKF1", Stream.VELOCITY, _NED, rank=3, sensors="primary"),
+    OnboardMessage("RATE", Stream.RATE_SETPOINT, ("RDes", "PDes", "YDes"), math.radians(1.0)),
 )
 """Entries whose columns are the values. Of a stream's, the first is read; of attitudes the one that
 comes most often. Outputs, ESCs, RPM and states take more, see `_Reader`."""
@@ -162,7 +164,7 @@ class _Reader:
         return primary
 
     def _add_entries(self, recording: Recording) -> None:
-        for stream in (Stream.IMU, Stream.ATTITUDE, Stream.VELOCITY):
+        for stream in (Stream.IMU, Stream.ATTITUDE, Stream.VELOCITY, Stream.RATE_SETPOINT):
             there = []
             for row in sorted((row for row in ENTRIES if row.stream is stream), key=self._rank):
                 columns = self._named(row.name, row.fields)

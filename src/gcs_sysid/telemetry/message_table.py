@@ -136,6 +136,11 @@ MESSAGES: tuple[Message, ...] = (
         ("vx", "vy", "vz", "", "", "relative_alt"),
         (0.01, 0.01, 0.01, 0.0, 0.0, -1e-3), rank=1,
     ),
+    # Sent when asked. Its stamp is that of the setpoint, which may be long past.
+    Message(
+        "ATTITUDE_TARGET", Stream.RATE_SETPOINT, Stamp.NONE,
+        ("body_roll_rate", "body_pitch_rate", "body_yaw_rate"),
+    ),
     # The sign only tells the sense of rotation, which the airframe gives.
     Message(
         "ESC_STATUS", Stream.ROTOR_SPEED, Stamp.US64, ("rpm",), RPM, offset="index",

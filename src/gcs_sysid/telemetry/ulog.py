@@ -41,6 +41,7 @@ TOPICS = (
     OnboardMessage(
         "vehicle_local_position", Stream.VELOCITY, ("vx", "vy", "vz", "x", "y", "z")
     ),
+    OnboardMessage("vehicle_rates_setpoint", Stream.RATE_SETPOINT, ("roll", "pitch", "yaw")),
     OnboardMessage(
         "actuator_outputs", Stream.ROTOR_COMMAND, ("output[noutputs]",), sensors="all"
     ),

@@ -1165,6 +1165,7 @@ MAVLINK_MSG_ID_VFR_HUD = 74
 MAVLINK_MSG_ID_COMMAND_INT = 75
 MAVLINK_MSG_ID_COMMAND_LONG = 76
 MAVLINK_MSG_ID_COMMAND_ACK = 77
+MAVLINK_MSG_ID_ATTITUDE_TARGET = 83
 MAVLINK_MSG_ID_HIGHRES_IMU = 105
 MAVLINK_MSG_ID_RADIO_STATUS = 109
 MAVLINK_MSG_ID_TIMESYNC = 111
@@ -2493,6 +2494,50 @@ class MAVLink_command_ack_message(MAVLink_message):
 setattr(MAVLink_command_ack_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_attitude_target_message(MAVLink_message):
+    """
+    Attitude and body rates that the autopilot steers for.
+    """
+
+    id = MAVLINK_MSG_ID_ATTITUDE_TARGET
+    msgname = "ATTITUDE_TARGET"
+    fieldnames = ["time_boot_ms", "type_mask", "q", "body_roll_rate", "body_pitch_rate", "body_yaw_rate", "thrust"]
+    ordered_fieldnames = ["time_boot_ms", "q", "body_roll_rate", "body_pitch_rate", "body_yaw_rate", "thrust", "type_mask"]
+    fieldtypes = ["uint32_t", "uint8_t", "float", "float", "float", "float", "float"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "body_roll_rate": "rad/s", "body_pitch_rate": "rad/s", "body_yaw_rate": "rad/s"}
+    native_format = bytearray(b"<IfffffB")
+    orders = [0, 6, 1, 2, 3, 4, 5]
+    lengths = [1, 4, 1, 1, 1, 1, 1]
+    array_lengths = [0, 4, 0, 0, 0, 0, 0]
+    crc_extra = 22
+    unpacker = struct.Struct("<I4fffffB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_boot_ms: int, type_mask: int, q: Sequence[float], body_roll_rate: float, body_pitch_rate: float, body_yaw_rate: float, thrust: float):
+        MAVLink_message.__init__(self, MAVLink_attitude_target_message.id, MAVLink_attitude_target_message.msgname)
+        self._fieldnames = MAVLink_attitude_target_message.fieldnames
+        self._instance_field = MAVLink_attitude_target_message.instance_field
+        self._instance_offset = MAVLink_attitude_target_message.instance_offset
+        self.time_boot_ms = time_boot_ms
+        self.type_mask = type_mask
+        self.q = q
+        self.body_roll_rate = body_roll_rate
+        self.body_pitch_rate = body_pitch_rate
+        self.body_yaw_rate = body_yaw_rate
+        self.thrust = thrust
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.q[0], self.q[1], self.q[2], self.q[3], self.body_roll_rate, self.body_pitch_rate, self.body_yaw_rate, self.thrust, self.type_mask), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_attitude_target_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_highres_imu_message(MAVLink_message):
     """
     IMU in SI units, 64-bit time in us.
@@ -3623,6 +3668,7 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_COMMAND_INT: MAVLink_command_int_message,
     MAVLINK_MSG_ID_COMMAND_LONG: MAVLink_command_long_message,
     MAVLINK_MSG_ID_COMMAND_ACK: MAVLink_command_ack_message,
+    MAVLINK_MSG_ID_ATTITUDE_TARGET: MAVLink_attitude_target_message,
     MAVLINK_MSG_ID_HIGHRES_IMU: MAVLink_highres_imu_message,
     MAVLINK_MSG_ID_RADIO_STATUS: MAVLink_radio_status_message,
     MAVLINK_MSG_ID_TIMESYNC: MAVLink_timesync_message,
@@ -4953,6 +4999,36 @@ class MAVLink(object):
 
         """
         self.send(self.command_ack_encode(command, result, progress, result_param2, target_system, target_component), force_mavlink1=force_mavlink1)
+
+    def attitude_target_encode(self, time_boot_ms: int, type_mask: int, q: Sequence[float], body_roll_rate: float, body_pitch_rate: float, body_yaw_rate: float, thrust: float) -> MAVLink_attitude_target_message:
+        """
+        Attitude and body rates that the autopilot steers for.
+
+        time_boot_ms              :  [ms] (type:uint32_t)
+        type_mask                 :  (type:uint8_t)
+        q                         :  (type:float)
+        body_roll_rate            :  [rad/s] (type:float)
+        body_pitch_rate           :  [rad/s] (type:float)
+        body_yaw_rate             :  [rad/s] (type:float)
+        thrust                    :  (type:float)
+
+        """
+        return MAVLink_attitude_target_message(time_boot_ms, type_mask, q, body_roll_rate, body_pitch_rate, body_yaw_rate, thrust)
+
+    def attitude_target_send(self, time_boot_ms: int, type_mask: int, q: Sequence[float], body_roll_rate: float, body_pitch_rate: float, body_yaw_rate: float, thrust: float, force_mavlink1: bool = False) -> None:
+        """
+        Attitude and body rates that the autopilot steers for.
+
+        time_boot_ms              :  [ms] (type:uint32_t)
+        type_mask                 :  (type:uint8_t)
+        q                         :  (type:float)
+        body_roll_rate            :  [rad/s] (type:float)
+        body_pitch_rate           :  [rad/s] (type:float)
+        body_yaw_rate             :  [rad/s] (type:float)
+        thrust                    :  (type:float)
+
+        """
+        self.send(self.attitude_target_encode(time_boot_ms, type_mask, q, body_roll_rate, body_pitch_rate, body_yaw_rate, thrust), force_mavlink1=force_mavlink1)
 
     def highres_imu_encode(self, time_usec: int, xacc: float, yacc: float, zacc: float, xgyro: float, ygyro: float, zgyro: float, xmag: float, ymag: float, zmag: float, abs_pressure: float, diff_pressure: float, pressure_alt: float, temperature: float, fields_updated: int, id: int = 0) -> MAVLink_highres_imu_message:
         """
