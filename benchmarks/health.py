@@ -1,6 +1,7 @@
 """Health of vehicles by ordinary flights: errors, intervals, weak rotors named, false alarms.
 
-    python -m benchmarks.health [--vehicles N] [--first N] [--weak N] [--logs FOLDER]
+    python -m benchmarks.health [--vehicles N] [--first N] [--weak N] [--flights FOLDER]
+        [--logs FOLDER]
 
 `vehicles`: drawn vehicles of four, six and eight rotors with thrust curves from 0 to 1 fly gentle
 doublets and climbs in light turbulence; what is sent is IMU at 25 Hz, commands (and in a second
@@ -48,6 +49,8 @@ from sim_bridge.uneven_rotors import RotorTraits
 LAYOUTS = ("quad-x", "hexa", "octo")
 IMU, ROTORS = 25.0, 10.0
 """Hz."""
+STEP_US = 4000
+"""us of a physics step: short against the motors' lag, and what is sent is slow."""
 ORDINARY = DoubletMission("ordinary", 0.4, 2.5, 0.2, 4.0, 1.5, 0.02)
 """What most flights are: gentle, with climbs of 1.5 m, in light turbulence."""
 HOVER = 30.0
@@ -110,7 +113,13 @@ def fly(
     """
     vehicle = replace(drawn.vehicle, traits=traits)
     simulation = Simulation(
-        vehicle, mission, np.random.SeedSequence([seed, 1]), None, physics=physics
+        vehicle,
+        mission,
+        np.random.SeedSequence([seed, 1]),
+        None,
+        step_us=STEP_US,
+        control_steps=1,
+        physics=physics,
     )
     autopilot = Px4(simulation, "mems", 0.0, IMU, np.random.SeedSequence([seed, 2]))
     phase = np.random.default_rng([seed, 3])
@@ -278,12 +287,17 @@ def weak(count: int, folder: Path) -> Iterator[str]:
         rotor = int(random.integers(len(drawn.vehicle.rotors)))
         names = [folder / f"{number}_{part}.tlog" for part in ("before", "weak", "after")]
         lost = traits.weakened(rotor, LOSS)
-        fly(names[0], drawn, mission, 3 * number, traits, HOVER)
-        fly(names[1], drawn, mission, 3 * number + 1, lost, STRETCH + 2.5)
-        fly(names[2], drawn, mission, 3 * number + 2, traits, 3.0 * STRETCH + 2.5)
-        for speeds, unchanged in tally:
-            counts = tally[speeds, unchanged]
-            _judge(counts, names, drawn, rotor, speeds=speeds, unchanged=unchanged)
+        flights = (
+            (names[0], 3 * number, traits, HOVER),
+            (names[1], 3 * number + 1, lost, STRETCH + 2.5),
+            (names[2], 3 * number + 2, traits, 3.0 * STRETCH + 2.5),
+        )
+        for log, seed, flown, seconds in flights:
+            if not log.exists():
+                fly(log, drawn, mission, seed, flown, seconds)
+        for speeds in (True, False):
+            both = {u: tally[speeds, u] for u in (False, True)}
+            _judge(both, names, drawn, rotor, speeds=speeds)
     for (speeds, unchanged), (right, wrong, silent, alarms, seconds) in tally.items():
         kind = ("speeds" if speeds else "commands") + (", --unchanged" if unchanged else "")
         yield (
@@ -293,8 +307,9 @@ def weak(count: int, folder: Path) -> Iterator[str]:
 
 
 def _judge(
-    tally: Array, names: list[Path], drawn: Drawn, rotor: int, *, speeds: bool, unchanged: bool
+    tally: dict[bool, Array], names: list[Path], drawn: Drawn, rotor: int, *, speeds: bool
 ) -> None:
+    """Count what a vehicle's flights tell, by whether it is known that nothing was moved."""
     airframe = drawn.airframe
     c = drawn.vehicle.thrust_curve
     before, after, same = (hover_of(name, airframe, speeds=speeds) for name in names)
@@ -302,17 +317,19 @@ def _judge(
     thrust = thrust_of(before, curve)
     base = load_of(before, thrust, curve)
     assert base is not None
-    cg = balance.cg_of(before, airframe, thrust).cg
-    for load in list(loads_of(after, speeds=speeds, c=c))[:1]:
-        found = compare_loads(base, load, airframe, cg.tolist(), unchanged=unchanged)
-        right = found.verdict == "rotor" and found.rotor == rotor
-        tally[0] += right
-        tally[1] += found.verdict == "rotor" and not right
-        tally[2] += found.verdict != "rotor"
-    for load in loads_of(same, speeds=speeds, c=c):
-        found = compare_loads(base, load, airframe, cg.tolist(), unchanged=unchanged)
-        tally[3] += found.verdict == "rotor"
-        tally[4] += STRETCH
+    cg = balance.cg_of(before, airframe, thrust).cg.tolist()
+    weak, sound = (list(loads_of(hover, speeds=speeds, c=c)) for hover in (after, same))
+    for unchanged, counts in tally.items():
+        for load in weak[:1]:
+            found = compare_loads(base, load, airframe, cg, unchanged=unchanged)
+            right = found.verdict == "rotor" and found.rotor == rotor
+            counts[0] += right
+            counts[1] += found.verdict == "rotor" and not right
+            counts[2] += found.verdict != "rotor"
+        for load in sound:
+            found = compare_loads(base, load, airframe, cg, unchanged=unchanged)
+            counts[3] += found.verdict == "rotor"
+            counts[4] += STRETCH
 
 
 def rectangle(name: str, x: float, y: float) -> Airframe:
@@ -383,9 +400,11 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first of them")
     parser.add_argument("--weak", type=int, default=100, help="flights with a weak rotor")
     parser.add_argument("--logs", type=Path, help="folder of recordings with known parameters")
+    parser.add_argument("--flights", type=Path, help="folder that keeps the flights for next time")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+        folder = options.flights or Path(name)
+        folder.mkdir(parents=True, exist_ok=True)
         if options.vehicles:
             numbers = range(options.first, options.first + options.vehicles)
             print(*vehicles(numbers, folder), sep="\n", flush=True)

@@ -16,7 +16,8 @@ from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.command_curve import Curve, curve_of, thrust_of
 from gcs_sysid.health.drive_health import battery_of, idle_output, motor_gains, with_throttle
 from gcs_sysid.health.hover import Windows, windows_of
-from gcs_sysid.health.log_streams import Streams, streams_of
+from gcs_sysid.health.log_streams import Streams
+from gcs_sysid.health.motion_layout import layout_by_motion
 from gcs_sysid.health.rotor_condition import compare_loads, load_of, watch_rotors
 from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health, RotorHealth
@@ -95,10 +96,10 @@ class HoverRecords:
             return Health(source, reasons=(text,))
         autopilot = log.vehicle.key
         guess = guess_airframe(log.vehicle, log.parameters, given.airframe, given.arm)
+        guess, streams = layout_by_motion(blocks, guess, autopilot, log.parameters)
         airframe = guess.airframe
         if given.mass is not None:
             airframe = airframe.with_anchor("mass", given.mass)
-        streams = streams_of(blocks, airframe, autopilot, log.parameters)
         if isinstance(log, OnboardLog):
             streams = replace(streams, extras=log.extras)
         guess = replace(guess, airframe=airframe)
@@ -152,7 +153,7 @@ def health_of(
     if np.count_nonzero(sound) < TUNING.fewest_windows:
         return Health("", airframe=airframe, reasons=(_no_hover(windows),))
     flown = complete_rows(np.column_stack([thrust, windows.turning]))
-    if balance.turns_otherwise(windows.part(flown), airframe, thrust[flown]):
+    if not guess.shown and balance.turns_otherwise(windows.part(flown), airframe, thrust[flown]):
         return Health("", airframe=airframe, reasons=(_ORDER.format(guess.origin),))
     hover, thrust = windows.part(sound), thrust[sound]
     assert hover is not None

@@ -144,7 +144,7 @@ def windows_of(streams: Streams, rotors: int) -> Windows:
     used = [s.rate for s in (streams.speeds, streams.commands) if s is not None]
     slowest = min([*used, streams.rate(Stream.IMU) or TUNING.enough_rate])
     half = max(TUNING.half_window, TUNING.samples_a_half / slowest)
-    flying_t, flying = _flying(streams, rotors)
+    flying_t, flying = flight_of(streams, rotors)
     t = np.arange(half, max(float(flying_t[-1]) - half, 0.0), half) if len(flying_t) else flying_t
     aloft = np.append(0.0, np.cumsum(~flying))
     first, last = (np.searchsorted(flying_t, t + s) for s in (-half, half))
@@ -152,8 +152,8 @@ def windows_of(streams: Streams, rotors: int) -> Windows:
 
     imu_t, imu = streams.tracks.get(Stream.IMU, (np.empty(0), np.empty((0, 6))))
     p, q, r = imu[:, 0], imu[:, 1], imu[:, 2]
-    inertial = _means(imu_t, np.column_stack([imu, q * r, r * p, p * q]), t, half)
-    turning = _means(imu_t, imu[:, :3], t, half, slope=True)
+    inertial = windowed_means(imu_t, np.column_stack([imu, q * r, r * p, p * q]), t, half)
+    turning = windowed_means(imu_t, imu[:, :3], t, half, slope=True)
     lift, sink, speed = _vertical(streams, t, half)
     speeds = _rotor_means(streams.speeds, t, half, rotors, power=2)
     force = inertial[:, 3:6]
@@ -195,7 +195,9 @@ def _inside(times: Array, t: Array, half: float) -> Mask:
     return inside
 
 
-def _means(times: Array, values: Array, t: Array, half: float, *, slope: bool = False) -> Array:
+def windowed_means(
+    times: Array, values: Array, t: Array, half: float, *, slope: bool = False
+) -> Array:
     """(n, width) windowed means, NaN where the samples have a gap."""
     width = values.shape[1] if values.ndim == 2 else 1
     out = np.full((len(t), width), np.nan)
@@ -223,7 +225,7 @@ def _rotor_means(
 ) -> Array:
     if stream is None:
         return np.full((len(t), rotors), np.nan)
-    return np.hstack([_means(times, v**power, t, half) for times, v in stream.samples])
+    return np.hstack([windowed_means(times, v**power, t, half) for times, v in stream.samples])
 
 
 def variations_of_lift(lift: Array, force: Array) -> Array:
@@ -316,10 +318,10 @@ def _vertical(streams: Streams, t: Array, half: float) -> tuple[Array, Array, Ar
     """
     attitude_t, q = streams.tracks.get(Stream.ATTITUDE, (np.empty(0), np.empty((0, 4))))
     # R_33 of (w, x, y, z): the cosine of the tilt.
-    cosine = _means(attitude_t, 1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2), t, half)[:, 0]
+    cosine = windowed_means(attitude_t, 1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2), t, half)[:, 0]
     velocity_t, v = streams.tracks.get(Stream.VELOCITY, (np.empty(0), np.empty((0, 6))))
-    falling = _means(velocity_t, v[:, 2], t, half, slope=True)[:, 0]
-    flown = _means(velocity_t, v[:, :3], t, half)
+    falling = windowed_means(velocity_t, v[:, 2], t, half, slope=True)[:, 0]
+    flown = windowed_means(velocity_t, v[:, :3], t, half)
     speed = np.linalg.norm(flown, axis=1)
     told = np.where(np.isfinite(falling), falling, 0.0)
     return (GRAVITY - told) / cosine, flown[:, 2] / np.maximum(cosine, 0.5), speed
@@ -336,7 +338,7 @@ def _hovering(rates: Array, turning: Array, lift: Array, force: Array, speed: Ar
     return hovering
 
 
-def _flying(streams: Streams, rotors: int) -> tuple[Array, Mask]:
+def flight_of(streams: Streams, rotors: int) -> tuple[Array, Mask]:
     """(n,) s and whether it flies, by the detector of the chain."""
     source = streams.speeds or streams.commands
     ends = [t[-1] for t, _ in streams.tracks.values()]

@@ -19,6 +19,11 @@ class Tuning:
         lag_step: s between the lags tried.
         sure_of_order: standard deviations by which another axis' moment must turn the vehicle, or
             its own moment the wrong way, for the motor order to be wrong.
+        order_window: s, half the width of windows in which motion shows where the rotors are.
+        fewest_for_order: such windows.
+        least_explained: share of roll and pitch acceleration that a layout must explain to be
+            taken: right ones explain 0.35 to 0.99 of given logs, wrong ones at most 0.1.
+        more_explained: by how much more than the layout that was assumed.
         carrying: of the most that the rotors do, from which they may carry the vehicle.
         least_seen: share of the time in which rotors carry, below which heights do not tell flight.
         most_rate: rad/s, in hover.
@@ -89,6 +94,10 @@ class Tuning:
     longest_lag: float = 0.4
     lag_step: float = 0.02
     sure_of_order: float = 5.0
+    order_window: float = 0.05
+    fewest_for_order: int = 60
+    least_explained: float = 0.2
+    more_explained: float = 0.1
     carrying: float = 0.2
     least_seen: float = 0.1
     most_rate: float = 0.5
