@@ -1,15 +1,13 @@
 """Health of vehicles by ordinary flights: errors, intervals, weak rotors named, false alarms.
 
     python -m benchmarks.health [--vehicles N] [--first N] [--weak N] [--flights FOLDER]
-        [--logs FOLDER]
 
 `vehicles`: drawn vehicles of four, six and eight rotors with thrust curves from 0 to 1 fly gentle
 doublets and climbs in light turbulence; what is sent is IMU at 25 Hz, commands (and in a second
 reading speeds) at 10 Hz. Their rotors scatter and stand by what the intervals assume. `weak`: each
 vehicle flies twice, by commands and by speeds; in the second flight one rotor has 5 % less thrust
 and torque, and ten seconds of hover must name it; the same flights without the fault, cut into
-stretches of ten seconds, count the false alarms. `logs`: recordings with known parameters, whole
-and in parts.
+stretches of ten seconds, count the false alarms.
 """
 
 import argparse
@@ -34,7 +32,7 @@ from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of
 from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health
 from gcs_sysid.intervals import Z95
-from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
+from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
@@ -332,74 +330,11 @@ def _judge(
             counts[4] += STRETCH
 
 
-def rectangle(name: str, x: float, y: float) -> Airframe:
-    """A quad X of these levers."""
-    airframe = load_airframe(name)
-    rotors = tuple(
-        Rotor(float(np.copysign(x, r.x)), float(np.copysign(y, r.y)), r.spin)
-        for r in airframe.rotors
-    )
-    return replace(airframe, rotors=rotors)
-
-
-def logs(folder: Path) -> Iterator[str]:
-    """Recordings with known parameters, thinned to 25 and 10 Hz."""
-    px4, other = rectangle("px4-quad-x", 0.17, 0.17), rectangle("ardupilot-quad-x", 0.16, 0.18)
-    stock = rectangle("px4-quad-x", 0.2, 0.2)
-    k_T, T_max = 1.2617414e-5, 11.2076
-    known = (
-        ("px4-esc-cg.tlog", px4, 1.1, (12.0, -8.0), 4.672497e-6, 6.2, 0.0),
-        ("ardupilot-sitl.tlog", other, 1.6, (10.0, -6.0), k_T, T_max, 1.0),
-        ("ardupilot-sitl.bin", other, 1.6, (10.0, -6.0), k_T, T_max, 1.0),
-        ("px4-sih-default.tlog", stock, 1.0, (0.0, 0.0), None, 5.0, 0.0),
-        ("px4-sih-default.ulg", stock, 1.0, (0.0, 0.0), None, 5.0, 0.0),
-    )
-    yield "| log, thinned | rotors by | CG off, mm | k_T or T_max off, % | thrust curve off |"
-    yield "|---|---|---|---|---|"
-    for name, airframe, mass, cg, k_T, T_max, curve in known:
-        for speeds in (True, False) if k_T else (False,):
-            streams = streams_in(folder / name, airframe, speeds=speeds, thin=True)
-            given = airframe.with_anchor("mass", mass)
-            guess = GuessedAirframe(given, "known")
-            told = health_of(streams, guess, Given(given), {})
-            assert told.cg is not None
-            assert told.scale is not None
-            off = [1e3 * (q.value or 0.0) - v for q, v in zip(told.cg, cg, strict=True)]
-            truth = k_T if speeds else T_max
-            scale = 100.0 * ((told.scale[1].value or 0.0) / truth - 1.0)
-            c = "-" if told.curve is None else f"{(told.curve.c.value or 0.0) - curve:+.3f}"
-            kind = "speeds" if speeds else "commands"
-            yield f"| {name} | {kind} | {off[0]:+.2f}, {off[1]:+.2f} | {scale:+.2f} | {c} |"
-    yield ""
-    yield from _repeated(folder / "real" / "quiver_00000087.bin", 0.75, 18.0)
-
-
-def _repeated(log: Path, arm: float, mass: float) -> Iterator[str]:
-    """One real log in three parts: how far they agree."""
-    if not log.exists():
-        return
-    airframe = load_airframe("ardupilot-quad-x").with_arm(arm).with_anchor("mass", mass)
-    whole = hover_of(log, airframe, speeds=True)
-    yield f"| {log.name} | CG forward, mm | right, mm | thrust shares, % | k_T, 1e-6 N s^2 |"
-    yield "|---|---|---|---|---|"
-    n = len(whole.t)
-    parts = {"all": slice(0, n)}
-    parts |= {f"third {i + 1}": slice(i * n // 3, (i + 1) * n // 3) for i in range(3)}
-    for label, rows in parts.items():
-        part = whole.part(rows)
-        x, y = 1e3 * balance.cg_of(part, airframe, part.speeds).cg
-        shares = (part.speeds / part.speeds.sum(axis=1, keepdims=True)).mean(axis=0)
-        scale, _ = balance.specific_thrust(part, part.speeds)
-        told = ", ".join(f"{100.0 * s:.1f}" for s in shares)
-        yield f"| {label} | {x:.1f} | {y:.1f} | {told} | {1e6 * mass * scale:.1f} |"
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description="Health of vehicles by ordinary flights.")
     parser.add_argument("--vehicles", type=int, default=20, help="drawn for errors and intervals")
     parser.add_argument("--first", type=int, default=0, help="number of the first of them")
     parser.add_argument("--weak", type=int, default=100, help="flights with a weak rotor")
-    parser.add_argument("--logs", type=Path, help="folder of recordings with known parameters")
     parser.add_argument("--flights", type=Path, help="folder that keeps the flights for next time")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
@@ -410,8 +345,6 @@ def main() -> None:
             print(*vehicles(numbers, folder), sep="\n", flush=True)
         if options.weak:
             print("", *weak(options.weak, folder), sep="\n", flush=True)
-    if options.logs is not None:
-        print("", *logs(options.logs), sep="\n")
 
 
 if __name__ == "__main__":

@@ -5,8 +5,9 @@ explains the angular acceleration about roll and pitch and the others next to no
 tenths of a second rotors turn a vehicle more than gusts do, which over seconds they only answer.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
@@ -49,39 +50,59 @@ def layout_by_motion(
         guess = _of_as_many_as_carry(blocks, guess, autopilot, parameters)
     airframe = guess.airframe
     streams = streams_of(blocks, airframe, autopilot, parameters)
-    motion = _motion(streams, len(airframe.rotors))
-    if motion is None:
+    count = len(airframe.rotors)
+    motions = [_motion(streams, count, half) for half in TUNING.order_windows]
+    seen = [motion for motion in motions if motion is not None]
+    if not seen:
         return guess, streams
-    roll, pitch, yaw = _explained(airframe.geometry, *motion)
-    now = min(roll, pitch)
-    enough = TUNING.least_explained
-    origin = guess.origin
-    if now >= enough:
-        origin = origin.replace(f"{ASSUMED}, ", "as the flight shows, ", 1)
-    told = replace(guess, shown=now >= enough, origin=origin), streams
+    own = max((_explained(airframe.geometry, *motion) for motion in seen), key=_least)
+    shown = _least(own) >= TUNING.surely_explained
     if not guess.assumed:
-        return told
-    best, found = max(now + TUNING.more_explained, enough), None
-    if now >= enough and yaw < -enough:
-        found = "X, spins reversed,", airframe.rotors, yaw
-    for name, rotors in _layouts(len(airframe.rotors), *motion):
-        shares = _explained(Airframe(name, rotors).geometry, *motion)
-        if min(shares[:2]) > best:
-            best, found = min(shares[:2]), (name, rotors, shares[2])
-    if found is None:
-        return told
-    name, rotors, yaw = found
-    if yaw < 0.0:
-        rotors = tuple(Rotor(r.x, r.y, -r.spin) for r in rotors)
-    places = ", ".join(f"{i} {place_words(rotor)}" for i, rotor in enumerate(rotors, 1))
+        return replace(guess, shown=shown), streams
+    best = max((_ranked(count, *motion) for motion in seen), key=lambda ranked: ranked[0].least)
+    first = best[0]
+    rival = max((other.least for other in best[1:] if other.differs(first)), default=0.0)
+    if first.least < max(TUNING.least_explained, TUNING.more_explained * rival):
+        return replace(guess, shown=shown), streams
+    rotors = first.rotors
     size = guess.origin.partition(f" {ASSUMED}, ")[2]
-    shown = replace(
-        guess,
-        airframe=Airframe("as flown", rotors).with_arm(airframe.arm),
-        origin=f"{name} as the flight shows: motors {places}; {size}",
-        shown=True,
-    )
-    return shown, streams
+    layout = Airframe("as flown", rotors).with_arm(airframe.arm)
+    if np.allclose(layout.geometry, airframe.geometry, atol=1e-9):
+        origin = guess.origin.replace(f"{ASSUMED}, ", "as the flight shows, ", 1)
+        return replace(guess, origin=origin, shown=True), streams
+    places = ", ".join(f"{i} {place_words(rotor)}" for i, rotor in enumerate(rotors, 1))
+    origin = f"{first.name} as the flight shows: motors {places}; {size}"
+    return replace(guess, airframe=layout, origin=origin, shown=True), streams
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A layout, and the lesser share of roll and pitch acceleration that it explains."""
+
+    name: str
+    rotors: tuple[Rotor, ...]
+    least: float
+
+    def differs(self, other: "_Candidate") -> bool:
+        """Whether a rotor stands elsewhere; spins do not count."""
+        return not np.allclose(
+            [(r.x, r.y) for r in self.rotors], [(r.x, r.y) for r in other.rotors], atol=0.1
+        )
+
+
+def _ranked(count: int, thrust: Array, turning: Array) -> list[_Candidate]:
+    """All layouts, the best first, their spins as yaw has them."""
+    found = []
+    for name, rotors in _layouts(count, thrust, turning):
+        shares = _explained(Airframe(name, rotors).geometry, thrust, turning)
+        if shares[2] < 0.0:
+            rotors = tuple(Rotor(r.x, r.y, -r.spin) for r in rotors)
+        found.append(_Candidate(name, rotors, round(_least(shares), 9)))
+    return sorted(found, key=lambda candidate: -candidate.least)
+
+
+def _least(shares: Sequence[float]) -> float:
+    return min(shares[:2])
 
 
 def _of_as_many_as_carry(
@@ -97,7 +118,7 @@ def _of_as_many_as_carry(
         rotors = usual_layouts(count)[f"{_KINDS[count]} x"]
         wider = Airframe(f"{_KINDS[count]}-x", rotors).with_arm(guess.airframe.arm)
         streams = streams_of(blocks, wider, autopilot, parameters)
-        motion = _motion(streams, count)
+        motion = _motion(streams, count, TUNING.order_windows[0])
         if motion is None:
             continue
         thrust, _ = motion
@@ -111,7 +132,7 @@ def _of_as_many_as_carry(
     return guess
 
 
-def _motion(streams: Streams, rotors: int) -> tuple[Array, Array] | None:
+def _motion(streams: Streams, rotors: int, half: float) -> tuple[Array, Array] | None:
     """(n, rotors) thrust over its mean and (n, 3) rad/s^2 in flight; None where too little."""
     source = streams.speeds or streams.commands
     if source is None or Stream.IMU not in streams.tracks:
@@ -120,7 +141,7 @@ def _motion(streams: Streams, rotors: int) -> tuple[Array, Array] | None:
     slowest = min(source.rate, rate_of(times))
     if slowest <= 0.0:
         return None
-    half = max(TUNING.order_window, 2.0 / slowest)
+    half = max(half, 2.0 / slowest)
     grid, flying = flight_of(streams, rotors)
     if not flying.any():
         return None
@@ -156,13 +177,13 @@ def _explained(geometry: Array, thrust: Array, turning: Array) -> list[float]:
     return out
 
 
-def _layouts(
-    count: int, thrust: Array, turning: Array
-) -> Iterator[tuple[str, tuple[Rotor, ...]]]:
+def _layouts(count: int, thrust: Array, turning: Array) -> Iterator[tuple[str, tuple[Rotor, ...]]]:
     """All that are flown: names and rotors, at a distance of about 1."""
     if count == 4:
+        side = math.sqrt(0.5)
         for order in permutations(_CORNERS):
-            yield "quad X", tuple(Rotor(x, y, 1 if x == y else -1) for x, y in order)
+            rotors = (Rotor(side * x, side * y, 1 if x == y else -1) for x, y in order)
+            yield "quad X", tuple(rotors)
     yield from usual_layouts(count).items()
     if count == 8:
         yield from _coaxial(thrust, turning)

@@ -19,11 +19,14 @@ class Tuning:
         lag_step: s between the lags tried.
         sure_of_order: standard deviations by which another axis' moment must turn the vehicle, or
             its own moment the wrong way, for the motor order to be wrong.
-        order_window: s, half the width of windows in which motion shows where the rotors are.
+        order_windows: s, half widths of windows in which motion shows where the rotors are: short
+            against gusts, and those that a motor's lag leaves something of.
         fewest_for_order: such windows.
         least_explained: share of roll and pitch acceleration that a layout must explain to be
-            taken: right ones explain 0.35 to 0.99 of given logs, wrong ones at most 0.1.
-        more_explained: by how much more than the layout that was assumed.
+            taken. Right ones explained 0.14 (brushed motors by commands) to 0.99 of given logs,
+            wrong orders at most a tenth of that, a frame turned by 45 degrees half.
+        more_explained: times what any other layout explains.
+        surely_explained: share from which on an airframe's rotors surely turn the vehicle.
         carrying: of the most that the rotors do, from which they may carry the vehicle.
         least_seen: share of the time in which rotors carry, below which heights do not tell flight.
         most_rate: rad/s, in hover.
@@ -94,10 +97,11 @@ class Tuning:
     longest_lag: float = 0.4
     lag_step: float = 0.02
     sure_of_order: float = 5.0
-    order_window: float = 0.05
+    order_windows: tuple[float, ...] = (0.05, 0.1, 0.2)
     fewest_for_order: int = 60
-    least_explained: float = 0.2
-    more_explained: float = 0.1
+    least_explained: float = 0.1
+    more_explained: float = 1.5
+    surely_explained: float = 0.2
     carrying: float = 0.2
     least_seen: float = 0.1
     most_rate: float = 0.5
