@@ -25,7 +25,7 @@ from gcs_sysid.health.vibration import vibration_of
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.telemetry.logs import Log, OnboardLog, open_log
+from gcs_sysid.telemetry.logs import OnboardLog, Telemetry, open_log
 
 _ORDER = (
     "the vehicle does not turn as these rotors would turn it ({}): give --airframe with the rotors "
@@ -62,11 +62,11 @@ class HoverRecords:
     """Keeps of a log what hovering needs, while an analysis or anyone else reads it."""
 
     def __init__(self) -> None:
-        self._log: Log | None = None
+        self._log: Telemetry | None = None
         self._blocks: list[RecordBlock] = []
 
-    def begin(self, log: Log) -> None:
-        """A reading of the log begins; one before it does not count."""
+    def begin(self, log: Telemetry) -> None:
+        """A reading of the log, or link, begins; one before it does not count."""
         self._log, self._blocks = log, []
 
     def take(self, block: RecordBlock) -> None:

@@ -10,6 +10,7 @@ mean angular acceleration is that of the gyro's first integral. Both sides of a 
 filtered alike whatever their rates, as in `signals.windows`, down to a few samples a window.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -158,7 +159,7 @@ def windows_of(streams: Streams, rotors: int) -> Windows:
     speeds = _rotor_means(streams.speeds, t, half, rotors, power=2)
     force = inertial[:, 3:6]
     lag = _lag_of(streams, t, half, speeds, variations_of_lift(lift, force), sink)
-    commands, squares = _command_means(streams.commands, t, half, rotors, lag)
+    commands, squares = _command_means(_averagers(streams.commands), t, half, rotors, lag)
     jitter = _jitter(streams.commands, t, half, rotors, lag)
     hovering = _hovering(inertial[:, :3], turning, lift, force, speed)
     high = low = np.full(rotors, np.nan)
@@ -195,29 +196,41 @@ def _inside(times: Array, t: Array, half: float) -> Mask:
     return inside
 
 
+class _Averager:
+    """Windowed means of one sampled signal, for as many sets of windows as one likes."""
+
+    def __init__(self, times: Array, values: Array) -> None:
+        values = values if values.ndim == 2 else values[:, None]
+        there = np.isfinite(values).all(axis=1)
+        self._width = values.shape[1]
+        self._t = times[there]
+        self._steps = np.diff(self._t)
+        enough = len(self._t) >= TUNING.fewest_samples
+        self._integrals = _Integrals(self._t, values[there]) if enough else None
+
+    def means(self, t: Array, half: float, *, slope: bool = False) -> Array:
+        """(n, width) means, or slopes, about each t; NaN where the samples have a gap."""
+        out = np.full((len(t), self._width), np.nan)
+        if self._integrals is None or not len(t):
+            return out
+        most = max(TUNING.longest_gap * half, 2.5 * float(np.median(self._steps)))
+        gaps = np.flatnonzero(self._steps > most)
+        times = self._t
+        # A gap spoils the windows that overlap it: their ends lie beyond its begin, before its end.
+        begun = np.searchsorted(times[gaps], t + half)
+        ended = np.searchsorted(times[gaps + 1], t - half)
+        whole = (begun == ended) & (t - half >= times[0]) & (t + half <= times[-1])
+        if whole.any():
+            made = self._integrals.slope if slope else self._integrals.mean
+            out[whole] = made(t[whole], half)
+        return out
+
+
 def windowed_means(
     times: Array, values: Array, t: Array, half: float, *, slope: bool = False
 ) -> Array:
     """(n, width) windowed means, NaN where the samples have a gap."""
-    width = values.shape[1] if values.ndim == 2 else 1
-    out = np.full((len(t), width), np.nan)
-    if len(times) < TUNING.fewest_samples or not len(t):
-        return out
-    finite = np.isfinite(values).all(axis=1) if values.ndim == 2 else np.isfinite(values)
-    times, values = times[finite], values[finite]
-    if len(times) < TUNING.fewest_samples:
-        return out
-    steps = np.diff(times)
-    most = max(TUNING.longest_gap * half, 2.5 * float(np.median(steps)))
-    gaps = np.flatnonzero(steps > most)
-    # A gap spoils the windows that overlap it: their ends lie beyond its begin and before its end.
-    begun = np.searchsorted(times[gaps], t + half)
-    ended = np.searchsorted(times[gaps + 1], t - half)
-    whole = (begun == ended) & (t - half >= times[0]) & (t + half <= times[-1])
-    if whole.any():
-        integrals = _Integrals(times, values)
-        out[whole] = (integrals.slope if slope else integrals.mean)(t[whole], half)
-    return out
+    return _Averager(times, values).means(t, half, slope=slope)
 
 
 def _rotor_means(
@@ -245,29 +258,25 @@ def variations_of_lift(lift: Array, force: Array) -> Array:
     return varying
 
 
-def _shifted(stream: RotorStream | None, lag: float, every: slice) -> RotorStream | None:
-    if stream is None:
-        return None
-    return replace(stream, samples=tuple((t[every] + lag, v[every]) for t, v in stream.samples))
+def _averagers(stream: RotorStream | None, every: slice = slice(None)) -> list[_Averager]:
+    """Of each rotor's command and its square."""
+    samples = () if stream is None else stream.samples
+    return [_Averager(t[every], np.column_stack([v, v**2])[every]) for t, v in samples]
 
 
 def _command_means(
-    stream: RotorStream | None,
-    t: Array,
-    half: float,
-    rotors: int,
-    lag: float,
-    every: slice = slice(None),
+    commands: Sequence[_Averager], t: Array, half: float, rotors: int, lag: float
 ) -> tuple[Array, Array]:
     """(n, rotors) means of commands and of their squares, `lag` s late."""
-    late = _shifted(stream, lag, every)
-    means = [_rotor_means(late, t, half, rotors, power) for power in (1, 2)]
-    return means[0], means[1]
+    if not commands:
+        return np.full((len(t), rotors), np.nan), np.full((len(t), rotors), np.nan)
+    means = np.stack([one.means(t - lag, half) for one in commands], axis=1)
+    return means[..., 0], means[..., 1]
 
 
 def _jitter(stream: RotorStream | None, t: Array, half: float, rotors: int, lag: float) -> Array:
     parts = [
-        np.stack(_command_means(stream, t, half, rotors, lag, slice(k, None, 2)), axis=2)
+        np.stack(_command_means(_averagers(stream, slice(k, None, 2)), t, half, rotors, lag), 2)
         for k in (0, 1)
     ]
     out: Array = 0.5 * (parts[0] - parts[1])
@@ -290,8 +299,9 @@ def _lag_of(
     climbing = np.nan_to_num(sink)[:, None]
     lags = np.arange(0.0, TUNING.longest_lag + 1e-9, TUNING.lag_step)
     costs = []
+    commands = _averagers(streams.commands)
     for lag in lags.tolist():
-        u, uu = _command_means(streams.commands, t, half, rotors, lag)
+        u, uu = _command_means(commands, t, half, rotors, lag)
         if not measured:
             u, uu = u.sum(axis=1, keepdims=True), uu.sum(axis=1, keepdims=True)
         cost = 0.0
