@@ -2,11 +2,11 @@
 
     python -m benchmarks.health_logs FOLDER [--part thinned|repeated|every|formats]
 
-`thinned`: recordings with known parameters at 25 Hz of IMU and 10 Hz of rotors. `repeated`: one real
-flight in three parts. `every`: all logs below the folder without an airframe file or an arm, what
-each tells or why it tells nothing, and the rotors that were called weak in a flight, or from one
-flight to the next of a vehicle, none of which has a known fault. `formats`: flights that there are
-as .BFL and as .tlog: do `health` and `analyze` tell the same of both?
+`thinned`: recordings with known parameters at 25 Hz of IMU and 10 Hz of rotors. `repeated`: one
+real flight in three parts. `every`: all logs below the folder without an airframe file or an arm
+(tables with `--csv`), what each tells or why it tells nothing, and rotors called weak in a flight;
+none has a known fault. `formats`: flights that there are as .BFL and as .tlog: do `health` and
+`analyze` tell the same of both, and is any rotor called weak against the flight before?
 """
 
 import argparse
@@ -19,6 +19,7 @@ import numpy as np
 
 from benchmarks.health import hover_of, streams_in
 from gcs_sysid.errors import InputError
+from gcs_sysid.files import TABLE_SUFFIXES, with_mapping
 from gcs_sysid.health import balance
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import health_of, health_of_log
@@ -93,16 +94,17 @@ def repeated(folder: Path) -> Iterator[str]:
         yield f"| {label} | {x:.1f} | {y:.1f} | {told} | {1e6 * mass * scale:.1f} |"
 
 
-def every(folder: Path) -> Iterator[str]:
-    """All logs, as one has them."""
+def every(folder: Path, mapping: Path | None = None) -> Iterator[str]:
+    """All logs, as one has them; tables by a mapping file, where there is one."""
     yield "| log | s of hover | rotors by | CG forward, mm | right, mm | layout |"
     yield "|---|---|---|---|---|---|"
     alarms: list[str] = []
     watched = told = count = 0
     seconds = 0.0
-    logs = (path for path in folder.rglob("*") if path.suffix.lower() in LOG_SUFFIXES)
-    for log in sorted(logs):
-        name = log.relative_to(folder)
+    suffixes = LOG_SUFFIXES | (TABLE_SUFFIXES if mapping is not None else frozenset())
+    for file in sorted(path for path in folder.rglob("*") if path.suffix.lower() in suffixes):
+        log = file if mapping is None else with_mapping(file, mapping)
+        name = file.relative_to(folder)
         count += 1
         try:
             health = health_of_log(log, Given())
@@ -126,7 +128,7 @@ def every(folder: Path) -> Iterator[str]:
     yield ""
     yield (
         f"{told} of {count} logs told, {seconds / 3600.0:.2f} h of hover; in {hours:.2f} h held "
-        f"against the flights' own begin {len(alarms)} rotors called weak: {', '.join(alarms) or '-'}"
+        f"against the flights' own begin {len(alarms)} rotors called weak {', '.join(alarms)}"
     )
 
 
@@ -137,7 +139,7 @@ def formats(folder: Path) -> Iterator[str]:
     if found is None:
         return
     airframe = load_airframe(str(found))
-    yield "| flight | CG off, mm | shares off, % | verdicts | widest difference of `analyze`, of both stds |"
+    yield "| flight | CG off, mm | shares off, % | verdicts | widest apart by `analyze`, stds |"
     yield "|---|---|---|---|---|"
     flights: list[Health] = []
     for log in sorted(found.parent.glob(pattern)):
@@ -176,7 +178,8 @@ def formats(folder: Path) -> Iterator[str]:
         if condition is not None:
             called.append(condition.verdict)
     yield ""
-    yield f"{len(called)} flights held against the one before: {called.count('rotor')} rotors called weak"
+    weak = called.count("rotor")
+    yield f"{len(called)} flights held against the one before: {weak} rotors called weak"
 
 
 PARTS: dict[str, Callable[[Path], Iterator[str]]] = {
@@ -191,10 +194,14 @@ def main() -> None:
     """Print the parts."""
     parser = argparse.ArgumentParser(description="Health of recorded flights.")
     parser.add_argument("folder", type=Path, help="of recordings")
+    parser.add_argument("--csv", type=Path, metavar="MAPPING", help="mapping file of tables")
     parser.add_argument("--part", choices=PARTS, action="append", help="default: all")
     options = parser.parse_args()
     for name in options.part or PARTS:
-        for line in PARTS[name](options.folder):
+        lines = (
+            every(options.folder, options.csv) if name == "every" else PARTS[name](options.folder)
+        )
+        for line in lines:
             print(line, flush=True)
         print()
 
