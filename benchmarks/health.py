@@ -272,13 +272,13 @@ def loads_of(hover: Windows, *, speeds: bool, c: float) -> Iterator[Load]:
             yield load
 
 
-def weak(count: int, folder: Path) -> Iterator[str]:
+def weak(numbers: range, folder: Path) -> Iterator[str]:
     """Weak rotors named, and false alarms."""
     yield "| | named right | named wrong | not named | false alarms | in hours |"
     yield "|---|---|---|---|---|---|"
     tally = {(s, u): np.zeros(5) for s in (True, False) for u in (False, True)}
     mission = HoverMission("hover", 10.0 * STRETCH)
-    for number in range(count):
+    for number in numbers:
         drawn = draw(1000 + number, LAYOUTS)
         random = np.random.default_rng([number, 0x3EAC])
         traits = uneven(drawn, random, TUNING.rotor_scatter)
@@ -344,7 +344,8 @@ def main() -> None:
             numbers = range(options.first, options.first + options.vehicles)
             print(*vehicles(numbers, folder), sep="\n", flush=True)
         if options.weak:
-            print("", *weak(options.weak, folder), sep="\n", flush=True)
+            numbers = range(options.first, options.first + options.weak)
+            print("", *weak(numbers, folder), sep="\n", flush=True)
 
 
 if __name__ == "__main__":

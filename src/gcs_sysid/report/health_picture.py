@@ -12,8 +12,8 @@ from gcs_sysid.report.markup import Markup, element, joined
 from gcs_sysid.report.parts import note, section
 from gcs_sysid.results.number_format import PAGE
 
-_WIDTH, _HEIGHT = 900.0, 620.0
-_CENTER = (250.0, 300.0)
+_WIDTH, _HEIGHT = 900.0, 632.0
+_CENTER = (250.0, 312.0)
 _REACH = 165.0
 """Of the outermost rotor from the center, on the page."""
 _MOST_DISC = 62.0
