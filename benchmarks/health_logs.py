@@ -96,8 +96,8 @@ def repeated(folder: Path) -> Iterator[str]:
 
 def every(folder: Path, mapping: Path | None = None) -> Iterator[str]:
     """All logs, as one has them; tables by a mapping file, where there is one."""
-    yield "| log | s of hover | rotors by | CG forward, mm | right, mm | layout |"
-    yield "|---|---|---|---|---|---|"
+    yield "| log | s of hover | rotors by | CG forward, mm | right, mm | by rotors | layout |"
+    yield "|---|---|---|---|---|---|---|"
     alarms: list[str] = []
     watched = told = count = 0
     seconds = 0.0
@@ -109,10 +109,10 @@ def every(folder: Path, mapping: Path | None = None) -> Iterator[str]:
         try:
             health = health_of_log(log, Given())
         except InputError as error:
-            yield f"| {name} | | | | | {error} |"
+            yield f"| {name} | | | | | | {error} |"
             continue
         if not health.told:
-            yield f"| {name} | | | | | {'; '.join(health.reasons)} |"
+            yield f"| {name} | | | | | | {'; '.join(health.reasons)} |"
             continue
         told += 1
         watched += health.watched
@@ -122,7 +122,9 @@ def every(folder: Path, mapping: Path | None = None) -> Iterator[str]:
         assert health.cg is not None
         x, y = (f"{1e3 * (q.value or 0.0):+.1f} ± {1e3 * (q.half or 0.0):.1f}" for q in health.cg)
         layout = next(t for t in health.assumptions if t.startswith("airframe: "))[10:]
-        yield f"| {name} | {health.seconds:.0f} | {health.rotor_input} | {x} | {y} | {layout} |"
+        share = "-" if health.explained is None else f"{100.0 * health.explained:.0f} %"
+        row = f"| {name} | {health.seconds:.0f} | {health.rotor_input} | {x} | {y} | {share} "
+        yield f"{row}| {layout} |"
     # Stretches overlap by half.
     hours = 0.5 * watched * TUNING.judged_by / 3600.0
     yield ""

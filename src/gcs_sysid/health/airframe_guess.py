@@ -36,6 +36,8 @@ class GuessedAirframe:
         relative: whether positions are already those from the CG, as PX4's are meant to be.
         assumed: whether nothing but the vehicle's type tells the order of its rotors.
         shown: whether these rotors' moments turn the vehicle, as far as a flight shows.
+        explained: share of roll or pitch acceleration, the lesser, that their moments explain over
+            tenths of a second; None where too little was flown.
     """
 
     airframe: Airframe
@@ -44,6 +46,7 @@ class GuessedAirframe:
     relative: bool = False
     assumed: bool = False
     shown: bool = False
+    explained: float | None = None
 
 
 def guess_airframe(

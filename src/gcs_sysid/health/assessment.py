@@ -110,6 +110,7 @@ class HoverRecords:
             vehicle=log.vehicle.as_dict(),
             autopilot=autopilot,
             parameters=dict(log.parameters),
+            explained=guess.explained,
         )
 
 

@@ -57,6 +57,7 @@ def layout_by_motion(
         return guess, streams
     own = max((_explained(airframe.geometry, *motion) for motion in seen), key=_least)
     shown = _least(own) >= TUNING.surely_explained
+    guess = replace(guess, explained=_least(own))
     if not guess.assumed:
         return replace(guess, shown=shown), streams
     best = max((_ranked(count, *motion) for motion in seen), key=lambda ranked: ranked[0].least)
@@ -69,10 +70,11 @@ def layout_by_motion(
     layout = Airframe("as flown", rotors).with_arm(airframe.arm)
     if np.allclose(layout.geometry, airframe.geometry, atol=1e-9):
         origin = guess.origin.replace(f"{ASSUMED}, ", "as the flight shows, ", 1)
-        return replace(guess, origin=origin, shown=True), streams
+        return replace(guess, origin=origin, shown=True, explained=first.least), streams
     places = ", ".join(f"{i} {place_words(rotor)}" for i, rotor in enumerate(rotors, 1))
     origin = f"{first.name} as the flight shows: motors {places}; {size}"
-    return replace(guess, airframe=layout, origin=origin, shown=True), streams
+    found = replace(guess, airframe=layout, origin=origin, shown=True, explained=first.least)
+    return found, streams
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,7 @@ def _findings(found: Inspection) -> Iterator[Finding]:
     yield from _attitude_and_velocity(found)
     yield from _flight(found)
     yield from _motion(found)
+    yield from _turned_by_rotors(found)
     yield from _losses(found)
     yield from _others(found)
 
@@ -206,6 +207,17 @@ def _motion(found: Inspection) -> Iterator[Finding]:
 
 def _is_little(found: Inspection, axis: str) -> bool:
     return found.motion[axis].acceleration_rms < LIMITS.acceleration[axis]
+
+
+def _turned_by_rotors(found: Inspection) -> Iterator[Finding]:
+    """What turns the vehicle must be its rotors, at the rates of this log and in this order."""
+    if found.explained is not None and found.explained < LIMITS.explained:
+        yield Finding(
+            "blocks",
+            f"the rotors explain only {100.0 * found.explained:.1f} % of roll or pitch: vibration, "
+            "gusts, slow data or another motor order",
+            f"give --airframe with the motors in the autopilot's order; {_faster(found)}",
+        )
 
 
 def _losses(found: Inspection) -> Iterator[Finding]:
