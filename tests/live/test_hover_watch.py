@@ -16,9 +16,10 @@ RATE = 25.0
 class Told:
     """What a link tells beside its records."""
 
-    vehicle = Vehicle(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4)
-    systems = (vehicle,)
-    parameters: dict[str, float] = {}
+    def __init__(self):
+        self.vehicle = Vehicle(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4)
+        self.systems = (self.vehicle,)
+        self.parameters = {}
 
 
 @pytest.fixture(scope="module")

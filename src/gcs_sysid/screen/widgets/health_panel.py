@@ -32,14 +32,13 @@ def health_lines(health: Mapping[str, Any] | None, width: int) -> list[Line]:
     if health is None or health["verdict"] != "told":
         why = _NOT_YET if health is None else f"No health: {'; '.join(health['reasons'])}"
         return [[(line, fmt.MUTED)] for line in textwrap.wrap(why, width)]
-    lines = [_source(health), *_weak(health, width), *_places(health)]
+    lines = [_source(health), *_weak(health, width), *_places(health), *_rotors(health, width)]
     for name, key, factor, words in _SUMS:
         quantity = health[key]
         if quantity is not None and quantity["value"] is not None:
             half = factor * _half(quantity)
             text = PLAIN.measure(factor * quantity["value"], half, words)
             lines.append([(f"{name:<{_NAME}}", fmt.MUTED), (text, "")])
-    lines += _rotors(health, width)
     for text in health["advice"]:
         lines += _wrapped(f"-> {text}", width, "")
     return lines
