@@ -158,7 +158,7 @@ class LiveEstimate:
             news = self._hover.look(self.chain.airframe)
         except Exception as defect:  # noqa: BLE001 - the flight goes on without it
             self._hover = self.pipeline.on_records = None
-            self.note(f"{in_words(defect)}: health is no longer told")
+            self.note(f"{in_words(defect)}: health is no longer updated")
             return
         if news is not None:
             self._health = news.document
