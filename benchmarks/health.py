@@ -1,14 +1,13 @@
 """Health of vehicles by ordinary flights: errors, intervals, weak rotors named, false alarms.
 
-    python -m benchmarks.health [--vehicles N] [--first N] [--weak N] [--logs FOLDER]
+    python -m benchmarks.health [--vehicles N] [--first N] [--weak N] [--flights FOLDER]
 
 `vehicles`: drawn vehicles of four, six and eight rotors with thrust curves from 0 to 1 fly gentle
 doublets and climbs in light turbulence; what is sent is IMU at 25 Hz, commands (and in a second
 reading speeds) at 10 Hz. Their rotors scatter and stand by what the intervals assume. `weak`: each
 vehicle flies twice, by commands and by speeds; in the second flight one rotor has 5 % less thrust
 and torque, and ten seconds of hover must name it; the same flights without the fault, cut into
-stretches of ten seconds, count the false alarms. `logs`: recordings with known parameters, whole
-and in parts.
+stretches of ten seconds, count the false alarms.
 """
 
 import argparse
@@ -33,7 +32,7 @@ from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of
 from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health
 from gcs_sysid.intervals import Z95
-from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
+from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
@@ -48,6 +47,8 @@ from sim_bridge.uneven_rotors import RotorTraits
 LAYOUTS = ("quad-x", "hexa", "octo")
 IMU, ROTORS = 25.0, 10.0
 """Hz."""
+STEP_US = 4000
+"""us of a physics step: short against the motors' lag, and what is sent is slow."""
 ORDINARY = DoubletMission("ordinary", 0.4, 2.5, 0.2, 4.0, 1.5, 0.02)
 """What most flights are: gentle, with climbs of 1.5 m, in light turbulence."""
 HOVER = 30.0
@@ -110,7 +111,13 @@ def fly(
     """
     vehicle = replace(drawn.vehicle, traits=traits)
     simulation = Simulation(
-        vehicle, mission, np.random.SeedSequence([seed, 1]), None, physics=physics
+        vehicle,
+        mission,
+        np.random.SeedSequence([seed, 1]),
+        None,
+        step_us=STEP_US,
+        control_steps=1,
+        physics=physics,
     )
     autopilot = Px4(simulation, "mems", 0.0, IMU, np.random.SeedSequence([seed, 2]))
     phase = np.random.default_rng([seed, 3])
@@ -265,25 +272,30 @@ def loads_of(hover: Windows, *, speeds: bool, c: float) -> Iterator[Load]:
             yield load
 
 
-def weak(count: int, folder: Path) -> Iterator[str]:
+def weak(numbers: range, folder: Path) -> Iterator[str]:
     """Weak rotors named, and false alarms."""
     yield "| | named right | named wrong | not named | false alarms | in hours |"
     yield "|---|---|---|---|---|---|"
     tally = {(s, u): np.zeros(5) for s in (True, False) for u in (False, True)}
     mission = HoverMission("hover", 10.0 * STRETCH)
-    for number in range(count):
+    for number in numbers:
         drawn = draw(1000 + number, LAYOUTS)
         random = np.random.default_rng([number, 0x3EAC])
         traits = uneven(drawn, random, TUNING.rotor_scatter)
         rotor = int(random.integers(len(drawn.vehicle.rotors)))
         names = [folder / f"{number}_{part}.tlog" for part in ("before", "weak", "after")]
         lost = traits.weakened(rotor, LOSS)
-        fly(names[0], drawn, mission, 3 * number, traits, HOVER)
-        fly(names[1], drawn, mission, 3 * number + 1, lost, STRETCH + 2.5)
-        fly(names[2], drawn, mission, 3 * number + 2, traits, 3.0 * STRETCH + 2.5)
-        for speeds, unchanged in tally:
-            counts = tally[speeds, unchanged]
-            _judge(counts, names, drawn, rotor, speeds=speeds, unchanged=unchanged)
+        flights = (
+            (names[0], 3 * number, traits, HOVER),
+            (names[1], 3 * number + 1, lost, STRETCH + 2.5),
+            (names[2], 3 * number + 2, traits, 3.0 * STRETCH + 2.5),
+        )
+        for log, seed, flown, seconds in flights:
+            if not log.exists():
+                fly(log, drawn, mission, seed, flown, seconds)
+        for speeds in (True, False):
+            both = {u: tally[speeds, u] for u in (False, True)}
+            _judge(both, names, drawn, rotor, speeds=speeds)
     for (speeds, unchanged), (right, wrong, silent, alarms, seconds) in tally.items():
         kind = ("speeds" if speeds else "commands") + (", --unchanged" if unchanged else "")
         yield (
@@ -293,8 +305,9 @@ def weak(count: int, folder: Path) -> Iterator[str]:
 
 
 def _judge(
-    tally: Array, names: list[Path], drawn: Drawn, rotor: int, *, speeds: bool, unchanged: bool
+    tally: dict[bool, Array], names: list[Path], drawn: Drawn, rotor: int, *, speeds: bool
 ) -> None:
+    """Count what a vehicle's flights tell, by whether it is known that nothing was moved."""
     airframe = drawn.airframe
     c = drawn.vehicle.thrust_curve
     before, after, same = (hover_of(name, airframe, speeds=speeds) for name in names)
@@ -302,79 +315,19 @@ def _judge(
     thrust = thrust_of(before, curve)
     base = load_of(before, thrust, curve)
     assert base is not None
-    cg = balance.cg_of(before, airframe, thrust).cg
-    for load in list(loads_of(after, speeds=speeds, c=c))[:1]:
-        found = compare_loads(base, load, airframe, cg.tolist(), unchanged=unchanged)
-        right = found.verdict == "rotor" and found.rotor == rotor
-        tally[0] += right
-        tally[1] += found.verdict == "rotor" and not right
-        tally[2] += found.verdict != "rotor"
-    for load in loads_of(same, speeds=speeds, c=c):
-        found = compare_loads(base, load, airframe, cg.tolist(), unchanged=unchanged)
-        tally[3] += found.verdict == "rotor"
-        tally[4] += STRETCH
-
-
-def rectangle(name: str, x: float, y: float) -> Airframe:
-    """A quad X of these levers."""
-    airframe = load_airframe(name)
-    rotors = tuple(
-        Rotor(float(np.copysign(x, r.x)), float(np.copysign(y, r.y)), r.spin)
-        for r in airframe.rotors
-    )
-    return replace(airframe, rotors=rotors)
-
-
-def logs(folder: Path) -> Iterator[str]:
-    """Recordings with known parameters, thinned to 25 and 10 Hz."""
-    px4, other = rectangle("px4-quad-x", 0.17, 0.17), rectangle("ardupilot-quad-x", 0.16, 0.18)
-    stock = rectangle("px4-quad-x", 0.2, 0.2)
-    k_T, T_max = 1.2617414e-5, 11.2076
-    known = (
-        ("px4-esc-cg.tlog", px4, 1.1, (12.0, -8.0), 4.672497e-6, 6.2, 0.0),
-        ("ardupilot-sitl.tlog", other, 1.6, (10.0, -6.0), k_T, T_max, 1.0),
-        ("ardupilot-sitl.bin", other, 1.6, (10.0, -6.0), k_T, T_max, 1.0),
-        ("px4-sih-default.tlog", stock, 1.0, (0.0, 0.0), None, 5.0, 0.0),
-        ("px4-sih-default.ulg", stock, 1.0, (0.0, 0.0), None, 5.0, 0.0),
-    )
-    yield "| log, thinned | rotors by | CG off, mm | k_T or T_max off, % | thrust curve off |"
-    yield "|---|---|---|---|---|"
-    for name, airframe, mass, cg, k_T, T_max, curve in known:
-        for speeds in (True, False) if k_T else (False,):
-            streams = streams_in(folder / name, airframe, speeds=speeds, thin=True)
-            given = airframe.with_anchor("mass", mass)
-            guess = GuessedAirframe(given, "known")
-            told = health_of(streams, guess, Given(given), {})
-            assert told.cg is not None
-            assert told.scale is not None
-            off = [1e3 * (q.value or 0.0) - v for q, v in zip(told.cg, cg, strict=True)]
-            truth = k_T if speeds else T_max
-            scale = 100.0 * ((told.scale[1].value or 0.0) / truth - 1.0)
-            c = "-" if told.curve is None else f"{(told.curve.c.value or 0.0) - curve:+.3f}"
-            kind = "speeds" if speeds else "commands"
-            yield f"| {name} | {kind} | {off[0]:+.2f}, {off[1]:+.2f} | {scale:+.2f} | {c} |"
-    yield ""
-    yield from _repeated(folder / "real" / "quiver_00000087.bin", 0.75, 18.0)
-
-
-def _repeated(log: Path, arm: float, mass: float) -> Iterator[str]:
-    """One real log in three parts: how far they agree."""
-    if not log.exists():
-        return
-    airframe = load_airframe("ardupilot-quad-x").with_arm(arm).with_anchor("mass", mass)
-    whole = hover_of(log, airframe, speeds=True)
-    yield f"| {log.name} | CG forward, mm | right, mm | thrust shares, % | k_T, 1e-6 N s^2 |"
-    yield "|---|---|---|---|---|"
-    n = len(whole.t)
-    parts = {"all": slice(0, n)}
-    parts |= {f"third {i + 1}": slice(i * n // 3, (i + 1) * n // 3) for i in range(3)}
-    for label, rows in parts.items():
-        part = whole.part(rows)
-        x, y = 1e3 * balance.cg_of(part, airframe, part.speeds).cg
-        shares = (part.speeds / part.speeds.sum(axis=1, keepdims=True)).mean(axis=0)
-        scale, _ = balance.specific_thrust(part, part.speeds)
-        told = ", ".join(f"{100.0 * s:.1f}" for s in shares)
-        yield f"| {label} | {x:.1f} | {y:.1f} | {told} | {1e6 * mass * scale:.1f} |"
+    cg = balance.cg_of(before, airframe, thrust).cg.tolist()
+    weak, sound = (list(loads_of(hover, speeds=speeds, c=c)) for hover in (after, same))
+    for unchanged, counts in tally.items():
+        for load in weak[:1]:
+            found = compare_loads(base, load, airframe, cg, unchanged=unchanged)
+            right = found.verdict == "rotor" and found.rotor == rotor
+            counts[0] += right
+            counts[1] += found.verdict == "rotor" and not right
+            counts[2] += found.verdict != "rotor"
+        for load in sound:
+            found = compare_loads(base, load, airframe, cg, unchanged=unchanged)
+            counts[3] += found.verdict == "rotor"
+            counts[4] += STRETCH
 
 
 def main() -> None:
@@ -382,17 +335,17 @@ def main() -> None:
     parser.add_argument("--vehicles", type=int, default=20, help="drawn for errors and intervals")
     parser.add_argument("--first", type=int, default=0, help="number of the first of them")
     parser.add_argument("--weak", type=int, default=100, help="flights with a weak rotor")
-    parser.add_argument("--logs", type=Path, help="folder of recordings with known parameters")
+    parser.add_argument("--flights", type=Path, help="folder that keeps the flights for next time")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+        folder = options.flights or Path(name)
+        folder.mkdir(parents=True, exist_ok=True)
         if options.vehicles:
             numbers = range(options.first, options.first + options.vehicles)
             print(*vehicles(numbers, folder), sep="\n", flush=True)
         if options.weak:
-            print("", *weak(options.weak, folder), sep="\n", flush=True)
-    if options.logs is not None:
-        print("", *logs(options.logs), sep="\n")
+            numbers = range(options.first, options.first + options.weak)
+            print("", *weak(numbers, folder), sep="\n", flush=True)
 
 
 if __name__ == "__main__":

@@ -193,3 +193,22 @@ def test_a_rotor_that_becomes_weak_in_flight_is_named_soon(layout):
     assert judged == 9
     short = hover_of(airframe, [even] * 70, rng)
     assert watch_rotors(short, short.speeds, None, airframe, (0.0, 0.0)) == (None, 0)
+
+
+def test_a_calm_stretch_does_not_claim_more_than_the_flight_before_allows():
+    airframe = load_airframe("px4-quad-x")
+    rng = np.random.default_rng(5)
+    usual = trim(airframe, (0.0, 0.0), np.ones(4))
+    gusts = 0.02**2 * np.eye(4) / 30.0
+    before = Load("speed", usual, gusts, 30.0)
+    now = usual * (1.0 + 0.02 / np.sqrt(10.0) * rng.standard_normal(4))
+    # By luck its own few gusts cancelled: taken at their word they would name a rotor.
+    lucky = Load("speed", now, gusts * 1e-3, 10.0)
+    found = compare_loads(before, lucky, airframe, (0.0, 0.0), unchanged=True)
+    assert found.verdict == "unchanged"
+    # A stretch that is far windier than before hides as much as its own noise says.
+    weak = trim(airframe, (0.0, 0.0), np.array([0.95, 1.0, 1.0, 1.0]))
+    calm = Load("speed", weak, gusts, 10.0)
+    assert compare_loads(before, calm, airframe, (0.0, 0.0), unchanged=True).rotor == 0
+    windy = Load("speed", weak, 1000.0 * gusts, 10.0)
+    assert compare_loads(before, windy, airframe, (0.0, 0.0), unchanged=True).verdict == "unchanged"

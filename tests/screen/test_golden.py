@@ -50,9 +50,9 @@ STATES = {
     "ended": (ended, fake.TRUTH, None),
 }
 KEYS = {
-    (80, 24): {"plot": "2", "motion": "3", "vehicle": "4", "events": "5"},
-    (120, 40): {"motion": "3"},
-    (200, 50): {},
+    (80, 24): {"plot": "2", "motion": "3", "vehicle": "4", "events": "5", "health": "6"},
+    (120, 40): {"motion": "3", "health": "6"},
+    (200, 50): {"health": "6"},
 }
 """What leads to the pages of each size."""
 DIALOGS = {"help": "question_mark", "export": "e", "scale": "s", "baseline": "b", "vehicle": "v"}

@@ -130,9 +130,9 @@ async def test_tab_goes_through_the_pages_and_back(run_screen):
         for _ in PAGES:
             await s.press("tab")
             seen.append(s.app.get_default_screen().page)
-        assert seen == ["plot", "motion", "vehicle", "events", "parameters"]
+        assert seen == ["plot", "motion", "vehicle", "events", "health", "parameters"]
         await s.press("shift+tab")
-        assert s.app.get_default_screen().page == "events"
+        assert s.app.get_default_screen().page == "health"
 
 
 async def test_numbers_choose_a_page(run_screen):
@@ -141,6 +141,7 @@ async def test_numbers_choose_a_page(run_screen):
         "3": "• predicted",
         "4": "rotor 3",
         "5": "took off",
+        "6": "thrust drift",
         "1": "unobservable",
     }
     async with run_screen(fake.snapshot()) as s:
@@ -156,19 +157,26 @@ async def test_where_the_panels_have_room_pages_choose_the_plot(run_screen):
         await s.press("tab")
         assert "• predicted" in s.text()
         assert "95 % band" not in s.text()
+        await s.press("tab")
+        assert "thrust drift" in s.text()
+        assert "• predicted" not in s.text()
         await s.press("2")
         assert "95 % band" in s.text()
         await s.press("4")
         assert s.answer() == "Vehicle: is on the screen."
 
 
-async def test_where_all_has_room_there_is_nothing_to_choose(run_screen):
+async def test_where_all_has_room_health_takes_the_plots_place(run_screen):
     async with run_screen(fake.snapshot(), size=(200, 50)) as s:
         assert "95 % band" in s.text()
         assert "• predicted" in s.text()
-        for key in ("tab", "shift+tab"):
-            await s.press(key)
-            assert s.answer() == "All panels are on the screen."
+        await s.press("tab")
+        assert "thrust drift" in s.text()
+        assert "95 % band" not in s.text()
+        await s.press("shift+tab")
+        assert "95 % band" in s.text()
+        await s.press("3")
+        assert s.answer() == "Motion: is on the screen."
 
 
 async def test_page_keys_scroll_the_events(run_screen):

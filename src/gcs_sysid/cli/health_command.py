@@ -11,7 +11,8 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.files import check_target
 from gcs_sysid.health.assessment import health_of_log
 from gcs_sysid.health.autopilot_parameters import format_of, parameter_file
-from gcs_sysid.health.health_file import document_of, read_baseline, trend_of
+from gcs_sysid.health.health_file import document_of, read_baseline
+from gcs_sysid.health.health_trend import series_of, trend_text
 from gcs_sysid.health.vehicle_health import Given, Health, as_baseline
 
 
@@ -45,8 +46,8 @@ def run(options: argparse.Namespace) -> int:
     best = max((health for health in found if health.told), key=lambda h: h.seconds, default=None)
     if options.json != "-":
         texts = [health_text(health) for health in found if health.told]
-        if trend := trend_of(found):
-            texts.append("\n".join(["Over the flights", *(f"  {line}" for line in trend)]))
+        if trend := trend_text(found):
+            texts.append("\n".join(trend))
         print("\n\n".join(texts), end="\n" if texts else "", flush=True)
     # Files last: what cannot be written costs no number.
     _write(options, found, best, form)
@@ -87,6 +88,7 @@ def _write(
     if best is not None and options.picture is not None:
         from gcs_sysid.report.health_picture import health_picture  # only who asks waits for it
 
-        picture = health_picture(document_of(best))
+        told = [health for health in found if health.told]
+        picture = health_picture(document_of(best), series_of(told) if len(told) > 1 else ())
         deliveries.give(lambda: output.save(Path(options.picture), picture, force=options.force))
     deliveries.check()

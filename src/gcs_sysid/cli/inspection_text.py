@@ -48,7 +48,7 @@ _VERDICTS = {"yes": "YES", "partly": "PARTLY", "no": "NO"}
 _OBTAINABLE: dict[Obtainable, str] = {
     "everything": "everything: scale, CG, inertia, rotor coefficients",
     "all but Izz": "scale, CG, Ixx, Iyy; yaw was hardly flown, so neither Izz nor k_M well",
-    "in part": "scale and CG; inertia of the axes that were flown",
+    "in part": "scale and CG; inertia as far as it was flown",
     "health": "health alone: CG, rotor loads, thrust curve and margins from hover, no inertia",
     "nothing": "nothing",
 }

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
+from gcs_sysid.session.told_layout import told_layout
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.vehicles import Vehicle
 
@@ -14,11 +15,8 @@ _ROTORS = {
     mavlink.MAV_TYPE_HEXAROTOR: "hexa",
     mavlink.MAV_TYPE_OCTOROTOR: "octo",
 }
-_CLASSES = {1: "quad", 2: "hexa", 3: "octo"}
-"""FRAME_CLASS of ArduPilot."""
-_X = 1
-_BETAFLIGHT_ORDERS = {12: 1, 18: -1}
-"""FRAME_TYPE of ArduPilot with Betaflight's motor order; -1: all spins reversed."""
+ASSUMED = "assumed"
+"""In the words of an origin, after the order of motors."""
 _USUAL_ARM = 0.25
 """m, where nothing tells."""
 _UNKNOWN_ARM = 0.5
@@ -36,12 +34,19 @@ class GuessedAirframe:
         origin: in words.
         arm_std: relative standard deviation of its size.
         relative: whether positions are already those from the CG, as PX4's are meant to be.
+        assumed: whether nothing but the vehicle's type tells the order of its rotors.
+        shown: whether these rotors' moments turn the vehicle, as far as a flight shows.
+        explained: share of roll or pitch acceleration, the lesser, that their moments explain over
+            tenths of a second; None where too little was flown.
     """
 
     airframe: Airframe
     origin: str
     arm_std: float = 0.0
     relative: bool = False
+    assumed: bool = False
+    shown: bool = False
+    explained: float | None = None
 
 
 def guess_airframe(
@@ -100,19 +105,16 @@ def _of_px4(parameters: Mapping[str, float]) -> GuessedAirframe | None:
 def _by_type(vehicle: Vehicle, parameters: Mapping[str, float]) -> GuessedAirframe:
     size = f"its arm of {_USUAL_ARM:g} m assumed: give --arm"
     shape = _ROTORS.get(vehicle.vehicle_type or 0)
-    if vehicle.key == "ardupilot":
-        frame, kind = parameters.get("FRAME_CLASS"), parameters.get("FRAME_TYPE", float(_X))
-        shape = _CLASSES.get(int(frame)) if frame else shape
-        turned = _BETAFLIGHT_ORDERS.get(int(kind))
-        if turned is not None and shape == "quad":
-            airframe = _betaflight(turned)
-            origin = f"FRAME_TYPE {kind:.0f} (Betaflight X), {size}"
-            return GuessedAirframe(airframe.with_arm(_USUAL_ARM), origin, _UNKNOWN_ARM)
-        if shape is None or int(kind) != _X:
-            raise InputError(
-                "where are the rotors? FRAME_CLASS and FRAME_TYPE are none of X: give --airframe "
-                "FILE.toml (gcs-sysid airframe new writes one)"
-            )
+    told = told_layout(vehicle.key, parameters)
+    if told is not None:
+        airframe = Airframe("told", told.rotors).with_arm(_USUAL_ARM)
+        return GuessedAirframe(airframe, f"{told.by}, {size}", _UNKNOWN_ARM)
+    if vehicle.key == "ardupilot" and {"FRAME_CLASS", "FRAME_TYPE"} <= set(parameters):
+        raise InputError(
+            f"where are the rotors? FRAME_CLASS {parameters['FRAME_CLASS']:.0f} and FRAME_TYPE "
+            f"{parameters['FRAME_TYPE']:.0f} are no frame known here: give --airframe FILE.toml "
+            "(gcs-sysid airframe new writes one)"
+        )
     if shape is None:
         raise InputError(
             "where are the rotors? The log does not hold the frame: give --airframe FILE.toml "
@@ -121,14 +123,15 @@ def _by_type(vehicle: Vehicle, parameters: Mapping[str, float]) -> GuessedAirfra
     if vehicle.key not in ("px4", "ardupilot"):
         if shape != "quad":
             raise InputError("where are the rotors? Give --airframe FILE.toml")
-        airframe, origin = _betaflight(1), "quad X in Betaflight's order assumed"
+        airframe, origin = _betaflight(), f"quad X in Betaflight's order {ASSUMED}"
     else:
         airframe = _bare(load_airframe(f"{vehicle.key}-{shape}-x"))
-        origin = f"{shape} X in the autopilot's order assumed"
-    return GuessedAirframe(airframe.with_arm(_USUAL_ARM), f"{origin}, {size}", _UNKNOWN_ARM)
+        origin = f"{shape} X in the autopilot's order {ASSUMED}"
+    airframe = airframe.with_arm(_USUAL_ARM)
+    return GuessedAirframe(airframe, f"{origin}, {size}", _UNKNOWN_ARM, assumed=True)
 
 
-def _betaflight(way: int) -> Airframe:
+def _betaflight() -> Airframe:
     """Rear right (clockwise), front right, rear left, front left."""
     places = ((-1.0, 1.0, -1), (1.0, 1.0, 1), (-1.0, -1.0, 1), (1.0, -1.0, -1))
-    return Airframe("betaflight-quad-x", tuple(Rotor(x, y, way * s) for x, y, s in places))
+    return Airframe("betaflight-quad-x", tuple(Rotor(x, y, s) for x, y, s in places))

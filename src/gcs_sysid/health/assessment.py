@@ -16,7 +16,8 @@ from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.command_curve import Curve, curve_of, thrust_of
 from gcs_sysid.health.drive_health import battery_of, idle_output, motor_gains, with_throttle
 from gcs_sysid.health.hover import Windows, windows_of
-from gcs_sysid.health.log_streams import Streams, streams_of
+from gcs_sysid.health.log_streams import Streams
+from gcs_sysid.health.motion_layout import layout_by_motion
 from gcs_sysid.health.rotor_condition import compare_loads, load_of, watch_rotors
 from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health, RotorHealth
@@ -24,7 +25,7 @@ from gcs_sysid.health.vibration import vibration_of
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.telemetry.logs import Log, OnboardLog, open_log
+from gcs_sysid.telemetry.logs import OnboardLog, Telemetry, open_log
 
 _ORDER = (
     "the vehicle does not turn as these rotors would turn it ({}): give --airframe with the rotors "
@@ -61,11 +62,11 @@ class HoverRecords:
     """Keeps of a log what hovering needs, while an analysis or anyone else reads it."""
 
     def __init__(self) -> None:
-        self._log: Log | None = None
+        self._log: Telemetry | None = None
         self._blocks: list[RecordBlock] = []
 
-    def begin(self, log: Log) -> None:
-        """A reading of the log begins; one before it does not count."""
+    def begin(self, log: Telemetry) -> None:
+        """A reading of the log, or link, begins; one before it does not count."""
         self._log, self._blocks = log, []
 
     def take(self, block: RecordBlock) -> None:
@@ -95,10 +96,10 @@ class HoverRecords:
             return Health(source, reasons=(text,))
         autopilot = log.vehicle.key
         guess = guess_airframe(log.vehicle, log.parameters, given.airframe, given.arm)
+        guess, streams = layout_by_motion(blocks, guess, autopilot, log.parameters)
         airframe = guess.airframe
         if given.mass is not None:
             airframe = airframe.with_anchor("mass", given.mass)
-        streams = streams_of(blocks, airframe, autopilot, log.parameters)
         if isinstance(log, OnboardLog):
             streams = replace(streams, extras=log.extras)
         guess = replace(guess, airframe=airframe)
@@ -109,6 +110,7 @@ class HoverRecords:
             vehicle=log.vehicle.as_dict(),
             autopilot=autopilot,
             parameters=dict(log.parameters),
+            explained=guess.explained,
         )
 
 
@@ -152,7 +154,7 @@ def health_of(
     if np.count_nonzero(sound) < TUNING.fewest_windows:
         return Health("", airframe=airframe, reasons=(_no_hover(windows),))
     flown = complete_rows(np.column_stack([thrust, windows.turning]))
-    if balance.turns_otherwise(windows.part(flown), airframe, thrust[flown]):
+    if not guess.shown and balance.turns_otherwise(windows.part(flown), airframe, thrust[flown]):
         return Health("", airframe=airframe, reasons=(_ORDER.format(guess.origin),))
     hover, thrust = windows.part(sound), thrust[sound]
     assert hover is not None

@@ -1,7 +1,6 @@
-"""Health as a file, and as words over several flights."""
+"""Health as a file, and a change of the rotors in words."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -86,24 +85,6 @@ def read_baseline(path: Path) -> Baseline:
         raise InputError(
             f"{path}: no health of a flight in there; write one with gcs-sysid health LOG --json"
         ) from error
-
-
-def trend_of(flights: Sequence[Health]) -> list[str]:
-    """How several flights of one vehicle differ, in words; empty for one."""
-    told = [health for health in flights if health.told]
-    if len(told) < 2:
-        return []
-    lines = []
-    for axis, name in ((0, "forward"), (1, "right")):
-        values = [health.cg[axis].value for health in told if health.cg is not None]
-        numbers = [v for v in values if v is not None]
-        spread = max(numbers) - min(numbers)
-        lines.append(f"CG {name}: within {1e3 * spread:.1f} mm over {len(numbers)} flights")
-    for health in told[1:]:
-        condition = health.condition
-        if condition is not None and condition.verdict != "unchanged":
-            lines.append(f"{health.source}: {condition_text(condition)}")
-    return lines
 
 
 def condition_text(condition: Condition) -> str:

@@ -10,6 +10,7 @@ mean angular acceleration is that of the gyro's first integral. Both sides of a 
 filtered alike whatever their rates, as in `signals.windows`, down to a few samples a window.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -144,7 +145,7 @@ def windows_of(streams: Streams, rotors: int) -> Windows:
     used = [s.rate for s in (streams.speeds, streams.commands) if s is not None]
     slowest = min([*used, streams.rate(Stream.IMU) or TUNING.enough_rate])
     half = max(TUNING.half_window, TUNING.samples_a_half / slowest)
-    flying_t, flying = _flying(streams, rotors)
+    flying_t, flying = flight_of(streams, rotors)
     t = np.arange(half, max(float(flying_t[-1]) - half, 0.0), half) if len(flying_t) else flying_t
     aloft = np.append(0.0, np.cumsum(~flying))
     first, last = (np.searchsorted(flying_t, t + s) for s in (-half, half))
@@ -152,13 +153,13 @@ def windows_of(streams: Streams, rotors: int) -> Windows:
 
     imu_t, imu = streams.tracks.get(Stream.IMU, (np.empty(0), np.empty((0, 6))))
     p, q, r = imu[:, 0], imu[:, 1], imu[:, 2]
-    inertial = _means(imu_t, np.column_stack([imu, q * r, r * p, p * q]), t, half)
-    turning = _means(imu_t, imu[:, :3], t, half, slope=True)
+    inertial = windowed_means(imu_t, np.column_stack([imu, q * r, r * p, p * q]), t, half)
+    turning = windowed_means(imu_t, imu[:, :3], t, half, slope=True)
     lift, sink, speed = _vertical(streams, t, half)
     speeds = _rotor_means(streams.speeds, t, half, rotors, power=2)
     force = inertial[:, 3:6]
     lag = _lag_of(streams, t, half, speeds, variations_of_lift(lift, force), sink)
-    commands, squares = _command_means(streams.commands, t, half, rotors, lag)
+    commands, squares = _command_means(_averagers(streams.commands), t, half, rotors, lag)
     jitter = _jitter(streams.commands, t, half, rotors, lag)
     hovering = _hovering(inertial[:, :3], turning, lift, force, speed)
     high = low = np.full(rotors, np.nan)
@@ -195,27 +196,41 @@ def _inside(times: Array, t: Array, half: float) -> Mask:
     return inside
 
 
-def _means(times: Array, values: Array, t: Array, half: float, *, slope: bool = False) -> Array:
+class _Averager:
+    """Windowed means of one sampled signal, for as many sets of windows as one likes."""
+
+    def __init__(self, times: Array, values: Array) -> None:
+        values = values if values.ndim == 2 else values[:, None]
+        there = np.isfinite(values).all(axis=1)
+        self._width = values.shape[1]
+        self._t = times[there]
+        self._steps = np.diff(self._t)
+        enough = len(self._t) >= TUNING.fewest_samples
+        self._integrals = _Integrals(self._t, values[there]) if enough else None
+
+    def means(self, t: Array, half: float, *, slope: bool = False) -> Array:
+        """(n, width) means, or slopes, about each t; NaN where the samples have a gap."""
+        out = np.full((len(t), self._width), np.nan)
+        if self._integrals is None or not len(t):
+            return out
+        most = max(TUNING.longest_gap * half, 2.5 * float(np.median(self._steps)))
+        gaps = np.flatnonzero(self._steps > most)
+        times = self._t
+        # A gap spoils the windows that overlap it: their ends lie beyond its begin, before its end.
+        begun = np.searchsorted(times[gaps], t + half)
+        ended = np.searchsorted(times[gaps + 1], t - half)
+        whole = (begun == ended) & (t - half >= times[0]) & (t + half <= times[-1])
+        if whole.any():
+            made = self._integrals.slope if slope else self._integrals.mean
+            out[whole] = made(t[whole], half)
+        return out
+
+
+def windowed_means(
+    times: Array, values: Array, t: Array, half: float, *, slope: bool = False
+) -> Array:
     """(n, width) windowed means, NaN where the samples have a gap."""
-    width = values.shape[1] if values.ndim == 2 else 1
-    out = np.full((len(t), width), np.nan)
-    if len(times) < TUNING.fewest_samples or not len(t):
-        return out
-    finite = np.isfinite(values).all(axis=1) if values.ndim == 2 else np.isfinite(values)
-    times, values = times[finite], values[finite]
-    if len(times) < TUNING.fewest_samples:
-        return out
-    steps = np.diff(times)
-    most = max(TUNING.longest_gap * half, 2.5 * float(np.median(steps)))
-    gaps = np.flatnonzero(steps > most)
-    # A gap spoils the windows that overlap it: their ends lie beyond its begin and before its end.
-    begun = np.searchsorted(times[gaps], t + half)
-    ended = np.searchsorted(times[gaps + 1], t - half)
-    whole = (begun == ended) & (t - half >= times[0]) & (t + half <= times[-1])
-    if whole.any():
-        integrals = _Integrals(times, values)
-        out[whole] = (integrals.slope if slope else integrals.mean)(t[whole], half)
-    return out
+    return _Averager(times, values).means(t, half, slope=slope)
 
 
 def _rotor_means(
@@ -223,7 +238,7 @@ def _rotor_means(
 ) -> Array:
     if stream is None:
         return np.full((len(t), rotors), np.nan)
-    return np.hstack([_means(times, v**power, t, half) for times, v in stream.samples])
+    return np.hstack([windowed_means(times, v**power, t, half) for times, v in stream.samples])
 
 
 def variations_of_lift(lift: Array, force: Array) -> Array:
@@ -243,29 +258,25 @@ def variations_of_lift(lift: Array, force: Array) -> Array:
     return varying
 
 
-def _shifted(stream: RotorStream | None, lag: float, every: slice) -> RotorStream | None:
-    if stream is None:
-        return None
-    return replace(stream, samples=tuple((t[every] + lag, v[every]) for t, v in stream.samples))
+def _averagers(stream: RotorStream | None, every: slice = slice(None)) -> list[_Averager]:
+    """Of each rotor's command and its square."""
+    samples = () if stream is None else stream.samples
+    return [_Averager(t[every], np.column_stack([v, v**2])[every]) for t, v in samples]
 
 
 def _command_means(
-    stream: RotorStream | None,
-    t: Array,
-    half: float,
-    rotors: int,
-    lag: float,
-    every: slice = slice(None),
+    commands: Sequence[_Averager], t: Array, half: float, rotors: int, lag: float
 ) -> tuple[Array, Array]:
     """(n, rotors) means of commands and of their squares, `lag` s late."""
-    late = _shifted(stream, lag, every)
-    means = [_rotor_means(late, t, half, rotors, power) for power in (1, 2)]
-    return means[0], means[1]
+    if not commands:
+        return np.full((len(t), rotors), np.nan), np.full((len(t), rotors), np.nan)
+    means = np.stack([one.means(t - lag, half) for one in commands], axis=1)
+    return means[..., 0], means[..., 1]
 
 
 def _jitter(stream: RotorStream | None, t: Array, half: float, rotors: int, lag: float) -> Array:
     parts = [
-        np.stack(_command_means(stream, t, half, rotors, lag, slice(k, None, 2)), axis=2)
+        np.stack(_command_means(_averagers(stream, slice(k, None, 2)), t, half, rotors, lag), 2)
         for k in (0, 1)
     ]
     out: Array = 0.5 * (parts[0] - parts[1])
@@ -288,8 +299,9 @@ def _lag_of(
     climbing = np.nan_to_num(sink)[:, None]
     lags = np.arange(0.0, TUNING.longest_lag + 1e-9, TUNING.lag_step)
     costs = []
+    commands = _averagers(streams.commands)
     for lag in lags.tolist():
-        u, uu = _command_means(streams.commands, t, half, rotors, lag)
+        u, uu = _command_means(commands, t, half, rotors, lag)
         if not measured:
             u, uu = u.sum(axis=1, keepdims=True), uu.sum(axis=1, keepdims=True)
         cost = 0.0
@@ -316,10 +328,10 @@ def _vertical(streams: Streams, t: Array, half: float) -> tuple[Array, Array, Ar
     """
     attitude_t, q = streams.tracks.get(Stream.ATTITUDE, (np.empty(0), np.empty((0, 4))))
     # R_33 of (w, x, y, z): the cosine of the tilt.
-    cosine = _means(attitude_t, 1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2), t, half)[:, 0]
+    cosine = windowed_means(attitude_t, 1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2), t, half)[:, 0]
     velocity_t, v = streams.tracks.get(Stream.VELOCITY, (np.empty(0), np.empty((0, 6))))
-    falling = _means(velocity_t, v[:, 2], t, half, slope=True)[:, 0]
-    flown = _means(velocity_t, v[:, :3], t, half)
+    falling = windowed_means(velocity_t, v[:, 2], t, half, slope=True)[:, 0]
+    flown = windowed_means(velocity_t, v[:, :3], t, half)
     speed = np.linalg.norm(flown, axis=1)
     told = np.where(np.isfinite(falling), falling, 0.0)
     return (GRAVITY - told) / cosine, flown[:, 2] / np.maximum(cosine, 0.5), speed
@@ -336,7 +348,7 @@ def _hovering(rates: Array, turning: Array, lift: Array, force: Array, speed: Ar
     return hovering
 
 
-def _flying(streams: Streams, rotors: int) -> tuple[Array, Mask]:
+def flight_of(streams: Streams, rotors: int) -> tuple[Array, Mask]:
     """(n,) s and whether it flies, by the detector of the chain."""
     source = streams.speeds or streams.commands
     ends = [t[-1] for t, _ in streams.tracks.values()]

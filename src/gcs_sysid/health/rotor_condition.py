@@ -208,7 +208,8 @@ def compare_loads(
     moves = asked(unit[:, 1:3])  # (n, 2) of a meter
     own = TUNING.rotor_repeats**2 * np.eye(n)
     common = TUNING.common_speed if now.kind == "speed" else TUNING.common_command
-    noise = before.covariance + now.covariance + own
+    of_before, of_now = _pooled(before, now)
+    noise = of_before + of_now + own
     noise = noise + common**2 * np.outer(ones, ones) + TUNING.yaw_repeats**2 * np.outer(yaw, yaw)
     still = (TUNING.cg_stays if unchanged else TUNING.cg_repeats) * airframe.arm
     places = np.full(2, still)
@@ -274,6 +275,20 @@ def compare_loads(
             margin = left_best - left
             return Condition(verdict, None, None, margin, shift, changes, efficiency)
     return Condition("unclear", None, None, 0.0, shift, changes, efficiency, suspect)
+
+
+def _pooled(before: Load, now: Load) -> tuple[Array, Array]:
+    """(rotors, rotors) covariances of both loads, by the noise of both stretches of hover.
+
+    Ten seconds hold too few gusts to tell their own power: taken alone, a calm stretch claims to
+    know too much, and a windy one hides a weak rotor. One that is far windier keeps its own.
+    """
+    own = [load.covariance * load.seconds for load in (before, now)]
+    total = before.seconds + now.seconds
+    both = (own[0] * before.seconds + own[1] * now.seconds) / total
+    most = TUNING.windier * float(np.trace(both))
+    power = [each if float(np.trace(each)) > most else both for each in own]
+    return power[0] / before.seconds, power[1] / now.seconds
 
 
 def _rival(best: Sequence[tuple[float, int, float, float]]) -> float:

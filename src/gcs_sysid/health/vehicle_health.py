@@ -105,6 +105,7 @@ class Health:
         weakened: a rotor that became weak in this flight; None where none did, or the hover is
             too short to tell.
         watched: stretches of hover that were held against the begin of the flight for that.
+        explained: as of `GuessedAirframe`.
         load: for later flights.
         assumptions: what the intervals rest on, in words.
         advice: what to do.
@@ -134,6 +135,7 @@ class Health:
     condition: Condition | None = None
     weakened: Weakened | None = None
     watched: int = 0
+    explained: float | None = None
     load: Load | None = None
     idle: float | None = None
     arm_known: bool = True

@@ -149,6 +149,9 @@ class Inspection:
     """Why a link brings too little, as far as the link itself tells."""
     hover: float | None = None
     """Seconds of hover that `health` uses; None: not looked for."""
+    explained: float | None = None
+    """Share of roll or pitch acceleration, the lesser, that the rotors' moments explain; None: too
+    little was flown, or not looked for."""
     findings: tuple[Finding, ...] = ()
     obtainable: Obtainable = "nothing"
 
@@ -184,6 +187,7 @@ class Inspection:
             "verdict": self.verdict,
             "obtainable": self.obtainable,
             "seconds_of_hover": self.hover,
+            "explained_by_rotors": self.explained,
             "reasons": [asdict(finding) for finding in self.findings],
             "source": self.source,
             "kind": self.kind,

@@ -290,7 +290,8 @@ def inspect_log(
             log.take_events()
             if progress:
                 progress(log.share_read)
-    found = replace(inspector.finish(str(path), log.kind), hover=_hover(path, wanted, airframe))
+    hover, explained = _hover(path, wanted, airframe)
+    found = replace(inspector.finish(str(path), log.kind), hover=hover, explained=explained)
     if progress:
         progress(1.0)
     return judged(found)
@@ -304,12 +305,16 @@ def judged(inspection: Inspection) -> Inspection:
 
 def _hover(
     path: Path, wanted: tuple[int, int | None] | None, airframe: Airframe | None
-) -> float | None:
-    """Seconds of hover that `health` uses; None where nothing tells where the rotors are."""
+) -> tuple[float | None, float | None]:
+    """Seconds of hover that `health` uses, and the share of the motion that the rotors explain.
+
+    None where nothing tells where the rotors are.
+    """
     try:
-        return health_of_log(path, Given(airframe), wanted).seconds
+        health = health_of_log(path, Given(airframe), wanted)
     except InputError:
-        return None
+        return None, None
+    return health.seconds, health.explained
 
 
 def inspect_link(

@@ -50,6 +50,7 @@ def _findings(found: Inspection) -> Iterator[Finding]:
     yield from _attitude_and_velocity(found)
     yield from _flight(found)
     yield from _motion(found)
+    yield from _turned_by_rotors(found)
     yield from _losses(found)
     yield from _others(found)
 
@@ -86,6 +87,8 @@ def obtainable(found: Inspection) -> Obtainable:
     """How much can be had: the most that `analyze`, and `health` beside it, would tell."""
     if found.verdict != "no":
         little = [axis for axis in found.motion if _is_little(found, axis)]
+        if 0.0 < found.in_air < LIMITS.short:
+            return "in part"
         if not little:
             return "everything"
         return "all but Izz" if little == ["yaw"] else "in part"
@@ -206,6 +209,18 @@ def _motion(found: Inspection) -> Iterator[Finding]:
 
 def _is_little(found: Inspection, axis: str) -> bool:
     return found.motion[axis].acceleration_rms < LIMITS.acceleration[axis]
+
+
+def _turned_by_rotors(found: Inspection) -> Iterator[Finding]:
+    """What turns the vehicle must be its rotors, at the rates of this log and in this order."""
+    flown = any(a in found.motion and not _is_little(found, a) for a in ("roll", "pitch"))
+    if flown and found.explained is not None and found.explained < LIMITS.explained:
+        yield Finding(
+            "blocks",
+            f"the rotors explain only {100.0 * found.explained:.0f} % of roll or pitch: vibration, "
+            "gusts, slow data or another motor order",
+            f"give --airframe with the motors in the autopilot's order; {_faster(found)}",
+        )
 
 
 def _losses(found: Inspection) -> Iterator[Finding]:

@@ -21,6 +21,9 @@ class Thresholds:
         loss_hurts: percent from which they limit the estimate.
         garbage: bytes; a few are usual where a recording began or ended.
         vehicles_named: other vehicles that are named; a hostile sender can make up hundreds.
+        explained: share of roll or pitch acceleration that rotors explain over tenths of a second,
+            below which nothing is identified: 0.48 to 0.99 in logs that can be, 0.001 and 0.14 in
+            two that `analyze` refuses (`benchmarks.health_logs`).
         hover_imu: Hz from which averages over hover can be had, of the IMU.
         hover_rotors: the same of speeds or commands.
         slow_gyro_filter: Hz; a filter below it delays the gyro by more than 5 ms.
@@ -39,6 +42,7 @@ class Thresholds:
     loss_hurts: float = 20.0
     garbage: int = 1000
     vehicles_named: int = 8
+    explained: float = 0.2
     hover_imu: float = 5.0
     hover_rotors: float = 2.0
     slow_gyro_filter: float = 40.0

@@ -3,11 +3,13 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import IntEnum
+from typing import Any
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.live.acceleration_prediction import LivePrediction
 from gcs_sysid.live.command_queue import in_words
 from gcs_sysid.live.flight_coach import Coach, CoachOptions
+from gcs_sysid.live.hover_watch import HoverWatch
 from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.live.live_view import picture
 from gcs_sysid.model.airframe import Airframe
@@ -63,6 +65,9 @@ class LiveEstimate:
             self.chain.observers.append(self._prediction.take)
         self._coach = None if options.coach is None else Coach(self.chain, options.coach)
         self._advised: Advice | None = None
+        self._hover: HoverWatch | None = HoverWatch(self.pipeline.intake, source)
+        self.pipeline.on_records = self._hover.take
+        self._health: dict[str, Any] | None = None
         self.relieved = False
         """Whether the estimate is not renewed on the way."""
 
@@ -132,7 +137,8 @@ class LiveEstimate:
         self.chain.renew_every(None if on else self._options.refit_interval)
 
     def think(self) -> None:
-        """Let the coach think; a defect of it is told once and costs no flight."""
+        """Let the coach think, and look at the hover; a defect is told once, costs no flight."""
+        self._look_at_hover()
         if self._coach is None:
             return
         try:
@@ -144,6 +150,19 @@ class LiveEstimate:
         except Exception as defect:  # noqa: BLE001 - words alone are lost
             self._coach = self._advised = None
             self.note(f"{in_words(defect)}: coaching stops")
+
+    def _look_at_hover(self) -> None:
+        if self._hover is None:
+            return
+        try:
+            news = self._hover.look(self.chain.airframe)
+        except Exception as defect:  # noqa: BLE001 - the flight goes on without it
+            self._hover = self.pipeline.on_records = None
+            self.note(f"{in_words(defect)}: health is no longer updated")
+            return
+        if news is not None:
+            self._health = news.document
+            self.note(news.text)
 
     def final(
         self, complete: Callable[[Result], Result], last: Result, problem: Exception | None
@@ -157,7 +176,8 @@ class LiveEstimate:
         """
         if self.duty is Duty.IDENTIFY:
             try:
-                return complete(self.pipeline.finish())
+                self._look_at_hover()
+                return replace(complete(self.pipeline.finish()), health=self._health)
             except Exception as defect:  # noqa: BLE001 - handed to the main thread, which tells it
                 self.retreat(defect)
                 problem = problem or defect
@@ -177,13 +197,13 @@ class LiveEstimate:
         target = (self._options.coach or CoachOptions()).target
         # Nobody is told to fly what nobody sees.
         advised = self._advised if link.state is LinkState.CONNECTED else None
-        return picture(self.chain, result, link, acceleration, target, advised)
+        seen = picture(self.chain, result, link, acceleration, target, advised)
+        return replace(seen, health=self._health)
 
     def advised(self, result: Result) -> Result:
-        """A result with what the coach says now."""
-        if self._advised is None:
-            return result
-        return replace(result, advice=self._advised.as_json())
+        """A result with what the coach says now, and the vehicle's health."""
+        advice = None if self._advised is None else self._advised.as_json()
+        return replace(result, advice=advice, health=self._health)
 
     def know(self, others: Sequence[Vehicle]) -> None:
         """Keep other vehicles in mind, to be chosen."""

@@ -3,7 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+from gcs_sysid.health.assessment import HoverRecords
+from gcs_sysid.health.health_file import document_of
+from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.live.log_segments import LogSegments
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
@@ -29,6 +33,7 @@ class Recorded:
         result: of all of it.
         duration: s from the first record to the last.
         options: that the analysis ended with: parameters that came late are known in them.
+        health: a health file's content, by the hover of all of it.
     """
 
     path: Path
@@ -37,6 +42,7 @@ class Recorded:
     result: Result
     duration: float
     options: ChainOptions
+    health: dict[str, Any] | None = None
 
 
 class _Survey:
@@ -75,9 +81,10 @@ def survey(
     Raises:
         InputError: the file cannot be read as a log.
     """
-    seen = _Survey()
-    result = analyze_log(path, airframe, wanted, progress=progress, observer=seen)
-    return Recorded(path, airframe, wanted, result, seen.duration, seen.options)
+    seen, hover = _Survey(), HoverRecords()
+    result = analyze_log(path, airframe, wanted, progress=progress, observer=seen, keeper=hover)
+    health = document_of(hover.health(str(path), Given(airframe)))
+    return Recorded(path, airframe, wanted, result, seen.duration, seen.options, health)
 
 
 @dataclass(frozen=True)

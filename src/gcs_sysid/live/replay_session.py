@@ -307,6 +307,7 @@ class ReplaySession:
                 seeking=self._goal if self._goal is None else min(self._goal, self._duration),
                 ended=self._ended,
             ),
+            health=self._recorded.health,
         )
         self._published = self._clock()
         self._changed = False

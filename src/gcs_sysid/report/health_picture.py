@@ -2,16 +2,18 @@
 
 import math
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from gcs_sysid.health.health_trend import Series
 from gcs_sysid.intervals import Z95
+from gcs_sysid.report.health_trend_picture import height_of, trend_panels
 from gcs_sysid.report.markup import Markup, element, joined
 from gcs_sysid.report.parts import note, section
 from gcs_sysid.results.number_format import PAGE
 
-_WIDTH, _HEIGHT = 900.0, 620.0
-_CENTER = (250.0, 300.0)
+_WIDTH, _HEIGHT = 900.0, 632.0
+_CENTER = (250.0, 312.0)
 _REACH = 165.0
 """Of the outermost rotor from the center, on the page."""
 _MOST_DISC = 62.0
@@ -21,11 +23,12 @@ _LEAST_ARROW = 6.0
 _INK, _PALE, _BLUE, _RED = "#222222", "#b8b8b8", "#1f6fb4", "#c2571a"
 
 
-def health_picture(document: Mapping[str, Any]) -> str:
+def health_picture(document: Mapping[str, Any], series: Sequence[Series] = ()) -> str:
     """The page as SVG; complete, nothing is loaded.
 
     Args:
         document: a health file's content, in which something hovers.
+        series: numbers over several flights, drawn below it.
     """
     rotors = document["airframe"]["rotors"]
     reach = max(max(abs(r["x"]), abs(r["y"])) for r in rotors)
@@ -45,12 +48,17 @@ def health_picture(document: Mapping[str, Any]) -> str:
         *_facts(document),
         *_advice(document),
     ]
+    height = _HEIGHT
+    if series:
+        parts.append(_text(40.0, height + 16.0, "Over the flights, in their order", size=17))
+        parts += trend_panels(series, height + 34.0)
+        height += 44.0 + height_of(series)
     picture = element(
         "svg",
         element("title", f"Health of {name}"),
         joined(*parts),
         xmlns="http://www.w3.org/2000/svg",
-        viewBox=f"0 0 {_WIDTH:g} {_HEIGHT:g}",
+        viewBox=f"0 0 {_WIDTH:g} {height:g}",
         role="img",
         font_family="sans-serif",
         font_size=14,

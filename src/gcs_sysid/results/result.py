@@ -216,6 +216,9 @@ class Result:
     advice: dict[str, Any] | None = None
     """What to fly next, of a running session: see `Advice`."""
 
+    health: dict[str, Any] | None = field(default=None, compare=False)
+    """A health file's content: what the last minutes of hover tell, of a running session."""
+
     history: "History | None" = field(default=None, compare=False)
     """Estimates over time, where `analyze(..., history=True)` kept them; not in files."""
     prediction: "Acceleration | None" = field(default=None, compare=False)
@@ -349,6 +352,7 @@ class Result:
             "covariance": self.covariance,
             "telemetry": self.telemetry,
             **advice,
+            **({} if self.health is None else {"health": self.health}),
         }
 
     def dumps(self, indent: int | None = 2) -> str:

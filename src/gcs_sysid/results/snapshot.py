@@ -1,6 +1,7 @@
 """Immutable pictures of a running session, for screens and headless output."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -220,3 +221,5 @@ class Snapshot:
     """What to fly next; None while nobody can tell, or nobody asked."""
     playback: Playback | None = None
     """Of a replay."""
+    health: Mapping[str, Any] | None = None
+    """A health file's content, by the last minutes of hover; None before the first look."""

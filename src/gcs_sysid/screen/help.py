@@ -15,7 +15,7 @@ from gcs_sysid.screen import formatting as fmt
 
 KEYS = (
     ("↑ ↓  j k", "choose the parameter in the plot (or click on it)"),
-    ("tab  1-5", "next page or plot"),
+    ("tab  1-6", "next page or plot; 6: health"),
     ("m", "mark this instant in the event log"),
     ("r", "reset: discard the data so far, restart the estimate"),
     ("R  ctrl+r", "start or stop recording"),

@@ -17,6 +17,7 @@ from gcs_sysid.screen.widgets.attitude_panel import AttitudePanel
 from gcs_sysid.screen.widgets.coach_panel import CoachPanel
 from gcs_sysid.screen.widgets.convergence import Convergence
 from gcs_sysid.screen.widgets.event_log import EventLog
+from gcs_sysid.screen.widgets.health_panel import HealthPanel
 from gcs_sysid.screen.widgets.link_panel import LinkPanel
 from gcs_sysid.screen.widgets.pages import PAGES, PageBar
 from gcs_sysid.screen.widgets.parameter_table import ParameterTable
@@ -53,7 +54,7 @@ def layout_classes(width: int, height: int) -> set[str]:
 
 
 class MainScreen(Screen[None]):
-    """Verdict, coach, parameters, plots, link, attitude, events."""
+    """Verdict, coach, parameters, plots, health, link, attitude, events."""
 
     # Nothing here takes the focus, so that every key means the same everywhere.
     AUTO_FOCUS = None
@@ -99,6 +100,7 @@ class MainScreen(Screen[None]):
         # Two places for one panel, of which the size of the terminal shows one at most.
         self._motion = AccelerationPanel("motion")
         self._motion_aside = AccelerationPanel("motion-aside")
+        self._health = HealthPanel()
         self._link, self._attitude, self.events = LinkPanel(), AttitudePanel(), EventLog()
         self._panels: list[Panel] = [
             self._status,
@@ -109,6 +111,7 @@ class MainScreen(Screen[None]):
             self._plot,
             self._motion,
             self._motion_aside,
+            self._health,
             self._link,
             self._attitude,
             self.events,
@@ -126,6 +129,7 @@ class MainScreen(Screen[None]):
                 yield self.table
                 yield self._plot
                 yield self._motion
+                yield self._health
             with Container(id="right"):
                 with Container(id="vehicle"):
                     yield self._link
@@ -161,7 +165,7 @@ class MainScreen(Screen[None]):
         """Those that there is a choice of, at this size of the terminal."""
         if self.has_class("-paged"):
             return list(PAGES)
-        return ["plot", "motion"] if self.has_class("-columns") else []
+        return ["plot", "motion", "health"] if self.has_class("-columns") else ["plot", "health"]
 
     def select_page(self, page: str) -> None:
         """Show another page (seen only on small terminals, kept for when it shrinks)."""

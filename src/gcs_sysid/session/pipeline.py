@@ -59,7 +59,7 @@ class Pipeline:
         self._waiting = FrameGathering()
         self._contradicted: tuple[str, ...] = ()
         self.on_records: Callable[[RecordBlock], None] | None = None
-        """Called with each block of a log as it is read, before the chain takes it."""
+        """Called with each block of a log or link as it is read, before the chain takes it."""
 
     @property
     def told(self) -> ToldLayout | None:
@@ -106,7 +106,10 @@ class Pipeline:
             self._waiting.wait(self.chain.sampler.time_base.until_tick)
 
     def _read(self, frames: FrameBlock) -> None:
-        for part in self.intake.block(frames).windows():
+        block = self.intake.block(frames)
+        if self.on_records is not None:
+            self.on_records(block)
+        for part in block.windows():
             self.take_window(part)
 
     def take_log(self, log: Log, progress: Callable[[float], None] | None = None) -> None:

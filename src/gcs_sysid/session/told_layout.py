@@ -179,6 +179,13 @@ def _circle(shape: str) -> tuple[Rotor, ...]:
     return tuple(Rotor(math.cos(a), math.sin(a), spin) for a, spin in circle)
 
 
+def usual_layouts(count: int) -> dict[str, tuple[Rotor, ...]]:
+    """The frames that autopilots know by name, of so many rotors, at a distance of 1."""
+    kind = {4: "quad", 6: "hexa", 8: "octo"}.get(count, "")
+    forms = dict.fromkeys(_FRAME_TYPES.get(kind, {}).values())
+    return {f"{kind} {form}": _circle(f"{kind}-{form}") for form in forms}
+
+
 def _outputs(autopilot: str, parameters: Mapping[str, float], count: int) -> tuple[int, ...]:
     name = "PWM_MAIN_FUNC{0}" if autopilot == "px4" else "SERVO{0}_FUNCTION"
     motors = []

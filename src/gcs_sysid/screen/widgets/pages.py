@@ -13,6 +13,7 @@ PAGES = {
     "motion": "Motion",
     "vehicle": "Vehicle",
     "events": "Events",
+    "health": "Health",
 }
 """Name of each page (and of its CSS class), and its title."""
 

@@ -1,0 +1,212 @@
+"""Health of recorded flights: known parameters, repeatability, every log of a folder, two formats.
+
+    python -m benchmarks.health_logs FOLDER [--part thinned|repeated|every|formats]
+
+`thinned`: recordings with known parameters at 25 Hz of IMU and 10 Hz of rotors. `repeated`: one
+real flight in three parts. `every`: all logs below the folder without an airframe file or an arm
+(tables with `--csv`), what each tells or why it tells nothing, and rotors called weak in a flight;
+none has a known fault. `formats`: flights that there are as .BFL and as .tlog: do `health` and
+`analyze` tell the same of both, and is any rotor called weak against the flight before?
+"""
+
+import argparse
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.health import hover_of, streams_in
+from gcs_sysid.errors import InputError
+from gcs_sysid.files import TABLE_SUFFIXES, with_mapping
+from gcs_sysid.health import balance
+from gcs_sysid.health.airframe_guess import GuessedAirframe
+from gcs_sysid.health.assessment import health_of, health_of_log
+from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.vehicle_health import Given, Health, as_baseline
+from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.telemetry.urls import LOG_SUFFIXES
+
+PAIRED = ("LOG*.BFL", "cinerat.toml")
+"""Flights of one vehicle, each also as .tlog of the same name, and their airframe file."""
+
+
+def rectangle(name: str, x: float, y: float) -> Airframe:
+    """A quad X of these levers."""
+    airframe = load_airframe(name)
+    rotors = tuple(
+        Rotor(float(np.copysign(x, r.x)), float(np.copysign(y, r.y)), r.spin)
+        for r in airframe.rotors
+    )
+    return replace(airframe, rotors=rotors)
+
+
+def thinned_logs(folder: Path) -> Iterator[str]:
+    """Recordings with known parameters, thinned to 25 and 10 Hz."""
+    px4, other = rectangle("px4-quad-x", 0.17, 0.17), rectangle("ardupilot-quad-x", 0.16, 0.18)
+    stock = rectangle("px4-quad-x", 0.2, 0.2)
+    k_T, T_max = 1.2617414e-5, 11.2076
+    known = (
+        ("px4-esc-cg.tlog", px4, 1.1, (12.0, -8.0), 4.672497e-6, 6.2, 0.0),
+        ("ardupilot-sitl.tlog", other, 1.6, (10.0, -6.0), k_T, T_max, 1.0),
+        ("ardupilot-sitl.bin", other, 1.6, (10.0, -6.0), k_T, T_max, 1.0),
+        ("px4-sih-default.tlog", stock, 1.0, (0.0, 0.0), None, 5.0, 0.0),
+        ("px4-sih-default.ulg", stock, 1.0, (0.0, 0.0), None, 5.0, 0.0),
+    )
+    yield "| log, thinned | rotors by | CG off, mm | k_T or T_max off, % | thrust curve off |"
+    yield "|---|---|---|---|---|"
+    for name, airframe, mass, cg, k_T, T_max, curve in known:
+        for speeds in (True, False) if k_T else (False,):
+            streams = streams_in(folder / name, airframe, speeds=speeds, thin=True)
+            given = airframe.with_anchor("mass", mass)
+            guess = GuessedAirframe(given, "known")
+            told = health_of(streams, guess, Given(given), {})
+            assert told.cg is not None
+            assert told.scale is not None
+            off = [1e3 * (q.value or 0.0) - v for q, v in zip(told.cg, cg, strict=True)]
+            truth = k_T if speeds else T_max
+            scale = 100.0 * ((told.scale[1].value or 0.0) / truth - 1.0)
+            c = "-" if told.curve is None else f"{(told.curve.c.value or 0.0) - curve:+.3f}"
+            kind = "speeds" if speeds else "commands"
+            yield f"| {name} | {kind} | {off[0]:+.2f}, {off[1]:+.2f} | {scale:+.2f} | {c} |"
+
+
+def repeated(folder: Path) -> Iterator[str]:
+    """One real log in three parts: how far they agree."""
+    log, arm, mass = folder / "real" / "quiver_00000087.bin", 0.75, 18.0
+    if not log.exists():
+        return
+    airframe = load_airframe("ardupilot-quad-x").with_arm(arm).with_anchor("mass", mass)
+    whole = hover_of(log, airframe, speeds=True)
+    yield f"| {log.name} | CG forward, mm | right, mm | thrust shares, % | k_T, 1e-6 N s^2 |"
+    yield "|---|---|---|---|---|"
+    n = len(whole.t)
+    parts = {"all": slice(0, n)}
+    parts |= {f"third {i + 1}": slice(i * n // 3, (i + 1) * n // 3) for i in range(3)}
+    for label, rows in parts.items():
+        part = whole.part(rows)
+        x, y = 1e3 * balance.cg_of(part, airframe, part.speeds).cg
+        shares = (part.speeds / part.speeds.sum(axis=1, keepdims=True)).mean(axis=0)
+        scale, _ = balance.specific_thrust(part, part.speeds)
+        told = ", ".join(f"{100.0 * s:.1f}" for s in shares)
+        yield f"| {label} | {x:.1f} | {y:.1f} | {told} | {1e6 * mass * scale:.1f} |"
+
+
+def every(folder: Path, mapping: Path | None = None) -> Iterator[str]:
+    """All logs, as one has them; tables by a mapping file, where there is one."""
+    yield "| log | s of hover | rotors by | CG forward, mm | right, mm | by rotors | layout |"
+    yield "|---|---|---|---|---|---|---|"
+    alarms: list[str] = []
+    watched = told = count = 0
+    seconds = 0.0
+    suffixes = LOG_SUFFIXES | (TABLE_SUFFIXES if mapping is not None else frozenset())
+    for file in sorted(path for path in folder.rglob("*") if path.suffix.lower() in suffixes):
+        log = file if mapping is None else with_mapping(file, mapping)
+        name = file.relative_to(folder)
+        count += 1
+        try:
+            health = health_of_log(log, Given())
+        except InputError as error:
+            yield f"| {name} | | | | | | {error} |"
+            continue
+        if not health.told:
+            yield f"| {name} | | | | | | {'; '.join(health.reasons)} |"
+            continue
+        told += 1
+        watched += health.watched
+        seconds += health.seconds
+        if health.weakened is not None:
+            alarms.append(f"{name}: rotor {(health.weakened.condition.rotor or 0) + 1}")
+        assert health.cg is not None
+        x, y = (f"{1e3 * (q.value or 0.0):+.1f} ± {1e3 * (q.half or 0.0):.1f}" for q in health.cg)
+        layout = next(t for t in health.assumptions if t.startswith("airframe: "))[10:]
+        share = "-" if health.explained is None else f"{100.0 * health.explained:.0f} %"
+        row = f"| {name} | {health.seconds:.0f} | {health.rotor_input} | {x} | {y} | {share} "
+        yield f"{row}| {layout} |"
+    # Stretches overlap by half.
+    hours = 0.5 * watched * TUNING.judged_by / 3600.0
+    yield ""
+    yield (
+        f"{told} of {count} logs told, {seconds / 3600.0:.2f} h of hover; in {hours:.2f} h held "
+        f"against the flights' own begin {len(alarms)} rotors called weak {', '.join(alarms)}"
+    )
+
+
+def formats(folder: Path) -> Iterator[str]:
+    """Blackbox logs beside the same flights as MAVLink."""
+    pattern, file = PAIRED
+    found = next(folder.rglob(file), None)
+    if found is None:
+        return
+    airframe = load_airframe(str(found))
+    yield "| flight | CG off, mm | shares off, % | verdicts | widest apart by `analyze`, stds |"
+    yield "|---|---|---|---|---|"
+    flights: list[Health] = []
+    for log in sorted(found.parent.glob(pattern)):
+        both = log, log.with_suffix(".tlog")
+        if not both[1].exists():
+            continue
+        one, other = (health_of_log(path, Given(airframe)) for path in both)
+        a, b = (analyze_log(path, airframe) for path in both)
+        flights.append(one)
+        if not (one.told and other.told and one.cg and other.cg):
+            yield f"| {log.stem} | {'; '.join(one.reasons)} | {'; '.join(other.reasons)} | | |"
+            continue
+        cg = max(
+            abs((p.value or 0.0) - (q.value or 0.0)) for p, q in zip(one.cg, other.cg, strict=True)
+        )
+        share = max(
+            abs((p.thrust_share.value or 0.0) - (q.thrust_share.value or 0.0))
+            for p, q in zip(one.rotors, other.rotors, strict=True)
+        )
+        off, widest = 0.0, "-"
+        for name, p in a.parameters.items():
+            q = b.parameters[name]
+            if p.status != "identified" or q.status != "identified" or not (p.std and q.std):
+                continue
+            apart = abs((p.value or 0.0) - (q.value or 0.0)) / float(np.hypot(p.std, q.std))
+            if apart >= off:
+                off, widest = apart, f"{apart:.2f} ({name})"
+        yield (
+            f"| {log.stem} | {1e3 * cg:.2f} | {100.0 * share:.2f} | {a.verdict}, {b.verdict} "
+            f"| {widest} |"
+        )
+    called = []
+    for before, after in pairwise([flight for flight in flights if flight.told]):
+        given = Given(airframe, baseline=as_baseline(before))
+        condition = health_of_log(Path(after.source), given).condition
+        if condition is not None:
+            called.append(condition.verdict)
+    yield ""
+    weak = called.count("rotor")
+    yield f"{len(called)} flights held against the one before: {weak} rotors called weak"
+
+
+PARTS: dict[str, Callable[[Path], Iterator[str]]] = {
+    "thinned": thinned_logs,
+    "repeated": repeated,
+    "every": every,
+    "formats": formats,
+}
+
+
+def main() -> None:
+    """Print the parts."""
+    parser = argparse.ArgumentParser(description="Health of recorded flights.")
+    parser.add_argument("folder", type=Path, help="of recordings")
+    parser.add_argument("--csv", type=Path, metavar="MAPPING", help="mapping file of tables")
+    parser.add_argument("--part", choices=PARTS, action="append", help="default: all")
+    options = parser.parse_args()
+    for name in options.part or PARTS:
+        lines = (
+            every(options.folder, options.csv) if name == "every" else PARTS[name](options.folder)
+        )
+        for line in lines:
+            print(line, flush=True)
+        print()
+
+
+if __name__ == "__main__":
+    main()

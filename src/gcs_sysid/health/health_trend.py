@@ -1,0 +1,182 @@
+"""Several flights of one vehicle: what its CG, shares, throttle and thrust coefficient do.
+
+What is assumed of rotors and places is the same in every flight and cancels, so that flights are
+compared by what each scatters by itself.
+"""
+
+import math
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import PurePath
+
+import numpy as np
+from scipy.special import stdtrit
+
+from gcs_sysid.health.balance import Quantity
+from gcs_sysid.health.health_file import condition_text
+from gcs_sysid.health.vehicle_health import Health
+from gcs_sysid.intervals import Z95
+from gcs_sysid.results.number_format import PLAIN, power_of_ten, times_power
+
+_SHARE = "share of rotor "
+_SURE = 0.995
+"""Quantile of Student's t beyond which a slope is called a change: one in a hundred by chance."""
+_SIDE_BY_SIDE = 4
+"""Rotors whose shares have room for their intervals."""
+_NAME = 24
+"""Columns of a log's name; its end says most."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """A number over flights.
+
+    Attributes:
+        name: of it.
+        unit: of `values`, for people.
+        values: of each flight; NaN where it told none.
+        stds: of each by its own scatter alone.
+    """
+
+    name: str
+    unit: str
+    values: tuple[float, ...]
+    stds: tuple[float, ...]
+
+    @property
+    def known(self) -> int:
+        """Flights that told it."""
+        return int(np.isfinite(self.values).sum())
+
+    def in_power(self) -> "Series":
+        """The same in a power of ten that leaves digits before the point."""
+        largest = max((abs(v) for v in self.values if math.isfinite(v)), default=0.0)
+        power = power_of_ten(largest)
+        if not power or 1e-3 < largest < 1e4:
+            return self
+        factor = 10.0**-power
+        unit = f"{times_power(power).strip(' ×')} {self.unit}"
+        values, stds = (tuple(factor * x for x in part) for part in (self.values, self.stds))
+        return replace(self, unit=unit, values=values, stds=stds)
+
+    def slope(self) -> tuple[float, float]:
+        """Change from flight to flight and its standard deviation, by weighted least squares.
+
+        Scatter beyond the flights' own, which weather makes, widens it (Birge's ratio).
+
+        Raises:
+            ValueError: fewer than three flights told it.
+        """
+        v, s = np.array(self.values), np.array(self.stds)
+        there = np.isfinite(v) & np.isfinite(s)
+        n = int(there.sum())
+        if n < 3:
+            raise ValueError(f"{n} flights show no trend")
+        v, s = v[there], np.maximum(s[there], 1e-12)
+        columns = np.column_stack([np.ones(n), np.flatnonzero(there)]) / s[:, None]
+        covariance = np.linalg.inv(columns.T @ columns)
+        fit = covariance @ columns.T @ (v / s)
+        left = float(np.sum((v / s - columns @ fit) ** 2)) / (n - 2)
+        return float(fit[1]), math.sqrt(float(covariance[1, 1]) * max(left, 1.0))
+
+
+def series_of(flights: Sequence[Health]) -> list[Series]:
+    """All that flights of one vehicle told, in their order; those that hovered alone count."""
+    told = [health for health in flights if health.told]
+    if not told:
+        return []
+    places = [
+        _series(f"CG {way}", "mm", 1e3, [h.cg[axis] if h.cg else None for h in told])
+        for axis, way in ((0, "forward"), (1, "right"))
+    ]
+    names = {h.scale[0] for h in told if h.scale is not None}
+    scales = [
+        _series(name, next(h.scale[1].unit for h in told if h.scale and h.scale[0] == name), 1.0,
+                [h.scale[1] if h.scale and h.scale[0] == name else None for h in told])
+        for name in sorted(names)
+    ]  # fmt: skip
+    throttle = _series("hover throttle", "%", 100.0, [h.hover_throttle for h in told])
+    yaw = _series("yaw imbalance", "%", 100.0, [h.yaw_imbalance for h in told])
+    count = max(len(h.rotors) for h in told)
+    shares = [
+        _series(f"{_SHARE}{i + 1}", "%", 100.0,
+                [h.rotors[i].thrust_share if i < len(h.rotors) else None for h in told])
+        for i in range(count)
+    ]  # fmt: skip
+    return [one for one in (*places, throttle, yaw, *scales, *shares) if one.known]
+
+
+def _series(name: str, unit: str, factor: float, told: Sequence[Quantity | None]) -> Series:
+    values, stds = [], []
+    for quantity in told:
+        if quantity is None or quantity.value is None or quantity.std is None:
+            values.append(math.nan)
+            stds.append(math.nan)
+            continue
+        flown = math.sqrt(max(quantity.std**2 - quantity.std_given**2, 0.0))
+        values.append(factor * quantity.value)
+        stds.append(factor * flown)
+    return Series(name, unit, tuple(values), tuple(stds))
+
+
+def trend_text(flights: Sequence[Health]) -> list[str]:
+    """The flights side by side and what changed, in lines; empty for less than two that hovered."""
+    told = [health for health in flights if health.told]
+    if len(told) < 2:
+        return []
+    series = series_of(told)
+    lines = ["Over the flights (95 %, each by its own scatter)", ""]
+    names = [_short(health.source) for health in told]
+    for number, (name, health) in enumerate(zip(names, told, strict=True), 1):
+        lines.append(f"  {number:>2}  {name}, {health.seconds:.0f} s of hover")
+    lines.append("")
+    shares = [one for one in series if one.name.startswith(_SHARE)]
+    lines += _table([one for one in series if one not in shares], 15)
+    lines += ["", "      share of the thrust"]
+    lines += _table(shares, 15 if len(shares) <= _SIDE_BY_SIDE else 9)
+    changes = [
+        *(text for one in series for text in _change(one)),
+        *(
+            f"{name}: {condition_text(health.condition)}"
+            for health, name in zip(told[1:], names[1:], strict=True)
+            if health.condition is not None and health.condition.verdict != "unchanged"
+        ),
+    ]
+    for text in changes:
+        lines += ["", *textwrap.wrap(text, 77, initial_indent="  ", subsequent_indent="    ")]
+    return lines
+
+
+def _table(series: Sequence[Series], width: int) -> Iterator[str]:
+    """A row a flight; narrow columns have no intervals."""
+    scaled = [one.in_power() for one in series]
+    yield "      " + "".join(f"{one.name.replace(_SHARE, 'rotor '):>{width}}" for one in scaled)
+    yield "      " + "".join(f"{one.unit:>{width}}" for one in scaled)
+    for number in range(len(scaled[0].values)):
+        cells = (_cell(one.values[number], one.stds[number], width) for one in scaled)
+        yield f"  {number + 1:>2}  " + "".join(cells)
+
+
+def _short(source: str) -> str:
+    name = PurePath(source.replace("\\", "/")).name
+    return name if len(name) <= _NAME else f"…{name[1 - _NAME :]}"
+
+
+def _cell(value: float, std: float, width: int) -> str:
+    if not math.isfinite(value):
+        return f"{'-':>{width}}"
+    text = f"{value:.1f}" if width < 12 else PLAIN.measure(value, Z95 * std, "").strip()
+    return f"{text:>{width}}"
+
+
+def _change(series: Series) -> Iterator[str]:
+    """A trend that is surely one."""
+    if series.known < 3:
+        return
+    series = series.in_power()
+    slope, std = series.slope()
+    free = series.known - 2
+    if abs(slope) > float(stdtrit(free, _SURE)) * std:
+        text = PLAIN.measure(slope, float(stdtrit(free, 0.975)) * std, series.unit)
+        yield f"{series.name} changes by {text} from flight to flight"

@@ -1,0 +1,130 @@
+"""The health panel: CG, what each rotor carries, margins, and what to do about it."""
+
+import textwrap
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from gcs_sysid.results.number_format import PLAIN
+from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.view import View
+from gcs_sysid.screen.widgets.lines import Line, Lines
+
+_NAME = 16
+_BAR = 12
+_WARNING = "bold $text-warning"
+_NOT_YET = "No hover yet: hold still for 10 s."
+_SUMS = (
+    ("yaw imbalance", "yaw_imbalance", 100.0, "% of the load"),
+    ("hover throttle", "hover_throttle", 100.0, "%"),
+    ("full thrust", "thrust_to_weight", 1.0, "times the weight"),
+    ("thrust drift", "drift_per_minute", 100.0, "% a minute"),
+)
+"""Name, key of the health file, factor and words."""
+
+
+def health_lines(health: Mapping[str, Any] | None, width: int) -> list[Line]:
+    """A health file's content as lines.
+
+    Args:
+        health: None before the first look.
+        width: columns.
+    """
+    if health is None or health["verdict"] != "told":
+        why = _NOT_YET if health is None else f"No health: {'; '.join(health['reasons'])}"
+        return [[(line, fmt.MUTED)] for line in textwrap.wrap(why, width)]
+    lines = [_source(health), *_weak(health, width), *_places(health), *_rotors(health, width)]
+    for name, key, factor, words in _SUMS:
+        quantity = health[key]
+        if quantity is not None and quantity["value"] is not None:
+            half = factor * _half(quantity)
+            text = PLAIN.measure(factor * quantity["value"], half, words)
+            lines.append([(f"{name:<{_NAME}}", fmt.MUTED), (text, "")])
+    for text in health["advice"]:
+        lines += _wrapped(f"-> {text}", width, "")
+    return lines
+
+
+def _half(quantity: Mapping[str, Any]) -> float:
+    low, high = quantity["ci95"]
+    return float(high - low) / 2.0
+
+
+def _wrapped(text: str, width: int, style: str) -> list[Line]:
+    lines = textwrap.wrap(text, width, subsequent_indent="   ", break_on_hyphens=False)
+    return [[(line, style)] for line in lines]
+
+
+def _source(health: Mapping[str, Any]) -> Line:
+    by = "measured speeds" if health["rotor_input"] == "speed" else "commands"
+    return [(f"{health['seconds_of_hover']:.0f} s of hover, rotors by {by}", fmt.MUTED)]
+
+
+def _weak(health: Mapping[str, Any], width: int) -> Iterator[Line]:
+    weakened = health["weakened"]
+    if weakened is not None and weakened["rotor"] is not None and weakened["loss"]:
+        loss = PLAIN.measure(
+            100.0 * weakened["loss"]["value"], 100.0 * _half(weakened["loss"]), "%"
+        )
+        text = f"! rotor {weakened['rotor'] + 1} gives {loss} less thrust than before"
+        yield from _wrapped(text, width, _WARNING)
+
+
+def _places(health: Mapping[str, Any]) -> Iterator[Line]:
+    words = (("CG along", "x", "forward", "aft"), ("CG across", "y", "right", "left"))
+    for name, axis, positive, negative in words:
+        quantity = health["cg"][axis]
+        value, std = quantity["value"], quantity["std"]
+        way = positive if value >= 0.0 else negative
+        flown = 1.96e3 * max(std**2 - quantity["std_given"] ** 2, 0.0) ** 0.5
+        text = PLAIN.measure(1e3 * abs(value), 1e3 * _half(quantity), "mm")
+        alike = f"  (± {flown:.1f} if the rotors are alike)"
+        yield [(f"{name:<{_NAME}}", fmt.MUTED), (f"{text} {way}", "bold"), (alike, fmt.MUTED)]
+
+
+def _rotors(health: Mapping[str, Any], width: int) -> Iterator[Line]:
+    """A table; the bar is the rotor's load over the most that any has to do."""
+    rotors = health["rotors"]
+    shares = [rotor["thrust_share"]["value"] for rotor in rotors]
+    wide = width >= 70
+    head = f"{'rotor':<6}{'share':>8}{'':>{_BAR + 3}}{'motor gain':>11}{'left':>9}"
+    yield [(head + (f"{'at full':>10}{'vibration':>14}" if wide else ""), fmt.MUTED)]
+    for number, (rotor, share) in enumerate(zip(rotors, shares, strict=True), 1):
+        parts: Line = [
+            (f"{number:<6}", fmt.MUTED),
+            (f"{100.0 * share:6.1f} % ", "bold"),
+            (fmt.bar(share / max(shares), _BAR), "$text-primary on $panel"),
+            (_cell(rotor["motor_gain"], 1.0, "", 13, 3), ""),
+            (_cell(rotor["headroom"], 100.0, " %", 9, 1), ""),
+        ]
+        if wide:
+            full = rotor["saturated"]
+            saturated = "-" if full is None else f"{100.0 * full:.1f} %"
+            parts.append((f"{saturated:>10}", "" if not full else _WARNING))
+            parts.append((_cell(rotor["vibration"], 1.0, " m/s²", 14, 3), ""))
+        yield parts
+
+
+def _cell(
+    quantity: Mapping[str, Any] | None, factor: float, unit: str, width: int, digits: int
+) -> str:
+    known = quantity is not None and quantity["value"] is not None
+    text = f"{factor * quantity['value']:.{digits}f}{unit}" if known and quantity else "-"
+    return f"{text:>{width}}"
+
+
+class HealthPanel(Lines):
+    """The vehicle's health by the hover of the last minutes, or of a whole log that is played."""
+
+    BORDER_TITLE = "Health in hover"
+
+    def __init__(self) -> None:
+        super().__init__(id="health")
+        self._shown: tuple[Mapping[str, Any] | None, int] | None = None
+
+    def show(self, view: View) -> None:
+        """Bring the panel up to date; a look is the same object until there is another."""
+        health = None if view.snapshot is None else view.snapshot.health
+        width = self.content_size.width or 76
+        if self._shown is None or self._shown[0] is not health or self._shown[1] != width:
+            self._shown = health, width
+            self.put(health_lines(health, width))

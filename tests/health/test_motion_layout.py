@@ -1,0 +1,122 @@
+"""Where rotors are by how the vehicle turns: every order of a quad, hexas, coaxial pairs."""
+
+import numpy as np
+import pytest
+
+from gcs_sysid.errors import InputError
+from gcs_sysid.health.airframe_guess import guess_airframe
+from gcs_sysid.health.motion_layout import layout_by_motion
+from gcs_sysid.model.airframe import Airframe, Rotor
+from gcs_sysid.model.rigid_body import mixer
+from gcs_sysid.session.told_layout import place_words, usual_layouts
+from gcs_sysid.signals.columns import RecordBlock, Track
+from gcs_sysid.signals.records import Stream
+from gcs_sysid.telemetry.dialect import mavlink
+from gcs_sysid.telemetry.vehicles import Vehicle
+
+RATE = 100.0
+PX4 = Vehicle(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4)
+BETAFLIGHT = usual_layouts(4)["quad bf-x"]
+COAXIAL = tuple(
+    Rotor(x, y, spin)
+    for spin, corners in ((1, ((1, 1), (1, -1), (-1, -1), (-1, 1))),
+                          (-1, ((1, -1), (1, 1), (-1, 1), (-1, -1))))
+    for x, y in corners
+)  # fmt: skip
+
+
+def flight(rotors, *, moving=1.0, gusts=0.3, seed=1, extra=0):
+    """A vehicle that its mixer turns to and fro, with gusts, at RATE."""
+    random = np.random.default_rng(seed)
+    n = int(40.0 * RATE)
+    t = 10.0 + np.arange(n) / RATE
+    keep = 0.95
+    wanted = random.standard_normal((n, 4)) * (1.0, 1.0, 0.2, 0.3)
+    for i in range(1, n):
+        wanted[i] = keep * wanted[i - 1] + (1.0 - keep) * wanted[i]
+    wanted *= 0.1 * moving / wanted[:, 0].std()
+    geometry = Airframe("true", rotors).geometry
+    allocation = np.linalg.pinv(mixer(geometry))  # roll, pitch, thrust, yaw to rotors
+    thrust = 1.0 + wanted[:, [0, 1, 2, 3]] @ allocation
+    thrust /= thrust.mean()
+    x, y, spin = geometry
+    moment = thrust @ np.column_stack([-y, x, 0.1 * spin])
+    moment -= moment.mean(axis=0)
+    slow = np.cumsum(random.standard_normal((n, 3)), axis=0)
+    slow *= gusts * moment.std(axis=0) / slow.std(axis=0)
+    rates = np.cumsum(moment + slow, axis=0) / RATE
+    force = np.tile([0.0, 0.0, -9.81], (n, 1))
+    speeds = 500.0 * np.sqrt(np.maximum(thrust, 0.05))
+    if extra:
+        speeds = np.hstack([speeds, np.full((n, extra), 20.0)])
+    order = 2 * np.arange(n)
+    return [
+        RecordBlock(
+            (
+                Track(Stream.IMU, t, np.hstack([rates, force]), order=order),
+                Track(Stream.ROTOR_SPEED, t, speeds, 0, "ESC", order + 1),
+                Track(Stream.IN_AIR, t[::10], np.ones((n // 10, 1)), order=order[::10] + 1),
+            )
+        )
+    ]
+
+
+def layout(blocks, airframe=None, parameters=None):
+    guess = guess_airframe(PX4, parameters or {}, airframe, 0.3)
+    return layout_by_motion(blocks, guess, "px4", parameters or {})[0]
+
+
+def places(rotors):
+    return [(place_words(rotor), rotor.spin) for rotor in rotors]
+
+
+@pytest.mark.parametrize("name", sorted(usual_layouts(4)))
+def test_any_order_of_four_is_found(name):
+    rotors = usual_layouts(4)[name]
+    found = layout(flight(rotors))
+    assert places(found.airframe.rotors) == places(rotors)
+    assert found.shown
+    assert found.airframe.arm == pytest.approx(0.3)
+    words = found.origin
+    assert "as the flight shows" in words or rotors == usual_layouts(4)["quad x"]
+    assert "0.3 m from the center" in words
+
+
+@pytest.mark.parametrize("rotors", [usual_layouts(6)["hexa plus"], COAXIAL])
+def test_more_rotors_than_the_vehicle_tells_are_seen(rotors):
+    found = layout(flight(rotors))
+    assert places(found.airframe.rotors) == places(rotors)
+
+
+def test_outputs_that_carry_nothing_are_no_rotors():
+    found = layout(flight(BETAFLIGHT, extra=4))
+    assert places(found.airframe.rotors) == places(BETAFLIGHT)
+
+
+def test_a_vehicle_that_gusts_alone_turn_shows_no_layout():
+    guess = layout(flight(BETAFLIGHT, moving=0.01, gusts=1000.0))
+    assert not guess.shown
+    assert "assumed" in guess.origin
+
+
+def test_what_is_given_stays_and_what_is_told_too():
+    given = Airframe("mine", usual_layouts(4)["quad x"]).with_arm(0.2)
+    found = layout(flight(BETAFLIGHT), given)
+    assert found.airframe is given
+    assert not found.shown
+    assert layout(flight(given.rotors), given).shown
+    # PX4's stock parameters have no lengths, but an order.
+    told = {"CA_ROTOR_COUNT": 4.0}
+    for i, rotor in enumerate(usual_layouts(4)["quad x"]):
+        told |= {f"CA_ROTOR{i}_PX": round(rotor.x), f"CA_ROTOR{i}_PY": round(rotor.y)}
+        told |= {f"CA_ROTOR{i}_KM": 0.05 * rotor.spin}
+    assert places(layout(flight(BETAFLIGHT), None, told).airframe.rotors) == places(given.rotors)
+
+
+def test_frames_of_ardupilot():
+    vehicle = Vehicle(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
+    plus = guess_airframe(vehicle, {"FRAME_CLASS": 1.0, "FRAME_TYPE": 0.0}, None, None)
+    assert [place_words(r) for r in plus.airframe.rotors] == ["right", "left", "front", "rear"]
+    assert not plus.assumed
+    with pytest.raises(InputError, match="FRAME_CLASS 4 and FRAME_TYPE 1 are no frame known"):
+        guess_airframe(vehicle, {"FRAME_CLASS": 4.0, "FRAME_TYPE": 1.0}, None, None)
