@@ -207,6 +207,15 @@ def add_web(parser: argparse.ArgumentParser) -> None:
 def _add_display(parser: argparse.ArgumentParser) -> None:
     """Where a session is shown."""
     parser.add_argument("--headless", action="store_true", help="print instead of the screen")
+    parser.add_argument("--pilot", action="store_true", help="begin with the coach in large print")
+    sound = parser.add_mutually_exclusive_group()
+    sound.add_argument(
+        "--speak",
+        action="store_true",
+        help="call out the coach, the link and the verdict by spd-say, espeak-ng or say; without "
+        "one, by the bell",
+    )
+    sound.add_argument("--bell", action="store_true", help="ring the terminal's bell instead")
     parser.add_argument(
         "--web",
         nargs="?",

@@ -36,6 +36,14 @@ def _what(m: Manoeuvre) -> str:
     return f"{first} and yaw together, {_angle(angle)} and {_angle(m.yaw)}, {pace}"
 
 
+def axis_words(m: Manoeuvre) -> tuple[str, ...]:
+    """The motion in a few words for each axis, such as "roll ±20° 1 Hz", for large print."""
+    if m.climb:
+        return (f"climb ±{m.climb:.2g} m {m.pace:g} Hz",)
+    swings = (("roll", m.roll, m.pace), ("pitch", m.pitch, m.pace), ("yaw", m.yaw, m.yaw_pace))
+    return tuple(f"{axis} {_angle(angle)} {pace:g} Hz" for axis, angle, pace in swings if angle)
+
+
 def _angle(angle: float) -> str:
     return f"±{math.degrees(angle):.0f}°"
 
