@@ -123,6 +123,7 @@ docs: $(INSTALLED) ## the documentation as a site, into build/site
 
 pictures: $(INSTALLED) ## the documentation's pictures of screen and report (needs a Chromium)
 	$(BIN)/python tools/screenshot.py --demo -o docs/screen.svg
+	$(BIN)/python tools/screenshot.py --demo --keys l --size 100x30 -o docs/pilot.svg
 	$(BIN)/python tools/report_picture.py -o docs/report.png
 
 sample: $(INSTALLED) ## the sample flight under logs/

@@ -151,7 +151,7 @@ async def test_numbers_choose_a_page(run_screen):
         "3": "• predicted",
         "4": "rotor 3",
         "5": "took off",
-        "1": "unobservable",
+        "1": "moment_ratio",
     }
     async with run_screen(fake.snapshot()) as s:
         for key, text in shown.items():
