@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("codespell_lib")
 pytest.importorskip("proselint")
 
-from tools import prose  # noqa: E402
+from tools import prose
 
 
 def test_code_and_names_are_no_prose_and_lines_stay():

@@ -388,8 +388,7 @@ def _priors(table: object, where: str) -> dict[str, tuple[float, float]]:
 def _check_prior(name: str, value: float, std: float, where: str) -> None:
     if name not in PRIORS:
         raise InputError(
-            f"{where}: no prior on {name!r}; known are {', '.join(PRIORS)}"
-            + nearest(name, PRIORS)
+            f"{where}: no prior on {name!r}; known are {', '.join(PRIORS)}" + nearest(name, PRIORS)
         )
     if not (math.isfinite(value) and math.isfinite(std) and std > 0.0):
         raise InputError(f"{where}: the standard deviation of {name} must be positive")

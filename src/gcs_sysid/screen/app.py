@@ -72,6 +72,8 @@ class SysidApp(ActingApp):
         self._compared: Comparison | None = None
         self.announcer = Announcer(now=time_source)
         """Calls out what is new; whoever makes the application may put another here."""
+        self._large: PilotScreen | None = None
+        """The pilot view, while it covers the main screen."""
         self.begins_large = False
         """Whether the pilot view comes first."""
         self.defect: Exception | None = None
@@ -156,17 +158,10 @@ class SysidApp(ActingApp):
             baseline="" if self.baseline is None else self.baseline.name,
             comparison=self._compare(),
         )
-        large = self._pilot_screen
-        if large is None:
+        if self._large is None:
             self._main.show(view)
-        else:
-            large.picture.show(view)
-
-    @property
-    def _pilot_screen(self) -> PilotScreen | None:
-        """The pilot view, where it covers the main screen."""
-        found = [screen for screen in self.screen_stack if isinstance(screen, PilotScreen)]
-        return found[0] if found and found[0].is_attached else None
+        elif self._large.picture.is_attached:
+            self._large.picture.show(view)
 
     def _compare(self) -> Comparison | None:
         """The present result with the baseline; anew only where either is."""
@@ -210,8 +205,8 @@ class SysidApp(ActingApp):
 
     def _answer(self, text: str, t: float | None) -> None:
         self._main.answer.say(text, t)
-        if self._pilot_screen is not None:
-            self._pilot_screen.answer.say(text, t)
+        if self._large is not None and self._large.answer.is_attached:
+            self._large.answer.say(text, t)
 
     # -- actions
 
@@ -242,9 +237,15 @@ class SysidApp(ActingApp):
 
     def action_pilot_view(self) -> None:
         """The coach in large print."""
-        if self._pilot_screen is None:
-            # On the way back the main screen has what came meanwhile to draw.
-            self.push_screen(PilotScreen(), lambda _: self.draw())
+
+        def back(_: None) -> None:
+            # The main screen has what came meanwhile to draw.
+            self._large = None
+            self.draw()
+
+        if self._large is None:
+            self._large = PilotScreen()
+            self.push_screen(self._large, back)
 
     def action_call_outs(self) -> None:
         """Off, voice, bell."""
