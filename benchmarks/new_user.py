@@ -31,6 +31,7 @@ class Watch:
         self._start = self._last = time.monotonic()
 
     def step(self, name: str) -> None:
+        """Print a step that has ended."""
         now = time.monotonic()
         print(f"{name:<34} {now - self._last:6.1f} s {now - self._start:8.1f} s", flush=True)
         self._last = now
