@@ -5,10 +5,12 @@
 Clones this repository, installs the clone in a virtual environment of its own, starts `gcs-sysid
 web` and does in a Chromium what a user does: choose the log, enter the mass, Identify, open the
 report. Without a LOG the installed emulator flies one, which holds the vehicle's parameters. Prints
-seconds; packages come from pip's cache or index, as it is set up. Needs the group `dev`.
+for each step its seconds, their sum, and the processor time of what had ended by then: on a busy
+machine the last says more. Packages come from pip's cache or index. Needs the group `dev`.
 """
 
 import argparse
+import os
 import re
 import shutil
 import subprocess
@@ -33,7 +35,11 @@ class Watch:
     def step(self, name: str) -> None:
         """Print a step that has ended."""
         now = time.monotonic()
-        print(f"{name:<34} {now - self._last:6.1f} s {now - self._start:8.1f} s", flush=True)
+        cpu = sum(os.times()[:4])
+        print(
+            f"{name:<26} {now - self._last:6.1f} s {now - self._start:8.1f} s {cpu:8.1f} s",
+            flush=True,
+        )
         self._last = now
 
 
