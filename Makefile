@@ -65,11 +65,12 @@ SAMPLE ?= 20
 mutate: $(INSTALLED) ## the tests against SAMPLE mutants of each module of the core (15 min)
 	$(BIN)/python tools/mutate.py --sample $(SAMPLE) $(MODULES)
 
-check: $(INSTALLED) ## lint, format, types, import contracts, known vulnerabilities
+check: $(INSTALLED) ## lint, format, types, import contracts, prose, known vulnerabilities
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python tools/prose.py
 	$(BIN)/python tools/audit.py
 
 FUZZ_INPUTS ?= 1000000
@@ -123,6 +124,7 @@ docs: $(INSTALLED) ## the documentation as a site, into build/site
 
 pictures: $(INSTALLED) ## the documentation's pictures of screen and report (needs a Chromium)
 	$(BIN)/python tools/screenshot.py --demo -o docs/screen.svg
+	$(BIN)/python tools/screenshot.py --demo --keys l --size 100x30 -o docs/pilot.svg
 	$(BIN)/python tools/report_picture.py -o docs/report.png
 
 sample: $(INSTALLED) ## the sample flight under logs/

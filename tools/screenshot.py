@@ -19,18 +19,20 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from gcs_sysid.cli.output import read_truth
+from gcs_sysid.live.flight_coach import CoachOptions
 from gcs_sysid.live.live_options import LiveOptions
 from gcs_sysid.live.live_session import LiveSession
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import Snapshot
 from gcs_sysid.screen import SnapshotSource, SysidApp
-from gcs_sysid.telemetry.link import open_link
-from gcs_sysid.telemetry.urls import parse_url
+from gcs_sysid.telemetry.link import TcpLink
+from gcs_sysid.telemetry.urls import LinkUrl
 
 
 class Still:
@@ -72,15 +74,19 @@ async def capture(
 
 
 def demo_source() -> tuple[Still, dict[str, float]]:
-    """A snapshot 40 s into the demo flight, in real time, with the emulator's truth."""
-    link = open_link(parse_url("udpin:127.0.0.1:14550"))
+    """A snapshot 40 s into the demo flight, with the emulator's truth.
+
+    Over TCP, which holds the emulator back: a busy machine draws the same picture.
+    """
+    link = TcpLink(LinkUrl("tcpin", "tcpin:127.0.0.1", host="127.0.0.1", port=0))
     with tempfile.TemporaryDirectory() as folder:
         truth = Path(folder) / "truth.json"
         flight = ["--airframe", "paper", "--mission", "all-axes", "--noise", "mems", "--seed", "1"]
         emulator = subprocess.Popen(
             [
                 *(sys.executable, "-m", "sim_bridge", *flight),
-                *("--connect", "udpout:127.0.0.1:14550", "--truth", str(truth)),
+                *("--connect", f"tcp:127.0.0.1:{link.port}", "--truth", str(truth)),
+                *("--speed", "max"),
             ]
         )
         taken: queue.Queue[Snapshot] = queue.Queue()
@@ -90,12 +96,15 @@ def demo_source() -> tuple[Still, dict[str, float]]:
             if snapshot is not None and snapshot.t > 40.0:
                 taken.put(snapshot)
 
-        session = LiveSession(link, load_airframe("paper"), LiveOptions(), on_result=take)
+        options = LiveOptions(coach=CoachOptions())
+        session = LiveSession(link, load_airframe("paper"), options, on_result=take)
         session.start()
-        snapshot = taken.get(timeout=120.0)
+        snapshot = taken.get(timeout=900.0)
         session.stop()
         emulator.terminate()
         emulator.wait()
+        # At full speed the vehicle's clock has nothing to be held against.
+        snapshot = replace(snapshot, link=replace(snapshot.link, clock_ppm=None))
         return Still(snapshot), read_truth(str(truth))
 
 

@@ -1,11 +1,12 @@
 """What both command lines share: one-line usage errors and checked numbers."""
 
 import argparse
-import difflib
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, NoReturn
+
+from gcs_sysid.errors import nearest
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -15,25 +16,20 @@ class OneLineParser(argparse.ArgumentParser):
         """As argparse, but each command refuses options that it does not know itself."""
         found, extra = super().parse_known_args(args, namespace)
         if extra:
-            near = _nearest(extra[0].partition("=")[0], self._option_string_actions)
+            near = nearest(extra[0].partition("=")[0], self._option_string_actions)
             self.error(f"unrecognized arguments: {' '.join(extra)}{near}")
         return found, extra
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """A choice; one that is misspelt is answered with the nearest."""
         if action.choices is not None and value not in action.choices:
-            near = _nearest(str(value), map(str, action.choices))
+            near = nearest(str(value), map(str, action.choices))
             listed = "" if near else f" (choose from {', '.join(map(str, action.choices))})"
             raise argparse.ArgumentError(action, f"invalid choice: {value!r}{near}{listed}")
 
     def error(self, message: str) -> NoReturn:
         """Say it and stop."""
         self.exit(2, f"{self.prog.split()[0]}: error: {message}; see {self.prog} --help\n")
-
-
-def _nearest(word: str, known: Iterable[str]) -> str:
-    near = difflib.get_close_matches(word, list(known), 1)
-    return f"; did you mean {near[0]}?" if near else ""
 
 
 def number(text: str) -> float:

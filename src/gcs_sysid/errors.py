@@ -1,5 +1,7 @@
 """Errors that a user can act on: one clear line, no traceback."""
 
+from collections.abc import Iterable
+
 from gcs_sysid.sanitize import one_line
 
 
@@ -24,3 +26,11 @@ class LinkError(GcsSysidError):
 
 class NoAnswerError(InputError):
     """Data that can be read and do not allow an answer (exit status 1)."""
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """What to add to a message about an unknown word: `; did you mean mass?`, or nothing."""
+    import difflib  # only where something is wrong
+
+    near = difflib.get_close_matches(word, list(known), 1)
+    return f"; did you mean {near[0]}?" if near else ""

@@ -87,7 +87,7 @@ def test_a_report_is_of_the_recording_so_far_with_the_scale_in_force(paper_fligh
 
 
 def test_without_a_recording_there_is_no_report(folder):
-    with pytest.raises(InputError, match="R starts one"):
+    with pytest.raises(InputError, match="o starts one"):
         report_session(Recorded(None), None, OPTIONS)
 
 

@@ -161,6 +161,7 @@ def advice() -> Advice:
         seconds=10.0,
         progress=0.4,
         gains=(Gain("k_M", None, 0.05), Gain("Iyz", 0.1, 0.04), Gain("Izz", 0.079, 0.03)),
+        axes=("roll ±20° 1 Hz", "yaw ±20° 1 Hz"),
     )
 
 

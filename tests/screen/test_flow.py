@@ -192,3 +192,9 @@ async def test_the_final_plot_is_drawn_though_it_came_soon_after_the_last(run_sc
             if "80" in s.lines()[-4]:
                 break
         assert "80" in s.lines()[-4]
+
+
+async def test_before_data_rows_wait_and_none_is_red(run_screen):
+    async with run_screen(fake.bare()) as s:
+        assert "○ waiting" in s.text()
+        assert "✗ unobservable" not in s.text()

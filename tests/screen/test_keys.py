@@ -65,20 +65,30 @@ async def test_marks_are_numbered(run_screen):
         assert sum("mark " in line for line in s.lines()[2:-2]) == 2
 
 
-@pytest.mark.parametrize("key", ["R", "ctrl+r"])
-async def test_record(run_screen, key):
+async def test_a_slip_of_shift_resets_nothing(run_screen):
+    """No other key is one Shift or Ctrl apart from reset, and with Shift it asks all the same."""
     async with run_screen(fake.snapshot()) as s:
-        await s.press(key)
+        keys = {key for key, *_ in s.app.screen.active_bindings.items()}
+        assert {"r", "R"} <= keys
+        assert "ctrl+r" not in keys
+        await s.press("R", "enter")
+        assert s.source.calls == []
+        assert s.answer() == "Reset: cancelled."
+
+
+async def test_record(run_screen):
+    async with run_screen(fake.snapshot()) as s:
+        await s.press("o")
         assert s.source.calls == ["record"]
         assert s.answer() == "recording stopped"
-        await s.press(key)
+        await s.press("o")
         assert s.answer() == "recording to logs/next.tlog"
 
 
 async def test_a_failed_action_says_why_and_the_screen_lives(run_screen):
     async with run_screen(fake.snapshot()) as s:
         s.source.broken = True
-        for keys in (("m",), ("r", "down", "enter"), ("R",)):
+        for keys in (("m",), ("r", "down", "enter"), ("o",)):
             await s.press(*keys)
             assert s.answer() == "Not done: the disk is full"
         s.source.broken = False
@@ -120,7 +130,7 @@ async def test_help_opens_and_closes(run_screen):
 
 async def test_keys_of_the_main_screen_do_nothing_behind_the_help(run_screen):
     async with run_screen(fake.snapshot()) as s:
-        await s.press("question_mark", "r", "m", "R")
+        await s.press("question_mark", "r", "m", "o")
         assert s.source.calls == []
 
 
@@ -142,7 +152,7 @@ async def test_numbers_choose_a_page(run_screen):
         "4": "rotor 3",
         "5": "took off",
         "6": "thrust drift",
-        "1": "unobservable",
+        "1": "moment_ratio",
     }
     async with run_screen(fake.snapshot()) as s:
         for key, text in shown.items():
@@ -224,7 +234,7 @@ async def test_a_command_of_the_palette_chooses_a_parameter(run_screen):
 
 async def test_what_a_source_cannot_do_is_said_in_plain_words(run_screen):
     async with run_screen(fake.snapshot(), actions=Actions(absent="in a replay")) as s:
-        words = {"m": "Mark", "r": "Reset", "R": "Record", "e": "Export", "h": "Report"}
+        words = {"m": "Mark", "r": "Reset", "o": "Record", "e": "Export", "h": "Report"}
         for key, what in {**words, "s": "Scale", "v": "Vehicle"}.items():
             await s.press(key)
             assert s.answer() == f"{what}: not in a replay."

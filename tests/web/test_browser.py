@@ -249,12 +249,12 @@ def test_call_outs_are_spoken(web, live, source):
     )
     page.locator("#coach").wait_for()
     page.click("#speak")
-    advice = replace(fake.advice(), text="yaw, ±30°, about 0.5 Hz, 8 s: Izz to about 2 %")
+    advice = replace(fake.advice(), axes=("yaw ±30° 0.5 Hz",), seconds=8.0)
     source.snapshot = replace(source.snapshot, advice=advice)
     page.wait_for_function(
-        "() => spoken.some((t) => t.startsWith('yaw, plus or minus 30 degrees'))"
+        "() => spoken.some((t) => t.startsWith('Fly yaw plus or minus 30 degrees'))"
     )
-    assert page.evaluate("spoken.filter((t) => t.startsWith('yaw')).length") == 1
+    assert page.evaluate("spoken.filter((t) => t.startsWith('Fly yaw')).length") == 1
 
 
 # --- the commands

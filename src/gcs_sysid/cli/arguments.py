@@ -99,16 +99,16 @@ def _add_layout(parser: argparse.ArgumentParser, default: str | None = None) -> 
         "--airframe",
         metavar="NAME|FILE",
         default=default,
-        help="built-in name (paper, px4-quad-x, ...) or .toml file; live and analyze: auto, which "
-        "is what the vehicle's parameters say, and the default there"
+        help="built-in name (paper, px4-quad-x, ...) or .toml file; live and analyze "
+        "default to auto: the layout in the vehicle's parameters"
         + (f" (default {default})" if default else ""),
     )
     group.add_argument(
         "--arm",
         type=measured(positive),
         metavar="M[±STD]",
-        help="mean distance of the rotors from the center, m; its standard deviation behind +-, "
-        "such as 0.25+-0.003 or 0.25+-1%% (default 1%%), as for all that follow",
+        help="mean distance of the rotors from the center, m; here and below "
+        "+- adds a standard deviation: 0.25+-0.003 or 0.25+-1%% (default 1%%)",
     )
     scale = group.add_mutually_exclusive_group()
     scale.add_argument(
@@ -147,8 +147,7 @@ def _add_csv(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--csv",
         metavar="MAPPING.toml",
-        help="says what the columns of LOGs that are .csv or .parquet mean (default: a "
-        "columns.toml beside them)",
+        help="what the columns of .csv and .parquet LOGs mean (default: columns.toml beside them)",
     )
 
 
@@ -207,6 +206,14 @@ def add_web(parser: argparse.ArgumentParser) -> None:
 def _add_display(parser: argparse.ArgumentParser) -> None:
     """Where a session is shown."""
     parser.add_argument("--headless", action="store_true", help="print instead of the screen")
+    parser.add_argument("--pilot", action="store_true", help="begin with the coach in large print")
+    sound = parser.add_mutually_exclusive_group()
+    sound.add_argument(
+        "--speak",
+        action="store_true",
+        help="speak maneuvers, link and verdict with spd-say, espeak-ng or say, else ring the bell",
+    )
+    sound.add_argument("--bell", action="store_true", help="ring the terminal's bell for them")
     parser.add_argument(
         "--web",
         nargs="?",
@@ -394,7 +401,7 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     _add_csv(group)
     group.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
     scale = group.add_mutually_exclusive_group()
-    scale.add_argument("--mass", type=measured(mass), metavar="KG[±STD]", help="as of analyze")
+    scale.add_argument("--mass", type=measured(mass), metavar="KG[±STD]", help="as for analyze")
     scale.add_argument("--k-t", type=measured(positive), metavar="N_S2[±STD]")
     scale.add_argument("--t-max", type=measured(positive), metavar="N[±STD]")
     add_vehicle_name(parser)
@@ -404,7 +411,7 @@ def add_export(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="N vehicles drawn from the covariance, as FILE-001, FILE-002, ...",
     )
-    parser.add_argument("--seed", type=int, default=1, help="of --ensemble (default 1)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of --ensemble (default 1)")
     add_other_values(parser, setting, "NAME=VALUE", "rotor_speed_max=900 or Ixy=0")
 
 
@@ -476,7 +483,7 @@ def add_twin(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=0,
         metavar="N",
-        help="of the vehicles drawn from the covariance (default 0)",
+        help="seed of the vehicles drawn from the covariance (default 0)",
     )
 
 
@@ -514,14 +521,14 @@ def add_batch(parser: argparse.ArgumentParser) -> None:
         type=between(0.01, 1e6, "s"),
         default=1800.0,
         metavar="S",
-        help="that one log may take, else it is given up (default 1800)",
+        help="time limit for one log (default 1800)",
     )
     parser.add_argument(
         "--log-memory",
         type=between(10.0, 1e6, "MB"),
         default=4000.0,
         metavar="MB",
-        help="that one log may take, on Linux (default 4000)",
+        help="memory limit for one log, on Linux (default 4000)",
     )
     _add_airframe(parser)
     parser.add_argument("--vehicle", type=vehicle_address, metavar="SYSID[:COMPID]")
@@ -550,21 +557,21 @@ def add_health(parser: argparse.ArgumentParser) -> None:
         "--battery-mass",
         type=mass,
         metavar="KG",
-        help="of what can be moved: by how much is then worked out",
+        help="battery mass: shows how far to move it to center the CG",
     )
     _add_vehicle_choice(parser)
     parser.add_argument(
         "--baseline",
         metavar="HEALTH.json",
-        help="a flight before, as --json writes it: names a rotor that became weak "
+        help="earlier flight, written by --json: names a rotor that has weakened "
         "(default: the first of several logs)",
     )
     parser.add_argument(
         "--unchanged",
         action="store_true",
-        help="nothing was moved or loaded since the baseline: names a weak rotor sooner",
+        help="nothing was moved or loaded since the baseline: detects a weak rotor sooner",
     )
-    parser.add_argument("--json", metavar="FILE", help="write it; - is stdout")
+    parser.add_argument("--json", metavar="FILE", help="write the findings; - is stdout")
     parser.add_argument(
         "--params",
         metavar="FILE",

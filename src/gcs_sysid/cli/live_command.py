@@ -4,10 +4,11 @@ import argparse
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from gcs_sysid.cli import arguments, output, told_airframe
 from gcs_sysid.cli.json_lines import JsonLines
@@ -26,6 +27,9 @@ from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
 from gcs_sysid.results.words import shown
 from gcs_sysid.telemetry.tlog_writer import unused_path
 from gcs_sysid.telemetry.urls import parse_url
+
+if TYPE_CHECKING:
+    from gcs_sysid.screen.call_outs import Announcer
 
 _SAY_EVERY = 1.0
 """s between lines of the headless output."""
@@ -167,15 +171,17 @@ def follow(
     """
     writer.when_gone = session.request_stop
     spare_what_stays()
-    if is_watched(options):
-        _show(session, truth, options, baseline)
-    else:
-        with on_signals(session.request_stop):
-            session.start()
-            try:
-                say_until_end(session)
-            finally:
-                session.stop()
+    watched = is_watched(options)
+    with announcing(options) as announcer:
+        if watched:
+            _show(session, truth, options, baseline, announcer)
+        else:
+            with on_signals(session.request_stop):
+                session.start()
+                try:
+                    say_until_end(session, announcer)
+                finally:
+                    session.stop()
     if session.final is None:
         assert session.problem is not None
         raise session.problem
@@ -196,11 +202,34 @@ def follow(
     return 1 if session.final.verdict == "refused" else 0
 
 
+@contextmanager
+def announcing(options: argparse.Namespace) -> "Iterator[Announcer | None]":
+    """What calls out the session, where that is wanted; silent at the end."""
+    if not options.speak and not options.bell:
+        yield None
+        return
+    from gcs_sysid.screen.call_outs import Announcer
+
+    announcer = Announcer(mode="voice" if options.speak else "bell", ring=_ring)
+    if options.speak and announcer.mode != "voice":
+        output.say(announcer.describe())
+    try:
+        yield announcer
+    finally:
+        announcer.close()
+
+
+def _ring() -> None:
+    if sys.stderr.isatty():
+        print("\a", end="", file=sys.stderr, flush=True)
+
+
 def _show(
     session: Session,
     truth: Mapping[str, float] | None,
     options: argparse.Namespace,
     baseline: Result | None,
+    announcer: "Announcer | None",
 ) -> None:
     """Show a session on a screen until it ends; one that fails costs no flight.
 
@@ -208,7 +237,7 @@ def _show(
     """
     from gcs_sysid.cli.screens import scene_of
 
-    scene = scene_of(session, truth, options, baseline)
+    scene = scene_of(session, truth, options, baseline, announcer)
     if options.web:
         from gcs_sysid.cli.screens import show
 
@@ -234,15 +263,15 @@ def _show(
                     f"the screen failed ({kind}: {app.defect}); the session continues without "
                     "it until Ctrl-C"
                 )
-                say_until_end(session)
+                say_until_end(session, announcer)
         finally:
             session.stop()
     if app.defect is not None and session.problem is None:
         session.problem = app.defect
 
 
-def say_until_end(session: Session) -> None:
-    """One line a second on standard error, and one for each event."""
+def say_until_end(session: Session, announcer: "Announcer | None" = None) -> None:
+    """One line a second on standard error, and one for each event; call-outs where wanted."""
     said = -_SAY_EVERY
     last = ""
     told: Event | None = None
@@ -254,6 +283,8 @@ def say_until_end(session: Session) -> None:
         snapshot = session.latest()
         if snapshot is None:
             continue
+        if announcer is not None:
+            announcer.see(snapshot)
         for event in events_after(told, snapshot.events):
             output.say(f"{event.t:7.1f} s  {event.text}")
             told = event

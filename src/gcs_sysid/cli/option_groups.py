@@ -169,7 +169,7 @@ def add_airframe(parser: argparse.ArgumentParser) -> None:
     new.add_argument(
         "--imu",
         metavar="X,Y,Z",
-        help="position of the IMU, m forward, right, down from the center: --imu=-0.02,0,0",
+        help="IMU position, m forward, right, down of the center: --imu=-0.02,0,0",
     )
     new.add_argument(
         "--prior",
@@ -240,7 +240,7 @@ def add_tune(parser: argparse.ArgumentParser) -> None:
         "--delay",
         type=uncertain_delay,
         metavar="S[±STD]",
-        help="from the gyro's sample to the rotors' command (default: as identified, else 5 ms)",
+        help="delay from gyro sample to rotor command (default: as identified, else 5 ms)",
     )
     parser.add_argument("--json", metavar="FILE", help="write margins and gains; - is stdout")
     parser.add_argument("--bode", metavar="FILE.svg", help="Bode diagram with the 95 %% band")
@@ -252,9 +252,13 @@ def add_tune(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", metavar="FILE", help="file for a ground station")
     parser.add_argument("--force", action="store_true", help="overwrite existing files")
     parser.add_argument(
-        "--draws", type=arguments.draws, default=100, metavar="N", help="from the covariance"
+        "--draws",
+        type=arguments.draws,
+        default=100,
+        metavar="N",
+        help="vehicles drawn (default 100)",
     )
-    parser.add_argument("--seed", type=int, default=1, help="of the draws (default 1)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the draws (default 1)")
     parser.add_argument(
         "--vehicle",
         type=arguments.vehicle_address,

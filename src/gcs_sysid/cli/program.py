@@ -130,7 +130,7 @@ def build_parser() -> argparse.ArgumentParser:
         "batch",
         help="identify from many logs",
         description="Identifies from every log in files and folders, in parallel: one result per "
-        "log, and a Parquet table of all. Run again, it does the rest. Without --airframe each "
+        "log, and a Parquet table of all. Run again, it resumes. Without --airframe each "
         "log uses the nearest airframe.toml, beside it or in a folder above.",
     )
     arguments.add_batch(batch)

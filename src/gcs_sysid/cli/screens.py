@@ -19,6 +19,7 @@ from gcs_sysid.live.replay_session import ReplaySession
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
 from gcs_sysid.screen import Actions, Baseline
+from gcs_sysid.screen.call_outs import Announcer
 from gcs_sysid.screen.scene import Scene
 from gcs_sysid.screen.widgets.transport import Transport
 from gcs_sysid.telemetry.tlog_writer import unused_path
@@ -31,14 +32,16 @@ def scene_of(
     truth: Mapping[str, float] | None,
     options: argparse.Namespace,
     baseline: Result | None,
+    announcer: Announcer | None = None,
 ) -> Scene:
     """The scene of a live session or a replay."""
     known = None if baseline is None else Baseline(options.baseline, baseline)
     if isinstance(session, ReplaySession):
         actions, transport = replay_actions(session, truth, options), transport_of(session)
-        return Scene(truth or {}, actions, transport, known)
+        return Scene(truth or {}, actions, transport, known, announcer, options.pilot)
     assert isinstance(session, LiveSession)
-    return Scene(truth or {}, live_actions(session, truth, options), None, known)
+    actions = live_actions(session, truth, options)
+    return Scene(truth or {}, actions, None, known, announcer, options.pilot)
 
 
 def transport_of(session: ReplaySession) -> Transport:
@@ -91,7 +94,7 @@ def report_session(
     """
     recording = session.flushed_recording()
     if recording is None:
-        raise InputError("no recording to report on: R starts one")
+        raise InputError("no recording to report on: o starts one")
     target = unused_path(recording.with_suffix(".html"))
     snapshot = session.latest()
     heard = () if snapshot is None else snapshot.link.vehicles
@@ -183,7 +186,7 @@ def show(session: Session, scene: Scene, address: tuple[str, int]) -> None:
         with on_signals(stop):
             say_addresses(site, host)
             session.start()
-            say_until_end(session)
+            say_until_end(session, scene.announcer)
             if not stopped.is_set():
                 output.say("ended; the page stays until Ctrl-C")
             while not stopped.wait(_LOOK_EVERY):

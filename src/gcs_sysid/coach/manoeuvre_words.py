@@ -36,15 +36,23 @@ def _what(m: Manoeuvre) -> str:
     return f"{first} and yaw together, {_angle(angle)} and {_angle(m.yaw)}, {pace}"
 
 
+def axis_words(m: Manoeuvre) -> tuple[str, ...]:
+    """The motion in a few words for each axis, such as "roll ±20° 1 Hz", for large print."""
+    if m.climb:
+        return (f"climb ±{m.climb:.2g} m {m.pace:g} Hz",)
+    swings = (("roll", m.roll, m.pace), ("pitch", m.pitch, m.pace), ("yaw", m.yaw, m.yaw_pace))
+    return tuple(f"{axis} {_angle(angle)} {pace:g} Hz" for axis, angle, pace in swings if angle)
+
+
 def _angle(angle: float) -> str:
     return f"±{math.degrees(angle):.0f}°"
 
 
 def damped_words(manoeuvre: Manoeuvre, share: float) -> str:
-    """What came of a manoeuvre: "at about 1.4 Hz only ±8° of ±20° comes"."""
+    """What came of a manoeuvre: "at about 1.4 Hz only ±8° of ±20° is reached"."""
     asked = max(manoeuvre.roll, manoeuvre.pitch, manoeuvre.yaw)
     pace = manoeuvre.pace if asked > manoeuvre.yaw else manoeuvre.yaw_pace
-    return f"at about {pace:g} Hz only {_angle(share * asked)} of {_angle(asked)} comes"
+    return f"at about {pace:g} Hz only {_angle(share * asked)} of {_angle(asked)} is reached"
 
 
 def gain_words(name: str, now: float | None, expected: float) -> str:

@@ -14,7 +14,7 @@ from gcs_sysid.coach.choice import Choice, choose
 from gcs_sysid.coach.information import Noise, speed_noise
 from gcs_sysid.coach.interval_targets import is_enough, shares
 from gcs_sysid.coach.manoeuvre_library import Limits, Manoeuvre, library
-from gcs_sysid.coach.manoeuvre_words import damped_words, motion_words, sentence
+from gcs_sysid.coach.manoeuvre_words import axis_words, damped_words, motion_words, sentence
 from gcs_sysid.coach.predicted_information import PredictedInformation, predicted_information
 from gcs_sysid.coach.prior_vehicle import prior_noise, prior_vehicle
 from gcs_sysid.estimation.online import Fit
@@ -267,7 +267,14 @@ class Coach:
             if share is not None
         )
         manoeuvre = choice.manoeuvre
-        return Advice(manoeuvre.name, self._text, manoeuvre.seconds, progress, gains)
+        return Advice(
+            manoeuvre.name,
+            self._text,
+            manoeuvre.seconds,
+            progress,
+            gains,
+            axes=axis_words(manoeuvre),
+        )
 
     def _judge(self, fit: Fit) -> dict[str, float | None]:
         chain = self._chain

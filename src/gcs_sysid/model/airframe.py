@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, nearest
 from gcs_sysid.files import read_text
 from gcs_sysid.model.given_uncertainty import USUAL, GivenUncertainty, check_share
 from gcs_sysid.model.parameters import REGISTRY
@@ -301,9 +301,10 @@ def read_airframe_table(name_or_path: str) -> tuple[dict[str, Any], str]:
         path = Path(name_or_path)
         where = str(path)
         if path.suffix != ".toml" and not path.exists():
+            names = builtin_names()
             raise InputError(
-                f"no airframe {name_or_path!r}: name a .toml file or one of "
-                + ", ".join(builtin_names())
+                f"no airframe {name_or_path!r}: name a .toml file or one of {', '.join(names)}"
+                + nearest(str(name_or_path), names)
             )
         text = read_text(path, _MOST_BYTES, "the airframe file")
     if any(line.count(".") > _MOST_DOTS for line in text.splitlines()):
@@ -386,7 +387,9 @@ def _priors(table: object, where: str) -> dict[str, tuple[float, float]]:
 
 def _check_prior(name: str, value: float, std: float, where: str) -> None:
     if name not in PRIORS:
-        raise InputError(f"{where}: no prior on {name!r}; known are {', '.join(PRIORS)}")
+        raise InputError(
+            f"{where}: no prior on {name!r}; known are {', '.join(PRIORS)}" + nearest(name, PRIORS)
+        )
     if not (math.isfinite(value) and math.isfinite(std) and std > 0.0):
         raise InputError(f"{where}: the standard deviation of {name} must be positive")
     if abs(value) > _MOST_PRIOR or not _LEAST_STD <= std <= _MOST_PRIOR:

@@ -144,8 +144,8 @@ def _axis_damping(axis: int) -> Parameter:
     name = ("roll", "pitch", "yaw")[axis]
     return Parameter(
         f"{name}_damping", f"d_{'pqr'[axis]}", "N m s", f"{name} damping torque over {name} rate",
-        f"decay of {name}", label=f"d_{name}", sign="not negative", axes=(axis,), rigid_body=axis
-        == 2, yardstick=Yardstick(("Ixx",), or_value=True), clock=ClockError(0.1, "Ixx"),
+        f"decay of {name}", sign="not negative", axes=(axis,), rigid_body=axis == 2,
+        yardstick=Yardstick(("Ixx",), or_value=True), clock=ClockError(0.1, "Ixx"),
         optional=True,
     )  # fmt: skip
 

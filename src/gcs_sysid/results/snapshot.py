@@ -150,6 +150,7 @@ class Advice:
         progress: 0 to 1, how much of it was flown since it was advised.
         gains: the parameters that it is for, the widest first.
         enough: every interval meets the target.
+        axes: the motion in a few words for each axis, such as "roll ±20° 1 Hz".
     """
 
     manoeuvre: str
@@ -158,6 +159,7 @@ class Advice:
     progress: float = 0.0
     gains: tuple[Gain, ...] = ()
     enough: bool = False
+    axes: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """For the lines of `--json`; shares as in `Gain`."""

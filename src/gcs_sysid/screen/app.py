@@ -15,8 +15,10 @@ from gcs_sysid.results.comparison import Comparison, compare
 from gcs_sysid.results.snapshot import Event, LinkState, Snapshot
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.actions import ActingApp
+from gcs_sysid.screen.call_outs import Announcer
 from gcs_sysid.screen.help import HelpScreen
 from gcs_sysid.screen.main_view import MainScreen
+from gcs_sysid.screen.pilot_view import PilotScreen
 from gcs_sysid.screen.source import Actions, SnapshotSource
 from gcs_sysid.screen.themes import DARK, LIGHT
 from gcs_sysid.screen.verdict_summary import shares
@@ -42,7 +44,7 @@ class SysidApp(ActingApp):
 
     CSS_PATH = "screen.tcss"
     ENABLE_COMMAND_PALETTE = True
-    # The keys of the main screen are in main.py; this one works everywhere.
+    # The keys of the main screen are in main_view.py; this one works everywhere.
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("ctrl+c,ctrl+q", "quit", "Quit", show=False, priority=True),
     ]
@@ -68,6 +70,12 @@ class SysidApp(ActingApp):
         self._heard = (-1, time_source())
         self._last_event: Event | None = None
         self._compared: Comparison | None = None
+        self.announcer = Announcer(now=time_source)
+        """Calls out what is new; whoever makes the application may put another here."""
+        self._large: PilotScreen | None = None
+        """The pilot view, while it covers the main screen."""
+        self.begins_large = False
+        """Whether the pilot view comes first."""
         self.defect: Exception | None = None
         """What the screen has failed of."""
         self._main = MainScreen(title)
@@ -95,11 +103,18 @@ class SysidApp(ActingApp):
 
     def on_mount(self) -> None:
         """Start polling; the first snapshot is drawn as soon as the screen stands."""
+        self.announcer.ring = self.bell
         self.set_interval(POLL_SECONDS, self.poll)
+
+    def on_unmount(self) -> None:
+        """No call-out outlives the screen."""
+        self.announcer.close()
 
     def on_main_screen_ready(self) -> None:
         """Draw at once, without waiting for the next tick."""
         self.poll(force=True)
+        if self.begins_large:
+            self.action_pilot_view()
 
     def poll(self, force: bool = False) -> None:
         """Take the newest snapshot and draw it, if there is something new to draw."""
@@ -108,6 +123,7 @@ class SysidApp(ActingApp):
         snapshot = self.source.latest()
         if snapshot is not None and snapshot.link.received != self._heard[0]:
             self._heard = (snapshot.link.received, self._time())
+        self.announcer.see(snapshot)
         if self.paused and not force:
             return
         changed = snapshot is not self._snapshot
@@ -131,19 +147,21 @@ class SysidApp(ActingApp):
         names = self._names()
         if self.selected not in names:
             self.selected = self._first_choice()
-        self._main.show(
-            View(
-                snapshot=self._snapshot,
-                truth=self.truth,
-                selected=self.selected,
-                exponents=self._exponents,
-                silence=self._time() - self._heard[1],
-                paused=self.paused,
-                shares={} if self._snapshot is None else shares(self._snapshot.result),
-                baseline="" if self.baseline is None else self.baseline.name,
-                comparison=self._compare(),
-            )
+        view = View(
+            snapshot=self._snapshot,
+            truth=self.truth,
+            selected=self.selected,
+            exponents=self._exponents,
+            silence=self._time() - self._heard[1],
+            paused=self.paused,
+            shares={} if self._snapshot is None else shares(self._snapshot.result),
+            baseline="" if self.baseline is None else self.baseline.name,
+            comparison=self._compare(),
         )
+        if self._large is None:
+            self._main.show(view)
+        elif self._large.picture.is_attached:
+            self._large.picture.show(view)
 
     def _compare(self) -> Comparison | None:
         """The present result with the baseline; anew only where either is."""
@@ -176,14 +194,19 @@ class SysidApp(ActingApp):
     def _report_newest_event(self) -> None:
         newest = self._snapshot.events[-1] if self._snapshot and self._snapshot.events else None
         if newest is not None and newest != self._last_event:
-            self._main.answer.say(newest.text, newest.t)
+            self._answer(newest.text, newest.t)
         self._last_event = newest
 
     # -- answers
 
     def say(self, text: str) -> None:
         """Answer an action with a sentence above the footer."""
-        self._main.answer.say(text, None if self._snapshot is None else self._snapshot.t)
+        self._answer(text, None if self._snapshot is None else self._snapshot.t)
+
+    def _answer(self, text: str, t: float | None) -> None:
+        self._main.answer.say(text, t)
+        if self._large is not None and self._large.answer.is_attached:
+            self._large.answer.say(text, t)
 
     # -- actions
 
@@ -211,6 +234,22 @@ class SysidApp(ActingApp):
         self.paused = not self.paused
         self.say("Display paused." if self.paused else "Display resumed.")
         self.poll(force=True)
+
+    def action_pilot_view(self) -> None:
+        """The coach in large print."""
+
+        def back(_: None) -> None:
+            # The main screen has what came meanwhile to draw.
+            self._large = None
+            self.draw()
+
+        if self._large is None:
+            self._large = PilotScreen()
+            self.push_screen(self._large, back)
+
+    def action_call_outs(self) -> None:
+        """Off, voice, bell."""
+        self.say(self.announcer.next_mode())
 
     def action_toggle_dark(self) -> None:
         """Dark or light; from any other theme, to the one of opposite brightness."""
@@ -257,6 +296,8 @@ class SysidApp(ActingApp):
         """The actions, in the command palette."""
         for title, meaning, action in (
             ("Mark", "Mark this instant in the event log", self.action_mark),
+            ("Pilot view", "The coach in large print", self.action_pilot_view),
+            ("Call-outs", "Off, voice, bell", self.action_call_outs),
             ("Reset", "Discard the data so far and restart the estimate", self.action_reset),
             ("Record", "Start or stop recording", self.action_record),
             ("Pause", "Freeze or resume the display", self.action_pause),

@@ -1,9 +1,14 @@
-"""Letters three lines high, to be read from two metres."""
+"""Letters of three lines and more, to be read from two meters."""
 
 HEIGHT = 3
+"""Lines of the smallest letters."""
 
 _GLYPHS = {
-    " ": ("...", "...", "...", "...", "..."),
+    " ": ("..", "..", "..", "..", ".."),
+    "%": ("#.#", "..#", ".#.", "#..", "#.#"),
+    "+": ("...", ".#.", "###", ".#.", "..."),
+    "-": ("...", "...", "###", "...", "..."),
+    ".": (".", ".", ".", ".", "#"),
     "/": ("..#", "..#", ".#.", "#..", "#.."),
     "0": ("###", "#.#", "#.#", "#.#", "###"),
     "1": (".#.", "##.", ".#.", ".#.", "###"),
@@ -15,37 +20,60 @@ _GLYPHS = {
     "7": ("###", "..#", ".#.", ".#.", ".#."),
     "8": ("###", "#.#", "###", "#.#", "###"),
     "9": ("###", "#.#", "###", "..#", "###"),
+    ":": (".", "#", ".", "#", "."),
+    "±": (".#.", "###", ".#.", "...", "###"),
+    "°": ("##", "##", "..", "..", ".."),
+    "_": ("...", "...", "...", "...", "###"),
     "A": (".#.", "#.#", "###", "#.#", "#.#"),
+    "B": ("##.", "#.#", "##.", "#.#", "##."),
+    "C": ("###", "#..", "#..", "#..", "###"),
     "D": ("##.", "#.#", "#.#", "#.#", "##."),
     "E": ("###", "#..", "##.", "#..", "###"),
     "F": ("###", "#..", "##.", "#..", "#.."),
     "G": ("###", "#..", "#.#", "#.#", "###"),
     "H": ("#.#", "#.#", "###", "#.#", "#.#"),
     "I": ("###", ".#.", ".#.", ".#.", "###"),
+    "J": ("..#", "..#", "..#", "#.#", "###"),
+    "K": ("#.#", "#.#", "##.", "#.#", "#.#"),
     "L": ("#..", "#..", "#..", "#..", "###"),
+    "M": ("#...#", "##.##", "#.#.#", "#...#", "#...#"),
     "N": ("#..#", "##.#", "#.##", "#..#", "#..#"),
     "O": ("###", "#.#", "#.#", "#.#", "###"),
     "P": ("###", "#.#", "###", "#..", "#.."),
+    "Q": ("###", "#.#", "#.#", "###", "..#"),
     "R": ("##.", "#.#", "##.", "#.#", "#.#"),
-    "S": ("###", "#..", "###", "..#", "###"),
+    "S": (".##", "#..", ".#.", "..#", "##."),
     "T": ("###", ".#.", ".#.", ".#.", ".#."),
     "U": ("#.#", "#.#", "#.#", "#.#", "###"),
+    "V": ("#.#", "#.#", "#.#", "#.#", ".#."),
     "W": ("#...#", "#...#", "#.#.#", "##.##", "#...#"),
+    "X": ("#.#", "#.#", ".#.", "#.#", "#.#"),
     "Y": ("#.#", "#.#", ".#.", ".#.", ".#."),
+    "Z": ("###", "..#", ".#.", "#..", "###"),
 }
-"""Five rows of dots a letter: those that the verdicts need."""
+"""Five rows of dots a letter."""
+_ROWS = 5
 _BLOCKS = {"..": " ", "##": "█", "#.": "▀", ".#": "▄"}
 
 
-def big(text: str) -> list[str]:
-    """A text as `HEIGHT` lines of half blocks, one column between letters.
+def height_of(scale: int) -> int:
+    """Lines of letters whose dots are so many columns wide."""
+    return (_ROWS * scale + 1) // 2
 
-    Raises:
-        KeyError: a letter that no verdict needs.
+
+def big(text: str, scale: int = 1) -> list[str]:
+    """A text as `height_of(scale)` lines of half blocks, one dot between letters.
+
+    Args:
+        text: in capitals; a sign that there is no letter for becomes a gap.
+        scale: columns of a dot, which is half as many lines high.
     """
-    rows = [".".join(_GLYPHS[letter][row] for letter in text) for row in range(5)]
-    rows.append("." * len(rows[0]))
+    glyphs = [_GLYPHS.get(letter, _GLYPHS[" "]) for letter in text]
+    rows = [".".join(glyph[row] for glyph in glyphs) for row in range(_ROWS)]
+    dots = ["".join(dot * scale for dot in row) for row in rows for _ in range(scale)]
+    if len(dots) % 2:
+        dots.append("." * len(dots[0]))
     return [
         "".join(_BLOCKS[upper + lower] for upper, lower in zip(*pair, strict=True))
-        for pair in (rows[0:2], rows[2:4], rows[4:6])
+        for pair in zip(dots[::2], dots[1::2], strict=True)
     ]

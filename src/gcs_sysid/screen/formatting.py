@@ -70,8 +70,9 @@ def choose_exponents(
     unsure: dict[str, list[float]] = {}
     for parameter, estimate in rows(result):
         group = unsure if estimate.status == "unobservable" else sure
-        if estimate.value is not None and math.isfinite(estimate.value):
-            group.setdefault(exponent_key(parameter), []).append(abs(estimate.value))
+        shown = estimate.value if estimate.limit is None else estimate.limit
+        if shown is not None and math.isfinite(shown):
+            group.setdefault(exponent_key(parameter), []).append(abs(shown))
         if parameter.name in truth:
             sure.setdefault(exponent_key(parameter), []).append(abs(truth[parameter.name]))
     chosen = dict(previous)

@@ -76,7 +76,7 @@ class TwinFlight:
         if self.same_flight:
             return (
                 f"{spans}; the result is of this same flight, so the model flown is fitted again, "
-                "to what comes before"
+                "to the data before them"
             )
         return f"{spans}: the result is of another flight"
 

@@ -14,6 +14,7 @@ from gcs_sysid.results.number_format import PAGE, engineering_exponent, scaled_u
 from gcs_sysid.results.snapshot import Advice, LinkState, LinkStatus, Playback, Snapshot
 from gcs_sysid.results.words import VERDICT
 from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.call_outs import call_outs, seconds_left
 from gcs_sysid.screen.verdict_summary import compared, headline, shares, standing_of
 from gcs_sysid.screen.view import Baseline, View
 from gcs_sysid.screen.widgets.coach_panel import gain_text
@@ -62,6 +63,7 @@ def session_view(
         },
         "baseline": _baseline(snapshot, baseline),
         "link": _link(snapshot.link),
+        "call_outs": call_outs(snapshot),
         "coach": None if snapshot.advice is None else _coach(snapshot.advice),
         "parameters": parameters,
         "rotors": _rotors(snapshot),
@@ -162,7 +164,6 @@ def _link(link: LinkStatus) -> dict[str, Any]:
 
 
 def _coach(advice: Advice) -> dict[str, Any]:
-    left = max(0.0, (1.0 - advice.progress) * advice.seconds)
     # The order in large letters, and aloud; what it is for below.
     text, _, aim = advice.text.rpartition(": ") if advice.manoeuvre else (advice.text, "", "")
     return {
@@ -171,7 +172,7 @@ def _coach(advice: Advice) -> dict[str, Any]:
         "fly": bool(advice.manoeuvre),
         "enough": advice.enough,
         "progress": round(advice.progress, 2),
-        "left": f"{left:.0f} s left" if advice.manoeuvre else "",
+        "left": f"{seconds_left(advice):.0f} s left" if advice.manoeuvre else "",
         "gains": [] if text and aim else [gain_text(gain) for gain in advice.gains[:4]],
     }
 

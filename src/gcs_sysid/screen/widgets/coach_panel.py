@@ -7,6 +7,7 @@ from gcs_sysid.results import words
 from gcs_sysid.results.number_format import PLAIN
 from gcs_sysid.results.snapshot import Advice, Gain
 from gcs_sysid.screen import formatting as fmt
+from gcs_sysid.screen.call_outs import seconds_left
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line
 
@@ -25,10 +26,9 @@ def advice_lines(advice: Advice, width: int) -> list[Line]:
         return [[("✓ ENOUGH  ", "bold $text-success"), (advice.text, "bold")]]
     if not advice.manoeuvre:
         return [[("COACH  ", "bold $text-primary"), (advice.text, "")]]
-    left = max(0.0, (1.0 - advice.progress) * advice.seconds)
     parts: Line = [
         (fmt.bar(advice.progress, BAR), "$text-primary on $panel"),
-        (f" {100.0 * advice.progress:3.0f} %  {left:.0f} s left", "bold"),
+        (f" {100.0 * advice.progress:3.0f} %  {seconds_left(advice):.0f} s left", "bold"),
     ]
     room = width - sum(len(text) for text, _ in parts)
     for gain in advice.gains:

@@ -1,4 +1,4 @@
-"""The verdict: what is known, how well, what is missing. To be read from two metres."""
+"""The verdict: what is identified, how well, and what is not. To be read from two meters."""
 
 from textual.content import Content
 from textual.widgets import Static
@@ -9,6 +9,8 @@ from gcs_sysid.screen.big_letters import HEIGHT, big
 from gcs_sysid.screen.verdict_summary import Standing, compared, headline, named, standing_of
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line
+
+_TITLE = len("✗ unobservable")
 
 
 class VerdictPanel(Static):
@@ -51,18 +53,23 @@ class VerdictPanel(Static):
         if self._view is not None:
             self.show(self._view)
 
+    def _absent(self) -> str:
+        """What parameters without an estimate are: before there are data, none is unobservable."""
+        waiting = self._view is not None and self._view.waiting
+        return "○ waiting" if waiting else "✗ unobservable"
+
     def _small(self, snapshot: Snapshot, standing: Standing, width: int) -> list[Line]:
         sign = words.VERDICT[snapshot.result.verdict].sign
         head = f"{sign} {headline(snapshot)} {standing.reached}/{standing.total}"
         parts: Line = [(head, "bold")]
         room = width - len(head)
-        groups = [("~ weak", standing.weak), ("✗ missing", standing.missing)]
+        groups = [("~ weak", standing.weak), (self._absent(), standing.missing)]
         groups = [(title, group) for title, group in groups if group]
         if not groups:
             groups = [("widest", standing.known[:1])]
         for number, (title, group) in enumerate(groups):
             share = room // (len(groups) - number)
-            text = named(group, share - len(title) - 4, shares=title != "✗ missing")
+            text = named(group, share - len(title) - 4, shares=group is not standing.missing)
             parts += [(f"   {title} ", "bold"), (text, "")]
             room -= len(title) + len(text) + 4
         return [parts]
@@ -72,17 +79,18 @@ class VerdictPanel(Static):
         room = width - len(letters[0]) - 3
         within = f"{standing.reached} within the target of ±{100.0 * snapshot.target:g} %"
         known = f"{within}, widest {named(standing.known[:1], room)}" if standing.known else within
+        room -= _TITLE + 4
         beside = (
-            ("✓ known", len(standing.known), known),
-            ("~ weak", len(standing.weak), named(standing.weak, room - 14)),
-            ("✗ missing", len(standing.missing), named(standing.missing, room - 14, shares=False)),
+            ("✓ identified", len(standing.known), known),
+            ("~ weak", len(standing.weak), named(standing.weak, room)),
+            (self._absent(), len(standing.missing), named(standing.missing, room, shares=False)),
         )
         assert len(beside) == HEIGHT
         return [
             [
                 (line, ""),
                 ("   ", ""),
-                (f"{title:<10}", "bold"),
+                (f"{title:<{_TITLE}}", "bold"),
                 (f"{count:>2}  ", "bold"),
                 (text, ""),
             ]

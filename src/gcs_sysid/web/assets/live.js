@@ -5,7 +5,8 @@ let chosen = ""; // the parameter in the plot
 let offered = []; // what may be done
 let newest = null; // the snapshot shown
 let plotting = 0; // the timer of the next plot
-let said = {}; // what was spoken last
+let said = {}; // what was spoken last, by kind
+let counted = 0; // when the verdict was
 let toastTimer = 0;
 const SIGNS = { waiting: "○", connected: "●", replay: "▶", lost: "✗", ended: "■" };
 
@@ -20,20 +21,15 @@ function toast(text) {
 const speaking = () => byId("speak").getAttribute("aria-pressed") === "true";
 
 function speak(key, text) {
-  if (said[key] === text) return;
+  if ((said[key] ?? "") === text) return;
   said[key] = text;
   if (!text || !speaking() || !("speechSynthesis" in window)) return;
-  if (key === "coach") speechSynthesis.cancel(); // an order that holds no more
-  const words = new SpeechSynthesisUtterance(text.replaceAll("±", "plus or minus ").replaceAll("°", " degrees").replaceAll("Hz", "hertz"));
+  if (key === "verdict" && (speechSynthesis.speaking || Date.now() - counted < 15000)) { said[key] = ""; return; } // later
+  if (key === "verdict") counted = Date.now();
+  if (key === "coach" || key === "link") speechSynthesis.cancel(); // an order that holds no more
+  const words = new SpeechSynthesisUtterance(text);
   words.lang = "en";
   speechSynthesis.speak(words);
-}
-
-function callOut(session) {
-  const { coach, link, verdict } = session;
-  if (link.state === "lost" || said.link === "Link lost.") speak("link", link.state === "lost" ? "Link lost." : "Link is back.");
-  if (coach) speak("coach", coach.enough ? `Enough. ${coach.text}` : coach.text);
-  speak("verdict", `${verdict.headline.toLowerCase()}, ${verdict.reached} of ${verdict.total}`);
 }
 
 /* --- drawing */
@@ -63,7 +59,7 @@ function show(session) {
   toggle(byId("transport"), Boolean(playback));
   if (playback) showPlayback(playback);
   showVehicles(link.vehicles);
-  callOut(session);
+  for (const [kind, text] of Object.entries(session.call_outs)) speak(kind, text);
   if (!plotting) plot();
 }
 
