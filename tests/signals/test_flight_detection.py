@@ -178,6 +178,18 @@ def test_a_landing_is_found_within_half_a_second(after, in_air):
     assert 25.0 <= found[-1] < 25.5
 
 
+@pytest.mark.parametrize("block", [1, 10**6])
+@pytest.mark.parametrize("in_air", [UNKNOWN, between(5.0, 27.0)], ids=["untold", "told late"])
+def test_what_lies_on_its_back_has_landed(in_air, block):
+    """Rotors still turn after a crash, but they pull the other way."""
+    force = np.where(T < 20.0, G, -G)
+    found = sensed(between(5.0, 29.0, HOVER), force, in_air=in_air, block=block)
+    spans(found, 5.0 + TAKE_OFF, found[-1])
+    assert 20.0 <= found[-1] < 20.5
+    # An accelerometer that never showed its weight the right way up tells nothing.
+    assert len(sensed(between(5.0, 25.0, HOVER), np.full(len(T), -G))) > 15.0 * RATE
+
+
 def test_where_a_record_begins_with_idling_rotors_is_known_once_it_has_left():
     speed = np.where(T < 5.0, IDLE, HOVER)
     found = sensed(speed)
