@@ -7,8 +7,8 @@
 `quiet` flies vehicles of which none changes, through climbs, landings, gusts, full throttle,
 saturation and aerodynamics, on speeds and on commands, and counts the changes called. `steps` adds
 a fifth of the mass in flight, or takes 15 % of one rotor's thrust, and prints how many were found,
-when it was decided, and errors 15 s later. `logs` lists what is called in recorded flights, whose
-airframes are found as by `benchmarks.unchanged`.
+when it was decided, and errors 15 s later. `logs` lists what is found in recorded flights, and
+whether that is what it is to be (`benchmarks.recorded_changes`).
 
 Flights come from the emulator's ensemble, with noise of MEMS sensors at 250 Hz; times are of the
 vehicle. Everything is seeded: the same command prints the same.
@@ -22,14 +22,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.unchanged import airframe_for, logs_in
+from benchmarks.recorded_changes import logs
 from gcs_sysid.argument_types import positive
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.change_detection import ChangeTuning
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import Tuning, tuning_for_commands
 from gcs_sysid.model.parameters import GRAVITY
-from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.signals.flight_detection import FlightDetector
 from gcs_sysid.signals.samples import Samples
 from sim_bridge.choices import Span
@@ -275,30 +274,6 @@ def fly_step(fleet: Vehicle, step: Step, physics: Physics, changes: Sequence[Cha
 
 def _worst(errors: Sequence[float]) -> str:
     return f"{100.0 * float(np.max(np.abs(errors))):.2f}" if errors else "-"
-
-
-def logs(paths: Sequence[Path]) -> int:
-    """List changes called in recorded flights; how many there were."""
-    missing = [path for path in paths if not path.exists()]
-    if missing:
-        raise InputError(f"{missing[0]}: no such file or folder")
-    false = 0
-    for log in logs_in(list(paths)):
-        try:
-            result = analyze_log(log, airframe_for(log))
-        except InputError as error:
-            print(f"{log.name:<40} {error}")
-            continue
-        changes = [e for e in result.events if "detected" in e and e["kind"] != "disturbance"]
-        names = [e for e in result.events if e["kind"] == "disturbance"]
-        false += len(changes)
-        told = " ".join(f"{e['kind']}@{e['t']:.1f}" for e in changes)
-        used = result.telemetry["used_seconds"]
-        print(
-            f"{log.name:<40} used {used:6.1f} s  disturbances {len(names):3d}  {told}", flush=True
-        )
-    print(f"changes called: {false}")
-    return false
 
 
 def whole(text: str) -> int:
