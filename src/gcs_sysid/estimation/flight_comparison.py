@@ -50,6 +50,12 @@ class Trial:
         """Samples to come until there are enough."""
         return self._needed - sum(len(part[0]) for part in self.parts if part is not None)
 
+    @property
+    def battery_doubt(self) -> float:
+        """One standard deviation of what the battery may have done to thrust, relative."""
+        drift = self._estimator.drift
+        return 0.0 if drift is None else drift.thrust_doubt
+
     def take(self, t: Array, samples: Samples) -> None:
         """Add (n,) times and samples."""
         self.parts.append((t, samples))
@@ -78,7 +84,7 @@ class Trial:
         return self._estimator.fit()
 
 
-def is_another(before: Fit, now: Fit, arm: float) -> bool:
+def is_another(before: Fit, now: Fit, arm: float, battery: float = 0.0) -> bool:
     """Whether two fits of different flights cannot be of one vehicle.
 
     A chi-square test on what both know: k_T over mass, and what the rotation has relative to k_T.
@@ -87,8 +93,10 @@ def is_another(before: Fit, now: Fit, arm: float) -> bool:
         before: the one.
         now: the other.
         arm: m, mean distance of the rotors, by which a CG is judged.
+        battery: one standard deviation of what another state of the battery may do to thrust over
+            mass, relative.
     """
-    square, freedom = _thrust(before, now)
+    square, freedom = _thrust(before, now, battery)
     a, b = before.rotation, now.rotation
     if a is not None and b is not None:
         theta = a.theta
@@ -116,7 +124,7 @@ def _color(fit: Fit) -> float:
     return float(np.max(known, initial=1.0))
 
 
-def _thrust(before: Fit, now: Fit) -> tuple[float, int]:
+def _thrust(before: Fit, now: Fit, battery: float) -> tuple[float, int]:
     """Squared distance and degrees of freedom of k_T over mass."""
     a, b = before.translation, now.translation
     if a is not None and b is not None and a.source != b.source:
@@ -124,7 +132,8 @@ def _thrust(before: Fit, now: Fit) -> tuple[float, int]:
         a, b = before.accelerometer, now.accelerometer
     if a is None or b is None or not max(a.kappa_std, b.kappa_std) < _KNOWN_TO * a.kappa:
         return 0.0, 0
-    variance = a.kappa_std**2 + b.kappa_std**2 + (_MODEL_ERROR * a.kappa) ** 2
+    variance = a.kappa_std**2 + b.kappa_std**2
+    variance += (_MODEL_ERROR**2 + battery**2) * a.kappa**2
     for thrust, rotation in ((a, before.rotation), (b, now.rotation)):
         if rotation is not None:  # T_max / m goes with the thrust curve, which is uncertain too
             variance += (thrust.curve_slope * float(rotation.coordinates_std[CURVE])) ** 2

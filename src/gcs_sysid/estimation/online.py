@@ -22,6 +22,7 @@ from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import COORDINATE_STD
+from gcs_sysid.estimation.thrust_drift import ThrustDrift
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.estimation.validation import Validation, validate
@@ -165,6 +166,11 @@ class OnlineEstimator:
     def seconds(self) -> float:
         """Flight time that the rotational estimate rests on."""
         return self._record.seconds
+
+    @property
+    def drift(self) -> ThrustDrift | None:
+        """Of thrust at a given command; None: rotor speeds need none."""
+        return self._record.drift
 
     @property
     def speed_std(self) -> Array:

@@ -254,8 +254,7 @@ class Tracker:
             landed, stay = self._newest, _AWAY
         if t[0] - landed >= stay and np.isfinite(landed):
             self._end_trial()
-            fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
-            self._trial = Trial(fresh, landed, float(t[0]))
+            self._trial = Trial(self._fresh(landed=True), landed, float(t[0]))
         self._newest = float(t[-1])
         if self._trial is None:
             return self._follow(t, samples, stops)
@@ -285,11 +284,11 @@ class Tracker:
         before = self.fit()
         arm = float(np.mean(np.hypot(self.geometry[0], self.geometry[1])))
         room = len(self.segments) < MOST_SEGMENTS
-        if room and is_another(before, trial.fit(), arm):
+        if room and is_another(before, trial.fit(), arm, trial.battery_doubt):
             self._add(Event(trial.landed, trial.end, None, None, len(self.segments)))
             self.segments.append(Segment(self.start, trial.landed, before))
             # Of what was known only the scale is left, and the accelerometer.
-            fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
+            fresh = self._fresh(landed=True)
             fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
             self._go_on_with(fresh, [])
             self.start = trial.start
@@ -396,7 +395,7 @@ class Tracker:
             return
         event = replace(event, segment=len(self.segments))
         self.segments.append(Segment(self.start, onset, before))
-        fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
+        fresh = self._fresh(landed=False)
         fresh.prior = _after_change(before, self.geometry)
         fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
         kept = self._watch.since(since)
@@ -406,6 +405,13 @@ class Tracker:
         self._go_on_with(fresh, kept if self._keep else [])
         self._watch_anew()
         self._add(event)
+
+    def _fresh(self, *, landed: bool) -> OnlineEstimator:
+        """An estimator of what may be another vehicle with the same rotors."""
+        fresh, before = OnlineEstimator(self.geometry, self.dt, self._tuning), self._estimator.drift
+        if fresh.drift is not None and before is not None:
+            fresh.drift.go_on_from(before, landed=landed)
+        return fresh
 
     def _watch_anew(self) -> None:
         """Another vehicle: residuals of the last one tell nothing of it."""

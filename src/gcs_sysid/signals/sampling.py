@@ -337,6 +337,7 @@ class Sampler:
             attitude=filtered,
             force=force,
             velocity=velocity[:, :3],
+            voltage=_stream(block, Stream.VOLTAGE, n, 1),
         )
         self.t = float(t[-1])
         self.flying = bool(flying[-1])

@@ -376,7 +376,7 @@ class TimeBase:
             if stream is Stream.ROTOR_SPEED:
                 buffer = RotorBuffer(width)
             else:
-                hold = stream in (Stream.IN_AIR, Stream.ARMED)
+                hold = stream in (Stream.IN_AIR, Stream.ARMED, Stream.VOLTAGE)
                 bridged = _CARRIED if stream is Stream.VELOCITY else 0.0
                 buffer = StreamBuffer(width, hold=hold, bridged=bridged)
             self._buffers[key] = buffer
