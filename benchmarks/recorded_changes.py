@@ -22,6 +22,7 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import History
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import Chain, ChainOptions
+from gcs_sysid.signals.samples import NEEDED_RATE
 from gcs_sysid.signals.sampling import SampleBlock
 from gcs_sysid.telemetry.tlog import read_tlog
 
@@ -91,6 +92,13 @@ class Flown:
     def used(self) -> float:
         """Flight that the result rests on, s."""
         return float(self.result.telemetry["used_seconds"])
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether IMU and rotors are there, and fast enough."""
+        told = self.result.telemetry
+        rate = told.get("grid_rate") or 0.0
+        return rate >= 0.9 * NEEDED_RATE and told["rotor_input"]["source"] is not None
 
     @property
     def airborne(self) -> float:
@@ -183,8 +191,12 @@ def logs(paths: Sequence[Path]) -> int:
     if errors:
         late = sum(e > LANDING for e in errors)
         _tell("landings", f"{len(errors)}, at most {max(errors):.2f} s off", not late)
-    idle = [f.log.name for f in all_flown if f.airborne > 1.0 and not f.used]
-    _tell("flights of which 0 s were used", ", ".join(idle) or "none", not idle)
+    idle = [f for f in all_flown if f.airborne > 1.0 and not f.used]
+    slow = [f.log.name for f in idle if not f.is_usable]
+    unused = [f.log.name for f in idle if f.is_usable]
+    _tell("flights of which 0 s were used", ", ".join(unused) or "none", not unused)
+    if slow:
+        print(f"    besides, refused as too slow or without rotors: {', '.join(slow)}")
     _tell("false changes", f"{false} in {len(all_flown)} logs", not false)
     return false
 

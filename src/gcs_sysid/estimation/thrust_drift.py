@@ -17,7 +17,7 @@ whatever the curve: where it is a straight line full thrust has fallen by D, whe
 by 2 D, and so do one command and its square.
 
 What is not drift may look like it: gusts, drag in a climb, a rough accelerometer, a payload.
-Commands are scaled only by a loss of thrust (a gain, only as far as the voltage has risen), and only
+Commands are scaled only by a loss of thrust (by a gain as far as the voltage has risen), and only
 as far as it stands out of what these can do; a jump is none.
 """
 
@@ -53,7 +53,7 @@ class DriftTuning:
 
     period: float = 1.0
     rate: float = 2e-3
-    told_rate: float = 0.2
+    told_rate: float = 0.1
     effect: tuple[float, float] = (1.2, 0.6)
     settled: int = 3
     wander: float = 4e-5
@@ -144,15 +144,11 @@ class ThrustDrift:
         self.voltage, self._told = before.voltage, before._told
         self._fallen = before._fallen
         self._mean, self._covariance = before._mean.copy(), before._covariance.copy()
-        self._mean[0] = 0.0
-        self._covariance[0] = self._covariance[:, 0] = 0.0
-        self._covariance[0, 0] = 100.0
+        self._set(0, 10.0)
         self._noise, self._worth = before._noise, before._worth
         if landed and not told:
-            for i, std in ((_D, 0.0), (_RATE, self._tuning.rate)):
-                self._mean[i] = 0.0
-                self._covariance[i] = self._covariance[:, i] = 0.0
-                self._covariance[i, i] = std**2
+            self._set(_D, 0.0)
+            self._set(_RATE, self._tuning.rate)
         elif not landed or told:
             self._target = self._now = before._target
 
@@ -228,6 +224,12 @@ class ThrustDrift:
         self._covariance = self._covariance - np.outer(spread, spread) / variance
         self._believe()
 
+    def _set(self, i: int, std: float) -> None:
+        """Have an unknown be zero with a standard deviation."""
+        self._mean[i] = 0.0
+        self._covariance[i] = self._covariance[:, i] = 0.0
+        self._covariance[i, i] = std**2
+
     def _take_voltage(self) -> None:
         """Take the average of the voltage, if enough of it was told."""
         count, total = self._volts.tolist()
@@ -239,9 +241,10 @@ class ThrustDrift:
             if self._told < self._tuning.settled:
                 return
             self.voltage = volts
-            # What the voltage explains, the drift of its own need not.
-            self._covariance[_RATE] *= self._tuning.told_rate
-            self._covariance[:, _RATE] *= self._tuning.told_rate
+            # What the voltage explains, the drift of its own need not; none of it is before V_0.
+            self._mean[0] += self._mean[_D]
+            self._set(_D, 0.0)
+            self._set(_RATE, self._tuning.told_rate * self._tuning.rate)
         self._fallen = float(np.log(self.voltage / volts))
 
     def _drift_and_std(self) -> tuple[float, float]:
@@ -253,7 +256,11 @@ class ThrustDrift:
         return max(drift, min(effect * self._fallen, 0.0)), std
 
     def _believe(self) -> None:
+        """Go by the drift as far as it stands out, or as what the voltage does is known."""
         low, high = self._tuning.believed
         drift, std = self._drift_and_std()
-        share = min(max((abs(drift) / max(std, 1e-12) - low) / (high - low), 0.0), 1.0)
-        self._target = share * drift
+        sigmas = abs(drift) / max(std, 1e-12)
+        if self.voltage is not None:
+            effect, variance = self._mean[_EFFECT], self._covariance[_EFFECT, _EFFECT]
+            sigmas = max(sigmas, float(effect / variance**0.5))
+        self._target = min(max((sigmas - low) / (high - low), 0.0), 1.0) * drift

@@ -155,6 +155,12 @@ class Tracker:
         """The one in force."""
         return self._estimator
 
+    @property
+    def voltage(self) -> float | None:
+        """V, the battery's that thrust at full command is of; None: speeds, or it is not told."""
+        drift = self._estimator.drift
+        return None if drift is None else drift.voltage
+
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
         if self._trial is not None:

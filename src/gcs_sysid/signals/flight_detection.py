@@ -3,8 +3,8 @@
 Rotors at zero are not the ground: a throttle is cut and a mixer saturates in the air too, and a
 hand throws a vehicle whose rotors stand. On the ground the accelerometer reads 1 g and nothing
 turns; in free fall it reads next to nothing. Rotors that turn are not flight either: what idles
-on its feet reads 1 g at a fraction of the thrust that carries it, and what lies on its back is pushed
-the way in which its rotors never push.
+on its feet reads 1 g at a fraction of the thrust that carries it, and what lies on its back is
+pushed the way in which its rotors never push.
 """
 
 import math
