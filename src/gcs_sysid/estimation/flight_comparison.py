@@ -79,9 +79,13 @@ class Trial:
             kept.append(part)
         self.parts = kept
 
-    def fit(self) -> Fit:
-        """The fit of this flight alone."""
-        return self._estimator.fit()
+    def fit(self, before: Fit) -> Fit:
+        """The fit of this flight alone, but for thrust by the rotors' dynamics of one before.
+
+        Rotors are the same, or no scale would carry over: with commands T_max / m goes with the
+        thrust curve, of which the first seconds of a flight tell next to nothing.
+        """
+        return self._estimator.with_thrust_by(before.rotation, self._estimator.fit())
 
 
 def is_another(before: Fit, now: Fit, arm: float, battery: float = 0.0) -> bool:
@@ -91,7 +95,7 @@ def is_another(before: Fit, now: Fit, arm: float, battery: float = 0.0) -> bool:
 
     Args:
         before: the one.
-        now: the other.
+        now: the other, as of `Trial.fit`.
         arm: m, mean distance of the rotors, by which a CG is judged.
         battery: one standard deviation of what another state of the battery may do to thrust over
             mass, relative.
@@ -132,9 +136,10 @@ def _thrust(before: Fit, now: Fit, battery: float) -> tuple[float, int]:
         a, b = before.accelerometer, now.accelerometer
     if a is None or b is None or not max(a.kappa_std, b.kappa_std) < _KNOWN_TO * a.kappa:
         return 0.0, 0
-    variance = a.kappa_std**2 + b.kappa_std**2
-    variance += (_MODEL_ERROR**2 + battery**2) * a.kappa**2
-    for thrust, rotation in ((a, before.rotation), (b, now.rotation)):
-        if rotation is not None:  # T_max / m goes with the thrust curve, which is uncertain too
-            variance += (thrust.curve_slope * float(rotation.coordinates_std[CURVE])) ** 2
-    return (b.kappa - a.kappa) ** 2 / variance, 1
+    ratio = b.kappa / a.kappa
+    variance = (a.kappa_std**2 + b.kappa_std**2) / a.kappa**2 + _MODEL_ERROR**2 + battery**2
+    if before.rotation is not None:
+        # The curve is one: its error moves both alike, but for how near full thrust they hover.
+        slopes = b.curve_slope / b.kappa - a.curve_slope / a.kappa
+        variance += (slopes * float(before.rotation.coordinates_std[CURVE])) ** 2
+    return (ratio - 1.0) ** 2 / variance, 1

@@ -277,6 +277,18 @@ class OnlineEstimator:
         accelerometer = self._fit_accelerometer(where)
         return self._with_slope(momentum or accelerometer, at), accelerometer
 
+    def with_thrust_by(self, rotors: RotationFit | None, fit: Fit) -> Fit:
+        """A fit with thrust over mass by the actuator dynamics of another one.
+
+        Args:
+            rotors: of them; None: the fit as it is.
+            fit: of all that was learnt.
+        """
+        if rotors is None or CURVE not in self._basis.free:
+            return fit
+        thrust, accelerometer = self.fit_translation(rotors)
+        return replace(fit, translation=thrust, accelerometer=accelerometer)
+
     def forget_last(self, seconds: float) -> None:
         """Leave out at least the last `seconds` of what was learnt (whole batches)."""
         self._record.forget_last(seconds)

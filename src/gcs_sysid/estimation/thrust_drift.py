@@ -43,6 +43,8 @@ class DriftTuning:
         wander: 1/s per root second, by which b changes: as much as it is, in half an hour.
         slope: mean and standard deviation of eps, 1 of a straight line and 0.5 of a parabola.
         bend: the same of k, 0 and 0.5.
+        far: noise of an average over its ln(F / g): drag, as of the climb after take-off, and what
+            the curve is far from hover.
         noise: of an average, before the flight shows its own, and
         worth: how many averages that is worth.
         memory: averages over which it is told.
@@ -59,7 +61,8 @@ class DriftTuning:
     wander: float = 4e-5
     slope: tuple[float, float] = (0.75, 0.25)
     bend: tuple[float, float] = (0.25, 0.25)
-    noise: float = 0.002
+    far: float = 0.2
+    noise: float = 0.005
     worth: float = 2.0
     memory: float = 20.0
     colour: float = 2.0
@@ -208,7 +211,7 @@ class ThrustDrift:
         spread = self._covariance @ row
         # Of white noise of the accelerometer the average has so much left.
         rough = max(power / force**2 - 1.0, 0.0) / self._count
-        noise = t.colour * (self._noise + rough)
+        noise = t.colour * (self._noise + rough + (t.far * float(row[1])) ** 2)
         variance = float(row @ spread) + noise
         # Over its own variance an innovation has unit power; a jump tells of more noise, too.
         self._worth = min(self._worth + 1.0, t.memory)

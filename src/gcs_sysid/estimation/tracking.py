@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, runs
+from gcs_sysid.estimation.actuator_dynamics import CURVE
 from gcs_sysid.estimation.change_detection import Change, ChangeTuning
 from gcs_sysid.estimation.change_hypotheses import Judgement
 from gcs_sysid.estimation.change_kinds import Cause
@@ -290,11 +291,13 @@ class Tracker:
         before = self.fit()
         arm = float(np.mean(np.hypot(self.geometry[0], self.geometry[1])))
         room = len(self.segments) < MOST_SEGMENTS
-        if room and is_another(before, trial.fit(), arm, trial.battery_doubt):
+        if room and is_another(before, trial.fit(before), arm, trial.battery_doubt):
             self._add(Event(trial.landed, trial.end, None, None, len(self.segments)))
             self.segments.append(Segment(self.start, trial.landed, before))
-            # Of what was known only the scale is left, and the accelerometer.
+            # Of what was known only the rotors are left, and with them the scale, and the
+            # accelerometer.
             fresh = self._fresh(landed=True)
+            fresh.prior = _of_rotors(before)
             fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
             self._go_on_with(fresh, [])
             self.start = trial.start
@@ -463,6 +466,20 @@ def _after_change(before: Fit, geometry: Array) -> Prior | None:
     information = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     information[np.ix_(known, known)] = scaled / np.outer(d, d)
     return Prior(before.rotation.unknowns, information)
+
+
+def _of_rotors(before: Fit) -> Prior | None:
+    """What a fit on commands tells of delay, lag and thrust curve, for other flights."""
+    rotation = before.rotation
+    if rotation is None or not rotation.coordinates_std[CURVE]:
+        return None
+    place = slice(rb.N_THETA, rb.N_THETA + len(rotation.coordinates))
+    covariance = rotation.full_covariance[place, place]
+    known = np.flatnonzero(np.diag(covariance) > 0.0)
+    information = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+    at = np.ix_(rb.N_THETA + known, rb.N_THETA + known)
+    information[at] = np.linalg.inv(covariance[np.ix_(known, known)])
+    return Prior(rotation.unknowns, information)
 
 
 def _goes_on(last: Event, event: Event) -> bool:
