@@ -28,6 +28,7 @@ from gcs_sysid.estimation.change_watch import Alarm, ChangeWatch, gap
 from gcs_sysid.estimation.flight_comparison import Trial, is_another
 from gcs_sysid.estimation.online import Fit, OnlineEstimator, PriorSource
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
+from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import accelerometer_gain
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
@@ -458,27 +459,27 @@ def _after_change(before: Fit, geometry: Array) -> Prior | None:
     spread, places = np.zeros(N_UNKNOWNS), [rb.CG_X, rb.CG_Y]
     spread[rb.ELEMENTS] = _INERTIA_MOVES * size[rb.ELEMENTS]
     spread[places] = _CG_MOVES * size[places]
-    covariance = before.rotation.full_covariance + np.diag(spread**2)
+    return _prior(before.rotation, before.rotation.full_covariance + np.diag(spread**2))
+
+
+def _of_rotors(before: Fit) -> Prior | None:
+    """What a fit on commands says of delay, lag and thrust curve, for other flights."""
+    rotation = before.rotation
+    if rotation is None or not rotation.coordinates_std[CURVE]:
+        return None
+    covariance = rotation.full_covariance.copy()
+    covariance[: rb.N_THETA] = covariance[:, : rb.N_THETA] = 0.0
+    return _prior(rotation, covariance)
+
+
+def _prior(rotation: RotationFit, covariance: Array) -> Prior:
+    """The unknowns of a fit as a prior; those without a variance are unknown."""
     known = np.flatnonzero(np.diag(covariance) > 0.0)
     covariance = covariance[np.ix_(known, known)]
     d = np.sqrt(np.diag(covariance))
     scaled = np.linalg.inv(covariance / np.outer(d, d) + 1e-9 * np.eye(len(d)))
     information = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     information[np.ix_(known, known)] = scaled / np.outer(d, d)
-    return Prior(before.rotation.unknowns, information)
-
-
-def _of_rotors(before: Fit) -> Prior | None:
-    """What a fit on commands tells of delay, lag and thrust curve, for other flights."""
-    rotation = before.rotation
-    if rotation is None or not rotation.coordinates_std[CURVE]:
-        return None
-    place = slice(rb.N_THETA, rb.N_THETA + len(rotation.coordinates))
-    covariance = rotation.full_covariance[place, place]
-    known = np.flatnonzero(np.diag(covariance) > 0.0)
-    information = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
-    at = np.ix_(rb.N_THETA + known, rb.N_THETA + known)
-    information[at] = np.linalg.inv(covariance[np.ix_(known, known)])
     return Prior(rotation.unknowns, information)
 
 
