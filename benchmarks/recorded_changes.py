@@ -83,9 +83,9 @@ class Flown:
     def landings(self) -> list[float]:
         """How late each true landing was found, s."""
         errors = []
-        for _, end in AIR_TIMES.get(self.log.stem, ()):
-            stands = self.t[~self.flies & (self.t > end - LANDING)]
-            errors.append(float(stands[0] if len(stands) else self.t[-1]) - end)
+        for start, end in AIR_TIMES.get(self.log.stem, ()):
+            aloft = self.t[self.flies & (self.t > start) & (self.t < end + 2.0 * LANDING)]
+            errors.append(float(aloft[-1]) - end if len(aloft) else np.inf)
         return errors
 
     @property
