@@ -543,9 +543,14 @@ class OnlineEstimator:
         return translation.fit_accelerometer(mixed, moments.counts, self.accelerometer_gain)
 
     def _coordinates(self, fit: RotationFit | None) -> Array:
-        """(3,) of a fit, or the basis' middle."""
+        """(3,) of a fit, or the basis' middle with the thrust curve that is known beforehand."""
         self._use_place(None if fit is None else fit.lag_place)
         where: Array = self._basis.nodes[self._basis.middle] if fit is None else fit.coordinates
+        if fit is None and self.prior is not None and CURVE in self._basis.free:
+            curve, _ = self.prior.thrust_curve
+            where = where.copy()
+            if np.isfinite(curve):
+                where[CURVE] = np.clip(curve, self._basis.low[CURVE], self._basis.high[CURVE])
         return where
 
     def _with_slope(
@@ -581,9 +586,10 @@ class OnlineEstimator:
         )
         change = -fit.kappa * (more - less) / (0.5 * (more + less)) / (2.0 * step[CURVE])
         if at is None:
-            # Of the curve nothing is known yet but what it ordinarily is.
-            std = float(np.hypot(fit.kappa_std, change * COORDINATE_STD[CURVE]))
-            return replace(fit, kappa_std=std)
+            # Of the curve nothing is known yet but what was known, or what it ordinarily is.
+            known = np.inf if self.prior is None else self.prior.thrust_curve[1]
+            curve_std = min(known, float(COORDINATE_STD[CURVE]))
+            return replace(fit, kappa_std=float(np.hypot(fit.kappa_std, change * curve_std)))
         return replace(fit, curve_slope=float(change))
 
     def _is_rigid_body_test_due(self) -> bool:
