@@ -2,13 +2,16 @@
 
     python -m benchmarks.changes quiet [--hours H] [--only NAME ...]
     python -m benchmarks.changes steps [--seeds N] [--only NAME ...]
+    python -m benchmarks.changes battery [--minutes M] [--vehicles N]
     python -m benchmarks.changes logs FOLDER ...
 
 `quiet` flies vehicles of which none changes, through climbs, landings, gusts, full throttle,
 saturation and aerodynamics, on speeds and on commands, and counts the changes called. `steps` adds
 a fifth of the mass in flight, or takes 15 % of one rotor's thrust, and prints how many were found,
-when it was decided, and errors 15 s later. `logs` lists what is called in recorded flights, whose
-airframes are found as by `benchmarks.unchanged`.
+when it was decided, and errors 15 s later. `battery` flies on commands while the battery loses a
+fifth of its voltage: evenly, with a resistance besides, and with a fifth of the mass taken on half
+way; its voltage is told every second, or not at all. `logs` lists what is found in recorded
+flights, and whether that is what it is to be (`benchmarks.recorded_changes`).
 
 Flights come from the emulator's ensemble, with noise of MEMS sensors at 250 Hz; times are of the
 vehicle. Everything is seeded: the same command prints the same.
@@ -22,14 +25,16 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.unchanged import airframe_for, logs_in
+from benchmarks.recorded_changes import logs
 from gcs_sysid.argument_types import positive
 from gcs_sysid.errors import InputError
+from gcs_sysid.estimation.actuator_dynamics import CURVE
 from gcs_sysid.estimation.change_detection import ChangeTuning
+from gcs_sysid.estimation.online import Fit
 from gcs_sysid.estimation.tracking import Tracker
 from gcs_sysid.estimation.tuning import Tuning, tuning_for_commands
+from gcs_sysid.intervals import Z95
 from gcs_sysid.model.parameters import GRAVITY
-from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.signals.flight_detection import FlightDetector
 from gcs_sysid.signals.samples import Samples
 from sim_bridge.choices import Span
@@ -129,8 +134,12 @@ def vehicles(count: int, seed: int, curve: float | None = None) -> list[Vehicle]
     return drawn
 
 
-def samples_of(flight: Flight, i: int, *, commands: bool) -> Samples:
-    """One vehicle's samples."""
+def samples_of(flight: Flight, i: int, *, commands: bool, told: bool = False) -> Samples:
+    """One vehicle's samples; `told`: with its voltage, every second."""
+    volts = np.full((len(flight.t), 1), np.nan)
+    if told:
+        every = round(1.0 / flight.interval)
+        volts[:, 0] = np.repeat(flight.voltage[i, ::every], every)[: len(volts)].round(3)
     return Samples(
         gyro=flight.gyro[i],
         rates=flight.gyro[i] - flight.gyro[i].mean(axis=0),
@@ -138,6 +147,7 @@ def samples_of(flight: Flight, i: int, *, commands: bool) -> Samples:
         attitude=flight.quaternion[i],
         force=flight.specific_force[i],
         velocity=flight.velocity[i],
+        voltage=volts,
     )
 
 
@@ -264,6 +274,74 @@ def steps(seeds: int, only: Sequence[str]) -> None:
 
 
 _TRUTH = ("mass", "Ixx", "Iyy", "Izz")
+SAG, DROP = 0.2, 0.03
+"""Of the voltage: lost in all of a flight, and behind the battery's resistance in hover."""
+
+
+def battery(minutes: float, count: int) -> None:
+    """Print T_max, changes called and the mass of flights on a battery that sags."""
+    duration = 60.0 * minutes
+    print(
+        f"{'battery':<28}{'voltage':<9}{'flights':>8}{'false':>7}{'found':>7}{'V_0':>7}"
+        f"{'T_max at V_0 %':>16}{'+- 95 %':>9}{'hold':>6}{'mass %':>8}{'+- 95 %':>9}{'hold':>6}"
+    )
+    for name, drop, step in (
+        ("sags", 0.0, False), ("sags, bends under load", DROP, False), ("mass +20 %", 0.0, True),
+    ):  # fmt: skip
+        fleet = stack_vehicles(vehicles(count, 11))
+        physics = Physics(battery=(SAG, duration), battery_drop=drop)
+        changes = (mass_step(0.5 * duration, FACTOR),) if step else ()
+        flown = fly_ensemble(
+            fleet, ALL_MISSIONS["doublets"], RATE, duration, changes=changes, physics=physics
+        )
+        flown = flown.with_noise("mems", 0.0, list(range(1, count + 1)))
+        for told in (True, False):
+            false = found = 0
+            thrust: list[tuple[float, float]] = []
+            mass: list[tuple[float, float]] = []
+            first = []
+            for i in range(count):
+                samples = samples_of(flown, i, commands=True, told=told)
+                tracker = follow(samples, flown.t, commands=True)
+                called = [e for e in tracker.events if e.cause and is_change(e.cause.kind)]
+                hits = [e for e in called if step and abs(e.onset - 0.5 * duration) < 1.0]
+                found, false = found + len(hits[:1]), false + len(called) - len(hits[:1])
+                fits = [s.fit for s in tracker.segments] + [tracker.fit()]
+                drift = tracker.estimator.drift
+                volts = drift.voltage if drift is not None and told else None
+                full = float(flown.voltage[i, 0])
+                first.append(volts or full)
+                true_mass, T_max = (
+                    float(np.broadcast_to(getattr(fleet, n), count)[i]) for n in ("mass", "T_max")
+                )
+                known = [_thrust_of(fit) for fit in fits if fit.translation is not None]
+                T_max *= (first[-1] / full) ** 2
+                thrust.append((known[0][0] * true_mass / T_max - 1.0, known[0][1]))
+                if hits and len(known) > 1:
+                    off = known[0][0] / known[-1][0] / FACTOR - 1.0
+                    mass.append((off, float(np.hypot(known[0][1], known[-1][1]))))
+            print(
+                f"{name:<28}{'told' if told else '-':<9}{count:8d}{false:7d}{found:7d}"
+                f"{np.mean(first):7.2f}{_medians(thrust, 16)}{_medians(mass, 8)}",
+                flush=True,
+            )
+
+
+def _thrust_of(fit: Fit) -> tuple[float, float]:
+    """T_max / m and its relative standard deviation, with that of the thrust curve."""
+    thrust, rotation = fit.translation, fit.rotation
+    assert thrust is not None
+    curve = 0.0 if rotation is None else thrust.curve_slope * float(rotation.coordinates_std[CURVE])
+    return thrust.kappa, float(np.hypot(thrust.kappa_std, curve)) / thrust.kappa
+
+
+def _medians(errors: Sequence[tuple[float, float]], width: int) -> str:
+    """Of errors and their standard deviations: medians, and how many intervals hold."""
+    if not errors:
+        return f"{'-':>{width}}{'-':>9}{'-':>6}"
+    error, std = np.abs(np.array(errors).T)
+    held = int(np.sum(error <= Z95 * std))
+    return f"{100.0 * np.median(error):{width}.2f}{Z95 * 100.0 * np.median(std):9.2f}{held:6d}"
 
 
 def fly_step(fleet: Vehicle, step: Step, physics: Physics, changes: Sequence[Change]) -> Flight:
@@ -275,30 +353,6 @@ def fly_step(fleet: Vehicle, step: Step, physics: Physics, changes: Sequence[Cha
 
 def _worst(errors: Sequence[float]) -> str:
     return f"{100.0 * float(np.max(np.abs(errors))):.2f}" if errors else "-"
-
-
-def logs(paths: Sequence[Path]) -> int:
-    """List changes called in recorded flights; how many there were."""
-    missing = [path for path in paths if not path.exists()]
-    if missing:
-        raise InputError(f"{missing[0]}: no such file or folder")
-    false = 0
-    for log in logs_in(list(paths)):
-        try:
-            result = analyze_log(log, airframe_for(log))
-        except InputError as error:
-            print(f"{log.name:<40} {error}")
-            continue
-        changes = [e for e in result.events if "detected" in e and e["kind"] != "disturbance"]
-        names = [e for e in result.events if e["kind"] == "disturbance"]
-        false += len(changes)
-        told = " ".join(f"{e['kind']}@{e['t']:.1f}" for e in changes)
-        used = result.telemetry["used_seconds"]
-        print(
-            f"{log.name:<40} used {used:6.1f} s  disturbances {len(names):3d}  {told}", flush=True
-        )
-    print(f"changes called: {false}")
-    return false
 
 
 def whole(text: str) -> int:
@@ -327,6 +381,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     part = commands.add_parser("steps", help="flights with a change")
     part.add_argument("--seeds", type=whole, default=5, metavar="N", help="of each kind")
     part.add_argument("--only", nargs="+", default=[], choices=list(STEPS), metavar="NAME")
+    part = commands.add_parser("battery", help="flights on a battery that sags")
+    part.add_argument("--minutes", type=positive, default=10.0, metavar="M", help="of each flight")
+    part.add_argument("--vehicles", type=whole, default=VEHICLES, metavar="N")
     part = commands.add_parser("logs", help="recorded flights")
     part.add_argument("paths", type=Path, nargs="+", metavar="FOLDER")
     args = parser.parse_args(argv)
@@ -335,6 +392,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             quiet(args.hours, args.vehicles, args.only)
         elif args.what == "steps":
             steps(args.seeds, args.only)
+        elif args.what == "battery":
+            battery(args.minutes, args.vehicles)
         else:
             logs(args.paths)
     except InputError as error:

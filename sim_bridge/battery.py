@@ -57,9 +57,9 @@ class Battery:
         self.ratio = charge - self._below
 
     @property
-    def voltage(self) -> float:
+    def voltage(self) -> Value:
         """V."""
-        return float(CELLS * CELL_FULL * self.ratio)
+        return CELLS * CELL_FULL * self.ratio
 
 
 def _power(speeds: Sequence[Value]) -> Value:

@@ -34,6 +34,7 @@ class Flight:
         speeds: (N, K, n) rotor speeds, rad/s, in motor order.
         commands: (N, K, n) commands u, 0..1.
         velocity: (N, K, 3) NED, m/s.
+        voltage: (N, K) of the battery, V.
     """
 
     t: Array
@@ -43,6 +44,7 @@ class Flight:
     speeds: Array
     commands: Array
     velocity: Array
+    voltage: Array
 
     @property
     def count(self) -> int:
@@ -158,9 +160,12 @@ def fly_ensemble(
             *sim.state.velocity,
             *sim.state.speeds,
             *commands,
+            sim.voltage,
         ]
         rows.append([np.broadcast_to(value, shape) for value in values])
     table = np.moveaxis(np.array(rows, dtype=float), -1, 0)
-    parts = np.split(table, np.cumsum([3, 3, 4, 3, n]), axis=-1)
-    gyro_, force_, quaternion, velocity, speeds, commands_ = parts
-    return Flight(due * 1e-3, gyro_, force_, quaternion, speeds, commands_, velocity)
+    parts = np.split(table, np.cumsum([3, 3, 4, 3, n, n]), axis=-1)
+    gyro_, force_, quaternion, velocity, speeds, commands_, voltage = parts
+    return Flight(
+        due * 1e-3, gyro_, force_, quaternion, speeds, commands_, velocity, voltage[..., 0]
+    )

@@ -184,7 +184,7 @@ class Simulation:
                 self._control()
 
     @property
-    def voltage(self) -> float:
+    def voltage(self) -> Value:
         """Of the battery, V."""
         battery = self._surroundings.battery if self._surroundings is not None else None
         return voltage(self.time) if battery is None else battery.voltage

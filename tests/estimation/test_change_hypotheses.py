@@ -144,6 +144,15 @@ def test_the_ground_is_not_a_lighter_vehicle():
     assert looked(samples, LAST).cause.disturbance == "contact"
 
 
+@pytest.mark.parametrize(("left", "called"), [(-1.0, False), (0.3, False), (0.6, True)])
+def test_who_falls_or_lies_on_its_back_has_not_grown_heavier(left, called):
+    """A crash: rotors turn on, and what carries the vehicle is the ground, the wrong way up."""
+    found = [looked(fly(share=np.where(LATER, 1.0 - left, 0.0)), look) for look in range(LAST + 1)]
+    assert ("changed" in [f.verdict for f in found]) is called
+    if left < 0.0:
+        assert found[LAST].cause.disturbance == "contact"
+
+
 def test_after_full_throttle_no_line_tells_what_thrust_does():
     """At 6 m/s upwards inflow is no longer in proportion; the same step in hover is a change."""
     velocity = np.tile([0.0, 0.0, -6.0], (len(TIME), 1))

@@ -8,7 +8,7 @@ from gcs_sysid.estimation import rotation
 from gcs_sysid.estimation.actuator_dynamics import N_COORDINATES, PLAIN, WIDTH
 from gcs_sysid.estimation.normal_equations import NormalEquations
 from gcs_sysid.estimation.online import OnlineEstimator
-from gcs_sysid.estimation.priors import DELAY, N_UNKNOWNS, Prior, prior_of
+from gcs_sysid.estimation.priors import CURVE, DELAY, LAG, N_UNKNOWNS, Prior, prior_of
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
 from tests.known_theta import THETA
@@ -55,6 +55,13 @@ def test_a_prior_is_a_paraboloid():
     np.testing.assert_allclose(pull[:, IZZ], [-0.4, 0.2])
     np.testing.assert_allclose(pull[:, DELAY], [0.0, -1500.0])
     assert np.count_nonzero(pull) == 3
+    # Of the thrust curve: what is left where other unknowns it goes with are open.
+    assert known.thrust_curve[1] == np.inf
+    information = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+    both = np.array([[0.04, 0.06], [0.06, 0.25]])
+    information[np.ix_([LAG, CURVE], [LAG, CURVE])] = np.linalg.inv(both)
+    curve = Prior(np.full(N_UNKNOWNS, 0.3), information).thrust_curve
+    assert curve == pytest.approx((0.3, 0.5))
     # However vague, it is known; and by how much is in nothing else.
     assert prior_of({IZZ: (1.0, 1e4)}).known[IZZ]
     assert not Prior(np.ones(N_UNKNOWNS), np.zeros((N_UNKNOWNS, N_UNKNOWNS))).known.any()

@@ -82,3 +82,83 @@ def test_a_battery_that_sags_makes_the_curve_doubtful():
     sagging.update(*hover(0.1 * T / SECONDS, 0.5))
     assert steady.curve_doubt == 0.0
     assert sagging.curve_doubt == pytest.approx(0.05)
+
+
+# --- with the battery's voltage
+
+
+def told(voltage, drift=None, curve=1.0, effect=1.0, block=6000, **others):
+    """Factors and the filter, of a battery with a voltage, on which commands depend by `effect`."""
+    if drift is None:
+        # exp(-D) on commands is the square of it on thrust, where the curve is a parabola.
+        drift = 1.0 - (voltage / voltage[0]) ** (2.0 * effect)
+    commands, force = hover(drift, curve, **others)
+    follower = ThrustDrift(DT)
+    factors = [
+        follower.update(*(x[i : i + block] for x in (commands, force, voltage)))
+        for i in range(0, len(force), block)
+    ]
+    return np.concatenate(factors), follower
+
+
+SAGGING = 16.0 * (1.0 - 0.05 * T / SECONDS)
+
+
+@pytest.mark.parametrize("effect", [0.0, 1.0, 1.5])
+def test_thrust_is_that_at_the_voltage_of_the_beginning(effect):
+    factors, follower = told(SAGGING, effect=effect, noise=0.1)
+    assert follower.voltage == pytest.approx(SAGGING[round(2.5 / DT)], rel=1e-3)
+    expected = (SAGGING[-1] / follower.voltage) ** effect
+    assert factors[-1] == pytest.approx(expected, rel=0.005)
+
+
+def test_a_fresh_battery_is_no_lighter_vehicle():
+    """Landed at 13.6 V, off again at 16.4 V: thrust stays that of the first flight's voltage."""
+    empty = 16.0 * (1.0 - 0.15 * T / SECONDS)
+    _, first = told(empty, noise=0.1)
+    fresh = 16.4 * (1.0 - 0.02 * T / SECONDS)
+    later = ThrustDrift(DT)
+    later.go_on_from(first, landed=True)
+    found = later.update(*hover(1.0 - (fresh / empty[0]) ** 2, 1.0, noise=0.1), fresh)
+    assert later.voltage == first.voltage
+    after = round(5.0 / DT)
+    assert found[after] == pytest.approx(fresh[after] / first.voltage, rel=0.02)
+    # What is left of the doubt is no payload.
+    assert later.thrust_doubt < 0.04
+
+
+def test_a_voltage_that_says_nothing_changes_nothing():
+    commands, force = hover(0.1 * T / SECONDS, 0.5, noise=0.1)
+    for nothing in (np.full(len(T), np.nan), np.zeros(len(T))):
+        follower = ThrustDrift(DT)
+        np.testing.assert_array_equal(
+            follower.update(commands, force, nothing), ThrustDrift(DT).update(commands, force)
+        )
+        assert follower.voltage is None
+
+
+def test_what_no_voltage_tells_between_flights_is_doubt():
+    steady = ThrustDrift(DT)
+    steady.update(*hover(0.1 * T / SECONDS, 0.5))
+    later = ThrustDrift(DT)
+    later.go_on_from(steady, landed=True)
+    assert later.drift == 0.0
+    assert 0.05 < later.thrust_doubt < 0.2
+
+
+def test_a_mass_taken_on_is_weighed_by_the_thrust_that_is_left():
+    commands, force = hover(0.1 * T / SECONDS, 0.5)
+    follower = ThrustDrift(DT)
+    follower.update(commands, force)
+    later = ThrustDrift(DT)
+    later.go_on_from(follower, landed=False)
+    heavier = later.update(1.08 * commands[-1000:], force[-1000:])
+    assert heavier[0] == pytest.approx(np.exp(-follower.drift), rel=1e-6)
+    assert heavier[-1] == pytest.approx(heavier[0], rel=0.02)
+
+
+@pytest.mark.parametrize("block", [7, 250])
+def test_factors_with_a_voltage_do_not_depend_on_how_samples_come(block):
+    volts = np.where((T > 20.0) & (T < 24.0), np.nan, SAGGING)
+    drift = 1.0 - (SAGGING / SAGGING[0]) ** 2
+    np.testing.assert_allclose(told(volts, drift, block=block)[0], told(volts, drift)[0], rtol=1e-9)

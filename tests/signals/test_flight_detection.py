@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.recorded_changes import AIR_TIMES
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.scale_reference import ScaleReference
 from gcs_sysid.signals.flight_detection import TAKE_OFF, FlightDetector
@@ -178,6 +179,18 @@ def test_a_landing_is_found_within_half_a_second(after, in_air):
     assert 25.0 <= found[-1] < 25.5
 
 
+@pytest.mark.parametrize("block", [1, 10**6])
+@pytest.mark.parametrize("in_air", [UNKNOWN, between(5.0, 27.0)], ids=["untold", "told late"])
+def test_what_lies_on_its_back_has_landed(in_air, block):
+    """Rotors still turn after a crash, but they pull the other way."""
+    force = np.where(T < 20.0, G, -G)
+    found = sensed(between(5.0, 29.0, HOVER), force, in_air=in_air, block=block)
+    spans(found, 5.0 + TAKE_OFF, found[-1])
+    assert 20.0 <= found[-1] < 20.5
+    # An accelerometer that never showed its weight the right way up tells nothing.
+    assert len(sensed(between(5.0, 25.0, HOVER), np.full(len(T), -G))) > 15.0 * RATE
+
+
 def test_where_a_record_begins_with_idling_rotors_is_known_once_it_has_left():
     speed = np.where(T < 5.0, IDLE, HOVER)
     found = sensed(speed)
@@ -259,15 +272,6 @@ def test_size_of_blocks_does_not_matter_with_an_imu(block):
 
 # --- real flights
 
-AIR = {
-    "LOG00230": [(9.65, 20.21)], "LOG00259": [(0.96, 6.65)], "LOG00264": [(0.93, 7.38)],
-    "LOG00267": [(0.96, 24.17), (24.93, 31.12)], "LOG00269": [(0.96, 19.88), (20.58, 23.08)],
-    "LOG00271": [(0.95, 7.97)], "LOG00277": [(0.95, 11.39), (12.83, 14.28)],
-    "LOG00281": [(0.94, 42.79)], "LOG00340": [(2.63, 17.60)], "LOG00267_cmd": [
-        (0.96, 24.17), (24.93, 31.12)], "LOG00267_cmd_floor1000": [(0.96, 24.17), (24.93, 31.12)],
-}  # fmt: skip
-"""s in the air, by height above the ground; of the hand throw (230), from its release on."""
-
 
 def of_log(path, airframe):
     """Times of the samples, and whether they count."""
@@ -297,7 +301,7 @@ def test_an_emulated_flight_whose_throttle_is_cut_is_one_flight(told, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", AIR)
+@pytest.mark.parametrize("name", AIR_TIMES)
 def test_real_flights_use_their_air_time(name, shared_logs):
     folder = shared_logs / "real"
     if not (folder / f"{name}.tlog").exists():
@@ -305,7 +309,7 @@ def test_real_flights_use_their_air_time(name, shared_logs):
     commands = "_cmd" if "cmd" in name else ""
     airframe = load_airframe(str(folder / f"cinerat{commands}.toml"))
     t, flies = of_log(folder / f"{name}.tlog", airframe)
-    for start, end in AIR[name]:
+    for start, end in AIR_TIMES[name]:
         inside = t[flies & (t > start + 0.5) & (t < end + 0.5)]
         # At most the second of the take-off is left out; the landing is found in time.
         assert inside[0] < start + TAKE_OFF + 0.2

@@ -47,6 +47,8 @@ _quaternion = picker("ATTITUDE_QUATERNION", "time_boot_ms", "q1", "q2", "q3", "q
 _position = picker("LOCAL_POSITION_NED", "time_boot_ms", "vx", "vy", "vz", "x", "y", "z")
 _global_position = picker("GLOBAL_POSITION_INT", "time_boot_ms", "relative_alt", "vx", "vy", "vz")
 _target = picker("ATTITUDE_TARGET", "body_roll_rate", "body_pitch_rate", "body_yaw_rate")
+_sys_status = picker("SYS_STATUS", "load", "voltage_battery")
+_battery_status = picker("BATTERY_STATUS", "id", "voltages")
 _landed = picker("EXTENDED_SYS_STATE", "landed_state")
 _heartbeat = picker("HEARTBEAT", "autopilot", "base_mode", "system_status")
 _type_and_mode = picker("HEARTBEAT", "type", "autopilot", "base_mode")
@@ -154,6 +156,8 @@ class ScalarDecoder:
             "SERVO_OUTPUT_RAW": self._read_servos,
             "LOCAL_POSITION_NED": self._read_position,
             "GLOBAL_POSITION_INT": self._read_global_position,
+            "SYS_STATUS": partial(self._read_volts, 0),
+            "BATTERY_STATUS": partial(self._read_volts, 1),
             "EXTENDED_SYS_STATE": self._read_landed,
             "HEARTBEAT": self._read_heartbeat,
             "PARAM_VALUE": self._read_parameter,
@@ -188,6 +192,7 @@ class ScalarDecoder:
         self._imu = Preference()
         self._attitude = Preference()
         self._velocity = Preference()
+        self._volts = Preference()
         self._flight = Preference(LANDED_STATE_FOR)
         self._outputs_last = -math.inf
 
@@ -332,6 +337,16 @@ class ScalarDecoder:
         velocity = (0.01 * value for value in velocity_cm)
         # North and east would need an origin, and nobody uses them.
         return self._record(Stream.VELOCITY, t, (*velocity, 0.0, 0.0, -1e-3 * height_mm))
+
+    def _read_volts(self, rank: int, payload: bytes) -> Record | None:
+        battery, *cells = (_battery_status if rank else _sys_status)(payload)
+        if rank and battery != 0:
+            return None
+        t = self._time_of_sending
+        if not self._volts.allows(rank, t):
+            return None
+        volts = sum(cell for cell in cells if cell != 0xFFFF)
+        return self._record(Stream.VOLTAGE, t, (volts * 1e-3,))
 
     def _read_landed(self, payload: bytes) -> Record | None:
         (state,) = _landed(payload)

@@ -92,6 +92,20 @@ class Flier:
             "GLOBAL_POSITION_INT": lambda: m.MAVLink_global_position_int_message(
                 self.ms(), 1, 2, 3, *self.whole(4, -900, 900), 0
             ),
+            "SYS_STATUS": lambda: m.MAVLink_sys_status_message(
+                0, 0, 0, 9, rng.choice([0, 15_432, 0xFFFF]), *[0] * 8
+            ),
+            "BATTERY_STATUS": lambda: m.MAVLink_battery_status_message(
+                int(rng.random() < 0.2),
+                0,
+                1,
+                20,
+                [3912, rng.choice([3871, 0xFFFF])] * 2 + [0xFFFF] * 6,
+                0,
+                0,
+                0,
+                50,
+            ),
             "EXTENDED_SYS_STATE": lambda: m.MAVLink_extended_sys_state_message(0, rng.randrange(5)),
             "HEARTBEAT": self.heartbeat,
             "PARAM_VALUE": lambda: m.MAVLink_param_value_message(

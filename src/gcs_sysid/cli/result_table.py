@@ -129,6 +129,9 @@ def _notes(result: Result) -> list[str]:
     notes += [f"{e['t']:.2f} s: {event_text(e)}" for e in told if e not in many]
     if many:
         notes.append(f"{len(many)} disturbances; the vehicle is unchanged")
+    volts = result.telemetry.get("thrust_voltage")
+    if volts:
+        notes.append(f"T_max is that at {volts:.1f} V, the battery's as the flight began")
     spikes = result.telemetry.get("imu_outliers", {}).get("spikes", 0)
     if spikes:
         notes.append(f"{spikes} gyro spikes were replaced by interpolation")

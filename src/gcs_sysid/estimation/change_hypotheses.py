@@ -13,7 +13,8 @@ What steps at tau is, on trial, a mass (thrust over all of kappa, moments by a m
 rotor's share of thrust and torque, or a disturbance of any force and moment. The vehicle changed
 when a mass or a rotor explains the step, its interval excludes zero by a margin, it stays the same
 from one part of the time since to the next, and thrust still answers to the rotors, which on the
-ground it does not. Else it was a disturbance.
+ground it does not, and carries the vehicle, which it does not where one fell. Else it was a
+disturbance.
 """
 
 from collections.abc import Callable
@@ -181,6 +182,7 @@ class _Trial:
             abs(share) >= max(tuning.least_mass, sure * std, self._strange())
             and self._stays(lambda since: {0: self._mass(since)}, share)
             and self._is_new(share)
+            and self._is_carried()
             and (share > 0.0 or self._flies(share))
         )
         return cause, holds
@@ -200,7 +202,7 @@ class _Trial:
     def _name(self) -> Disturbance:
         window, thrust = self._window, self._thrust
         later, before = slice(self.at, None), slice(0, self.at)
-        if self._stands():
+        if self._stands() or float(np.median(window.y[later, 0])) > _FALLS * GRAVITY:
             return "contact"
         usual = float(np.median(thrust[before]))
         if thrust[later].max() > _PUNCH * usual or thrust[later].min() < usual / _PUNCH:
@@ -245,6 +247,11 @@ class _Trial:
         # What inflow does to thrust while the vehicle sinks is no part of the level.
         off = (self._window.e[later, 0] - self._level[0]) / np.mean(self._thrust[later])
         return bool(float(np.mean(off)) * np.sign(share) > 0.5 * abs(share))
+
+    def _is_carried(self) -> bool:
+        """Whether thrust carries the vehicle: one that fell, or lies on its back, has no mass."""
+        later = slice(self.at + 1, None)
+        return float(np.median(self._window.y[later, 0])) < -_FALLS * GRAVITY
 
     def _flies(self, share: float) -> bool:
         """Whether specific force answers to the rotors; on the ground it is that of gravity.
@@ -384,6 +391,9 @@ _MIN_CG = 0.002
 """m, least shift of the CG that is named from a second."""
 _CARRIED = 0.8
 """Share of the weight; rotors that make less do not carry a vehicle that does not fall."""
+_FALLS = 0.5
+"""Share of g that thrust leaves to gravity in a vehicle that still flies: with less for the second
+that it takes to call a change it would sink at 5 m/s and more."""
 _PUNCH, _CLIMB, _SPEED = 1.5, 0.7, 1.5
 """Thrust over the usual one; m/s of vertical and of horizontal velocity."""
 _THRUST = rb.SIGNALS.index("thrust")

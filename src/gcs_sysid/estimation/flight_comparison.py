@@ -50,6 +50,12 @@ class Trial:
         """Samples to come until there are enough."""
         return self._needed - sum(len(part[0]) for part in self.parts if part is not None)
 
+    @property
+    def battery_doubt(self) -> float:
+        """One standard deviation of what the battery may have done to thrust, relative."""
+        drift = self._estimator.drift
+        return 0.0 if drift is None else drift.thrust_doubt
+
     def take(self, t: Array, samples: Samples) -> None:
         """Add (n,) times and samples."""
         self.parts.append((t, samples))
@@ -73,22 +79,28 @@ class Trial:
             kept.append(part)
         self.parts = kept
 
-    def fit(self) -> Fit:
-        """The fit of this flight alone."""
-        return self._estimator.fit()
+    def fit(self, before: Fit) -> Fit:
+        """The fit of this flight alone, but for thrust by the rotors' dynamics of one before.
+
+        Rotors are the same, or no scale would carry over: with commands T_max / m goes with the
+        thrust curve, of which the first seconds of a flight tell next to nothing.
+        """
+        return self._estimator.with_thrust_by(before.rotation, self._estimator.fit())
 
 
-def is_another(before: Fit, now: Fit, arm: float) -> bool:
+def is_another(before: Fit, now: Fit, arm: float, battery: float = 0.0) -> bool:
     """Whether two fits of different flights cannot be of one vehicle.
 
     A chi-square test on what both know: k_T over mass, and what the rotation has relative to k_T.
 
     Args:
         before: the one.
-        now: the other.
+        now: the other, as of `Trial.fit`.
         arm: m, mean distance of the rotors, by which a CG is judged.
+        battery: one standard deviation of what another state of the battery may do to thrust over
+            mass, relative.
     """
-    square, freedom = _thrust(before, now)
+    square, freedom = _thrust(before, now, battery)
     a, b = before.rotation, now.rotation
     if a is not None and b is not None:
         theta = a.theta
@@ -116,7 +128,7 @@ def _color(fit: Fit) -> float:
     return float(np.max(known, initial=1.0))
 
 
-def _thrust(before: Fit, now: Fit) -> tuple[float, int]:
+def _thrust(before: Fit, now: Fit, battery: float) -> tuple[float, int]:
     """Squared distance and degrees of freedom of k_T over mass."""
     a, b = before.translation, now.translation
     if a is not None and b is not None and a.source != b.source:
@@ -124,8 +136,10 @@ def _thrust(before: Fit, now: Fit) -> tuple[float, int]:
         a, b = before.accelerometer, now.accelerometer
     if a is None or b is None or not max(a.kappa_std, b.kappa_std) < _KNOWN_TO * a.kappa:
         return 0.0, 0
-    variance = a.kappa_std**2 + b.kappa_std**2 + (_MODEL_ERROR * a.kappa) ** 2
-    for thrust, rotation in ((a, before.rotation), (b, now.rotation)):
-        if rotation is not None:  # T_max / m goes with the thrust curve, which is uncertain too
-            variance += (thrust.curve_slope * float(rotation.coordinates_std[CURVE])) ** 2
-    return (b.kappa - a.kappa) ** 2 / variance, 1
+    ratio = b.kappa / a.kappa
+    variance = (a.kappa_std**2 + b.kappa_std**2) / a.kappa**2 + _MODEL_ERROR**2 + battery**2
+    if before.rotation is not None:
+        # The curve is one: its error moves both alike, but for how near full thrust they hover.
+        slopes = b.curve_slope / b.kappa - a.curve_slope / a.kappa
+        variance += (slopes * float(before.rotation.coordinates_std[CURVE])) ** 2
+    return (ratio - 1.0) ** 2 / variance, 1

@@ -22,6 +22,7 @@ from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import COORDINATE_STD
+from gcs_sysid.estimation.thrust_drift import ThrustDrift
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.estimation.validation import Validation, validate
@@ -175,6 +176,11 @@ class OnlineEstimator:
         return self._record.seconds
 
     @property
+    def drift(self) -> ThrustDrift | None:
+        """Of thrust at a given command; None: rotor speeds need none."""
+        return self._record.drift
+
+    @property
     def speed_std(self) -> Array:
         """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
         return self._record.speed_std
@@ -284,6 +290,18 @@ class OnlineEstimator:
         momentum = self._fit_momentum(where)
         accelerometer = self._fit_accelerometer(where)
         return self._with_slope(momentum or accelerometer, at), accelerometer
+
+    def with_thrust_by(self, rotors: RotationFit | None, fit: Fit) -> Fit:
+        """A fit with thrust over mass by the actuator dynamics of another one.
+
+        Args:
+            rotors: of them; None: the fit as it is.
+            fit: of all that was learnt.
+        """
+        if rotors is None or CURVE not in self._basis.free:
+            return fit
+        thrust, accelerometer = self.fit_translation(rotors)
+        return replace(fit, translation=thrust, accelerometer=accelerometer)
 
     def forget_last(self, seconds: float) -> None:
         """Leave out at least the last `seconds` of what was learnt (whole batches)."""
@@ -539,9 +557,14 @@ class OnlineEstimator:
         return translation.fit_accelerometer(mixed, moments.counts, self.accelerometer_gain)
 
     def _coordinates(self, fit: RotationFit | None) -> Array:
-        """(3,) of a fit, or the basis' middle."""
+        """(3,) of a fit, or the basis' middle with the thrust curve that is known beforehand."""
         self._use_place(None if fit is None else fit.lag_place)
         where: Array = self._basis.nodes[self._basis.middle] if fit is None else fit.coordinates
+        if fit is None and self.prior is not None and CURVE in self._basis.free:
+            curve, _ = self.prior.thrust_curve
+            where = where.copy()
+            if np.isfinite(curve):
+                where[CURVE] = np.clip(curve, self._basis.low[CURVE], self._basis.high[CURVE])
         return where
 
     def _with_slope(
@@ -577,9 +600,10 @@ class OnlineEstimator:
         )
         change = -fit.kappa * (more - less) / (0.5 * (more + less)) / (2.0 * step[CURVE])
         if at is None:
-            # Of the curve nothing is known yet but what it ordinarily is.
-            std = float(np.hypot(fit.kappa_std, change * COORDINATE_STD[CURVE]))
-            return replace(fit, kappa_std=std)
+            # Of the curve nothing is known yet but what was known, or what it ordinarily is.
+            known = np.inf if self.prior is None else self.prior.thrust_curve[1]
+            curve_std = min(known, float(COORDINATE_STD[CURVE]))
+            return replace(fit, kappa_std=float(np.hypot(fit.kappa_std, change * curve_std)))
         return replace(fit, curve_slope=float(change))
 
     def _is_rigid_body_test_due(self) -> bool:

@@ -43,6 +43,18 @@ class Prior:
         return cost
 
     @property
+    def thrust_curve(self) -> tuple[float, float]:
+        """Mean and standard deviation; NaN and infinity where nothing is known of it."""
+        known = np.flatnonzero(self.known)
+        place = np.flatnonzero(known == CURVE)
+        if not len(place):
+            return np.nan, np.inf
+        d = np.sqrt(np.diag(self.information)[known])
+        covariance = np.linalg.inv(self.information[np.ix_(known, known)] / np.outer(d, d))
+        i = int(place[0])
+        return float(self.mean[known[i]]), float(np.sqrt(covariance[i, i])) / float(d[i])
+
+    @property
     def known(self) -> Mask:
         """(N_UNKNOWNS,) which unknowns it says anything about."""
         known: Mask = np.diag(self.information) > 0.0

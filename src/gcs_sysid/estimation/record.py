@@ -109,8 +109,9 @@ class FlightRecord:
                 tuning.batch_time,
                 offline=offline,
             )
-        self._drift = ThrustDrift(dt) if commands else None
-        self._rows = RowMaker(path, basis, smoother, steps, self._drift)
+        self.drift = ThrustDrift(dt) if commands else None
+        """Of thrust at a given command; speeds need none."""
+        self._rows = RowMaker(path, basis, smoother, steps, self.drift)
         self.row_time = smoother.step * dt
         per_batch = max(round(tuning.batch_time / self.row_time), 1)
         self._leaks = LeakySums(self.row_time, self.memories)
@@ -177,8 +178,8 @@ class FlightRecord:
         counts = [self._rows.count_after(end) for end in edges]
         steps = [self._rows.steps_after(end) for end in edges]
         made = self._rows.update(samples)
-        if self._drift is not None:
-            self.basis.curve_doubt = self._drift.curve_doubt
+        if self.drift is not None:
+            self.basis.curve_doubt = self.drift.curve_doubt
         sections = _Sections(made, self._leaks)
         parts = zip(pairwise(edges), pairwise(counts), pairwise(steps), strict=True)
         ends_left = list(ends)
@@ -339,7 +340,7 @@ class _Held:
     """
 
     def __init__(self, size: int, rotors: int) -> None:
-        edges = np.cumsum([0, 3, 3, rotors, 4, 3, 3, 1])
+        edges = np.cumsum([0, 3, 3, rotors, 4, 3, 3, 1, 1])
         self._size = size
         self._buffer = np.empty((size, edges[-1]))
         self._columns = [slice(a, b) for a, b in pairwise(edges)]

@@ -140,7 +140,7 @@ class RowMaker:
     def _signals(self, s: Samples) -> Array:
         inputs = s.speeds
         if self._drift is not None:
-            inputs = inputs * self._drift.update(inputs, s.force[:, 2])[:, None]
+            inputs = inputs * self._drift.update(inputs, s.force[:, 2], s.voltage[:, 0])[:, None]
         rotors, bent, thrust = self._path.signals(inputs)
         n, late = len(s.gyro), self._late
         H = rotors[0, :, 4]

@@ -6,16 +6,19 @@ and the command that makes one g of it rises. With u the mean command of the rot
 force along the thrust and v the commands' variance over the square of their mean, averaged over a
 second,
 
-    ln u = l + D + eps ln(F / g) - k v,    D(0) = 0,  D' = b
+    ln u = l + D + eps ln(F / g) - k v,    D = E + beta w,  E(0) = 0,  E' = b
 
 where eps, the inverse slope of the thrust curve, and k, its bend, are as unknown as the drift D and
-its rate b. A Kalman filter follows the five. Commands times exp(-D) make thrust as at the start,
+its rate b. Where the battery's voltage V is told, w = ln(V_0 / V) explains most of it: beta is 1
+where voltage and command act as one, 2 where thrust is linear in the command and a motor's speed
+goes with the voltage, 0 where the autopilot or a speed controller makes up for it. A Kalman filter
+follows the six. Commands times exp(-D) make thrust as at V_0 (without a voltage, as at the start),
 whatever the curve: where it is a straight line full thrust has fallen by D, where it is a parabola
 by 2 D, and so do one command and its square.
 
 What is not drift may look like it: gusts, drag in a climb, a rough accelerometer, a payload.
-Commands are scaled only by a loss of thrust, and only as far as it stands out of what these can do;
-a jump is none.
+Commands are scaled only by a loss of thrust (by a gain as far as the voltage has risen), and only
+as far as it stands out of what these can do; a jump is none.
 """
 
 from dataclasses import dataclass
@@ -33,9 +36,15 @@ class DriftTuning:
     Attributes:
         period: s of samples in an average: several time constants of motors.
         rate: 1/s, one standard deviation of b: 10 % in a minute are usual.
+        told_rate: of it, what is left where the voltage is told: temperature and its errors.
+        effect: mean and standard deviation of beta.
+        settled: averages of flight after which V_0 is taken: before, it may be that of a battery
+            without its load, told at rest.
         wander: 1/s per root second, by which b changes: as much as it is, in half an hour.
         slope: mean and standard deviation of eps, 1 of a straight line and 0.5 of a parabola.
         bend: the same of k, 0 and 0.5.
+        far: noise of an average over its ln(F / g): drag, as of the climb after take-off, and what
+            the curve is far from hover.
         noise: of an average, before the flight shows its own, and
         worth: how many averages that is worth.
         memory: averages over which it is told.
@@ -46,10 +55,14 @@ class DriftTuning:
 
     period: float = 1.0
     rate: float = 2e-3
+    told_rate: float = 0.1
+    effect: tuple[float, float] = (1.2, 0.6)
+    settled: int = 3
     wander: float = 4e-5
     slope: tuple[float, float] = (0.75, 0.25)
     bend: tuple[float, float] = (0.25, 0.25)
-    noise: float = 0.002
+    far: float = 0.2
+    noise: float = 0.005
     worth: float = 2.0
     memory: float = 20.0
     colour: float = 2.0
@@ -65,7 +78,13 @@ _SAG, _SAGS = 0.05, 0.02
 """By how much a battery's voltage under load bends the thrust curve, and from which drift on it is
 reckoned with: on five flights of the emulator whose battery drops by 3 % under hover power, curves
 were off by 0.003 to 0.067, the drift being known exactly."""
-_D, _RATE = 3, 4
+_D, _RATE, _EFFECT = 3, 4, 5
+_LEAST_VOLTAGE = 1.0
+"""V, below which there is no battery, or nobody measures it."""
+_UNTOLD_BATTERY = 0.05
+"""One standard deviation of D between flights where no voltage is told: 4.2 to 3.6 V a cell under
+load are 0.15."""
+_MOST_EFFECT = 2.0
 
 
 class ThrustDrift:
@@ -82,13 +101,19 @@ class ThrustDrift:
         self._time = self._count * dt
         self._sums = np.zeros(5)
         """Samples, and sums over them of u, u^2, F and F^2."""
+        self._volts = np.zeros(2)
+        """Samples with a voltage, and their sum."""
+        self.voltage: float | None = None
+        """V_0, the battery's to which thrust is referred; None: not told, or not yet."""
+        self._told = 0
+        self._fallen = 0.0  # w
         self._started = False
-        self._mean = np.array([0.0, tuning.slope[0], tuning.bend[0], 0.0, 0.0])
-        stds = np.array([10.0, tuning.slope[1], tuning.bend[1], 0.0, tuning.rate])
-        self._covariance = np.diag(stds**2)
+        self._mean = np.array([0.0, tuning.slope[0], tuning.bend[0], 0.0, 0.0, tuning.effect[0]])
+        stds = [10.0, tuning.slope[1], tuning.bend[1], 0.0, tuning.rate, tuning.effect[1]]
+        self._covariance = np.diag(np.square(stds))
         self._noise, self._worth = tuning.noise**2, tuning.worth
         self._jumps = 0
-        self._step = np.eye(5)
+        self._step = np.eye(6)
         self._step[_D, _RATE] = self._time
         self._target = self._now = 0.0
 
@@ -100,14 +125,43 @@ class ThrustDrift:
     @property
     def curve_doubt(self) -> float:
         """One standard deviation of the thrust curve for what a battery that sags does besides."""
-        return _SAG * min(self._target / _SAGS, 1.0)
+        return _SAG * min(abs(self._target) / _SAGS, 1.0)
 
-    def update(self, commands: Array, force: Array) -> Array:
+    @property
+    def thrust_doubt(self) -> float:
+        """One standard deviation of what the battery may do to thrust unseen, relative."""
+        slope = max(float(self._mean[1]), 0.25)
+        if self.voltage is None:
+            return _UNTOLD_BATTERY / slope
+        drift, std = self._drift_and_std()
+        return float(np.hypot(drift - self._target, std)) / slope
+
+    def go_on_from(self, before: "ThrustDrift", *, landed: bool) -> None:
+        """Refer thrust to what another one referred it to: another mass, or another flight.
+
+        Args:
+            before: that has followed the same rotors.
+            landed: whether the battery may be another.
+        """
+        told = before.voltage is not None
+        self.voltage, self._told = before.voltage, before._told
+        self._fallen = before._fallen
+        self._mean, self._covariance = before._mean.copy(), before._covariance.copy()
+        self._set(0, 10.0)
+        self._noise, self._worth = before._noise, before._worth
+        if landed and not told:
+            self._set(_D, 0.0)
+            self._set(_RATE, self._tuning.rate)
+        elif not landed or told:
+            self._target = self._now = before._target
+
+    def update(self, commands: Array, force: Array, voltage: Array | None = None) -> Array:
         """Take samples.
 
         Args:
             commands: (n, rotors) of 0 to 1; NaN where missing.
             force: (n,) m/s^2, specific force along the body z axis, down.
+            voltage: (n,) V; NaN where it is not told.
 
         Returns:
             (n,) factors on the commands.
@@ -116,6 +170,10 @@ class ThrustDrift:
         whole = complete_rows(commands) & np.isfinite(force)
         kept, up = np.where(whole[:, None], commands, 0.0), np.where(whole, -force, 0.0)
         terms = np.column_stack([whole, kept.mean(axis=1), (kept * kept).mean(axis=1), up, up * up])
+        volts = np.full(len(out), np.nan) if voltage is None else voltage
+        with np.errstate(invalid="ignore"):
+            told = whole & (volts > _LEAST_VOLTAGE)
+        volts = np.column_stack([told, np.where(told, volts, 0.0)])
         counted = np.cumsum(whole) + self._sums[0]
         start = 0
         while start < len(out):
@@ -125,9 +183,10 @@ class ThrustDrift:
             done = np.minimum(self._sums[0] + np.cumsum(part[:, 0]), self._count) / self._count
             out[start:stop] = self._now + (self._target - self._now) * done
             self._sums += part.sum(axis=0)
+            self._volts += volts[start:stop].sum(axis=0)
             if self._sums[0] >= self._count:
                 self._take(self._sums[1:] / self._sums[0])
-                self._sums[:] = 0.0
+                self._sums[:] = self._volts[:] = 0.0
                 counted = counted - self._count
             start = stop
         return np.exp(-out)
@@ -135,21 +194,24 @@ class ThrustDrift:
     def _take(self, means: Array) -> None:
         """Take averages of u, u^2, F and F^2; later factors go on to the drift that they show."""
         self._now = self._target
+        self._take_voltage()
         u, square, force, power = means.tolist()
         t = self._tuning
         if u <= 0.0 or force < t.least_force * GRAVITY:
             return
-        row = np.array([1.0, np.log(force / GRAVITY), -(square / u**2 - 1.0), 1.0, 0.0])
+        bend = -(square / u**2 - 1.0)
+        row = np.array([1.0, np.log(force / GRAVITY), bend, 1.0, 0.0, self._fallen])
         if self._started:
             self._mean = self._step @ self._mean
             self._covariance = self._step @ self._covariance @ self._step.T
-            self._covariance[_RATE, _RATE] += t.wander**2 * self._time
+            wander = t.wander * (1.0 if self.voltage is None else t.told_rate)
+            self._covariance[_RATE, _RATE] += wander**2 * self._time
         self._started = True
         innovation = float(np.log(u) - row @ self._mean)
         spread = self._covariance @ row
         # Of white noise of the accelerometer the average has so much left.
         rough = max(power / force**2 - 1.0, 0.0) / self._count
-        noise = t.colour * (self._noise + rough)
+        noise = t.colour * (self._noise + rough + (t.far * float(row[1])) ** 2)
         variance = float(row @ spread) + noise
         # Over its own variance an innovation has unit power; a jump tells of more noise, too.
         self._worth = min(self._worth + 1.0, t.memory)
@@ -163,7 +225,45 @@ class ThrustDrift:
         self._jumps = 0
         self._mean = self._mean + spread * (innovation / variance)
         self._covariance = self._covariance - np.outer(spread, spread) / variance
-        drift, std = self._mean[_D], self._covariance[_D, _D] ** 0.5
-        low, high = t.believed
-        share = min(max((drift / max(std, 1e-12) - low) / (high - low), 0.0), 1.0)
-        self._target = share * drift
+        self._believe()
+
+    def _set(self, i: int, std: float) -> None:
+        """Have an unknown be zero with a standard deviation."""
+        self._mean[i] = 0.0
+        self._covariance[i] = self._covariance[:, i] = 0.0
+        self._covariance[i, i] = std**2
+
+    def _take_voltage(self) -> None:
+        """Take the average of the voltage, if enough of it was told."""
+        count, total = self._volts.tolist()
+        if 2.0 * count < self._count:
+            return
+        volts = total / count
+        self._told += 1
+        if self.voltage is None:
+            if self._told < self._tuning.settled:
+                return
+            self.voltage = volts
+            # What the voltage explains, the drift of its own need not; none of it is before V_0.
+            self._mean[0] += self._mean[_D]
+            self._set(_D, 0.0)
+            self._set(_RATE, self._tuning.told_rate * self._tuning.rate)
+        self._fallen = float(np.log(self.voltage / volts))
+
+    def _drift_and_std(self) -> tuple[float, float]:
+        """D and its standard deviation, as far as the voltage lets it be a gain."""
+        row = np.zeros(6)
+        row[_D], row[_EFFECT] = 1.0, self._fallen
+        drift, std = float(row @ self._mean), float(row @ self._covariance @ row) ** 0.5
+        effect = min(max(float(self._mean[_EFFECT]), 0.0), _MOST_EFFECT)
+        return max(drift, min(effect * self._fallen, 0.0)), std
+
+    def _believe(self) -> None:
+        """Go by the drift as far as it stands out, or as what the voltage does is known."""
+        low, high = self._tuning.believed
+        drift, std = self._drift_and_std()
+        sigmas = abs(drift) / max(std, 1e-12)
+        if self.voltage is not None:
+            effect, variance = self._mean[_EFFECT], self._covariance[_EFFECT, _EFFECT]
+            sigmas = max(sigmas, float(effect / variance**0.5))
+        self._target = min(max((sigmas - low) / (high - low), 0.0), 1.0) * drift

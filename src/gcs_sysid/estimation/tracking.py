@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, runs
+from gcs_sysid.estimation.actuator_dynamics import CURVE
 from gcs_sysid.estimation.change_detection import Change, ChangeTuning
 from gcs_sysid.estimation.change_hypotheses import Judgement
 from gcs_sysid.estimation.change_kinds import Cause
@@ -27,6 +28,7 @@ from gcs_sysid.estimation.change_watch import Alarm, ChangeWatch, gap
 from gcs_sysid.estimation.flight_comparison import Trial, is_another
 from gcs_sysid.estimation.online import Fit, OnlineEstimator, PriorSource
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
+from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.translation import accelerometer_gain
 from gcs_sysid.estimation.tuning import Tuning
 from gcs_sysid.model import rigid_body as rb
@@ -160,6 +162,12 @@ class Tracker:
         """The one in force."""
         return self._estimator
 
+    @property
+    def voltage(self) -> float | None:
+        """V, the battery's that thrust at full command is of; None: speeds, or it is not told."""
+        drift = self._estimator.drift
+        return None if drift is None else drift.voltage
+
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
         if self._trial is not None:
@@ -259,8 +267,7 @@ class Tracker:
             landed, stay = self._newest, _AWAY
         if t[0] - landed >= stay and np.isfinite(landed):
             self._end_trial()
-            fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
-            self._trial = Trial(fresh, landed, float(t[0]))
+            self._trial = Trial(self._fresh(landed=True), landed, float(t[0]))
         self._newest = float(t[-1])
         if self._trial is None:
             return self._follow(t, samples, stops)
@@ -290,11 +297,13 @@ class Tracker:
         before = self.fit()
         arm = float(np.mean(np.hypot(self.geometry[0], self.geometry[1])))
         room = len(self.segments) < MOST_SEGMENTS
-        if room and is_another(before, trial.fit(), arm):
+        if room and is_another(before, trial.fit(before), arm, trial.battery_doubt):
             self._add(Event(trial.landed, trial.end, None, None, len(self.segments)))
             self.segments.append(Segment(self.start, trial.landed, before))
-            # Of what was known only the scale is left, and the accelerometer.
-            fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
+            # Of what was known only the rotors are left, and with them the scale, and the
+            # accelerometer.
+            fresh = self._fresh(landed=True)
+            fresh.prior = _of_rotors(before)
             fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
             self._go_on_with(fresh, [])
             self.start = trial.start
@@ -401,7 +410,7 @@ class Tracker:
             return
         event = replace(event, segment=len(self.segments))
         self.segments.append(Segment(self.start, onset, before))
-        fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
+        fresh = self._fresh(landed=False)
         fresh.prior = _after_change(before, self.geometry)
         fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
         kept = self._watch.since(since)
@@ -411,6 +420,13 @@ class Tracker:
         self._go_on_with(fresh, kept if self._keep else [])
         self._watch_anew()
         self._add(event)
+
+    def _fresh(self, *, landed: bool) -> OnlineEstimator:
+        """An estimator of what may be another vehicle with the same rotors."""
+        fresh, before = OnlineEstimator(self.geometry, self.dt, self._tuning), self._estimator.drift
+        if fresh.drift is not None and before is not None:
+            fresh.drift.go_on_from(before, landed=landed)
+        return fresh
 
     def _watch_anew(self) -> None:
         """Another vehicle: residuals of the last one tell nothing of it."""
@@ -448,14 +464,28 @@ def _after_change(before: Fit, geometry: Array) -> Prior | None:
     spread, places = np.zeros(N_UNKNOWNS), [rb.CG_X, rb.CG_Y]
     spread[rb.ELEMENTS] = _INERTIA_MOVES * size[rb.ELEMENTS]
     spread[places] = _CG_MOVES * size[places]
-    covariance = before.rotation.full_covariance + np.diag(spread**2)
+    return _prior(before.rotation, before.rotation.full_covariance + np.diag(spread**2))
+
+
+def _of_rotors(before: Fit) -> Prior | None:
+    """What a fit on commands says of delay, lag and thrust curve, for other flights."""
+    rotation = before.rotation
+    if rotation is None or not rotation.coordinates_std[CURVE]:
+        return None
+    covariance = rotation.full_covariance.copy()
+    covariance[: rb.N_THETA] = covariance[:, : rb.N_THETA] = 0.0
+    return _prior(rotation, covariance)
+
+
+def _prior(rotation: RotationFit, covariance: Array) -> Prior:
+    """The unknowns of a fit as a prior; those without a variance are unknown."""
     known = np.flatnonzero(np.diag(covariance) > 0.0)
     covariance = covariance[np.ix_(known, known)]
     d = np.sqrt(np.diag(covariance))
     scaled = np.linalg.inv(covariance / np.outer(d, d) + 1e-9 * np.eye(len(d)))
     information = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     information[np.ix_(known, known)] = scaled / np.outer(d, d)
-    return Prior(before.rotation.unknowns, information)
+    return Prior(rotation.unknowns, information)
 
 
 def _goes_on(last: Event, event: Event) -> bool:

@@ -93,7 +93,7 @@ class Inspector:
         if self._judge is None:
             self._judge = self._new_judge()
         self._judge.take(record)
-        if stream is Stream.PARAMETER:
+        if stream in (Stream.PARAMETER, Stream.VOLTAGE):
             return
         if self._began is None:
             self._began = self._boot_began = self._newest = t

@@ -267,6 +267,7 @@ class Findings:
             "rotor_still": base.still_speeds,
             "rotor_input": self._input_telemetry(),
             "imu_rotation": self._imu_rotation(),
+            "thrust_voltage": self.learner.tracker.voltage if self.learner.tracker else None,
         }
 
     def _imu_rotation(self) -> dict[str, Any] | None:

@@ -3,7 +3,8 @@
 Rotors at zero are not the ground: a throttle is cut and a mixer saturates in the air too, and a
 hand throws a vehicle whose rotors stand. On the ground the accelerometer reads 1 g and nothing
 turns; in free fall it reads next to nothing. Rotors that turn are not flight either: what idles
-on its feet reads 1 g at a fraction of the thrust that carries it.
+on its feet reads 1 g at a fraction of the thrust that carries it, and what lies on its back is
+pushed the way in which its rotors never push.
 """
 
 import math
@@ -35,7 +36,7 @@ flight, from which the ground carries it. Over squared speeds: 9 to 10 with idli
 2 in flight. Over commands: 3.6 and more with idling rotors, 1.6 in flight, be thrust linear or
 square in the command."""
 _LEAST_FORCE = 5.0
-"""m/s^2 from which that ratio is taken."""
+"""m/s^2 from which that ratio is taken, and which nothing in the air has the wrong way round."""
 _FORGETS = 60.0
 """s in which the least ratio grows by e: a payload, or a spike that was taken for thrust."""
 _SMOOTH = 0.1
@@ -54,13 +55,14 @@ class FlightDetector:
         self._state = 0.0
         """1 in the air, -1 on the ground, 0 not known."""
         self._stood_at = self._restless_at = self._carried_at = self._rotors_at = -np.inf
-        self._unfallen_at = self._fell_at = -np.inf
+        self._unfallen_at = self._fell_at = self._upright_at = -np.inf
         self._placed_at = -np.inf
         self._ground = self._down = np.nan
         self._began: float | None = None
         self._smooth = np.full(4, np.nan)
         self._log_least = np.full(2, np.inf)
-        self._sensed = self._stood = self._moved = self._weighed = False
+        self._sensed = self._stood = self._moved = False
+        self._weighed = self._weighed_upright = False
         self._still: tuple[float, float, Array] | None = None
 
     def update(
@@ -91,6 +93,7 @@ class FlightDetector:
             (n,) whether it flies.
         """
         unknown = np.full((len(t), 3), np.nan)
+        along = unknown[:, 2] if force is None else force[:, 2]
         force = np.linalg.norm(unknown if force is None else force, axis=1)
         rates = np.linalg.norm(unknown if rates is None else rates, axis=1)
         thrust = unknown[:, :2] if thrust is None else thrust
@@ -106,12 +109,17 @@ class FlightDetector:
             carried = (ratio > _CARRIED + least).any(axis=1)
             carried &= ~(ratio <= _CARRIED + least).any(axis=1)
             falls = sensed & (force < _FALL) & (force > 0.0)
+            overturned = sensed & (along > _LEAST_FORCE)
         rests = self._since(t, restless | ~zero, "_restless_at") >= _REST_FOR
         idles = self._since(t, restless | zero | ~carried, "_carried_at") >= _REST_FOR
-        falls = (self._since(t, ~falls, "_unfallen_at") >= _FALL_FOR) & self._once_weighed(force)
+        falls = self._since(t, ~falls, "_unfallen_at") >= _FALL_FOR
+        falls &= self._once_weighed(force, "_weighed")
+        # An IMU that is mounted or read upside down has never shown its weight the right way.
+        overturned = self._since(t, ~overturned, "_upright_at") >= _REST_FOR
+        overturned &= self._once_weighed(-along, "_weighed_upright")
         # Whoever says disarmed of a vehicle that says it flies, with all rotors turning, is not it.
         disarmed = (armed < 0.5) & ~(turn & (in_air > 0.5))
-        stands = disarmed | (zero & (rests | ~had_imu)) | (idles & had_imu)
+        stands = disarmed | (zero & (rests | ~had_imu)) | (idles & had_imu) | overturned
         down = self._lately(t, position[:, 2])
         stood = np.logical_or.accumulate(np.append(self._stood, stands | zero))[1:]
         self._note_beginning(t, smooth, had_imu & ~stood, down, ratio)
@@ -150,11 +158,12 @@ class FlightDetector:
         since: Array = t - last[1:]
         return since
 
-    def _once_weighed(self, force: Array) -> Mask:
-        """(n,) whether the accelerometer has read about 1 g before: it is not dead."""
-        weighs = (force > _ONE_G[0]) & (force < _ONE_G[1])
-        weighed: Mask = np.logical_or.accumulate(np.append(self._weighed, weighs))[1:]
-        self._weighed = bool(weighed[-1])
+    def _once_weighed(self, force: Array, name: str) -> Mask:
+        """(n,) whether the accelerometer has read about 1 g before; kept under a name."""
+        with np.errstate(invalid="ignore"):
+            weighs = (force > _ONE_G[0]) & (force < _ONE_G[1])
+        weighed: Mask = np.logical_or.accumulate(np.append(getattr(self, name), weighs))[1:]
+        setattr(self, name, bool(weighed[-1]))
         return weighed
 
     def _smoothed(self, t: Array, x: Array) -> Array:

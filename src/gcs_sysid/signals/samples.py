@@ -23,6 +23,7 @@ class Samples:
         velocity: (n, 3) north, east, down, m/s.
         apart: (n, 1) s between the samples of two streams of commands whose mean `speeds` holds;
             NaN where there is one, as it is unless told.
+        voltage: (n, 1) of the battery, V; NaN where it is not told, as it is unless told.
         setpoint: (n, 3) rad/s, body rates that the autopilot asked for; NaN unless told.
     """
 
@@ -33,19 +34,20 @@ class Samples:
     force: Array
     velocity: Array
     apart: Array = field(default_factory=lambda: np.empty((0, 1)))
+    voltage: Array = field(default_factory=lambda: np.empty((0, 1)))
     setpoint: Array = field(default_factory=lambda: np.empty((0, 3)))
 
     def __post_init__(self) -> None:
-        if not len(self.setpoint):
-            object.__setattr__(self, "setpoint", np.full((len(self.gyro), 3), np.nan))
-        if not len(self.apart):
-            object.__setattr__(self, "apart", np.full((len(self.gyro), 1), np.nan))
+        for name, width in (("apart", 1), ("voltage", 1), ("setpoint", 3)):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.full((len(self.gyro), width), np.nan))
 
     @property
     def signals(self) -> tuple[Array, ...]:
         """Those that estimates rest on as they come, in order: all but setpoints."""
         return (
-            self.gyro, self.rates, self.speeds, self.attitude, self.force, self.velocity, self.apart
+            self.gyro, self.rates, self.speeds, self.attitude, self.force, self.velocity,
+            self.apart, self.voltage,
         )  # fmt: skip
 
     def part(self, where: slice | Mask) -> "Samples":

@@ -338,6 +338,7 @@ class Sampler:
             force=force,
             velocity=velocity[:, :3],
             setpoint=_stream(block, Stream.RATE_SETPOINT, n, 3),
+            voltage=_stream(block, Stream.VOLTAGE, n, 1),
         )
         self.t = float(t[-1])
         self.flying = bool(flying[-1])

@@ -376,8 +376,11 @@ class TimeBase:
             if stream is Stream.ROTOR_SPEED:
                 buffer = RotorBuffer(width)
             else:
-                # A setpoint holds until the next one, and nobody waits for that.
-                hold = stream in (Stream.IN_AIR, Stream.ARMED, Stream.RATE_SETPOINT)
+                # A setpoint or a voltage holds until the next one, and nobody waits for that.
+                hold = stream in (
+                    *(Stream.IN_AIR, Stream.ARMED),
+                    *(Stream.RATE_SETPOINT, Stream.VOLTAGE),
+                )
                 bridged = _CARRIED if stream is Stream.VELOCITY else 0.0
                 buffer = StreamBuffer(width, hold=hold, bridged=bridged)
             self._buffers[key] = buffer

@@ -303,7 +303,7 @@ class _Reader:
         for name in ("vbatLatest", "vbat"):
             volts = self._frames.main.columns(name)
             if volts is not None:
-                recording.extras["battery voltage"] = self._t, volts * 0.01
+                recording.add_voltage(self._t, volts * 0.01)
         flags = self._frames.slow.columns("flightModeFlags")
         if flags is not None:
             recording.extras["flight modes"] = self._when(self._frames.slow.order), flags

@@ -280,11 +280,11 @@ class _Reader:
         recording.add_state(Stream.IN_AIR, flies, end)
 
     def _add_battery(self, recording: Recording) -> None:
-        """Of the first battery, as an extra."""
+        """Of the first battery."""
         volts = self._named("BAT", ("Volt",))
         if volts is not None:
             rows = self._primary_instance("BAT")
-            recording.extras["battery voltage"] = self._times("BAT")[rows], volts[rows]
+            recording.add_voltage(self._times("BAT")[rows], volts[rows])
 
     def _primary_instance(self, name: str) -> Mask:
         """(n,) the entries of the first instance, under any of the names that number had."""

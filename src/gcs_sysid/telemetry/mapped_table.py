@@ -336,7 +336,7 @@ def _add_tracks(
         if name in values:
             recording.add(stream, values[name][0], values[name][1] != 0.0)
     if "voltage" in values:
-        recording.extras["battery voltage"] = values["voltage"]
+        recording.add_voltage(*values["voltage"])
 
 
 def _joined(t: Array, times: Array, values: Array) -> Array:

@@ -108,6 +108,14 @@ def _from_euler(angles: Array) -> Array:
     )
 
 
+def _sum_of_cells(volts: Array) -> Array:
+    """(n, 1) of (n, cells), 0 where none is told."""
+    told: Array = np.where(volts >= _NO_CELL, 0.0, volts).sum(axis=1, keepdims=True)
+    return told
+
+
+_NO_CELL = 65535.0
+"""UINT16_MAX: there is no such cell, or its voltage is not known."""
 _AXES = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc")
 _MILLI = (1e-3, 1e-3, 1e-3, _MILLI_G, _MILLI_G, _MILLI_G)
 _SERVOS = tuple(f"servo{i}_raw" for i in range(1, 17))
@@ -161,6 +169,14 @@ MESSAGES: tuple[Message, ...] = (
     Message(
         "SERVO_OUTPUT_RAW", Stream.ROTOR_COMMAND, Stamp.US32, _SERVOS, only={"port": 0},
         used=used_servos,
+    ),
+    Message(
+        "SYS_STATUS", Stream.VOLTAGE, Stamp.NONE, ("voltage_battery",), 1e-3,
+        convert=_sum_of_cells,
+    ),
+    Message(
+        "BATTERY_STATUS", Stream.VOLTAGE, Stamp.NONE, ("voltages",), 1e-3, rank=1,
+        only={"id": 0}, convert=_sum_of_cells,
     ),
 )  # fmt: skip
 """HEARTBEAT, EXTENDED_SYS_STATE, PARAM_VALUE and SYSTEM_TIME are rare, and tell states: they are

@@ -165,6 +165,12 @@ class Recording:
         states = np.array([changes[key] for key in at.tolist()])
         self.add(stream, t, states[np.searchsorted(at, t, side="right") - 1])
 
+    def add_voltage(self, t: Array, volts: Array) -> None:
+        """Add the battery's, as an extra too: (n,) s and (n,) or (n, 1) V."""
+        self.extras["battery voltage"] = t, volts
+        told = np.isfinite(volts).reshape(len(t), -1).all(axis=1)
+        self.add(Stream.VOLTAGE, t[told], volts[told])
+
     def _drop(self, reason: str, rows: Mask) -> None:
         if rows.any():
             self.dropped[reason] = self.dropped.get(reason, 0) + int(rows.sum())

@@ -118,7 +118,7 @@ def _add_topic(
     elif name == _ESCS:
         recording.add(Stream.ROTOR_SPEED, t, _speeds(topic), source=source)
     elif name == _BATTERY:
-        recording.extras["battery voltage"] = t, _columns(topic, "voltage_v")
+        recording.add_voltage(t, _columns(topic, "voltage_v"))
     elif name == _LANDED:
         _add_flight(recording, t, topic, topics.get((_STATUS, 0)))
 
