@@ -37,11 +37,18 @@ class _Integrals:
         self._mean = self._values.mean(axis=0)
         v = self._values - self._mean
         dt = np.diff(t)[:, None]
-        zero = np.zeros((1, v.shape[1]))
         self._v = v
-        self._first = np.concatenate([zero, np.cumsum(0.5 * dt * (v[1:] + v[:-1]), axis=0)])
-        steps = dt * self._first[:-1] + dt**2 * (2.0 * v[:-1] + v[1:]) / 6.0
-        self._second = np.concatenate([zero, np.cumsum(steps, axis=0)])
+        # In place, as a long log is integrated a hundred times.
+        self._first, self._second = np.zeros((2, *v.shape[::-1])).transpose(0, 2, 1)
+        area = v[1:] + v[:-1]
+        area *= 0.5 * dt
+        np.cumsum(area, axis=0, out=self._first[1:])
+        step = np.multiply(2.0, v[:-1], out=area)
+        step += v[1:]
+        step *= dt**2
+        step /= 6.0
+        step += dt * self._first[:-1]
+        np.cumsum(step, axis=0, out=self._second[1:])
 
     def _at(self, t: Array) -> tuple[Array, Array]:
         """(n, width) first and second integral, exact between samples."""
@@ -201,8 +208,9 @@ def _means(times: Array, values: Array, t: Array, half: float, *, slope: bool = 
     out = np.full((len(t), width), np.nan)
     if len(times) < TUNING.fewest_samples or not len(t):
         return out
-    finite = np.isfinite(values).all(axis=1) if values.ndim == 2 else np.isfinite(values)
-    times, values = times[finite], values[finite]
+    if not np.isfinite(values).all():
+        finite = np.isfinite(values).all(axis=1) if values.ndim == 2 else np.isfinite(values)
+        times, values = times[finite], values[finite]
     if len(times) < TUNING.fewest_samples:
         return out
     steps = np.diff(times)
@@ -223,7 +231,23 @@ def _rotor_means(
 ) -> Array:
     if stream is None:
         return np.full((len(t), rotors), np.nan)
-    return np.hstack([_means(times, v**power, t, half) for times, v in stream.samples])
+    return _power_means(stream, t, half, (power,))[0]
+
+
+def _power_means(
+    stream: RotorStream, t: Array, half: float, powers: tuple[int, ...]
+) -> list[Array]:
+    """(n, rotors) means of powers of all rotors; at once where they share their times."""
+    times = stream.samples[0][0]
+    if any(not np.array_equal(times, other) for other, _ in stream.samples[1:]):
+        return [
+            np.hstack([_means(at, v**power, t, half) for at, v in stream.samples])
+            for power in powers
+        ]
+    # By columns, each of which is then summed as if it were alone.
+    columns = [v**power for power in powers for _, v in stream.samples]
+    means = _means(times, np.array(columns).T, t, half)
+    return np.split(means, len(powers), axis=1)
 
 
 def variations_of_lift(lift: Array, force: Array) -> Array:
@@ -259,8 +283,10 @@ def _command_means(
 ) -> tuple[Array, Array]:
     """(n, rotors) means of commands and of their squares, `lag` s late."""
     late = _shifted(stream, lag, every)
-    means = [_rotor_means(late, t, half, rotors, power) for power in (1, 2)]
-    return means[0], means[1]
+    if late is None:
+        return np.full((len(t), rotors), np.nan), np.full((len(t), rotors), np.nan)
+    means, squares = _power_means(late, t, half, (1, 2))
+    return means, squares
 
 
 def _jitter(stream: RotorStream | None, t: Array, half: float, rotors: int, lag: float) -> Array:
