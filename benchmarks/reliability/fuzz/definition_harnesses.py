@@ -244,14 +244,17 @@ def check_table(data: bytes) -> None:
 def table_seeds() -> list[bytes]:
     """Mappings with tables that fit them: a full one, with gaps, by semicolon; and a small one."""
     rng = Random(2)
-    names = "t tv p q r ax ay az qx qy qz qw vx vy vz x y z a b c d ua ub uc ud up".split()
+    names = [
+        "t", "tv", "p", "q", "r", "ax", "ay", "az", "qx", "qy", "qz", "qw", "vx", "vy", "vz",
+        "x", "y", "z", "a", "b", "c", "d", "ua", "ub", "uc", "ud", "up",
+    ]  # fmt: skip
     rows = [
         ["" if rng.random() < 0.05 else f"{rng.uniform(-1.0, 1.0):.4g}" for _ in names[2:]]
         for _ in range(8)
     ]
     lines = [",".join([str(4 * i), str(4 * i + 1), *row]) for i, row in enumerate(rows)]
     full = "\n".join([",".join(names), *lines, ""])
-    small = "t,p,q,r,a,b,c,d\n" + "".join(f"{0.01 * i},0,1,nan,1e3,9,9,9\n" for i in range(9))
+    small = "t,p,q,r,a,b,c,d\n" + "".join(f"{0.01 * i},0,1,0.5,1e3,9,9,9\n" for i in range(9))
     return [
         mapping.encode() + _PARTED + table.encode()
         for mapping, table in (
@@ -259,7 +262,7 @@ def table_seeds() -> list[bytes]:
             (_MAPPING, full.replace(",", ";")),
             (_SMALL, small),
             (_SMALL, "\ufeff" + small.replace("\n", "\r\n")),
-            (_SMALL, small.replace("nan", "true").replace("9,9", '"9","9"')),
+            (_SMALL, small.replace("0.5", "true").replace("9,9", '"9","9"')),
         )
     ]
 

@@ -59,6 +59,8 @@ _WIDTHS = {"gyro": (3,), "force": (3,), "attitude": (3, 4), "velocity": (3,), "p
 _KEYS = {"columns", "unit", "frame", "world", "order", "inverse", "time", "min", "max"}
 _TOP = {"time", "time_unit", "frame", "world", "delimiter", "autopilot", "parameters", *_UNITS}
 _MOST_ROTORS = 32
+_LARGEST = 1e21
+"""Larger values are damaged, and would overflow in products; times in ns have 19 digits."""
 _TYPES = {
     4: mavlink.MAV_TYPE_QUADROTOR,
     6: mavlink.MAV_TYPE_HEXAROTOR,
@@ -275,10 +277,16 @@ _Samples = tuple[Array, Array]
 
 def _values(signal: SignalColumns, columns: Mapping[str, Array], time_factor: float) -> _Samples:
     """(n,) s and (n, width) in SI, of the rows in which the signal has any value."""
-    t = columns[signal.time] * time_factor
-    values = np.column_stack([columns[name] for name in signal.columns]) * signal.factor
+    t = _sound(columns[signal.time]) * time_factor
+    values = _sound(np.column_stack([columns[n] for n in signal.columns])) * signal.factor
     there = np.isfinite(values).any(axis=1) & np.isfinite(t)
     return t[there], values[there]
+
+
+def _sound(values: Array) -> Array:
+    """Values without those that nothing measures."""
+    sound: Array = np.where(np.abs(values) <= _LARGEST, values, np.nan)
+    return sound
 
 
 def _check_times(path: Path, mapping: TableMapping, values: Mapping[str, _Samples]) -> None:
