@@ -7,7 +7,6 @@ body, both turns by 180 degrees, q = M * q_table * B.
 
 import csv
 import math
-import tomllib
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import read_text
+from gcs_sysid.files import parse_toml, read_text
 from gcs_sysid.model.attitude import conjugate, multiply
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
@@ -124,10 +123,8 @@ def read_mapping(path: Path) -> TableMapping:
     Raises:
         InputError: it cannot be read, or says what cannot be.
     """
-    try:
-        table = tomllib.loads(read_text(path, _MOST_BYTES, "the mapping file"))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from error
+    text = read_text(path, _MOST_BYTES, "the mapping file")
+    table = parse_toml(text, str(path), "a mapping file")
     _check_keys(path, "", table, _TOP)
     common = {key: _text(path, key, table.get(key, ""), "") for key in ("time", "frame", "world")}
     delimiter = _text(path, "delimiter", table.get("delimiter", ","), ",")
