@@ -183,7 +183,7 @@ def median_of(values: Array) -> float:
         middle: float = np.partition(values, half).item(half)
         return middle
     low, high = np.partition(values, (half - 1, half))[half - 1 : half + 1].tolist()
-    return 0.5 * (low + high)
+    return float(0.5 * (low + high))
 
 
 def lift_of(windows: Windows) -> Array:
