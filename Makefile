@@ -78,8 +78,9 @@ fuzz: $(INSTALLED) ## fuzz every reader with FUZZ_INPUTS inputs, found ones into
 	@$(PIP) --group fuzz || echo "no atheris: inputs are drawn at random"
 	$(BIN)/python -m benchmarks.reliability.fuzz --inputs $(FUZZ_INPUTS)
 
-bench: $(INSTALLED) ## cost of emulator and chain, as ratios
+bench: $(INSTALLED) ## cost of emulator and chain, and of commands against the last release
 	$(BIN)/python -m benchmarks.cost
+	$(BIN)/python -m benchmarks.against
 
 $(BENCH_INSTALLED): $(INSTALLED)
 	$(PIP) --group bench

@@ -31,6 +31,8 @@ class Measured(NamedTuple):
     """Bytes of memory at most, interpreter and libraries included."""
     messages: int | None
     """Messages of the four types; None where the reader does not tell."""
+    longest: float = 0.0
+    """Processor time of the process that takes most, where there are two; else 0."""
 
 
 def read_file(path: str) -> None:
@@ -173,10 +175,22 @@ def read_here(name: str, path: str) -> None:
     for module in reader.needs:
         importlib.import_module(module)
     # Some print; the last line is ours.
-    began = time.process_time()
+    began, others = time.process_time(), _of_children()
     messages = reader.read(path)
-    seconds = time.process_time() - began
-    print(json.dumps({"seconds": seconds, "peak": peak_memory(), "messages": messages}))
+    own, other = time.process_time() - began, _of_children() - others
+    longest = max(own, other) if other else 0.0
+    measured = Measured(own + other, peak_memory(), messages, longest)
+    print(json.dumps(measured._asdict()))
+
+
+def _of_children() -> float:
+    """S of processor time of the processes started here that have ended."""
+    try:
+        import resource
+    except ImportError:
+        return 0.0
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
 
 
 def peak_memory() -> float:
@@ -223,8 +237,8 @@ def compare(path: Path, names: list[str], repeats: int, *, long: bool) -> dict[s
             if seen is None or isinstance(now, str):
                 best[name] = now
             else:
-                least = min(seen.seconds, now.seconds)
-                best[name] = Measured(least, max(seen.peak, now.peak), now.messages)
+                peak = max(seen.peak, now.peak)
+                best[name] = min(seen, now)._replace(peak=peak)
     return best
 
 
@@ -258,6 +272,7 @@ BARS = {
     "decoder, x fasttlogparser": 1.0,
     "analyze, x pymavlink": 5.0,
 }
+_BESIDE = "analyze, its longer process, x pymavlink"
 
 
 def verdicts(path: Path, measured: dict[str, Measured | str]) -> list[str]:
@@ -269,6 +284,9 @@ def verdicts(path: Path, measured: dict[str, Measured | str]) -> list[str]:
         if reader in seconds and other in seconds:
             times = seconds[other] / seconds[reader]
             lines.append(f"{what:<40}{times:>9.1f}   at least {bar:.0f}")
+    analyze = measured.get("analyze")
+    if isinstance(analyze, Measured) and analyze.longest and "pymavlink" in seconds:
+        lines.append(f"{_BESIDE:<40}{seconds['pymavlink'] / analyze.longest:>9.1f}   at least 10")
     decoder = measured.get("decoder")
     if isinstance(decoder, Measured):
         most = 3.5 * path.stat().st_size / MEGABYTE + 120.0

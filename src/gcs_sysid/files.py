@@ -3,9 +3,16 @@
 import os
 import stat
 import tempfile
+import tomllib
 from pathlib import Path
+from typing import Any
 
 from gcs_sysid.errors import InputError
+
+_MOST_DOTS = 1000
+"""In a line, where 64 rotors have some 200: tomllib needs the cube of a dotted key's parts."""
+_MOST_SQUARES = 10_000_000
+"""Sum over the lines of dots squared, which takes tomllib 0.2 s."""
 
 
 def check_regular(path: Path) -> None:
@@ -96,6 +103,28 @@ def read_text(path: Path, most: int, what: str) -> str:
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: cannot read {what}: not UTF-8 text") from error
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def parse_toml(text: str, where: str, what: str) -> dict[str, Any]:
+    """The table of a TOML file.
+
+    Args:
+        text: of it.
+        where: named in errors.
+        what: the file is to be, such as "a mapping file".
+
+    Raises:
+        InputError: it is not valid, or would take for ever to read.
+    """
+    dots = [line.count(".") for line in text.splitlines()]
+    if max(dots, default=0) > _MOST_DOTS:
+        raise InputError(f"{where}: not {what}: a line with more than {_MOST_DOTS} dots")
+    if sum(n * n for n in dots) > _MOST_SQUARES:
+        raise InputError(f"{where}: not {what}: too many lines with hundreds of dots")
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
+        raise InputError(f"{where}: not valid TOML: {error}") from error
 
 
 def check_target(path: Path, *, replace: bool, sources: tuple[Path, ...] = ()) -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from benchmarks.reliability.fuzz import link_harnesses
+from benchmarks.reliability.fuzz import definition_harnesses, link_harnesses
 from benchmarks.reliability.fuzz.__main__ import main, shares
 from benchmarks.reliability.fuzz.drive import Driver
 from benchmarks.reliability.fuzz.harness import Harness, one_line_errors
@@ -15,6 +15,7 @@ from benchmarks.reliability.fuzz.mutate import Mutator
 from benchmarks.reliability.fuzz.references import checksum
 from gcs_sysid.errors import InputError
 from gcs_sysid.telemetry.frames import FrameScanner
+from gcs_sysid.telemetry.mapped_table import read_table
 
 BY_NAME = [pytest.param(harness, id=harness.name) for harness in HARNESSES]
 
@@ -50,6 +51,14 @@ def test_what_the_mutator_draws_holds(harness):
         data = mutator.draw()
         assert len(data) <= harness.longest
         harness.check(data)
+
+
+def test_the_tables_to_begin_with_are_read(tmp_path):
+    mapping, table = tmp_path / "map.toml", tmp_path / "log.csv"
+    for seed in definition_harnesses.table_seeds():
+        mapping.write_bytes(seed.partition(b"\n%\n")[0])
+        table.write_bytes(seed.partition(b"\n%\n")[2])
+        assert {"imu", "rotor_speed"} <= {t.stream for t in read_table(table, mapping).tracks}
 
 
 def test_the_mutator_repeats_itself_and_changes_its_seeds():

@@ -2,12 +2,15 @@
 
 import json
 import xml.etree.ElementTree as ET
+from concurrent.futures import BrokenExecutor, Future
 from dataclasses import replace
 
 import pytest
 
+from gcs_sysid.cli import analyze_command
 from gcs_sysid.cli.program import run
-from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.fleet.pools import LocalPool
+from gcs_sysid.health.assessment import HoverRecords, health_of_log
 from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import load_airframe
@@ -128,6 +131,33 @@ def test_slow_rotors_get_health_from_analyze_and_inspect(fly, tmp_path, capsys):
     assert found.hover > 20.0
     # Without an airframe PX4's own parameters or the vehicle's type tell it.
     assert health_of_log(slow.tlog, Given(arm=0.25)).told
+
+
+@pytest.mark.slow
+def test_hover_assessed_by_another_process_is_the_same(flight, tmp_path, monkeypatch, capfd):
+    command = ["analyze", str(flight.tlog), "--airframe", "paper", "--json"]
+    alone, beside, ended = (tmp_path / f"{name}.json" for name in ("alone", "beside", "ended"))
+    run([*command, str(alone)])
+    monkeypatch.setattr(analyze_command, "_LONG_LOG", 0)
+    monkeypatch.setattr(analyze_command, "_processors", lambda: 2)
+    monkeypatch.setattr(HoverRecords, "health", None)  # of this process
+    run([*command, str(beside)])
+    assert json.loads(alone.read_text())["health"]["seconds_of_hover"] > 20.0
+    assert beside.read_bytes() == alone.read_bytes()
+    monkeypatch.undo()
+    monkeypatch.setattr(analyze_command, "_LONG_LOG", 0)
+    monkeypatch.setattr(analyze_command, "_processors", lambda: 2)
+    monkeypatch.setattr(LocalPool, "submit", lambda self, task: broken())
+    run([*command, str(ended)])
+    assert ended.read_bytes() == alone.read_bytes()
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def broken():
+    """What comes of a task whose process was ended."""
+    future = Future()
+    future.set_exception(BrokenExecutor("ended"))
+    return future
 
 
 @pytest.mark.slow

@@ -9,11 +9,11 @@ import pytest
 from gcs_sysid.health import balance
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import health_of
-from gcs_sysid.health.hover import _Integrals, windows_of
-from gcs_sysid.health.log_streams import streams_of
+from gcs_sysid.health.hover import _Integrals, _power_means, windows_of
+from gcs_sysid.health.log_streams import RotorStream, streams_of
 from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.model.airframe import load_airframe
-from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
+from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track, by_key
 from gcs_sysid.signals.records import Record, Stream
 
 G = 9.80665
@@ -27,6 +27,48 @@ def test_means_of_a_parabola_at_uneven_samples():
     expected = 3.0 + 2.0 * at + 0.5 * (at**2 + 0.7**2 / 6.0)
     assert integrals.mean(at, 0.7)[:, 0] == pytest.approx(expected, rel=1e-4)
     assert integrals.slope(at, 0.7)[:, 0] == pytest.approx(2.0 + at, rel=1e-3)
+
+
+def test_rotors_of_one_message_have_the_means_they_have_alone():
+    rng = np.random.default_rng(3)
+    t = np.cumsum(rng.uniform(0.01, 0.03, 2000))
+    values = rng.normal(0.5, 0.1, (4, len(t)))
+    at = np.arange(2.0, 30.0, 0.25)
+    together = RotorStream("ESC_STATUS", tuple((t.copy(), v) for v in values), 50.0)
+    means, squares = _power_means(together, at, 0.5, (1, 2))
+    for i, v in enumerate(values):
+        alone = RotorStream("ESC_STATUS", ((t, v),), 50.0)
+        (mean,), (square,) = _power_means(alone, at, 0.5, (1,)), _power_means(alone, at, 0.5, (2,))
+        assert np.array_equal(means[:, i], mean[:, 0])
+        assert np.array_equal(squares[:, i], square[:, 0])
+    apart = RotorStream("ESC_STATUS", ((t, values[0]), (t + 1e-3, values[1])), 50.0)
+    assert not np.array_equal(_power_means(apart, at, 0.5, (1,))[0][:, 1], means[:, 1])
+
+
+def test_tracks_of_many_blocks_are_joined_in_order():
+    rng = np.random.default_rng(4)
+    order = rng.permutation(60)
+    tracks = [
+        Track(Stream.IMU, n * 0.1, np.tile(n[:, None], (1, 1 + i % 2)) * 1.0, 0, "IMU", n)
+        for i, n in enumerate(np.split(order, 6))
+    ]
+    (whole,) = by_key(tracks).values()
+    assert whole.order.tolist() == list(range(60))
+    assert whole.values[:, 0].tolist() == whole.order.tolist()
+    narrow = {int(n) for track in tracks[::2] for n in track.order}
+    assert {n for n in range(60) if np.isnan(whole.values[n, 1])} == narrow
+
+
+def test_shortcuts_give_what_numpy_gives():
+    rng = np.random.default_rng(5)
+    for size in (1, 2, 3, 5):
+        a = rng.normal(size=(30, size)) * 10.0 ** rng.uniform(-6.0, 6.0, size)
+        for matrix in (a.T @ a, np.zeros((size, size)), -np.eye(size)):
+            expected = np.linalg.pinv(matrix, hermitian=True)
+            assert np.array_equal(balance._inverse(matrix), expected)
+    for values in (rng.normal(size=7), rng.normal(size=8), np.array([1.0, np.inf, -np.inf, 2.0])):
+        assert balance.median_of(values) == np.median(values)
+    assert math.isnan(balance.median_of(np.array([1.0, np.nan, 2.0])))
 
 
 def flight(

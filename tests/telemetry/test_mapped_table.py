@@ -168,6 +168,8 @@ attitude = { columns = ["roll", "pitch", "yaw"], unit = "deg"%s }
 
 WRONG_MAPPINGS = {
     "gyro = [": "not valid TOML",
+    "".join(f"k{i}{'.a' * 900} = 1\n" for i in range(90)): "too many lines with hundreds of dots",
+    "a" + ".a" * 90_000 + " = 1": "not a mapping file: a line with more than 1000 dots",
     'time = "t"': "gyro is missing",
     'gyro = ["p", "q", "r"]\nspeeds = ["m"]': "time is missing",
     'time = "t"\ngyro = ["p", "q", "r"]': r"neither \[speeds\] nor \[commands\]",

@@ -17,6 +17,7 @@ from benchmarks.reliability.fuzz.harness import Bytes, Scratch, one_line_errors
 from gcs_sysid.telemetry.blackbox import read_blackbox
 from gcs_sysid.telemetry.blackbox_format import MAGIC
 from gcs_sysid.telemetry.dataflash import read_dataflash
+from gcs_sysid.telemetry.mapped_table import read_table
 from gcs_sysid.telemetry.track_collector import Recording
 from gcs_sysid.telemetry.ulog import read_ulog
 
@@ -27,6 +28,7 @@ BYTES, BYTES_PER_BYTE = 64e6, 60.0
 _LARGEST_FLOOD = 100_000
 
 _ulg, _bin, _bbl = Scratch(".ulg"), Scratch(".bin"), Scratch(".bbl")
+_csv, _mapping = Scratch(".csv"), Scratch(".toml")
 
 
 def _peak() -> float:
@@ -210,6 +212,59 @@ def bbl_of(data: bytes) -> bytes:
 def check_bbl_definitions(data: bytes) -> None:
     """A blackbox log with any header is read or refused within its bar."""
     _check(bbl_of(data), _bbl, read_blackbox)
+
+
+_PARTED = b"\n%\n"
+"""Between a mapping and its table."""
+_MAPPING = """time = "t"
+time_unit = "ms"
+frame = "FLU"
+world = "ENU"
+gyro = { columns = ["p", "q", "r"], unit = "deg/s" }
+force = ["ax", "ay", "az"]
+attitude = { columns = ["qx", "qy", "qz", "qw"], order = "xyzw", inverse = true }
+velocity = { columns = ["vx", "vy", "vz"], time = "tv" }
+position = ["x", "y", "z"]
+speeds = { columns = ["a", "b", "c", "d"], unit = "rpm" }
+commands = { columns = ["ua", "ub", "uc", "ud"], min = 1000, max = 2000 }
+in_air = "up"
+parameters = { THR_MDL_FAC = 0.3 }
+"""
+_SMALL = 'time = "t"\ngyro = ["p", "q", "r"]\nspeeds = ["a", "b", "c", "d"]\n'
+
+
+def check_table(data: bytes) -> None:
+    """A table is read by its mapping, or either is refused, within the bar."""
+    mapping, _, table = data.partition(_PARTED)
+    path, mapping_path = _csv.put(table), _mapping.put(mapping)
+    with bounded(len(data)), one_line_errors():
+        check_recording(read_table(path, mapping_path))
+
+
+def table_seeds() -> list[bytes]:
+    """Mappings with tables that fit them: a full one, with gaps, by semicolon; and a small one."""
+    rng = Random(2)
+    names = [
+        "t", "tv", "p", "q", "r", "ax", "ay", "az", "qx", "qy", "qz", "qw", "vx", "vy", "vz",
+        "x", "y", "z", "a", "b", "c", "d", "ua", "ub", "uc", "ud", "up",
+    ]  # fmt: skip
+    rows = [
+        ["" if rng.random() < 0.05 else f"{rng.uniform(-1.0, 1.0):.4g}" for _ in names[2:]]
+        for _ in range(8)
+    ]
+    lines = [",".join([str(4 * i), str(4 * i + 1), *row]) for i, row in enumerate(rows)]
+    full = "\n".join([",".join(names), *lines, ""])
+    small = "t,p,q,r,a,b,c,d\n" + "".join(f"{0.01 * i},0,1,0.5,1e3,9,9,9\n" for i in range(9))
+    return [
+        mapping.encode() + _PARTED + table.encode()
+        for mapping, table in (
+            (_MAPPING, full),
+            (_MAPPING, full.replace(",", ";")),
+            (_SMALL, small),
+            (_SMALL, "\ufeff" + small.replace("\n", "\r\n")),
+            (_SMALL, small.replace("0.5", "true").replace("9,9", '"9","9"')),
+        )
+    ]
 
 
 def choices() -> list[bytes]:

@@ -53,6 +53,10 @@ HARNESSES = (
         "bbl-definitions", "headers of .bbl", definitions.check_bbl_definitions,
         definitions.choices, 1.0, (), 600,
     ),
+    Harness(
+        "table", "tables and mappings", definitions.check_table, definitions.table_seeds, 3.0,
+        (*_TOML, *b"nan inf 1e308 -1e308 true ; , FLU ENU xyzw ms".split(), b"\n%\n", b'"'), 4096,
+    ),
     Harness("airframe", "airframe files", files.check_airframe, files.toml_seeds, 6.0, _TOML),
     Harness(
         "result", "results, baselines", files.check_result, files.result_seeds, 8.0, _JSON, 4096

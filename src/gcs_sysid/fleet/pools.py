@@ -52,7 +52,7 @@ class LocalPool:
         work: what is done with a task.
     """
 
-    def __init__(self, workers: int, work: Callable[[Task], Document] = analyze) -> None:
+    def __init__(self, workers: int, work: Callable[[Any], Any] = analyze) -> None:
         self._workers, self._work = workers, work
         self._context = multiprocessing.get_context("spawn")
         self._environment = {name: os.environ.get(name) for name in _ONE_THREAD}
@@ -80,7 +80,7 @@ class LocalPool:
         """As `Pool` says: one more than there are processes, so that none waits for us."""
         return self._workers + 1
 
-    def submit(self, task: Task) -> Future[Document]:
+    def submit(self, task: Any) -> Future[Any]:
         """As `Pool` says; where a process has died, with new ones."""
         if self._executor is not None:
             try:

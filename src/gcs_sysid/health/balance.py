@@ -106,23 +106,13 @@ def robust_fit(
         ValueError: fewer rows than columns.
     """
     n, p = columns.shape
-    noise = np.zeros_like(columns) if jitter is None else jitter
     told = columns if projected is None else projected
     if n <= p:
         raise ValueError(f"{n} windows do not show {p} coefficients")
-    weight = np.ones(n)
-    scale = float(np.std(y)) or 1e-12
-    penalty = np.zeros(p) if ridge is None else 1.0 / ridge**2
-    value = np.zeros(p)
-    for _ in range(12):
-        A = _products(told, noise, weight)
-        normal = A + scale**2 * np.diag(penalty)
-        value = np.linalg.pinv(normal, hermitian=True) @ ((told * weight[:, None]).T @ y)
-        residual = y - columns @ value
-        scale = max(1.4826 * float(np.median(np.abs(residual - np.median(residual)))), 1e-15)
-        weight = 1.0 / np.maximum(np.abs(residual) / (1.345 * scale), 1.0)
-    normal = _products(told, noise, weight) + scale**2 * np.diag(penalty)
-    bread = np.linalg.pinv(normal, hermitian=True)
+    huber = _huber_fit(columns, y, ridge, jitter, told)
+    value, residual, weight, scale, penalty = huber
+    normal = _products(told, jitter, weight) + scale**2 * np.diag(penalty)
+    bread = _inverse(normal)
     score = told * (weight * residual)[:, None]
     lags = min(max(2, round(2.5 * n ** (1.0 / 3.0))), n - 1)
     meat = score.T @ score
@@ -136,10 +126,64 @@ def robust_fit(
     return Fit(value, covariance * stretch**2, scale)
 
 
-def _products(columns: Array, noise: Array, weight: Array) -> Array:
-    """(p, p) sums of products of the regressors without those of their noise."""
-    out: Array = (columns * weight[:, None]).T @ columns - (noise * weight[:, None]).T @ noise
+def robust_values(columns: Array, y: Array, ridge: Array | None = None) -> Array:
+    """(p,) what `robust_fit` fits, without the covariance, which costs more."""
+    return _huber_fit(columns, y, ridge, None, columns)[0]
+
+
+def _huber_fit(
+    columns: Array, y: Array, ridge: Array | None, jitter: Array | None, told: Array
+) -> tuple[Array, Array, Array, float, Array]:
+    """Coefficients (p,), residuals (n,), weights (n,), robust scale and penalty (p,)."""
+    p = columns.shape[1]
+    weight = np.ones(len(y))
+    scale = float(np.std(y)) or 1e-12
+    penalty = np.zeros(p) if ridge is None else 1.0 / ridge**2
+    value = np.zeros(p)
+    residual = y
+    for _ in range(12):
+        weighted = told * weight[:, None]
+        normal = _products(told, jitter, weight, weighted) + scale**2 * np.diag(penalty)
+        value = _inverse(normal) @ (weighted.T @ y)
+        residual = y - columns @ value
+        scale = max(1.4826 * median_of(np.abs(residual - median_of(residual))), 1e-15)
+        weight = 1.0 / np.maximum(np.abs(residual) / (1.345 * scale), 1.0)
+    return value, residual, weight, scale, penalty
+
+
+def _products(
+    columns: Array, noise: Array | None, weight: Array, weighted: Array | None = None
+) -> Array:
+    """(p, p) sums of products of the regressors without those of their noise, if there is any."""
+    if weighted is None:
+        weighted = columns * weight[:, None]
+    out: Array = weighted.T @ columns
+    return out if noise is None else out - (noise * weight[:, None]).T @ noise
+
+
+def _inverse(matrix: Array) -> Array:
+    """The pseudo-inverse of a symmetric matrix: `numpy.linalg.pinv` without its overhead."""
+    values, vectors = np.linalg.eigh(matrix)
+    size = np.abs(values)
+    order = np.argsort(size)[::-1]
+    size, vectors = size[order], vectors[:, order]
+    large = size > 1e-15 * size[0]
+    inverse = np.divide(1.0, size, where=large, out=size)
+    inverse[~large] = 0.0
+    out: Array = (vectors * np.copysign(1.0, values)[order]) @ (inverse[:, None] * vectors.T)
     return out
+
+
+def median_of(values: Array) -> float:
+    """`numpy.median` of (n,) values without its overhead, which is most of it for a hundred."""
+    half, odd = divmod(len(values), 2)
+    if not len(values) or not np.isfinite(values).all():
+        return float(np.median(values))
+    if odd:
+        middle: float = np.partition(values, half).item(half)
+        return middle
+    low, high = np.partition(values, (half - 1, half))[half - 1 : half + 1].tolist()
+    return float(0.5 * (low + high))
 
 
 def lift_of(windows: Windows) -> Array:

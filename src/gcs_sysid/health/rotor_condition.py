@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows
-from gcs_sysid.health.balance import Quantity, lift_of, robust_fit
+from gcs_sysid.health.balance import Quantity, lift_of, robust_values
 from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.model.airframe import Airframe
@@ -105,9 +105,9 @@ def load_of(windows: Windows, thrust: Array, c: float | None) -> Load | None:
     ridge = np.array([np.inf, *(3.0 * TUNING.turning_share,) * 3])
     values, influence = [], []
     for share in thrust.T:
-        fit = robust_fit(columns, share / share.mean(), ridge)
-        values.append(fit.value[0] * share.mean() / lift.mean())
-        influence.append(share / share.mean() - columns @ fit.value)
+        value = robust_values(columns, share / share.mean(), ridge)
+        values.append(value[0] * share.mean() / lift.mean())
+        influence.append(share / share.mean() - columns @ value)
     residual = np.clip(np.array(influence), -0.3, 0.3)  # (rotors, n)
     covariance = _long_run(residual) / len(lift)
     sideways = windows.force[:, :2][complete_rows(windows.force[:, :2])]

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from gcs_sysid.arrays import Array
 from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.log_streams import Streams
@@ -22,6 +23,8 @@ _BESIDE = (-12.0, -8.0, 8.0, 12.0)
 _NYQUIST = 0.9
 """Share of half of the IMU's rate below which a rotor's frequency is seen."""
 _FEWEST = 10
+_AT_ONCE = 64
+"""Stretches worked on together."""
 
 
 def vibration_of(streams: Streams, windows: Windows) -> tuple[Quantity | None, ...]:
@@ -44,35 +47,7 @@ def vibration_of(streams: Streams, windows: Windows) -> tuple[Quantity | None, .
             times,
             np.concatenate([[0.0], np.cumsum(0.5 * np.diff(times) * (speeds[1:] + speeds[:-1]))]),
         )
-        squares = []
-        for center in windows.t[::1]:
-            first, last = np.searchsorted(t, (center - 0.5 * _STRETCH, center + 0.5 * _STRETCH))
-            force = imu[first:last, 3:6]
-            if last - first < 0.8 * _STRETCH * rate or not np.isfinite(force).all():
-                continue
-            turned = phase[first:last]
-            own = (turned[-1] - turned[0]) / (t[last - 1] - t[first]) / (2.0 * math.pi)
-            if not 5.0 < own < 0.5 * _NYQUIST * rate - _BESIDE[-1]:
-                continue
-            taper = np.hanning(last - first)[:, None]
-            force = (force - force.mean(axis=0)) * taper
-            moment = t[first:last] - t[first]
-            level = [
-                float(
-                    (
-                        np.abs(
-                            (
-                                force
-                                * np.exp(-1j * (turned + 2.0 * math.pi * off * moment))[:, None]
-                            ).sum(axis=0)
-                        )
-                        ** 2
-                    ).sum()
-                )
-                for off in (0.0, *_BESIDE)
-            ]
-            scale = 4.0 / float(taper.sum()) ** 2
-            squares.append(scale * (level[0] - float(np.median(level[1:]))))
+        squares = _squares_of(t, imu[:, 3:6], phase, windows.t, rate)
         if len(squares) < _FEWEST:
             found.append(None)
             continue
@@ -81,3 +56,40 @@ def vibration_of(streams: Streams, windows: Windows) -> tuple[Quantity | None, .
         amplitude = math.sqrt(max(mean, 0.0))
         found.append(Quantity(amplitude, std / (2.0 * max(amplitude, math.sqrt(std))), "m/s^2"))
     return tuple(found)
+
+
+def _squares_of(t: Array, force: Array, phase: Array, centers: Array, rate: float) -> list[float]:
+    """Squared amplitudes at a rotor's frequency above the floor, of stretches that show it.
+
+    Args:
+        t: (n,) s, of the IMU.
+        force: (n, 3) m/s^2.
+        phase: (n,) rad, of the rotor.
+        centers: s, of stretches.
+        rate: Hz, of the IMU.
+    """
+    firsts = np.searchsorted(t, centers - 0.5 * _STRETCH)
+    counts = np.searchsorted(t, centers + 0.5 * _STRETCH) - firsts
+    out = np.full(len(centers), np.nan)
+    offsets = np.array((0.0, *_BESIDE))[:, None]
+    for count in np.unique(counts[counts >= max(0.8 * _STRETCH * rate, 2)]).tolist():
+        taper = np.hanning(count)
+        scale = 4.0 / float(taper.sum()) ** 2
+        alike = np.flatnonzero(counts == count)
+        for start in range(0, len(alike), _AT_ONCE):
+            some = alike[start : start + _AT_ONCE]
+            rows = firsts[some, None] + np.arange(count)
+            parts, turned, times = force[rows], phase[rows], t[rows]
+            own = (turned[:, -1] - turned[:, 0]) / (times[:, -1] - times[:, 0]) / (2.0 * math.pi)
+            seen = np.isfinite(parts).all(axis=(1, 2))
+            seen &= (own > 5.0) & (own < 0.5 * _NYQUIST * rate - _BESIDE[-1])
+            some, parts, turned, times = some[seen], parts[seen], turned[seen], times[seen]
+            parts = (parts - parts.mean(axis=1, keepdims=True)) * taper[:, None]
+            moment = times - times[:, :1]
+            turns = turned[:, None] + 2.0 * math.pi * offsets * moment[:, None]
+            carrier = np.exp(-1j * turns)  # (some, offsets, count)
+            swung = (parts[:, None] * carrier[..., None]).sum(axis=2)
+            level = (np.abs(swung) ** 2).sum(axis=2)
+            out[some] = scale * (level[:, 0] - np.median(level[:, 1:], axis=1))
+    found: list[float] = out[np.isfinite(out)].tolist()
+    return found

@@ -2,7 +2,6 @@
 
 import math
 import sys
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcs_sysid.errors import InputError, nearest
-from gcs_sysid.files import read_text
+from gcs_sysid.files import parse_toml, read_text
 from gcs_sysid.model.given_uncertainty import USUAL, GivenUncertainty, check_share
 from gcs_sysid.model.parameters import REGISTRY
 
@@ -36,8 +35,6 @@ PRIORS = tuple(name for name, parameter in REGISTRY.items() if parameter.prior)
 
 _MOST_BYTES = 1_000_000
 """A file beyond this describes no airframe."""
-_MOST_DOTS = 1000
-"""In a line, where 64 rotors have some 200: tomllib needs the cube of a dotted key's parts."""
 
 _VEHICLES = ("paper", "px4-sih")
 """Built-in airframes of one vehicle with its own size; the others are layouts to be scaled."""
@@ -307,12 +304,7 @@ def read_airframe_table(name_or_path: str) -> tuple[dict[str, Any], str]:
                 + nearest(str(name_or_path), names)
             )
         text = read_text(path, _MOST_BYTES, "the airframe file")
-    if any(line.count(".") > _MOST_DOTS for line in text.splitlines()):
-        raise InputError(f"{where}: not an airframe file: a line with more than {_MOST_DOTS} dots")
-    try:
-        return tomllib.loads(text), where
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
-        raise InputError(f"{where}: not valid TOML: {error}") from error
+    return parse_toml(text, where, "an airframe file"), where
 
 
 def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:

@@ -1,6 +1,6 @@
 """Records as columns: whole stretches of streams as arrays, in the order in which they came."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -170,23 +170,21 @@ class RecordBlock:
 
 def by_key(tracks: Iterable[Track]) -> dict[Key, Track]:
     """Tracks by their streams; those of one stream are joined, narrower ones lack last values."""
-    joined: dict[Key, Track] = {}
+    parts: dict[Key, list[Track]] = {}
     for track in tracks:
-        before = joined.get(track.key)
-        joined[track.key] = track if before is None else _joined(before, track)
-    return joined
+        parts.setdefault(track.key, []).append(track)
+    return {key: some[0] if len(some) == 1 else _joined(some) for key, some in parts.items()}
 
 
-def _joined(one: Track, other: Track) -> Track:
-    width = max(one.values.shape[1], other.values.shape[1])
-    values = np.full((len(one.t) + len(other.t), width), np.nan)
-    values[: len(one.t), : one.values.shape[1]] = one.values
-    values[len(one.t) :, : other.values.shape[1]] = other.values
-    whole = replace(
-        one,
-        t=np.concatenate([one.t, other.t]),
-        values=values,
-        order=np.concatenate([one.order, other.order]),
-    )
-    rows = np.argsort(whole.order, kind="stable")
-    return replace(whole, t=whole.t[rows], values=whole.values[rows], order=whole.order[rows])
+def _joined(parts: Sequence[Track]) -> Track:
+    """Tracks of one stream as one: all at once, as a long log has hundreds."""
+    order = np.concatenate([part.order for part in parts])
+    rows = np.argsort(order, kind="stable")
+    values = np.full((len(order), max(part.values.shape[1] for part in parts)), np.nan)
+    start = 0
+    for part in parts:
+        stop = start + len(part.t)
+        values[start:stop, : part.values.shape[1]] = part.values
+        start = stop
+    t = np.concatenate([part.t for part in parts])
+    return replace(parts[0], t=t[rows], values=values[rows], order=order[rows])

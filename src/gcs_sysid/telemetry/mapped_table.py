@@ -7,7 +7,6 @@ body, both turns by 180 degrees, q = M * q_table * B.
 
 import csv
 import math
-import tomllib
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import read_text
+from gcs_sysid.files import parse_toml, read_text
 from gcs_sysid.model.attitude import conjugate, multiply
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
@@ -59,6 +58,8 @@ _WIDTHS = {"gyro": (3,), "force": (3,), "attitude": (3, 4), "velocity": (3,), "p
 _KEYS = {"columns", "unit", "frame", "world", "order", "inverse", "time", "min", "max"}
 _TOP = {"time", "time_unit", "frame", "world", "delimiter", "autopilot", "parameters", *_UNITS}
 _MOST_ROTORS = 32
+_LARGEST = 1e21
+"""Larger values are damaged, and would overflow in products; times in ns have 19 digits."""
 _TYPES = {
     4: mavlink.MAV_TYPE_QUADROTOR,
     6: mavlink.MAV_TYPE_HEXAROTOR,
@@ -122,10 +123,8 @@ def read_mapping(path: Path) -> TableMapping:
     Raises:
         InputError: it cannot be read, or says what cannot be.
     """
-    try:
-        table = tomllib.loads(read_text(path, _MOST_BYTES, "the mapping file"))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from error
+    text = read_text(path, _MOST_BYTES, "the mapping file")
+    table = parse_toml(text, str(path), "a mapping file")
     _check_keys(path, "", table, _TOP)
     common = {key: _text(path, key, table.get(key, ""), "") for key in ("time", "frame", "world")}
     delimiter = _text(path, "delimiter", table.get("delimiter", ","), ",")
@@ -275,10 +274,16 @@ _Samples = tuple[Array, Array]
 
 def _values(signal: SignalColumns, columns: Mapping[str, Array], time_factor: float) -> _Samples:
     """(n,) s and (n, width) in SI, of the rows in which the signal has any value."""
-    t = columns[signal.time] * time_factor
-    values = np.column_stack([columns[name] for name in signal.columns]) * signal.factor
+    t = _sound(columns[signal.time]) * time_factor
+    values = _sound(np.column_stack([columns[n] for n in signal.columns])) * signal.factor
     there = np.isfinite(values).any(axis=1) & np.isfinite(t)
     return t[there], values[there]
+
+
+def _sound(values: Array) -> Array:
+    """Values without those that nothing measures."""
+    sound: Array = np.where(np.abs(values) <= _LARGEST, values, np.nan)
+    return sound
 
 
 def _check_times(path: Path, mapping: TableMapping, values: Mapping[str, _Samples]) -> None:
