@@ -24,7 +24,7 @@ from gcs_sysid.estimation.disturbance import Trial
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import first_guess, residual_maker, scales
-from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor
+from gcs_sysid.estimation.uncertainty import shrunk_inflation, student_factor
 from gcs_sysid.estimation.whitened_moments import WhitenedMoments, grouped
 from gcs_sysid.estimation.whitened_outcome import WhitenedOutcome
 from gcs_sysid.model import rigid_body as rb
@@ -141,9 +141,10 @@ def fit_whitened(
     batches, counts = grouped(batches[kept], data.counts[kept], data.grouped)
     batches -= TOLD * counts[:, None, None, None] * noise
     outcome = WhitenedOutcome(solved.problem, solved.point)
-    scatter = meat(outcome.scores(0, batches, counts), _REACH)
-    spread = inflation(outcome.roots[1][0], scatter)[None]
-    widening = student_factor(outcome.shares(0, batches), _REACH)[None]
+    scores = outcome.scores(0, batches, counts)
+    spread, by_scatter = shrunk_inflation(outcome.roots[1][0], scores, _REACH)
+    spread = spread[None]
+    widening = student_factor(outcome.shares(0, batches), _REACH, by_scatter)[None]
     if doubt:
         silent = np.zeros_like(noise)[None]
         raw = AxisProblem(solved.problem.bank, rows, basis, prior, silent, deviations)
