@@ -7,7 +7,8 @@
 `flights` flies vehicles drawn at random (0.25 to 15 kg, four to eight rotors, MEMS at 250 Hz) on
 the emulator, fits the first 60 % of each flight and flies the rest with the fit; `logs` does so
 with recorded flights. Both print, for each stretch of 1 s, the share of errors inside the 95 % band
-and R2 of the body rates, beside a guess of constant rates. `covariance` holds the normalized
+and R2 of the body rates, beside the model without drag, damping, rotor inertia and differences
+between rotors (basic), and a guess of constant rates. `covariance` holds the normalized
 estimation error squared of the parameter vector, e' P^-1 e, against chi-square.
 """
 
@@ -55,13 +56,13 @@ def row(name: str, twin: TwinFlight) -> str:
     rates = each["rates"]
     return (
         f"{name:<26}{twin.result.verdict:<11}{rates.count:5}   {inside}{rates.r_squared:9.3f}"
-        f"{rates.rms:9.4f}{rates.band / 1.96:9.4f}{rates.guess:9.3f}"
+        f"{rates.rms:9.4f}{rates.band / 1.96:9.4f}{rates.basic:9.3f}{rates.guess:9.3f}"
     )
 
 
 HEAD = (
     f"{'flight':<26}{'fit':<11}{'of 1 s':>5}   rates   att.   vel.       R2    error predicted"
-    "   guess (rates, rad/s)"
+    "    basic    guess (rates, rad/s)"
 )
 
 

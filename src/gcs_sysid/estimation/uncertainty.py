@@ -131,9 +131,7 @@ def symmetric_roots(matrix: Array, ridge: float = _RIDGE) -> tuple[Array, Array]
     return (vectors * roots) @ turned, (vectors / roots) @ turned
 
 
-def student_factor(
-    shares: Array, reach: int | None = None, told: Array | float = 1.0
-) -> Array:
+def student_factor(shares: Array, reach: int | None = None, told: Array | float = 1.0) -> Array:
     """What makes 1.96 standard deviations a 95 % interval when batches are few.
 
     A variance told by the scatter of few batches is uncertain itself; the estimate over its

@@ -1,8 +1,7 @@
 """`gcs-sysid twin`: a result, flown along a log where the result has not seen it.
 
-A result of another flight has seen none of the log: all of it is judged, but for the seconds in
-which the attitude filter settles, and each half of it tells
-the noise that the other half's errors are held against. Of a result of the same flight nothing is
+A result of another flight has seen none of the log: all of it is judged, but for the seconds in which the attitude filter settles, and each half of it tells the
+noise that the other half's errors are held against. Of a result of the same flight nothing is
 held out; the model is then fitted again, to the first part of the flight as in the validation, and
 judged on the rest.
 """
@@ -37,10 +36,10 @@ if TYPE_CHECKING:
 SCHEMA = "gcs-sysid-twin/1"
 SAMPLES = 48
 """Vehicles drawn from the covariance; the standard deviation is then known to 10 %."""
-_SETTLING, _SETTLING_SHARE = 20.0, 0.4
-"""s in which the complementary filter finds the gyro's bias and the attitude, and the share of a
-part of the flight that may be left out for it. On emulated flights with a bias of 0.01 rad/s errors
-of attitude and velocity are two to three times as large in the first 10 s, and level after 20."""
+_SETTLING, _SETTLING_SHARE = 5.0, 0.4
+"""s in which the complementary filter finds the attitude, and the share of a part of the flight that
+may be left out for it. With the gyro's bias taken from later, errors on emulated flights with a bias
+of 0.01 rad/s are level from 5 s on."""
 _SAME = 1e-9
 """Difference of the validation's R2 below which two results are of the same data."""
 

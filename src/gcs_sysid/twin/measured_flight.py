@@ -11,7 +11,7 @@ from gcs_sysid.model import attitude as quaternions
 from gcs_sysid.model.flight_model import FlightModel, MotionState
 from gcs_sysid.model.parameters import RotorInput
 from gcs_sysid.session.chain import Chain
-from gcs_sysid.signals.complementary import DEFAULT_K_I, DEFAULT_K_P
+from gcs_sysid.signals.complementary import DEFAULT_K_P
 from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.rotor_units import RotorSource
 from gcs_sysid.signals.sampling import SampleBlock
@@ -20,9 +20,9 @@ _SETTLED = 5.0
 """Time constants after which a motor's past is forgotten."""
 _FILTER_SETTLED = 1.5
 """Periods of its cutoff that the gyro's low-pass needs to settle."""
-_BIAS_LAG = 3.0 * DEFAULT_K_P / DEFAULT_K_I
-"""s, three time constants of the complementary filter's bias: what is left of the bias of an
-instant's first guess after that time is 5 %."""
+_BIAS_LAG = 60.0
+"""s. The complementary filter's bias has a time constant of k_p / k_i = 14 s, and of twice that while
+the vehicle turns fast; what is left of an error after this time is a tenth at most."""
 
 
 @dataclass(frozen=True)
