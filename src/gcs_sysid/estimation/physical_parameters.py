@@ -53,9 +53,9 @@ class ModelErrors:
     """With commands: a motor is not quite of first order, nor its thrust quite a parabola of the
     command. On flights of the emulator it leaves 0.1 to 0.25 %, in the thrust curve as well."""
     steps: float = 3e-4
-    """With speeds: commands change in steps, and the cubic between two samples rounds the corners that
-    they leave in the speeds. Inertia reads 0.03 % too large where the loop runs once a sample, and
-    0.00 % where it runs four times (emulator, 250 Hz)."""
+    """With speeds: commands change in steps, and the cubic between two samples rounds the corners
+    that they leave in the speeds. Inertia reads 0.03 % larger where the loop runs once a sample
+    than where it runs four times (emulator, 250 Hz)."""
     quick_motor: float = 0.03
     """s, lag of the motors that these two were measured with."""
     lag: float = 0.02

@@ -85,9 +85,9 @@ def shrunk_inflation(
     (Ledoit and Wolf 2004, Journal of Multivariate Analysis 88, 365-411) with nu the batches that
     count by themselves. A direction beyond the edge of that spread, mu (1 + sqrt(g))^2 with
     g = p / nu, keeps at least the l that shows as lambda = l (1 + g mu / (l - mu)) (spiked model:
-    Donoho, Gavish and Johnstone 2018, Annals of Statistics 46, 1742-1778). Where the mean is below 1,
-    as of innovations that are weaker where the parameters act than elsewhere, no direction is below
-    it. Fewer than 2 p batches prove the less the fewer they are.
+    Donoho, Gavish and Johnstone 2018, Annals of Statistics 46, 1742-1778). The mean, where it is
+    below 1, is the least: innovations may be weaker where the parameters act than elsewhere. Fewer
+    than 2 p batches prove the less the fewer they are.
 
     Args:
         inverse_root: as of `inflation`.
@@ -142,8 +142,8 @@ def student_factor(shares: Array, reach: int | None = None, told: Array | float 
 
     with w the variance that each batch is expected to add (as in the small-sample theory of
     cluster-robust covariances by Bell and McCaffrey), w_l that of the l-th batch after it, and b
-    Bartlett's weights. Where the scatter tells only a share s of the variance and the rest is known,
-    they are nu / s^2.
+    Bartlett's weights. Where the scatter tells only a share s of the variance and the rest is
+    known, they are nu / s^2.
 
     Args:
         shares: (k, p) expected share of each batch in the variance of each unknown, any scale.

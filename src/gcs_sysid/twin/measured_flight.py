@@ -21,8 +21,8 @@ _SETTLED = 5.0
 _FILTER_SETTLED = 1.5
 """Periods of its cutoff that the gyro's low-pass needs to settle."""
 _BIAS_LAG = 60.0
-"""s. The complementary filter's bias has a time constant of k_p / k_i = 14 s, and of twice that while
-the vehicle turns fast; what is left of an error after this time is a tenth at most."""
+"""s. The complementary filter's bias has a time constant of k_p / k_i = 14 s, and of twice that
+while the vehicle turns fast; what is left of an error after this time is a tenth, about."""
 
 
 @dataclass(frozen=True)
@@ -94,9 +94,14 @@ class MeasuredFlight:
 
 
 class FlightRecorder:
-    """An observer of `analyze_log` that keeps the flight, in single precision but for times."""
+    """An observer of `analyze_log` that keeps the flight, in single precision but for times.
 
-    def __init__(self) -> None:
+    Args:
+        longest: s of flight, beyond which it keeps none: what is left of memory is others'.
+    """
+
+    def __init__(self, longest: float = math.inf) -> None:
+        self._longest = longest
         self._rows: list[Array] = []
         self._t: list[Array] = []
         self._dt: float | None = None
@@ -120,6 +125,8 @@ class FlightRecorder:
         joins = bool(self._t) and not block.fresh and block.t[0] - self._t[-1][-1] < 1.5 * block.dt
         signals = s.rates, s.attitude, s.velocity, s.gyro, s.speeds
         rows = np.column_stack(signals).astype(np.float32)
+        if self._t and self._dt * sum(map(len, self._t)) > self._longest:
+            return
         if self._t and not joins:
             self._t.append(self._t[-1][-1:] + block.dt)
             self._rows.append(np.full((1, rows.shape[1]), np.nan, np.float32))
