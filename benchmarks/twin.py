@@ -2,7 +2,7 @@
 
     python -m benchmarks.twin flights [--count N] [--scenario NAME]
     python -m benchmarks.twin logs PATH...
-    python -m benchmarks.twin covariance [--count N] [--keep FILE]
+    python -m benchmarks.twin covariance [--count N] [--still] [--keep FILE]
 
 `flights` flies vehicles drawn at random (0.25 to 15 kg, four to eight rotors, MEMS at 250 Hz) on
 the emulator, fits the first 60 % of each flight and flies the rest with the fit; `logs` does so
@@ -32,7 +32,7 @@ from gcs_sysid.results.parameter_samples import covariance_of
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.twin.held_out_flight import TwinFlight, as_exact, fly_held_out
 from gcs_sysid.twin.prediction_errors import QUANTITIES
-from sim_bridge.physics import Physics
+from sim_bridge.physics import IDEAL, Physics
 
 SECONDS = 50.0
 """Of each emulated flight, at most."""
@@ -136,24 +136,25 @@ moments of that kind, which scatter cannot rule out; without them k_T is three t
 says."""
 
 
-def covariance(count: int, most: int, keep: Path | None) -> None:
+def covariance(count: int, most: int, keep: Path | None, air: Physics) -> None:
     """Normalized error squared of the parameter vector over emulated flights."""
     done: dict[int, tuple[list[float], float]] = {}
     if keep is not None and keep.exists():
         entries = map(json.loads, keep.read_text().splitlines())
         done = {entry["flight"]: (entry["single"], entry["squared"]) for entry in entries}
     for number in [n for n in range(count) if n not in done][:most]:
-        done[number] = single, squared = _errors_of(number)
+        done[number] = single, squared = _errors_of(number, air)
         if keep is not None:
             entry = {"flight": number, "single": single, "squared": squared}
             with keep.open("a") as file:
                 file.write(json.dumps(entry) + "\n")
-    _show_errors([done[n] for n in sorted(done) if n < count])
+    where = "still" if air is IDEAL else "light"
+    _show_errors([done[n] for n in sorted(done) if n < count], where)
 
 
-def _errors_of(number: int) -> tuple[list[float], float]:
+def _errors_of(number: int, air: Physics) -> tuple[list[float], float]:
     """Of one flight: errors over their standard deviations, and the normalized error squared."""
-    scenario = replace(SCENARIOS[0], physics=lambda _: LIGHT_AIR)
+    scenario = replace(SCENARIOS[0], physics=lambda _: air)
     with tempfile.TemporaryDirectory() as folder:
         flown = record(scenario, number, Path(folder), SECONDS)
         # What is given is exact here: its part of the covariance is the same in every flight.
@@ -165,11 +166,11 @@ def _errors_of(number: int) -> tuple[list[float], float]:
     return (error / np.sqrt(np.diag(P))).tolist(), normalized_error(error, P)
 
 
-def _show_errors(found: list[tuple[list[float], float]]) -> None:
+def _show_errors(found: list[tuple[list[float], float]], air: str) -> None:
     single, squared = (np.array(part) for part in zip(*found, strict=True))
     freedom = len(JUDGED)
     p = kstest(squared, chi2(freedom).cdf).pvalue
-    print(f"{len(found)} emulated flights of {SECONDS:g} s in light air, {freedom} parameters: "
+    print(f"{len(found)} emulated flights of {SECONDS:g} s in {air} air, {freedom} parameters: "
           f"{', '.join(JUDGED)}")  # fmt: skip
     print(
         f"normalized error squared: mean {squared.mean():.2f} (chi-square {freedom}), median "
@@ -190,6 +191,7 @@ def main() -> int:
     parser.add_argument("what", choices=("flights", "logs", "covariance"))
     parser.add_argument("paths", nargs="*", type=Path)
     parser.add_argument("--count", type=int, default=12)
+    parser.add_argument("--still", action="store_true", help="covariance: without any air")
     parser.add_argument("--most", type=int, default=1000, help="flights flown in this run")
     parser.add_argument("--keep", type=Path, help="file of what is done, to go on from")
     parser.add_argument("--scenario", choices=[s.name for s in SCENARIOS], default="a")
@@ -201,7 +203,7 @@ def main() -> int:
     elif options.what == "flights":
         flights(options.count, next(s for s in SCENARIOS if s.name == options.scenario))
     else:
-        covariance(options.count, options.most, options.keep)
+        covariance(options.count, options.most, options.keep, IDEAL if options.still else LIGHT_AIR)
     return 0
 
 

@@ -1,6 +1,8 @@
 """The twin on recorded flights: held-out parts, bands, table, picture, and what it refuses."""
 
 import json
+import math
+import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -13,9 +15,11 @@ import gcs_sysid
 from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
 from gcs_sysid.model import attitude
+from gcs_sysid.report import evidence
+from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.twin.held_out_flight import airframe_of_result, fly_held_out, is_same_flight
-from gcs_sysid.twin.measured_flight import _with_later_bias
+from gcs_sysid.twin.measured_flight import FlightRecorder, _with_later_bias
 from gcs_sysid.twin.prediction_errors import Twin, basic_model
 from gcs_sysid.twin.twin_text import twin_svg, twin_table
 
@@ -224,3 +228,43 @@ def test_the_basic_model_lacks_what_else_turns_a_vehicle(result, twin):
         assert each["rates"].basic == pytest.approx(each["rates"].rms, rel=0.05)
     record = SimpleNamespace(rotor_input="speed")
     assert Twin(model, model, record)._basic.rotor_inertia == 0.0
+
+
+def test_a_report_shows_what_the_command_prints(twin):
+    data = SimpleNamespace(twin=twin.as_json(), twin_picture=twin_svg(twin))
+    page = str(evidence.twin(data))
+    ahead = twin.accuracy[1.0]["rates"]
+    row = re.search(r"Rates, 1 s ahead.*?</tr>", page, re.DOTALL)[0]
+    shown = re.findall(r"<td[^>]*>([^<]*)</td>", row)
+    assert float(shown[0].split()[0]) == pytest.approx(math.degrees(ahead.rms), rel=0.01)
+    assert float(shown[1].split()[0]) == pytest.approx(math.degrees(ahead.band), rel=0.01)
+    assert shown[2] == f"{100.0 * ahead.inside:.0f} %"
+    assert page.count("<svg") == 1
+    assert "37 to 62 s" in page
+    assert evidence.twin(SimpleNamespace(twin={}, twin_picture="")) is None
+
+
+@pytest.mark.slow
+def test_the_report_flies_the_first_part_only(tmp_path, twin):
+    page = tmp_path / "flight.html"
+    assert run(["analyze", str(SAMPLE), "--airframe", "paper", "--report", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    assert 'id="twin"' in text
+    row = re.search(r"Rates, 1 s ahead.*?</tr>", text, re.DOTALL)[0]
+    shown = float(re.findall(r"<td[^>]*>([^<]*)</td>", row)[0].split()[0])
+    assert shown == pytest.approx(math.degrees(twin.accuracy[1.0]["rates"].rms), rel=0.02)
+
+
+def test_a_recorder_keeps_no_more_than_it_is_asked_for():
+    whole, half = FlightRecorder(), FlightRecorder(20.0)
+    both = SimpleNamespace(
+        begin=lambda: [each.begin() for each in (whole, half)],
+        take=lambda block: [each.take(block) for each in (whole, half)],
+        end=lambda chain: [each.end(chain) for each in (whole, half)],
+    )
+    analyze_log(SAMPLE, gcs_sysid.load_airframe("paper"), observer=both)
+    flown = whole.record(0.0, "log").flown()
+    kept = half.record(0.0, "log").flown()
+    assert flown[-1] - flown[0] > 50.0
+    assert 19.0 < kept[-1] - kept[0] < 22.0
+    assert np.array_equal(kept, flown[: len(kept)])

@@ -94,7 +94,8 @@ class Reporter:
         )
         twin = self._twin(result, log)
         if twin is not None:
-            data = replace(data, twin=twin.as_json(), twin_picture=twin_svg(twin))
+            shown = replace(twin, source="the fit to the first part", log=log.name)
+            data = replace(data, twin=twin.as_json(), twin_picture=twin_svg(shown))
         write_whole(Path(options.report), render(data), replace=options.force)
 
     def _twin(self, result: Result, log: Path) -> TwinFlight | None:

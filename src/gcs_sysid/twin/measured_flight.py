@@ -125,13 +125,13 @@ class FlightRecorder:
         joins = bool(self._t) and not block.fresh and block.t[0] - self._t[-1][-1] < 1.5 * block.dt
         signals = s.rates, s.attitude, s.velocity, s.gyro, s.speeds
         rows = np.column_stack(signals).astype(np.float32)
-        if self._t and self._dt * sum(map(len, self._t)) > self._longest:
-            return
-        if self._t and not joins:
+        if self._t and not joins and self._dt * sum(map(len, self._t)) < self._longest:
             self._t.append(self._t[-1][-1:] + block.dt)
             self._rows.append(np.full((1, rows.shape[1]), np.nan, np.float32))
-        self._t.append(block.t)
-        self._rows.append(rows)
+        room = int(min(self._longest / block.dt - sum(map(len, self._t)), len(rows)))
+        if room > 0:
+            self._t.append(block.t[:room])
+            self._rows.append(rows[:room])
 
     def end(self, chain: Chain) -> None:
         """All is read, and the estimate final."""

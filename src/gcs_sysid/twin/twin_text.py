@@ -81,7 +81,8 @@ def twin_svg(twin: "TwinFlight") -> str:
     height = _TOP + _HEIGHT + 76.0
     out = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" '
-        'font-family="sans-serif" font-size="12" fill="#222">',
+        'font-family="sans-serif" font-size="12" fill="#222" role="img">',
+        f"<title>The twin along {escape(twin.log)}</title>",
         '<rect width="100%" height="100%" fill="#fff"/>',
         f'<text x="{_LEFT:.0f}" y="22" font-size="15">{escape(twin.source or "result")} along '
         f"{escape(twin.log)}</text>",
