@@ -20,11 +20,11 @@ from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.estimation.axis_problem import TOLD, AxisPoint, AxisProblem, minimise_axes
 from gcs_sysid.estimation.deviations import NO_DEVIATIONS, DeviationChoice, Deviations
-from gcs_sysid.estimation.disturbance import Trial
+from gcs_sysid.estimation.disturbance import RULES, Trial
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import first_guess, residual_maker, scales
-from gcs_sysid.estimation.uncertainty import shrunk_inflation, student_factor
+from gcs_sysid.estimation.uncertainty import inflation, meat, shrunk_inflation, student_factor
 from gcs_sysid.estimation.whitened_moments import WhitenedMoments, grouped
 from gcs_sysid.estimation.whitened_outcome import WhitenedOutcome
 from gcs_sysid.model import rigid_body as rb
@@ -142,7 +142,11 @@ def fit_whitened(
     batches -= TOLD * counts[:, None, None, None] * noise
     outcome = WhitenedOutcome(solved.problem, solved.point)
     scores = outcome.scores(0, batches, counts)
-    spread, by_scatter = shrunk_inflation(outcome.roots[1][0], scores, _REACH)
+    inverse_root = outcome.roots[1][0]
+    spread, by_scatter = shrunk_inflation(inverse_root, scores, _REACH)
+    if solved.trial.detected.max() > RULES.detected:
+        # What disturbs is hardly stationary: there all scatter counts, proved or not.
+        spread, by_scatter = inflation(inverse_root, meat(scores, _REACH)), np.ones(len(spread))
     spread = spread[None]
     widening = student_factor(outcome.shares(0, batches), _REACH, by_scatter)[None]
     if doubt:
