@@ -144,8 +144,9 @@ def fit_whitened(
     scores = outcome.scores(0, batches, counts)
     inverse_root = outcome.roots[1][0]
     spread, by_scatter = shrunk_inflation(inverse_root, scores, _REACH)
-    if solved.trial.detected.max() > RULES.detected:
-        # What disturbs is hardly stationary: there all scatter counts, proved or not.
+    if solved.trial.detected.max() > RULES.detected or len(deviations.std):
+        # What disturbs is hardly stationary, and who deviates in one way may do so in others: there
+        # all scatter counts, proved or not.
         spread, by_scatter = inflation(inverse_root, meat(scores, _REACH)), np.ones(len(spread))
     spread = spread[None]
     widening = student_factor(outcome.shares(0, batches), _REACH, by_scatter)[None]

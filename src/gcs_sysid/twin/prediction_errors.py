@@ -227,15 +227,19 @@ class Twin:
 
 def basic_model(model: FlightModel) -> FlightModel:
     """The same without drag, damping, rotor inertia and what makes one rotor unlike another."""
-    alike = {
-        name: np.broadcast_to(values.mean(axis=-1, keepdims=True), np.shape(values))
-        for name in ("thrust", "torque")
-        if (values := getattr(model, name)) is not None
-    }
-    none = {
-        name: np.zeros_like(getattr(model, name)) for name in ("damping", "rotor_inertia", "drag")
-    }
-    return replace(model, **alike, **none)
+
+    def alike(values: Array) -> Array:
+        mean = values.mean(axis=-1, keepdims=True)
+        return np.broadcast_to(mean, values.shape)
+
+    return replace(
+        model,
+        thrust=alike(model.thrust),
+        torque=alike(model.torque),
+        damping=np.zeros_like(model.damping),
+        rotor_inertia=np.zeros_like(model.rotor_inertia),
+        drag=np.zeros_like(model.drag),
+    )
 
 
 def judge(
