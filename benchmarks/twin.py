@@ -2,19 +2,22 @@
 
     python -m benchmarks.twin flights [--count N] [--scenario NAME]
     python -m benchmarks.twin logs PATH...
-    python -m benchmarks.twin covariance [--count N]
+    python -m benchmarks.twin covariance [--count N] [--still] [--keep FILE]
 
 `flights` flies vehicles drawn at random (0.25 to 15 kg, four to eight rotors, MEMS at 250 Hz) on
 the emulator, fits the first 60 % of each flight and flies the rest with the fit; `logs` does so
 with recorded flights. Both print, for each stretch of 1 s, the share of errors inside the 95 % band
-and R2 of the body rates, beside a guess of constant rates. `covariance` holds the normalized
+and R2 of the body rates, beside the model without drag, damping, rotor inertia and differences
+between rotors (basic), and a guess of constant rates. `covariance` holds the normalized
 estimation error squared of the parameter vector, e' P^-1 e, against chi-square.
 """
 
 import argparse
+import json
 import sys
 import tempfile
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +32,7 @@ from gcs_sysid.results.parameter_samples import covariance_of
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.twin.held_out_flight import TwinFlight, as_exact, fly_held_out
 from gcs_sysid.twin.prediction_errors import QUANTITIES
+from sim_bridge.physics import IDEAL, Physics
 
 SECONDS = 50.0
 """Of each emulated flight, at most."""
@@ -55,13 +59,13 @@ def row(name: str, twin: TwinFlight) -> str:
     rates = each["rates"]
     return (
         f"{name:<26}{twin.result.verdict:<11}{rates.count:5}   {inside}{rates.r_squared:9.3f}"
-        f"{rates.rms:9.4f}{rates.band / 1.96:9.4f}{rates.guess:9.3f}"
+        f"{rates.rms:9.4f}{rates.band / 1.96:9.4f}{rates.basic:9.3f}{rates.guess:9.3f}"
     )
 
 
 HEAD = (
     f"{'flight':<26}{'fit':<11}{'of 1 s':>5}   rates   att.   vel.       R2    error predicted"
-    "   guess (rates, rad/s)"
+    "    basic    guess (rates, rad/s)"
 )
 
 
@@ -126,28 +130,48 @@ def normalized_error(error: Array, covariance: Array) -> float:
     return float(e @ np.linalg.solve(covariance / np.outer(std, std), e))
 
 
-def covariance(count: int) -> None:
+LIGHT_AIR = Physics(ou_force=(0.03, 0.5), ou_moment=(0.03, 0.5))
+"""m/s^2 and rad/s^2 rms, s: what air does indoors. Intervals of k_T and CG allow for forces and
+moments of that kind, which scatter cannot rule out; without them k_T is three times as good as it
+says."""
+
+
+def covariance(count: int, most: int, keep: Path | None, air: Physics) -> None:
     """Normalized error squared of the parameter vector over emulated flights."""
-    found = []
-    scaled = []
-    scenario = SCENARIOS[0]
-    for number in range(count):
-        with tempfile.TemporaryDirectory() as folder:
-            flown = record(scenario, number, Path(folder), SECONDS)
-            # What is given is exact here: its part of the covariance is the same in every flight.
-            result = analyze_log(flown.log, as_exact(flown.airframe))
-        names, matrix = covariance_of(result)
-        at = [names.index(name) for name in JUDGED]
-        error = np.array(
-            [(result.parameters[n].value or 0.0) - float(flown.truth[n]) for n in JUDGED]
-        )
-        P = matrix[np.ix_(at, at)]
-        found.append(normalized_error(error, P))
-        scaled.append(error / np.sqrt(np.diag(P)))
-    squared, single = np.array(found), np.array(scaled)
+    done: dict[int, tuple[list[float], float]] = {}
+    if keep is not None and keep.exists():
+        entries = map(json.loads, keep.read_text().splitlines())
+        done = {entry["flight"]: (entry["single"], entry["squared"]) for entry in entries}
+    for number in [n for n in range(count) if n not in done][:most]:
+        done[number] = single, squared = _errors_of(number, air)
+        if keep is not None:
+            entry = {"flight": number, "single": single, "squared": squared}
+            with keep.open("a") as file:
+                file.write(json.dumps(entry) + "\n")
+    where = "still" if air is IDEAL else "light"
+    _show_errors([done[n] for n in sorted(done) if n < count], where)
+
+
+def _errors_of(number: int, air: Physics) -> tuple[list[float], float]:
+    """Of one flight: errors over their standard deviations, and the normalized error squared."""
+    scenario = replace(SCENARIOS[0], physics=lambda _: air)
+    with tempfile.TemporaryDirectory() as folder:
+        flown = record(scenario, number, Path(folder), SECONDS)
+        # What is given is exact here: its part of the covariance is the same in every flight.
+        result = analyze_log(flown.log, as_exact(flown.airframe))
+    names, matrix = covariance_of(result)
+    at = [names.index(name) for name in JUDGED]
+    error = np.array([(result.parameters[n].value or 0.0) - float(flown.truth[n]) for n in JUDGED])
+    P = matrix[np.ix_(at, at)]
+    return (error / np.sqrt(np.diag(P))).tolist(), normalized_error(error, P)
+
+
+def _show_errors(found: list[tuple[list[float], float]], air: str) -> None:
+    single, squared = (np.array(part) for part in zip(*found, strict=True))
     freedom = len(JUDGED)
     p = kstest(squared, chi2(freedom).cdf).pvalue
-    print(f"{count} emulated flights of {SECONDS:g} s, {freedom} parameters: {', '.join(JUDGED)}")
+    print(f"{len(found)} emulated flights of {SECONDS:g} s in {air} air, {freedom} parameters: "
+          f"{', '.join(JUDGED)}")  # fmt: skip
     print(
         f"normalized error squared: mean {squared.mean():.2f} (chi-square {freedom}), median "
         f"{np.median(squared):.2f} ({chi2(freedom).median():.2f}), 95th percentile "
@@ -167,6 +191,9 @@ def main() -> int:
     parser.add_argument("what", choices=("flights", "logs", "covariance"))
     parser.add_argument("paths", nargs="*", type=Path)
     parser.add_argument("--count", type=int, default=12)
+    parser.add_argument("--still", action="store_true", help="covariance: without any air")
+    parser.add_argument("--most", type=int, default=1000, help="flights flown in this run")
+    parser.add_argument("--keep", type=Path, help="file of what is done, to go on from")
     parser.add_argument("--scenario", choices=[s.name for s in SCENARIOS], default="a")
     options = parser.parse_args()
     if options.what == "logs":
@@ -176,7 +203,7 @@ def main() -> int:
     elif options.what == "flights":
         flights(options.count, next(s for s in SCENARIOS if s.name == options.scenario))
     else:
-        covariance(options.count)
+        covariance(options.count, options.most, options.keep, IDEAL if options.still else LIGHT_AIR)
     return 0
 
 

@@ -1,10 +1,12 @@
-"""What the documentation's site needs beyond MkDocs: formulas as MathML, pages from the root.
+"""What the documentation's site needs beyond MkDocs: formulas, the reference, pages from the root.
 
 Fenced blocks marked `math` hold LaTeX, which GitHub shows as well. Here they become MathML while
 the site is built, so that browsers need no script and no fonts from elsewhere.
 """
 
 import re
+from collections.abc import Callable
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -67,12 +69,25 @@ def _written(entries: list[Any], docs: Path) -> list[Any]:
     return out
 
 
+def _reference() -> dict[str, Callable[[], str]]:
+    """The pages of `tools/reference.py`: hooks are loaded without what is beside them."""
+    found = spec_from_file_location("reference", Path(__file__).with_name("reference.py"))
+    assert found is not None
+    assert found.loader is not None
+    module = module_from_spec(found)
+    found.loader.exec_module(module)
+    pages: dict[str, Callable[[], str]] = module.PAGES
+    return pages
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages from the project's root; their links are seen from there."""
+    """Add the reference, and the pages from the project's root; their links are seen from there."""
     root = Path(config.docs_dir).parent
     for name, page in ROOT_PAGES.items():
         text = re.sub(r"\]\(docs/", "](", (root / name).read_text(encoding="utf-8"))
         for other, its_page in ROOT_PAGES.items():
             text = text.replace(f"]({other}", f"]({its_page}")
         files.append(File.generated(config, page, content=text))
+    for name, page in _reference().items():
+        files.append(File.generated(config, name, content=page()))
     return files

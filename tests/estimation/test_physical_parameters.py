@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gcs_sysid.estimation.physical_parameters import (
+    ERRORS,
     physical_parameters,
     rotor_values,
     timing_values,
@@ -85,8 +86,9 @@ def test_the_scales_uncertainty_is_carried():
     assert by_k_T["mass"].std == pytest.approx(0.002 * MASS)
     # With the mass as the anchor, inertia hangs on k_T, which is estimated; else it does not.
     ixx = TRUE["Ixx"]
-    assert by_mass["Ixx"].std == pytest.approx(ixx * np.hypot(0.003, 0.002))
-    assert by_k_T["Ixx"].std == pytest.approx(ixx * 0.003)
+    fitted = np.hypot(0.003, ERRORS.steps)
+    assert by_mass["Ixx"].std == pytest.approx(ixx * np.hypot(fitted, 0.002))
+    assert by_k_T["Ixx"].std == pytest.approx(ixx * fitted)
     # Lengths need no scale.
     assert by_mass["cg_x"].std == by_k_T["cg_x"].std
     assert by_mass["cg_x"].std == pytest.approx(0.003 * TRUE["cg_x"], rel=1e-4)

@@ -9,6 +9,7 @@ from gcs_sysid.estimation.uncertainty import (
     inflation,
     meat,
     sandwich,
+    shrunk_inflation,
     student_factor,
     symmetric_roots,
     watched_factor,
@@ -188,3 +189,60 @@ def test_students_factor_does_not_depend_on_the_scale_of_shares():
     np.testing.assert_allclose(student_factor(1e-9 * shares), student_factor(shares))
     # Who knows nothing has one degree of freedom: 12.706 for 1.96.
     np.testing.assert_allclose(student_factor(np.zeros((5, 2))), 12.706 / 1.95996, rtol=1e-4)
+
+
+def normalized_errors(rho, shrunk, batches=57, runs=150, unknowns=12):
+    """(runs,) e' P^-1 e of linear fits whose noise is of first order with coefficient rho."""
+    rng = np.random.default_rng(7)
+    found = np.empty(runs)
+    for i in range(runs):
+        X = ar1(rng, rho, (batches * BATCH, unknowns))
+        noise = ar1(rng, rho, len(X))
+        bread = np.linalg.inv(X.T @ X)
+        error = bread @ (X.T @ noise)
+        scores = (X * (noise - X @ error)[:, None]).reshape(batches, BATCH, unknowns).sum(axis=1)
+        root = symmetric_roots(bread, 0.0)[0]
+        if shrunk:
+            spread, told = shrunk_inflation(root, scores, 2)
+            assert ((told >= 0.0) & (told <= 1.0)).all()
+        else:
+            spread = inflation(root, meat(scores, 2))
+        found[i] = error @ np.linalg.solve(root @ spread @ root, error)
+    return found
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.8])
+def test_shrunk_scatter_makes_the_covariance_right(rho):
+    """Chi-square of 12, white noise or coloured; all scatter above 1 is too wide, or too narrow."""
+    right = normalized_errors(rho, True)
+    taken = normalized_errors(rho, False)
+    # Standard deviation of a mean: 0.4 where noise is white.
+    assert right.mean() == pytest.approx(12.0, abs=1.0)
+    assert abs(taken.mean() - 12.0) > 1.2
+
+
+def test_a_direction_that_stands_out_stays():
+    rng = np.random.default_rng(3)
+    scores = rng.standard_normal((57, 12)) / np.sqrt(57.0)
+    scores[:, 4] *= 4.0
+    spread, told = shrunk_inflation(np.eye(12), scores, 2)
+    assert 8.0 < spread[4, 4] < 25.0
+    assert np.delete(np.diag(spread), 4).max() < 2.5
+    assert told[4] > 0.9 > np.delete(told, 4).max()
+
+
+@pytest.mark.parametrize("batches", [1, 3, 8])
+def test_few_batches_prove_little(batches):
+    """What cannot be proved stays as wide as it was: nearly all is told by the scatter."""
+    scores = np.random.default_rng(4).standard_normal((batches, 12)) / np.sqrt(batches)
+    spread, told = shrunk_inflation(np.eye(12), scores)
+    assert np.linalg.eigvalsh(spread).min() >= 1.0 - 0.5 * batches / 24.0
+    assert (told >= 1.0 - batches / 24.0).all()
+
+
+def test_students_factor_is_of_the_share_that_scatter_tells():
+    shares = np.ones((10, 2))
+    whole = student_factor(shares, 2)
+    part = student_factor(shares, 2, np.array([1.0, 0.3]))
+    assert part[0] == whole[0]
+    assert 1.0 < part[1] < 1.0 + 0.2 * (whole[1] - 1.0)

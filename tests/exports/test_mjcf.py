@@ -1,8 +1,12 @@
 """MuJoCo loads the file, finds the vehicle, and it flies."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import gcs_sysid
+from benchmarks.exported_ensemble import SECONDS, STEP, spread_of
 from gcs_sysid.exports import mjcf
 from gcs_sysid.exports.exported_vehicle import assemble
 from gcs_sysid.model.airframe import load_airframe
@@ -12,6 +16,7 @@ from .pilot import GRAVITY, Pilot
 
 mujoco = pytest.importorskip("mujoco")
 
+SAMPLE = Path(__file__).resolve().parents[2] / "logs" / "sample.tlog"
 TRUTH = Equations()
 CG = TURN @ TRUTH.cg
 J = TURN @ TRUTH.J @ TURN
@@ -138,4 +143,19 @@ def test_a_hexacopter_loads():
     assert model.nu == 6
     assert model.actuator_gear[:, 5] == pytest.approx(
         [-r.spin * VALUES["moment_ratio"] for r in airframe.rotors]
+    )
+
+
+@pytest.mark.slow
+def test_an_exported_ensemble_spreads_as_the_covariance_says(tmp_path):
+    told = gcs_sysid.analyze(SAMPLE, "paper", mass=1.5, uncertainty={"mass": "2%"})
+    spread = spread_of(told, 60, tmp_path)
+    assert (spread.expected > 0.0).all()
+    # 60 vehicles tell a standard deviation to 9 %; four of them by chance within 0.1 %.
+    assert (spread.p > 1e-3).all()
+    assert spread.flown == pytest.approx(spread.expected, rel=0.35)
+    # Of the climb there is nothing but the mass.
+    thrust_to_weight = 1.0 + np.mean(STEP)
+    assert spread.expected[3] == pytest.approx(
+        0.02 * GRAVITY * thrust_to_weight * SECONDS, rel=0.01
     )

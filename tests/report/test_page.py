@@ -22,8 +22,8 @@ from .reading import Page
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'&\u202e\x1b[31m"
 RAISED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
-SECTIONS = ("health", "verdict", "parameters", "convergence", "prediction", "residual",
-            "excitation", "events", "telemetry", "settings")  # fmt: skip
+SECTIONS = ("health", "verdict", "parameters", "convergence", "prediction", "twin",
+            "residual", "excitation", "events", "telemetry", "settings")  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,12 @@
 """The twin on recorded flights: held-out parts, bands, table, picture, and what it refuses."""
 
 import json
+import math
+import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +14,13 @@ import pytest
 import gcs_sysid
 from gcs_sysid.cli.program import run
 from gcs_sysid.errors import InputError
+from gcs_sysid.model import attitude
+from gcs_sysid.report import evidence
+from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.twin.held_out_flight import airframe_of_result, fly_held_out, is_same_flight
+from gcs_sysid.twin.measured_flight import FlightRecorder, _with_later_bias
+from gcs_sysid.twin.prediction_errors import Twin, basic_model
 from gcs_sysid.twin.twin_text import twin_svg, twin_table
 
 SAMPLE = Path(__file__).resolve().parents[2] / "logs" / "sample.tlog"
@@ -172,3 +181,90 @@ def test_flights_of_px4s_simulator(shared_logs, log, least):
     assert accuracy["rates"].r_squared >= least
     for each in accuracy.values():
         assert 0.85 <= each.inside <= 1.0
+
+
+def test_the_gyros_bias_is_taken_from_later():
+    """The complementary filter needs half a minute to find it; a recorded flight knows the end."""
+    dt, bias = 0.01, np.array([0.01, -0.008, 0.012])
+    t = np.arange(0.0, 120.0, dt)
+    rates = np.column_stack([np.sin(2.1 * t), np.cos(1.7 * t), 0.3 * np.sin(0.4 * t)])
+    truth = np.empty((len(t), 4))
+    truth[0] = 1.0, 0.0, 0.0, 0.0
+    turns = attitude.from_rotation_vector(0.5 * (rates[1:] + rates[:-1]) * dt)
+    for k, turn in enumerate(turns):
+        truth[k + 1] = attitude.multiply(truth[k], turn)
+    noise = np.random.default_rng(1).normal(0.0, 0.002, (len(t), 3))
+    gyro = rates + bias
+    flt = ComplementaryFilter(dt)
+    filtered = flt.update(gyro, attitude.multiply(truth, attitude.from_rotation_vector(noise)))
+    known, turned = _with_later_bias(t, gyro, gyro - flt.biases, filtered, dt)
+
+    def errors(found, part):
+        turn = attitude.multiply(attitude.conjugate(found), truth)
+        return np.sqrt((attitude.to_rotation_vector(turn)[part] ** 2).mean())
+
+    early = (t > 3.0) & (t < 15.0)
+    assert errors(filtered, early) > 5e-3
+    assert errors(turned, early) < 0.2 * errors(filtered, early)
+    assert np.abs(known - rates)[early].max() < 0.15 * np.abs(bias).max()
+    # Where the filter has settled, nothing is spoilt.
+    late = t > 90.0
+    assert errors(turned, late) < 1.1 * errors(filtered, late)
+
+
+def test_the_basic_model_lacks_what_else_turns_a_vehicle(result, twin):
+    shares = np.array([1.05, 0.98, 1.02, 0.95])
+    told = result.model()
+    model = replace(told, rotor_inertia=np.array(2e-5), thrust=told.thrust * shares)
+    basic = basic_model(model)
+    assert basic.rotor_inertia == 0.0
+    assert basic.drag == 0.0
+    assert not basic.damping.any()
+    assert np.ptp(basic.thrust) == 0.0
+    assert basic.thrust.sum() == pytest.approx(model.thrust.sum())
+    assert basic.inertia is model.inertia
+    # The sample's vehicle has none of it but a little drag.
+    for each in twin.accuracy.values():
+        assert each["rates"].basic == pytest.approx(each["rates"].rms, rel=0.05)
+    record = SimpleNamespace(rotor_input="speed")
+    assert Twin(model, model, record)._basic.rotor_inertia == 0.0
+
+
+def test_a_report_shows_what_the_command_prints(twin):
+    data = SimpleNamespace(twin=twin.as_json(), twin_picture=twin_svg(twin))
+    page = str(evidence.twin(data))
+    ahead = twin.accuracy[1.0]["rates"]
+    row = re.search(r"Rates, 1 s ahead.*?</tr>", page, re.DOTALL)[0]
+    shown = re.findall(r"<td[^>]*>([^<]*)</td>", row)
+    assert float(shown[0].split()[0]) == pytest.approx(math.degrees(ahead.rms), rel=0.01)
+    assert float(shown[1].split()[0]) == pytest.approx(math.degrees(ahead.band), rel=0.01)
+    assert shown[2] == f"{100.0 * ahead.inside:.0f} %"
+    assert page.count("<svg") == 1
+    assert "37 to 62 s" in page
+    assert evidence.twin(SimpleNamespace(twin={}, twin_picture="")) is None
+
+
+@pytest.mark.slow
+def test_the_report_flies_the_first_part_only(tmp_path, twin):
+    page = tmp_path / "flight.html"
+    assert run(["analyze", str(SAMPLE), "--airframe", "paper", "--report", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    assert 'id="twin"' in text
+    row = re.search(r"Rates, 1 s ahead.*?</tr>", text, re.DOTALL)[0]
+    shown = float(re.findall(r"<td[^>]*>([^<]*)</td>", row)[0].split()[0])
+    assert shown == pytest.approx(math.degrees(twin.accuracy[1.0]["rates"].rms), rel=0.02)
+
+
+def test_a_recorder_keeps_no_more_than_it_is_asked_for():
+    whole, half = FlightRecorder(), FlightRecorder(20.0)
+    both = SimpleNamespace(
+        begin=lambda: [each.begin() for each in (whole, half)],
+        take=lambda block: [each.take(block) for each in (whole, half)],
+        end=lambda chain: [each.end(chain) for each in (whole, half)],
+    )
+    analyze_log(SAMPLE, gcs_sysid.load_airframe("paper"), observer=both)
+    flown = whole.record(0.0, "log").flown()
+    kept = half.record(0.0, "log").flown()
+    assert flown[-1] - flown[0] > 50.0
+    assert 19.0 < kept[-1] - kept[0] < 22.0
+    assert np.array_equal(kept, flown[: len(kept)])

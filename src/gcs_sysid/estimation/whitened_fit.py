@@ -20,11 +20,11 @@ from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.estimation.axis_problem import TOLD, AxisPoint, AxisProblem, minimise_axes
 from gcs_sysid.estimation.deviations import NO_DEVIATIONS, DeviationChoice, Deviations
-from gcs_sysid.estimation.disturbance import Trial
+from gcs_sysid.estimation.disturbance import RULES, Trial
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import first_guess, residual_maker, scales
-from gcs_sysid.estimation.uncertainty import inflation, meat, student_factor
+from gcs_sysid.estimation.uncertainty import inflation, meat, shrunk_inflation, student_factor
 from gcs_sysid.estimation.whitened_moments import WhitenedMoments, grouped
 from gcs_sysid.estimation.whitened_outcome import WhitenedOutcome
 from gcs_sysid.model import rigid_body as rb
@@ -149,9 +149,16 @@ def fit_whitened(
     batches, counts = grouped(batches[kept], data.counts[kept], data.grouped)
     batches -= TOLD * counts[:, None, None, None] * noise
     outcome = WhitenedOutcome(solved.problem, solved.point)
-    scatter = meat(outcome.scores(0, batches, counts), _REACH)
-    spread = inflation(outcome.roots[1][0], scatter)[None]
-    widening = student_factor(outcome.shares(0, batches), _REACH)[None]
+    scores = outcome.scores(0, batches, counts)
+    inverse_root = outcome.roots[1][0]
+    spread, by_scatter = shrunk_inflation(inverse_root, scores, _REACH)
+    disturbed = solved.trial.detected.max() > RULES.detected
+    if disturbed or len(deviations.std) or data.own:
+        # What disturbs is hardly stationary, and who deviates in one way may do so in others: there
+        # all scatter counts, proved or not.
+        spread, by_scatter = inflation(inverse_root, meat(scores, _REACH)), np.ones(len(spread))
+    spread = spread[None]
+    widening = student_factor(outcome.shares(0, batches), _REACH, by_scatter)[None]
     if data.own:
         # That innovations are white rests on all rows, not on how few batches scatter.
         widening = np.ones_like(widening)

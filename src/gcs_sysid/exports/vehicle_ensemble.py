@@ -63,8 +63,12 @@ def _root(vehicle: Vehicle) -> tuple[list[str], np.ndarray]:
     if own:
         here, there = [names.index(n) for n in own], [listed.index(n) for n in own]
         covariance[np.ix_(here, here)] = matrix[np.ix_(there, there)]
-    values, vectors = np.linalg.eigh(covariance) if names else (np.zeros(0), np.zeros((0, 0)))
-    return names, vectors * np.sqrt(values.clip(0.0))
+    if not names:
+        return names, np.zeros((0, 0))
+    # Units differ by many powers of ten.
+    scale = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return names, scale[:, None] * vectors * np.sqrt(values.clip(0.0))
 
 
 _OF_THE_FLIGHT = ("identified", "weak", "zero", "given")

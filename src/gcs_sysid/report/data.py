@@ -69,6 +69,8 @@ class ReportData:
         truth: true parameters of an emulated vehicle.
         notes: of the analysis, such as which rotor stream it took, and when it began anew.
         health: a health file's content; empty where nothing hovers.
+        twin: a twin file's content; empty where nothing was held out.
+        twin_picture: the growth of its errors, as SVG.
     """
 
     result: Mapping[str, Any]
@@ -81,6 +83,8 @@ class ReportData:
     truth: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[Event, ...] = ()
     health: Mapping[str, Any] = field(default_factory=dict)
+    twin: Mapping[str, Any] = field(default_factory=dict)
+    twin_picture: str = ""
 
     @property
     def geometry(self) -> Array:

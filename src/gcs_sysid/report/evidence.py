@@ -1,5 +1,6 @@
 """The sections that tell how far the findings can be trusted."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -87,6 +88,54 @@ def _agreement(found: Mapping[str, Any], axis: str) -> str:
 
 def _number(value: float | None, digits: int) -> str:
     return PAGE.nothing if value is None else PAGE.fixed(value, digits)
+
+
+_TWIN_UNITS = {
+    "rates": (180.0 / math.pi, "°/s"),
+    "attitude": (180.0 / math.pi, "°"),
+    "velocity": (1.0, "m/s"),
+}
+
+
+def twin(data: ReportData) -> Child:
+    """The identified model flown beside the vehicle; None where nothing was held out."""
+    if not data.twin:
+        return None
+
+    def shown(value: float | None, scale: float, unit: str) -> str:
+        return "–" if value is None else f"{PAGE.number(scale * value)} {unit}"
+
+    rows = []
+    for name, (scale, unit) in _TWIN_UNITS.items():
+        for horizon in data.twin["horizons"]:
+            a = horizon.get(name)
+            if a is None:
+                continue
+            share = "–" if a["inside"] is None else f"{100.0 * a['inside']:.0f} %"
+            rows.append(
+                [
+                    f"{name.capitalize()}, {horizon['seconds']:g} s ahead",
+                    *(shown(a[each], scale, unit) for each in ("rms", "band")),
+                    share,
+                    *(shown(a[each], scale, unit) for each in ("basic", "guess")),
+                ]
+            )
+    titles = ("Error, rms", "95 % band, ±", "Inside", "Basic model", "Constant guess")
+    columns = [Column("Ahead"), *(Column(title, numbers=True) for title in titles)]
+    spans = " and ".join(f"{start:.0f} to {end:.0f} s" for start, end in data.twin["held_out"])
+    return section(
+        "twin",
+        "Does the model fly like the vehicle?",
+        note(
+            "The model fitted to the first part of the flight, flown with the rotors' inputs from "
+            f"the measured state over {spans}, which it has not seen. The band is predicted by the "
+            "covariance of the parameters, sensor noise and disturbance; 95 % of the errors should "
+            "be inside. The basic model lacks drag, damping, rotor inertia and differences between "
+            "rotors; the guess keeps rates and velocity as they are."
+        ),
+        element("div", Markup(data.twin_picture.strip()), class_="health"),
+        table("Errors at the end of the stretches", columns, rows),
+    )
 
 
 def residual(data: ReportData, figures: Figures) -> Markup | None:

@@ -1,10 +1,9 @@
 """`gcs-sysid twin`: a result, flown along a log where the result has not seen it.
 
 A result of another flight has seen none of the log: all of it is judged, but for the seconds in
-which the attitude filter settles, and each half of it tells
-the noise that the other half's errors are held against. Of a result of the same flight nothing is
-held out; the model is then fitted again, to the first part of the flight as in the validation, and
-judged on the rest.
+which the attitude filter settles, and each half of it tells the noise that the other half's errors
+are held against. Of a result of the same flight nothing is held out; the model is then fitted
+again, to the first part of the flight as in the validation, and judged on the rest.
 """
 
 import filecmp
@@ -37,10 +36,10 @@ if TYPE_CHECKING:
 SCHEMA = "gcs-sysid-twin/1"
 SAMPLES = 48
 """Vehicles drawn from the covariance; the standard deviation is then known to 10 %."""
-_SETTLING, _SETTLING_SHARE = 20.0, 0.4
-"""s in which the complementary filter finds the gyro's bias and the attitude, and the share of a
-part of the flight that may be left out for it. On emulated flights with a bias of 0.01 rad/s errors
-of attitude and velocity are two to three times as large in the first 10 s, and level after 20."""
+_SETTLING, _SETTLING_SHARE = 5.0, 0.4
+"""s in which the complementary filter finds the attitude, and the share of a part of the flight
+that may be left out for it. With the gyro's bias taken from later, errors on emulated flights with
+a bias of 0.01 rad/s are level from 5 s on."""
 _SAME = 1e-9
 """Difference of the validation's R2 below which two results are of the same data."""
 
@@ -160,6 +159,54 @@ def fly_held_out(
             f"{log}: has no {result.rotor_input}s of the rotors, which the result was identified "
             "from: analyze this log by itself"
         )
+    same = is_same_flight(result, whole, log)
+    return _flown(result, whole, recorder, log, (vehicle, wanted), told, seed, same=same)
+
+
+def fly_own_flight(
+    result: Result,
+    recorder: FlightRecorder,
+    log: Path,
+    airframe: Airframe,
+    wanted: tuple[int, int | None] | None = None,
+    start: float = 0.0,
+    seed: int = 0,
+) -> TwinFlight:
+    """The same of a result of this flight, whose analysis the recorder has looked at.
+
+    Args:
+        result: of the log.
+        recorder: with what was flown.
+        log: that was analyzed.
+        airframe: with a scale.
+        wanted: as of `fly_held_out`.
+        start: s after the first record, from which the log was analyzed.
+        seed: of the samples of the covariance.
+
+    Raises:
+        InputError: the log cannot be read.
+        NoAnswerError: the result lacks what a flight needs, or the log is too short.
+    """
+    vehicle = replace(airframe, rotor_input=result.rotor_input), wanted
+    return _flown(
+        result, result, recorder, log, vehicle, lambda _: None, seed, same=True, start=start
+    )
+
+
+def _flown(
+    result: Result,
+    whole: Result,
+    recorder: FlightRecorder,
+    log: Path,
+    of: tuple[Airframe, tuple[int, int | None] | None],
+    told: Callable[[float], None],
+    seed: int,
+    *,
+    same: bool,
+    start: float = 0.0,
+) -> TwinFlight:
+    """Judge a result along what was recorded while the whole log was analyzed."""
+    vehicle, wanted = of
     since = max((float(segment["end"]) for segment in whole.segments), default=0.0)
     flown, notes = result, []
     if since:
@@ -171,10 +218,9 @@ def fly_held_out(
         raise NoAnswerError(
             f"{log}: nothing is flown in it with attitude, rates and rotors at once"
         )
-    same = is_same_flight(result, whole, log)
     if same:
         cut = float(times[round(FITTED_SHARE * (len(times) - 1))])
-        options = ChainOptions(history_interval=None, start=since, end=cut)
+        options = ChainOptions(history_interval=None, start=max(since, start), end=cut)
         flown = analyze_log(
             log, as_exact(vehicle), wanted, options, lambda share: told(0.5 + 0.5 * share)
         )

@@ -7,9 +7,11 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.errors import InputError
+from gcs_sysid.model import attitude as quaternions
 from gcs_sysid.model.flight_model import FlightModel, MotionState
 from gcs_sysid.model.parameters import RotorInput
 from gcs_sysid.session.chain import Chain
+from gcs_sysid.signals.complementary import DEFAULT_K_P
 from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.rotor_units import RotorSource
 from gcs_sysid.signals.sampling import SampleBlock
@@ -18,6 +20,9 @@ _SETTLED = 5.0
 """Time constants after which a motor's past is forgotten."""
 _FILTER_SETTLED = 1.5
 """Periods of its cutoff that the gyro's low-pass needs to settle."""
+_BIAS_LAG = 60.0
+"""s. The complementary filter's bias has a time constant of k_p / k_i = 14 s, and of twice that
+while the vehicle turns fast; what is left of an error after this time is a tenth, about."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +74,6 @@ class MeasuredFlight:
             Rates in rad/s, turn of the attitude in rad (body axes), velocity in m/s: their
             increments over any time are what the model, fed with the measured motion, does not say.
         """
-        from gcs_sysid.model import attitude as quaternions
-
         rates, q, velocity, rotors = (
             values[part] for values in (self.rates, self.attitude, self.velocity, self.rotors)
         )
@@ -91,9 +94,14 @@ class MeasuredFlight:
 
 
 class FlightRecorder:
-    """An observer of `analyze_log` that keeps the flight, in single precision but for times."""
+    """An observer of `analyze_log` that keeps the flight, in single precision but for times.
 
-    def __init__(self) -> None:
+    Args:
+        longest: s of flight, beyond which it keeps none: what is left of memory is others'.
+    """
+
+    def __init__(self, longest: float = math.inf) -> None:
+        self._longest = longest
         self._rows: list[Array] = []
         self._t: list[Array] = []
         self._dt: float | None = None
@@ -115,12 +123,15 @@ class FlightRecorder:
             self.begin()
             self._dt, self._source = block.dt, block.rotors
         joins = bool(self._t) and not block.fresh and block.t[0] - self._t[-1][-1] < 1.5 * block.dt
-        rows = np.column_stack([s.rates, s.attitude, s.velocity, s.speeds]).astype(np.float32)
-        if self._t and not joins:
+        signals = s.rates, s.attitude, s.velocity, s.gyro, s.speeds
+        rows = np.column_stack(signals).astype(np.float32)
+        if self._t and not joins and self._dt * sum(map(len, self._t)) < self._longest:
             self._t.append(self._t[-1][-1:] + block.dt)
             self._rows.append(np.full((1, rows.shape[1]), np.nan, np.float32))
-        self._t.append(block.t)
-        self._rows.append(rows)
+        room = int(min(self._longest / block.dt - sum(map(len, self._t)), len(rows)))
+        if room > 0:
+            self._t.append(block.t[:room])
+            self._rows.append(rows[:room])
 
     def end(self, chain: Chain) -> None:
         """All is read, and the estimate final."""
@@ -143,13 +154,50 @@ class FlightRecorder:
                 f"{where}: no flight with rotor speeds or commands in it: see gcs-sysid inspect"
             )
         t, x = np.concatenate(self._t), np.concatenate(self._rows).astype(np.float64)
-        rotors = _acting(t, x[:, 10:], self._dt, self.delay, self.gyro_cutoff)
+        rates, attitude = _with_later_bias(t, x[:, 10:13], x[:, :3], x[:, 3:7], self._dt)
+        rotors = _acting(t, x[:, 13:], self._dt, self.delay, self.gyro_cutoff)
         settling = _SETTLED * motor_lag if self.rotor_input == "command" else 0.0
         if self.gyro_cutoff is not None:
             settling += _FILTER_SETTLED / self.gyro_cutoff
         return MeasuredFlight(
-            t, x[:, :3], x[:, 3:7], x[:, 7:10], rotors, self._dt, self.rotor_input, settling
+            t, rates, attitude, x[:, 7:10], rotors, self._dt, self.rotor_input, settling
         )
+
+
+def _with_later_bias(
+    t: Array, gyro: Array, rates: Array, attitude: Array, dt: float
+) -> tuple[Array, Array]:
+    """Rates and attitude with the gyro's bias as it is known some time later (fixed-lag smoothing).
+
+    The complementary filter finds the bias b in the course of a flight. With the later one, b*, its
+    attitude is turned, in world axes, by
+
+        c' = -k_p c + R (b - b*)
+
+    Args:
+        t: (n,) s.
+        gyro: (n, 3) as measured, rad/s.
+        rates: (n, 3) without the bias known at that time.
+        attitude: (n, 4) as filtered then.
+        dt: s.
+    """
+    there = complete_rows(np.hstack([gyro, rates, attitude]))
+    if not there.any():
+        return rates, attitude
+    bias = gyro - rates
+    known, then = t[there], bias[there]
+    later = np.stack([np.interp(t + _BIAS_LAG, known, column) for column in then.T], axis=1)
+    turned = attitude.copy()
+    faded = math.exp(-DEFAULT_K_P * dt)
+    for part, complete in runs(there):
+        if complete:
+            off = (bias - later)[part]
+            world = (quaternions.matrices(attitude[part]) @ off[..., None])[..., 0] * dt
+            angle, _ = lfilter([1.0], [1.0, -faded], world)
+            turned[part] = quaternions.multiply(
+                quaternions.from_rotation_vector(angle), attitude[part]
+            )
+    return gyro - later, turned
 
 
 def _acting(t: Array, rotors: Array, dt: float, delay: float, cutoff: float | None) -> Array:

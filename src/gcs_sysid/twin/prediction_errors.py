@@ -11,7 +11,7 @@ the end, noise of the rotors' stream, and whatever disturbs the vehicle.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -45,6 +45,7 @@ class Accuracy:
         inside: share of the errors inside the band.
         r_squared: 1 - error power over the variance of what was measured, at the end.
         guess: rms error at the end of the guess that rates, and velocity, stay as they are.
+        basic: rms error of `basic_model` at the end.
         count: stretches.
     """
 
@@ -54,6 +55,7 @@ class Accuracy:
     inside: float
     r_squared: float
     guess: float
+    basic: float
     count: int
 
     def as_json(self) -> dict[str, Any]:
@@ -98,12 +100,14 @@ class _Errors:
         guess: the same of the constant guess.
         measured: the same as measured; the attitude as a turn from its mean.
         parameters: quantity -> (stretches, 3) standard deviation at the end by the ensemble.
+        basic: quantity -> (stretches, 3) error of `basic_model` at the end.
     """
 
     error: dict[str, Array]
     guess: dict[str, Array]
     measured: dict[str, Array]
     parameters: dict[str, Array]
+    basic: dict[str, Array]
 
     @property
     def count(self) -> int:
@@ -121,6 +125,7 @@ class Twin:
 
     def __init__(self, model: FlightModel, ensemble: FlightModel, record: MeasuredFlight) -> None:
         self._model, self._ensemble, self._record = model, ensemble, record
+        self._basic = basic_model(model)
         self.averaged = 1
         """Samples of the past that the rates at the start are averaged over."""
 
@@ -165,7 +170,8 @@ class Twin:
         }
         if not len(starts):
             empty = {name: np.empty((0, steps, 3)) for name in QUANTITIES}
-            return _Errors(empty, empty, empty, {name: np.empty((0, 3)) for name in QUANTITIES})
+            ends = {name: np.empty((0, 3)) for name in QUANTITIES}
+            return _Errors(empty, empty, empty, ends, ends)
         rates = self._averaged_rates(starts)
         velocity = np.where(np.isfinite(measured["velocity"]), measured["velocity"], 0.0)[:, 0]
         start = MotionState(rates, measured["attitude"][:, 0], velocity)
@@ -173,7 +179,10 @@ class Twin:
         flown = self._fly(self._model, t, starts, rows, start)
         error = _difference(flown, measured)
         spread = {name: np.zeros((len(starts), 3)) for name in QUANTITIES}
+        basic = {name: e[:, -1] for name, e in error.items()}
         if overlap == 1:
+            without = _difference(self._fly(self._basic, t, starts, rows, start), measured)
+            basic = {name: e[:, -1] for name, e in without.items()}
             each = self._fly(self._ensemble, t, starts, rows, start)
             for name, turned in _difference(each, measured).items():
                 end = turned[..., -1, :] - error[name][:, -1]
@@ -183,6 +192,7 @@ class Twin:
             {name: e[:, 1:] for name, e in _difference(_held(t, start), measured).items()},
             {name: e[:, 1:] for name, e in _as_vectors(measured).items()},
             spread,
+            basic,
         )
 
     def _fly(
@@ -213,6 +223,23 @@ class Twin:
                 mean = left[before[inside] - run.start].mean(axis=1)
                 out[inside] = rates[inside] - (left[starts[inside] - run.start] - mean)
         return out
+
+
+def basic_model(model: FlightModel) -> FlightModel:
+    """The same without drag, damping, rotor inertia and what makes one rotor unlike another."""
+
+    def alike(values: Array) -> Array:
+        mean = values.mean(axis=-1, keepdims=True)
+        return np.broadcast_to(mean, values.shape)
+
+    return replace(
+        model,
+        thrust=alike(model.thrust),
+        torque=alike(model.torque),
+        damping=np.zeros_like(model.damping),
+        rotor_inertia=np.zeros_like(model.rotor_inertia),
+        drag=np.zeros_like(model.drag),
+    )
 
 
 def judge(
@@ -258,7 +285,7 @@ def judge(
 
 
 def _accuracy(name: str, found: Sequence[tuple[_Errors, _Errors]]) -> Accuracy:
-    ends, bands, own, guesses = [], [], [], []
+    ends, bands, own, guesses, basics = [], [], [], [], []
     for errors, told in found:
         end, noise = errors.error[name][:, -1], told.error[name][:, -1]
         noise = noise[np.isfinite(noise).all(axis=1)]
@@ -269,12 +296,13 @@ def _accuracy(name: str, found: Sequence[tuple[_Errors, _Errors]]) -> Accuracy:
         ends.append(end)
         own.append(spread)
         guesses.append(errors.guess[name][:, -1])
+        basics.append(errors.basic[name])
     end, band = np.concatenate(ends), np.concatenate(bands)
     there = np.isfinite(end).all(axis=1) & np.isfinite(band).all(axis=1)
     measured = np.concatenate([e.measured[name][:, -1] for e, _ in found])
     nan = float("nan")
     if not there.any():
-        return Accuracy(nan, nan, nan, nan, nan, nan, 0)
+        return Accuracy(nan, nan, nan, nan, nan, nan, nan, 0)
     return Accuracy(
         rms=float(_rms(end[there])),
         band=float(_rms(band[there])),
@@ -282,6 +310,7 @@ def _accuracy(name: str, found: Sequence[tuple[_Errors, _Errors]]) -> Accuracy:
         inside=float((np.abs(end[there]) <= band[there]).mean()),
         r_squared=_r_squared(end[there], measured[there]),
         guess=float(_rms(np.concatenate(guesses)[there])),
+        basic=float(_rms(np.concatenate(basics)[there])),
         count=int(there.sum()),
     )
 

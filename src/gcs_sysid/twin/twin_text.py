@@ -28,6 +28,7 @@ _RULES = (
     "covariance of the parameters (alone: by params), noise and disturbance",
     "guess: body rates and velocity stay as they are at the start; R2 is at the end, over the "
     "variance of what was measured",
+    "basic: the same model without drag, damping, rotor inertia and differences between rotors",
 )
 
 
@@ -38,7 +39,7 @@ def twin_table(twin: "TwinFlight") -> str:
         *textwrap.wrap(f"held out: {twin.held_out}", _WIDTH, subsequent_indent="  "),
         "",
         f"{'quantity':<17}{'ahead':>6}{'error':>9}{'± 95 %':>9}{'by params':>11}{'inside':>8}"
-        f"{'R2':>8}{'guess':>9}{'stretches':>11}",
+        f"{'R2':>8}{'basic':>9}{'guess':>8}{'count':>6}",
     ]
     for name in QUANTITIES:
         scale, unit = _SHOWN[name]
@@ -62,7 +63,8 @@ def _row(name: str, seconds: float, a: Accuracy, scale: float) -> str:
     squared = "-" if not math.isfinite(a.r_squared) else f"{max(a.r_squared, -99.0):.3f}"
     return (
         f"{name:<17}{seconds:>4g} s{number(a.rms):>9}{number(a.band):>9}"
-        f"{number(a.band_parameters):>11}{share:>8}{squared:>8}{number(a.guess):>9}{a.count:>11}"
+        f"{number(a.band_parameters):>11}{share:>8}{squared:>8}{number(a.basic):>9}"
+        f"{number(a.guess):>8}{a.count:>6}"
     )
 
 
@@ -79,7 +81,8 @@ def twin_svg(twin: "TwinFlight") -> str:
     height = _TOP + _HEIGHT + 76.0
     out = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" '
-        'font-family="sans-serif" font-size="12" fill="#222">',
+        'font-family="sans-serif" font-size="12" fill="#222" role="img">',
+        f"<title>The twin along {escape(twin.log)}</title>",
         '<rect width="100%" height="100%" fill="#fff"/>',
         f'<text x="{_LEFT:.0f}" y="22" font-size="15">{escape(twin.source or "result")} along '
         f"{escape(twin.log)}</text>",
