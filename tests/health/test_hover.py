@@ -9,7 +9,7 @@ import pytest
 from gcs_sysid.health import balance
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import health_of
-from gcs_sysid.health.hover import _Integrals, _power_means, windows_of
+from gcs_sysid.health.hover import _Integrals, _rotor_means, windows_of
 from gcs_sysid.health.log_streams import RotorStream, streams_of
 from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.model.airframe import load_airframe
@@ -35,14 +35,13 @@ def test_rotors_of_one_message_have_the_means_they_have_alone():
     values = rng.normal(0.5, 0.1, (4, len(t)))
     at = np.arange(2.0, 30.0, 0.25)
     together = RotorStream("ESC_STATUS", tuple((t.copy(), v) for v in values), 50.0)
-    means, squares = _power_means(together, at, 0.5, (1, 2))
+    means, squares = (_rotor_means(together, at, 0.5, 4, power) for power in (1, 2))
     for i, v in enumerate(values):
         alone = RotorStream("ESC_STATUS", ((t, v),), 50.0)
-        (mean,), (square,) = _power_means(alone, at, 0.5, (1,)), _power_means(alone, at, 0.5, (2,))
-        assert np.array_equal(means[:, i], mean[:, 0])
-        assert np.array_equal(squares[:, i], square[:, 0])
+        for power, some in ((1, means), (2, squares)):
+            assert np.array_equal(some[:, i], _rotor_means(alone, at, 0.5, 1, power)[:, 0])
     apart = RotorStream("ESC_STATUS", ((t, values[0]), (t + 1e-3, values[1])), 50.0)
-    assert not np.array_equal(_power_means(apart, at, 0.5, (1,))[0][:, 1], means[:, 1])
+    assert not np.array_equal(_rotor_means(apart, at, 0.5, 2, 1)[:, 1], means[:, 1])
 
 
 def test_tracks_of_many_blocks_are_joined_in_order():

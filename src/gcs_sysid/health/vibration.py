@@ -72,7 +72,7 @@ def _squares_of(t: Array, force: Array, phase: Array, centers: Array, rate: floa
     counts = np.searchsorted(t, centers + 0.5 * _STRETCH) - firsts
     out = np.full(len(centers), np.nan)
     offsets = np.array((0.0, *_BESIDE))[:, None]
-    for count in np.unique(counts[counts >= max(0.8 * _STRETCH * rate, 2)]).tolist():
+    for count in np.unique(counts[counts >= max(0.8 * _STRETCH * rate, 3)]).tolist():
         taper = np.hanning(count)
         scale = 4.0 / float(taper.sum()) ** 2
         alike = np.flatnonzero(counts == count)
