@@ -39,9 +39,10 @@ def test_rotors_of_one_message_have_the_means_they_have_alone():
     for i, v in enumerate(values):
         alone = RotorStream("ESC_STATUS", ((t, v),), 50.0)
         for power, some in ((1, means), (2, squares)):
-            assert np.array_equal(some[:, i], _rotor_means(alone, at, 0.5, 1, power)[:, 0])
+            expected = _rotor_means(alone, at, 0.5, 1, power)[:, 0]
+            np.testing.assert_allclose(some[:, i], expected, rtol=1e-12)
     apart = RotorStream("ESC_STATUS", ((t, values[0]), (t + 1e-3, values[1])), 50.0)
-    assert not np.array_equal(_rotor_means(apart, at, 0.5, 2, 1)[:, 1], means[:, 1])
+    assert not np.allclose(_rotor_means(apart, at, 0.5, 2, 1)[:, 1], means[:, 1], rtol=1e-6)
 
 
 def test_tracks_of_many_blocks_are_joined_in_order():
