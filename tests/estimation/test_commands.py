@@ -52,7 +52,7 @@ def test_lag_and_curve_are_found_with_the_rest(truth, flight, lag, curve):
     estimator = OnlineEstimator(truth.geometry, DT, COMMANDS)
     estimator.update(replace(flight, gyro=gyro, rates=gyro, speeds=commands))
     fit = estimator.fit().rotation
-    found_delay, found_lag, found_curve = fit.coordinates
+    found_delay, found_lag, found_curve, *_ = fit.coordinates
     assert found_lag == pytest.approx(lag, abs=0.001)
     # These commands are in force from half a step before their stamps on, in the mean.
     assert found_delay == pytest.approx(0.5 * DT, abs=0.001)
@@ -126,8 +126,8 @@ def test_given_lag_and_curve_are_kept(truth, flight):
     estimator = OnlineEstimator(truth.geometry, DT, given)
     estimator.update(replace(flight, speeds=commands))
     fit = estimator.fit().rotation
-    assert fit.coordinates[1:].tolist() == [0.05, 0.4]
-    assert fit.coordinates_std[1:].tolist() == [0.0, 0.0]
+    assert fit.coordinates[1:].tolist() == [0.05, 0.4, 0.0, 0.0]
+    assert fit.coordinates_std[1:].tolist() == [0.0, 0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("where", [(0.0, 0.05, 0.3), (-0.012, 0.008, -0.1), (0.027, 0.12, 1.0)])

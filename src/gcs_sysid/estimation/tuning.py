@@ -58,7 +58,6 @@ class Tuning:
         return (
             self.smoother == "whitened"
             and self.method == "forward"
-            and self.rotor_input == "speed"
             and self.gyro_cutoff is None
             and dt <= _WHITENED
         )

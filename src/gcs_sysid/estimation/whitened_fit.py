@@ -336,7 +336,9 @@ def _tried(
     point, _ = minimise_axes(problem, problem.extended(unknowns), limit)
     known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
     alike = _alike(point, rows, noise[:, 0], known, deviations)
-    return Trial(data.whiteners, data.time, point.unknowns, alike, point.hessian)
+    tried = point.unknowns.copy()
+    tried[:, COORDINATES] = at  # plain rows have none
+    return Trial(data.whiteners, data.time, tried, alike, point.hessian)
 
 
 def _chosen(
@@ -435,7 +437,8 @@ def _scanned(
     weak = AxisProblem(total[:1, None], rows, basis, prior, data.noise[:1, None]).weak_cost(starts)
     cost = power.min(axis=0).sum(axis=1) + weak[: len(nodes)] / rows
     best = int(np.argmin(cost))
-    found = point.unknowns.reshape(len(some), len(nodes), -1)[:, best]
+    found = point.unknowns.reshape(len(some), len(nodes), -1)[:, best].copy()
+    found[:, COORDINATES] = nodes[best]  # plain rows have none
     unknowns = np.repeat(found, every, axis=0)[: len(total)]
     return _tried(total, rows, data, basis, prior, unknowns, _TRY)
 

@@ -74,6 +74,7 @@ class WhitenedRecord:
         """Which of the step's each of the basis' delays is."""
         self._columns: list[int] | None = None
         """Those taken of the rows; None: all."""
+        self._narrows = not basis.commands
         self.narrowed = False
         """Whether whiteners and delays are fewer than at first: their numbers changed."""
         self._reference: Reference | None = None
@@ -105,7 +106,7 @@ class WhitenedRecord:
             while done < n:
                 if self._full == _RECENT:
                     self._settle(noise())
-                    if self._columns is None and self.rows * self.time >= _LEARNT:
+                    if self._narrows and self._columns is None and self.rows * self.time >= _LEARNT:
                         white = self._narrow(white, noise())
                 room = self._per_short - int(self._counts[self._full])
                 part = white[:, done : done + room]
@@ -137,6 +138,11 @@ class WhitenedRecord:
         """Where whiteners are in the bank; of those that were given up, where the first leak is."""
         known = {whitener.name: i for i, whitener in enumerate(self.whiteners)}
         return [known.get(whitener.name, known["leak 0.3 s"]) for whitener in whiteners]
+
+    @property
+    def silence(self) -> Array:
+        """(bank, width, width) of inputs without noise."""
+        return np.zeros((len(self.whiteners), self.basis.width, self.basis.width))
 
     @property
     def batches(self) -> int:
