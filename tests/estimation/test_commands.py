@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
+from gcs_sysid.estimation import command_record
 from gcs_sysid.estimation.actuator_dynamics import SIGNALS, ActuatorDynamics, LagPlace
 from gcs_sysid.estimation.change_reference import reference_of
 from gcs_sysid.estimation.command_noise import CommandNoise
@@ -91,8 +92,8 @@ def test_a_lag_of_speed_is_told_from_one_of_the_command(truth, flight, monkeypat
     assert fit.coordinates[1] == pytest.approx(0.06, abs=0.001)
     off = abs(fit.theta[2] / Izz - 1.0)
     assert off < 0.03
-    only = [LagPlace("command")]
-    monkeypatch.setattr(OnlineEstimator, "_places", lambda self, start: only)
+    monkeypatch.setattr(command_record, "LAGS_OF", ("command",))
+    monkeypatch.setattr(FlightRecord, "places", lambda self, first=None: [LagPlace("command")])
     assert abs(fitted().theta[2] / Izz - 1.0) > 2.0 * off
 
 

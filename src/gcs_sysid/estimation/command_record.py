@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.actuator_dynamics import LAGS_OF, LagOf
+from gcs_sysid.estimation.actuator_dynamics import CURVE, LAGS_OF, LagOf
 from gcs_sysid.estimation.motor_linearization import LocalDynamics, MotorRows, step_of
 from gcs_sysid.estimation.priors import N_UNKNOWNS
 from gcs_sysid.estimation.rotation import RotationFit
@@ -32,6 +32,9 @@ _STAYED = 0.5
 """Of the steps of the linearisation; a smaller move leaves less than 1e-3 of a signal."""
 _BELIEVED = 0.3
 """Share of roll and pitch that a window must explain before motors are looked for."""
+_GRID = np.array([2e-4, 2e-4, 5e-3, 0.01, 0.02])
+"""s, s, 1, 1, 1, to which motors are rounded: rounding of sums in another order then changes
+nothing of the rows."""
 _AT_ONCE = 1000
 """Samples made into rows at a time."""
 
@@ -71,7 +74,7 @@ class CommandRecord:
         """Samples, None where what follows does not join on; None altogether: kept no more."""
         self._samples = 0
         self._now: _Tuned | None = None
-        self._next = FIRST
+        self._next, self._curve_doubt = FIRST, 0.0
         self._settled: tuple[int, _Tuned, Array] | None = None
         self.doubt = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
         """What an estimate may be off by, as it is not known what lags."""
@@ -80,6 +83,12 @@ class CommandRecord:
     def white(self) -> WhitenedRecord | None:
         """The moments; None as long as there are no motors to make rows with."""
         return None if self._now is None else self._now.white
+
+    def doubt_curve(self, std: float) -> None:
+        """One standard deviation of the thrust curve that no scatter shows."""
+        self._curve_doubt = std
+        if self._now is not None:
+            self._now.white.basis.curve_doubt = std
 
     @property
     def due(self) -> bool:
@@ -141,7 +150,7 @@ class CommandRecord:
         elif window is None or not float(window.r_squared[:2].min()) > _BELIEVED:
             return
         else:
-            at = window.coordinates
+            at = np.rint(window.coordinates / (10.0 * _GRID)) * 10.0 * _GRID
             of = "speed" if window.lag_place is None else window.lag_place.of
         compare = last or self._now is None
         found = self._found(at, of, hover, LAGS_OF if compare else (of,))
@@ -199,8 +208,9 @@ class CommandRecord:
     ) -> _Tuned | None:
         tuned = None
         for _ in range(rounds):
+            at = np.rint(at / _GRID) * _GRID
             if self._curve is not None:
-                at = np.array([*at[:2], self._curve, *at[3:]])
+                at[CURVE] = self._curve
             basis = LocalDynamics(at, of, self._dt, curve=self._curve is None)
             made = self._made(basis, hover)
             found = fit_whitened(made.white.moments(made.white.silence), basis)
@@ -215,6 +225,7 @@ class CommandRecord:
     def _made(self, basis: LocalDynamics, hover: float) -> _Tuned:
         """All samples kept, as rows."""
         assert self._kept is not None
+        basis.curve_doubt = self._curve_doubt
         step = step_of(self._dt)
         made = _Tuned(
             MotorRows(self._geometry, self._dt, basis, hover),

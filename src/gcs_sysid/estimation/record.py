@@ -173,6 +173,8 @@ class FlightRecord:
         made = self._rows.update(samples)
         if self._drift is not None:
             self.basis.curve_doubt = self._drift.curve_doubt
+            if self.commands is not None:
+                self.commands.doubt_curve(self._drift.curve_doubt)
         sections = _Sections(made, self._leaks)
         parts = zip(pairwise(edges), pairwise(counts), pairwise(steps), strict=True)
         ends_left = list(ends)
