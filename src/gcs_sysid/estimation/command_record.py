@@ -7,7 +7,7 @@ the motors are known, rows go on as they are, and what was kept is dropped. When
 samples decide, not who looks.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -16,8 +16,9 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.actuator_dynamics import CURVE, LAGS_OF, LagOf
 from gcs_sysid.estimation.motor_linearization import LocalDynamics, MotorRows, step_of
-from gcs_sysid.estimation.priors import N_UNKNOWNS
+from gcs_sysid.estimation.priors import DELAY, LAG, N_UNKNOWNS
 from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.search import residual_maker
 from gcs_sysid.estimation.whitened_fit import WhitenedFit, fit_whitened
 from gcs_sysid.estimation.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.whitening import bank_for_commands
@@ -28,7 +29,7 @@ _GROWTH = 2.0
 """By how much a flight grows until they are looked for again."""
 _ROUNDS, _ROUNDS_OF_OTHERS = 4, 2
 """Times that rows are made anew, at most, until the motors stay; and where something else lags."""
-_STAYED = 0.5
+_STAYED = 0.3
 """Of the steps of the linearisation; a smaller move leaves less than 1e-3 of a signal."""
 _BELIEVED = 0.3
 """Share of roll and pitch that a window must explain before motors are looked for."""
@@ -38,6 +39,7 @@ nothing of the rows."""
 _AT_ONCE = 1000
 """Samples made into rows at a time."""
 
+_TIMING = np.array([DELAY, LAG])
 _Samples = tuple[Array, Array, Array]
 
 
@@ -48,12 +50,12 @@ class _Tuned:
     Attributes:
         maker: of the rows.
         white: their moments.
-        fit: to these; None where rows were only added since.
+        fit: to these, when they were made.
     """
 
     maker: MotorRows
     white: WhitenedRecord
-    fit: WhitenedFit | None = None
+    fit: WhitenedFit
 
 
 class CommandRecord:
@@ -75,6 +77,8 @@ class CommandRecord:
         self._samples = 0
         self._now: _Tuned | None = None
         self._next, self._curve_doubt = FIRST, 0.0
+        self._apart = np.zeros(CURVE)
+        """s, by which delay and lag differ from those that the symmetric window finds."""
         self._settled: tuple[int, _Tuned, Array] | None = None
         self.doubt = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
         """What an estimate may be off by, as it is not known what lags."""
@@ -102,7 +106,7 @@ class CommandRecord:
         if self._kept is not None:
             self._kept.append(samples)
         if self._now is not None:
-            _add(self._now, samples)
+            _add(self._now.maker, self._now.white, samples)
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
@@ -132,7 +136,8 @@ class CommandRecord:
         self._kept.append(None)
         if self._now is not None:
             basis = self._now.white.basis
-            self._now = self._made(basis, self._now.maker.hover)
+            maker, white = self._made(basis, self._now.maker.hover)
+            self._now = replace(self._now, maker=maker, white=white)
 
     def tune(self, window: RotationFit | None, hover: float) -> None:
         """Look for the motors, and make rows about them from the beginning.
@@ -143,23 +148,24 @@ class CommandRecord:
         """
         seconds = self._samples * self._dt
         self._next = min(max(_GROWTH * seconds, self._next), max(LAST, seconds + FIRST))
-        last = seconds >= LAST
+        starts: list[tuple[Array, LagOf]] = []
         if self._now is not None:
             basis = self._now.white.basis
-            at, of = basis.at, basis.lag_place.of
-        elif window is None or not float(window.r_squared[:2].min()) > _BELIEVED:
-            return
-        else:
+            starts.append((basis.at, basis.lag_place.of))
+        if window is not None and float(window.r_squared[:2].min()) > _BELIEVED:
             at = np.rint(window.coordinates / (10.0 * _GRID)) * 10.0 * _GRID
-            of = "speed" if window.lag_place is None else window.lag_place.of
-        compare = last or self._now is None
-        found = self._found(at, of, hover, LAGS_OF if compare else (of,))
+            starts.append((at, "speed" if window.lag_place is None else window.lag_place.of))
+        found = self._found(starts, hover)
         if found is not None:
-            self._now = found[0]
-            self._now.white.narrowed = True
-            if compare:
-                self.doubt = found[1]
-        if last:
+            self._now, self.doubt = found
+            rotation = self._now.fit.rotation
+            if float(rotation.r_squared[:2].min()) < _BELIEVED:
+                self._now = None
+            else:
+                self._now.white.narrowed = True
+                if window is not None:
+                    self._apart = rotation.coordinates[:CURVE] - window.coordinates[:CURVE]
+        if seconds >= LAST:
             self._kept = None
 
     @contextmanager
@@ -169,7 +175,7 @@ class CommandRecord:
         if before is not None and self._kept is not None:
             if self._settled is None or self._settled[0] != self._samples:
                 basis = before.white.basis
-                found = self._found(basis.at, basis.lag_place.of, before.maker.hover, LAGS_OF)
+                found = self._found([(basis.at, basis.lag_place.of)], before.maker.hover)
                 self._settled = (self._samples, *(found or (before, doubt)))
             _, self._now, self.doubt = self._settled
         try:
@@ -178,30 +184,32 @@ class CommandRecord:
             self._now, self.doubt = before, doubt
 
     def _found(
-        self, at: Array, of: LagOf, hover: float, places: tuple[LagOf, ...]
+        self, starts: Sequence[tuple[Array, LagOf]], hover: float
     ) -> tuple[_Tuned, Array] | None:
         """Rows about the likeliest motors, and what the other places of the lag differ by.
 
         By that much they may be off with these places' probability (Bayesian model averaging:
-        Hoeting et al. 1999, Statistical Science 14, 382-417).
+        Hoeting et al. 1999, Statistical Science 14, 382-417). A delay and lag that fast and slow
+        motion see differently are not of first order: by half of that they may be off too.
         """
-        first = self._converged(at, of, hover)
-        if first is None or first.fit is None:
+        every = [self._converged(at, of, hover) for at, of in starts]
+        first = min((tuned for tuned in every if tuned is not None), key=_cost, default=None)
+        if first is None:
             return None
-        every = [first]
-        for other in places:
-            if other != of:
-                start = first.fit.rotation.coordinates
-                found = self._converged(start, other, hover, _ROUNDS_OF_OTHERS)
-                if found is not None:
-                    every.append(found)
-        fits = [tuned.fit for tuned in every if tuned.fit is not None]
-        rows = every[0].white.rows
-        cost = rows * np.array([fit.cost for fit in fits])
+        found, start = [first], first.fit.rotation.coordinates
+        for other in LAGS_OF:
+            if other != first.white.basis.lag_place.of:
+                tuned = self._converged(start, other, hover, _ROUNDS_OF_OTHERS)
+                if tuned is not None:
+                    found.append(tuned)
+        cost = np.array([_cost(tuned) for tuned in found])
         weight = np.exp(cost.min() - cost)
+        unknowns = np.stack([tuned.fit.rotation.unknowns for tuned in found])
         best = int(np.argmin(cost))
-        away = np.stack([f.rotation.unknowns - fits[best].rotation.unknowns for f in fits])
-        return every[best], (away * (weight / weight.sum())[:, None]).T @ away
+        away = unknowns - unknowns[best]
+        doubt = (away * (weight / weight.sum())[:, None]).T @ away
+        doubt[_TIMING, _TIMING] += (0.5 * self._apart) ** 2
+        return found[best], doubt
 
     def _converged(
         self, at: Array, of: LagOf, hover: float, rounds: int = _ROUNDS
@@ -212,37 +220,36 @@ class CommandRecord:
             if self._curve is not None:
                 at[CURVE] = self._curve
             basis = LocalDynamics(at, of, self._dt, curve=self._curve is None)
-            made = self._made(basis, hover)
-            found = fit_whitened(made.white.moments(made.white.silence), basis)
+            maker, white = self._made(basis, hover)
+            found = fit_whitened(white.moments(white.silence), basis)
             if found is None:
                 return tuned
-            tuned = replace(made, fit=found)
+            tuned = _Tuned(maker, white, found)
             at = found.rotation.coordinates
             if (np.abs(at - basis.at) < _STAYED * basis.moved).all():
                 break
         return tuned
 
-    def _made(self, basis: LocalDynamics, hover: float) -> _Tuned:
+    def _made(self, basis: LocalDynamics, hover: float) -> tuple[MotorRows, WhitenedRecord]:
         """All samples kept, as rows."""
         assert self._kept is not None
         basis.curve_doubt = self._curve_doubt
         step = step_of(self._dt)
-        made = _Tuned(
-            MotorRows(self._geometry, self._dt, basis, hover),
-            WhitenedRecord(
-                basis, step, bank_for_commands(step.time), self._dt, self._batch_time
-            ),
-        )
+        bank = bank_for_commands(step.time)
+        maker = MotorRows(self._geometry, self._dt, basis, hover)
+        white = WhitenedRecord(basis, step, bank, self._dt, self._batch_time)
         some: list[_Samples] = []
         for samples in (*self._kept, None):
             if samples is not None:
                 some.append(samples)
                 continue
             if some:
-                _add(made, tuple(np.concatenate(parts) for parts in zip(*some, strict=True)))
-            _restart(made)
+                joined = tuple(np.concatenate(parts) for parts in zip(*some, strict=True))
+                _add(maker, white, joined)
+            maker.restart()
+            white.restart()
             some = []
-        return made
+        return maker, white
 
 
 def _restart(tuned: _Tuned) -> None:
@@ -250,8 +257,16 @@ def _restart(tuned: _Tuned) -> None:
     tuned.white.restart()
 
 
-def _add(tuned: _Tuned, samples: tuple[Array, ...]) -> None:
+def _add(maker: MotorRows, white: WhitenedRecord, samples: tuple[Array, ...]) -> None:
     n = len(samples[0])
     for start in range(0, n, _AT_ONCE):
         some = (part[start : start + _AT_ONCE] for part in samples)
-        tuned.white.add(tuned.maker.update(*some), lambda: tuned.white.silence)
+        white.add(maker.update(*some), lambda: white.silence)
+
+
+def _cost(tuned: _Tuned) -> float:
+    """Nats of all rows, shocks included: what is left out differs from one to another."""
+    white, fit = tuned.white, tuned.fit.rotation
+    TP = residual_maker(fit.Q) @ white.basis.map_at(fit.coordinates)
+    power = np.einsum("ai,bij,aj->ba", TP, white.total, TP).min(axis=0)
+    return 0.5 * white.rows * float(np.log(power).sum())

@@ -133,7 +133,7 @@ class LocalDynamics(ActuatorDynamics):
 
 def step_of(dt: float) -> OneStep:
     """The step of rows of commands that come every `dt` s."""
-    return OneStep(dt, (0,), max(round(_STEP / dt), 1))
+    return OneStep(dt, (0,), max(round(_STEP / dt), 1), mean=False)
 
 
 class MotorRows:
