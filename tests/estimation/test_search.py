@@ -258,7 +258,11 @@ def test_four_starts_where_lag_and_curve_are_unknown_too():
     assert converged.all()
     # 400 and 200 rows tell the coordinates to some hundredths of their ranges.
     assert (
-        np.abs((point.unknowns[:, COORDINATES] - [0.0, 0.05, 0.5, 0.0, 0.0]) / [0.02, 0.1, 1.0, 1.0, 1.0]).max() < 0.1
+        np.abs(
+            (point.unknowns[:, COORDINATES] - [0.0, 0.05, 0.5, 0.0, 0.0])
+            / [0.02, 0.1, 1.0, 1.0, 1.0]
+        ).max()
+        < 0.1
     )
 
 

@@ -185,7 +185,9 @@ class FlightRecord:
                 if self.article:
                     self.article.update(samples.part(piece))
                 if self.commands is not None:
-                    self.commands.take(made.inputs[piece], samples.gyro[piece], samples.rates[piece])
+                    self.commands.take(
+                        made.inputs[piece], samples.gyro[piece], samples.rates[piece]
+                    )
             if rows[0] < rows[1]:
                 self.rotation.add(sections.rotation(*rows))
                 self.momentum.add(sections.momentum(*rows))
