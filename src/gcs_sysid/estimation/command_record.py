@@ -48,11 +48,13 @@ class _Tuned:
     """Rows about one set of motors.
 
     Attributes:
+        basis: the motors.
         maker: of the rows.
         white: their moments.
         fit: to these, when they were made.
     """
 
+    basis: LocalDynamics
     maker: MotorRows
     white: WhitenedRecord
     fit: WhitenedFit
@@ -92,7 +94,7 @@ class CommandRecord:
         """One standard deviation of the thrust curve that no scatter shows."""
         self._curve_doubt = std
         if self._now is not None:
-            self._now.white.basis.curve_doubt = std
+            self._now.basis.curve_doubt = std
 
     @property
     def due(self) -> bool:
@@ -135,7 +137,7 @@ class CommandRecord:
             left -= n
         self._kept.append(None)
         if self._now is not None:
-            basis = self._now.white.basis
+            basis = self._now.basis
             maker, white = self._made(basis, self._now.maker.hover)
             self._now = replace(self._now, maker=maker, white=white)
 
@@ -150,7 +152,7 @@ class CommandRecord:
         self._next = min(max(_GROWTH * seconds, self._next), max(LAST, seconds + FIRST))
         starts: list[tuple[Array, LagOf]] = []
         if self._now is not None:
-            basis = self._now.white.basis
+            basis = self._now.basis
             starts.append((basis.at, basis.lag_place.of))
         if window is not None and float(window.r_squared[:2].min()) > _BELIEVED:
             at = np.rint(window.coordinates / (10.0 * _GRID)) * 10.0 * _GRID
@@ -174,7 +176,7 @@ class CommandRecord:
         before, doubt = self._now, self.doubt
         if before is not None and self._kept is not None:
             if self._settled is None or self._settled[0] != self._samples:
-                basis = before.white.basis
+                basis = before.basis
                 found = self._found([(basis.at, basis.lag_place.of)], before.maker.hover)
                 self._settled = (self._samples, *(found or (before, doubt)))
             _, self._now, self.doubt = self._settled
@@ -198,7 +200,7 @@ class CommandRecord:
             return None
         found, start = [first], first.fit.rotation.coordinates
         for other in LAGS_OF:
-            if other != first.white.basis.lag_place.of:
+            if other != first.basis.lag_place.of:
                 tuned = self._converged(start, other, hover, _ROUNDS_OF_OTHERS)
                 if tuned is not None:
                     found.append(tuned)
@@ -224,7 +226,7 @@ class CommandRecord:
             found = fit_whitened(white.moments(white.silence), basis)
             if found is None:
                 return tuned
-            tuned = _Tuned(maker, white, found)
+            tuned = _Tuned(basis, maker, white, found)
             at = found.rotation.coordinates
             if (np.abs(at - basis.at) < _STAYED * basis.moved).all():
                 break
@@ -267,6 +269,6 @@ def _add(maker: MotorRows, white: WhitenedRecord, samples: tuple[Array, ...]) ->
 def _cost(tuned: _Tuned) -> float:
     """Nats of all rows, shocks included: what is left out differs from one to another."""
     white, fit = tuned.white, tuned.fit.rotation
-    TP = residual_maker(fit.Q) @ white.basis.map_at(fit.coordinates)
+    TP = residual_maker(fit.Q) @ tuned.basis.map_at(fit.coordinates)
     power = np.einsum("ai,bij,aj->ba", TP, white.total, TP).min(axis=0)
     return 0.5 * white.rows * float(np.log(power).sum())

@@ -31,7 +31,8 @@ class EvidenceRules:
     """Slow power of residuals over that of white noise, with rotor speeds. Flights inside the model
     have 0.5 to 2.5 in all simulators tried, biased ones mostly more."""
     whiteness_commands: float = 6.5
-    """The same with commands and rows of the window: mostly 0.8 to 1.4 inside the model, 4 to 8 where rotors have inertia
+    """The same with commands and rows of the window: mostly 0.8 to 1.4 inside the model, 4 to 8
+    where rotors have inertia
     or the battery sags. Flights on all axes at once have 5 to 6 inside the model too, and
     intervals that hold; where thrust lags in place of speed they have 7 to 8, and intervals that
     do not."""

@@ -25,11 +25,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.estimation.actuator_dynamics import (
-    ASYMMETRY,
-    BODY,
     CURVE,
     DELAY,
-    EXPONENT,
     LAG,
     N_COORDINATES,
     ROTOR_COLUMNS,

@@ -47,8 +47,8 @@ class OneStep:
         dt: s between samples.
         shifts: whole steps by which the first signals may be stamped late, rising.
         samples: h, of a step.
-        mean: whether a value is the mean over a step, not that of one sample, whose noise cannot have
-            been answered within the step.
+        mean: whether a value is the mean over a step; else it is that of one sample, whose noise
+            nothing within the step can have answered.
         cubic: whether to integrate the cubic through four samples; else the trapezoid.
     """
 
