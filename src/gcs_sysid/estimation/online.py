@@ -15,6 +15,7 @@ import numpy as np
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import rotation, translation
 from gcs_sysid.estimation.actuator_dynamics import CURVE, LagPlace
+from gcs_sysid.estimation.disturbance import curve_doubt
 from gcs_sysid.estimation.lag_hypotheses import fit_lag_places, with_lag_doubt
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.record import FlightRecord
@@ -493,7 +494,8 @@ class OnlineEstimator:
             if record.commands is None:
                 return found[0]
             place = record.places(self._whitened.basis.lag_place.of)[0]
-            return with_lag_doubt(found[0], place, record.commands.doubt)
+            doubt = record.commands.doubt + curve_doubt(found[0])
+            return with_lag_doubt(found[0], place, doubt)
         moments = record.rotation
         data = moments.batches, moments.counts, self._basis, self._noise()
         if self._basis.bends:
