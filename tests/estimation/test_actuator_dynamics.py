@@ -120,8 +120,8 @@ def test_coordinates_with_one_value_are_given():
     assert speeds_.free == (0,)
     assert commands_.free == (0, 1, 2)
     assert ActuatorDynamics((0.01,), (0.0, 0.05), (0.5,), commands=True).free == (1,)
-    np.testing.assert_allclose(commands_.low, [-0.015, 0.0, -0.2])
-    np.testing.assert_allclose(commands_.high, [0.03, 0.13, 1.2])
+    np.testing.assert_allclose(commands_.low, [-0.015, 0.0, -0.2, 0.0, 0.0])
+    np.testing.assert_allclose(commands_.high, [0.03, 0.13, 1.2, 0.0, 0.0])
 
 
 def test_elements_are_the_lags_at_the_middle_delay_and_the_delays_at_a_usual_lag():
@@ -150,13 +150,13 @@ def test_searches_start_from_nodes_over_the_whole_range():
     np.testing.assert_allclose(at[[0, 2]], [0.0, 0.5])
     assert at[1] in (pytest.approx(0.04), pytest.approx(0.06))
     assert len(np.unique(ActuatorDynamics(np.linspace(0.0, 0.11, 12)).nodes[:, 0])) == 8
-    assert ActuatorDynamics(np.linspace(0.0, 0.07, 8)).nodes.shape == (8, 3)
+    assert ActuatorDynamics(np.linspace(0.0, 0.07, 8)).nodes.shape == (8, 5)
     np.testing.assert_allclose(
-        ActuatorDynamics((0.01,), (0.02,), (0.3,)).nodes, [[0.01, 0.02, 0.3]]
+        ActuatorDynamics((0.01,), (0.02,), (0.3,)).nodes, [[0.01, 0.02, 0.3, 0.0, 0.0]]
     )
     # Whatever the units: a lag of 0.1 s off weighs as much as the whole range of curves.
     wide = ActuatorDynamics((-0.05, 0.01), (0.0, 0.001), (0.0, 100.0), commands=True)
-    np.testing.assert_allclose(wide.nodes[wide.middle], [-0.005, 0.0005, 50.0])
+    np.testing.assert_allclose(wide.nodes[wide.middle], [-0.005, 0.0005, 50.0, 0.0, 0.0])
 
 
 def test_rows_hold_rotors_and_body_in_their_places():
@@ -224,7 +224,7 @@ def test_plain_rows_are_rows_as_they_are():
     maps = PLAIN.maps(np.zeros((3, 3)))
     assert maps.shape == (3, 1, WIDTH, WIDTH)
     np.testing.assert_array_equal(maps[2, 0], np.eye(WIDTH))
-    np.testing.assert_array_equal(PLAIN.nodes, [[0.0, 0.0, 1.0]])
+    np.testing.assert_array_equal(PLAIN.nodes, [[0.0, 0.0, 1.0, 0.0, 0.0]])
 
 
 def test_what_is_not_told_is_as_for_speeds_at_high_rates():

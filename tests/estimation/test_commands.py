@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
+from gcs_sysid.estimation import command_record
 from gcs_sysid.estimation.actuator_dynamics import SIGNALS, ActuatorDynamics, LagPlace
 from gcs_sysid.estimation.change_reference import reference_of
 from gcs_sysid.estimation.command_noise import CommandNoise
@@ -52,7 +53,7 @@ def test_lag_and_curve_are_found_with_the_rest(truth, flight, lag, curve):
     estimator = OnlineEstimator(truth.geometry, DT, COMMANDS)
     estimator.update(replace(flight, gyro=gyro, rates=gyro, speeds=commands))
     fit = estimator.fit().rotation
-    found_delay, found_lag, found_curve = fit.coordinates
+    found_delay, found_lag, found_curve, *_ = fit.coordinates
     assert found_lag == pytest.approx(lag, abs=0.001)
     # These commands are in force from half a step before their stamps on, in the mean.
     assert found_delay == pytest.approx(0.5 * DT, abs=0.001)
@@ -91,8 +92,8 @@ def test_a_lag_of_speed_is_told_from_one_of_the_command(truth, flight, monkeypat
     assert fit.coordinates[1] == pytest.approx(0.06, abs=0.001)
     off = abs(fit.theta[2] / Izz - 1.0)
     assert off < 0.03
-    only = [LagPlace("command")]
-    monkeypatch.setattr(OnlineEstimator, "_places", lambda self, start: only)
+    monkeypatch.setattr(command_record, "LAGS_OF", ("command",))
+    monkeypatch.setattr(FlightRecord, "places", lambda self, first=None: [LagPlace("command")])
     assert abs(fitted().theta[2] / Izz - 1.0) > 2.0 * off
 
 
@@ -126,8 +127,8 @@ def test_given_lag_and_curve_are_kept(truth, flight):
     estimator = OnlineEstimator(truth.geometry, DT, given)
     estimator.update(replace(flight, speeds=commands))
     fit = estimator.fit().rotation
-    assert fit.coordinates[1:].tolist() == [0.05, 0.4]
-    assert fit.coordinates_std[1:].tolist() == [0.0, 0.0]
+    assert fit.coordinates[1:].tolist() == [0.05, 0.4, 0.0, 0.0]
+    assert fit.coordinates_std[1:].tolist() == [0.0, 0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("where", [(0.0, 0.05, 0.3), (-0.012, 0.008, -0.1), (0.027, 0.12, 1.0)])

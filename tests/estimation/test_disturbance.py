@@ -41,7 +41,7 @@ def trial(pick=0, apart=0.0, stds=None, gain=0.0):
         gain: nats a second by which the pick is better than the others.
     """
     stds = np.ones(len(BANK)) if stds is None else np.array(stds)
-    unknowns = np.tile(np.concatenate([THETA, [0.0, 0.0, 1.0]]), (len(BANK), 1))
+    unknowns = np.tile(np.concatenate([THETA, [0.0, 0.0, 1.0, 0.0, 0.0]]), (len(BANK), 1))
     unknowns[-1, : rb.N_THETA] += apart * stds[-1] * STD
     variance = np.full((len(BANK), 3), np.exp(2.0 * gain * T))
     variance[pick] = 1.0

@@ -89,7 +89,8 @@ def test_blocks_of_commands_give_what_single_fits_give(truth, flight):
         [fit for fit in fits if fit.seconds > 8.0 and fit.rotation.converged]
         for fits in (series(truth, samples, 3000, COMMANDS), single(truth, samples, COMMANDS))
     ]
-    assert len(late[0]) > 150
+    # These motors have no lag, so that some searches are on their way to its bound.
+    assert len(late[0]) > 100
     assert_same(*late)
 
 

@@ -172,7 +172,7 @@ def test_drag_is_doubted_where_the_attitude_is_late(told):
     source = replace(TRANSLATION, quickness=quickness)
     lateness = tau
     if told == "rotors ahead of the IMU":
-        lateness, sharp = 0.0, replace(sharp, coordinates=np.array([-tau, 0.0, 0.0]))
+        lateness, sharp = 0.0, replace(sharp, coordinates=np.array([-tau, 0.0, 0.0, 0.0, 0.0]))
     values = physical_parameters(
         ScaleReference("mass", MASS), sharp, source, ARM, lateness=lateness
     )
@@ -225,11 +225,11 @@ def test_commands_name_their_own_parameters():
 
 def test_a_motors_form_is_doubted_the_more_the_slower_it_is():
     """However well commands fit, a lag of the speed is not one of the command."""
-    known = np.diag(np.append((1e-5 * THETA) ** 2, [1e-10, 1e-10, 1e-8]))
+    known = np.diag(np.append((1e-5 * THETA) ** 2, [1e-10, 1e-10, 1e-8, 0.0, 0.0]))
     sure = replace(TRANSLATION, kappa_std=1e-5 * KAPPA)
     stds = []
     for lag in (0.01, 0.03, 0.06):
-        at = np.array([0.0, lag, 0.5])
+        at = np.array([0.0, lag, 0.5, 0.0, 0.0])
         fit = replace(spread(1e-5), full_covariance=known, coordinates=at)
         found = physical_parameters(
             ScaleReference("mass", MASS), fit, sure, ARM, rotor_input="command"

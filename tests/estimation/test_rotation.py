@@ -203,13 +203,13 @@ def test_a_fit_by_hand_has_what_it_was_given():
     assert fit.full_covariance.shape == (N_UNKNOWNS, N_UNKNOWNS)
     np.testing.assert_array_equal(fit.full_covariance[: rb.N_THETA, : rb.N_THETA], fit.covariance)
     assert not fit.full_covariance[rb.N_THETA :].any()
-    np.testing.assert_array_equal(fit.unknowns, [*THETA, 0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(fit.unknowns, [*THETA, 0.0, 0.0, 1.0, 0.0, 0.0])
     assert (fit.leak, fit.warm_start) == (0, None)
     full = fit.full_covariance.copy()
     full[rb.N_THETA, rb.N_THETA] = 4e-6
-    late = replace(fit, coordinates=np.array([0.01, 0.05, 0.5]), full_covariance=full)
+    late = replace(fit, coordinates=np.array([0.01, 0.05, 0.5, 0.0, 0.0]), full_covariance=full)
     assert (late.delay, late.delay_std) == (0.01, pytest.approx(2e-3))
-    np.testing.assert_allclose(late.coordinates_std, [2e-3, 0.0, 0.0])
+    np.testing.assert_allclose(late.coordinates_std, [2e-3, 0.0, 0.0, 0.0, 0.0])
 
 
 def test_a_start_in_a_worse_valley_is_not_gone_on_from():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
+from gcs_sysid.estimation.actuator_dynamics import N_COORDINATES, PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.estimation.priors import COORDINATES, DELAY, N_UNKNOWNS, prior_of
 from gcs_sysid.estimation.search import (
     COORDINATE_MEAN,
@@ -25,7 +25,7 @@ THETA = theta_from(80.0, 81.0, 143.0, 6.6, 12.4, -8.1, 0.1, 0.05, 0.03, 20.0, 0.
 SPEEDS = ActuatorDynamics((-0.01, 0.0, 0.01))
 COMMANDS = ActuatorDynamics((-0.01, 0.0, 0.01), (0.0, 0.05, 0.1), (0.0, 1.0), commands=True)
 N = 400
-STEP = np.append(np.maximum(1e-6 * np.abs(THETA), 1e-8), [1e-7, 1e-7, 1e-6])
+STEP = np.append(np.maximum(1e-6 * np.abs(THETA), 1e-8), [1e-7, 1e-7, 1e-6, 1e-6, 1e-6])
 
 
 def rows_of(dynamics, at, seed=1, sigma=0.5):
@@ -57,9 +57,9 @@ def residuals(dynamics, rows, unknowns):
 CASES = pytest.mark.parametrize(
     ("dynamics", "at"),
     [
-        (PLAIN, [0.0, 0.0, 1.0]),
-        (SPEEDS, [0.004, 0.0, 1.0]),
-        (COMMANDS, [0.004, 0.03, 0.4]),
+        (PLAIN, [0.0, 0.0, 1.0, 0.0, 0.0]),
+        (SPEEDS, [0.004, 0.0, 1.0, 0.0, 0.0]),
+        (COMMANDS, [0.004, 0.03, 0.4, 0.0, 0.0]),
     ],
     ids=["plain", "speeds", "commands"],
 )
@@ -110,9 +110,9 @@ def test_gradient_and_curvature_are_those_of_the_rows(dynamics, at):
 
 
 def test_several_hypotheses_are_as_many_problems():
-    one, other = (rows_of(SPEEDS, np.array([0.0, 0.0, 1.0]), seed) for seed in (1, 2))
+    one, other = (rows_of(SPEEDS, np.array([0.0, 0.0, 1.0, 0.0, 0.0]), seed) for seed in (1, 2))
     bank = np.stack([one.T @ one, other[:300].T @ other[:300]])
-    unknowns = np.append(1.02 * THETA, [0.002, 0.0, 1.0])
+    unknowns = np.append(1.02 * THETA, [0.002, 0.0, 1.0, 0.0, 0.0])
     both = Problem(bank, np.array([N, 300]), SPEEDS, None).evaluate(unknowns[None])
     for i, rows in enumerate((N, 300)):
         alone = Problem(bank[i : i + 1], rows, SPEEDS, None).evaluate(unknowns[None])
@@ -122,8 +122,8 @@ def test_several_hypotheses_are_as_many_problems():
 
 def test_a_prior_costs_its_squared_distance_a_row():
     prior = prior_of({2: (150.0, 5.0), DELAY: (0.003, 0.001)})
-    problem, _, unknowns = problem_at(SPEEDS, [0.004, 0.0, 1.0], prior)
-    plain, _, _ = problem_at(SPEEDS, [0.004, 0.0, 1.0])
+    problem, _, unknowns = problem_at(SPEEDS, [0.004, 0.0, 1.0, 0.0, 0.0], prior)
+    plain, _, _ = problem_at(SPEEDS, [0.004, 0.0, 1.0, 0.0, 0.0])
     difference = problem.evaluate(unknowns[None]).cost - plain.evaluate(unknowns[None]).cost
     away = (1.03 * THETA[2] - 150.0) / 5.0
     assert difference[0] == pytest.approx((away**2 + 1.0) / N)
@@ -136,7 +136,7 @@ def test_a_prior_costs_its_squared_distance_a_row():
 
 
 def test_known_noise_is_in_the_cost_and_not_in_the_gradient():
-    at = np.array([0.0, 0.03, 0.4])
+    at = np.array([0.0, 0.03, 0.4, 0.0, 0.0])
     rows = rows_of(COMMANDS, at)
     noise = np.zeros((COMMANDS.width, COMMANDS.width))
     rotors = COMMANDS.width - 14
@@ -156,15 +156,16 @@ def test_known_noise_is_in_the_cost_and_not_in_the_gradient():
     downhill = told.WG[0] @ (TP[0] @ M @ P[0].T)[:, : rb.N_SIGNALS].ravel()
     np.testing.assert_allclose(told.gradient[0, : rb.N_THETA], downhill, rtol=1e-8)
     slopes = np.array([np.sum((told.W[0] @ TP[0]) * (t @ M)) for t in TP[1:]])
-    away = (unknowns[0, COORDINATES] - COORDINATE_MEAN) * COORDINATE_STD**-2.0
+    free = slice(N_COORDINATES - 2)
+    away = ((unknowns[0, COORDINATES] - COORDINATE_MEAN) * COORDINATE_STD**-2.0)[free]
     np.testing.assert_allclose(told.gradient[0, rb.N_THETA :], -slopes - away, rtol=1e-7)
     bends = np.array([[np.sum((told.W[0] @ s) * (t @ M)) for t in TP[1:]] for s in TP[1:]])
-    bends += np.diag(COORDINATE_STD**-2.0)
+    bends += np.diag(COORDINATE_STD[free] ** -2.0)
     np.testing.assert_allclose(told.hessian[0, rb.N_THETA :, rb.N_THETA :], bends, rtol=1e-7)
 
 
 def test_a_step_along_several_coordinates_keeps_its_way_within_the_range():
-    problem, _, unknowns = problem_at(COMMANDS, [0.004, 0.03, 0.4])
+    problem, _, unknowns = problem_at(COMMANDS, [0.004, 0.03, 0.4, 0.0, 0.0])
     step = np.zeros(problem.p)
     step[0] = 4.0
     # 6 ms to the edge of delays, and twice as long a way to that of lags.
@@ -177,14 +178,14 @@ def test_a_step_along_several_coordinates_keeps_its_way_within_the_range():
     np.testing.assert_allclose((back - unknowns)[problem.free], -step, atol=1e-12)
     # At the edge itself a coordinate is held, and the others go on.
     edge = unknowns.copy()
-    edge[COORDINATES] = 0.01, 0.03, 0.4
+    edge[COORDINATES] = 0.01, 0.03, 0.4, 0.0, 0.0
     held = problem.moved(edge, step)
-    np.testing.assert_allclose(held[COORDINATES], [0.01, 0.05, 0.5])
+    np.testing.assert_allclose(held[COORDINATES], [0.01, 0.05, 0.5, 0.0, 0.0])
     assert held[0] == pytest.approx(edge[0] + 4.0)
 
 
 def test_a_single_coordinate_is_cut_off_at_its_range():
-    problem, _, unknowns = problem_at(SPEEDS, [0.004, 0.0, 1.0])
+    problem, _, unknowns = problem_at(SPEEDS, [0.004, 0.0, 1.0, 0.0, 0.0])
     step = np.zeros(problem.p)
     step[:] = 1e-3
     step[-1] = 0.02
@@ -210,7 +211,7 @@ def test_the_minimum_is_where_the_gradient_vanishes(dynamics, at):
 
 def test_a_prior_moves_the_minimum_to_where_both_balance():
     prior = prior_of({2: (160.0, 1.0)})
-    problem, _, unknowns = problem_at(PLAIN, [0.0, 0.0, 1.0], prior)
+    problem, _, unknowns = problem_at(PLAIN, [0.0, 0.0, 1.0, 0.0, 0.0], prior)
     point, converged = minimise(problem, unknowns[None], MAX_ITERATIONS)
     assert converged.all()
     total = point.gradient[0] + problem.prior_pull(point.unknowns[0])
@@ -242,28 +243,32 @@ def test_the_search_goes_on_from_the_best_of_all_starts():
 def test_starts_are_at_the_nodes_that_fit_best():
     rows = rows_of(SPEEDS, np.array([0.006, 0.0, 1.0]), sigma=0.1)
     problem = Problem((rows.T @ rows)[None], N, SPEEDS, None)
-    starts = scan(problem, np.append(THETA, [0.0, 0.0, 1.0])[None])
+    starts = scan(problem, np.append(THETA, [0.0, 0.0, 1.0, 0.0, 0.0])[None])
     nodes = SPEEDS.nodes[:, 0]
     assert starts[0, 0, DELAY] == nodes[np.argmin(np.abs(nodes - 0.006))]
 
 
 def test_four_starts_where_lag_and_curve_are_unknown_too():
-    rows = rows_of(COMMANDS, np.array([0.0, 0.05, 0.5]))
+    rows = rows_of(COMMANDS, np.array([0.0, 0.05, 0.5, 0.0, 0.0]))
     bank = np.stack([rows.T @ rows, rows[:200].T @ rows[:200]])
     problem = Problem(bank, np.array([N, 200]), COMMANDS, None)
-    start = np.append(THETA, [0.0, 0.05, 0.5])
+    start = np.append(THETA, [0.0, 0.05, 0.5, 0.0, 0.0])
     starts = scan(problem, np.stack([start, start]))
     assert starts.shape == (4, 2, N_UNKNOWNS)
     point, converged = search(problem, starts)
     assert converged.all()
     # 400 and 200 rows tell the coordinates to some hundredths of their ranges.
     assert (
-        np.abs((point.unknowns[:, COORDINATES] - [0.0, 0.05, 0.5]) / [0.02, 0.1, 1.0]).max() < 0.1
+        np.abs(
+            (point.unknowns[:, COORDINATES] - [0.0, 0.05, 0.5, 0.0, 0.0])
+            / [0.02, 0.1, 1.0, 1.0, 1.0]
+        ).max()
+        < 0.1
     )
 
 
 def test_noise_that_is_told_is_undone():
-    at = np.array([0.0, 0.05, 0.5])
+    at = np.array([0.0, 0.05, 0.5, 0.0, 0.0])
     rows = rows_of(COMMANDS, at, sigma=0.05)
     rotors = COMMANDS.width - 14
     noise = np.zeros((COMMANDS.width, COMMANDS.width))
@@ -280,7 +285,7 @@ def test_noise_that_is_told_is_undone():
 
 
 def test_a_first_guess_from_the_response_to_torques():
-    rows = rows_of(PLAIN, np.array([0.0, 0.0, 1.0]), sigma=1e-3)
+    rows = rows_of(PLAIN, np.array([0.0, 0.0, 1.0, 0.0, 0.0]), sigma=1e-3)
     total = rows.T @ rows
     at = np.array([0.01, 0.02, 0.3])
     guess = first_guess(total, N, at, None)
@@ -297,9 +302,9 @@ def test_a_first_guess_from_the_response_to_torques():
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_no_guess_where_nothing_responds_in_the_right_sense(axis):
-    rows = rows_of(PLAIN, np.array([0.0, 0.0, 1.0]), sigma=1e-3)
+    rows = rows_of(PLAIN, np.array([0.0, 0.0, 1.0, 0.0, 0.0]), sigma=1e-3)
     rows[:, rb.N_SIGNALS + axis] *= -1.0
-    total, at = rows.T @ rows, np.array([0.0, 0.0, 1.0])
+    total, at = rows.T @ rows, np.array([0.0, 0.0, 1.0, 0.0, 0.0])
     assert first_guess(total, N, at, None) is None
     # What is known beforehand will do instead; what is not stays zero.
     prior = prior_of({i: (THETA[i], 0.1 * abs(THETA[i])) for i in range(6)})
@@ -311,8 +316,8 @@ def test_no_guess_where_nothing_responds_in_the_right_sense(axis):
 
 @pytest.mark.parametrize(("factor", "taken"), [(1.0, True), (30.0, False)])
 def test_a_prior_is_started_from_where_it_fits_better(factor, taken):
-    rows = rows_of(PLAIN, np.array([0.0, 0.0, 1.0]), sigma=0.5)
-    total, at = rows.T @ rows, np.array([0.0, 0.0, 1.0])
+    rows = rows_of(PLAIN, np.array([0.0, 0.0, 1.0, 0.0, 0.0]), sigma=0.5)
+    total, at = rows.T @ rows, np.array([0.0, 0.0, 1.0, 0.0, 0.0])
     vague = prior_of({i: (factor * THETA[i], 10.0 * abs(THETA[i])) for i in range(rb.N_THETA)})
     guess = first_guess(total, N, at, vague)
     assert np.allclose(guess[: rb.N_THETA], factor * THETA) is taken
@@ -334,10 +339,10 @@ def test_scales_are_roots_of_the_curvature_or_one():
 
 
 def test_a_fit_without_any_noise_keeps_its_weights_finite():
-    rows = rows_of(PLAIN, np.array([0.0, 0.0, 1.0]), sigma=0.0)
+    rows = rows_of(PLAIN, np.array([0.0, 0.0, 1.0, 0.0, 0.0]), sigma=0.0)
     total = rows.T @ rows
     problem = Problem(total[None], N, PLAIN, None)
-    guess = first_guess(total, N, np.array([0.0, 0.0, 1.0]), None)
+    guess = first_guess(total, N, np.array([0.0, 0.0, 1.0, 0.0, 0.0]), None)
     point, _ = minimise(problem, guess[None], MAX_ITERATIONS)
     assert np.isfinite(point.W).all()
     np.testing.assert_allclose(point.unknowns[0, : rb.N_THETA], THETA, rtol=1e-4)
@@ -347,10 +352,10 @@ def test_every_hypothesis_takes_the_best_of_its_own_starts():
     """The one is led astray from the first start, the other from the second."""
     at = np.array([0.006, 0.0, 1.0])
     rows = rows_of(SPEEDS, at, sigma=0.1)
-    others = rows_of(SPEEDS, np.array([-0.004, 0.0, 1.0]), seed=2, sigma=0.1)
+    others = rows_of(SPEEDS, np.array([-0.004, 0.0, 1.0, 0.0, 0.0]), seed=2, sigma=0.1)
     bank = np.stack([rows.T @ rows, others.T @ others])
     problem = Problem(bank, N, SPEEDS, None)
-    good = np.append(THETA, [0.0, 0.0, 1.0])
+    good = np.append(THETA, [0.0, 0.0, 1.0, 0.0, 0.0])
     astray = good.copy()
     astray[: rb.N_THETA] *= 50.0
     found, converged = search(problem, np.array([[astray, good], [good, astray]]))
@@ -360,8 +365,8 @@ def test_every_hypothesis_takes_the_best_of_its_own_starts():
     assert found.cost.shape == (2,)
 
 
-def test_the_ordinary_weighs_as_three_numbers_known_beforehand():
-    assert COORDINATE_MEAN.tolist() == [0.0, 0.05, 0.5]
-    assert COORDINATE_STD.tolist() == [0.03, 0.05, 0.5]
+def test_the_ordinary_weighs_as_five_numbers_known_beforehand():
+    assert COORDINATE_MEAN.tolist() == [0.0, 0.05, 0.5, 0.0, 0.0]
+    assert COORDINATE_STD.tolist() == [0.03, 0.05, 0.5, 0.4, 0.5]
     problem, _, unknowns = problem_at(COMMANDS, [0.03, 0.0, 1.5])
     assert problem.weak_cost(unknowns) == pytest.approx(1.0 + 1.0 + 4.0)

@@ -247,7 +247,8 @@ def test_where_the_window_takes_over():
     assert not WHITENED.whitens(0.02)
     assert not Tuning(gyro_cutoff=20.0).whitens(0.004)
     assert not WINDOW.whitens(0.004)
-    assert not COMMANDS.whitens(0.004)
+    assert COMMANDS.whitens(0.004)
+    assert not replace(COMMANDS, lags=(0.05,)).whitens(0.004)
 
 
 @pytest.mark.parametrize("b", [0.4, 0.9])

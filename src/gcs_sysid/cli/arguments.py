@@ -211,7 +211,7 @@ def _add_display(parser: argparse.ArgumentParser) -> None:
     sound.add_argument(
         "--speak",
         action="store_true",
-        help="announce maneuvers, link and verdict with spd-say, espeak-ng or say, else ring the bell",
+        help="announce maneuvers, link and verdict by spd-say, espeak-ng or say, else the bell",
     )
     sound.add_argument("--bell", action="store_true", help="ring the terminal's bell for them")
     parser.add_argument(

@@ -40,10 +40,11 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 from gcs_sysid.signals.windows import cosine_window
 
-COORDINATE_NAMES = ("rotor_delay", "motor_lag", "thrust_curve")
-"""Of the coordinates d, tau, c, as in `model.parameters`."""
+COORDINATE_NAMES = ("rotor_delay", "motor_lag", "thrust_curve", "lag_asymmetry", "lag_exponent")
+"""Of the coordinates d, tau, c as in `model.parameters`, and of e and p, which only
+`motor_linearization` has; they are nuisances."""
 N_COORDINATES = len(COORDINATE_NAMES)
-DELAY, LAG, CURVE = range(N_COORDINATES)
+DELAY, LAG, CURVE, ASYMMETRY, EXPONENT = range(N_COORDINATES)
 """Their indices."""
 
 WIDTH = rb.N_SIGNALS + 3
@@ -299,7 +300,7 @@ class ActuatorDynamics:
         self.curve_doubt = 0.0
         """One standard deviation of the thrust curve that no scatter shows; may change."""
         self.sets = 2 if commands else 1
-        axes = (self.delays, self.lags, curve)
+        axes = (self.delays, self.lags, curve, np.zeros(1), np.zeros(1))
         self.low = np.array([axis[0] for axis in axes])
         self.high = np.array([axis[-1] for axis in axes])
         self.free = tuple(i for i, axis in enumerate(axes) if len(axis) > 1)
@@ -354,7 +355,7 @@ class ActuatorDynamics:
         )
         scan = [_thinned(axis, most) for axis, most in zip(axes, _SCANNED, strict=True)]
         self.nodes = np.array(list(product(*scan)))
-        """(n, 3) coordinates from which a search may start."""
+        """(n, N_COORDINATES) coordinates from which a search may start."""
 
     def _chosen(self) -> tuple[Element, ...]:
         if len(self.lags) == 1:
@@ -460,7 +461,7 @@ class ActuatorDynamics:
         return np.stack([1.0 - curve, curve], axis=1)
 
 
-_SCANNED = (8, 6, 5)
+_SCANNED = (8, 6, 5, 1, 1)
 """Most values of each coordinate from which a search starts."""
 
 

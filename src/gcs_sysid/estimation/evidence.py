@@ -31,7 +31,8 @@ class EvidenceRules:
     """Slow power of residuals over that of white noise, with rotor speeds. Flights inside the model
     have 0.5 to 2.5 in all simulators tried, biased ones mostly more."""
     whiteness_commands: float = 6.5
-    """The same with commands: mostly 0.8 to 1.4 inside the model, 4 to 8 where rotors have inertia
+    """The same with commands and rows of the window: mostly 0.8 to 1.4 inside the model, 4 to 8
+    where rotors have inertia
     or the battery sags. Flights on all axes at once have 5 to 6 inside the model too, and
     intervals that hold; where thrust lags in place of speed they have 7 to 8, and intervals that
     do not."""
@@ -92,7 +93,9 @@ def evidence_of(
             return Evidence()
         why = "the flight is too short to hold a part of it out: nothing checks the fit"
         return Evidence((True, True, True), (why,))
-    limit = RULES.whiteness if rotor_input == "speed" else RULES.whiteness_commands
+    whitened = bool(fit.rotation.whiteners)
+    fine = whitened or rotor_input == "speed"
+    limit = RULES.whiteness if fine else RULES.whiteness_commands
     unpredicted = ~(found.r_squared >= RULES.least_r2)
     colored = (found.whiteness > limit) & (found.whiteness_p < RULES.whiteness_p)
     colored &= not (filtered or (rotor_input == "speed" and dt > RULES.slow))
@@ -117,7 +120,7 @@ def evidence_of(
             f"hardly any rotation in {_named(still)} "
             f"({', '.join(f'{rate:.2g}' for rate in rates[still])} rad/s rms): fly doublets there"
         )
-    least = RULES.least_whitened_r2 if fit.rotation.whiteners else RULES.least_r2
+    least = RULES.least_whitened_r2 if whitened else RULES.least_r2
     capped = tuple(bool(c) for c in ~(found.r_squared >= least) | colored | still)
     unmoved = tuple(bool(c) for c in (unpredicted | still) & ~colored)
     return Evidence(capped, tuple(reasons), unmoved)  # type: ignore[arg-type]

@@ -14,8 +14,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation import rotation, translation
-from gcs_sysid.estimation.actuator_dynamics import CURVE, LAGS_OF, LagPlace
-from gcs_sysid.estimation.command_noise import CommandNoise
+from gcs_sysid.estimation.actuator_dynamics import CURVE, LagPlace
+from gcs_sysid.estimation.disturbance import curve_doubt
 from gcs_sysid.estimation.lag_hypotheses import fit_lag_places, with_lag_doubt
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.record import FlightRecord
@@ -159,9 +159,7 @@ class OnlineEstimator:
         """How the accelerometer reads against gravity, from an earlier segment."""
         self._record = FlightRecord(geometry, dt, tuning, offline)
         self._basis = self._record.basis
-        self._whitened = (
-            WhitenedEstimator(self._record, geometry) if self._record.whitened else None
-        )
+        self._whitening = WhitenedEstimator(self._record, geometry)
         self._left_out: LeftOut | None = None
         self._settle_interval = tuning.settle_interval
         self._warm_starts: dict[str, _WarmStart] = {}
@@ -169,6 +167,11 @@ class OnlineEstimator:
         self._validation: Validation | None = None
         """The latest of a running flight."""
         self._rigid_body_test_at = 0.0
+
+    @property
+    def _whitened(self) -> WhitenedEstimator | None:
+        """None where there are no whitened rows, or none yet."""
+        return None if self._record.whitened is None else self._whitening
 
     @property
     def seconds(self) -> float:
@@ -205,7 +208,7 @@ class OnlineEstimator:
             fit: of this record.
             theta: (N_THETA,) what the rotors' noise acts with.
         """
-        if self._whitened is not None:
+        if self._whitened is not None and fit.whiteners:
             return self._whitened.gyro_density(fit, theta)
         record, n = self._record, rigid_body.N_SIGNALS
         Q = rigid_body.forward_matrix(theta)
@@ -254,8 +257,11 @@ class OnlineEstimator:
         """
         if quick:
             return self._follow((None,), series)[0]
-        record = self._record
-        record.flush()
+        self._record.flush()
+        with self._record.settled():
+            return self._full_fit()
+
+    def _full_fit(self) -> Fit:
         self._renew_prior()
         rot = self._fit_rotation()
         trans, accelerometer = self.fit_translation(rot)
@@ -389,7 +395,8 @@ class OnlineEstimator:
     ) -> list[RotationFit]:
         if self._whitened is not None:
             moments = [i.whitened for i in instants if i.whitened is not None]
-            return self._whitened.follow(moments, warm_start.rotation, self.prior)
+            fits = self._whitened.follow(moments, warm_start.rotation, self.prior)
+            return self._doubted(fits, warm_start.rotation)
         place = warm_start.rotation.lag_place
         self._use_place(place)
         fits = rotation.follow_rotation(
@@ -400,10 +407,15 @@ class OnlineEstimator:
             warm_start.rotation,
             self.prior,
         )
+        return self._doubted(fits, warm_start.rotation)
+
+    @staticmethod
+    def _doubted(fits: list[RotationFit], start: RotationFit) -> list[RotationFit]:
+        """Fits with what lags taken over from an earlier one."""
+        place = start.lag_place
         if place is None:
             return fits
-        doubt = warm_start.rotation.lag_doubt
-        return [with_lag_doubt(fit, place, doubt) for fit in fits]
+        return [with_lag_doubt(fit, place, start.lag_doubt) for fit in fits]
 
     def _use_place(self, place: LagPlace | None) -> None:
         """Let maps of the basis be those of what lags by a fit; None: as long as there is none."""
@@ -412,12 +424,8 @@ class OnlineEstimator:
 
     def _places(self, start: RotationFit | None) -> list[LagPlace]:
         """What may lag behind the commands, that of an earlier fit first."""
-        noise = self._record.input_noise
-        assert isinstance(noise, CommandNoise)
-        level = noise.level
         known = None if start is None else start.lag_place
-        first = LAGS_OF[0] if known is None else known.of
-        return [LagPlace(of, *level) for of in (first, *(of for of in LAGS_OF if of != first))]
+        return self._record.places() if known is None else self._record.places(known.of)
 
     def _renewed(self, series: str, warm_start: _WarmStart, fit: Fit) -> Fit:
         """A quick fit of now with all that is renewed now and then; the next ones go on from it."""
@@ -515,7 +523,11 @@ class OnlineEstimator:
             if found is None:
                 return None
             self._left_out = found[1]
-            return found[0]
+            if record.commands is None:
+                return found[0]
+            place = record.places(self._whitened.basis.lag_place.of)[0]
+            doubt = record.commands.doubt + curve_doubt(found[0])
+            return with_lag_doubt(found[0], place, doubt)
         moments = record.rotation
         data = moments.batches, moments.counts, self._basis, self._noise()
         if self._basis.bends:
@@ -524,8 +536,7 @@ class OnlineEstimator:
             fit = rotation.fit_rotation(*data, start, self.prior, record.noise_doubt)
             if fit is not None and fit.converged:
                 return fit
-        doubt = record.noise_doubt
-        return rotation.fit_rotation(*data, prior=self.prior, doubt=doubt)
+        return rotation.fit_rotation(*data, prior=self.prior, doubt=record.noise_doubt)
 
     def _fit_lag_places(self, start: RotationFit | None) -> RotationFit | None:
         """Of commands, with what lags as a hypothesis."""
@@ -592,7 +603,7 @@ class OnlineEstimator:
         total = self._record.momentum.total if momentum is None else momentum
         if fit.source == "accelerometer":
             total = self._record.accelerometer.total
-        step = 0.05 * np.eye(3)[CURVE]
+        step = 0.05 * np.eye(len(where))[CURVE]
         less, more = (
             float(mixed[..., 2, 0].ravel()[-1])  # of the vertical axis
             for c in (where - step, where + step)

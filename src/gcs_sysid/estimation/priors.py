@@ -14,9 +14,9 @@ from gcs_sysid.estimation.actuator_dynamics import N_COORDINATES
 from gcs_sysid.model import rigid_body as rb
 
 N_UNKNOWNS = rb.N_THETA + N_COORDINATES
-"""theta, then the coordinates of `estimation.basis`: rotor delay, motor lag, thrust curve."""
+"""theta, then the coordinates: rotor delay, motor lag, thrust curve, and the lag's nuisances."""
 COORDINATES = slice(rb.N_THETA, N_UNKNOWNS)
-DELAY, LAG, CURVE = range(rb.N_THETA, N_UNKNOWNS)
+DELAY, LAG, CURVE, ASYMMETRY, EXPONENT = range(rb.N_THETA, N_UNKNOWNS)
 """Their indices among the unknowns."""
 
 

@@ -1,14 +1,17 @@
 """What a flight leaves behind for the fits: moments of rows, in bounded memory."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from itertools import pairwise
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation import article_estimator as article
-from gcs_sysid.estimation.actuator_dynamics import ActuatorDynamics
+from gcs_sysid.estimation.actuator_dynamics import LAGS_OF, ActuatorDynamics, LagOf, LagPlace
 from gcs_sysid.estimation.command_noise import CommandNoise
+from gcs_sysid.estimation.command_record import CommandRecord
+from gcs_sysid.estimation.lag_hypotheses import fit_lag_places
 from gcs_sysid.estimation.normal_equations import NormalEquations
 from gcs_sysid.estimation.regression import LeakySums, RowMaker, Rows
 from gcs_sysid.estimation.rotor_signals import RotorPath
@@ -49,7 +52,7 @@ class FlightRecord:
         momentum: (3, thrusts + 3, ...) of the momentum balance.
         accelerometer: (thrusts + 3, ...) of its z axis.
         article: the article's estimator, where that is asked for.
-        whitened: moments of whitened rows, where they are asked for.
+        commands: what makes whitened rows of commands; None where none are asked for.
         input_noise: of the rotors' stream.
         half_width: s, of the window.
     """
@@ -76,7 +79,7 @@ class FlightRecord:
             CommandNoise(geometry, dt, tuning.loop_cutoff) if commands else SpeedNoise(geometry, dt)
         )
         # Beside whitened rows those of the window only judge.
-        self.memories = (0.0,) if tuning.whitens(dt) else tuning.leaks
+        self.memories = (0.0,) if tuning.whitens(dt) and not commands else tuning.leaks
         # Samples are taken in pieces of one size, however they come: whole rows, at little cost.
         piece = smoother.step * max(round(_PIECE_TIME / (smoother.step * dt)), 1)
         self._held = _Held(piece, geometry.shape[1])
@@ -93,15 +96,17 @@ class FlightRecord:
             coupled=True,
         )
         path = RotorPath(geometry, dt, basis, tuning.gyro_cutoff)
-        self.whitened: WhitenedRecord | None = None
+        self._of_speeds: WhitenedRecord | None = None
+        self.commands: CommandRecord | None = None
         steps = None
-        if tuning.whitens(dt):
+        if tuning.whitens(dt) and commands:
+            given = tuning.curves[0] if len(tuning.curves) == 1 else None
+            self.commands = CommandRecord(geometry, dt, tuning.batch_time, given)
+        elif tuning.whitens(dt):
             step = step_for(dt)
-            elements = ActuatorDynamics(
-                step.delays, tuning.lags, tuning.curves, commands=commands, half_width=None, dt=dt
-            )
+            elements = ActuatorDynamics(step.delays, half_width=None, dt=dt)
             steps = step, elements
-            self.whitened = WhitenedRecord(
+            self._of_speeds = WhitenedRecord(
                 elements,
                 step,
                 bank_for(step.time) if offline is None else offline.whiteners,
@@ -131,8 +136,8 @@ class FlightRecord:
         """Have all memory now that a long flight will need."""
         for moments in (self.rotation, self.momentum, self.accelerometer):
             moments.reserve()
-        if self.whitened is not None:
-            self.whitened.reserve()
+        if self._of_speeds is not None:
+            self._of_speeds.reserve()
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
@@ -140,8 +145,9 @@ class FlightRecord:
         self._rows.restart()
         self.input_noise.restart()
         self._leaks.restart()
-        if self.whitened is not None:
-            self.whitened.restart()
+        for record in (self._of_speeds, self.commands):
+            if record is not None:
+                record.restart()
         if self.article:
             self.article.restart()
 
@@ -173,13 +179,16 @@ class FlightRecord:
     def _take(self, samples: Samples, ends: Sequence[int]) -> Iterator[None]:
         """Make rows of all samples at once; add them up from each end to the next."""
         n, every = len(samples.gyro), self._noted_every
-        notes = range(every - self._since_noted, n + 1, every) if self.whitened is not None else ()
+        noted = self._of_speeds is not None or self.commands is not None
+        notes = range(every - self._since_noted, n + 1, every) if noted else ()
         edges = sorted([0, *ends, *notes, n])
         counts = [self._rows.count_after(end) for end in edges]
         steps = [self._rows.steps_after(end) for end in edges]
         made = self._rows.update(samples)
         if self.drift is not None:
             self.basis.curve_doubt = self.drift.curve_doubt
+            if self.commands is not None:
+                self.commands.doubt_curve(self.drift.curve_doubt)
         sections = _Sections(made, self._leaks)
         parts = zip(pairwise(edges), pairwise(counts), pairwise(steps), strict=True)
         ends_left = list(ends)
@@ -189,19 +198,55 @@ class FlightRecord:
                 self.input_noise.update(samples.speeds[piece], samples.apart[piece, 0])
                 if self.article:
                     self.article.update(samples.part(piece))
+                if self.commands is not None:
+                    self.commands.take(
+                        made.inputs[piece], samples.gyro[piece], samples.rates[piece]
+                    )
             if rows[0] < rows[1]:
                 self.rotation.add(sections.rotation(*rows))
                 self.momentum.add(sections.momentum(*rows))
                 self.accelerometer.add(sections.accelerometer(*rows))
-            if self.whitened is not None and few[0] < few[1]:
-                self.whitened.add(made.one_step[slice(*few)], self._noted_noise)
+            if self._of_speeds is not None and few[0] < few[1]:
+                self._of_speeds.add(made.one_step[slice(*few)], self._noted_noise)
             self._since_noted += part[1] - part[0]
             if self._since_noted >= every:
                 self._since_noted = 0
-                self._note = self._signals_noise()
+                if self.commands is None:
+                    self._note = self._signals_noise()
+                elif self.commands.due:
+                    self._tune(self.commands)
             if ends_left and part[1] == ends_left[0]:
                 del ends_left[0]
                 yield
+
+    @property
+    def whitened(self) -> WhitenedRecord | None:
+        """Moments of whitened rows, where they are asked for; with commands, as soon as any are."""
+        return self._of_speeds if self.commands is None else self.commands.white
+
+    def settled(self) -> AbstractContextManager[None]:
+        """With whitened rows of commands about the motors that the flight so far tells."""
+        return nullcontext() if self.commands is None else self.commands.settled()
+
+    def places(self, first: LagOf = LAGS_OF[0]) -> list[LagPlace]:
+        """What may lag behind the commands, the likeliest first."""
+        noise = self.input_noise
+        assert isinstance(noise, CommandNoise)
+        order = (first, *(of for of in LAGS_OF if of != first))
+        return [LagPlace(of, *noise.level) for of in order]
+
+    def _tune(self, commands: CommandRecord) -> None:
+        noise, window = self.input_noise, None
+        assert isinstance(noise, CommandNoise)
+        if self.rotation.rows:
+            before = self.basis.lag_place
+            silence = np.stack([self.noise(i) for i in range(len(self.memories))])
+            window = fit_lag_places(
+                self.rotation.batches, self.rotation.counts, self.basis, silence,
+                self.places(), self.seconds / self.half_width, doubt=self.noise_doubt,
+            )  # fmt: skip
+            self.basis.lag_place = before
+        commands.tune(window, noise.level[0])
 
     @property
     def seconds(self) -> float:
@@ -245,6 +290,10 @@ class FlightRecord:
             some: whiteners; None: all of the bank.
         """
         assert self.whitened is not None
+        if self.commands is not None:
+            # Commands that are whitened are too fast to miss anything.
+            silence = self.whitened.silence
+            return silence if some is None else silence[list(some)]
         return self.whitened.noise(*self._signals_noise(), some)
 
     def _noted_noise(self) -> Array:
@@ -272,8 +321,9 @@ class FlightRecord:
         rows = int(np.ceil(seconds / self.row_time))
         for moments in (self.rotation, self.momentum, self.accelerometer):
             moments.drop_last(rows)
-        if self.whitened is not None:
-            self.whitened.forget_last(seconds)
+        for record in (self._of_speeds, self.commands):
+            if record is not None:
+                record.forget_last(seconds)
 
 
 class _Sections:

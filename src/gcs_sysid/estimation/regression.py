@@ -33,12 +33,14 @@ class Rows:
             along it, velocity, 1, and what they make up.
         accelerometer: (n, thrusts + 3).
         one_step: (m, width') of elements, over one step; m = 0 where none are made.
+        inputs: (samples, rotors) speeds or commands that the rows were made of.
     """
 
     rotation: Array
     momentum: Array
     accelerometer: Array
     one_step: Array
+    inputs: Array
 
 
 class RowMaker:
@@ -93,7 +95,11 @@ class RowMaker:
 
     def update(self, samples: Samples) -> Rows:
         """The rows that these samples complete."""
-        signals = self._signals(samples)
+        inputs = samples.speeds
+        if self._drift is not None:
+            thrust = self._drift.update(inputs, samples.force[:, 2], samples.voltage[:, 0])
+            inputs = inputs * thrust[:, None]
+        signals = self._signals(samples, inputs)
         rows = self._smoother.update(signals, self._late)
         n, thrusts = len(rows.average), self._thrusts
         one_step = np.empty((0, 0))
@@ -115,7 +121,7 @@ class RowMaker:
         accelerometer[:, -3] = 0.0
         accelerometer[:, -1] = rows.average[:, -1]
         rotation = self._of_elements(rows, self._basis)[None]
-        return Rows(rotation, momentum, accelerometer, one_step)
+        return Rows(rotation, momentum, accelerometer, one_step, inputs)
 
     def _of_elements(self, rows: Smoothed, basis: ActuatorDynamics) -> Array:
         """(n, width) rows of elements."""
@@ -137,10 +143,7 @@ class RowMaker:
         out[:, -3:] = rows.derivative[:, late + BODY - 3 : late + BODY]
         return out
 
-    def _signals(self, s: Samples) -> Array:
-        inputs = s.speeds
-        if self._drift is not None:
-            inputs = inputs * self._drift.update(inputs, s.force[:, 2], s.voltage[:, 0])[:, None]
+    def _signals(self, s: Samples, inputs: Array) -> Array:
         rotors, bent, thrust = self._path.signals(inputs)
         n, late = len(s.gyro), self._late
         H = rotors[0, :, 4]

@@ -86,7 +86,8 @@ class RotationFit:
         r_squared: (3,) share of each axis' angular acceleration that the model explains.
         rows: how many rows it rests on.
         converged: whether the minimiser was reached.
-        coordinates: (3,) rotor delay (s), motor lag (s), thrust curve, see `estimation.basis`.
+        coordinates: (N_COORDINATES,) rotor delay (s), motor lag (s), thrust curve, and nuisances of
+            the lag, see `estimation.actuator_dynamics`.
         leak: index of the leak that was taken, see `most_certain`.
         whiteners: of each axis, where rows were whitened; else empty.
         disturbance: (3,) nats a second by which an unmodelled moment explains an axis better than
@@ -110,7 +111,7 @@ class RotationFit:
     r_squared: Array
     rows: int
     converged: bool
-    coordinates: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    coordinates: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0, 0.0, 0.0]))
     leak: int = 0
     data_std: Array = field(default_factory=lambda: np.empty(0))
     full_covariance: Array = field(default_factory=lambda: np.empty((0, 0)))
@@ -167,7 +168,7 @@ class RotationFit:
 
     @property
     def coordinates_std(self) -> Array:
-        """(3,) standard deviations; zero where one was not estimated."""
+        """(N_COORDINATES,) standard deviations; zero where one was not estimated."""
         std: Array = np.sqrt(np.diag(self.full_covariance))[COORDINATES]
         return std
 

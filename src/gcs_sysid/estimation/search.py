@@ -16,9 +16,10 @@ from gcs_sysid.model import rigid_body as rb
 
 N_X = rb.N_SIGNALS
 
-COORDINATE_MEAN = np.array([0.0, 0.05, 0.5])
-COORDINATE_STD = np.array([0.03, 0.05, 0.5])
-"""s, s and 1; keep delay, lag and curve in the ordinary while the flight does not tell them."""
+COORDINATE_MEAN = np.array([0.0, 0.05, 0.5, 0.0, 0.0])
+COORDINATE_STD = np.array([0.03, 0.05, 0.5, 0.4, 0.5])
+"""s, s, 1, 1 and 1; keep delay, lag, curve, asymmetry and exponent of the lag in the ordinary while
+the flight does not tell them. Simulators and motors on the bench have an asymmetry of 0 to 0.7."""
 
 MAX_ITERATIONS = 40
 _SCAN_ITERATIONS, _STARTS = 8, 4

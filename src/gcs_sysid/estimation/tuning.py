@@ -52,13 +52,13 @@ class Tuning:
     def whitens(self, dt: float) -> bool:
         """Whether rows of samples that are `dt` s apart are whitened.
 
-        Not those of commands, of a gyro that the autopilot filters, or of slow samples: there the
-        window is at least as good, and takes their place.
+        Not those of a gyro that the autopilot filters, or of slow samples, or of commands whose
+        lag is given: there the window is at least as good, and takes their place.
         """
         return (
             self.smoother == "whitened"
             and self.method == "forward"
-            and self.rotor_input == "speed"
+            and (self.rotor_input == "speed" or len(self.lags) > 1)
             and self.gyro_cutoff is None
             and dt <= _WHITENED
         )

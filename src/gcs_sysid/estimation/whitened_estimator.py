@@ -29,6 +29,7 @@ from gcs_sysid.estimation.validation import (
 )
 from gcs_sysid.estimation.whitened_fit import find_shocks, fit_whitened, follow_whitened
 from gcs_sysid.estimation.whitened_moments import WhitenedMoments, grouped
+from gcs_sysid.estimation.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.whitening import slower
 from gcs_sysid.model import rigid_body as rb
 
@@ -83,14 +84,17 @@ class WhitenedEstimator:
     """
 
     def __init__(self, record: FlightRecord, geometry: Array) -> None:
-        assert record.whitened is not None
         self._choice = DeviationChoice(geometry)
         self._geometry = geometry
         self._record = record
-        self._white = record.whitened
         self.bound = np.full(rb.N_THETA, np.nan)
         """(N_THETA,) standard deviations of the latest fit, were its innovations white and the
         model whole: the Cramer-Rao bound."""
+
+    @property
+    def _white(self) -> WhitenedRecord:
+        assert self._record.whitened is not None
+        return self._record.whitened
 
     @property
     def basis(self) -> ActuatorDynamics:

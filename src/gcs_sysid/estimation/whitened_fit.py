@@ -364,7 +364,9 @@ def _tried(
     for axis, own in enumerate(data.own):
         # An axis' noise is its own.
         alike[[i for i in data.own if i != own], axis] = np.inf
-    return Trial(data.whiteners, data.time, point.unknowns, alike, point.hessian)
+    tried = point.unknowns.copy()
+    tried[:, COORDINATES] = at  # plain rows have none
+    return Trial(data.whiteners, data.time, tried, alike, point.hessian)
 
 
 def _chosen(
@@ -463,7 +465,8 @@ def _scanned(
     weak = AxisProblem(total[:1, None], rows, basis, prior, data.noise[:1, None]).weak_cost(starts)
     cost = power.min(axis=0).sum(axis=1) + weak[: len(nodes)] / rows
     best = int(np.argmin(cost))
-    found = point.unknowns.reshape(len(some), len(nodes), -1)[:, best]
+    found = point.unknowns.reshape(len(some), len(nodes), -1)[:, best].copy()
+    found[:, COORDINATES] = nodes[best]  # plain rows have none
     unknowns = np.repeat(found, every, axis=0)[: len(total)]
     return _tried(total, rows, data, basis, prior, unknowns, _TRY)
 

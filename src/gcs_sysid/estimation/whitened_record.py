@@ -79,6 +79,7 @@ class WhitenedRecord:
         """Which of the step's each of the basis' delays is."""
         self._columns: list[int] | None = None
         """Those taken of the rows; None: all."""
+        self._narrows = not basis.commands
         self.narrowed = False
         """Whether whiteners and delays are fewer than at first: their numbers changed."""
         self._reference: Reference | None = None
@@ -111,7 +112,7 @@ class WhitenedRecord:
                 if self._full == _RECENT:
                     self._settle(noise())
                     learnt = self.rows * self.time >= _LEARNT and self._offline is None
-                    if self._columns is None and learnt:
+                    if self._narrows and self._columns is None and learnt:
                         white = self._narrow(white, noise())
                 room = self._per_short - int(self._counts[self._full])
                 part = white[:, done : done + room]
@@ -148,6 +149,11 @@ class WhitenedRecord:
 
     def _offline_places(self, which: Literal["own", "judges"]) -> tuple[int, ...]:
         return () if self._offline is None else tuple(self.places(getattr(self._offline, which)))
+
+    @property
+    def silence(self) -> Array:
+        """(bank, width, width) of inputs without noise."""
+        return np.zeros((len(self.whiteners), self.basis.width, self.basis.width))
 
     @property
     def batches(self) -> int:

@@ -185,6 +185,18 @@ def bank_for(T: float) -> tuple[Whitener, ...]:
     )
 
 
+def bank_for_commands(T: float) -> tuple[Whitener, ...]:
+    """Whiteners for rows of commands, which are too slow for the fastest disturbances."""
+    return (
+        NONE,
+        *(leak(T, memory) for memory in LEAKS),
+        *(torque_noise(T, f) for f in WALKS[:3]),
+        *(gauss_markov(T, f) for f in DISTURBED[:7]),
+        *(gauss_markov(T, f, tau=QUICK) for f in QUICKLY_DISTURBED),
+        *(gauss_markov(T, f_d, f_u) for f_d, f_u in ((4.0, 15.0), (16.0, 40.0))),
+    )
+
+
 def essential(whiteners: Sequence[Whitener], picked: Sequence[int]) -> list[int]:
     """Indices of the whiteners to go on with once a flight has shown what it is like.
 

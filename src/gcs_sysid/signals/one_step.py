@@ -47,19 +47,28 @@ class OneStep:
         dt: s between samples.
         shifts: whole steps by which the first signals may be stamped late, rising.
         samples: h, of a step.
+        mean: whether a value is the mean over a step; else it is that of one sample, whose noise
+            nothing within the step can have answered.
         cubic: whether to integrate the cubic through four samples; else the trapezoid.
     """
 
     def __init__(
-        self, dt: float, shifts: tuple[int, ...] = (0,), samples: int = 1, *, cubic: bool = True
+        self,
+        dt: float,
+        shifts: tuple[int, ...] = (0,),
+        samples: int = 1,
+        *,
+        cubic: bool = True,
+        mean: bool = True,
     ) -> None:
         h = self.step = samples
         self.time = h * dt
         """s of a step, T."""
         self.delays = np.array(shifts) * self.time
         box = np.ones(h) / h
-        self._average = np.convolve(np.convolve(box, box), _CUBIC if cubic else _TRAPEZOID)
-        change = np.convolve(box, np.concatenate([[-1.0], np.zeros(h - 1), [1.0]])) / self.time
+        value = box if mean else np.ones(1)
+        self._average = np.convolve(np.convolve(box, value), _CUBIC if cubic else _TRAPEZOID)
+        change = np.convolve(value, np.concatenate([[-1.0], np.zeros(h - 1), [1.0]])) / self.time
         self._derivative = np.pad(change, (len(self._average) - len(change)) // 2)
         self._shifts = tuple(shift - shifts[0] for shift in shifts)
         # Rows of the signals themselves come first when all delays are positive.

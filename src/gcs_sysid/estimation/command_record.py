@@ -1,0 +1,274 @@
+"""What a flight on commands leaves behind: rows linearised about motors that the flight tells.
+
+The way from command to thrust is known well enough for rows of one step only once a few seconds
+have been flown. The first two minutes of samples are therefore kept. As a flight goes on its rows
+are made anew about the motors found by then, whitened and summed up (`whitened_record`); after that
+the motors are known, rows go on as they are, and what was kept is dropped. When this happens the
+samples decide, not who looks.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.actuator_dynamics import CURVE, LAGS_OF, LagOf
+from gcs_sysid.estimation.motor_linearization import LocalDynamics, MotorRows, step_of
+from gcs_sysid.estimation.priors import DELAY, LAG, N_UNKNOWNS
+from gcs_sysid.estimation.rotation import RotationFit
+from gcs_sysid.estimation.search import residual_maker
+from gcs_sysid.estimation.whitened_fit import WhitenedFit, fit_whitened
+from gcs_sysid.estimation.whitened_record import WhitenedRecord
+from gcs_sysid.estimation.whitening import bank_for_commands
+
+FIRST, LAST = 6.0, 120.0
+"""s of flight from which motors are looked for, and from which they are known."""
+_GROWTH = 2.0
+"""By how much a flight grows until they are looked for again."""
+_ROUNDS, _ROUNDS_OF_OTHERS = 4, 2
+"""Times that rows are made anew, at most, until the motors stay; and where something else lags."""
+_STAYED = 0.3
+"""Of the steps of the linearisation; a smaller move leaves less than 1e-3 of a signal."""
+_BELIEVED = 0.3
+"""Share of roll and pitch that a window must explain before motors are looked for."""
+_GRID = np.array([2e-4, 2e-4, 5e-3, 0.01, 0.02])
+"""s, s, 1, 1, 1, to which motors are rounded: rounding of sums in another order then changes
+nothing of the rows."""
+_AT_ONCE = 1000
+"""Samples made into rows at a time."""
+
+_TIMING = np.array([DELAY, LAG])
+_Samples = tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class _Tuned:
+    """Rows about one set of motors.
+
+    Attributes:
+        basis: the motors.
+        maker: of the rows.
+        white: their moments.
+        fit: to these, when they were made.
+    """
+
+    basis: LocalDynamics
+    maker: MotorRows
+    white: WhitenedRecord
+    fit: WhitenedFit
+
+
+class CommandRecord:
+    """Samples in; moments of whitened rows out, once there are motors to make them with.
+
+    Args:
+        geometry: (3, rotors) of the airframe.
+        dt: s between samples.
+        batch_time: s, of long batches.
+        curve: thrust curve that is given; None: it is unknown.
+    """
+
+    def __init__(
+        self, geometry: Array, dt: float, batch_time: float, curve: float | None = None
+    ) -> None:
+        self._geometry, self._dt, self._batch_time, self._curve = geometry, dt, batch_time, curve
+        self._kept: list[_Samples | None] | None = []
+        """Samples, None where what follows does not join on; None altogether: kept no more."""
+        self._samples = 0
+        self._now: _Tuned | None = None
+        self._next, self._curve_doubt = FIRST, 0.0
+        self._apart = np.zeros(CURVE)
+        """s, by which delay and lag differ from those that the symmetric window finds."""
+        self._settled: tuple[int, _Tuned, Array] | None = None
+        self.doubt = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
+        """What an estimate may be off by, as it is not known what lags."""
+
+    @property
+    def white(self) -> WhitenedRecord | None:
+        """The moments; None as long as there are no motors to make rows with."""
+        return None if self._now is None else self._now.white
+
+    def doubt_curve(self, std: float) -> None:
+        """One standard deviation of the thrust curve that no scatter shows."""
+        self._curve_doubt = std
+        if self._now is not None:
+            self._now.basis.curve_doubt = std
+
+    @property
+    def due(self) -> bool:
+        """Whether the motors are to be looked for now."""
+        return self._kept is not None and self._samples * self._dt >= self._next
+
+    def take(self, inputs: Array, gyro: Array, rates: Array) -> None:
+        """Take (n, rotors) commands, (n, 3) gyro and (n, 3) rates in rad/s."""
+        samples = inputs.copy(), gyro.copy(), rates.copy()
+        self._samples += len(inputs)
+        if self._kept is not None:
+            self._kept.append(samples)
+        if self._now is not None:
+            _add(self._now.maker, self._now.white, samples)
+
+    def restart(self) -> None:
+        """A gap: what comes next does not join on to what came before."""
+        if self._kept:
+            self._kept.append(None)
+        if self._now is not None:
+            _restart(self._now)
+
+    def forget_last(self, seconds: float) -> None:
+        """Leave out at least the last `seconds` of what was learnt."""
+        self._settled = None
+        if self._kept is None:
+            if self._now is not None:
+                self._now.white.forget_last(seconds)
+                _restart(self._now)
+            return
+        left = int(np.ceil(seconds / self._dt))
+        while left > 0 and self._kept:
+            last = self._kept.pop()
+            if last is None:
+                continue
+            n = len(last[0])
+            if n > left:
+                self._kept.append(tuple(part[: n - left] for part in last))  # type: ignore[arg-type]
+            self._samples -= min(n, left)
+            left -= n
+        self._kept.append(None)
+        if self._now is not None:
+            basis = self._now.basis
+            maker, white = self._made(basis, self._now.maker.hover)
+            self._now = replace(self._now, maker=maker, white=white)
+
+    def tune(self, window: RotationFit | None, hover: float) -> None:
+        """Look for the motors, and make rows about them from the beginning.
+
+        Args:
+            window: a fit of the symmetric window, from which the first search starts.
+            hover: mean command.
+        """
+        seconds = self._samples * self._dt
+        self._next = min(max(_GROWTH * seconds, self._next), max(LAST, seconds + FIRST))
+        starts: list[tuple[Array, LagOf]] = []
+        if self._now is not None:
+            basis = self._now.basis
+            starts.append((basis.at, basis.lag_place.of))
+        if window is not None and float(window.r_squared[:2].min()) > _BELIEVED:
+            at = np.rint(window.coordinates / (10.0 * _GRID)) * 10.0 * _GRID
+            starts.append((at, "speed" if window.lag_place is None else window.lag_place.of))
+        found = self._found(starts, hover)
+        if found is not None:
+            self._now, self.doubt = found
+            rotation = self._now.fit.rotation
+            if float(rotation.r_squared[:2].min()) < _BELIEVED:
+                self._now = None
+            else:
+                self._now.white.narrowed = True
+                if window is not None:
+                    self._apart = rotation.coordinates[:CURVE] - window.coordinates[:CURVE]
+        if seconds >= LAST:
+            self._kept = None
+
+    @contextmanager
+    def settled(self) -> Iterator[None]:
+        """With rows about the motors that the flight so far tells best; a function of it alone."""
+        before, doubt = self._now, self.doubt
+        if before is not None and self._kept is not None:
+            if self._settled is None or self._settled[0] != self._samples:
+                basis = before.basis
+                found = self._found([(basis.at, basis.lag_place.of)], before.maker.hover)
+                self._settled = (self._samples, *(found or (before, doubt)))
+            _, self._now, self.doubt = self._settled
+        try:
+            yield
+        finally:
+            self._now, self.doubt = before, doubt
+
+    def _found(
+        self, starts: Sequence[tuple[Array, LagOf]], hover: float
+    ) -> tuple[_Tuned, Array] | None:
+        """Rows about the likeliest motors, and what the other places of the lag differ by.
+
+        By that much they may be off with these places' probability (Bayesian model averaging:
+        Hoeting et al. 1999, Statistical Science 14, 382-417). A delay and lag that fast and slow
+        motion see differently are not of first order: by half of that they may be off too.
+        """
+        every = [self._converged(at, of, hover) for at, of in starts]
+        first = min((tuned for tuned in every if tuned is not None), key=_cost, default=None)
+        if first is None:
+            return None
+        found, start = [first], first.fit.rotation.coordinates
+        for other in LAGS_OF:
+            if other != first.basis.lag_place.of:
+                tuned = self._converged(start, other, hover, _ROUNDS_OF_OTHERS)
+                if tuned is not None:
+                    found.append(tuned)
+        cost = np.array([_cost(tuned) for tuned in found])
+        weight = np.exp(cost.min() - cost)
+        unknowns = np.stack([tuned.fit.rotation.unknowns for tuned in found])
+        best = int(np.argmin(cost))
+        away = unknowns - unknowns[best]
+        doubt = (away * (weight / weight.sum())[:, None]).T @ away
+        doubt[_TIMING, _TIMING] += (0.5 * self._apart) ** 2
+        return found[best], doubt
+
+    def _converged(
+        self, at: Array, of: LagOf, hover: float, rounds: int = _ROUNDS
+    ) -> _Tuned | None:
+        tuned = None
+        for _ in range(rounds):
+            at = np.rint(at / _GRID) * _GRID
+            if self._curve is not None:
+                at[CURVE] = self._curve
+            basis = LocalDynamics(at, of, self._dt, curve=self._curve is None)
+            maker, white = self._made(basis, hover)
+            found = fit_whitened(white.moments(white.silence), basis)
+            if found is None:
+                return tuned
+            tuned = _Tuned(basis, maker, white, found)
+            at = found.rotation.coordinates
+            if (np.abs(at - basis.at) < _STAYED * basis.moved).all():
+                break
+        return tuned
+
+    def _made(self, basis: LocalDynamics, hover: float) -> tuple[MotorRows, WhitenedRecord]:
+        """All samples kept, as rows."""
+        assert self._kept is not None
+        basis.curve_doubt = self._curve_doubt
+        step = step_of(self._dt)
+        bank = bank_for_commands(step.time)
+        maker = MotorRows(self._geometry, self._dt, basis, hover)
+        white = WhitenedRecord(basis, step, bank, self._dt, self._batch_time)
+        some: list[_Samples] = []
+        for samples in (*self._kept, None):
+            if samples is not None:
+                some.append(samples)
+                continue
+            if some:
+                joined = tuple(np.concatenate(parts) for parts in zip(*some, strict=True))
+                _add(maker, white, joined)
+            maker.restart()
+            white.restart()
+            some = []
+        return maker, white
+
+
+def _restart(tuned: _Tuned) -> None:
+    tuned.maker.restart()
+    tuned.white.restart()
+
+
+def _add(maker: MotorRows, white: WhitenedRecord, samples: tuple[Array, ...]) -> None:
+    n = len(samples[0])
+    for start in range(0, n, _AT_ONCE):
+        some = (part[start : start + _AT_ONCE] for part in samples)
+        white.add(maker.update(*some), lambda: white.silence)
+
+
+def _cost(tuned: _Tuned) -> float:
+    """Nats of all rows, shocks included: what is left out differs from one to another."""
+    white, fit = tuned.white, tuned.fit.rotation
+    TP = residual_maker(fit.Q) @ tuned.basis.map_at(fit.coordinates)
+    power = np.einsum("ai,bij,aj->ba", TP, white.total, TP).min(axis=0)
+    return 0.5 * white.rows * float(np.log(power).sum())
