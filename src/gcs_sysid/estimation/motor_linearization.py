@@ -171,14 +171,14 @@ class MotorRows:
     def update(self, inputs: Array, gyro: Array, rates: Array) -> Array:
         """(m, width) rows that (n, rotors) commands, (n, 3) gyro and rates in rad/s complete."""
         signals, sets = self._signals(inputs), self._basis.sets
-        n = len(signals)
-        timeline = np.column_stack([signals.reshape(n, -1), gyro, rates])
+        points = signals.shape[1]
+        timeline = np.column_stack([signals.reshape(-1, points * SIGNALS), gyro, rates])
         if self._held is not None:
             timeline = np.concatenate([self._held, timeline])
         count = max(len(timeline) - self._past - self._ahead, 0)
         self._held = timeline[count:]
         now = slice(self._past, self._past + count)
-        signals = timeline[:, :-6].reshape(len(timeline), -1, SIGNALS)
+        signals = timeline[:, :-6].reshape(-1, points, SIGNALS)
         late, before, after = (
             signals[self._past + s : self._past + s + count] for s in self._shifts
         )
@@ -188,10 +188,16 @@ class MotorRows:
         rotors[:, 3:] = late[:, 1:] - late[:, :1]
         gyro, rates = timeline[now, -6:-3], timeline[now, -3:]
         products = rotors[..., -1:] * rates[:, None, 1::-1]
-        flat = rotors.reshape(count, -1)
+        flat = rotors.reshape(-1, sets * SIGNALS)
         rows = self._step.update(
             np.column_stack(
-                [flat, products.reshape(count, -1), rb.rate_products(rates), rates, gyro]
+                [
+                    flat,
+                    products.reshape(-1, sets * len(_COUPLED)),
+                    rb.rate_products(rates),
+                    rates,
+                    gyro,
+                ]
             ),
             flat.shape[1],
         )
@@ -201,8 +207,10 @@ class MotorRows:
         of_sets[..., :SIGNALS] = rows.average[:, : flat.shape[1]].reshape(m, sets, SIGNALS)
         of_sets[..., SIGNALS - 1] = rows.derivative[:, SIGNALS - 1 : flat.shape[1] : SIGNALS]
         body = self._basis.late
-        of_sets[..., SIGNALS:] = rows.average[:, flat.shape[1] : body].reshape(m, sets, -1)
-        out[:, :body] = of_sets.reshape(m, -1)
+        of_sets[..., SIGNALS:] = rows.average[:, flat.shape[1] : body].reshape(
+            m, sets, len(_COUPLED)
+        )
+        out[:, :body] = of_sets.reshape(m, body)
         out[:, body:-3] = rows.average[:, body:-3]
         out[:, -3:] = rows.derivative[:, -3:]
         return out
