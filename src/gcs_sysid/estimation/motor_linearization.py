@@ -19,7 +19,6 @@ orders, and once more with each parameter moved a little. Rows near that point a
 these, and the five are unknowns of the fit; it starts again where it ends, until it stays.
 """
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -172,15 +171,14 @@ class MotorRows:
     def update(self, inputs: Array, gyro: Array, rates: Array) -> Array:
         """(m, width) rows that (n, rotors) commands, (n, 3) gyro and rates in rad/s complete."""
         signals, sets = self._signals(inputs), self._basis.sets
-        n = len(signals)
-        timeline = np.column_stack([signals.reshape(n, math.prod(signals.shape[1:])), gyro, rates])
+        points = signals.shape[1]
+        timeline = np.column_stack([signals.reshape(-1, points * SIGNALS), gyro, rates])
         if self._held is not None:
             timeline = np.concatenate([self._held, timeline])
         count = max(len(timeline) - self._past - self._ahead, 0)
         self._held = timeline[count:]
         now = slice(self._past, self._past + count)
-        points = (timeline.shape[1] - 6) // SIGNALS
-        signals = timeline[:, :-6].reshape(len(timeline), points, SIGNALS)
+        signals = timeline[:, :-6].reshape(-1, points, SIGNALS)
         late, before, after = (
             signals[self._past + s : self._past + s + count] for s in self._shifts
         )
@@ -190,12 +188,12 @@ class MotorRows:
         rotors[:, 3:] = late[:, 1:] - late[:, :1]
         gyro, rates = timeline[now, -6:-3], timeline[now, -3:]
         products = rotors[..., -1:] * rates[:, None, 1::-1]
-        flat, coupled = rotors.reshape(count, sets * SIGNALS), len(_COUPLED)
+        flat = rotors.reshape(-1, sets * SIGNALS)
         rows = self._step.update(
             np.column_stack(
                 [
                     flat,
-                    products.reshape(count, sets * coupled),
+                    products.reshape(-1, sets * len(_COUPLED)),
                     rb.rate_products(rates),
                     rates,
                     gyro,
@@ -209,7 +207,9 @@ class MotorRows:
         of_sets[..., :SIGNALS] = rows.average[:, : flat.shape[1]].reshape(m, sets, SIGNALS)
         of_sets[..., SIGNALS - 1] = rows.derivative[:, SIGNALS - 1 : flat.shape[1] : SIGNALS]
         body = self._basis.late
-        of_sets[..., SIGNALS:] = rows.average[:, flat.shape[1] : body].reshape(m, sets, coupled)
+        of_sets[..., SIGNALS:] = rows.average[:, flat.shape[1] : body].reshape(
+            m, sets, len(_COUPLED)
+        )
         out[:, :body] = of_sets.reshape(m, body)
         out[:, body:-3] = rows.average[:, body:-3]
         out[:, -3:] = rows.derivative[:, -3:]

@@ -186,7 +186,7 @@ def bank_for(T: float) -> tuple[Whitener, ...]:
 
 
 def bank_for_commands(T: float) -> tuple[Whitener, ...]:
-    """Whiteners for rows of commands, which are too slow for the fastest disturbances."""
+    """Whiteners for rows of commands, whose steps are too long for the fastest disturbances."""
     return (
         NONE,
         *(leak(T, memory) for memory in LEAKS),

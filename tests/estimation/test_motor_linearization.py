@@ -1,0 +1,119 @@
+"""Rows of commands through motors, and their derivatives, against motors written out."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from gcs_sysid.estimation.actuator_dynamics import (
+    ASYMMETRY,
+    CURVE,
+    DELAY,
+    EXPONENT,
+    LAG,
+    LAGS_OF,
+    ROTOR_COLUMNS,
+)
+from gcs_sysid.estimation.motor_linearization import LocalDynamics, MotorRows
+from gcs_sysid.model import rigid_body as rb
+
+DT, HOVER = 0.004, 0.4
+GEOMETRY = np.array([[0.2, -0.2, 0.2, -0.2], [0.2, -0.2, -0.2, 0.2], [1.0, 1.0, -1.0, -1.0]])
+AT = np.array([0.004, 0.03, 0.4, 0.3, 0.5])
+
+
+def flown(n=900, seed=1):
+    """Commands, gyro and rates of a lively flight."""
+    rng = np.random.default_rng(seed)
+    slow = lfilter(np.ones(8), 1.0, np.cumsum(rng.normal(size=(n, 7)), axis=0), axis=0)
+    slow -= np.linspace(0.0, 1.0, n)[:, None] * slow[-1]
+    slow /= slow.std(axis=0)
+    return HOVER + 0.08 * slow[:, :4], slow[:, 4:], slow[:, 4:]
+
+
+def rows_at(at, of, samples=None, near=None):
+    """Rows [x, y] at a point; `near`: linearised about another one."""
+    basis = LocalDynamics(at if near is None else near, of, DT)
+    rows = MotorRows(GEOMETRY, DT, basis, HOVER).update(*(samples or flown()))
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    return rows @ basis.map_at(at).T
+
+
+def share_of(u, at, of):
+    """(n, rotors) of full thrust, sample by sample with steps a quarter as long."""
+    _, tau, c, e, p = at
+
+    def drive(u):
+        share = (1.0 - c) * u + c * u * u
+        return {"speed": np.sqrt(share), "command": u, "thrust": share}[of]
+
+    x, fine, hover, out = drive(u[0]), 4, drive(np.array(HOVER)), [drive(u[0])]
+    for before, after in itertools.pairwise(u):
+        for k in range(fine):
+            v = drive(before + (k + 0.5) / fine * (after - before))
+            now = tau * np.where(v > x, np.exp(-e / 2.0), np.exp(e / 2.0)) * (hover / x) ** p
+            x = v + (x - v) * np.exp(-DT / fine / now)
+        out.append(x)
+    x = np.array(out)
+    return {"speed": x * x, "command": (1.0 - c) * x + c * x * x, "thrust": x}[of]
+
+
+@pytest.mark.parametrize("of", LAGS_OF)
+def test_rows_hold_the_thrust_of_motors_with_a_lag(of):
+    u = flown()[0]
+    at = np.array([0.0, *AT[1:]])
+    found = rows_at(at, of)[:, 2]
+    thrust = share_of(u, at, of).sum(axis=1)
+    # A row is the mean over three steps of 4 ms, by Simpson's rule for lines good enough here.
+    mean = np.convolve(thrust, np.array([0.5, 1.0, 1.0, 0.5]) / 3.0, "valid")
+    change = mean[::3] - HOVER
+    best = min(
+        np.abs(found - mean[k::3][: len(found)]).max()
+        for k in range(len(mean) - 3 * len(found) + 3)
+    )
+    assert best < 2e-3 * np.abs(change).max()
+
+
+@pytest.mark.parametrize("of", LAGS_OF)
+@pytest.mark.parametrize(
+    ("which", "by"),
+    [(DELAY, 0.002), (LAG, 1e-3), (CURVE, 0.03), (ASYMMETRY, 0.03), (EXPONENT, 0.06)],
+)
+def test_rows_near_a_point_are_those_of_the_motors_there(of, which, by):
+    other = AT.copy()
+    other[which] += by
+    true, linear, unmoved = rows_at(other, of), rows_at(other, of, near=AT), rows_at(AT, of)
+    n = min(len(true), len(linear), len(unmoved))
+    columns = [*ROTOR_COLUMNS, rb.SIGNALS.index("qH"), rb.SIGNALS.index("pH")]
+    true, linear, unmoved = (rows[-n:, columns] for rows in (true, linear, unmoved))
+    moved = (true - unmoved).std(axis=0)
+    # Thrust that lags and the command itself leave some columns alone.
+    some = moved > 1e-6 * true.std(axis=0)
+    assert some.any()
+    assert ((linear - true).std(axis=0)[some] < 0.15 * moved[some]).all()
+
+
+def test_blocks_change_nothing_and_gaps_leave_out_what_they_touch():
+    samples = flown()
+    basis = LocalDynamics(AT, "speed", DT)
+    at_once = MotorRows(GEOMETRY, DT, basis, HOVER).update(*samples)
+    maker = MotorRows(GEOMETRY, DT, basis, HOVER)
+    parts = [maker.update(*(s[k : k + 70] for s in samples)) for k in range(0, 900, 70)]
+    np.testing.assert_array_equal(np.concatenate(parts), at_once)
+    assert maker.update(*(s[:0] for s in samples)).shape == (0, basis.width)
+    # A motor is known after six of its slowest time constants.
+    settling = 6.0 * AT[LAG] * np.exp((AT[ASYMMETRY] + 0.05) / 2.0)
+    unknown = np.isnan(at_once).any(axis=1).sum() * 3 * DT
+    assert settling < unknown < 1.1 * settling + 6 * DT
+    u = samples[0].copy()
+    u[500] = np.nan
+    gone = np.isnan(MotorRows(GEOMETRY, DT, basis, HOVER).update(u, *samples[1:])).any(axis=1)
+    assert gone.sum() * 3 * DT == pytest.approx(2.0 * unknown, rel=0.1)
+
+
+def test_a_given_curve_is_not_free():
+    basis = LocalDynamics(AT, "command", DT, curve=False)
+    assert CURVE not in basis.free
+    assert basis.maps(AT[None]).shape[1] == 1 + 4
+    assert basis.nodes.tolist() == [AT.tolist()]
