@@ -211,6 +211,9 @@ class CommandRecord:
         away = unknowns - unknowns[best]
         doubt = (away * (weight / weight.sum())[:, None]).T @ away
         doubt[_TIMING, _TIMING] += (0.5 * self._apart) ** 2
+        # Delay and lag trade against each other within a sample: on three flights of PX4's
+        # simulator the lag came out 3 to 5 ms short at 4 ms, the delay as much early.
+        doubt[np.ix_(_TIMING, _TIMING)] += self._dt**2
         return found[best], doubt
 
     def _converged(
