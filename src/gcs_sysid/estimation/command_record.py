@@ -26,7 +26,7 @@ from gcs_sysid.estimation.whitening import bank_for_commands
 FIRST, LAST = 6.0, 120.0
 """s of flight from which motors are looked for, and from which they are known."""
 _SURE = 20.0
-"""s of flight, until which the search starts from the window's fit as well as from the one before."""
+"""s of flight, until which the search starts from the window too, not only from the fit before."""
 _GROWTH = 2.0
 """By how much a flight grows until they are looked for again."""
 _ROUNDS, _ROUNDS_OF_OTHERS = 4, 2

@@ -494,8 +494,8 @@ class OnlineEstimator:
             if record.commands is None:
                 return found[0]
             place = record.places(self._whitened.basis.lag_place.of)[0]
-            doubt = record.commands.doubt + curve_doubt(found[0])
-            return with_lag_doubt(found[0], place, doubt)
+            off = record.commands.doubt + curve_doubt(found[0])
+            return with_lag_doubt(found[0], place, off)
         moments = record.rotation
         data = moments.batches, moments.counts, self._basis, self._noise()
         if self._basis.bends:
