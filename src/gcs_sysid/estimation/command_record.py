@@ -25,6 +25,8 @@ from gcs_sysid.estimation.whitening import bank_for_commands
 
 FIRST, LAST = 6.0, 120.0
 """s of flight from which motors are looked for, and from which they are known."""
+_SURE = 20.0
+"""s of flight, until which the search starts from the window too, not only from the fit before."""
 _GROWTH = 2.0
 """By how much a flight grows until they are looked for again."""
 _ROUNDS, _ROUNDS_OF_OTHERS = 4, 2
@@ -79,6 +81,8 @@ class CommandRecord:
         self._samples = 0
         self._now: _Tuned | None = None
         self._next, self._curve_doubt = FIRST, 0.0
+        self.narrowed = False
+        """Whether rows have been made anew, as of `WhitenedRecord`."""
         self._apart = np.zeros(CURVE)
         """s, by which delay and lag differ from those that the symmetric window finds."""
         self._settled: tuple[int, _Tuned, Array] | None = None
@@ -154,7 +158,8 @@ class CommandRecord:
         if self._now is not None:
             basis = self._now.basis
             starts.append((basis.at, basis.lag_place.of))
-        if window is not None and float(window.r_squared[:2].min()) > _BELIEVED:
+        sought = self._now is None or seconds < _SURE
+        if window is not None and sought and float(window.r_squared[:2].min()) > _BELIEVED:
             at = np.rint(window.coordinates / (10.0 * _GRID)) * 10.0 * _GRID
             starts.append((at, "speed" if window.lag_place is None else window.lag_place.of))
         found = self._found(starts, hover)
@@ -163,10 +168,9 @@ class CommandRecord:
             rotation = self._now.fit.rotation
             if float(rotation.r_squared[:2].min()) < _BELIEVED:
                 self._now = None
-            else:
-                self._now.white.narrowed = True
-                if window is not None:
-                    self._apart = rotation.coordinates[:CURVE] - window.coordinates[:CURVE]
+            elif window is not None:
+                self._apart = rotation.coordinates[:CURVE] - window.coordinates[:CURVE]
+            self.narrowed = True
         if seconds >= LAST:
             self._kept = None
 

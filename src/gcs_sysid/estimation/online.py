@@ -319,7 +319,7 @@ class OnlineEstimator:
         fits: list[Fit] = []
         waiting: list[_Instant] = []
         for _ in stops:
-            if self._whitened is not None and self._whitened.was_narrowed():
+            if self._record.was_renewed():
                 if waiting:
                     fits += self._followed(self._warm_starts[series], waiting)
                     waiting = []
@@ -393,9 +393,9 @@ class OnlineEstimator:
     def _follow_rotation(
         self, warm_start: _WarmStart, instants: Sequence[_Instant]
     ) -> list[RotationFit]:
-        if self._whitened is not None:
-            moments = [i.whitened for i in instants if i.whitened is not None]
-            fits = self._whitened.follow(moments, warm_start.rotation, self.prior)
+        moments = [i.whitened for i in instants if i.whitened is not None]
+        if moments:
+            fits = self._whitening.follow(moments, warm_start.rotation, self.prior)
             return self._doubted(fits, warm_start.rotation)
         place = warm_start.rotation.lag_place
         self._use_place(place)
@@ -491,7 +491,7 @@ class OnlineEstimator:
         basis, at = self._record.basis, fit.coordinates
         # Leaky sums of rates are no rates.
         count = instant.rows if self._record.memories[fit.leak] == 0.0 else 0
-        if instant.whitened is not None and self._whitened is not None:
+        if instant.whitened is not None:
             white = instant.whitened
             without = white.moments - white.rows * white.noise
             # Whitened rows have a range of their own.
@@ -526,8 +526,8 @@ class OnlineEstimator:
             if record.commands is None:
                 return found[0]
             place = record.places(self._whitened.basis.lag_place.of)[0]
-            doubt = record.commands.doubt + curve_doubt(found[0])
-            return with_lag_doubt(found[0], place, doubt)
+            off = record.commands.doubt + curve_doubt(found[0])
+            return with_lag_doubt(found[0], place, off)
         moments = record.rotation
         data = moments.batches, moments.counts, self._basis, self._noise()
         if self._basis.bends:

@@ -224,6 +224,14 @@ class FlightRecord:
         """Moments of whitened rows, where they are asked for; with commands, as soon as any are."""
         return self._of_speeds if self.commands is None else self.commands.white
 
+    def was_renewed(self) -> bool:
+        """Whether what whitened rows are made of has changed since this was last asked."""
+        source = self._of_speeds if self.commands is None else self.commands
+        if source is None:
+            return False
+        was, source.narrowed = source.narrowed, False
+        return was
+
     def settled(self) -> AbstractContextManager[None]:
         """With whitened rows of commands about the motors that the flight so far tells."""
         return nullcontext() if self.commands is None else self.commands.settled()

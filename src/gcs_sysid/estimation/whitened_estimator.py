@@ -135,11 +135,6 @@ class WhitenedEstimator:
         self.bound = found.bound
         return found.rotation, LeftOut(found.left_out, found.rows_left_out)
 
-    def was_narrowed(self) -> bool:
-        """Whether whiteners and delays have become fewer since this was last asked."""
-        was, self._white.narrowed = self._white.narrowed, False
-        return was
-
     def instant(self, fit: RotationFit, left_out: LeftOut) -> Followed:
         """The moments of now, for `follow`."""
         pick, white = self._white.places(fit.whiteners), self._white
