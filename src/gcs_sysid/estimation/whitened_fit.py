@@ -337,7 +337,8 @@ def _tried(
     known = np.median(point.unknowns, axis=0) if fitted is None else problem.extended(fitted)
     alike = _alike(point, rows, noise[:, 0], known, deviations)
     tried = point.unknowns.copy()
-    tried[:, COORDINATES] = at  # plain rows have none
+    if basis.commands:
+        tried[:, COORDINATES] = at  # plain rows have none
     return Trial(data.whiteners, data.time, tried, alike, point.hessian)
 
 
@@ -438,7 +439,8 @@ def _scanned(
     cost = power.min(axis=0).sum(axis=1) + weak[: len(nodes)] / rows
     best = int(np.argmin(cost))
     found = point.unknowns.reshape(len(some), len(nodes), -1)[:, best].copy()
-    found[:, COORDINATES] = nodes[best]  # plain rows have none
+    if basis.commands:
+        found[:, COORDINATES] = nodes[best]  # plain rows have none
     unknowns = np.repeat(found, every, axis=0)[: len(total)]
     return _tried(total, rows, data, basis, prior, unknowns, _TRY)
 
