@@ -2,7 +2,7 @@
 
 The way from command to thrust is known well enough for rows of one step only once a few seconds
 have been flown. The first two minutes of samples are therefore kept. As a flight goes on its rows
-are made anew about the motors found by then, whitened and summed up (`whitened_record`); after that
+are made again about the motors found by then, whitened and summed up (`whitened_record`); after that
 the motors are known, rows go on as they are, and what was kept is dropped. When this happens the
 samples decide, not who looks.
 """
@@ -30,7 +30,7 @@ _SURE = 20.0
 _GROWTH = 2.0
 """By how much a flight grows until they are looked for again."""
 _ROUNDS, _ROUNDS_OF_OTHERS = 4, 2
-"""Times that rows are made anew, at most, until the motors stay; and where something else lags."""
+"""Times that rows are made again, at most, until the motors stay; and where something else lags."""
 _STAYED = 0.3
 """Of the steps of the linearisation; a smaller move leaves less than 1e-3 of a signal."""
 _BELIEVED = 0.3
@@ -82,7 +82,7 @@ class CommandRecord:
         self._now: _Tuned | None = None
         self._next, self._curve_doubt = FIRST, 0.0
         self.narrowed = False
-        """Whether rows have been made anew, as of `WhitenedRecord`."""
+        """Whether rows have been made again, as of `WhitenedRecord`."""
         self._apart = np.zeros(CURVE)
         """s, by which delay and lag differ from those that the symmetric window finds."""
         self._settled: tuple[int, _Tuned, Array] | None = None
