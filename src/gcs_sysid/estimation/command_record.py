@@ -2,7 +2,7 @@
 
 The way from command to thrust is known well enough for rows of one step only once a few seconds
 have been flown. The first two minutes of samples are therefore kept. As a flight goes on its rows
-are made anew about the motors found by then, whitened and summed up (`whitened_record`); after that
+are made again about the motors found by then, whitened and summed up (`whitened_record`); after that
 the motors are known, rows go on as they are, and what was kept is dropped. When this happens the
 samples decide, not who looks.
 """
@@ -30,7 +30,7 @@ _SURE = 20.0
 _GROWTH = 2.0
 """By how much a flight grows until they are looked for again."""
 _ROUNDS, _ROUNDS_OF_OTHERS = 4, 2
-"""Times that rows are made anew, at most, until the motors stay; and where something else lags."""
+"""Times that rows are made again, at most, until the motors stay; and where something else lags."""
 _STAYED = 0.3
 """Of the steps of the linearisation; a smaller move leaves less than 1e-3 of a signal."""
 _BELIEVED = 0.3
@@ -82,7 +82,7 @@ class CommandRecord:
         self._now: _Tuned | None = None
         self._next, self._curve_doubt = FIRST, 0.0
         self.narrowed = False
-        """Whether rows have been made anew, as of `WhitenedRecord`."""
+        """Whether rows have been made again, as of `WhitenedRecord`."""
         self._apart = np.zeros(CURVE)
         """s, by which delay and lag differ from those that the symmetric window finds."""
         self._settled: tuple[int, _Tuned, Array] | None = None
@@ -162,16 +162,19 @@ class CommandRecord:
         if window is not None and sought and float(window.r_squared[:2].min()) > _BELIEVED:
             at = np.rint(window.coordinates / (10.0 * _GRID)) * 10.0 * _GRID
             starts.append((at, "speed" if window.lag_place is None else window.lag_place.of))
-        found = self._found(starts, hover)
+        last = seconds >= LAST
+        found = self._found(starts, hover, LAGS_OF if sought or last else ())
         if found is not None:
-            self._now, self.doubt = found
+            self._now = found[0]
+            if sought or last:
+                self.doubt = found[1]
             rotation = self._now.fit.rotation
             if float(rotation.r_squared[:2].min()) < _BELIEVED:
                 self._now = None
             elif window is not None:
                 self._apart = rotation.coordinates[:CURVE] - window.coordinates[:CURVE]
             self.narrowed = True
-        if seconds >= LAST:
+        if last:
             self._kept = None
 
     @contextmanager
@@ -181,7 +184,8 @@ class CommandRecord:
         if before is not None and self._kept is not None:
             if self._settled is None or self._settled[0] != self._samples:
                 basis = before.basis
-                found = self._found([(basis.at, basis.lag_place.of)], before.maker.hover)
+                start = basis.at, basis.lag_place.of
+                found = self._found([start], before.maker.hover, LAGS_OF)
                 self._settled = (self._samples, *(found or (before, doubt)))
             _, self._now, self.doubt = self._settled
         try:
@@ -190,7 +194,7 @@ class CommandRecord:
             self._now, self.doubt = before, doubt
 
     def _found(
-        self, starts: Sequence[tuple[Array, LagOf]], hover: float
+        self, starts: Sequence[tuple[Array, LagOf]], hover: float, places: Sequence[LagOf]
     ) -> tuple[_Tuned, Array] | None:
         """Rows about the likeliest motors, and what the other places of the lag differ by.
 
@@ -203,7 +207,7 @@ class CommandRecord:
         if first is None:
             return None
         found, start = [first], first.fit.rotation.coordinates
-        for other in LAGS_OF:
+        for other in places:
             if other != first.basis.lag_place.of:
                 tuned = self._converged(start, other, hover, _ROUNDS_OF_OTHERS)
                 if tuned is not None:

@@ -365,7 +365,8 @@ def _tried(
         # An axis' noise is its own.
         alike[[i for i in data.own if i != own], axis] = np.inf
     tried = point.unknowns.copy()
-    tried[:, COORDINATES] = at  # plain rows have none
+    if basis.commands:
+        tried[:, COORDINATES] = at  # plain rows have none
     return Trial(data.whiteners, data.time, tried, alike, point.hessian)
 
 
@@ -466,7 +467,8 @@ def _scanned(
     cost = power.min(axis=0).sum(axis=1) + weak[: len(nodes)] / rows
     best = int(np.argmin(cost))
     found = point.unknowns.reshape(len(some), len(nodes), -1)[:, best].copy()
-    found[:, COORDINATES] = nodes[best]  # plain rows have none
+    if basis.commands:
+        found[:, COORDINATES] = nodes[best]  # plain rows have none
     unknowns = np.repeat(found, every, axis=0)[: len(total)]
     return _tried(total, rows, data, basis, prior, unknowns, _TRY)
 
