@@ -157,7 +157,7 @@ SHARED = {
     "ardupilot-sitl.bin": ("yes", "ESC"),
     "public/real-quad-mavlink1.tlog": ("no", None),
     "public/px4-sitl.ulg": ("no", None),
-    "public/real-quad-copter33.bin": ("partly", "RCOU"),
+    "public/real-quad-copter33.bin": ("no", "RCOU"),
 }
 
 

@@ -141,5 +141,6 @@ def test_the_parameters_sih_flew_with_are_found_in_the_export_of_its_flight(shar
     truth = json.loads((shared_logs / "px4-sih-default.truth.json").read_text())
     for name in ("ixx", "iyy", "izz", "t_max", "q_max", "l_roll", "kdw"):
         assert found[f"SIH_{name.upper()}"] == pytest.approx(truth[name], rel=0.015)
-    for name in ("kdv", "t_tau"):
-        assert found[f"SIH_{name.upper()}"] == pytest.approx(truth[name], rel=0.05)
+    assert found["SIH_KDV"] == pytest.approx(truth["kdv"], rel=0.05)
+    # Delay and lag trade against each other within a sample of 4 ms.
+    assert found["SIH_T_TAU"] == pytest.approx(truth["t_tau"], abs=0.004)

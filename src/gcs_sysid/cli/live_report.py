@@ -79,6 +79,7 @@ def write(job: ReportJob) -> None:
             airframe=None,
             force=False,
             vehicle=job.vehicle,
+            start=0.0,
             argv=job.command,
         )
         reporter = Reporter(options, job.airframe, job.truth)
