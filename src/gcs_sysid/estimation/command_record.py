@@ -2,9 +2,9 @@
 
 The way from command to thrust is known well enough for rows of one step only once a few seconds
 have been flown. The first two minutes of samples are therefore kept. As a flight goes on its rows
-are made again about the motors found by then, whitened and summed up (`whitened_record`); after that
-the motors are known, rows go on as they are, and what was kept is dropped. When this happens the
-samples decide, not who looks.
+are made again about the motors found by then, whitened and summed up (`whitened_record`). After
+that the motors are known, rows go on as they are, and what was kept is dropped. When this happens
+the samples decide, not who looks.
 """
 
 from collections.abc import Iterator, Sequence
