@@ -59,8 +59,8 @@ class Tuning:
         least_change: of a rotor's load over another's in a stretch, relative, that is looked into:
             5 % less of one rotor of eight makes 2.5 %.
         named_margin: chi-square by which a weak rotor must beat all other explanations. Of 100
-            flights with one and 300 stretches without, 8 misnamed none either
-            (`benchmarks.health --weak 100`).
+            flights with one and 300 stretches without, 8 misnamed none either; chosen on the
+            flights of `benchmarks.health --weak 100` themselves.
         rival_margin: by which it must beat another rotor.
         windier: times the noise power of both stretches together, from which on one keeps its own.
         shortest_drift: s of flight from which a drift is told.
