@@ -133,7 +133,7 @@ def test_layouts(result, change):
             px4_sih.write(vehicle)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_parameters_sih_flew_with_are_found_in_the_export_of_its_flight(shared_logs):
     airframe = load_airframe("px4-sih").with_anchor("mass", 1.0)
     result = analyze_log(shared_logs / "px4-sih-default.ulg", airframe)
