@@ -1,4 +1,4 @@
-"""What a flight on commands leaves behind: rows linearised about motors that the flight tells.
+"""What a flight on commands leaves behind: rows linearized about motors that the flight tells.
 
 The way from command to thrust is known well enough for rows of one step only once a few seconds
 have been flown. The first two minutes of samples are therefore kept. As a flight goes on its rows
@@ -32,7 +32,7 @@ _GROWTH = 2.0
 _ROUNDS, _ROUNDS_OF_OTHERS = 4, 2
 """Times that rows are made again, at most, until the motors stay; and where something else lags."""
 _STAYED = 0.3
-"""Of the steps of the linearisation; a smaller move leaves less than 1e-3 of a signal."""
+"""Of the steps of the linearization; a smaller move leaves less than 1e-3 of a signal."""
 _BELIEVED = 0.3
 """Share of roll and pitch that a window must explain before motors are looked for."""
 _GRID = np.array([2e-4, 2e-4, 5e-3, 0.01, 0.02])
@@ -107,12 +107,11 @@ class CommandRecord:
 
     def take(self, inputs: Array, gyro: Array, rates: Array) -> None:
         """Take (n, rotors) commands, (n, 3) gyro and (n, 3) rates in rad/s."""
-        samples = inputs.copy(), gyro.copy(), rates.copy()
         self._samples += len(inputs)
         if self._kept is not None:
-            self._kept.append(samples)
+            self._kept.append((inputs.copy(), gyro.copy(), rates.copy()))
         if self._now is not None:
-            _add(self._now.maker, self._now.white, samples)
+            _add(self._now.maker, self._now.white, (inputs, gyro, rates))
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""

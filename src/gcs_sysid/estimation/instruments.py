@@ -95,7 +95,7 @@ def combined(fit: RotationFit, found: Sequence[InstrumentFit | None]) -> tuple[R
     """A fit moved towards its instruments as far as there is evidence that it is biased.
 
     The bias b of the fit is unknown, b ~ N(0, tau^2) with tau^2 what makes the contrast likeliest,
-    delta^2 less what chance makes of it (Hausman): delta is followed by the share
+    delta^2 less what chance makes of it (Hausman): the estimate moves by delta times the share
     w = tau^2 / delta^2, and what is left of it is an error.
 
     Args:

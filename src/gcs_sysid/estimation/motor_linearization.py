@@ -1,4 +1,4 @@
-"""Rows of commands through motors, linearised about one set of motor parameters.
+"""Rows of commands through motors, linearized about one set of motor parameters.
 
 Thrust answers a command u through a curve and a lag of first order, x' = (v - x) / tau, which no
 single time constant describes: propellers speed up faster than they slow down, and faster the
@@ -63,7 +63,7 @@ _BODY = tuple(i for i in range(WIDTH) if i not in (*ROTOR_COLUMNS, *_COUPLED))
 
 
 class LocalDynamics(ActuatorDynamics):
-    """The map from linearised rows to rows [x, y], near one set of motor parameters.
+    """The map from linearized rows to rows [x, y], near one set of motor parameters.
 
     A row holds, for the point itself, for what a shorter and a longer delay and then every other
     free parameter changes of it, the SIGNALS and the products of rates with H; then the rest.
@@ -134,12 +134,12 @@ def step_of(dt: float) -> OneStep:
 
 
 class MotorRows:
-    """Samples to linearised rows of one step, block by block.
+    """Samples to linearized rows of one step, block by block.
 
     Args:
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
-        basis: what they are linearised about.
+        basis: what they are linearized about.
         hover: mean command, about which a lag depends on speed.
     """
 

@@ -59,7 +59,7 @@ def fit_offline(
     Args:
         tracker: with `keep`.
         online: its last fit.
-        progress: is told of it.
+        progress: called with what is being done and the share of it that is done.
 
     Returns:
         The fit, or why there is none.
