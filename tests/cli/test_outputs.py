@@ -53,7 +53,7 @@ CASES = {
         ("analyze", *ON_LOG, "--report", "{out}"), ".html", "Ixx", dash=False
     ),
     ("replay", "json"): Case(
-        ("replay", *ON_LOG, "--headless", "--json", "{out}"), ".jsonl", "Ixx"
+        ("replay", *ON_LOG, "--headless", "--speed", "max", "--json", "{out}"), ".jsonl", "Ixx"
     ),
     ("demo", "json"): Case(("demo", *FLIGHT, "--json", "{out}"), ".jsonl", "Ixx"),
     ("demo", "record"): Case(("demo", *FLIGHT, "--record", "{out}"), ".tlog", "Ixx", dash=False),

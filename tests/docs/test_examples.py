@@ -16,6 +16,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -95,7 +96,13 @@ def _sources() -> list[Path]:
     return [p for p in PAGES if any(b.language in ("console", "python") for b in blocks(p))]
 
 
-@pytest.mark.parametrize("page", _sources(), ids=lambda page: page.stem)
+def _parameters() -> list[Any]:
+    """The pages; the one that flies and analyzes most is in `make test-all` alone."""
+    long = {"tutorial-emulator": [pytest.mark.thorough]}
+    return [pytest.param(p, id=p.stem, marks=long.get(p.stem, [])) for p in _sources()]
+
+
+@pytest.mark.parametrize("page", _parameters())
 def test_examples_of(page, workshop, tmp_path, monkeypatch):
     if "gcs-sysid batch" in page.read_text(encoding="utf-8"):
         pytest.importorskip("pyarrow")

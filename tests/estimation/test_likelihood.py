@@ -57,7 +57,7 @@ def test_exact_without_noise(truth, flight, start, every):
     assert np.abs((fit.theta - truth.theta) / SIZE).max() < 2e-4
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_intervals_and_bound_tell_the_errors(truth, slow, start):
     samples, dt = slow
     squares, inside = [], []
@@ -151,7 +151,7 @@ def test_bound_equals_the_dense_computation(truth, slow, colour):
     np.testing.assert_allclose(bound, dense, rtol=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_noise_of_speeds_does_not_bias(truth, flight, start):
     """Strong enough that without its correction inertia would be too large by far."""
     samples, dt, level = flight.part(slice(None, 4000, 2)), 0.01, 0.7

@@ -106,10 +106,10 @@ def own(stage):
 
 MORE_LOGS = [
     *("px4-sih-default.tlog", "px4-sih-default.ulg", "px4-esc-cg.tlog", "ardupilot-sitl.tlog"),
-    *("public/real-quad-mavlink1.tlog", "public/real-quad-copter33.bin"),
+    *("ardupilot-sitl.bin", "public/real-quad-mavlink1.tlog", "public/real-quad-copter33.bin"),
 ]
 LOGS = [
-    *("ardupilot-sitl.bin", "public/px4-sitl.ulg"),
+    "public/px4-sitl.ulg",
     *(pytest.param(name, marks=pytest.mark.thorough) for name in MORE_LOGS),
 ]
 

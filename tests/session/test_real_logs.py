@@ -103,7 +103,13 @@ def test_a_slow_and_lossy_link_still_tells_the_inertia(log, tmp_path):
     assert len(held) >= 0.8 * len(known), sorted(known.keys() - set(held))
 
 
-@pytest.mark.parametrize("name", ["px4_quad_two_flights_unchanged", "px4_quad_masschange_CRASH"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "px4_quad_two_flights_unchanged",
+        pytest.param("px4_quad_masschange_CRASH", marks=pytest.mark.thorough),
+    ],
+)
 def test_a_second_flight_on_commands_goes_on(name):
     log = LOGS / f"{name}.tlog"
     if not log.exists():

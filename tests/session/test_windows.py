@@ -100,10 +100,11 @@ FLIGHTS = {
 @pytest.mark.parametrize(
     "name",
     [
-        *("sound", "a mass step", "a reboot"),
+        "a mass step",
         *(
             pytest.param(name, marks=pytest.mark.thorough)
-            for name in ("ground and two flights", "skipped samples", "ArduPilot")
+            for name in FLIGHTS
+            if name != "a mass step"
         ),
     ],
 )
@@ -115,21 +116,11 @@ def test_windows_give_what_parts_give(fly, name):
     assert_same_grid(grid, same_grid)
 
 
-@pytest.mark.parametrize(
-    ("name", "share"),
-    [
-        ("ardupilot-sitl.tlog", 0.4),
-        *(
-            pytest.param(name, 1.0, marks=pytest.mark.thorough)
-            for name in ("ardupilot-sitl.tlog", "px4-esc-cg.tlog", "px4-sih-default.ulg")
-        ),
-    ],
-)
-def test_windows_of_recorded_flights(shared_logs, tmp_path, name, share):
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ["ardupilot-sitl.tlog", "px4-esc-cg.tlog", "px4-sih-default.ulg"])
+def test_windows_of_recorded_flights(shared_logs, name):
     airframe, mass = ("px4-quad-x", 1.5) if "ardupilot" in name else ("px4-sih", 1.0)
-    path = tmp_path / name
-    whole = (shared_logs / name).read_bytes()
-    path.write_bytes(whole[: round(share * len(whole))])
+    path = shared_logs / name
     result, _, grid = analysed(path, airframe, windows=True, mass=mass)
     other, _, same_grid = analysed(path, airframe, windows=False, mass=mass)
     assert_same(result, other)
@@ -155,6 +146,7 @@ def test_a_reset_falls_between_the_same_samples(fly, tmp_path, after):
     assert 10.0 < chain.used_seconds < seconds < 20.0
 
 
+@pytest.mark.thorough
 def test_the_course_in_windows_is_that_of_parts(fly):
     flight = fly(*MEMS, *FLIGHTS["a mass step"], "--seed", "4")
     histories = [

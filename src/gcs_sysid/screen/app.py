@@ -1,12 +1,14 @@
 """The live screen's application: polls a snapshot source, answers keys."""
 
+import contextlib
 import os
 import time
 from collections.abc import Callable, Iterable, Mapping
-from typing import ClassVar
+from typing import IO, ClassVar
 
 from textual.app import SystemCommand
 from textual.binding import Binding, BindingType
+from textual.driver import Driver
 from textual.screen import Screen
 
 from gcs_sysid.errors import InputError
@@ -28,6 +30,31 @@ from gcs_sysid.screen.widgets.parameter_table import ParameterRows
 
 POLL_SECONDS = 0.2
 """At most five redraws a second."""
+
+
+class TerminalOutput:
+    """A terminal to write to; what is written after it has closed is dropped.
+
+    Textual writes in a thread, which an error would end: the screen would then wait forever for
+    its queue to empty, and the session with it.
+    """
+
+    def __init__(self, file: IO[str]) -> None:
+        self._file = file
+
+    def write(self, text: str) -> None:
+        """Write, as long as there is a terminal."""
+        with contextlib.suppress(OSError):
+            self._file.write(text)
+
+    def flush(self) -> None:
+        """Flush, as long as there is a terminal."""
+        with contextlib.suppress(OSError):
+            self._file.flush()
+
+    def fileno(self) -> int:
+        """Descriptor of the terminal."""
+        return self._file.fileno()
 
 
 class SysidApp(ActingApp):
@@ -87,6 +114,14 @@ class SysidApp(ActingApp):
     def snapshot(self) -> Snapshot | None:
         """What is shown."""
         return self._snapshot
+
+    def _build_driver(
+        self, headless: bool, inline: bool, mouse: bool, size: tuple[int, int] | None
+    ) -> Driver:
+        driver = super()._build_driver(headless, inline, mouse, size)
+        if hasattr(driver, "_file"):
+            driver._file = TerminalOutput(driver._file)
+        return driver
 
     def _handle_exception(self, error: Exception) -> None:
         """Leave; what there is to say of it is said by who has started this, in a line."""
