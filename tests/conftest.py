@@ -1,10 +1,13 @@
 """What several test folders share: emulated flights, each flown once, and onboard logs."""
 
 import contextlib
+import hashlib
 import io
 import json
+import os
 import shutil
 import struct
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,16 +82,23 @@ FlyFunction = Callable[..., Flight]
 @pytest.fixture(scope="session")
 def fly(tmp_path_factory: pytest.TempPathFactory) -> FlyFunction:
     """Flies the emulator, without the second that a process of its own would take to start;
-    options as on its command line."""
+    options as on its command line. Tests share the recordings, and change none."""
+    base = tmp_path_factory.getbasetemp()
+    flights = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "flights"
+    flights.mkdir(exist_ok=True)
 
     def fly(*options: str) -> Flight:
-        folder = tmp_path_factory.mktemp("flight")
-        flight = Flight(folder / "flight.tlog", folder / "truth.json")
-        files = ["--speed", "max", "--tlog", str(flight.tlog), "--truth", str(flight.truth_file)]
-        said = io.StringIO()
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-            status = sim_bridge(["--airframe", "paper", *options, *files])
-        assert status == 0, said.getvalue()
+        name = hashlib.sha256("\0".join(options).encode()).hexdigest()[:32]
+        flight = Flight(flights / name / "flight.tlog", flights / name / "truth.json")
+        if not flight.tlog.exists():
+            new = Path(tempfile.mkdtemp(dir=flights))
+            files = [f"--tlog={new / 'flight.tlog'}", f"--truth={new / 'truth.json'}"]
+            said = io.StringIO()
+            with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+                status = sim_bridge(["--airframe", "paper", *options, "--speed", "max", *files])
+            assert status == 0, said.getvalue()
+            with contextlib.suppress(OSError):  # another worker was first
+                new.rename(flights / name)
         return flight
 
     return fly
