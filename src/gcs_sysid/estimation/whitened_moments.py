@@ -71,7 +71,8 @@ class WhitenedMoments:
 
     def of_axes(self, pick: Sequence[int]) -> Array:
         """(k, 3, width, width) of each axis' whitener."""
-        return self._mute(np.concatenate([part[:, list(pick)] for part in self.parts]))
+        some = [part[:, list(pick)] for part in self.parts]
+        return self._mute(some[0] if len(some) == 1 else np.concatenate(some))
 
     def weighed(self, power: Array) -> "WhitenedMoments":
         """The same, where rows of a batch count by the inverse of its innovations' power.
@@ -94,6 +95,8 @@ class WhitenedMoments:
         return replace(self, parts=parts, counts=counts)
 
     def _mute(self, moments: Array) -> Array:
+        if not self.muted:
+            return moments
         columns = list(self.muted)
         moments[..., columns, :] = 0.0
         moments[..., :, columns] = 0.0

@@ -116,13 +116,9 @@ class WhitenedRecord:
                         white = self._narrow(white, noise())
                 room = self._per_short - int(self._counts[self._full])
                 part = white[:, done : done + room]
-                for rows_of, total, recent in zip(
-                    part, self.total, self._recent[self._full], strict=True
-                ):
-                    # One by one: a matrix with itself costs half of a product.
-                    products = rows_of.T @ rows_of
-                    total += products
-                    recent += products
+                products = np.swapaxes(part, 1, 2) @ part
+                self.total += products
+                self._recent[self._full] += products
                 self._counts[self._full] += part.shape[1]
                 self.rows += part.shape[1]
                 done += part.shape[1]
