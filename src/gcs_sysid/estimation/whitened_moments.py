@@ -113,4 +113,9 @@ def grouped(
             starts.append(i)
             size = 0
         size += int(count)
-    return np.add.reduceat(batches, starts, axis=0), np.add.reduceat(counts, starts)
+    if len(starts) == len(batches):
+        return batches, counts.copy()
+    out = np.empty((len(starts), *batches.shape[1:]))
+    for joined, start, stop in zip(out, starts, [*starts[1:], len(batches)], strict=True):
+        batches[start:stop].sum(axis=0, out=joined)
+    return out, np.add.reduceat(counts, starts)

@@ -116,9 +116,13 @@ class WhitenedRecord:
                         white = self._narrow(white, noise())
                 room = self._per_short - int(self._counts[self._full])
                 part = white[:, done : done + room]
-                products = np.swapaxes(part, 1, 2) @ part
+                turned, recent = np.swapaxes(part, 1, 2), self._recent[self._full]
+                if self._counts[self._full]:
+                    products = turned @ part
+                    recent += products
+                else:
+                    products = np.matmul(turned, part, out=recent)
                 self.total += products
-                self._recent[self._full] += products
                 self._counts[self._full] += part.shape[1]
                 self.rows += part.shape[1]
                 done += part.shape[1]
