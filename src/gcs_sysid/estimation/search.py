@@ -166,15 +166,18 @@ class Problem:
         """Cost and its derivatives at (K, N_UNKNOWNS), or at (1, N_UNKNOWNS) for all."""
         K, n, f = len(self.bank), rb.N_THETA, len(self.basis.free)
         rows = self.rows[:, None, None]
-        P = self.maps(unknowns)
-        P0 = np.swapaxes(P[:, 0], -1, -2)
-        moments = P[:, 0] @ self.bank @ P0
         Q, G = rb.forward_jacobian(unknowns[:, :n])
         T = residual_maker(Q)
+        if self.basis is PLAIN:
+            P0, moments, TP = None, self.bank, T[:, None]
+        else:
+            P = self.maps(unknowns)
+            P0 = np.swapaxes(P[:, 0], -1, -2)
+            moments = P[:, 0] @ self.bank @ P0
+            TP = T[:, None] @ P
         # Moments of residuals with rows; of their derivatives by the coordinates with rows.
-        TP = T[:, None] @ P
-        TPM = TP @ self.bank[:, None]
-        cross = TPM @ P0[:, None]
+        TPM = _times_each(TP, self.bank)
+        cross = TPM if P0 is None else _times_each(TPM, P0)
         S = TPM[:, 0] @ np.swapaxes(TP[:, 0], -1, -2) / rows
         # Without noise only rounding is left of large terms; that keeps it definite.
         sizes = moments[:, _DIAGONAL, _DIAGONAL]
@@ -186,9 +189,10 @@ class Problem:
         cost = np.linalg.slogdet(S)[1]
         W = np.linalg.inv(S)
         if self._noise is not None:
-            moments = moments - P[:, 0] @ self._noise @ P0
-            TPM = TPM - TP @ self._noise[:, None]
-            cross = TPM @ P0[:, None]
+            noise = self._noise if P0 is None else P[:, 0] @ self._noise @ P0
+            moments = moments - noise
+            TPM = TPM - _times_each(TP, self._noise)
+            cross = TPM if P0 is None else _times_each(TPM, P0)
         WG = (W[:, None] @ G).reshape(K, n, 3 * N_X)
         GR = (G.reshape(len(G), n * 3, N_X) @ moments[:, :N_X, :N_X]).reshape(K, n, 3 * N_X)
         hessian = np.empty((K, self.p, self.p))
@@ -381,3 +385,10 @@ def scales(hessian: Array) -> Array:
     """(..., p) square roots of the diagonal, 1 where there is no information at all."""
     diagonal = np.diagonal(hessian, axis1=-2, axis2=-1)
     return np.sqrt(np.where(diagonal > 1e-100, diagonal, 1.0))
+
+
+def _times_each(left: Array, right: Array) -> Array:
+    """(K, f, 3, n) of (K or 1, f, 3, m) rows times (K or 1, m, n) matrices, in one product each."""
+    product = left.reshape(len(left), -1, left.shape[-1]) @ right
+    out: Array = product.reshape(len(product), *left.shape[1:-1], right.shape[-1])
+    return out
