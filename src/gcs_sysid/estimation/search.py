@@ -5,6 +5,7 @@ maximum-likelihood point of a Gaussian residual with unknown covariance. It foll
 alone; so do its derivatives (see `estimation.rotation`).
 """
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,6 +76,17 @@ class Point:
             )
         )
 
+    def part(self, which: Mask) -> "Point":
+        """Some of the hypotheses."""
+        return Point(*(values[which] for values in vars(self).values()))
+
+    def filled(self, which: Mask, some: "Point") -> "Point":
+        """With others for some of the hypotheses."""
+        every = {name: values.copy() for name, values in vars(self).items()}
+        for name, values in vars(some).items():
+            every[name][which] = values
+        return Point(**every)
+
 
 class Problem:
     """Hypotheses that are fitted side by side.
@@ -109,6 +121,13 @@ class Problem:
         self.p = len(self.free)
         self._mean = COORDINATE_MEAN[list(basis.free)]
         self._information = COORDINATE_STD[list(basis.free)] ** -2.0
+
+    def part(self, which: Mask) -> "Problem":
+        """Some of the hypotheses."""
+        noise = None if self._noise is None else self._noise[which]
+        some = copy(self)
+        some.bank, some.rows, some._noise = self.bank[which], self.rows[which], noise
+        return some
 
     def prior_information(self) -> Array:
         """(p, p) of the prior, on what is fitted."""
@@ -269,13 +288,18 @@ def minimise(problem: Problem, unknowns: Array, limit: int) -> tuple[Point, Mask
     Returns:
         The minimisers, and (K,) whether each was reached.
     """
-    K, p = len(unknowns), problem.p
-    damping = np.full(K, _DAMPING)
-    converged = np.zeros(K, dtype=bool)
-    eye = np.eye(p)
-    gain = np.full(K, np.inf)
+    K = len(unknowns)
     point = problem.evaluate(unknowns)
-    for _ in range(limit):
+    return _descend(problem, point, np.full(K, _DAMPING), np.full(K, np.inf), limit)
+
+
+def _descend(
+    problem: Problem, point: Point, damping: Array, gain: Array, limit: int
+) -> tuple[Point, Mask]:
+    """The steps of `minimise`, with (K,) damping and (K,) gain of the step before."""
+    converged = np.zeros(len(damping), dtype=bool)
+    eye = np.eye(problem.p)
+    for taken in range(1, limit + 1):
         gradient, hessian = problem.with_prior(point.gradient, point.hessian, point.unknowns)
         d = scales(hessian)
         H = hessian / (d[:, :, None] * d[:, None, :]) + damping[:, None, None] * eye
@@ -296,6 +320,13 @@ def minimise(problem: Problem, unknowns: Array, limit: int) -> tuple[Point, Mask
         # No step however small helps any more: rounding has the last word.
         converged = converged | small | (damping > 1e6)
         if converged.all():
+            break
+        if 2 * np.count_nonzero(converged) >= len(converged):
+            left = ~converged
+            rest = _descend(
+                problem.part(left), point.part(left), damping[left], gain[left], limit - taken
+            )
+            point, converged[left] = point.filled(left, rest[0]), rest[1]
             break
     return point, converged
 
