@@ -93,13 +93,17 @@ def main() -> int:
 
 def _compare(release: Path, commit: str, folder: Path, options: argparse.Namespace) -> int:
     log, out = str(folder / "flight.tlog"), str(folder / "out.tlog")
+    commanded = str(folder / "commands.tlog")
     fly = ["sim_bridge", *_FLIGHT, "--duration", str(options.seconds), "--speed", "max", "--tlog"]
     cost(PROJECT, [*fly, log])
+    cost(PROJECT, [*fly, commanded, "--rotor-input", "command"])
+    given = ["--airframe", "paper", "--json", os.devnull]
     commands = {
         "start (gcs-sysid --version)": ["gcs_sysid", "--version"],
         "emulator, to a file": [*fly, out, "--force"],
         "inspect": ["gcs_sysid", "inspect", log],
-        "analyze": ["gcs_sysid", "analyze", log, "--airframe", "paper", "--json", os.devnull],
+        "analyze": ["gcs_sysid", "analyze", log, *given],
+        "analyze, on commands": ["gcs_sysid", "analyze", commanded, *given],
     }
     slower = 0
     print(f"{'against ' + commit:<34}{'release, s':>12}{'now, s':>9}{'ratio':>8}{'bar':>9}")

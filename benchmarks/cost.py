@@ -130,14 +130,14 @@ def step_rate(block: int) -> float:
     return n / (time.process_time() - began)
 
 
-def live_share(seconds: float = 30.0) -> float:
-    """Processor share of a headless live session at real time."""
+def live_share(*words: str, seconds: float = 30.0) -> float:
+    """Processor share of a headless live session at real time; words for the emulator."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     flying = subprocess.Popen(
         [
-            *(sys.executable, "-m", "sim_bridge", *FLIGHT),
+            *(sys.executable, "-m", "sim_bridge", *FLIGHT, *words),
             *("--connect", f"udpout:127.0.0.1:{port}", "--duration", str(2 * seconds)),
         ],
     )
@@ -164,6 +164,11 @@ def main() -> None:
             ">= 1000",
         ),
         ("live, headless, 250 Hz IMU", f"{100 * live_share():.1f} % of a core", "<= 25 %"),
+        (
+            "live, headless, the same on commands",
+            f"{100 * live_share('--rotor-input', 'command'):.1f} % of a core",
+            "<= 30 %",
+        ),
         *(
             (f"online step, refit at 10 Hz, {name}", f"{step_rate(block):.0f} samples/s", bar)
             for name, block, bar in (

@@ -8,7 +8,7 @@ import pytest
 from scipy import signal
 
 from gcs_sysid.estimation.rotor_signals import _butterworth
-from gcs_sysid.signals.recursions import lfilter
+from gcs_sysid.signals.recursions import lfilter, recursion
 
 FILTERS = {
     "first order": ([1.0], [1.0, -0.9]),
@@ -48,6 +48,17 @@ def test_the_input_is_left_alone():
     x = np.ones((5, 2))
     lfilter([1.0], [1.0, -0.5], x, np.ones((1, 2)))
     assert (x == 1.0).all()
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 50])
+def test_coefficients_may_change_from_sample_to_sample(n):
+    rng = np.random.default_rng(3)
+    kept, added = rng.uniform(-1.1, 1.1, (2, 2, 3, n))
+    first = rng.standard_normal((2, 3, 1))
+    wanted, y = np.empty((2, 3, n)), first[..., 0]
+    for k in range(n):
+        y = wanted[..., k] = kept[..., k] * y + added[..., k]
+    np.testing.assert_allclose(recursion(kept, added, first), wanted, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("cutoff", [0.02, 0.1, 0.4])

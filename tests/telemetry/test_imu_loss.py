@@ -96,3 +96,20 @@ def test_what_px4_leaves_out_is_not_told_and_serious_loss_is():
     assert not capped
     assert loss_reason(told(70.0))[1]
     assert loss_reason({}) == ("", False)
+
+
+@pytest.mark.parametrize("late", [0, 40])
+def test_many_samples_at_once_are_counted_as_one_by_one(late):
+    """With jitter, losses, a pause and another rate; late ones end what is settled at once."""
+    random = RNG(4)
+    steps = np.concatenate([np.full(4000, 0.004), np.full(2000, 0.0025)])
+    t = np.cumsum(steps * np.exp(random.normal(0.0, 0.1, len(steps))))
+    t[3000:] += 12.0
+    t = t[random.random(len(t)) > 0.2]
+    for k in random.integers(0, len(t) - 8, late):
+        t[k : k + 8] = random.permutation(t[k : k + 8])
+    single = ImuLoss()
+    for start in range(0, len(t), 7):
+        single.take(t[start : start + 7])
+    assert counted(t) == single.counts
+    assert single.counts.missing > 500

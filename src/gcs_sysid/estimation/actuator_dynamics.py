@@ -109,14 +109,17 @@ _SHARE = 0.01
 the signals next to nothing (1e-5)."""
 
 
-def _wanted(omega: Array, delay: Array, lag: Array, by: int | None) -> Array:
-    """(K, n) `response` at (K,) delays and lags, differentiated by one of them or not."""
-    passed = response(omega, delay, lag)
+def _differentiated(passed: Array, omega: Array, lag: Array, by: int | None) -> Array:
+    """(K, n) responses at (K,) lags, differentiated by delay or lag or not."""
     if by == DELAY:
         passed = passed * (1j * omega)
     elif by == LAG:
         passed = passed * (-1j * omega / (1.0 + 1j * omega * lag[:, None]))
     return passed
+
+
+_PAIRS = np.triu_indices(len(_PAIRED))
+"""Of `_PAIRED`, each with itself and those after it."""
 
 
 def _second_order(passed: Array, change: Array | None = None) -> Array:
@@ -126,7 +129,7 @@ def _second_order(passed: Array, change: Array | None = None) -> Array:
         passed: the responses.
         change: their derivative; the products' derivative then. None: the products themselves.
     """
-    i, j = np.triu_indices(len(_PAIRED))
+    i, j = _PAIRS
     other = np.conj(passed)
     if change is None:
         products = passed[..., i] * passed[..., j], passed[..., i] * other[..., j]
@@ -175,17 +178,30 @@ class _Span:
         self._of_sum = even / even.sum()
         self._of_target = free - np.outer(self._of_sum, free.sum(axis=0))
 
-    def weights(self, delay: Array, lag: Array, by: int | None = None) -> Array:
-        """(K, k) for (K,) delays and lags, differentiated by one of them or not."""
-        slope = by in (DELAY, LAG)
-        target = self._stacked(_wanted(self.omega, delay, lag, by if slope else None))
-        if self._squared:
-            paired = _wanted(_PAIRED, delay, lag, None)
-            change = _wanted(_PAIRED, delay, lag, by) if slope else None
-            target = np.concatenate([target, _second_order(paired, change)], axis=-1)
-        total = 0.0 if slope else 1.0
-        weights: Array = target @ self._of_target.T + total * self._of_sum
-        return weights
+    def weights_by(self, delay: Array, lag: Array, by: Sequence[int | None]) -> list[Array]:
+        """(K, k) for (K,) delays and lags, differentiated by each of some coordinates or none.
+
+        No other than delay and lag changes them: by it they are not differentiated.
+        """
+        passed = response(self.omega, delay, lag)
+        paired = response(_PAIRED, delay, lag) if self._squared else None
+        made: dict[int | None, Array] = {}
+        for place in by:
+            own = place if place in (DELAY, LAG) else None
+            if own in made:
+                continue
+            target = self._stacked(_differentiated(passed, self.omega, lag, own))
+            if paired is not None:
+                change = None if own is None else _differentiated(paired, _PAIRED, lag, own)
+                target = np.concatenate([target, _second_order(paired, change)], axis=-1)
+            made[own] = target @ self._of_target.T
+            if own is None:
+                made[own] += self._of_sum
+        return [made[place if place in (DELAY, LAG) else None] for place in by]
+
+    def weights(self, delay: Array, lag: Array) -> Array:
+        """(K, k) for (K,) delays and lags."""
+        return self.weights_by(delay, lag, (None,))[0]
 
     @staticmethod
     def _made(omega: Array, delays: Array, lags: Array, dt: float) -> Array:
@@ -383,7 +399,7 @@ class ActuatorDynamics:
         """
         K, by = len(at), (None, *self.free)
         delay, lag = at[:, DELAY], at[:, LAG]
-        filters = np.stack([self._span.weights(delay, lag, i) for i in by], axis=1)
+        filters = np.stack(self._span.weights_by(delay, lag, by), axis=1)
         mixtures = np.stack([self._mixture(at[:, CURVE], i) for i in by], axis=1)
         rotors = (filters[..., None] * mixtures[:, :, None]).reshape(K, len(by), -1)
         maps = np.zeros((K, len(by), WIDTH, self.width))
@@ -391,28 +407,30 @@ class ActuatorDynamics:
             maps[:, :, column, place : self.late : SIGNALS] = rotors
         maps[:, 0, _BODY_COLUMNS, range(self.width - BODY, self.width)] = 1.0
         if self._coupled_span is not None:
-            filters = np.stack([self._coupled_span.weights(delay, lag, i) for i in by], axis=1)
+            filters = np.stack(self._coupled_span.weights_by(delay, lag, by), axis=1)
             forms = (filters[..., None] * mixtures[:, :, None]).reshape(K, len(by), -1)
             for place, column in enumerate(_COUPLED):
                 first = self.width - BODY + _BODY_COLUMNS.index(column)
                 further = range(self.late + place, self.late + self.products, len(_COUPLED))
                 maps[:, :, column, [first, *further]] = forms
         if self.bends:
-            bent = np.stack([self._bent(at, i) for i in by], axis=1)
+            bent = np.stack(self._bent(at, by), axis=1)
             start = self.late + self.products
             for place, column in enumerate(ROTOR_COLUMNS[:N_BENT]):
                 maps[:, :, column, start + place : start + self.bends : N_BENT] = bent
         return maps
 
-    def _bent(self, at: Array, by: int | None, delayed: bool = True) -> Array:
+    def _bent(self, at: Array, by: Sequence[int | None], delayed: bool = True) -> list[Array]:
         """(K, bent lags) weights of the bends at (K, 3) coordinates, or their derivatives."""
         if self._bent_span is None:
-            return np.empty((len(at), 0))
+            return [np.empty((len(at), 0)) for _ in by]
         delay = at[:, DELAY] if delayed else np.zeros(len(at))
         k, change = self.lag_place.bend(at[:, CURVE])
-        weights = self._bent_span.weights(delay, at[:, LAG], by)[:, 1:]
-        bent: Array = (change if by == CURVE else k)[:, None] * weights
-        return bent
+        every = self._bent_span.weights_by(delay, at[:, LAG], by)
+        return [
+            (change if i == CURVE else k)[:, None] * weights[:, 1:]
+            for i, weights in zip(by, every, strict=True)
+        ]
 
     def map_at(self, at: Array) -> Array:
         """(WIDTH, width) that makes rows [x, y] at (3,) coordinates of rows of elements."""
@@ -443,7 +461,7 @@ class ActuatorDynamics:
             return np.ones(1)
         weights = self._lag_span.weights(np.zeros(1), at[LAG : LAG + 1])
         mixture = self._mixture(at[CURVE : CURVE + 1], None)
-        bent = self._bent(at[None], None, delayed=False)[0]
+        bent = self._bent(at[None], (None,), delayed=False)[0][0]
         return np.concatenate([np.outer(weights, mixture).ravel(), bent])
 
     @property

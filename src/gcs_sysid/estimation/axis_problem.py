@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.estimation.actuator_dynamics import WIDTH, ActuatorDynamics
+from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.estimation.deviations import NO_DEVIATIONS, Deviations
 from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.search import N_X, Problem, residual_maker, scales
@@ -112,11 +112,14 @@ class AxisProblem(Problem):
             [self.free[: rb.N_THETA], N_UNKNOWNS + np.arange(m), self.free_coordinates]
         )
         self.p = len(self.free)
-        self.without = moments - (TOLD * self.rows)[:, None, None, None] * noise
+        self._silent = not noise.any()
+        self.without = moments
         """As `moments`, without the known noise."""
+        if not self._silent:
+            self.without = moments - (TOLD * self.rows)[:, None, None, None] * noise
         self._noise_of_all = self.rows[:, None, None, None] * noise
-        at = basis.nodes[basis.middle]
-        self._usual = TOLD * basis.moments_at(noise, at)
+        usual = noise if basis is PLAIN else basis.moments_at(noise, basis.nodes[basis.middle])
+        self._usual = TOLD * usual
         """(K, 3 or 1, WIDTH, WIDTH) known noise at coordinates that are always the same."""
 
     def prior_information(self) -> Array:
@@ -151,19 +154,21 @@ class AxisProblem(Problem):
         unknowns = np.broadcast_to(unknowns, (K, unknowns.shape[1]))
         phi = unknowns[:, N_UNKNOWNS:]
         rows = self.rows[:, None]
-        P = self.maps(unknowns)
-        first, turned = P[:, :1], np.swapaxes(P[:, :1], -1, -2)
-        shape = (K, _AXES, WIDTH, WIDTH)
-        moments = np.broadcast_to(first @ self.bank @ turned, shape)
-        told = np.broadcast_to(first @ self.without @ turned, shape)
+        moments, told = self.bank, self.without
+        if self.basis is not PLAIN:
+            P = self.maps(unknowns)
+            first, turned = P[:, :1], np.swapaxes(P[:, :1], -1, -2)
+            moments = first @ moments @ turned
+            told = moments if self._silent else first @ told @ turned
         Q, G = self._model(unknowns[:, : rb.N_THETA], phi)
         T = residual_maker(Q)
         sizes = moments[..., _DIAGONAL, _DIAGONAL]
         own = _power(T, told)
+        all_ = own if self._silent else _power(T, moments)
         # Signals between two of the basis' delays are means of both, and have less noise: a weight
         # that followed that would make every delay look for the middle between two.
-        usual = own / rows + _power(T, np.broadcast_to(self._usual, shape))
-        least = _LEAST * _power(T, moments) + _EPSILON * (T * T * sizes).sum(axis=-1)
+        usual = own / rows if self._silent else own / rows + _power(T, self._usual)
+        least = _LEAST * all_ + _EPSILON * (T * T * sizes).sum(axis=-1)
         variance = np.maximum(usual, least / rows) + 1e-300
         W = 1.0 / variance
         G = np.swapaxes(G, 1, 2)  # (K, 3, n, N_X)
@@ -182,13 +187,13 @@ class AxisProblem(Problem):
         if f:
             # Of residuals, by coordinate and axis: (K, f, 3, width), and with all columns.
             TP = T[:, None] @ P[:, 1:]
-            TPM = np.stack([_per_axis(TP[:, i], self.without) for i in range(f)], axis=1)
+            TPM = _per_axis(TP, self.without)
             left = T @ P[:, 0]
-            # What a delay does to the noise itself is no information: all of it is taken out.
-            noise = np.stack([_per_axis(TP[:, i], self._noise_of_all) for i in range(f)], axis=1)
-            slopes = (W[:, None, :, None] * (TPM - (1.0 - TOLD) * noise) * left[:, None]).sum(
-                axis=(2, 3)
-            )
+            told_of = TPM
+            if not self._silent:
+                # What a delay does to the noise itself is no information: all of it is taken out.
+                told_of = TPM - (1.0 - TOLD) * _per_axis(TP, self._noise_of_all)
+            slopes = (W[:, None, :, None] * told_of * left[:, None]).sum(axis=(2, 3))
             bends = (W[:, None, :, None] * TPM).reshape(K, f, -1) @ np.swapaxes(
                 TP.reshape(K, f, -1), 1, 2
             )
@@ -273,12 +278,15 @@ def _lift(H: Array) -> Array:
 
 
 def _power(T: Array, moments: Array) -> Array:
-    """(K, 3) T_a M_a T_a' of (K, 3, WIDTH) and (K, 3, WIDTH, WIDTH)."""
-    power: Array = ((T[..., None, :] @ moments)[..., 0, :] * T).sum(axis=-1)
+    """(K, 3) T_a M_a T_a' of (K, 3, WIDTH) and (K, 3 or 1, WIDTH, WIDTH)."""
+    if moments.shape[1] == 1:
+        power: Array = ((T @ moments[:, 0]) * T).sum(axis=-1)
+    else:
+        power = ((T[..., None, :] @ moments)[..., 0, :] * T).sum(axis=-1)
     return power
 
 
 def _per_axis(left: Array, moments: Array) -> Array:
-    """(K, 3, width) of (K, 3, width) rows times (K, 3 or 1, width, width) moments."""
-    product: Array = (left[..., None, :] @ moments)[..., 0, :]
+    """(K, f, 3, width) of such rows times (K, 3 or 1, width, width) moments."""
+    product: Array = np.swapaxes(np.swapaxes(left, 1, 2) @ moments, 1, 2)
     return product

@@ -109,6 +109,8 @@ class ChangeDetector:
         self.tuning = tuning = tuning or ChangeTuning()
         self.frames: list[Array] = []
         """Means over closed frames, as `Frames` takes them, until somebody does."""
+        self._closed: list[tuple[Array, Array, Array]] = []
+        """Frames whose means are still to be taken: of a block's all at once."""
         self._geometry = geometry
         self._commands, self._moments = commands, moments
         self._rotors = Rotors(dt, None)
@@ -196,6 +198,7 @@ class ChangeDetector:
             found = self._test(y, x, self._table[at + 1 : at + 1 + n, -3:])
             # A late rotor stream makes the detection wait for it; the onset is the IMU's time.
             found = [replace(c, detected=c.detected + late * self.dt) for c in found]
+            self._take_means()
         self._next = stop
         drop = max(self._next - self._history - self._base, 0)
         self._table = self._table[drop:]
@@ -282,7 +285,8 @@ class ChangeDetector:
 
     def _test_samples(self, e: Array) -> Change | None:
         stds, levels = self._levels.std(self._floors), self._levels
-        limit = np.where(levels.frames[:4] > 0, self.tuning.fast[1] * stds[:4], np.inf)
+        limit = self.tuning.fast[1] * stds[:4]
+        limit[levels.frames[:4] == 0] = np.inf
         mean = levels.mean[:4]
         jumps = e - self._baseline.update(e, mean - limit, mean + limit)
         self._jumps[self._filled : self._filled + len(e)] = jumps
@@ -290,7 +294,11 @@ class ChangeDetector:
         if not ready.any():
             return None
         std = stds[4:]
-        z = np.where(ready, jumps / np.where(ready, std, 1.0), np.nan)
+        z = (
+            jumps / std
+            if ready.all()
+            else np.where(ready, jumps / np.where(ready, std, 1.0), np.nan)
+        )
         alarm = self._fast.update(z, self._next)
         if alarm is None:
             return None
@@ -320,7 +328,7 @@ class ChangeDetector:
             enough = 2 * count > self._frame
             mean = np.where(enough, total / np.maximum(count, 1), np.nan)
             mean -= self._levels.mean[:4]
-        self.frames.append(_mean_row(self._y, self._x, self._air))
+        self._closed.append((self._y.copy(), self._x.copy(), self._air.copy()))
         self._move_floor()
         # A frame's mean of white noise is this much quieter; colour keeps it louder.
         floor = 0.5 * self._floor
@@ -350,6 +358,17 @@ class ChangeDetector:
         self._levels.mean[4:] = 0.0
         return None
 
+    def _take_means(self) -> None:
+        """(4 + N_X + 3,) means of each closed frame; NaN where half of it is missing."""
+        if not self._closed:
+            return
+        y, x, air = (np.stack(parts) for parts in zip(*self._closed, strict=True))
+        self._closed = []
+        rows = np.maximum(np.isfinite(y).any(axis=2).sum(axis=1), 1)
+        self.frames += [
+            *np.concatenate([_mean(y), x.sum(axis=1) / rows[:, None], _mean(air)], axis=1)
+        ]
+
     def _move_floor(self) -> None:
         """The mean inputs, and the levels that nothing real stays below."""
         present = self._x[:, TOTAL] > 0.0
@@ -367,15 +386,10 @@ class ChangeDetector:
         self._least = self.tuning.least_share * np.tile(reference.floors(1.0), 2)
 
 
-def _mean_row(y: Array, x: Array, air: Array) -> Array:
-    """(4 + N_X + 3,) means of a frame; NaN where half of it is missing."""
-    rows = max(int(np.isfinite(y).any(axis=1).sum()), 1)
-    return np.concatenate([_mean(y), x.sum(axis=0) / rows, _mean(air)])
-
-
 def _mean(values: Array) -> Array:
+    """(frames, width) of (frames, n, width)."""
     there = np.isfinite(values)
-    count = there.sum(axis=0)
-    mean: Array = np.where(there, values, 0.0).sum(axis=0) / np.maximum(count, 1)
-    mean[2 * count <= len(values)] = np.nan
+    count = there.sum(axis=1)
+    mean: Array = np.where(there, values, 0.0).sum(axis=1) / np.maximum(count, 1)
+    mean[2 * count <= values.shape[1]] = np.nan
     return mean

@@ -38,6 +38,7 @@ from gcs_sysid.estimation.actuator_dynamics import (
 )
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.one_step import OneStep
+from gcs_sysid.signals.recursions import recursion
 
 LOW = np.array([-0.03, 0.002, -0.3, -1.5, -1.5])
 HIGH = np.array([0.06, 0.2, 1.3, 1.5, 2.5])
@@ -55,6 +56,8 @@ _LEAST = 1e-3
 """Of full thrust and command: roots have no slope at none."""
 _SLOWEST = 0.3
 """Of hover, state below which a lag no longer grows."""
+_EXACT = 1e-12
+"""Of full thrust: a step of Newton's method that is smaller leaves nothing but rounding."""
 _COUPLED = tuple(rb.SIGNALS.index(name) for name in ("qH", "pH"))
 _OWN = SIGNALS + len(_COUPLED)
 """Columns of one set of motor parameters."""
@@ -248,19 +251,48 @@ class MotorRows:
 
     def _lagged(self, driven: Array) -> Array:
         """The states after each sample, commands halfway between two samples in force there."""
-        x, hover = self._state, self._hover
-        assert x is not None
+        assert self._state is not None
         mean = 0.5 * (driven + np.concatenate([self._last[None], driven[:-1]]))
         self._last = driven[-1]
-        rate_up = -self._dt / (self._tau * self._up)
-        rate_down = -self._dt / (self._tau * self._down)
-        least, p = _SLOWEST * hover, self._p
-        out = np.empty_like(driven)
-        # State by state: which time constant is in force depends on the state itself.
-        for k, v in enumerate(mean):
-            away = x - v
-            rate = np.where(away < 0.0, rate_up, rate_down)
-            x = v + away * np.exp(rate * (np.maximum(x, least) / hover) ** p)
-            out[k] = x
-        self._state = x
-        return out
+        # (points, rotors, n): each state's samples lie side by side.
+        v = np.ascontiguousarray(np.moveaxis(mean, 0, -1))
+        first = self._state[..., None]
+        # A state stays among what it goes after.
+        low = np.minimum(v.min(axis=-1, keepdims=True), first)
+        high = np.maximum(v.max(axis=-1, keepdims=True), first)
+        kept = np.broadcast_to(np.exp(-self._dt / self._tau)[..., None], v.shape)
+        x = np.concatenate([first, recursion(kept, (1.0 - kept) * v, first)], axis=-1)
+        # Which time constant is in force depends on the state itself. Newton's method finds all
+        # states at once, in some five steps: a state is exact one step after the one before it,
+        # so that it ends, and where one time constant does, its steps are quadratic.
+        for _ in range(len(mean) + 1):
+            before = x[..., :-1]
+            away = before - v
+            share, slope = self._shares(before, away)
+            after = recursion(slope, v + away * share - slope * before, first)
+            np.clip(after, low, high, out=after)
+            moved = float(np.abs(after - x[..., 1:]).max())
+            x[..., 1:] = after
+            if moved < _EXACT:
+                break
+        self._state = x[..., -1].copy()
+        reached: Array = np.moveaxis(x[..., 1:], -1, 0)
+        return reached
+
+    def _shares(self, x: Array, away: Array) -> tuple[Array, Array]:
+        """What a sample leaves of how far states are away, and the slope of the next state.
+
+        Args:
+            x: (points, rotors, n) states.
+            away: from what they go after.
+        """
+        least, p = _SLOWEST * self._hover[..., None], self._p[..., None]
+        above = np.maximum(x, least)
+        rate = np.where(
+            away < 0.0,
+            (-self._dt / (self._tau * self._up))[..., None],
+            (-self._dt / (self._tau * self._down))[..., None],
+        )
+        rate *= np.exp(p * np.log(above / self._hover[..., None]))
+        share = np.exp(rate)
+        return share, share * (1.0 + np.where(x > least, p * away * rate / above, 0.0))

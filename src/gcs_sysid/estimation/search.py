@@ -5,6 +5,7 @@ maximum-likelihood point of a Gaussian residual with unknown covariance. It foll
 alone; so do its derivatives (see `estimation.rotation`).
 """
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,6 +76,17 @@ class Point:
             )
         )
 
+    def part(self, which: Mask) -> "Point":
+        """Some of the hypotheses."""
+        return Point(*(values[which] for values in vars(self).values()))
+
+    def filled(self, which: Mask, some: "Point") -> "Point":
+        """With others for some of the hypotheses."""
+        every = {name: values.copy() for name, values in vars(self).items()}
+        for name, values in vars(some).items():
+            every[name][which] = values
+        return Point(**every)
+
 
 class Problem:
     """Hypotheses that are fitted side by side.
@@ -109,6 +121,13 @@ class Problem:
         self.p = len(self.free)
         self._mean = COORDINATE_MEAN[list(basis.free)]
         self._information = COORDINATE_STD[list(basis.free)] ** -2.0
+
+    def part(self, which: Mask) -> "Problem":
+        """Some of the hypotheses."""
+        noise = None if self._noise is None else self._noise[which]
+        some = copy(self)
+        some.bank, some.rows, some._noise = self.bank[which], self.rows[which], noise
+        return some
 
     def prior_information(self) -> Array:
         """(p, p) of the prior, on what is fitted."""
@@ -166,15 +185,18 @@ class Problem:
         """Cost and its derivatives at (K, N_UNKNOWNS), or at (1, N_UNKNOWNS) for all."""
         K, n, f = len(self.bank), rb.N_THETA, len(self.basis.free)
         rows = self.rows[:, None, None]
-        P = self.maps(unknowns)
-        P0 = np.swapaxes(P[:, 0], -1, -2)
-        moments = P[:, 0] @ self.bank @ P0
         Q, G = rb.forward_jacobian(unknowns[:, :n])
         T = residual_maker(Q)
+        if self.basis is PLAIN:
+            P0, moments, TP = None, self.bank, T[:, None]
+        else:
+            P = self.maps(unknowns)
+            P0 = np.swapaxes(P[:, 0], -1, -2)
+            moments = P[:, 0] @ self.bank @ P0
+            TP = T[:, None] @ P
         # Moments of residuals with rows; of their derivatives by the coordinates with rows.
-        TP = T[:, None] @ P
-        TPM = TP @ self.bank[:, None]
-        cross = TPM @ P0[:, None]
+        TPM = _times_each(TP, self.bank)
+        cross = TPM if P0 is None else _times_each(TPM, P0)
         S = TPM[:, 0] @ np.swapaxes(TP[:, 0], -1, -2) / rows
         # Without noise only rounding is left of large terms; that keeps it definite.
         sizes = moments[:, _DIAGONAL, _DIAGONAL]
@@ -186,9 +208,10 @@ class Problem:
         cost = np.linalg.slogdet(S)[1]
         W = np.linalg.inv(S)
         if self._noise is not None:
-            moments = moments - P[:, 0] @ self._noise @ P0
-            TPM = TPM - TP @ self._noise[:, None]
-            cross = TPM @ P0[:, None]
+            noise = self._noise if P0 is None else P[:, 0] @ self._noise @ P0
+            moments = moments - noise
+            TPM = TPM - _times_each(TP, self._noise)
+            cross = TPM if P0 is None else _times_each(TPM, P0)
         WG = (W[:, None] @ G).reshape(K, n, 3 * N_X)
         GR = (G.reshape(len(G), n * 3, N_X) @ moments[:, :N_X, :N_X]).reshape(K, n, 3 * N_X)
         hessian = np.empty((K, self.p, self.p))
@@ -265,13 +288,18 @@ def minimise(problem: Problem, unknowns: Array, limit: int) -> tuple[Point, Mask
     Returns:
         The minimisers, and (K,) whether each was reached.
     """
-    K, p = len(unknowns), problem.p
-    damping = np.full(K, _DAMPING)
-    converged = np.zeros(K, dtype=bool)
-    eye = np.eye(p)
-    gain = np.full(K, np.inf)
+    K = len(unknowns)
     point = problem.evaluate(unknowns)
-    for _ in range(limit):
+    return _descend(problem, point, np.full(K, _DAMPING), np.full(K, np.inf), limit)
+
+
+def _descend(
+    problem: Problem, point: Point, damping: Array, gain: Array, limit: int
+) -> tuple[Point, Mask]:
+    """The steps of `minimise`, with (K,) damping and (K,) gain of the step before."""
+    converged = np.zeros(len(damping), dtype=bool)
+    eye = np.eye(problem.p)
+    for taken in range(1, limit + 1):
         gradient, hessian = problem.with_prior(point.gradient, point.hessian, point.unknowns)
         d = scales(hessian)
         H = hessian / (d[:, :, None] * d[:, None, :]) + damping[:, None, None] * eye
@@ -292,6 +320,13 @@ def minimise(problem: Problem, unknowns: Array, limit: int) -> tuple[Point, Mask
         # No step however small helps any more: rounding has the last word.
         converged = converged | small | (damping > 1e6)
         if converged.all():
+            break
+        if 2 * np.count_nonzero(converged) >= len(converged):
+            left = ~converged
+            rest = _descend(
+                problem.part(left), point.part(left), damping[left], gain[left], limit - taken
+            )
+            point, converged[left] = point.filled(left, rest[0]), rest[1]
             break
     return point, converged
 
@@ -381,3 +416,10 @@ def scales(hessian: Array) -> Array:
     """(..., p) square roots of the diagonal, 1 where there is no information at all."""
     diagonal = np.diagonal(hessian, axis1=-2, axis2=-1)
     return np.sqrt(np.where(diagonal > 1e-100, diagonal, 1.0))
+
+
+def _times_each(left: Array, right: Array) -> Array:
+    """(K, f, 3, n) of (K or 1, f, 3, m) rows times (K or 1, m, n) matrices, in one product each."""
+    product = left.reshape(len(left), -1, left.shape[-1]) @ right
+    out: Array = product.reshape(len(product), *left.shape[1:-1], right.shape[-1])
+    return out

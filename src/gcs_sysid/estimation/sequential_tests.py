@@ -40,8 +40,7 @@ class Cusum:
         Returns:
             Row of the alarm, its channel, and the index at which the sum left zero.
         """
-        with np.errstate(invalid="ignore"):
-            beyond = np.abs(values) > self.allowance
+        beyond = np.abs(values) > self.allowance  # never, where nothing is there
         if not beyond.any() and not self._sum.any():
             return None
         best: tuple[int, int, int] | None = None
@@ -125,6 +124,9 @@ class Baseline:
     def __init__(self, channels: int, memory: float) -> None:
         self.last = np.full(channels, np.nan)
         self._keep = float(np.exp(-1.0 / memory))
+        self._of: tuple[Array, Array] = np.empty((1, 0)), np.ones((1, 1))
+        """What (n, channels) values and the baseline before them make of it: (n + 1, n) weights and
+        (n + 1, 1), for the n that came last."""
 
     def update(self, values: Array, low: Array, high: Array) -> Array:
         """(n, channels) the baseline before each of the values; NaN values are passed over.
@@ -138,10 +140,12 @@ class Baseline:
         weights = [1.0 - keep], [1.0, -keep]
         if np.isfinite(values.sum()) and np.isfinite(self.last.sum()):
             clipped = np.minimum(np.maximum(values, low), high)
-            after, _ = lfilter(*weights, clipped, keep * self.last[None])
-            whole: Array = np.concatenate([self.last[None], after[:-1]])
-            self.last = after[-1].copy()
-            return whole
+            if len(values) != len(self._of[0]) - 1:
+                self._of = self._weights(len(values))
+            weight, kept = self._of
+            whole: Array = weight @ clipped + kept * self.last
+            self.last = whole[-1].copy()
+            return whole[:-1]
         before = np.full_like(values, np.nan)
         for c in range(values.shape[1]):
             there = np.isfinite(values[:, c])
@@ -154,3 +158,8 @@ class Baseline:
             before[there, c] = np.append(self.last[c], filtered[:-1])
             self.last[c] = filtered[-1]
         return before
+
+    def _weights(self, n: int) -> tuple[Array, Array]:
+        age = np.arange(n + 1)[:, None] - np.arange(n) - 1
+        weight = (1.0 - self._keep) * np.where(age >= 0, self._keep ** np.maximum(age, 0), 0.0)
+        return weight, self._keep ** np.arange(n + 1.0)[:, None]

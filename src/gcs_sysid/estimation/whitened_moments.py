@@ -71,7 +71,8 @@ class WhitenedMoments:
 
     def of_axes(self, pick: Sequence[int]) -> Array:
         """(k, 3, width, width) of each axis' whitener."""
-        return self._mute(np.concatenate([part[:, list(pick)] for part in self.parts]))
+        some = [part[:, list(pick)] for part in self.parts]
+        return self._mute(some[0] if len(some) == 1 else np.concatenate(some))
 
     def weighed(self, power: Array) -> "WhitenedMoments":
         """The same, where rows of a batch count by the inverse of its innovations' power.
@@ -94,6 +95,8 @@ class WhitenedMoments:
         return replace(self, parts=parts, counts=counts)
 
     def _mute(self, moments: Array) -> Array:
+        if not self.muted:
+            return moments
         columns = list(self.muted)
         moments[..., columns, :] = 0.0
         moments[..., :, columns] = 0.0
@@ -110,4 +113,9 @@ def grouped(
             starts.append(i)
             size = 0
         size += int(count)
-    return np.add.reduceat(batches, starts, axis=0), np.add.reduceat(counts, starts)
+    if len(starts) == len(batches):
+        return batches, counts.copy()
+    out = np.empty((len(starts), *batches.shape[1:]))
+    for joined, start, stop in zip(out, starts, [*starts[1:], len(batches)], strict=True):
+        batches[start:stop].sum(axis=0, out=joined)
+    return out, np.add.reduceat(counts, starts)

@@ -116,13 +116,13 @@ class WhitenedRecord:
                         white = self._narrow(white, noise())
                 room = self._per_short - int(self._counts[self._full])
                 part = white[:, done : done + room]
-                for rows_of, total, recent in zip(
-                    part, self.total, self._recent[self._full], strict=True
-                ):
-                    # One by one: a matrix with itself costs half of a product.
-                    products = rows_of.T @ rows_of
-                    total += products
+                turned, recent = np.swapaxes(part, 1, 2), self._recent[self._full]
+                if self._counts[self._full]:
+                    products = turned @ part
                     recent += products
+                else:
+                    products = np.matmul(turned, part, out=recent)
+                self.total += products
                 self._counts[self._full] += part.shape[1]
                 self.rows += part.shape[1]
                 done += part.shape[1]

@@ -49,6 +49,8 @@ AVERAGED = (0.4, 0.9)
 _AVERAGED = 5
 """Whiteners without disturbance that are tried with them too: leaks, and the slower torque
 noise."""
+_ORDER = 3
+"""Of the denominator."""
 PIECE = 32
 """Rows whitened by one product."""
 
@@ -259,6 +261,11 @@ class WhitenerBank:
         self._toeplitz = np.where(age >= 0, h[:, np.maximum(age, 0)], 0.0)
         self._past = np.stack([g[:, 2:], g[:, 1:-1], g[:, :-2]], axis=2)
         """(bank, PIECE, 3) of what the past adds to the first three rows."""
+        self._carried = np.zeros((len(a), _ORDER, _ORDER))
+        """What the last rows of a piece leave of the state: row i is of its part i."""
+        for i in range(_ORDER):
+            for k in range(i, _ORDER):
+                self._carried[:, i, _ORDER - 1 - k + i] = -self._c[k][:, 0]
         self._state: Array | None = None
 
     def restart(self) -> None:
@@ -304,15 +311,14 @@ class WhitenerBank:
         before = self._state
         assert before is not None
         m = w.shape[1]
+        if m >= _ORDER:
+            state = self._carried @ w[:, -_ORDER:]
+            state[:, 0] -= self._a * last
+            return state
         zero = np.zeros_like(w[:, 0])
         # State i after a row: -c_i w + state i + 1 before it.
         second = before[:, 2] if m == 1 else -c3 * w[:, -2]
-        if m > 2:
-            first = -c2 * w[:, -2] - c3 * w[:, -3]
-        elif m == 2:
-            first = -c2 * w[:, -2] + before[:, 2]
-        else:
-            first = before[:, 1]
+        first = -c2 * w[:, -2] + before[:, 2] if m == 2 else before[:, 1]
         return np.stack(
             [
                 -self._a * last - c1 * w[:, -1] + first,

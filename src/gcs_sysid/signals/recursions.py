@@ -58,3 +58,32 @@ def lfilter(
             if k < len(b):
                 state[i] += b[k] * flat[n + i - k]
     return y.reshape(x.shape), state.reshape(order, *x.shape[1:])
+
+
+def recursion(kept: Array, added: Array, first: Array) -> Array:
+    """y[n] = kept[n] y[n-1] + added[n] along the last axis, whose coefficient changes.
+
+    Args:
+        kept: (..., n) coefficients.
+        added: (..., n) what is added.
+        first: (..., 1) y before the first sample.
+
+    Returns:
+        (..., n) y.
+
+    Example:
+        >>> recursion(np.array([0.5, 0.0, 2.0]), np.ones(3), np.array([4.0]))
+        array([3., 1., 3.])
+    """
+    shape = added.shape
+    if not added.size:
+        return np.empty(shape)
+    # All of them as one system: none reaches into the next one.
+    driven, n = np.array(added, order="C").reshape(-1, shape[-1]), added.size
+    slopes = np.zeros((2, n), order="F")
+    below = slopes[1].reshape(driven.shape)
+    below[:, :-1] = -kept.reshape(driven.shape)[:, 1:]
+    driven[:, 0] += (kept[..., 0] * first[..., 0]).ravel()
+    y, _ = dtbtrs(slopes, driven.reshape(n, 1), uplo="L", diag="U", overwrite_b=1)
+    made: Array = y.reshape(shape)
+    return made

@@ -1,6 +1,6 @@
 """Aligned signals on a uniform grid: what estimators take."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -38,9 +38,10 @@ class Samples:
     setpoint: Array = field(default_factory=lambda: np.empty((0, 3)))
 
     def __post_init__(self) -> None:
+        n = len(self.gyro)
         for name, width in (("apart", 1), ("voltage", 1), ("setpoint", 3)):
-            if not len(getattr(self, name)):
-                object.__setattr__(self, name, np.full((len(self.gyro), width), np.nan))
+            if n and not len(getattr(self, name)):
+                object.__setattr__(self, name, np.full((n, width), np.nan))
 
     @property
     def signals(self) -> tuple[Array, ...]:
@@ -52,5 +53,4 @@ class Samples:
 
     def part(self, where: slice | Mask) -> "Samples":
         """Some of the samples."""
-        some = Samples(*(signal[where] for signal in self.signals))
-        return replace(some, setpoint=self.setpoint[where])
+        return Samples(*(signal[where] for signal in (*self.signals, self.setpoint)))

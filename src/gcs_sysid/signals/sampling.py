@@ -241,7 +241,9 @@ class Sampler:
                 selector.fly(seconds)
             if flew and not flies and selector.choice is not None:
                 selector.gap()  # what came since it landed tells nothing of the next flight
-            waited, waits = waits, self._waits(held.part(ready if waits else first, stop))
+            waited = waits
+            # Once there was a judgement nothing waits any more.
+            waits = not self._is_judged and self._waits(held.part(ready if waits else first, stop))
             if not waited and first > ready and (waits or self._reading != before):
                 # What was ready at earlier ticks is read as was believed then.
                 yield self._read(held.part(ready, first), before, told_at)
@@ -262,10 +264,12 @@ class Sampler:
     def _reading(self) -> _Reading:
         return self.rotor_selector.choice, self.rotor_selector.twin
 
+    @property
+    def _is_judged(self) -> bool:
+        return self.rotor_selector.choice is not None or self.rotor_selector.judged
+
     def _waits(self, newest: _Held) -> bool:
-        """Whether what is held, with the newest, has no rotor stream, and may have one yet."""
-        if self.rotor_selector.choice is not None or self.rotor_selector.judged:
-            return False
+        """Whether what is held, with the newest, may have a rotor stream yet."""
         held = [*self._held, newest]
         return sum(each.seconds for each in held) < _MOST_HELD and any(e.flies for e in held)
 

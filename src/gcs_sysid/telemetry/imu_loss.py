@@ -21,6 +21,8 @@ TOO_MUCH = 0.6
 """Share missing from which the verdict is at most `partial`: no study goes beyond a half."""
 _HELD, _SETTLED = 512, 256
 """Samples that wait for late ones, and how many of them are settled then."""
+_AT_ONCE = 2048
+"""Samples settled together."""
 _FEW = 8
 """Steps in a row, the shortest mean of which is the interval: half of all samples may be lost, and
 still some of so many are not. One step is not enough: stamps jitter, and ArduPilot sends by turns
@@ -62,12 +64,26 @@ class ImuLoss:
     def take(self, t: Array) -> None:
         """Take (n,) times of samples, s, in the order in which they came."""
         while len(t):
+            room = self._rising(t) if len(t) >= _HELD else 0
+            if room:
+                # One settling for many: of those that all come in order nothing is sorted out.
+                self._held, t = np.append(self._held, t[:room]), t[room:]
+                self._settle(len(self._held) - _HELD + _SETTLED)
+                continue
             room = _HELD - len(self._held)
             self._held, t = np.append(self._held, t[:room]), t[room:]
             if len(self._held) == _HELD:
                 self._held = self._new()
                 if len(self._held) == _HELD:
                     self._settle(_SETTLED)
+
+    def _rising(self, t: Array) -> int:
+        """How many of (n,) times to settle together: a multiple of what is settled at a time."""
+        most = min(len(t), _AT_ONCE) + len(self._held)
+        count = _HELD + (most - _HELD) // _SETTLED * _SETTLED
+        room = count - len(self._held)
+        times = np.concatenate([self._before[-1:], self._held, t[:room]])
+        return room if bool((times[1:] > times[:-1]).all()) else 0
 
     def begin_anew(self) -> None:
         """The clock has gone back: what comes is not held against what came."""
@@ -120,17 +136,21 @@ class ImuLoss:
             calm[: len(runs)] = np.where(even, runs.mean(axis=1), np.nan)
         interval = self._interval or float(few[min(at, len(few) - 1)])
         missing, longest = counts.missing, counts.longest
-        while at < end:
-            changed = (calm[at:end] > _CHANGED * interval) | (few[at:end] < interval / _CHANGED)
-            stop = at + int(np.argmax(changed)) if changed.any() else end
-            if stop == at:
-                stop, interval = at + 1, float(few[at] if np.isnan(calm[at]) else calm[at])
-            interval = float(few[at:stop].min(initial=interval))
-            ratio = np.round(steps[at:stop] / interval)
-            lost = (ratio > 1.0) & (steps[at:stop] <= PAUSE)
-            missing += int((ratio[lost] - 1.0).sum())
-            longest = max(longest, float(steps[at:stop][lost].max(initial=0.0)))
-            at = stop
+        # Those that are settled together are held against one interval.
+        settled = range(len(before) + _SETTLED - 1, end, _SETTLED) if count >= _HELD else ()
+        for stop_at in (*settled, end):
+            while at < stop_at:
+                here = slice(at, stop_at)
+                changed = (calm[here] > _CHANGED * interval) | (few[here] < interval / _CHANGED)
+                stop = at + int(np.argmax(changed)) if changed.any() else stop_at
+                if stop == at:
+                    stop, interval = at + 1, float(few[at] if np.isnan(calm[at]) else calm[at])
+                interval = float(few[at:stop].min(initial=interval))
+                ratio = np.round(steps[at:stop] / interval)
+                lost = (ratio > 1.0) & (steps[at:stop] <= PAUSE)
+                missing += int((ratio[lost] - 1.0).sum())
+                longest = max(longest, float(steps[at:stop][lost].max(initial=0.0)))
+                at = stop
         return Counts(counts.received, missing, longest), interval
 
 
