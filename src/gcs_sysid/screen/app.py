@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from textual.app import SystemCommand
 from textual.binding import Binding, BindingType
+from textual.driver import Driver
 from textual.screen import Screen
 
 from gcs_sysid.errors import InputError
@@ -20,6 +21,7 @@ from gcs_sysid.screen.help import HelpScreen
 from gcs_sysid.screen.main_view import MainScreen
 from gcs_sysid.screen.pilot_view import PilotScreen
 from gcs_sysid.screen.source import Actions, SnapshotSource
+from gcs_sysid.screen.terminal import ending_with_its_terminal
 from gcs_sysid.screen.themes import DARK, LIGHT
 from gcs_sysid.screen.verdict_summary import shares
 from gcs_sysid.screen.view import Baseline, View
@@ -87,6 +89,10 @@ class SysidApp(ActingApp):
     def snapshot(self) -> Snapshot | None:
         """What is shown."""
         return self._snapshot
+
+    def get_driver_class(self) -> type[Driver]:
+        """Textual's, which ends when its terminal is closed."""
+        return ending_with_its_terminal(super().get_driver_class())
 
     def _handle_exception(self, error: Exception) -> None:
         """Leave; what there is to say of it is said by who has started this, in a line."""
