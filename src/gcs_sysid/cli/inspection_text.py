@@ -259,7 +259,7 @@ def _parameters(found: Inspection, width: int) -> list[str]:
 def _verdict(found: Inspection, width: int) -> list[str]:
     lines = [
         f"Can be identified from: {_VERDICTS[found.verdict]}",
-        *_entry("Can be had", _OBTAINABLE[found.obtainable] + _of_hover(found), width),
+        *_entry("Obtainable", _OBTAINABLE[found.obtainable] + _of_hover(found), width),
     ]
     for i, finding in enumerate(found.findings):
         mark = "-" if finding.level == "note" else "!"

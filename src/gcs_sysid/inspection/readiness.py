@@ -78,7 +78,7 @@ def _faster(found: Inspection) -> str:
         text = f"log more: set LOG_BITMASK = {now | _FAST_ATTITUDE | _FAST_IMU} (now {now})"
         if found.parameters.get("SERVO_BLH_TRATE", _ESC_RATE) < _ESC_RATE:
             text += f", and SERVO_BLH_TRATE = {_ESC_RATE} (now "
-            text += f"{found.parameters['SERVO_BLH_TRATE']:.0f}) with ESCs that send so much"
+            text += f"{found.parameters['SERVO_BLH_TRATE']:.0f}) if the ESCs can send that fast"
         return text
     return _FASTER.get(found.kind, _FASTER_LINK)
 
