@@ -622,8 +622,8 @@ def check_scale_given(options: argparse.Namespace) -> None:
     given = (options.mass, options.k_t, options.t_max, getattr(options, "added_mass", None))
     if given.count(None) == len(given):
         raise InputError(
-            f"{NO_SCALE}; the rotors are those that the vehicle reports, unless --airframe names "
-            "others"
+            f"{NO_SCALE}; without --airframe the rotors are those that the vehicle reports, most "
+            "often with --arm M for their size"
         )
 
 

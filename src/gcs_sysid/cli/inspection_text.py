@@ -45,6 +45,8 @@ _TOLD_BY = {
     "": "",
 }
 _VERDICTS = {"yes": "YES", "partly": "PARTLY", "no": "NO"}
+_LAYOUT = ("CA_ROTOR_COUNT", "FRAME_CLASS")
+"""Parameters of a vehicle that reports where its rotors are."""
 _OBTAINABLE: dict[Obtainable, str] = {
     "everything": "everything: scale, CG, inertia, rotor coefficients",
     "all but Izz": "scale, CG, Ixx, Iyy; yaw was hardly flown, so neither Izz nor k_M well",
@@ -272,7 +274,10 @@ def _verdict(found: Inspection, width: int) -> list[str]:
                 finding.advice, width, initial_indent="    -> ", subsequent_indent="       "
             )
     if found.verdict != "no" and found.kind != "link":
-        lines += ["", f"Next: gcs-sysid analyze {found.source} --airframe FILE --mass KG"]
+        # What reports its layout, reports no lengths as a rule.
+        told = any(found.parameters.get(name, 0.0) > 0.0 for name in _LAYOUT)
+        airframe = "--arm M" if told else "--airframe FILE"
+        lines += ["", f"Next: gcs-sysid analyze {found.source} {airframe} --mass KG"]
     elif found.obtainable == "health" and found.kind != "link":
         lines += ["", f"Next: gcs-sysid health {found.source} --arm M --mass KG"]
     return lines

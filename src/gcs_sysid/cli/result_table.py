@@ -84,7 +84,7 @@ def _rows(result: Result, truth: Mapping[str, float] | None, style: _Style) -> l
     }
     if any(e.std_given for e in estimates):
         columns[_GIVEN] = [
-            significant(Z95 * e.std_given, 2) if e.std_given else "" for e in estimates
+            significant(Z95 * e.std_given, 2) if e.std_given and e.shown else "" for e in estimates
         ]
     columns |= {
         "unit": [PARAMETERS[name].unit for name in names],

@@ -173,11 +173,10 @@ def _attitude_and_velocity(found: Inspection) -> Iterator[Finding]:
 
 def _flight(found: Inspection) -> Iterator[Finding]:
     if not found.flight_told_by:
-        yield Finding(
-            "blocks",
-            "no flight state in the data",
-            "record EXTENDED_SYS_STATE too (gcs-sysid live requests it)",
-        )
+        advice = "record EXTENDED_SYS_STATE too (gcs-sysid live requests it)"
+        if found.kind == "table":
+            advice = "name a column of it in the mapping file: in_air or armed"
+        yield Finding("blocks", "no flight state in the data", advice)
     elif found.kind == "link":
         if not found.flights:
             text = "not in the air while listening: flight-dependent checks are skipped"

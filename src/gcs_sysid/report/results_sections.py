@@ -119,10 +119,11 @@ def parameters(data: ReportData) -> Markup:
     for name in sorted(entries, key=lambda n: n not in core):
         estimate = entries[name]
         status: Status = estimate["status"]
+        known = status != "unobservable"
         cells = [_name(name), *_numbers(estimate), _status(status, words.STATUS[status])]
         cells.append(words.source_of(name, estimate, result["scale"]))
         if limited:
-            cells.append(_half_of(estimate.get("std_given")))
+            cells.append(_half_of(estimate.get("std_given") if known else None))
         if bounded:
             cells.append(_half_of(estimate.get("bound")))
         if data.truth:
