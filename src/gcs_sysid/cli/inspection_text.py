@@ -77,6 +77,12 @@ def report(found: Inspection, width: int = 80) -> str:
     return "\n\n".join("\n".join(part) for part in parts if part)
 
 
+def next_command(source: str, parameters: Mapping[str, float]) -> str:
+    """The command that identifies from a log. Layouts that vehicles report lack lengths."""
+    layout = any(parameters.get(name, 0.0) > 0.0 for name in _LAYOUT)
+    return f"gcs-sysid analyze {source} {'--arm M' if layout else '--airframe FILE'} --mass KG"
+
+
 def _entry(name: str, text: str, width: int) -> list[str]:
     """A name at the left and its text beside it, wrapped."""
     lines = textwrap.wrap(
@@ -274,10 +280,7 @@ def _verdict(found: Inspection, width: int) -> list[str]:
                 finding.advice, width, initial_indent="    -> ", subsequent_indent="       "
             )
     if found.verdict != "no" and found.kind != "link":
-        # What reports its layout, reports no lengths as a rule.
-        told = any(found.parameters.get(name, 0.0) > 0.0 for name in _LAYOUT)
-        airframe = "--arm M" if told else "--airframe FILE"
-        lines += ["", f"Next: gcs-sysid analyze {found.source} {airframe} --mass KG"]
+        lines += ["", f"Next: {next_command(found.source, found.parameters)}"]
     elif found.obtainable == "health" and found.kind != "link":
         lines += ["", f"Next: gcs-sysid health {found.source} --arm M --mass KG"]
     return lines

@@ -46,17 +46,17 @@ _SAME = 1e-9
 
 @dataclass(frozen=True)
 class TwinFlight:
-    """How the identified model flies beside the vehicle.
+    """The identified model flown beside the vehicle.
 
     Attributes:
-        result: that was flown; of a result of the same flight, the fit to its first part.
+        result: flown; for a result of the same flight, the fit to its first part.
         source: the result that was given.
         log: that it was flown along.
-        same_flight: whether the result that was given is of this log.
+        same_flight: whether the given result is from this log.
         judged: (start, end) of the parts of the log that were judged, s.
         accuracy: length of the stretches in s -> quantity -> errors and band.
         growth: of the errors over the longest stretches.
-        notes: what is to be known beside the numbers.
+        notes: remarks on the numbers.
     """
 
     result: Result
@@ -70,7 +70,7 @@ class TwinFlight:
 
     @property
     def held_out(self) -> str:
-        """In words, what of the log the model has not seen."""
+        """In words, the part of the log that the model has not seen."""
         spans = " and ".join(f"{start:.0f} to {end:.0f} s" for start, end in self.judged)
         if self.same_flight:
             return (
