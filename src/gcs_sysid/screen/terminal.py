@@ -55,8 +55,9 @@ def ending_with_its_terminal(base: type[Driver]) -> type[Driver]:
     class TerminalDriver(base):  # type: ignore[misc, valid-type]
         def __init__(self, *args: Any, **options: Any) -> None:
             super().__init__(*args, **options)
-            if hasattr(self, "_file"):
-                self._file = HangingUpFile(self._file)
+            terminal: IO[str] | None = getattr(self, "_file", None)
+            if terminal is not None:
+                self._file = HangingUpFile(terminal)
 
         def _sigcont_application(self, number: int, frame: FrameType | None) -> None:
             # Only after the driver's own SIGTSTP is there anything to start again.
