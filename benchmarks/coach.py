@@ -107,7 +107,7 @@ class Flight:
         }
 
     def shares(self) -> dict[str, float | None]:
-        """Half of each interval over its yardstick, as the coach and the screen see it."""
+        """Half of each interval over its reference value, as the coach and the screen see it."""
         chain = self.pipeline.chain
         return shares(chain.values(chain.fit), self.airframe.arm, chain.rotor_input)
 

@@ -69,8 +69,8 @@ def deviations(swings: list[Swing], craft: Craft, margin: Array) -> Array:
     covariance = np.linalg.inv(total / np.outer(size, size)) / np.outer(size, size)
     shown = [*range(rb.N_INERTIA), rb.MOMENT_RATIO]
     moments = craft.theta[[0, 1, 2]]
-    yardstick = np.concatenate([moments, moments[[0, 0, 0]], craft.theta[[rb.MOMENT_RATIO]]])
-    share: Array = np.sqrt(np.diag(covariance))[shown] / yardstick
+    reference = np.concatenate([moments, moments[[0, 0, 0]], craft.theta[[rb.MOMENT_RATIO]]])
+    share: Array = np.sqrt(np.diag(covariance))[shown] / reference
     return share
 
 

@@ -155,8 +155,8 @@ def make_parser() -> argparse.ArgumentParser:
     add(
         "--gains",
         metavar="FILE|default",
-        help="fly the autopilot's own rate controller with the gains of a .params or .param file, "
-        "or as shipped (else by a controller that knows the vehicle)",
+        help="fly the autopilot's own rate controller, with gains from a .params or .param file or "
+        "its defaults (without --gains: a controller that knows the vehicle)",
     )
     add(
         "--turbulence",
@@ -204,7 +204,7 @@ def make_parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="MESSAGE=HZ",
-        help="send a message at this rate, which another ground station asked for; 0: never",
+        help="initial rate of a message, as if another ground station had requested it; 0: never",
     )
     add(
         "--trap",

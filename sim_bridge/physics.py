@@ -247,7 +247,7 @@ KINDS: dict[str, Kind] = {
         "each rotor's k_T and k_M differ: 1 sigma", between(0.0, 0.3, "of them"), "SHARE", "0.03"
     ),
     "tilt": Kind("rotors canted about their arms, in the direction of yaw", _degrees, "DEG", "4"),
-    "rotor-inertia": Kind("of one rotor, with commands too", not_negative, "KGM2", "3e-5"),
+    "rotor-inertia": Kind("inertia of one rotor, also with commands", not_negative, "KGM2", "3e-5"),
     "motor-lag": Kind("time constant of the motors", milliseconds, "MS", "40"),
     "lag-of": Kind("what lags: speed, thrust or command", _lag_of, "WHAT", "speed"),
     "thrust-curve": Kind(
@@ -260,7 +260,7 @@ KINDS: dict[str, Kind] = {
         "1:20:0.1:5",
     ),
     "weak": Kind(
-        "full thrust over what the most loaded rotor hovers with",
+        "full thrust over the hover thrust of the most loaded rotor",
         between(1.15, 20.0, "times hover"),
         "RATIO",
         "1.8",
@@ -302,13 +302,13 @@ KINDS: dict[str, Kind] = {
         "0.1:0.5",
     ),
     "imu-place": Kind(
-        "the IMU from the CG: forward, right, down",
+        "position of the IMU from the CG: forward, right, down",
         _numbers("X:Y:Z", (_metres, _metres, _metres)),
         "X:Y:Z M",
         "0.03:0.02:-0.02",
     ),
     "imu-rotation": Kind(
-        "the IMU turned against the body: roll, pitch, yaw",
+        "rotation of the IMU relative to the body: roll, pitch, yaw",
         _numbers("R:P:Y", (_degrees, _degrees, _degrees)),
         "R:P:Y DEG",
         "1:-1:1",
@@ -344,4 +344,4 @@ def make_physics(parsed: Iterable[tuple[str, Any]]) -> Physics:
 
 def physics_help() -> str:
     """One line an effect, for --help."""
-    return f"{choice_help(KINDS)}\n  {ALL:<26} all of them at their usual values"
+    return f"{choice_help(KINDS)}\n  {ALL:<26} all of these at their usual values"

@@ -333,5 +333,5 @@ def rate_controller(autopilot: str, gains: str) -> Callable[[Vehicle, float], Ra
         found = read_parameter_file(Path(gains))
         settings = {name: found[name] for name in DEFAULTS[autopilot] if name in found}
         if not settings:
-            raise InputError(f"--gains {gains}: holds no gains of {autopilot}: give its own file")
+            raise InputError(f"--gains {gains}: has no gains of {autopilot}: give its own file")
     return lambda vehicle, period: CONTROLLERS[autopilot](vehicle, period, settings)

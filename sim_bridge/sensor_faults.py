@@ -110,7 +110,7 @@ KINDS: dict[str, Kind] = {
         "MOTOR:FROM",
     ),
     "quaternion-flips": Kind(
-        "share of quaternions sent with all signs turned", share, "SHARE", "0.2"
+        "share of quaternions sent with all signs flipped", share, "SHARE", "0.2"
     ),
     "gyro-outliers": Kind(
         "share of IMU samples with a spike on one gyro axis", share, "SHARE", "0.002"
@@ -122,7 +122,7 @@ KINDS: dict[str, Kind] = {
         "0.002",
     ),
     "attitude-outliers": Kind(
-        "share of attitudes that are half a radian and more off", share, "SHARE", "0.002"
+        "share of attitudes off by half a radian or more", share, "SHARE", "0.002"
     ),
     "imu-frozen": Kind(
         "share of IMU samples that repeat the last under a new timestamp", share, "SHARE", "0.02"
@@ -148,9 +148,7 @@ KINDS: dict[str, Kind] = {
     "skips": Kind(
         "messages never sent, without a gap in the sequence numbers", share, "SHARE", "0.01"
     ),
-    "disorder": Kind(
-        "share of frames sent after the one that follows them", share, "SHARE", "0.05"
-    ),
+    "disorder": Kind("share of frames swapped with the next one", share, "SHARE", "0.05"),
     "wrap-us": Kind("32-bit timestamps in us wrap, time after the start", moment, "S", "10"),
     "wrap-ms": Kind(
         "32-bit timestamps in ms wrap, and those in us with them, time after the start",
@@ -169,15 +167,15 @@ KINDS: dict[str, Kind] = {
         "another ground station resets the rates, time after the start", moment, "S"
     ),
     "never-sent": Kind(
-        "this message is acknowledged and never comes; may be repeated", _message, "MESSAGE"
+        "requests for this message are acknowledged, but it is never sent; may be repeated",
+        _message,
+        "MESSAGE",
     ),
     "groups-only": Kind(
         "ArduPilot before 4.0: no SET_MESSAGE_INTERVAL, no HIGHRES_IMU, groups at 50 Hz at most"
     ),
-    "parameters": Kind("sends all its parameters first, for another ground station that asked"),
-    "active-count": Kind(
-        "ACTUATOR_OUTPUT_STATUS counts outputs that drive nothing, too", whole(32), "N", "16"
-    ),
+    "parameters": Kind("all parameters are sent first, as if another ground station had asked"),
+    "active-count": Kind("ACTUATOR_OUTPUT_STATUS counts unused outputs too", whole(32), "N", "16"),
     "ground": Kind("on the ground, disarmed, before and after each flight", moment, "S", "10"),
     "flights": Kind("flights in sequence, with ground time in between", whole(100), "N", "2"),
     "forwarded": Kind("messages of a second vehicle"),

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from gcs_sysid.cli.inspection_text import next_command
 from gcs_sysid.cli.program import run
+from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.results import words
-from gcs_sysid.results.result import Estimate
+from gcs_sysid.results.result import Estimate, Result, Scale
 from gcs_sysid.results.snapshot import LinkState
 from gcs_sysid.screen.verdict_summary import headline
 from gcs_sysid.screen.view import View
@@ -71,6 +73,30 @@ def test_a_hover_claims_no_drag(capsys, fly):
     assert rows["k_T"][-1] == "identified"
     for name in ("linear_drag", "Ixx", "Izz", "k_M"):
         assert (rows[name][0], rows[name][-1]) == ("-", "unobservable"), name
+
+
+def test_an_unobservable_row_has_no_numbers():
+    estimates = {
+        "Ixx": Estimate(0.016, 0.0002, "kg m^2", "identified", std_given=0.0001),
+        "Izz": Estimate(0.03, 0.02, "kg m^2", "unobservable", std_given=0.0006),
+    }
+    scale = Scale("mass", 1.5, "kg")
+    result = Result("partial", (), "a.tlog", {}, scale, "speed", estimates)
+    rows = rows_of(result_table(result, None, None))
+    assert rows["Ixx"] == ["0.01600", "0.00039", "2.4", "0.00020", "kg", "m^2", "identified"]
+    assert rows["Izz"] == ["-", "-", "-", "kg", "m^2", "unobservable"]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "options"),
+    [
+        ({}, "--airframe FILE"),
+        ({"CA_ROTOR_COUNT": 4.0}, "--arm M"),
+        ({"FRAME_CLASS": 1.0}, "--arm M"),
+    ],
+)
+def test_inspect_proposes_a_command_that_fits_the_log(parameters, options):
+    assert next_command("a.ulg", parameters) == f"gcs-sysid analyze a.ulg {options} --mass KG"
 
 
 def test_the_headline_follows_the_target():

@@ -167,7 +167,7 @@ def page(flights: list[Flown]) -> str:
     parts = {
         "table": main_table(flights),
         "duels": duels_table(flights),
-        "worse": [f"In {worse} cells we are the worse."],
+        "worse": [f"Ours is the larger in {worse} cells."],
         "errors": errors(flights),
     }
     text = TEMPLATE.read_text(encoding="utf-8")

@@ -155,6 +155,6 @@ def total(flights: list[Outcome]) -> str:
     rate = 100.0 * hold / len(claims) if claims else math.nan
     return (
         f"{len(flights)} flights: {hold} of {len(claims)} `identified` intervals hold "
-        f"({number(rate)} %); of {len(trusted)} verdicts `identified`, {far} have a claim that is "
-        "off by more than three of its own standard deviations."
+        f"({number(rate)} %); {far} of {len(trusted)} results with verdict `identified` contain a "
+        "claim off by more than three of its own standard deviations."
     )

@@ -127,7 +127,7 @@ SCENARIOS = (
     ),
     Scenario(
         "jr",
-        "yaw damped a tenth as much as roll and pitch",
+        "yaw damping a tenth of that of roll and pitch",
         lambda _: Physics(damping=(0.5, 0.5, 0.05)),
         unjudged=("rotational_damping",),
     ),
@@ -163,15 +163,15 @@ SCENARIOS = (
     Scenario("b", "wind of 6 m/s, Dryden gusts, aerodynamics", _wind, unjudged=_AIR_BESIDES),
     Scenario(
         "ou",
-        "a moment of 1 rad/s² rms that nobody models",
+        "an unmodeled moment of 1 rad/s² rms",
         lambda _: Physics(ou_moment=(1.0, 1.0), ou_force=(0.3, 1.0)),
     ),
     Scenario("arm", "arms given 3 % too long, with a standard deviation of 3 %", known=_scaled),
     Scenario(
         "mass", "mass given 5 % too large, with a standard deviation of 5 %", known=_misweighed
     ),
-    Scenario("swap", "two rotors taken for each other", known=_swapped),
-    Scenario("spins", "all spins the wrong way round", known=_spun),
-    Scenario("turned", "front taken for the right-hand side", known=_turned),
+    Scenario("swap", "two rotors swapped in the airframe file", known=_swapped),
+    Scenario("spins", "all spin directions reversed", known=_spun),
+    Scenario("turned", "airframe rotated by 90 degrees", known=_turned),
 )
 """Letters are those under which such flights were first collected."""

@@ -56,8 +56,8 @@ __all__ = [
 class Signals:
     """What a vehicle measured, as arrays. Body axes forward, right, down; world north, east, down.
 
-    Everything is sampled at `t`, but for what `times` gives times of its own; they need not be
-    uniform, only rise, and count on one clock. NaN marks what is missing.
+    Signals are sampled at `t` unless `times` gives them times of their own. Times must increase, on
+    one clock, but need not be uniform. NaN marks missing values.
 
     Attributes:
         t: (n,) s.
@@ -67,9 +67,9 @@ class Signals:
         speeds: (n, rotors) measured speeds in rad/s, in the airframe's order of rotors.
         commands: (n, rotors) outputs to the motors in the same order, 0 to 1, or in the unit of
             the airframe's command range. At least one of the two.
-        velocity: (n, 3) m/s; without it thrust over mass rests on the accelerometer alone.
-        position: (n, 3) m, of the same times as the velocity; tells when it flies.
-        flying: (n,) whether it flies; else turning rotors and height tell.
+        velocity: (n, 3) m/s; without it thrust over mass comes from the accelerometer alone.
+        position: (n, 3) m, at the times of the velocity; helps to detect flight.
+        flying: (n,) whether it flies; default: derived from rotors and height.
         times: name of a signal -> (k,) s, where it has times of its own. Gyro and force share
             `t`, velocity and position share the times of the velocity.
     """
@@ -92,7 +92,7 @@ class Signals:
             rotors: how many the airframe has.
 
         Raises:
-            InputError: shapes do not fit each other, or times do not rise.
+            InputError: shapes do not match, or times do not increase.
         """
         own = {"attitude", "speeds", "commands", "velocity", "flying"}
         unknown = set(self.times or {}) - own
@@ -176,7 +176,7 @@ def load_airframe(
     """An airframe with a scale.
 
     Args:
-        airframe: a built-in name, a .toml file, or an airframe to alter.
+        airframe: a built-in name, a .toml file, or an airframe to modify.
         known: see `Known`.
 
     Raises:
@@ -222,7 +222,7 @@ def analyze(
     history: bool = False,
     **known: Unpack[Known],
 ) -> Result:
-    """Identify from a recorded flight, to the numbers of `gcs-sysid analyze`.
+    """Identify from a recorded flight, with the numbers of `gcs-sysid analyze`.
 
     Args:
         log: a .tlog, .ulg, .bin or .bbl file.
@@ -230,7 +230,7 @@ def analyze(
         vehicle: system and perhaps component; None: the first autopilot in the log.
         start: s after the first record; earlier records are not used.
         end: s after the first record; later ones are not used.
-        offline: whether to maximise the likelihood of the whole record.
+        offline: whether to maximize the likelihood of the whole record.
         history: whether to keep estimates and predicted acceleration over time, for
             `Result.plot`; takes longer.
         known: scale, arm and priors, see `Known`.
@@ -284,10 +284,10 @@ def fly_twin(
     seed: int = 0,
     **known: Unpack[Known],
 ) -> TwinFlight:
-    """Fly a result along a log's held-out stretches, to the numbers of `gcs-sysid twin`.
+    """Fly a result along a log's held-out stretches, with the numbers of `gcs-sysid twin`.
 
     Args:
-        result: of this flight (the model is then fitted again to its first part) or of another.
+        result: of this flight (the model is then refitted to its first part) or of another.
         log: a .tlog, .ulg, .bin or .bbl file.
         airframe: as for `load_airframe`; None: that of the result.
         vehicle: system and perhaps component; None: the first autopilot in the log.
@@ -322,14 +322,14 @@ def identify(
     Args:
         signals: of one vehicle.
         airframe: as for `load_airframe`.
-        offline: whether to maximise the likelihood of the whole record.
+        offline: whether to maximize the likelihood of the whole record.
         known: scale, arm and priors, see `Known`.
 
     Raises:
         InputError: arrays do not fit, or the airframe cannot be used.
 
     Example:
-        A hover, in which nothing turns, tells thrust over mass and no inertia:
+        A hover without rotation identifies thrust over mass, but no inertia:
 
         >>> import numpy as np
         >>> import gcs_sysid

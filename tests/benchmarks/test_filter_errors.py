@@ -1,4 +1,4 @@
-"""The yardsticks that the filters are measured with, on a few seconds of flight."""
+"""The measures of filter error, on a few seconds of flight."""
 
 import numpy as np
 import pytest

@@ -132,7 +132,7 @@ def test_our_row_says_who_is_better():
     assert "| the model (1) | **gcs-sysid** (better: third) | 50 % | 2 of 4 |" in text
     (row,) = (line for line in text.splitlines() if line.startswith("| the model | Ixx |"))
     assert row == "| the model | Ixx | 2 % / 1 % (1) **worse** | 2 % / 3 % (1) | – |"
-    assert "In 1 cells we are the worse." in text
+    assert "Ours is the larger in 1 cells." in text
     assert "- a 0, broken: ValueError: no" in text
 
 

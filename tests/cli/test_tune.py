@@ -117,7 +117,7 @@ def test_what_a_result_does_not_carry_is_said_with_the_flight_that_helps(files, 
     assert "analyze a flight with commands" in err
     result("command", weak=("Ixx",)).write(files / "weak.json")
     assert run(["tune", "weak.json"]) == 1
-    assert "Ixx (only weakly identified)" in capsys.readouterr().err
+    assert "Ixx (weak)" in capsys.readouterr().err
     given = ["--set", "motor_lag=0.03+-0.003", "--set", "rotor_speed_max=220"]
     assert run(["tune", "speed.json", *given, *FEW]) == 0
 

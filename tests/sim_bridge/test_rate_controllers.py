@@ -38,7 +38,7 @@ def test_gains_of_a_file_are_flown_and_another_autopilots_refused(tmp_path, caps
     controller = make(load_vehicle("paper"), 0.0025)
     assert controller._get("MC_ROLLRATE_P") == 0.07
     assert controller._get("MC_PITCHRATE_P") == DEFAULTS["px4"]["MC_PITCHRATE_P"]
-    with pytest.raises(InputError, match="holds no gains of ardupilot"):
+    with pytest.raises(InputError, match="has no gains of ardupilot"):
         rate_controller("ardupilot", str(tmp_path / "g.params"))
     tlog = str(tmp_path / "x.tlog")
     common = ["--mission", "hover", "--duration", "0.5", "--speed", "max", "--tlog", tlog]

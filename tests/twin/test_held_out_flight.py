@@ -41,7 +41,7 @@ def test_a_result_of_the_same_log_is_fitted_again_to_the_first_part(twin, result
     ((start, end),) = twin.judged
     # 60 % of the flight, as in the validation.
     assert (start - 0.0) / end == pytest.approx(0.6, abs=0.03)
-    assert "fitted again" in twin.held_out
+    assert "refitted" in twin.held_out
     assert twin.result.telemetry["used_seconds"] < result.telemetry["used_seconds"] * 0.65
     assert twin.result.parameters["Izz"].value != result.parameters["Izz"].value
 

@@ -329,7 +329,7 @@ def add_analyze(parser: argparse.ArgumentParser) -> None:
         "--added-mass",
         type=mass,
         metavar="KG",
-        help="set the scale by two flights, the second with KG of added mass",
+        help="set the scale from two flights, the second with KG of added mass",
     )
     parser.add_argument(
         "--offline",
@@ -341,8 +341,9 @@ def add_analyze(parser: argparse.ArgumentParser) -> None:
         "--method",
         choices=("forward", "forward-td", "forward-window", *ARTICLE_METHODS),
         default="forward",
-        help="forward (default); with a tracking differentiator instead of the window; with "
-        "whitening; or a variant of the article's method, for study",
+        help="forward: whitened rows, or the window for slow data (default); forward-td, "
+        "forward-window: a tracking differentiator or the window throughout; others: the article's "
+        "method and variants, for study",
     )
 
 
@@ -563,13 +564,13 @@ def add_health(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--baseline",
         metavar="HEALTH.json",
-        help="earlier flight, written by --json: names a rotor that has weakened "
+        help="earlier flight, written by --json, to find a rotor that has weakened since "
         "(default: the first of several logs)",
     )
     parser.add_argument(
         "--unchanged",
         action="store_true",
-        help="nothing was moved or loaded since the baseline: detects a weak rotor sooner",
+        help="nothing was moved or loaded since the baseline: a weak rotor is detected sooner",
     )
     parser.add_argument("--json", metavar="FILE", help="write the findings; - is stdout")
     parser.add_argument(
@@ -621,8 +622,8 @@ def check_scale_given(options: argparse.Namespace) -> None:
     given = (options.mass, options.k_t, options.t_max, getattr(options, "added_mass", None))
     if given.count(None) == len(given):
         raise InputError(
-            f"{NO_SCALE}; the rotors are those that the vehicle reports, unless --airframe names "
-            "others"
+            f"{NO_SCALE}; without --airframe the rotors are those that the vehicle reports, most "
+            "often with --arm M for their size"
         )
 
 

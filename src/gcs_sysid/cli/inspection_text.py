@@ -45,6 +45,8 @@ _TOLD_BY = {
     "": "",
 }
 _VERDICTS = {"yes": "YES", "partly": "PARTLY", "no": "NO"}
+_LAYOUT = ("CA_ROTOR_COUNT", "FRAME_CLASS")
+"""Parameters of a vehicle that reports where its rotors are."""
 _OBTAINABLE: dict[Obtainable, str] = {
     "everything": "everything: scale, CG, inertia, rotor coefficients",
     "all but Izz": "scale, CG, Ixx, Iyy; yaw was hardly flown, so neither Izz nor k_M well",
@@ -73,6 +75,12 @@ def report(found: Inspection, width: int = 80) -> str:
         _verdict(found, width),
     ]
     return "\n\n".join("\n".join(part) for part in parts if part)
+
+
+def next_command(source: str, parameters: Mapping[str, float]) -> str:
+    """The command that identifies from a log. Layouts that vehicles report lack lengths."""
+    layout = any(parameters.get(name, 0.0) > 0.0 for name in _LAYOUT)
+    return f"gcs-sysid analyze {source} {'--arm M' if layout else '--airframe FILE'} --mass KG"
 
 
 def _entry(name: str, text: str, width: int) -> list[str]:
@@ -259,7 +267,7 @@ def _parameters(found: Inspection, width: int) -> list[str]:
 def _verdict(found: Inspection, width: int) -> list[str]:
     lines = [
         f"Can be identified from: {_VERDICTS[found.verdict]}",
-        *_entry("Can be had", _OBTAINABLE[found.obtainable] + _of_hover(found), width),
+        *_entry("Obtainable", _OBTAINABLE[found.obtainable] + _of_hover(found), width),
     ]
     for i, finding in enumerate(found.findings):
         mark = "-" if finding.level == "note" else "!"
@@ -272,7 +280,7 @@ def _verdict(found: Inspection, width: int) -> list[str]:
                 finding.advice, width, initial_indent="    -> ", subsequent_indent="       "
             )
     if found.verdict != "no" and found.kind != "link":
-        lines += ["", f"Next: gcs-sysid analyze {found.source} --airframe FILE --mass KG"]
+        lines += ["", f"Next: {next_command(found.source, found.parameters)}"]
     elif found.obtainable == "health" and found.kind != "link":
         lines += ["", f"Next: gcs-sysid health {found.source} --arm M --mass KG"]
     return lines

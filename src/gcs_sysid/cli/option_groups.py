@@ -42,7 +42,7 @@ def add_target(parser: "argparse.ArgumentParser | argparse._ArgumentGroup") -> N
         type=target,
         default=0.02,
         metavar="P%",
-        help="wanted 95 %% interval, relative to the value (default 2%%)",
+        help="target 95 %% interval, relative to the value (default 2%%)",
     )
 
 
@@ -140,9 +140,9 @@ def add_airframe(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     new = actions.add_parser(
         "new",
-        help="write an airframe file, by questions or by options",
-        description="Writes an airframe file. Asks on the terminal for what no option gives; "
-        "with --layout and --arm (or --rotor) and --output it asks nothing.",
+        help="write an airframe file, from questions or options",
+        description="Writes an airframe file. Asks for what the options do not give; with "
+        "--layout and --arm (or --rotor) and --output it asks nothing.",
     )
     new.add_argument("--layout", choices=LAYOUTS, metavar="NAME", help=", ".join(LAYOUTS[::2]))
     new.add_argument(
@@ -232,8 +232,8 @@ def add_tune(parser: argparse.ArgumentParser) -> None:
         "--with",
         dest="beside",
         metavar="RESULT2.json",
-        help="second result of the flight, by commands beside one by rotor speeds: it adds what "
-        "the first does not have",
+        help="second result of the same flight, from commands if the first is from rotor speeds; "
+        "supplies what the first lacks",
     )
     parser.add_argument("--autopilot", choices=("px4", "ardupilot"), help="default: the vehicle's")
     parser.add_argument(

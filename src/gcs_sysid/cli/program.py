@@ -81,15 +81,15 @@ def build_parser() -> argparse.ArgumentParser:
     arguments.add_inspect(inspect)
     health = commands.add_parser(
         "health",
-        help="see CG, rotor loads and margins in any flight that hovers",
-        description="Shows from any log in which the vehicle hovers, at any message rate: center "
-        "of gravity, each rotor's share of the thrust, margins, and which autopilot parameters "
-        "fit. Without --airframe the log's own parameters give the rotor positions.",
+        help="show CG, rotor loads and margins of any flight with a hover",
+        description="Shows center of gravity, thrust share of each rotor, margins and suitable "
+        "autopilot parameters from any log with a hover, at any message rate. Without --airframe "
+        "the rotor positions come from the log.",
     )
     arguments.add_health(health)
     plan = commands.add_parser(
         "plan",
-        help="plan what to fly",
+        help="plan a flight",
         description="Plans a flight: maneuvers, duration and expected accuracy. Nothing is sent "
         "to a vehicle.",
     )
@@ -105,9 +105,9 @@ def build_parser() -> argparse.ArgumentParser:
     arguments.add_export(export)
     tune = commands.add_parser(
         "tune",
-        help="margins of the autopilot's gains, and gains for the vehicle",
-        description="Shows phase and gain margins of the gains that PX4 or ArduPilot has, over "
-        "the whole interval of the result, and proposes gains, as a file for QGroundControl or "
+        help="show margins of the autopilot's gains, and propose gains",
+        description="Shows phase and gain margins of the present gains of PX4 or ArduPilot, over "
+        "the uncertainty of the result, and proposes gains, as a file for QGroundControl or "
         "Mission Planner. Nothing is sent to a vehicle.",
     )
     option_groups.add_tune(tune)
@@ -120,10 +120,10 @@ def build_parser() -> argparse.ArgumentParser:
     twin = commands.add_parser(
         "twin",
         help="fly the identified model beside the vehicle",
-        description="Flies a result with a log's inputs from the measured state, over every "
-        "held-out stretch of 0.1, 0.3, 1 and 3 s, and shows how its errors in body rates, attitude "
-        "and velocity grow, beside the predicted band and a guess of constant rates. Without "
-        "--airframe, vehicle and scale are those of the result.",
+        description="Flies the identified model with a log's inputs, from the measured state, over "
+        "held-out stretches of 0.1, 0.3, 1 and 3 s, and compares its errors in rates, attitude and "
+        "velocity with the predicted band and with constant rates. Without --airframe, vehicle "
+        "and scale are those of the result.",
     )
     arguments.add_twin(twin)
     batch = commands.add_parser(
@@ -143,21 +143,21 @@ def build_parser() -> argparse.ArgumentParser:
     arguments.add_trend(trend)
     web = commands.add_parser(
         "web",
-        help="drop logs on a page in the browser",
+        help="analyze logs on a page in the browser",
         description="Serves a page: drop a log on it, check the proposed airframe, enter the "
-        "mass, read the report; compare two results. Works offline. Prints the address, whose "
-        "token lets in.",
+        "mass, read the report; compare two results. Works offline. Prints the address, which "
+        "contains the access token.",
     )
     arguments.add_web(web)
     airframe = commands.add_parser(
         "airframe",
-        help="describe your vehicle, with a picture",
-        description="Writes the airframe file, with the positions of the rotors, or checks one.",
+        help="write or check the airframe file of a vehicle",
+        description="Writes or checks an airframe file, which holds the rotor positions.",
     )
     option_groups.add_airframe(airframe)
     doctor = commands.add_parser(
         "doctor",
-        help="check this machine and listen for MAVLink vehicles",
+        help="check this computer and listen for MAVLink vehicles",
         description="Checks versions, ports, serial devices, terminal and recording folder, and "
         "listens for vehicles. Sends nothing. Exit status 1 if there is a problem.",
     )

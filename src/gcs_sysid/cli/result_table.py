@@ -62,8 +62,8 @@ def result_table(
     lines += rows
     notes = _notes(result)
     if _GIVEN in rows[0]:
-        notes.insert(0, f"{_GIVEN}: the part of ± by errors of arm, scale and IMU as given, which "
-                     "no flight makes smaller")  # fmt: skip
+        notes.insert(0, f"{_GIVEN}: the part of ± due to errors of the given arm, scale and IMU, "
+                     "which no flight reduces")  # fmt: skip
     if notes:
         lines.append("")
     for note in notes:
@@ -84,7 +84,7 @@ def _rows(result: Result, truth: Mapping[str, float] | None, style: _Style) -> l
     }
     if any(e.std_given for e in estimates):
         columns[_GIVEN] = [
-            significant(Z95 * e.std_given, 2) if e.std_given else "" for e in estimates
+            significant(Z95 * e.std_given, 2) if e.std_given and e.shown else "" for e in estimates
         ]
     columns |= {
         "unit": [PARAMETERS[name].unit for name in names],
@@ -131,7 +131,9 @@ def _notes(result: Result) -> list[str]:
         notes.append(f"{len(many)} disturbances; the vehicle is unchanged")
     volts = result.telemetry.get("thrust_voltage")
     if volts:
-        notes.append(f"T_max is that at {volts:.1f} V, the battery's as the flight began")
+        notes.append(
+            f"T_max refers to {volts:.1f} V, the battery voltage at the start of the flight"
+        )
     spikes = result.telemetry.get("imu_outliers", {}).get("spikes", 0)
     if spikes:
         notes.append(f"{spikes} gyro spikes were replaced by interpolation")

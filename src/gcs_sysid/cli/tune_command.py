@@ -107,7 +107,7 @@ def _gains(options: argparse.Namespace, vehicle: Vehicle) -> int:
 def _effectiveness(options: argparse.Namespace, vehicle: Vehicle) -> int:
     """G1 and G2, which INDI has in place of gains."""
     if options.json is not None or options.bode is not None:
-        raise InputError("--json and --bode are of gains: leave them out with INDI")
+        raise InputError("--json and --bode apply to gains: leave them out with INDI")
     target = TARGETS[_INDI[options.to]]
     write_text(options.output, target.write(vehicle), force=options.force)
     for note in target.notes(vehicle):

@@ -15,7 +15,7 @@ def welcome(parser: argparse.ArgumentParser) -> str:
     commands = "\n".join(f"  {name:<12}{what}" for name, what in commands_of(parser))
     return f"""\
 gcs-sysid {__version__} identifies a multirotor from MAVLink, in flight or recorded.
-Begin with the emulated vehicle, then yours: m from its center to a motor, kg
+Try the emulator, then your vehicle (--arm: m, center to motor; --mass: kg):
   gcs-sysid demo
   gcs-sysid live udpin:0.0.0.0:14550 --airframe px4-quad-x --arm 0.25 --mass 1.5
 Commands

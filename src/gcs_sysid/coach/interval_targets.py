@@ -18,7 +18,7 @@ _SMALL = 0.05
 def shares(
     values: Mapping[str, Value], arm: float, rotor_input: RotorInput
 ) -> dict[str, float | None]:
-    """Half of each 95 % interval over its yardstick; None where nothing is known.
+    """Half of each 95 % interval over its reference value; None where nothing is known.
 
     Parameters that are given do not count, nor do those that only a vehicle with something beside
     a rigid body and rotors has (damping, rotor inertia, drag).
@@ -32,7 +32,7 @@ def shares(
         if found.value is None or found.std is None:
             out[name] = None
             continue
-        reference = max(abs(found.value), _SMALL * REGISTRY[name].yardstick.counterpart(sizes))
+        reference = max(abs(found.value), _SMALL * REGISTRY[name].reference.counterpart(sizes))
         out[name] = Z95 * found.std / reference if reference > 0.0 else None
     return out
 

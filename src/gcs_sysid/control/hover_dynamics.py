@@ -21,8 +21,8 @@ from gcs_sysid.model.parameters import AXIS_DAMPINGS, GRAVITY, INERTIA
 
 FLIGHT_FOR = {
     "inertia": "fly doublets on all axes until Ixx, Iyy and Izz are identified (gcs-sysid plan)",
-    "motor_lag": "analyze a flight with commands (ACTUATOR_OUTPUT_STATUS or SERVO_OUTPUT_RAW, "
-    'rotor_input = "command"), or give --set motor_lag=S',
+    "motor_lag": "analyze a lively flight with commands (ACTUATOR_OUTPUT_STATUS or "
+    'SERVO_OUTPUT_RAW, rotor_input = "command"), or give --set motor_lag=S',
     "T_max": "analyze a flight with commands, or give --set rotor_speed_max=RAD_S or --set T_max=N",
     "moment_ratio": "fly yaw together with roll and pitch until k_M is identified",
     "mass": "weigh the vehicle and analyze again with --mass KG",
@@ -169,11 +169,11 @@ def check_needs(vehicle: Vehicle) -> None:
         if vehicle.get(name) is None:
             missing.setdefault(group, name)
         elif vehicle.known[name].origin == "weak" and name != "moment_ratio":
-            missing.setdefault(group, f"{name} (only weakly identified)")
+            missing.setdefault(group, f"{name} (weak)")
     if missing:
         names = ", ".join(missing.values())
         advice = "; ".join(FLIGHT_FOR[group] for group in missing)
-        raise MissingError(f"no gains from this result: {names} not identified: {advice}")
+        raise MissingError(f"no gains from this result: not identified: {names}: {advice}")
     if all(n in vehicle.known for n in INERTIA):
         vehicle.check_inertia()
 

@@ -154,7 +154,7 @@ def joined_vehicle(vehicle: Vehicle, other: Vehicle) -> Vehicle:
         InputError: they are not of one vehicle, or contradict.
     """
     if vehicle.rotors != other.rotors:
-        raise InputError("the two results are of different rotors: give two of one vehicle")
+        raise InputError("the two results have different rotors: give two of the same vehicle")
     for name in _ALIKE:
         one, two = vehicle.known.get(name), other.known.get(name)
         if one is None or two is None or not one.value:
@@ -321,7 +321,7 @@ def parameter_text(tuning: Tuning, suffix: str) -> str:
         f"# Gains proposed by gcs-sysid tune for {tuning.vehicle.name} "
         f"({tuning.proposed.autopilot}), from",
         f"# {tuning.vehicle.result.source or 'a result'}.",
-        "# Look at each before you write it; fly first with room, and a hand on the mode switch.",
+        "# Review each before writing it. Fly first with room, and a hand on the mode switch.",
         f"# Design: at least {LIMITS.phase_margin:g} deg and {LIMITS.gain_margin:g} dB over the "
         "interval of the parameters; predicted:",
     ]

@@ -91,7 +91,7 @@ def evidence_of(
     if found is None:
         if fit.running:
             return Evidence()
-        why = "the flight is too short to hold a part of it out: nothing checks the fit"
+        why = "the flight is too short to hold out a part of it: nothing checks the fit"
         return Evidence((True, True, True), (why,))
     whitened = bool(fit.rotation.whiteners)
     fine = whitened or rotor_input == "speed"

@@ -147,7 +147,7 @@ def with_given(
         if not own or told.value is None or told.std is None:
             continue
         std = math.hypot(told.std, own)
-        wide = std >= RULES.identified_below * PARAMETERS[name].yardstick.size(told.value, sizes)
+        wide = std >= RULES.identified_below * PARAMETERS[name].reference.size(told.value, sizes)
         status = "weak" if told.status == "identified" and wide else told.status
         out[name] = replace(told, std=std, status=status)
     return out

@@ -92,7 +92,7 @@ def physical_parameters(
         anchor: the known value that sets the scale.
         rotation: relative to k_T or T_max; None while there is none.
         translation: the same over m, and D / m; None while there is none.
-        arm: m, mean rotor distance: the yardstick of the CG.
+        arm: m, mean rotor distance, for the reference value of the CG.
         known: priors on mass and k_T; those on the rotation are in its fit.
         rotor_input: what the fits are relative to.
         rigid_body_test: whether the vehicle moves like a rigid body.
@@ -122,7 +122,7 @@ def physical_parameters(
 
     sizes = {name: value for name, (value, _) in raw.items()} | {ARM: arm}
     out = {
-        name: judged(*raw[name], p.yardstick.size(raw[name][0], sizes), p.sign)
+        name: judged(*raw[name], p.reference.size(raw[name][0], sizes), p.sign)
         if name in raw
         else NOTHING
         for name, p in PARAMETERS.items()
@@ -336,7 +336,7 @@ def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> Value:
     if which == LAG:
         doubt = ERRORS.lag * value
     p = REGISTRY[name]
-    return judged(value, math.hypot(std, doubt), p.yardstick.size(value, {}), p.sign)
+    return judged(value, math.hypot(std, doubt), p.reference.size(value, {}), p.sign)
 
 
 def verdict(

@@ -4,7 +4,7 @@ Momentum balance in world axes, averaged with the same window on both sides:
 
     v' - g z = -kappa (R z) sum O - delta (v - wind),    kappa = k_T / m, delta = D / m
 
-Gravity is the yardstick: over a flight the mean vertical acceleration is nearly nothing, so
+Gravity is the reference: over a flight the mean vertical acceleration is nearly nothing, so
 kappa does not suffer from an accelerometer's bias. Where the vehicle sends no velocity, the
 accelerometer itself, f = -kappa sum O z + bias, serves as second source; its bias is then an
 unknown, which the flight tells as far as thrust varies.

@@ -259,7 +259,7 @@ def _rotors(result: Result, airframe: Airframe | None) -> tuple[tuple[Rotor, ...
     own = parse_airframe(table, "the result's airframe")
     if airframe is not None and not np.array_equal(own.geometry.shape, airframe.geometry.shape):
         raise InputError(
-            f"the result is of a vehicle with {len(own.rotors)} rotors, --airframe "
+            f"the result is for a vehicle with {len(own.rotors)} rotors, --airframe "
             f"{airframe.name} has {len(airframe.rotors)}"
         )
     if airframe is not None and not np.allclose(own.geometry, airframe.geometry, atol=1e-6):

@@ -68,7 +68,7 @@ def _notes(form: Format, vehicle: Vehicle) -> list[str]:
     if not vehicle.get("rotor_inertia"):
         out.append("rotor_inertia is not known: G2 is zero")
     if vehicle.get("k_T") is None:
-        out.append("k_T is not known: nothing is said of rotor speeds")
+        out.append("k_T is not known: rotor speeds are left out")
     return out
 
 

@@ -41,7 +41,7 @@ def drawn_vehicles(vehicle: Vehicle, count: int, seed: int) -> list[Vehicle]:
             out.append(one)
     if len(out) == count:
         return out
-    raise ValueError("the intervals are too wide: hardly a draw from them is a rigid body")
+    raise ValueError("the intervals are too wide: hardly any draw from them is a rigid body")
 
 
 def _root(vehicle: Vehicle) -> tuple[list[str], np.ndarray]:

@@ -37,7 +37,7 @@ def advice_of(health: Health, given: Given, guess: GuessedAirframe) -> tuple[str
         out.append(f"weigh the vehicle and give --mass KG for {name}")
     if health.rotor_input == "command":
         out.append(
-            "log rotor speeds (ESC telemetry): by commands a weak motor looks like a moved CG"
+            "log rotor speeds (ESC telemetry): from commands, a weak motor looks like a shifted CG"
         )
     return tuple(out)
 
@@ -78,8 +78,8 @@ def _weak_motor(health: Health) -> list[str]:
         if sure < 1.0 - TUNING.motor_scatter:
             percent = 100.0 * (1.0 - gain.value)
             out.append(
-                f"motor or ESC {i} turns its rotor with {percent:.0f} % less speed squared for its "
-                "command than the others: look at it"
+                f"motor or ESC {i} reaches {percent:.0f} % less speed squared at its command "
+                "than the others: inspect it"
             )
     return out
 

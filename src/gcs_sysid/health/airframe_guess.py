@@ -112,7 +112,7 @@ def _by_type(vehicle: Vehicle, parameters: Mapping[str, float]) -> GuessedAirfra
     if vehicle.key == "ardupilot" and {"FRAME_CLASS", "FRAME_TYPE"} <= set(parameters):
         raise InputError(
             f"where are the rotors? FRAME_CLASS {parameters['FRAME_CLASS']:.0f} and FRAME_TYPE "
-            f"{parameters['FRAME_TYPE']:.0f} are no frame known here: give --airframe FILE.toml "
+            f"{parameters['FRAME_TYPE']:.0f} are not a known frame: give --airframe FILE.toml "
             "(gcs-sysid airframe new writes one)"
         )
     if shape is None:

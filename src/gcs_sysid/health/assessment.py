@@ -28,8 +28,8 @@ from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import OnboardLog, Telemetry, open_log
 
 _ORDER = (
-    "the vehicle does not turn as these rotors would turn it ({}): give --airframe with the rotors "
-    "in the autopilot's motor order"
+    "the vehicle does not rotate as these rotors would make it ({}): give --airframe with the "
+    "rotors in the autopilot's motor order"
 )
 
 

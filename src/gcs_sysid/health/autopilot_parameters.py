@@ -206,7 +206,7 @@ def parameter_file(health: Health, form: str) -> str:
     lines = [
         f"# Suggested by gcs-sysid health from {Path(health.source).name}, "
         f"{health.seconds:.0f} s of hover.",
-        "# Values with 95 % intervals; look at each before you write it to the vehicle.",
+        "# Values with 95 % intervals; review each before writing it to the vehicle.",
         *(f"# Assumed: {text}" for text in health.assumptions),
         "#",
     ]

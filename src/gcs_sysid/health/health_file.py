@@ -83,7 +83,7 @@ def read_baseline(path: Path) -> Baseline:
         )
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise InputError(
-            f"{path}: no health of a flight in there; write one with gcs-sysid health LOG --json"
+            f"{path}: not a health file; write one with gcs-sysid health LOG --json"
         ) from error
 
 

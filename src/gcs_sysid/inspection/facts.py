@@ -122,7 +122,7 @@ class Inspection:
     """Everything found. Times are s since the first record, going on over reboots."""
 
     source: str
-    kind: Literal["tlog", "ulog", "dataflash", "blackbox", "link"]
+    kind: Literal["tlog", "ulog", "dataflash", "blackbox", "table", "link"]
     duration: float
     vehicle: Vehicle | None
     systems: tuple[Vehicle, ...]

@@ -78,7 +78,7 @@ def _faster(found: Inspection) -> str:
         text = f"log more: set LOG_BITMASK = {now | _FAST_ATTITUDE | _FAST_IMU} (now {now})"
         if found.parameters.get("SERVO_BLH_TRATE", _ESC_RATE) < _ESC_RATE:
             text += f", and SERVO_BLH_TRATE = {_ESC_RATE} (now "
-            text += f"{found.parameters['SERVO_BLH_TRATE']:.0f}) with ESCs that send so much"
+            text += f"{found.parameters['SERVO_BLH_TRATE']:.0f}) if the ESCs can send that fast"
         return text
     return _FASTER.get(found.kind, _FASTER_LINK)
 
@@ -173,11 +173,10 @@ def _attitude_and_velocity(found: Inspection) -> Iterator[Finding]:
 
 def _flight(found: Inspection) -> Iterator[Finding]:
     if not found.flight_told_by:
-        yield Finding(
-            "blocks",
-            "no flight state in the data",
-            "record EXTENDED_SYS_STATE too (gcs-sysid live requests it)",
-        )
+        advice = "record EXTENDED_SYS_STATE too (gcs-sysid live requests it)"
+        if found.kind == "table":
+            advice = "name a column of it in the mapping file: in_air or armed"
+        yield Finding("blocks", "no flight state in the data", advice)
     elif found.kind == "link":
         if not found.flights:
             text = "not in the air while listening: flight-dependent checks are skipped"

@@ -59,7 +59,7 @@ class Backlog:
             self._longest_now = 0.0
         if self._source.unlearnt and not self._unlearnt:
             self._unlearnt = True
-            told.append("too much waits: some data are not used for the estimate")
+            told.append("the backlog is too large: some data are not used for the estimate")
         return told
 
     def last_words(self) -> list[str]:

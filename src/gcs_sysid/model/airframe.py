@@ -91,7 +91,7 @@ class CommandRange:
 
 @dataclass(frozen=True)
 class Airframe:
-    """What is known of a vehicle before it flies.
+    """What is known about a vehicle before it flies.
 
     Attributes:
         name: as in the file.
@@ -101,9 +101,9 @@ class Airframe:
         mass: kg, or None.
         k_T: N s^2, or None.
         T_max: N, or None.
-        gyro_filter: Hz, second-order low-pass that the gyro has passed; 0 for none, None for what
-            the autopilot does.
-        imu_position: m, forward, right and down from the geometric centre, or None.
+        gyro_filter: Hz, second-order low-pass already applied to the gyro; 0: none, None: the
+            autopilot's.
+        imu_position: m, forward, right and down from the geometric center, or None.
         uncertainty: of rotor positions, scale and IMU.
     """
 
@@ -124,7 +124,7 @@ class Airframe:
 
     @property
     def arm_known(self) -> bool:
-        """Whether the size is that of the vehicle: False for a layout as it comes."""
+        """Whether the size is the vehicle's own: False for a built-in layout as it is."""
         return self.rotors != self.placeholder
 
     @property
@@ -134,23 +134,23 @@ class Airframe:
 
     @property
     def arm(self) -> float:
-        """Mean distance of the rotors from the geometric centre, in m."""
+        """Mean distance of the rotors from the geometric center, m."""
         return sum(math.hypot(r.x, r.y) for r in self.rotors) / len(self.rotors)
 
     @property
     def cant(self) -> float:
-        """m, what canted rotors add to the moment ratio: their yaw arm in the way of their spin.
+        """m, what canted rotors add to the moment ratio: their yaw arm along their spin.
 
-        Rotors canted so that thrust helps their drag torque turn the vehicle,
+        With rotors canted so that thrust adds to their drag torque, the yaw moment
 
             N = sum k_T Omega_i^2 (s_i k_M / k_T + yaw_arm_i) ,  yaw_arm_i = s_i cant
 
-        look to any flight like rotors of more drag torque.
+        is, to any flight, that of upright rotors with more drag torque.
         """
         return sum(r.spin * r.yaw_arm for r in self.rotors) / len(self.rotors)
 
     def as_json(self) -> dict[str, Any]:
-        """Name and rotors, as a result tells what it rests on."""
+        """Name and rotors, as a result states them."""
         rotors: list[dict[str, Any]] = []
         for r in self.rotors:
             rotors.append({"x": r.x, "y": r.y, "spin": "ccw" if r.spin > 0 else "cw"})
@@ -160,7 +160,7 @@ class Airframe:
 
     @property
     def imu_arm(self) -> tuple[float, float, float] | None:
-        """The IMU from the CG in m, as far as a prior tells where that is; None: not given."""
+        """Position of the IMU from the CG, m, with the CG of the priors; None: not given."""
         if self.imu_position is None:
             return None
         x, y, z = self.imu_position
@@ -176,7 +176,7 @@ class Airframe:
         return None
 
     def with_anchor(self, name: AnchorName, value: float) -> "Airframe":
-        """The same airframe with this anchor alone in force.
+        """The same airframe with this scale reference only.
 
         Raises:
             InputError: the value is not a positive number.
@@ -193,7 +193,7 @@ class Airframe:
         return replace(self, **cleared)  # type: ignore[arg-type]
 
     def check_scale_fits(self) -> None:
-        """Refuse a scale that means nothing with the rotor input, or is hardly known.
+        """Refuse a scale that does not fit the rotor input, or is hardly known.
 
         Raises:
             InputError: it does not fit.
@@ -237,7 +237,7 @@ class Airframe:
         """The same airframe with one more (or another) prior.
 
         Raises:
-            InputError: there can be no prior of that name, or the numbers make no sense.
+            InputError: no prior of that name is possible, or the numbers make no sense.
 
         Example:
             >>> load_airframe("paper").with_prior("Izz", 0.03, 0.002).priors

@@ -83,7 +83,7 @@ class _Forcing(NamedTuple):
 
 @dataclass(frozen=True)
 class FlightModel:
-    """Equations of motion with numbers in them; leading axes (...) are an ensemble's.
+    """Equations of motion with values; leading axes (...) are those of an ensemble.
 
     Attributes:
         geometry: (3, rotors) x, y in m from the geometric center, and spin.

@@ -17,17 +17,17 @@ RotorInput = Literal["speed", "command"]
 INPUTS: tuple[RotorInput, ...] = ("speed", "command")
 Sign = Literal["positive", "not negative", "any"]
 ARM = "arm"
-"""Stands among yardsticks for the mean distance of the rotors from the geometric centre, in m."""
+"""Stands in reference values for the mean distance of the rotors from the geometric center, m."""
 
 
 @dataclass(frozen=True)
-class Yardstick:
-    """What a standard deviation is held against to give a parameter its status.
+class ReferenceValue:
+    """What a standard deviation is divided by to give a parameter its status.
 
     Attributes:
-        of: parameters (or `ARM`) that it matters to, by their geometric mean; none: the value.
+        of: parameters (or `ARM`) whose geometric mean it is; none: the value itself.
         share: of that mean.
-        or_value: whether the value itself takes its place where it is larger.
+        or_value: whether the value itself is used if it is larger.
         fixed: in the parameter's unit, in place of all that; 0: none.
     """
 
@@ -37,7 +37,7 @@ class Yardstick:
     fixed: float = 0.0
 
     def size(self, value: float, others: Mapping[str, float]) -> float:
-        """Of this value, beside the values of others and the arm."""
+        """The reference value of this value, given those of others and the arm."""
         if self.fixed:
             return self.fixed
         if not self.of:
@@ -46,7 +46,7 @@ class Yardstick:
         return max(size, abs(value)) if self.or_value else size
 
     def counterpart(self, others: Mapping[str, float]) -> float:
-        """Geometric mean of the magnitudes of what it matters to; 0 where it is its own."""
+        """Geometric mean of the magnitudes in `of`; 0 if there are none."""
         product = math.prod(abs(others[name]) for name in self.of)
         return product ** (1.0 / len(self.of)) if self.of else 0.0
 
@@ -98,7 +98,7 @@ class Parameter:
         axes: roll 0, pitch 1, yaw 2: whose fit it rests on.
         mean_torque: whether the mean torque there tells it, however little else the fit explains.
         rigid_body: whether it rests on the gyroscopic torque of a rigid body.
-        yardstick: of its status.
+        reference: of its status.
         clock: error by a wrong clock.
         usual: value and standard deviation to expect of a multirotor, relative ones over Ixx of
             its size and mass, lengths over the arm.
@@ -125,7 +125,7 @@ class Parameter:
     axes: tuple[int, ...] = ()
     mean_torque: bool = False
     rigid_body: bool = False
-    yardstick: Yardstick = Yardstick()
+    reference: ReferenceValue = ReferenceValue()
     clock: ClockError = _STEADY
     usual: tuple[float, float] = (0.0, 1.0)
     in_flight: bool = False
@@ -145,7 +145,7 @@ def _axis_damping(axis: int) -> Parameter:
     return Parameter(
         f"{name}_damping", f"d_{'pqr'[axis]}", "N m s", f"{name} damping torque over {name} rate",
         f"decay of {name}", sign="not negative", axes=(axis,), rigid_body=axis == 2,
-        yardstick=Yardstick(("Ixx",), or_value=True), clock=ClockError(0.1, "Ixx"),
+        reference=ReferenceValue(("Ixx",), or_value=True), clock=ClockError(0.1, "Ixx"),
         optional=True,
     )  # fmt: skip
 
@@ -164,11 +164,11 @@ def _product(first: int, second: int) -> Parameter:
     a, b, axes = "xyz"[first], "xyz"[second], ("roll", "pitch", "yaw")
     name = f"I{a}{b}"
     # A product matters against the moments it couples.
-    moments = Yardstick((f"I{a}{a}", f"I{b}{b}"), 0.3)
+    moments = ReferenceValue((f"I{a}{a}", f"I{b}{b}"), 0.3)
     return Parameter(
         name, name, "kg m^2", f"inertia matrix element [{a}, {b}]",
         f"coupling of {axes[first]} and {axes[second]}", group="products of inertia", theta=name,
-        core=INPUTS, prior=True, axes=(first, second), rigid_body=True, yardstick=moments,
+        core=INPUTS, prior=True, axes=(first, second), rigid_body=True, reference=moments,
         clock=_FULL, usual=(0.0, 0.3),
     )  # fmt: skip
 
@@ -179,7 +179,7 @@ def _offset(name: str, symbol: str, way: str, axis: int) -> Parameter:
         f"mean {('roll', 'pitch')[axis]} torque of the rotors", group="center of gravity",
         theta=name,
         scale="none", core=INPUTS, prior=True, axes=(axis,), mean_torque=True,
-        yardstick=Yardstick((ARM,), 0.2), usual=(0.0, 0.3), in_flight=True,
+        reference=ReferenceValue((ARM,), 0.2), usual=(0.0, 0.3), in_flight=True,
     )  # fmt: skip
 
 
@@ -218,7 +218,7 @@ _DECLARED = (
     Parameter(
         "thrust_curve", "c", "1", "T/T_max = (1-c) u + c u^2", "torque at low and at high command",
         fit="actuator", scale="none", inputs=("command",),
-        yardstick=Yardstick(fixed=1.0),
+        reference=ReferenceValue(fixed=1.0),
     ),
     # Of usual propellers k_M / k_T is 0.07 of the arm.
     Parameter(
@@ -231,7 +231,7 @@ _DECLARED = (
     Parameter(
         "rotational_damping", "d", "N m s", "damping torque over body rate", "decay of rotation",
         label="rot_damping", theta="rotational_damping", sign="not negative", prior=True,
-        axes=(0, 1, 2), rigid_body=True, yardstick=Yardstick(("Ixx",), or_value=True),
+        axes=(0, 1, 2), rigid_body=True, reference=ReferenceValue(("Ixx",), or_value=True),
         clock=ClockError(0.1, "Ixx"), in_flight=True,
     ),
     *(_axis_damping(axis) for axis in range(3)),
@@ -239,25 +239,25 @@ _DECLARED = (
         "rotor_inertia", "J_r", "kg m^2", "inertia of one rotor about its axis",
         "changes of rotor speed", theta="rotor_inertia", inputs=("speed",),
         sign="not negative", prior=True, axes=(0, 1, 2), rigid_body=True,
-        yardstick=Yardstick(("Izz",), 0.002, or_value=True), clock=_FULL, usual=(0.0, 0.002),
+        reference=ReferenceValue(("Izz",), 0.002, or_value=True), clock=_FULL, usual=(0.0, 0.002),
         in_flight=True,
     ),
     Parameter(
         "linear_drag", "D", "N s/m", "drag force over velocity", "horizontal speed",
         fit="translation", scale="mass", sign="not negative",
-        yardstick=Yardstick(("mass",), 0.05, or_value=True), clock=ClockError(0.5, "mass"),
+        reference=ReferenceValue(("mass",), 0.05, or_value=True), clock=ClockError(0.5, "mass"),
         in_flight=True,
     ),
     # 10 ms of delay cost 30 % on Izz.
     Parameter(
         "rotor_delay", "τ_r", "s", "rotor stream behind the IMU stream", "fast rotation",
         fit="actuator", scale="none", section="timing", prior=True,
-        yardstick=Yardstick(fixed=0.02), clock=_FULL, of_vehicle=False,
+        reference=ReferenceValue(fixed=0.02), clock=_FULL, of_vehicle=False,
     ),
     Parameter(
         "motor_lag", "τ_m", "s", "first-order lag from command to rotor speed", "fast rotation",
         fit="actuator", scale="none", inputs=("command",), section="timing",
-        sign="not negative", yardstick=Yardstick(fixed=0.05), clock=_FULL, in_flight=True,
+        sign="not negative", reference=ReferenceValue(fixed=0.05), clock=_FULL, in_flight=True,
     ),
 )  # fmt: skip
 

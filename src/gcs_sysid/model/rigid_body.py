@@ -115,7 +115,7 @@ def theta_of(values: Mapping[str, float], thrust: float = 1.0) -> Array:
 
 
 def counterparts(theta: Array, arm: float) -> Array:
-    """(N_THETA,) what each entry matters to: itself, or what its yardstick is made of.
+    """(N_THETA,) what each entry is compared with: itself, or what its reference value is made of.
 
     Args:
         theta: (N_THETA,).
@@ -123,7 +123,7 @@ def counterparts(theta: Array, arm: float) -> Array:
     """
     values = dict(zip(THETA, theta.tolist(), strict=True)) | {ARM: arm}
     return np.array(
-        [REGISTRY[name].yardstick.counterpart(values) or abs(values[name]) for name in THETA]
+        [REGISTRY[name].reference.counterpart(values) or abs(values[name]) for name in THETA]
     )
 
 

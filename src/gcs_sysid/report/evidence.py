@@ -204,14 +204,14 @@ def excitation(data: ReportData, figures: Figures) -> Markup:
             peak = np.abs(rates).max(axis=0)
             rows.append(
                 [
-                    "Largest rate of what was used, rad/s",
+                    "Largest rate in the data used, rad/s",
                     *(PAGE.number(v) for v in peak.tolist()),
                 ]
             )
     if motion:
         for key, words in (
-            ("rate_rms", "Rate, rms, rad/s, of the whole recording"),
-            ("acceleration_rms", "Angular acceleration, rms, rad/s², the same"),
+            ("rate_rms", "Rate of the whole recording, rms, rad/s"),
+            ("acceleration_rms", "Angular acceleration of the whole recording, rms, rad/s²"),
         ):
             rows.append([words, *(PAGE.number(motion[axis][key]) for axis in AXES)])
         rows.append(

@@ -109,7 +109,7 @@ def parameters(data: ReportData) -> Markup:
         Column("Status"),
         Column("Based on"),
     ]
-    # What no flight makes smaller, where there is any.
+    # What no flight reduces, where there is any.
     limited = any(e.get("std_given") for e in entries.values())
     columns += [Column("Of it given, 95 %", numbers=True)] if limited else []
     columns += [Column("Cramér-Rao bound, 95 %", numbers=True)] if bounded else []
@@ -119,10 +119,11 @@ def parameters(data: ReportData) -> Markup:
     for name in sorted(entries, key=lambda n: n not in core):
         estimate = entries[name]
         status: Status = estimate["status"]
+        known = status != "unobservable"
         cells = [_name(name), *_numbers(estimate), _status(status, words.STATUS[status])]
         cells.append(words.source_of(name, estimate, result["scale"]))
         if limited:
-            cells.append(_half_of(estimate.get("std_given")))
+            cells.append(_half_of(estimate.get("std_given") if known else None))
         if bounded:
             cells.append(_half_of(estimate.get("bound")))
         if data.truth:
@@ -140,8 +141,8 @@ def parameters(data: ReportData) -> Markup:
         table("Parameters with their 95 % intervals, SI units", columns, rows),
         element("ul", *meanings, class_="meanings"),
         note(
-            "Of it given: the part by errors of arm, scale and IMU as given, which no flight "
-            "makes smaller."
+            "Of it given: the part due to errors of the given arm, scale and IMU, which no "
+            "flight reduces."
         )
         if limited
         else None,

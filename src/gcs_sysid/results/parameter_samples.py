@@ -28,7 +28,7 @@ _OPTIONAL = ("rotational_damping", *AXIS_DAMPINGS, "rotor_inertia", "linear_drag
 
 @dataclass(frozen=True)
 class ParameterSamples(Mapping[str, Array]):
-    """Vehicles that a result allows: name -> (n,) values, SI. Given values are the same in all.
+    """Vehicles drawn from a result: name -> (n,) values, SI. Given values are the same in all.
 
     Attributes:
         names: of the parameters and timing values.

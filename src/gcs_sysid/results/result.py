@@ -29,8 +29,7 @@ Verdict = Literal["identified", "partial", "refused"]
 class Estimate:
     """One parameter's value with its uncertainty.
 
-    `value` and `std` are None where the data say nothing at all; `std` is 0 for a given value that
-    is exact.
+    `value` and `std` are None without any information; `std` is 0 for a value given as exact.
 
     Example:
         >>> from gcs_sysid import Estimate
@@ -53,7 +52,7 @@ class Estimate:
 
     @property
     def std_data(self) -> float | None:
-        """The part of `std` that comes from this flight, and tells it from others."""
+        """The part of `std` that comes from this flight's data."""
         if self.std is None or not self.std_given:
             return self.std
         return math.sqrt(max(self.std**2 - self.std_given**2, 0.0))
@@ -65,8 +64,8 @@ class Estimate:
     def ci95(self) -> tuple[float, float] | None:
         """The 95 % interval (normal), or None where there is no value.
 
-        What cannot be negative has an interval that begins at zero at the earliest. No true value
-        lies in the part left out, so that it still holds at least 95 times in 100.
+        Intervals of what cannot be negative are cut off at zero. No true value lies below, so
+        coverage stays at least 95 %.
         """
         if self.value is None or self.std is None:
             return None
@@ -87,12 +86,12 @@ class Estimate:
 
     @property
     def shown(self) -> bool:
-        """Whether the value says something of the vehicle."""
+        """Whether there is a value to show: not if unobservable."""
         return self.value is not None and self.status != "unobservable"
 
     @property
     def limit(self) -> float | None:
-        """The magnitude that a value consistent with zero stays below (95 %); else None."""
+        """Upper limit (95 %) of the magnitude of a value consistent with zero; else None."""
         if not self.shown or self.status == "given" or self.ci95 is None:
             return None
         low, high = self.ci95
@@ -100,7 +99,7 @@ class Estimate:
 
     @property
     def half(self) -> float | None:
-        """Half the width of the 95 % interval; None where there is none, or nothing to say."""
+        """Half-width of the 95 % interval; None if there is none, or the value is not shown."""
         if self.value is None or self.std is None or (self.status == "given" and not self.std):
             return None
         half = Z95 * self.std
@@ -135,7 +134,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class IdentifiedEstimate(Estimate):
-    """An estimate that has a value and an interval: what `Result.identified` gives."""
+    """An estimate with value and interval, as `Result.identified` returns it."""
 
     value: float
     std: float
@@ -173,7 +172,7 @@ class Scale:
 
 @dataclass(frozen=True, repr=False)
 class Result:
-    """Everything an identification says, at one instant.
+    """The complete result of an identification at one instant.
 
     Example:
         >>> import gcs_sysid
@@ -225,7 +224,7 @@ class Result:
     """Angular acceleration of the held-out part, by the fit to the rest; kept in the same way."""
 
     def identified(self, name: str) -> IdentifiedEstimate:
-        """A parameter whose number can be relied upon, typed so: its value is a float.
+        """A reliable parameter, typed accordingly: its value is a float.
 
         Args:
             name: of a parameter or timing value that is identified, given, or known to be small.
@@ -284,13 +283,13 @@ class Result:
         return draw_samples(self, n, seed, given=given)
 
     def model(self, samples: "ParameterSamples | None" = None) -> "FlightModel":
-        """The equations of motion with these numbers: `model().simulate(t, rotors, initial)`.
+        """Equations of motion with these values: `model().simulate(t, rotors, initial)`.
 
         Args:
             samples: an ensemble from `samples`; None: the estimate itself.
 
         Raises:
-            InputError: the result lacks a parameter that no flight does without.
+            InputError: the result lacks a parameter without which the model cannot fly.
         """
         from gcs_sysid.results.parameter_samples import flight_model
 

@@ -1,10 +1,9 @@
 """The live screen's application: polls a snapshot source, answers keys."""
 
-import contextlib
 import os
 import time
 from collections.abc import Callable, Iterable, Mapping
-from typing import IO, ClassVar
+from typing import ClassVar
 
 from textual.app import SystemCommand
 from textual.binding import Binding, BindingType
@@ -22,6 +21,7 @@ from gcs_sysid.screen.help import HelpScreen
 from gcs_sysid.screen.main_view import MainScreen
 from gcs_sysid.screen.pilot_view import PilotScreen
 from gcs_sysid.screen.source import Actions, SnapshotSource
+from gcs_sysid.screen.terminal import ending_with_its_terminal
 from gcs_sysid.screen.themes import DARK, LIGHT
 from gcs_sysid.screen.verdict_summary import shares
 from gcs_sysid.screen.view import Baseline, View
@@ -30,31 +30,6 @@ from gcs_sysid.screen.widgets.parameter_table import ParameterRows
 
 POLL_SECONDS = 0.2
 """At most five redraws a second."""
-
-
-class TerminalOutput:
-    """A terminal to write to; what is written after it has closed is dropped.
-
-    Textual writes in a thread, which an error would end: the screen would then wait forever for
-    its queue to empty, and the session with it.
-    """
-
-    def __init__(self, file: IO[str]) -> None:
-        self._file = file
-
-    def write(self, text: str) -> None:
-        """Write, as long as there is a terminal."""
-        with contextlib.suppress(OSError):
-            self._file.write(text)
-
-    def flush(self) -> None:
-        """Flush, as long as there is a terminal."""
-        with contextlib.suppress(OSError):
-            self._file.flush()
-
-    def fileno(self) -> int:
-        """Descriptor of the terminal."""
-        return self._file.fileno()
 
 
 class SysidApp(ActingApp):
@@ -115,13 +90,9 @@ class SysidApp(ActingApp):
         """What is shown."""
         return self._snapshot
 
-    def _build_driver(
-        self, headless: bool, inline: bool, mouse: bool, size: tuple[int, int] | None
-    ) -> Driver:
-        driver = super()._build_driver(headless, inline, mouse, size)
-        if hasattr(driver, "_file"):
-            driver._file = TerminalOutput(driver._file)
-        return driver
+    def get_driver_class(self) -> type[Driver]:
+        """Textual's, which ends when its terminal is closed."""
+        return ending_with_its_terminal(super().get_driver_class())
 
     def _handle_exception(self, error: Exception) -> None:
         """Leave; what there is to say of it is said by who has started this, in a line."""

@@ -41,7 +41,7 @@ class ClockDoubt:
         link = "" if self.share > 0.0 else ", or the link lags increasingly"
         return (
             f"the vehicle's clock runs {100.0 * abs(self.share):.2f} % {way} against the receiving "
-            f"computer's, more than sound clocks do, and either may be wrong{link}: inertia "
+            f"computer's, more than good clocks do, and either may be wrong{link}: inertia "
             f"and k_M "
             "may be off by as much, and their intervals are wider by it; fly again with another "
             "computer to find the wrong one (a simulator is recognized by its SIM_ or SIH_ "

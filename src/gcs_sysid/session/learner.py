@@ -288,7 +288,7 @@ class Learner:
                 self._go_on_after(tracker.segments[event.segment])
                 self.fit = tracker.fit(quick=True)
                 if len(tracker.segments) == MOST_SEGMENTS:
-                    self.note(t, f"{MOST_SEGMENTS} changes: more are not looked for")
+                    self.note(t, f"{MOST_SEGMENTS} changes: no further ones are detected")
 
     def _go_on_after(self, segment: Segment) -> None:
         """Find the anchor of what follows a segment."""

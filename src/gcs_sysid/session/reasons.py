@@ -44,7 +44,7 @@ def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[st
     if Stream.ATTITUDE not in seen:
         return ("no attitude (ATTITUDE or ATTITUDE_QUATERNION)",)
     if learner.fit.other_layout is not None:
-        return (f"{learner.fit.other_layout}: so laid out, it would explain the motion far better",)
+        return (f"{learner.fit.other_layout}: corrected, it would explain the motion far better",)
     if learner.fit.rotation is None:
         if learner.fit.seconds > _ENOUGH_TO_ANSWER:
             return (
@@ -74,8 +74,8 @@ def limit_by_given(by_flight: Mapping[str, Value], whole: Mapping[str, Value]) -
     if not limited:
         return ()
     return (
-        f"what was given limits {', '.join(limited)}, not the flight: measure rotors, mass and "
-        "IMU better and say so in [uncertainty]",
+        f"given values limit {', '.join(limited)}, not the flight: measure rotors, mass and "
+        "IMU better and state it in [uncertainty]",
     )
 
 

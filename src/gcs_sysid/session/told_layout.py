@@ -256,7 +256,7 @@ def notes(airframe: Airframe, told: ToldLayout) -> tuple[str, ...]:
     if told.sized and abs(ours / theirs - 1.0) > _SAME_ARM:
         out.append(
             f"arms of {ours:.3g} m, where the vehicle's {told.by} say {theirs:.3g} m: inertia "
-            "goes with the arm, so measure it"
+            "is proportional to the arm, so measure it"
         )
     if told.reordered and not _differences(airframe.rotors, told.rotors):
         order = ", ".join(str(motor + 1) for motor in told.outputs)

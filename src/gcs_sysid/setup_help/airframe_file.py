@@ -189,7 +189,7 @@ def _symmetry(airframe: Airframe) -> Finding:
         return Finding(
             "symmetry",
             Sign.WARNING,
-            f"the rotors' middle is ({x.mean():.3g}, {y.mean():.3g}) m from the origin",
+            f"the rotors' midpoint is ({x.mean():.3g}, {y.mean():.3g}) m from the origin",
             ["fine if intended; the CG is relative to the origin, too"],
         )
     turning = f"{int((spin > 0).sum())} ccw and {int((spin < 0).sum())} cw"
@@ -198,7 +198,7 @@ def _symmetry(airframe: Airframe) -> Finding:
             "symmetry", Sign.WARNING, f"{turning}: usually half turn each way",
             ["look at each propeller from above"],
         )  # fmt: skip
-    return Finding("symmetry", Sign.OK, f"middle of the rotors at the origin, {turning}")
+    return Finding("symmetry", Sign.OK, f"midpoint of the rotors at the origin, {turning}")
 
 
 def _order(airframe: Airframe) -> Finding:

@@ -302,7 +302,7 @@ class Wizard:
             return _can_fly(with_spins(rotors, word))
 
         self._say(
-            "Do the propellers turn so? If not: reversed, where all turn the other way, or\n"
+            "Do the propellers spin this way? If not: reversed, if all spin the other way, or\n"
             "the spin of each motor, such as ccw ccw cw cw."
         )
         turned = self._until("Spins (Enter: as drawn)", told)

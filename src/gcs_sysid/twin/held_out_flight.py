@@ -46,17 +46,17 @@ _SAME = 1e-9
 
 @dataclass(frozen=True)
 class TwinFlight:
-    """How the identified model flies beside the vehicle.
+    """The identified model flown beside the vehicle.
 
     Attributes:
-        result: that was flown; of a result of the same flight, the fit to its first part.
+        result: flown; for a result of the same flight, the fit to its first part.
         source: the result that was given.
         log: that it was flown along.
-        same_flight: whether the result that was given is of this log.
+        same_flight: whether the given result is from this log.
         judged: (start, end) of the parts of the log that were judged, s.
         accuracy: length of the stretches in s -> quantity -> errors and band.
         growth: of the errors over the longest stretches.
-        notes: what is to be known beside the numbers.
+        notes: remarks on the numbers.
     """
 
     result: Result
@@ -70,14 +70,14 @@ class TwinFlight:
 
     @property
     def held_out(self) -> str:
-        """In words, what of the log the model has not seen."""
+        """In words, the part of the log that the model has not seen."""
         spans = " and ".join(f"{start:.0f} to {end:.0f} s" for start, end in self.judged)
         if self.same_flight:
             return (
-                f"{spans}; the result is of this same flight, so the model flown is fitted again, "
-                "to the data before them"
+                f"{spans}; the result is from this same flight, so the model is refitted to the "
+                "data before them"
             )
-        return f"{spans}: the result is of another flight"
+        return f"{spans}: the result is from another flight"
 
     def as_json(self) -> dict[str, Any]:
         """As `twin --json` writes it."""
@@ -215,9 +215,7 @@ def _flown(
     record = recorder.record((lag.value if lag else None) or 0.0, str(log))
     times = record.flown(since)
     if len(times) < 2:
-        raise NoAnswerError(
-            f"{log}: nothing is flown in it with attitude, rates and rotors at once"
-        )
+        raise NoAnswerError(f"{log}: no flight in it has attitude, rates and rotors at once")
     if same:
         cut = float(times[round(FITTED_SHARE * (len(times) - 1))])
         options = ChainOptions(history_interval=None, start=max(since, start), end=cut)
@@ -234,7 +232,7 @@ def _flown(
         first, second = _settled(times, since, middle), Part(middle, np.inf)
         judged = [(first, second), (second, first)]
         spans = ((first.since, float(times[-1])),)
-        notes.append("noise and disturbances of each half of the log are those of the other half")
+        notes.append("noise and disturbances of each half of the log are taken from the other half")
     notes += _doubts(flown)
     model = flown.model()
     samples = flown.samples(SAMPLES, seed, given=False)

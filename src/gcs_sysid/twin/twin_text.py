@@ -24,10 +24,10 @@ _SHOWN = {
 """Scale and unit of each quantity for people."""
 _WIDTH = 98
 _RULES = (
-    "error and band: rms over the axes at the end of the stretches; band: 95 % half width, by the "
-    "covariance of the parameters (alone: by params), noise and disturbance",
-    "guess: body rates and velocity stay as they are at the start; R2 is at the end, over the "
-    "variance of what was measured",
+    "error and band: rms over the axes at the end of the stretches; band: 95 % half-width from "
+    "the covariance of the parameters (alone: by params), noise and disturbance",
+    "guess: body rates and velocity assumed constant; R2 is at the end, relative to the measured "
+    "variance",
     "basic: the same model without drag, damping, rotor inertia and differences between rotors",
 )
 

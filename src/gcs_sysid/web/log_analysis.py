@@ -85,7 +85,7 @@ def analyze(log: Path, name: str, request: AnalysisRequest, folder: Path, tell: 
         (folder / REPORT).write_text(render(data), encoding="utf-8")
     finally:
         recorder.close()
-    tell("looking at the hover", 0.95)
+    tell("analyzing the hover", 0.95)
     document = result.as_json()
     health = _health(log, name, airframe)
     if health is not None:
@@ -107,7 +107,7 @@ def health(log: Path, name: str, table: Mapping[str, Any], folder: Path, tell: T
     # What is recorded meanwhile must not come in between.
     copy = folder / "recording.tlog"
     shutil.copyfile(log, copy)
-    tell("looking at the hover", 0.3)
+    tell("analyzing the hover", 0.3)
     try:
         found = _health(copy, name, airframe)
     finally:

@@ -230,14 +230,14 @@ class SessionPage:
     def _check_health(self, _: Mapping[str, Any]) -> str:
         if self._recording() is None:
             raise InputError("no recording to look at: start one")
-        return "looking at the hover so far"
+        return "analyzing the hover so far"
 
     def _begin_health(self) -> None:
         if self._checking is None or self._checking.done():
             self._checking = asyncio.create_task(self._look_at_health())
 
     async def _look_at_health(self) -> None:
-        self._health = {"state": "running", "text": "Looking at the hover so far ..."}
+        self._health = {"state": "running", "text": "Analyzing the hover so far ..."}
         recording, airframe = await asyncio.to_thread(self._recording), self._airframe()
         if recording is None or airframe is None:
             self._health = {"state": "failed", "text": "no recording to look at: start one"}

@@ -134,7 +134,7 @@ class Workbench:
     def _item(self, request: web.Request) -> Item:
         item = self._items.get(request.match_info["id"])
         if item is None:
-            raise InputError("that file is not there any more: drop it again")
+            raise InputError("that file is no longer here: drop it again")
         return item
 
     def _finished(self, key: str) -> Item:

@@ -1,0 +1,67 @@
+"""Textual's driver, made to end when its terminal does.
+
+A closed window, a killed tmux pane and a broken SSH connection hang the terminal up: writing to it
+fails, and the kernel sends SIGHUP and SIGCONT. Textual's writer thread ends with the first failed
+write, after which its queue of 30 fills and blocks the application for good; its handler of SIGCONT
+starts a second writer and a second reader of keys, of which only one is stopped.
+"""
+
+from types import FrameType
+from typing import IO, Any
+
+from textual.driver import Driver
+
+
+class HangingUpFile:
+    """A terminal's file to which writing never fails: once it is gone, output is discarded.
+
+    Args:
+        file: the terminal's.
+    """
+
+    def __init__(self, file: IO[str]) -> None:
+        self._file = file
+        self.gone = False
+        """Whether writing has failed."""
+
+    def write(self, text: str) -> int:
+        """Write text, or discard it."""
+        if not self.gone:
+            try:
+                return self._file.write(text)
+            except (OSError, ValueError):  # ValueError: of a closed file
+                self.gone = True
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush, or do nothing."""
+        if not self.gone:
+            try:
+                self._file.flush()
+            except (OSError, ValueError):
+                self.gone = True
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
+
+def ending_with_its_terminal(base: type[Driver]) -> type[Driver]:
+    """The driver of this platform, which a lost terminal does not block.
+
+    Args:
+        base: Textual's driver, whose `_file` is the terminal.
+    """
+
+    class TerminalDriver(base):  # type: ignore[misc, valid-type]
+        def __init__(self, *args: Any, **options: Any) -> None:
+            super().__init__(*args, **options)
+            terminal: IO[str] | None = getattr(self, "_file", None)
+            if terminal is not None:
+                self._file = HangingUpFile(terminal)
+
+        def _sigcont_application(self, number: int, frame: FrameType | None) -> None:
+            # Only after the driver's own SIGTSTP is there anything to start again.
+            if self._must_signal_resume:
+                super()._sigcont_application(number, frame)
+
+    return TerminalDriver

@@ -1,0 +1,78 @@
+"""The screen's driver on a terminal that is closed under it."""
+
+import errno
+import io
+import threading
+
+import pytest
+from textual.drivers._writer_thread import MAX_QUEUED_WRITES, WriterThread
+
+from gcs_sysid.screen import SysidApp
+from gcs_sysid.screen.terminal import HangingUpFile, ending_with_its_terminal
+
+from . import fake
+
+linux_driver = pytest.importorskip("textual.drivers.linux_driver")
+
+
+class HungUp(io.StringIO):
+    """A terminal that takes some writes and is then gone."""
+
+    def __init__(self, takes):
+        super().__init__()
+        self.takes = takes
+
+    def write(self, text):
+        if not self.takes:
+            raise OSError(errno.EIO, "Input/output error")
+        self.takes -= 1
+        return super().write(text)
+
+    def flush(self):
+        if not self.takes:
+            raise OSError(errno.EIO, "Input/output error")
+
+
+def test_a_lost_terminal_discards_output_and_what_came_before_stays():
+    terminal = HungUp(takes=2)
+    file = HangingUpFile(terminal)
+    for text in ("a", "b", "c", "d"):
+        assert file.write(text) == 1
+        file.flush()
+    assert terminal.getvalue() == "ab"
+    assert file.gone
+
+
+def test_the_writer_of_a_lost_terminal_ends_however_much_is_queued():
+    writer = WriterThread(HangingUpFile(HungUp(takes=1)))
+    writer.start()
+
+    def end():
+        for _ in range(3 * MAX_QUEUED_WRITES):
+            writer.write("x")
+        writer.stop()
+
+    ending = threading.Thread(target=end, daemon=True)
+    ending.start()
+    ending.join(10.0)
+    assert not ending.is_alive()
+
+
+@pytest.mark.parametrize(("suspended", "starts"), [(False, 0), (True, 1)])
+def test_sigcont_starts_the_driver_again_only_after_it_was_suspended(
+    monkeypatch, suspended, starts
+):
+    started = []
+    base = linux_driver.LinuxDriver
+    monkeypatch.setattr(base, "__init__", lambda self: None)
+    monkeypatch.setattr(base, "resume_application_mode", lambda self: started.append(self))
+    driver = ending_with_its_terminal(base)()
+    driver._auto_restart, driver._must_signal_resume = True, suspended
+    driver._sigcont_application(18, None)
+    assert len(started) == starts
+
+
+def test_the_screen_uses_that_driver():
+    driver = SysidApp(fake.FakeSource(fake.snapshot())).driver_class
+    assert driver.__name__ == "TerminalDriver"
+    assert issubclass(driver, linux_driver.LinuxDriver)
