@@ -156,7 +156,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--gains",
         metavar="FILE|default",
         help="fly the autopilot's own rate controller, with gains from a .params or .param file or "
-        "its defaults (without --gains: a controller that knows the vehicle)",
+        "its defaults (otherwise a controller that knows the vehicle)",
     )
     add(
         "--turbulence",

@@ -208,4 +208,4 @@ def test_what_is_given_widens_every_interval_and_is_told_apart(paper_flight, ana
     turned = told.telemetry["imu_rotation"]
     assert np.all(np.abs(turned["value"]) < 2.0 * np.array(turned["std"]))
     assert told.verdict == "partial"
-    assert any("what was given limits" in reason for reason in told.reasons)
+    assert any("given values limit" in reason for reason in told.reasons)

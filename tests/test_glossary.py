@@ -28,6 +28,7 @@ SOURCES = sorted(
     for path in (ROOT / folder).rglob("*.py")
     if "dialect" not in path.parts
 )
+ASSETS = sorted((ROOT / "src" / "gcs_sysid" / "web" / "assets").glob("*.[hj]*"))
 PAGES = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md"])
 
 
@@ -73,6 +74,22 @@ def test_messages_use_the_words_of_the_glossary(folder):
         if (match := REPLACED.search(text))
     ]
     assert found == []
+
+
+def words_of_page(asset: Path) -> list[str]:
+    """What HTML shows between its tags and in labels, and literals of a script with a space."""
+    text = asset.read_text("utf-8")
+    if asset.suffix == ".html":
+        return re.findall(r">([^<>]*\w[^<>]*)<|(?:aria-label|title|placeholder)=\"([^\"]+)\"", text)
+    literals = re.findall(r"\"[^\"\n]*\"|`[^`\n]*`", text)
+    return [re.sub(r"\$\{[^}]*\}", "", literal) for literal in literals if " " in literal]
+
+
+@pytest.mark.parametrize("asset", ASSETS, ids=lambda asset: asset.name)
+def test_pages_in_the_browser_use_the_words_of_the_glossary(asset):
+    shown = [" ".join(text) if isinstance(text, tuple) else text for text in words_of_page(asset)]
+    assert len(shown) > 2
+    assert [text for text in shown if REPLACED.search(text)] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

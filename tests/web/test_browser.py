@@ -187,7 +187,7 @@ def test_two_viewers_and_a_pilot(web, live, source):
         assert "▶ FLY" in page.inner_text("#coach")
     for page in viewers:
         assert page.locator("[data-act]:visible, form:visible").count() == 0
-        assert "can look" in page.inner_text("#role")
+        assert "View only" in page.inner_text("#role")
         # What a viewer's page does not show it cannot do, either.
         said = page.evaluate(
             """async () => (await fetch("/live/action",

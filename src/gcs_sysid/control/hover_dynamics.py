@@ -173,7 +173,7 @@ def check_needs(vehicle: Vehicle) -> None:
     if missing:
         names = ", ".join(missing.values())
         advice = "; ".join(FLIGHT_FOR[group] for group in missing)
-        raise MissingError(f"no gains from this result: not identified: {names}: {advice}")
+        raise MissingError(f"no gains from this result: {names} not identified: {advice}")
     if all(n in vehicle.known for n in INERTIA):
         vehicle.check_inertia()
 

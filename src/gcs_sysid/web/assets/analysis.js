@@ -22,7 +22,7 @@ function upload(file) {
     const request = new XMLHttpRequest();
     request.open("PUT", `/items?name=${encodeURIComponent(file.name)}`);
     request.upload.onprogress = (event) => { if (event.lengthComputable) byId("upload-bar").value = event.loaded / event.total; };
-    request.onerror = () => reject(new Error(`${file.name}: the upload broke off (too large, or gcs-sysid has ended)`));
+    request.onerror = () => reject(new Error(`${file.name}: the upload failed (too large, or gcs-sysid has ended)`));
     request.onload = () => request.status === 200
       ? resolve(JSON.parse(request.responseText)) : reject(new Error(request.responseText.trim().split("\n")[0]));
     request.send(file);
@@ -110,7 +110,7 @@ function shownRotors(kind) {
 }
 
 function sizeHint(kind) {
-  if (kind === "log") return told && told.arm ? `${told.arm.toPrecision(3)} m by the log; another replaces it` : "needed: the log has no lengths";
+  if (kind === "log") return told && told.arm ? `${told.arm.toPrecision(3)} m from the log; enter another to override` : "needed: the log has no lengths";
   if (kind === "builtin") return (builtins.find((one) => one.name === byId("builtin").value) || {}).arm ? "optional" : "center to motor, such as 0.25 or 0.25±0.003";
   return kind === "rotors" ? "optional: scales the picture" : "optional: as the file says";
 }

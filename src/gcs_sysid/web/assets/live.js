@@ -42,7 +42,7 @@ function show(session) {
   state.className = `chip ${link.state}`;
   setText(state, `${SIGNS[link.state]} ${link.state}`);
   setText(byId("clock"), `${session.t}${link.state === "ended" ? "" : session.flying ? ", flying" : ", on the ground"}, ${session.used} used${link.recording ? `, recording ${link.recording}` : ""}`);
-  const notice = link.notice || (link.too_slow ? "This computer is too slow: data wait, advice is late." : "");
+  const notice = link.notice || (link.too_slow ? "This computer is too slow: data are queued, advice is delayed." : "");
   setText(byId("notice"), notice);
   toggle(byId("notice"), Boolean(notice));
   byId("headline").className = verdict.word;
@@ -295,7 +295,7 @@ function follow() {
     if (ended) { stream.close(); newest = null; clearTimeout(plotting); gone("The session has ended, and its page with it."); speak("link", "The session has ended."); }
   };
   stream.onerror = () => {
-    gone(stream.readyState === EventSource.CLOSED ? "The page was refused: too many viewers, or the session has ended." : "No connection to gcs-sysid; trying again.");
+    gone(stream.readyState === EventSource.CLOSED ? "The page was refused: too many viewers, or the session has ended." : "No connection to gcs-sysid; retrying.");
   };
 }
 
@@ -303,7 +303,7 @@ async function setUp() {
   setUpTheme();
   byId("speak").addEventListener("click", (event) => {
     event.currentTarget.setAttribute("aria-pressed", String(!speaking()));
-    if (!("speechSynthesis" in window)) return toast("This browser cannot speak.");
+    if (!("speechSynthesis" in window)) return toast("This browser has no speech synthesis.");
     if (!speaking()) return speechSynthesis.cancel();
     said = {};
     speak("on", "Call-outs on.");
