@@ -135,8 +135,8 @@ class _Hover:
 class _HoverBeside(_Hover):
     """The same by another process, which reads the log for itself.
 
-    Reading twice and a second start cost processor time: of 200 MB the two take 36 s, of which the
-    longer one takes 21 s. The numbers are the same.
+    Reading twice and a second start cost processor time: of 200 MB the two take 32 s, of which the
+    longer one takes 20 s. The numbers are the same.
     """
 
     def __init__(self, log: str, task: _HoverTask) -> None:
