@@ -38,6 +38,8 @@ from sim_bridge.physics import IDEAL, Physics
 
 FLIGHT, EARLIER = 300.0, 40.0
 """s of a flight, and of the one before it."""
+STEP_US = 10_000
+"""us of a physics step: what hover averages is slow."""
 LOOK, KEPT = 5.0, 90.0
 """s between the live screen's looks, and what it looks at."""
 FIRST = 50_000
@@ -75,7 +77,7 @@ def judged(number: int, folder: Path) -> dict[str, Any]:
     for path, seed, seconds in ((before, 2 * number, EARLIER), (log, 2 * number + 1, FLIGHT)):
         if not path.exists():
             part = path.with_suffix(".part.tlog")
-            fly(part, drawn, mission, seed, traits, seconds, physics)
+            fly(part, drawn, mission, seed, traits, seconds, physics, STEP_US)
             part.replace(path)
     out: dict[str, Any] = {"number": number, "kind": kind, "seconds": FLIGHT, "hover": 0.0}
     for name in INPUTS:
