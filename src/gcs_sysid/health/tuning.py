@@ -59,6 +59,8 @@ class Tuning:
         cg_fixed: chi-square for a CG that moves where nothing was moved. A CG explains the moments
             of any weak rotor, so it must exceed `named_margin`: at 9 a rotor of six or eight, whose
             yaw and sum gusts hide, was never named (`benchmarks.health --weak`).
+        same_vehicle: factor of all loads within which two flights may be of one vehicle: payload,
+            other propellers.
         learnt_from: s of hover at the begin of a flight that later ones in it are held against.
         judged_by: s of hover in a stretch that is.
         least_change: of a rotor's load over another's in a stretch, relative, that is looked into:
@@ -138,6 +140,7 @@ class Tuning:
     moved_by_gusts: float = 0.04
     parameter_penalty: float = 2.0
     cg_fixed: float = 30.0
+    same_vehicle: float = 2.0
     learnt_from: float = 30.0
     judged_by: float = 10.0
     least_change: float = 0.01
