@@ -5,8 +5,8 @@
 Drawn vehicles of four, six and eight rotors that scatter by 3 % fly five minutes each, none with a
 fault: hover and gentle doublets with climbs, in light turbulence and in wind with gusts, rotor
 drag, flapping and a battery that sags. Vehicles and seeds are none that any number was chosen on.
-Each flight is judged as `health` does within a flight; as the live screen does, every five seconds
-by the last 90; and stretch by stretch of ten seconds against 40 s flown before, with `--unchanged`
+Each flight is judged as `health` does within a flight; as the live screen does by the last 90 s,
+twice as often; and stretch by stretch of ten seconds against 40 s flown before, with `--unchanged`
 and without. IMU comes at 25 Hz, rotors at 10 Hz. `--flights` keeps the flights and what each gave,
 and goes on where it ended. `--logs` judges recordings, within each flight.
 """
@@ -41,7 +41,7 @@ FLIGHT, EARLIER = 300.0, 40.0
 STEP_US = 10_000
 """us of a physics step: what hover averages is slow."""
 LOOK, KEPT = 5.0, 90.0
-"""s between the live screen's looks, and what it looks at."""
+"""s between looks, of which the live screen takes every other one, and what they look at."""
 FIRST = 50_000
 """Number of the first vehicle: far from those that anything was tuned on."""
 TESTS = ("in flight", "live", "--unchanged", "--baseline")
