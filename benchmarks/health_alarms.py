@@ -98,7 +98,7 @@ def _hover(log: Path, drawn: Drawn, *, speeds: bool, c: float | None) -> tuple[W
 def _alarms(
     before: Path, log: Path, drawn: Drawn, *, speeds: bool, out: dict[str, Any]
 ) -> dict[str, list[int]]:
-    """Alarms and judgements of each test, by speeds or by commands."""
+    """Alarms and judgments of each test, by speeds or by commands."""
     airframe = drawn.airframe
     earlier, c = _hover(before, drawn, speeds=speeds, c=None)
     # A later flight's commands are read by the curve of the baseline, as `health` does.
