@@ -11,6 +11,7 @@ stretches of ten seconds, count the false alarms.
 """
 
 import argparse
+import math
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.thrust_curve_bound import curve_bound
 from benchmarks.truth.emulated import fly_into
 from benchmarks.truth.vehicles import Drawn, draw
 from gcs_sysid.arrays import Array, complete_rows
@@ -56,6 +58,8 @@ HOVER = 30.0
 STRETCH = 10.0
 """s in which a weak rotor is to be named."""
 LOSS = 0.05
+CURVE_BAR = 0.05
+"""How near a thrust curve should come."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +101,7 @@ def fly(
     traits: RotorTraits | None = None,
     seconds: float | None = None,
     physics: Physics = IDEAL,
+    step_us: int = STEP_US,
 ) -> None:
     """Fly into a .tlog at slow rates.
 
@@ -108,6 +113,7 @@ def fly(
         traits: of its rotors; None: all alike.
         seconds: of flight; None: the whole mission.
         physics: besides.
+        step_us: us of a physics step.
     """
     vehicle = replace(drawn.vehicle, traits=traits)
     simulation = Simulation(
@@ -115,7 +121,7 @@ def fly(
         mission,
         np.random.SeedSequence([seed, 1]),
         None,
-        step_us=STEP_US,
+        step_us=step_us,
         control_steps=1,
         physics=physics,
     )
@@ -183,21 +189,46 @@ class Score:
         return f"| {self.name} | {rms:.3g} | {most:.3g} | {half:.3g} | {held:.0f} % of {len(e)} |"
 
 
-def vehicles(numbers: range, folder: Path) -> Iterator[str]:
-    """The table of errors and intervals."""
+def vehicles(
+    numbers: range, folder: Path, mission: DoubletMission, seconds: float
+) -> Iterator[str]:
+    """The table of errors and intervals, and how well commands can show the thrust curve."""
     yield "| | rms | largest | median half interval | intervals hold |"
     yield "|---|---|---|---|---|"
     for speeds in (False, True):
         for scatter in (True, False):
-            scores = _scores(numbers, folder, speeds=speeds, scatter=scatter)
+            scores = _scores(numbers, folder, mission, seconds, speeds=speeds, scatter=scatter)
             kind = "speeds" if speeds else "commands"
             what = "rotors 3 %, places 0.5 % off" if scatter else "rotors alike, flight alone"
             yield f"| **{kind}, {what}** | | | | |"
             for score in scores:
                 yield score.row()
+    bounds = np.array([_bound(number, folder) for number in numbers])
+    # Of unbiased normal errors at the bound.
+    chance = np.prod([math.erf(CURVE_BAR / std / math.sqrt(2.0)) for std in bounds])
+    yield ""
+    yield (
+        f"thrust curve by commands, Cramér-Rao bound (1 sigma): {bounds.min():.3f} to "
+        f"{bounds.max():.3f}, median {np.median(bounds):.3f}; at the bound all {len(bounds)} are "
+        f"within {CURVE_BAR} in {100.0 * chance:.0f} % of such sets"
+    )
 
 
-def _scores(numbers: range, folder: Path, *, speeds: bool, scatter: bool) -> list[Score]:
+def _bound(number: int, folder: Path) -> float:
+    drawn = draw(number, LAYOUTS)
+    streams = streams_in(folder / f"{number}_True.tlog", drawn.airframe, speeds=False)
+    return curve_bound(streams, windows_of(streams, len(drawn.vehicle.rotors)), drawn.vehicle)
+
+
+def _scores(
+    numbers: range,
+    folder: Path,
+    mission: DoubletMission,
+    seconds: float,
+    *,
+    speeds: bool,
+    scatter: bool,
+) -> list[Score]:
     places = Score("CG, mm", 1e3, [], [])
     scale = Score("k_T, %" if speeds else "T_max, %", 100.0, [], [])
     curves = Score("thrust curve", 1.0, [], [])
@@ -209,7 +240,7 @@ def _scores(numbers: range, folder: Path, *, speeds: bool, scatter: bool) -> lis
         traits = uneven(drawn, random, TUNING.rotor_scatter if scatter else 0.0)
         log = folder / f"{number}_{scatter}.tlog"
         if not log.exists():
-            fly(log, drawn, ORDINARY, number, traits)
+            fly(log, drawn, mission, number, traits, seconds)
         airframe = misplaced(drawn.airframe, random) if scatter else drawn.airframe
         airframe = replace(airframe, rotor_input="speed" if speeds else "command")
         told = health_of_log(log, Given(airframe)) if speeds else _by_commands(log, airframe)
@@ -277,6 +308,7 @@ def weak(numbers: range, folder: Path) -> Iterator[str]:
     yield "| | named right | named wrong | not named | false alarms | in hours |"
     yield "|---|---|---|---|---|---|"
     tally = {(s, u): np.zeros(5) for s in (True, False) for u in (False, True)}
+    distances: list[float] = []
     mission = HoverMission("hover", 10.0 * STRETCH)
     for number in numbers:
         drawn = draw(1000 + number, LAYOUTS)
@@ -295,19 +327,31 @@ def weak(numbers: range, folder: Path) -> Iterator[str]:
                 fly(log, drawn, mission, seed, flown, seconds)
         for speeds in (True, False):
             both = {u: tally[speeds, u] for u in (False, True)}
-            _judge(both, names, drawn, rotor, speeds=speeds)
+            distances.append(_judge(both, names, drawn, rotor, speeds=speeds))
     for (speeds, unchanged), (right, wrong, silent, alarms, seconds) in tally.items():
         kind = ("speeds" if speeds else "commands") + (", --unchanged" if unchanged else "")
         yield (
             f"| {kind} | {right:.0f} | {wrong:.0f} | {silent:.0f} | {alarms:.0f} "
             f"| {seconds / 3600.0:.2f} |"
         )
+    # Neyman-Pearson: of two normal hypotheses so far apart, an ideal test takes the right one.
+    best = float(np.mean([0.5 + 0.5 * math.erf(math.sqrt(d / 8.0)) for d in distances]))
+    yield ""
+    yield (
+        f"chi-square of the fault over the next best explanation without noise, --unchanged: least "
+        f"{min(distances):.0f}, median {np.median(distances):.0f}; an ideal test of those two is "
+        f"right in {100.0 * best:.1f} %"
+    )
 
 
 def _judge(
     tally: dict[bool, Array], names: list[Path], drawn: Drawn, rotor: int, *, speeds: bool
-) -> None:
-    """Count what a vehicle's flights tell, by whether it is known that nothing was moved."""
+) -> float:
+    """Count what a vehicle's flights tell, by whether it is known that nothing was moved.
+
+    Returns:
+        Chi-square by which the fault, without noise, would beat the next best explanation.
+    """
     airframe = drawn.airframe
     c = drawn.vehicle.thrust_curve
     before, after, same = (hover_of(name, airframe, speeds=speeds) for name in names)
@@ -328,6 +372,12 @@ def _judge(
             found = compare_loads(base, load, airframe, cg, unchanged=unchanged)
             counts[3] += found.verdict == "rotor"
             counts[4] += STRETCH
+    x, y, spin = airframe.geometry
+    effect = np.vstack([np.ones(len(x)), x - cg[0], y - cg[1], spin])
+    lost = effect[:, rotor] * base.value[rotor]
+    change = effect.T @ np.linalg.solve(effect @ effect.T, lost) / base.value
+    clean = replace(weak[0], value=base.value * np.exp(-math.log1p(-LOSS) * change))
+    return compare_loads(base, clean, airframe, cg, unchanged=True).margin
 
 
 def main() -> None:
@@ -335,6 +385,10 @@ def main() -> None:
     parser.add_argument("--vehicles", type=int, default=20, help="drawn for errors and intervals")
     parser.add_argument("--first", type=int, default=0, help="number of the first of them")
     parser.add_argument("--weak", type=int, default=100, help="flights with a weak rotor")
+    parser.add_argument(
+        "--climb", type=float, default=ORDINARY.climb, help="m, of climbs (default: %(default)s)"
+    )
+    parser.add_argument("--seconds", type=float, default=ORDINARY.duration, help="of a flight")
     parser.add_argument("--flights", type=Path, help="folder that keeps the flights for next time")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
@@ -342,7 +396,8 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         if options.vehicles:
             numbers = range(options.first, options.first + options.vehicles)
-            print(*vehicles(numbers, folder), sep="\n", flush=True)
+            mission = replace(ORDINARY, climb=options.climb)
+            print(*vehicles(numbers, folder, mission, options.seconds), sep="\n", flush=True)
         if options.weak:
             numbers = range(options.first, options.first + options.weak)
             print("", *weak(numbers, folder), sep="\n", flush=True)

@@ -6,11 +6,15 @@ from concurrent.futures import BrokenExecutor, Future
 from dataclasses import replace
 
 import pytest
+from pymavlink import mavparm
 
 from gcs_sysid.cli import analyze_command
+from gcs_sysid.cli.health_text import health_text
 from gcs_sysid.cli.program import run
 from gcs_sysid.fleet.pools import LocalPool
 from gcs_sysid.health.assessment import HoverRecords, health_of_log
+from gcs_sysid.health.health_file import read_baseline
+from gcs_sysid.health.health_trend import trend_text
 from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import load_airframe
@@ -97,10 +101,35 @@ def test_parameters_for_mission_planner(ardupilot, tmp_path, capsys):
     assert {"MOT_THST_EXPO", "MOT_THST_HOVER"} <= set(values)
     assert all(0.0 <= float(value) <= 1.0 for value in values.values())
     assert any(line.startswith("# MOT_THST_EXPO: ") and " to " in line for line in lines)
+    # MAVProxy's own reader, whose format Mission Planner's is.
+    loaded = mavparm.MAVParmDict()
+    assert loaded.load(str(file))
+    assert {name: f"{value:.6f}" for name, value in loaded.items()} == values
     capsys.readouterr()
     # What is there is not written over.
     assert run(["health", str(ardupilot.tlog), *options]) == 2
     assert "--force" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_flights_of_two_vehicles_are_not_held_against_each_other(flight, tmp_path, capsys):
+    written = tmp_path / "one.json"
+    log = str(flight.tlog)
+    assert run(["health", log, "--airframe", "paper", "--json", str(written)]) == 0
+    told = json.loads(written.read_text())
+    told["load"]["value"] = [3.0 * value for value in told["load"]["value"]]
+    written.write_text(json.dumps(told))
+    capsys.readouterr()
+    assert run(["health", log, "--airframe", "paper", "--baseline", str(written)]) == 2
+    assert "rotors do 3.0 times more for the same thrust" in capsys.readouterr().err
+    # One that nobody named is left out, and so is the flight from the trend.
+    own = replace(read_baseline(written), asked=False)
+    health = health_of_log(flight.tlog, Given(load_airframe("paper"), baseline=own))
+    assert health.told
+    assert health.condition is None
+    assert "another vehicle's" in health.apart
+    assert "not held against" in health_text(health)
+    assert trend_text([health, replace(health, apart="")]) == []
 
 
 @pytest.mark.slow

@@ -235,3 +235,13 @@ def test_robust_fit_shrugs_at_outliers_and_collinear_columns():
     assert both.value.sum() == pytest.approx(2.0)
     with pytest.raises(ValueError, match="do not show"):
         balance.robust_fit(np.ones((2, 3)), np.ones(2))
+
+
+def test_targets_fitted_at_once_are_those_fitted_alone():
+    rng = np.random.default_rng(8)
+    columns = np.column_stack([np.ones(41), rng.standard_normal((41, 2)), np.zeros(41)])
+    targets = columns @ rng.standard_normal((4, 3)) + 0.1 * rng.standard_t(2, (41, 3))
+    ridge = np.array([np.inf, 1.0, 0.1, 1.0])
+    together = balance.robust_values(columns, targets, ridge)
+    for column, target in zip(together.T, targets.T, strict=True):
+        assert column == pytest.approx(balance.robust_fit(columns, target, ridge).value, abs=1e-9)

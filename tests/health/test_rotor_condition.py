@@ -1,6 +1,7 @@
 """A weak rotor, a moved CG, thinner air: named where the loads tell them apart."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,6 +67,35 @@ def test_no_rotor_is_named_where_nothing_changed_or_the_load_did(layout):
     found = compare_loads(before, moved, airframe, (0.01, 0.0), unchanged=False)
     assert found.verdict == "cg"
     assert found.moved[0] == pytest.approx(0.025, rel=0.1)
+
+
+@pytest.mark.parametrize(("loss", "verdict"), [(0.025, "unclear"), (0.04, "rotor")])
+def test_less_than_three_percent_is_no_weak_rotor(loss, verdict):
+    """What gusts make of sound rotors reaches 2.4 %."""
+    airframe = load_airframe("px4-octo-x")
+    strength = np.ones(8)
+    before = load(trim(airframe, (0.0, 0.0), strength))
+    strength[5] -= loss
+    found = compare_loads(
+        before, load(trim(airframe, (0.0, 0.0), strength)), airframe, (0.0, 0.0), unchanged=True
+    )
+    assert (found.verdict, found.suspect) == (verdict, None)
+
+
+def test_loads_that_gusts_may_have_changed_name_nobody():
+    """The force in the rotors' plane shows gusts that the loads' own scatter does not."""
+    airframe = load_airframe("px4-quad-x")
+    before = load(trim(airframe, (0.0, 0.0), np.ones(4)))
+    now = load(trim(airframe, (0.0, 0.0), np.array([0.95, 1.0, 1.0, 1.0])))
+    verdicts = {}
+    for gusts in (0.0, 0.08, 0.6):
+        blown = replace(now, gusts=gusts)
+        found = compare_loads(before, blown, airframe, (0.0, 0.0), unchanged=True)
+        verdicts[gusts] = found.verdict
+    assert verdicts == {0.0: "rotor", 0.08: "rotor", 0.6: "unchanged"}
+    assert Load.of_json(json.loads(json.dumps(blown.as_json()))).gusts == 0.6
+    older = {key: value for key, value in blown.as_json().items() if key != "gusts"}
+    assert Load.of_json(older).gusts == 0.0
 
 
 def test_a_propeller_without_its_torque_is_not_told_from_a_cg_on_four_rotors():

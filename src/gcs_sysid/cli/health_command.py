@@ -39,7 +39,8 @@ def run(options: argparse.Namespace) -> int:
             continue
         found.append(health)
         if given.baseline is None:
-            given = replace(given, baseline=as_baseline(health))
+            first = as_baseline(health)
+            given = replace(given, baseline=first and replace(first, asked=False))
         if not health.told:
             why = "; ".join(health.reasons)
             print(f"gcs-sysid: {log}: no result: {why}", file=sys.stderr)
@@ -88,7 +89,7 @@ def _write(
     if best is not None and options.picture is not None:
         from gcs_sysid.report.health_picture import health_picture  # only who asks waits for it
 
-        told = [health for health in found if health.told]
+        told = [health for health in found if health.told and not health.apart]
         picture = health_picture(document_of(best), series_of(told) if len(told) > 1 else ())
         deliveries.give(lambda: output.save(Path(options.picture), picture, force=options.force))
     deliveries.check()

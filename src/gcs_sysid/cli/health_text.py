@@ -59,6 +59,8 @@ def _head(health: Health) -> Iterator[str]:
         yield _line("motor lag", f"{1e3 * health.motor_lag:.0f} ms")
     if health.condition is not None:
         yield _line("rotors", condition_text(health.condition))
+    if health.apart:
+        yield from _wrapped(health.apart, f"{'rotors':<{_NAME}}")
     if health.weakened is not None:
         told = condition_text(health.weakened.condition)
         yield _line("in this flight", f"by {health.weakened.t:.0f} s {told}")

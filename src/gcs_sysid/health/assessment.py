@@ -18,7 +18,7 @@ from gcs_sysid.health.drive_health import battery_of, idle_output, motor_gains, 
 from gcs_sysid.health.hover import Windows, windows_of
 from gcs_sysid.health.log_streams import Streams
 from gcs_sysid.health.motion_layout import layout_by_motion
-from gcs_sysid.health.rotor_condition import compare_loads, load_of, watch_rotors
+from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
 from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health, RotorHealth
 from gcs_sysid.health.vibration import vibration_of
@@ -314,16 +314,11 @@ def _compared(
     base = given.baseline
     if base is None or health.load is None or health.airframe is None or health.cg is None:
         return health
-    if base.load.kind != health.load.kind:
-        what = {"speed": "speeds", "command": "commands"}
-        raise InputError(
-            f"{base.source}: its rotors were measured by {what[base.load.kind]}, here by "
-            f"{what[health.load.kind]}: take a baseline of the same kind of log"
-        )
-    if len(base.load.value) != len(health.airframe.rotors):
-        raise InputError(
-            f"{base.source}: has {len(base.load.value)} rotors, not {len(health.airframe.rotors)}"
-        )
+    problem = _of_another_kind(base.load, health.load)
+    if problem and base.asked:
+        raise InputError(f"{base.source}: {problem}; take a flight of this vehicle as baseline")
+    if problem:
+        return replace(health, apart=f"not held against {Path(base.source).name}: {problem}")
     load = health.load
     if base.load.thrust_curve is not None and base.load.thrust_curve != c:
         again = load_of(hover, thrust_of(hover, base.load.thrust_curve), base.load.thrust_curve)
@@ -334,6 +329,23 @@ def _compared(
         for rotor, efficiency in zip(health.rotors, condition.efficiency, strict=True)
     )
     return replace(health, condition=condition, rotors=rotors)
+
+
+def _of_another_kind(before: Load, now: Load) -> str:
+    """Why loads cannot be compared; empty where they can."""
+    what = {"speed": "speeds", "command": "commands"}
+    if before.kind != now.kind:
+        return f"its rotors were measured by {what[before.kind]}, here by {what[now.kind]}"
+    if len(before.value) != len(now.value):
+        return f"it has {len(before.value)} rotors, not {len(now.value)}"
+    ratio = float(np.mean(np.log(now.value / before.value)))
+    if abs(ratio) > math.log(TUNING.same_vehicle):
+        more = math.exp(abs(ratio))
+        return (
+            f"its rotors do {more:.1f} times {'less' if ratio > 0.0 else 'more'} for the same "
+            "thrust, as another vehicle's"
+        )
+    return ""
 
 
 def _assumptions(guess: GuessedAirframe, curve: Curve | None) -> tuple[str, ...]:

@@ -25,6 +25,9 @@ from gcs_sysid.intervals import Z95
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import GRAVITY
 
+_ROUNDS = 12
+"""Reweighted least squares, of Huber's weights."""
+
 
 @dataclass(frozen=True)
 class Quantity:
@@ -126,9 +129,36 @@ def robust_fit(
     return Fit(value, covariance * stretch**2, scale)
 
 
-def robust_values(columns: Array, y: Array, ridge: Array | None = None) -> Array:
-    """(p,) what `robust_fit` fits, without the covariance, which costs more."""
-    return _huber_fit(columns, y, ridge, None, columns)[0]
+def robust_values(columns: Array, targets: Array, ridge: Array) -> Array:
+    """(p, k) what `robust_fit` fits to each of k targets, without covariances, which cost more.
+
+    Args:
+        columns: (n, p) regressors.
+        targets: (n, k), each fitted by itself, all at once.
+        ridge: (p,) prior standard deviations about zero; inf: none.
+    """
+    n, p = columns.shape
+    y = np.ascontiguousarray(targets.T)  # (k, n)
+    products = (columns[:, :, None] * columns[:, None, :]).reshape(n, p * p)
+    weight = np.ones_like(y)
+    scale = np.maximum(y.std(axis=1), 1e-12)
+    penalty = np.diag(1.0 / ridge**2)
+    value = np.zeros((len(y), p))
+    middle = ((n - 1) // 2, n // 2)
+
+    def median(values: Array) -> Array:
+        ordered = np.partition(values, middle, axis=1)
+        half: Array = 0.5 * (ordered[:, middle[0]] + ordered[:, middle[1]])
+        return half
+
+    for _ in range(_ROUNDS):
+        normal = (weight @ products).reshape(-1, p, p) + scale[:, None, None] ** 2 * penalty
+        value = np.linalg.solve(normal, ((weight * y) @ columns)[:, :, None])[:, :, 0]
+        residual = y - value @ columns.T
+        scale = np.maximum(1.4826 * median(np.abs(residual - median(residual)[:, None])), 1e-15)
+        weight = 1.0 / np.maximum(np.abs(residual) / (1.345 * scale[:, None]), 1.0)
+    out: Array = value.T
+    return out
 
 
 def _huber_fit(
@@ -141,7 +171,7 @@ def _huber_fit(
     penalty = np.zeros(p) if ridge is None else 1.0 / ridge**2
     value = np.zeros(p)
     residual = y
-    for _ in range(12):
+    for _ in range(_ROUNDS):
         weighted = told * weight[:, None]
         normal = _products(told, jitter, weight, weighted) + scale**2 * np.diag(penalty)
         value = _inverse(normal) @ (weighted.T @ y)

@@ -43,6 +43,7 @@ def document_of(health: Health) -> dict[str, Any]:
         "drift_per_minute": plain(health.drift),
         "motor_lag": health.motor_lag,
         "condition": None if health.condition is None else health.condition.as_json(),
+        "not_compared": health.apart or None,
         "weakened": None if health.weakened is None else health.weakened.as_json(),
         "stretches_watched": health.watched,
         "load": None if health.load is None else health.load.as_json(),

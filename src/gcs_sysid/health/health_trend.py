@@ -121,8 +121,12 @@ def _series(name: str, unit: str, factor: float, told: Sequence[Quantity | None]
 
 
 def trend_text(flights: Sequence[Health]) -> list[str]:
-    """The flights side by side and what changed, in lines; empty for less than two that hovered."""
-    told = [health for health in flights if health.told]
+    """The flights side by side and what changed, in lines; empty for less than two that hovered.
+
+    Flights of other vehicles are left out.
+    """
+    # What is surely another vehicle is not one of its flights.
+    told = [health for health in flights if health.told and not health.apart]
     if len(told) < 2:
         return []
     series = series_of(told)

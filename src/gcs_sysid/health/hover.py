@@ -311,8 +311,11 @@ def _lag_of(
     lags = np.arange(0.0, TUNING.longest_lag + 1e-9, TUNING.lag_step)
     costs = []
     commands = _averagers(streams.commands)
-    for lag in lags.tolist():
-        u, uu = _command_means(commands, t, half, rotors, lag)
+    # All at once: by lags each would cost a hundred calls.
+    late = np.concatenate([t - lag for lag in lags])
+    means = _command_means(commands, late, half, rotors, 0.0)
+    for k in range(len(lags)):
+        u, uu = (mean[k * len(t) : (k + 1) * len(t)] for mean in means)
         if not measured:
             u, uu = u.sum(axis=1, keepdims=True), uu.sum(axis=1, keepdims=True)
         cost = 0.0

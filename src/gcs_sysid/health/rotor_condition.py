@@ -43,6 +43,7 @@ class Load:
         thrust_curve: by which commands were read; None for speeds.
         force: (2,) m/s^2, mean specific force in the rotors' plane: the wind's drag, and how far
             the accelerometer is off level. None in older files.
+        gusts: m/s^2, by how much that force varied (rms of both axes); 0 in older files.
     """
 
     kind: str
@@ -51,6 +52,7 @@ class Load:
     seconds: float
     thrust_curve: float | None = None
     force: tuple[float, float] | None = None
+    gusts: float = 0.0
 
     def as_json(self) -> dict[str, Any]:
         """As health files keep it for a later flight."""
@@ -61,6 +63,7 @@ class Load:
             "seconds": self.seconds,
             "thrust_curve": self.thrust_curve,
             "force": None if self.force is None else list(self.force),
+            "gusts": self.gusts,
         }
 
     @classmethod
@@ -82,6 +85,7 @@ class Load:
             float(table["seconds"]),
             None if curve is None else float(curve),
             None if force is None else (float(force[0]), float(force[1])),
+            float(table.get("gusts", 0.0)),
         )
 
 
@@ -103,20 +107,19 @@ def load_of(windows: Windows, thrust: Array, c: float | None) -> Load | None:
     # A moment that turns the vehicle is no load: what its means are not zero by is taken out.
     columns = np.column_stack([lift / lift.mean(), turning])
     ridge = np.array([np.inf, *(3.0 * TUNING.turning_share,) * 3])
-    values, influence = [], []
-    for share in thrust.T:
-        value = robust_values(columns, share / share.mean(), ridge)
-        values.append(value[0] * share.mean() / lift.mean())
-        influence.append(share / share.mean() - columns @ value)
-    residual = np.clip(np.array(influence), -0.3, 0.3)  # (rotors, n)
+    mean = thrust.mean(axis=0)
+    relative = thrust / mean
+    fitted = robust_values(columns, relative, ridge)
+    values = fitted[0] * mean / lift.mean()
+    residual = np.clip((relative - columns @ fitted).T, -0.3, 0.3)  # (rotors, n)
     covariance = _long_run(residual) / len(lift)
     sideways = windows.force[:, :2][complete_rows(windows.force[:, :2])]
-    force = None
+    force, gusts = None, 0.0
     if len(sideways):
         x, y = sideways.mean(axis=0).tolist()
-        force = x, y
+        force, gusts = (x, y), math.sqrt(float(sideways.var(axis=0).mean()))
     kind = "speed" if c is None else "command"
-    return Load(kind, np.array(values), covariance, windows.seconds, c, force)
+    return Load(kind, values, covariance, windows.seconds, c, force, gusts)
 
 
 def _long_run(residual: Array) -> Array:
@@ -210,9 +213,12 @@ def compare_loads(
     common = TUNING.common_speed if now.kind == "speed" else TUNING.common_command
     of_before, of_now = _pooled(before, now)
     noise = of_before + of_now + own
-    noise = noise + common**2 * np.outer(ones, ones) + TUNING.yaw_repeats**2 * np.outer(yaw, yaw)
+    gusts = math.sqrt(max(max(before.gusts, now.gusts) ** 2 - TUNING.calm**2, 0.0))
+    by_gusts = TUNING.moved_by_gusts * gusts
+    common, yawed = math.hypot(common, by_gusts), math.hypot(TUNING.yaw_repeats, by_gusts)
+    noise = noise + common**2 * np.outer(ones, ones) + yawed**2 * np.outer(yaw, yaw)
     still = (TUNING.cg_stays if unchanged else TUNING.cg_repeats) * airframe.arm
-    places = np.full(2, still)
+    places = np.full(2, math.hypot(still, by_gusts * airframe.arm))
     if before.force is not None and now.force is not None:
         # Drag above the CG moves the center of thrust with the force that the wind makes.
         wind = np.abs(np.subtract(now.force, before.force))
@@ -256,17 +262,18 @@ def compare_loads(
     changes: Array = np.expm1(r)
     efficiency = _shrunk(r, noise, n)
     shift = float(moved[0]), float(moved[1])
+    large = bool(best) and best[0][2] > -math.log1p(-TUNING.least_loss)
     if best:
         left, rotor, extra, std = best[0]
         second = _rival(best)
         margin = min(others - left, second - left)
-        if others - left > TUNING.named_margin and second - left > TUNING.rival_margin:
+        if large and others - left > TUNING.named_margin and second - left > TUNING.rival_margin:
             loss = Quantity(-math.expm1(-extra), std * math.exp(-extra), "1")
             return Condition("rotor", rotor, loss, margin, shift, changes, efficiency)
     left_best = min((entry[0] for entry in best), default=math.inf)
     least = min(others, left_best)
     suspect = None
-    if best and (len(best) < 2 or _rival(best) - best[0][0] > TUNING.rival_margin):
+    if large and _rival(best) - best[0][0] > TUNING.rival_margin:
         suspect = best[0][1]
     if left_unchanged - least < TUNING.named_margin:
         return Condition("unchanged", None, None, 0.0, shift, changes, efficiency)

@@ -50,10 +50,17 @@ class Tuning:
         cg_stays: the same where nothing was moved or loaded: the apparent shift by wind.
         bias_repeats: m/s^2, change of specific force from flight to flight that is no wind: three
             standard deviations of the difference of two accelerometer biases.
+        calm: m/s^2, by how much the specific force in the rotors' plane varies without wind.
+        moved_by_gusts: of the sum, the yaw balance and (in arms) the center of thrust, for a
+            variation of that force by 1 m/s^2 beyond `calm`. Gusts slower than a stretch of hover
+            do not show in its own scatter: in gusts of 0.3 to 1.2 m/s the means of ten seconds
+            were off by 2 to 4 times that (`benchmarks.health_alarms`, other seeds).
         parameter_penalty: chi-square for each number that an explanation may choose.
         cg_fixed: chi-square for a CG that moves where nothing was moved. A CG explains the moments
             of any weak rotor, so it must exceed `named_margin`: at 9 a rotor of six or eight, whose
             yaw and sum gusts hide, was never named (`benchmarks.health --weak`).
+        same_vehicle: factor of all loads within which two flights may be of one vehicle: payload,
+            other propellers.
         learnt_from: s of hover at the begin of a flight that later ones in it are held against.
         judged_by: s of hover in a stretch that is.
         least_change: of a rotor's load over another's in a stretch, relative, that is looked into:
@@ -62,6 +69,9 @@ class Tuning:
             flights with one and 300 stretches without, 8 misnamed none either; chosen on the
             flights of `benchmarks.health --weak 100` themselves.
         rival_margin: by which it must beat another rotor.
+        least_loss: of its thrust that a weak rotor must have lost to be named. Of a hundred flights
+            with 5 % none came out below 3.6 %; what was named without a fault had lost 2.4 % at
+            most, by gusts (`benchmarks.health --first 100`, `benchmarks.health_alarms`).
         windier: times the noise power of both stretches together, from which on one keeps its own.
         shortest_drift: s of flight from which a drift is told.
         full_command: command from which a rotor counts as saturated.
@@ -126,13 +136,17 @@ class Tuning:
     cg_repeats: float = 0.0015
     cg_stays: float = 0.0004
     bias_repeats: float = 0.3
+    calm: float = 0.09
+    moved_by_gusts: float = 0.04
     parameter_penalty: float = 2.0
     cg_fixed: float = 30.0
+    same_vehicle: float = 2.0
     learnt_from: float = 30.0
     judged_by: float = 10.0
     least_change: float = 0.01
     named_margin: float = 10.0
     rival_margin: float = 6.0
+    least_loss: float = 0.03
     windier: float = 3.0
     shortest_drift: float = 20.0
     full_command: float = 0.99

@@ -33,11 +33,19 @@ class Given:
 
 @dataclass(frozen=True)
 class Baseline:
-    """A flight before, to compare rotors with."""
+    """A flight before, to compare rotors with.
+
+    Attributes:
+        source: its log.
+        load: of its rotors.
+        cg: x and y, m.
+        asked: whether the user named it: then it must fit, else it may be left out.
+    """
 
     source: str
     load: Load
     cg: tuple[float, float]
+    asked: bool = True
 
 
 @dataclass(frozen=True)
@@ -102,6 +110,7 @@ class Health:
         battery: V, highest, lowest and median; None where not logged.
         motor_lag: s that rotors or thrust follow the commands by; None without commands.
         condition: of the rotors against a baseline; None without one.
+        apart: why it was not held against the first of several logs; empty where it was.
         weakened: a rotor that became weak in this flight; None where none did, or the hover is
             too short to tell.
         watched: stretches of hover that were held against the begin of the flight for that.
@@ -133,6 +142,7 @@ class Health:
     drift: Quantity | None = None
     motor_lag: float | None = None
     condition: Condition | None = None
+    apart: str = ""
     weakened: Weakened | None = None
     watched: int = 0
     explained: float | None = None
