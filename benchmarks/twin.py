@@ -2,7 +2,7 @@
 
     python -m benchmarks.twin flights [--count N] [--scenario NAME]
     python -m benchmarks.twin logs PATH...
-    python -m benchmarks.twin covariance [--count N] [--light] [--exact] [--keep FILE]
+    python -m benchmarks.twin covariance [--count N] [--still] [--drawn] [--keep FILE]
 
 `flights` flies vehicles drawn at random (0.25 to 15 kg, four to eight rotors, MEMS at 250 Hz) on
 the emulator, fits the first 60 % of each flight and flies the rest with the fit; `logs` does so
@@ -10,8 +10,8 @@ with recorded flights. Both print, for each stretch of 1 s, the share of errors 
 and R2 of the body rates, beside the model without drag, damping, rotor inertia and differences
 between rotors (basic), and a guess of constant rates. `covariance` holds the normalized
 estimation error squared of the parameter vector, e' P^-1 e, against chi-square, over short
-flights of vehicles whose given values (arms, rotor places, mass, the IMU's rotation) err as their
-standard deviations say; with `--exact` the flight's part of the covariance alone.
+flights that identify all; with `--drawn` the given values (arms, rotor places, mass, the IMU's
+rotation) err as their standard deviations say, else they are exact.
 """
 
 import argparse
@@ -139,8 +139,9 @@ def normalized_error(error: Array, covariance: Array) -> float:
     return float(e @ np.linalg.solve(covariance / np.outer(std, std), e))
 
 
-LIGHT_AIR = Physics(ou_force=(0.03, 0.5), ou_moment=(0.03, 0.5))
-"""m/s^2 and rad/s^2 rms, s: what air does indoors."""
+LIGHT_AIR = Physics(ou_force=(0.03, 0.5))
+"""m/s^2 rms, s: air that rises and falls a little, as indoors. Intervals of k_T, and of all that is
+scaled by it, allow for it: thrust is weighed against gravity, and nothing tells air from thrust."""
 
 
 class ShortDoublets:
@@ -226,6 +227,7 @@ def _errors_of(number: int, air: Physics, *, exact: bool) -> dict[str, Any]:
     power, axes = np.linalg.eigh(P / np.outer(std, std))
     return {
         "flight": number,
+        "verdict": result.verdict,
         "single": (error / std).tolist(),
         "squared": normalized_error(error, P),
         "along": (axes.T @ (error / std) / np.sqrt(power)).tolist(),
@@ -233,12 +235,17 @@ def _errors_of(number: int, air: Physics, *, exact: bool) -> dict[str, Any]:
 
 
 def _show_errors(found: list[dict[str, Any]], where: str) -> None:
+    # What is unobservable, or read in another unit, claims nothing.
+    judged = [one for one in found if one["verdict"] == "identified"]
+    if not judged:
+        print(f"none of {len(found)} flights is identified")
+        return
     single, squared, along = (
-        np.array([one[key] for one in found]) for key in ("single", "squared", "along")
+        np.array([one[key] for one in judged]) for key in ("single", "squared", "along")
     )
     freedom = len(JUDGED)
     p = kstest(squared, chi2(freedom).cdf).pvalue
-    print(f"{len(found)} emulated flights of {ShortDoublets.duration:g} s in {where}; {freedom} "
+    print(f"{len(judged)} identified of {len(found)} emulated flights of {ShortDoublets.duration:g} s in {where}; {freedom} "
           f"parameters: {', '.join(JUDGED)}")  # fmt: skip
     print(
         f"normalized error squared: mean {squared.mean():.2f} (chi-square {freedom}), median "
@@ -261,8 +268,8 @@ def main() -> int:
     parser.add_argument("what", choices=("flights", "logs", "covariance"))
     parser.add_argument("paths", nargs="*", type=Path)
     parser.add_argument("--count", type=int, default=12)
-    parser.add_argument("--light", action="store_true", help="covariance: in light air")
-    parser.add_argument("--exact", action="store_true", help="covariance: what is given is exact")
+    parser.add_argument("--still", action="store_true", help="covariance: without any air")
+    parser.add_argument("--drawn", action="store_true", help="covariance: givens err, too")
     parser.add_argument("--most", type=int, default=1000, help="flights flown in this run")
     parser.add_argument("--keep", type=Path, help="file of what is done, to go on from")
     parser.add_argument("--scenario", choices=[s.name for s in SCENARIOS], default="a")
@@ -274,8 +281,8 @@ def main() -> int:
     elif options.what == "flights":
         flights(options.count, next(s for s in SCENARIOS if s.name == options.scenario))
     else:
-        air = LIGHT_AIR if options.light else IDEAL
-        covariance(options.count, options.most, options.keep, air, exact=options.exact)
+        air = IDEAL if options.still else LIGHT_AIR
+        covariance(options.count, options.most, options.keep, air, exact=not options.drawn)
     return 0
 
 

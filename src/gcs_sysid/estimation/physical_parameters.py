@@ -56,10 +56,11 @@ class ModelErrors:
     command: float = 0.0015
     """With commands: a motor is not quite of first order, nor its thrust quite a parabola of the
     command. On flights of the emulator it leaves 0.1 to 0.25 %, in the thrust curve as well."""
-    steps: float = 3e-4
+    steps: float = 1.7e-4
     """With speeds: commands change in steps, and the cubic between two samples rounds the corners
     that they leave in the speeds. Inertia reads 0.03 % larger where the loop runs once a sample
-    than where it runs four times (emulator, 250 Hz)."""
+    than where it runs four times (emulator, 250 Hz); anything between is as likely, and the
+    standard deviation of that is the whole over the root of three."""
     quick_motor: float = 0.03
     """s, lag of the motors that these two were measured with."""
     lag: float = 0.02
