@@ -216,9 +216,7 @@ def _rotation_values(
     return out
 
 
-def _cg_floor(
-    translation: TranslationFit | None, arm: float, rotor_input: RotorInput
-) -> float:
+def _cg_floor(translation: TranslationFit | None, arm: float, rotor_input: RotorInput) -> float:
     """m, least standard deviation of the CG.
 
     Rotors at Omega in hover that are each off by a constant d shift it by

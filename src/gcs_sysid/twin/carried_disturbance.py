@@ -107,9 +107,7 @@ def choose_carried(lefts: Sequence[Array], dt: float) -> Carried:
         alone = sum(math.log(max(float((r**2).mean()), 1e-300)) for r in rise)
         best = alone - _LEAST
         for m in _MEMORIES:
-            d = np.concatenate(
-                [_averaged(c, dt, m)[i] for c, i in zip(columns, at, strict=True)]
-            )
+            d = np.concatenate([_averaged(c, dt, m)[i] for c, i in zip(columns, at, strict=True)])
             for tau in _FADINGS:
                 gains = [tau * (1.0 - math.exp(-n * dt / tau)) for n in ahead]
                 score = sum(
