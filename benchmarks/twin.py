@@ -245,8 +245,10 @@ def _show_errors(found: list[dict[str, Any]], where: str) -> None:
     )
     freedom = len(JUDGED)
     p = kstest(squared, chi2(freedom).cdf).pvalue
-    print(f"{len(judged)} identified of {len(found)} emulated flights of {ShortDoublets.duration:g} s in {where}; {freedom} "
-          f"parameters: {', '.join(JUDGED)}")  # fmt: skip
+    print(
+        f"{len(judged)} identified of {len(found)} emulated flights of "
+        f"{ShortDoublets.duration:g} s in {where}; {freedom} parameters: {', '.join(JUDGED)}"
+    )
     print(
         f"normalized error squared: mean {squared.mean():.2f} (chi-square {freedom}), median "
         f"{np.median(squared):.2f} ({chi2(freedom).median():.2f}), 95th percentile "

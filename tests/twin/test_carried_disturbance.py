@@ -30,7 +30,8 @@ def test_what_lasts_is_carried_and_predicts_flight_that_was_not_seen():
     seen, unseen = left[: n // 2], left[n // 2 :]
     carried = choose_carried([seen], DT)
     assert carried.any
-    assert carried.memory[axis] > 0.0 and carried.fading[axis] >= 1.0
+    assert carried.memory[axis] > 0.0
+    assert carried.fading[axis] >= 1.0
     assert not carried.memory[[0, 2]].any()
     assert carried.rms[axis] == pytest.approx(2.0, rel=0.4)
     steps = 75  # 0.3 s
@@ -40,7 +41,8 @@ def test_what_lasts_is_carried_and_predicts_flight_that_was_not_seen():
     rise = unseen[starts + steps] - unseen[starts]
     error = rise - DT * forecast.sum(axis=1)
     assert np.std(error[:, axis]) < 0.6 * np.std(rise[:, axis])
-    assert "pitch" in carried.says and "roll" not in carried.says
+    assert "pitch" in carried.says
+    assert "roll" not in carried.says
 
 
 def test_of_noise_alone_nothing_is_carried():

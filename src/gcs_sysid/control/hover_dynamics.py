@@ -28,6 +28,7 @@ FLIGHT_FOR = {
     "mass": "weigh the vehicle and analyze again with --mass KG",
 }
 """What would help where something is missing."""
+
 _WEAK_ENOUGH = ("moment_ratio", "motor_lag")
 """Margins are kept over the whole interval: what trades against the delay counts by their sum."""
 _USUAL_REACTION = (0.0, 0.25)

@@ -144,8 +144,7 @@ def given_stds(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[str,
     Returns:
         Name -> standard deviation, SI, of parameters that have a value.
     """
-    effects = given_effects(values, fit, given)
-    return {name: float(np.linalg.norm(effect)) for name, effect in effects.items()}
+    return {n: float(np.linalg.norm(e)) for n, e in given_effects(values, fit, given).items()}
 
 
 def _common_errors(airframe: Airframe) -> tuple[float, float]:

@@ -226,7 +226,7 @@ def _cg_floor(translation: TranslationFit | None, arm: float, rotor_input: Rotor
     if rotor_input == "command" or translation is None or not translation.kappa > 0.0:
         return ERRORS.cg_floor * arm
     hover = math.sqrt(GRAVITY / translation.kappa)
-    return ERRORS.rounded * math.sqrt(2.0) * arm * ROUNDING_STD / hover
+    return float(ERRORS.rounded * math.sqrt(2.0) * arm * ROUNDING_STD / hover)
 
 
 def _wind_shifts(translation: TranslationFit | None, arm: float) -> dict[str, float]:

@@ -27,8 +27,8 @@ _FADINGS = (0.1, 0.3, 1.0, 3.0, 10.0)
 _AHEAD = (0.3, 1.0)
 """s ahead at which they are compared."""
 _LEAST = 0.3
-"""Nats over these lengths, by which the power of the errors must fall: over 10 s of a flight without
-any disturbance some pair gains up to 0.1 by chance."""
+"""Nats over these lengths, by which the power of the errors must fall: of noise alone nothing is
+carried (20 draws of 12 s in the tests)."""
 _EVERY = 0.02
 """s between the instants at which they are compared."""
 
