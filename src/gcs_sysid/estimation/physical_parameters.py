@@ -46,10 +46,11 @@ class ModelErrors:
 
     cg_floor: float = 6e-6
     """Of the arm (a micrometer or two), least standard deviation of the CG by commands."""
-    rounded: float = 0.3
+    rounded: float = 0.2
     """Of what speeds rounded to whole rpm would shift the CG by if the rounding stayed the same all
-    flight: in hover it is slow. Errors beyond the fit's own were 0.26 of it at 1300 to 4200 rpm and
-    0.36 at 4400 to 18 000 rpm (33 emulated flights of 30 s)."""
+    flight. In perfectly still air it is slow: errors beyond the fit's own were 0.3 of it at 1300 to
+    18 000 rpm (33 emulated flights of 30 s). The lightest air, 0.03 m/s^2 rms, makes it white (62
+    flights): this is between."""
     curve_shape: float = 1e-3
     """Of the CG's offset, with commands: thrust curves are not quite of the form fitted (measured:
     0.13 % where the lag is the speed's, not the command's; see `_slowness`)."""
