@@ -24,7 +24,7 @@ from gcs_sysid.control.gain_design import LIMITS, propose
 from gcs_sysid.control.hover_dynamics import hover_dynamics
 from gcs_sysid.control.loop_margins import frequencies, margins_of, open_loops, step_response
 from gcs_sysid.control.rate_loops import AUTOPILOTS, AXES, Autopilot, RateLoop, read_loop
-from gcs_sysid.control.tuning_study import joined_vehicle, with_delay
+from gcs_sysid.control.tuning_study import ASSUMED_DELAY, joined_vehicle, with_delay
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.exports.exported_vehicle import Vehicle, assemble
 from gcs_sysid.exports.vehicle_ensemble import drawn_vehicles
@@ -204,11 +204,11 @@ class Row:
 def vehicle_rows(drawn: Drawn, ours: Vehicle, autopilot: Autopilot) -> tuple[list[Row], bool]:
     """Everything of one vehicle with one autopilot."""
     loop = loop_of(autopilot, ours, drawn)
-    delay = ours.known["rotor_delay"]
+    delay = ours.known.get("rotor_delay")
     # The emulator's own controller held its commands for 4 ms.
-    late = (max(-delay.value - 0.002, 0.0), delay.std or 0.0)
+    late = ASSUMED_DELAY if delay is None else (max(-delay.value - 0.002, 0.0), delay.std or 0.0)
     draws = drawn_vehicles(ours, LIMITS.draws - 1, 1)
-    dynamics = hover_dynamics([ours, *draws], loop, late)
+    dynamics = hover_dynamics([ours, *draws], loop, late, traded=delay is not None)
     loop = propose(dynamics, loop)
     omega = frequencies(loop)
     loops = open_loops(dynamics.first(1), loop, omega)

@@ -2,14 +2,16 @@
 
     python -m benchmarks.twin flights [--count N] [--scenario NAME]
     python -m benchmarks.twin logs PATH...
-    python -m benchmarks.twin covariance [--count N] [--still] [--keep FILE]
+    python -m benchmarks.twin covariance [--count N] [--still] [--drawn] [--keep FILE]
 
 `flights` flies vehicles drawn at random (0.25 to 15 kg, four to eight rotors, MEMS at 250 Hz) on
 the emulator, fits the first 60 % of each flight and flies the rest with the fit; `logs` does so
 with recorded flights. Both print, for each stretch of 1 s, the share of errors inside the 95 % band
 and R2 of the body rates, beside the model without drag, damping, rotor inertia and differences
 between rotors (basic), and a guess of constant rates. `covariance` holds the normalized
-estimation error squared of the parameter vector, e' P^-1 e, against chi-square.
+estimation error squared of the parameter vector, e' P^-1 e, against chi-square, over short
+flights that identify all; with `--drawn` the given values (arms, rotor places, mass, the IMU's
+rotation) err as their standard deviations say, else they are exact.
 """
 
 import argparse
@@ -19,20 +21,27 @@ import tempfile
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2, kstest
 
-from benchmarks.truth.emulated import record
+from benchmarks.truth.emulated import record, write
 from benchmarks.truth.scenarios import SCENARIOS, Scenario
+from benchmarks.truth.vehicles import draw
 from benchmarks.unchanged import airframe_for, logs_in
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
+from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.parameter_samples import covariance_of
 from gcs_sysid.session.analysis import analyze_log
+from gcs_sysid.session.chain_options import ChainOptions
 from gcs_sysid.twin.held_out_flight import TwinFlight, as_exact, fly_held_out
 from gcs_sysid.twin.prediction_errors import QUANTITIES
+from sim_bridge.doublets import LEAD, PART, DoubletMission
+from sim_bridge.missions import Reference
 from sim_bridge.physics import IDEAL, Physics
+from sim_bridge.simulation import Simulation
 
 SECONDS = 50.0
 """Of each emulated flight, at most."""
@@ -130,48 +139,116 @@ def normalized_error(error: Array, covariance: Array) -> float:
     return float(e @ np.linalg.solve(covariance / np.outer(std, std), e))
 
 
-LIGHT_AIR = Physics(ou_force=(0.03, 0.5), ou_moment=(0.03, 0.5))
-"""m/s^2 and rad/s^2 rms, s: what air does indoors. Intervals of k_T and CG allow for forces and
-moments of that kind, which scatter cannot rule out; without them k_T is three times as good as it
-says."""
+LIGHT_AIR = Physics(ou_force=(0.03, 0.5))
+"""m/s^2 rms, s: air that rises and falls a little, as indoors. Intervals of k_T, and of all that is
+scaled by it, allow for it: thrust is weighed against gravity, and nothing tells air from thrust."""
 
 
-def covariance(count: int, most: int, keep: Path | None, air: Physics) -> None:
+class ShortDoublets:
+    """The same doublets in 21 s: 3 s of hover and the first 3.6 s of each part.
+
+    Args:
+        whole: two doublets of roll or pitch, or one of yaw, end in that time.
+    """
+
+    hover, part = 3.0, 3.6
+    name, duration, turbulence = "short doublets", 21.0, 0.0
+
+    def __init__(self, whole: DoubletMission) -> None:
+        self._whole = whole
+
+    def reference(self, t: float) -> Reference:
+        """Set-points t seconds after the start."""
+        turn, at = divmod(max(t - self.hover, 0.0), self.part)
+        return self._whole.reference(LEAD + PART * turn + at if t >= self.hover else 0.0)
+
+
+def as_given(airframe: Airframe, random: np.random.Generator) -> Airframe:
+    """The airframe as a user has it, whose errors are drawn from what `[uncertainty]` says.
+
+    Scale of all arms, each rotor's place and mass; the IMU's rotation is the emulator's. Where the
+    IMU is matters to those alone that have no velocity.
+    """
+    sigma = airframe.uncertainty
+    assert airframe.mass is not None
+    scale = 1.0 + sigma.arm.of(1.0) * random.standard_normal()
+    single = sigma.rotor_position.of(airframe.arm)
+    rotors = tuple(
+        replace(
+            r,
+            x=scale * r.x + single * random.standard_normal(),
+            y=scale * r.y + single * random.standard_normal(),
+        )
+        for r in airframe.rotors
+    )
+    mass = airframe.mass * (1.0 + sigma.mass.of(1.0) * random.standard_normal())
+    return replace(airframe, rotors=rotors, mass=mass)
+
+
+def covariance(count: int, most: int, keep: Path | None, air: Physics, *, exact: bool) -> None:
     """Normalized error squared of the parameter vector over emulated flights."""
-    done: dict[int, tuple[list[float], float]] = {}
+    done: dict[int, dict[str, Any]] = {}
     if keep is not None and keep.exists():
-        entries = map(json.loads, keep.read_text().splitlines())
-        done = {entry["flight"]: (entry["single"], entry["squared"]) for entry in entries}
+        done = {entry["flight"]: entry for entry in map(json.loads, keep.read_text().splitlines())}
     for number in [n for n in range(count) if n not in done][:most]:
-        done[number] = single, squared = _errors_of(number, air)
+        done[number] = _errors_of(number, air, exact=exact)
         if keep is not None:
-            entry = {"flight": number, "single": single, "squared": squared}
             with keep.open("a") as file:
-                file.write(json.dumps(entry) + "\n")
-    where = "still" if air is IDEAL else "light"
+                file.write(json.dumps(done[number]) + "\n")
+    where = f"{'still' if air is IDEAL else 'light'} air, what is given " + (
+        "exact" if exact else "drawn"
+    )
     _show_errors([done[n] for n in sorted(done) if n < count], where)
 
 
-def _errors_of(number: int, air: Physics) -> tuple[list[float], float]:
+def _errors_of(number: int, air: Physics, *, exact: bool) -> dict[str, Any]:
     """Of one flight: errors over their standard deviations, and the normalized error squared."""
-    scenario = replace(SCENARIOS[0], physics=lambda _: air)
+    drawn, random = draw(number), np.random.default_rng([number, 0x617E])
+    airframe = drawn.airframe
+    turn = np.radians(airframe.uncertainty.imu_rotation.amount) * random.standard_normal(3)
+    if exact:
+        airframe = as_exact(airframe)
+    else:
+        airframe, air = as_given(airframe, random), replace(air, imu_rotation=tuple(turn))
+    mission = ShortDoublets(drawn.mission("doublets", 2.0, 1.5))
+    flight = Simulation(
+        drawn.vehicle, mission, np.random.SeedSequence([number, 1]), 0.0, physics=air
+    )
     with tempfile.TemporaryDirectory() as folder:
-        flown = record(scenario, number, Path(folder), SECONDS)
-        # What is given is exact here: its part of the covariance is the same in every flight.
-        result = analyze_log(flown.log, as_exact(flown.airframe))
+        log = Path(folder) / "flight.tlog"
+        write(flight, log, number, 250.0)
+        result = analyze_log(log, airframe, options=ChainOptions(history_interval=None))
+    truth = flight.vehicle.truth()
     names, matrix = covariance_of(result)
     at = [names.index(name) for name in JUDGED]
-    error = np.array([(result.parameters[n].value or 0.0) - float(flown.truth[n]) for n in JUDGED])
+    error = np.array([(result.parameters[n].value or 0.0) - float(truth[n]) for n in JUDGED])
     P = matrix[np.ix_(at, at)]
-    return (error / np.sqrt(np.diag(P))).tolist(), normalized_error(error, P)
+    std = np.sqrt(np.diag(P))
+    power, axes = np.linalg.eigh(P / np.outer(std, std))
+    return {
+        "flight": number,
+        "verdict": result.verdict,
+        "single": (error / std).tolist(),
+        "squared": normalized_error(error, P),
+        "along": (axes.T @ (error / std) / np.sqrt(power)).tolist(),
+    }
 
 
-def _show_errors(found: list[tuple[list[float], float]], air: str) -> None:
-    single, squared = (np.array(part) for part in zip(*found, strict=True))
+def _show_errors(found: list[dict[str, Any]], where: str) -> None:
+    # What is unobservable, or read in another unit, claims nothing.
+    judged = [one for one in found if one["verdict"] == "identified"]
+    if not judged:
+        print(f"none of {len(found)} flights is identified")
+        return
+    single, squared, along = (
+        np.array([one[key] for one in judged]) for key in ("single", "squared", "along")
+    )
     freedom = len(JUDGED)
     p = kstest(squared, chi2(freedom).cdf).pvalue
-    print(f"{len(found)} emulated flights of {SECONDS:g} s in {air} air, {freedom} parameters: "
-          f"{', '.join(JUDGED)}")  # fmt: skip
+    print(
+        f"{len(judged)} identified of {len(found)} emulated flights of "
+        f"{ShortDoublets.duration:g} s in {where}; {freedom} parameters: {', '.join(JUDGED)}"
+    )
     print(
         f"normalized error squared: mean {squared.mean():.2f} (chi-square {freedom}), median "
         f"{np.median(squared):.2f} ({chi2(freedom).median():.2f}), 95th percentile "
@@ -183,6 +260,8 @@ def _show_errors(found: list[tuple[list[float], float]], air: str) -> None:
         f"{name} {value:.2f}"
         for name, value in zip(JUDGED, np.sqrt((single**2).mean(axis=0)), strict=True)
     ))  # fmt: skip
+    print("the same along the eigenvectors of their correlation, from the best known on: "
+          + ", ".join(f"{value:.2f}" for value in np.sqrt((along**2).mean(axis=0))))  # fmt: skip
 
 
 def main() -> int:
@@ -192,6 +271,7 @@ def main() -> int:
     parser.add_argument("paths", nargs="*", type=Path)
     parser.add_argument("--count", type=int, default=12)
     parser.add_argument("--still", action="store_true", help="covariance: without any air")
+    parser.add_argument("--drawn", action="store_true", help="covariance: givens err, too")
     parser.add_argument("--most", type=int, default=1000, help="flights flown in this run")
     parser.add_argument("--keep", type=Path, help="file of what is done, to go on from")
     parser.add_argument("--scenario", choices=[s.name for s in SCENARIOS], default="a")
@@ -203,7 +283,8 @@ def main() -> int:
     elif options.what == "flights":
         flights(options.count, next(s for s in SCENARIOS if s.name == options.scenario))
     else:
-        covariance(options.count, options.most, options.keep, IDEAL if options.still else LIGHT_AIR)
+        air = IDEAL if options.still else LIGHT_AIR
+        covariance(options.count, options.most, options.keep, air, exact=not options.drawn)
     return 0
 
 

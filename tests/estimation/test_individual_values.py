@@ -87,7 +87,7 @@ def test_covariance_keeps_deviations_and_common_causes():
         own = unit * fit.std[at]
         value = unit * THETA[at]
         size[name] = value, float(np.hypot(own, 0.02 * value)) if by_thrust else float(own)
-    found, covariance = parameter_covariance(fit, scale, {n: size[n] for n in names}, {})
+    found, covariance, _ = parameter_covariance(fit, scale, {n: size[n] for n in names}, {})
     assert list(found) == [n for n in names if n != "mass"]  # exact: nothing hangs together with it
     stds = np.array([size[n][1] for n in found])
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), stds)
@@ -100,13 +100,19 @@ def test_covariance_keeps_deviations_and_common_causes():
     assert covariance[at["k_T"], at["cg_x"]] == 0.0
     # What widens a parameter keeps the correlation of its part of the fit.
     wider = {n: size[n] for n in names} | {"Ixx": (size["Ixx"][0], 10.0 * size["Ixx"][1])}
-    _, wide = parameter_covariance(fit, scale, wider, {})
+    _, wide, _ = parameter_covariance(fit, scale, wider, {})
     value, std = size["Ixx"]
     widening = np.sqrt((10.0 * std) ** 2 - (0.02 * value) ** 2) / (K_T * fit.std[0])
     by_thrust = 0.02**2 * value * size["Izz"][0]
     expected = by_thrust + widening * K_T**2 * fit.covariance[0, 2]
     assert wide[at["Ixx"], at["Izz"]] == pytest.approx(expected)
     assert np.linalg.eigvalsh(wide / np.outer(stds, stds)).min() > 0.0
-    given = {name: 0.5 * std for name, (_, std) in size.items()}
-    _, together = parameter_covariance(fit, replace(scale, thrust_share=0.0), size, given)
-    assert together[at["cg_x"] - 0, at["k_T"]] != 0.0
+    # An error of what is given moves all that rests on it, and nothing else.
+    given = {"k_T": np.array([0.01 * K_T, 0.0]), "Ixx": np.array([0.01, 0.005]) * size["Ixx"][0],
+             "cg_x": np.array([0.0, 0.005 * size["cg_x"][0]])}  # fmt: skip
+    exact = replace(scale, thrust_share=0.0)
+    _, together, effects = parameter_covariance(fit, exact, {n: size[n] for n in names}, given)
+    assert together[at["cg_x"], at["k_T"]] == 0.0
+    assert together[at["k_T"], at["Ixx"]] == pytest.approx(1e-4 * K_T * size["Ixx"][0])
+    assert effects[at["k_T"]].tolist() == given["k_T"].tolist()
+    assert not effects[at["Izz"]].any()

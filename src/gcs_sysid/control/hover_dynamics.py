@@ -28,6 +28,9 @@ FLIGHT_FOR = {
     "mass": "weigh the vehicle and analyze again with --mass KG",
 }
 """What would help where something is missing."""
+
+_WEAK_ENOUGH = ("moment_ratio", "motor_lag")
+"""Margins are kept over the whole interval: what trades against the delay counts by their sum."""
 _USUAL_REACTION = (0.0, 0.25)
 """s, J_r / (2 k_M Omega) in hover: 0.02 of a Crazyflie with bare propellers, 0.2 where rotor and
 bell are heavy for the propeller (the vehicles of benchmarks/truth: 0.1 to 0.25)."""
@@ -111,7 +114,12 @@ class HoverDynamics:
 
 
 def hover_dynamics(
-    vehicles: Sequence[Vehicle], loop: RateLoop, delay: tuple[float, float], seed: int = 1
+    vehicles: Sequence[Vehicle],
+    loop: RateLoop,
+    delay: tuple[float, float],
+    seed: int = 1,
+    *,
+    traded: bool = False,
 ) -> HoverDynamics:
     """The linear model of vehicles in hover.
 
@@ -120,6 +128,8 @@ def hover_dynamics(
         loop: of the autopilot, for its mixer and thrust curve.
         delay: s and standard deviation, the same for every rotor.
         seed: of the draws of the delay.
+        traded: whether the delay was identified together with the motors' lag. A flight tells their
+            sum far better than either, so that what is drawn more of one is less of the other.
 
     Raises:
         MissingError: the result does not have what a loop rests on; says which flight would help.
@@ -138,6 +148,9 @@ def hover_dynamics(
         for vehicle, reaction in zip(vehicles, reactions, strict=True)
     ]
     B, reaction, damping, lag, hover = (np.array(v) for v in zip(*parts, strict=True))
+    std = first.known["motor_lag"].std
+    if traded and std:
+        delays = np.maximum(delay[0] - delay[1] / std * (lag - lag[0]), 0.0)
     notes = []
     if first.get("thrust_curve") is None:
         notes.append(
@@ -168,7 +181,7 @@ def check_needs(vehicle: Vehicle) -> None:
     ):
         if vehicle.get(name) is None:
             missing.setdefault(group, name)
-        elif vehicle.known[name].origin == "weak" and name != "moment_ratio":
+        elif vehicle.known[name].origin == "weak" and name not in _WEAK_ENOUGH:
             missing.setdefault(group, f"{name} (weak)")
     if missing:
         names = ", ".join(missing.values())

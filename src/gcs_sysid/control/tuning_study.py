@@ -31,6 +31,7 @@ from gcs_sysid.model.parameter_file import mission_planner_lines, qgroundcontrol
 SCHEMA = "gcs-sysid-tune/1"
 ASSUMED_DELAY = (0.005, 0.0015)
 """s and standard deviation: two periods of a 400 Hz loop, for computing and the ESCs' protocol."""
+IDENTIFIED_DELAY = "identified, from command to rotor"
 _ALIKE = ("mass", "Ixx", "Iyy", "Izz")
 _APART = 0.1
 """Relative difference beyond which two results are not of one flight."""
@@ -117,7 +118,7 @@ def study(
     check_needs(vehicle)
     late, origin = _delay(vehicle, loop, delay)
     vehicles = [vehicle, *drawn_vehicles(vehicle, draws, seed)]
-    dynamics = hover_dynamics(vehicles, loop, late, seed)
+    dynamics = hover_dynamics(vehicles, loop, late, seed, traded=origin == IDENTIFIED_DELAY)
     proposed = propose(dynamics, loop)
     gains = [name for name in loop.as_parameters() if name.endswith(("_P", "RATE_P"))]
     known = any(name in parameters for name in gains)
@@ -141,7 +142,7 @@ def _delay(
         # Commands are stamped before they act; that they are held for a period is half of one.
         late = -found.value - 0.5 * loop.period
         if -loop.period < late < _LIKELY_DELAY:
-            return (max(late, 0.0), found.std or 0.0), "identified, from command to rotor"
+            return (max(late, 0.0), found.std or 0.0), IDENTIFIED_DELAY
     return ASSUMED_DELAY, "assumed"
 
 
@@ -177,7 +178,7 @@ def with_delay(vehicle: Vehicle) -> Vehicle:
         vehicle.result.rotor_input != "command"
         or found is None
         or found.value is None
-        or found.status != "identified"
+        or found.status not in ("identified", "weak")
     ):
         return vehicle
     delay = Quantity(found.value, found.std, found.status)

@@ -75,6 +75,64 @@ class Given:
     priors: Mapping[str, Known]
 
 
+CAUSES = ("scale", "lever_arm", "arm", "cant", "center_x", "center_y")
+"""What is given and may be off, each by itself: the scale reference, the IMU's place, the scale of
+all arms, what canted rotors add with these, and the middle of the rotors."""
+_SCALE, _LEVER, _ARM, _CANT, _CENTER = range(5)
+
+
+def given_effects(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[str, Array]:
+    """What one standard deviation of each thing given does to the parameters.
+
+    One error moves all that rests on it: a mass 1 % too large makes k_T and inertia 1 % too large,
+    an arm inertia alone.
+
+    Args:
+        values: parameters by name.
+        fit: that they come from.
+        given: what they rest on.
+
+    Returns:
+        Name -> (causes,) change, SI, of parameters that have a value; `CAUSES`.
+    """
+    scale = resolve_scale(given.anchor, fit.translation, given.priors)
+    lever, airframe = _lever_arm_share(fit, given.airframe), given.airframe
+    arm, middle = _common_errors(airframe)
+    own = given.anchor.kind
+    of_mass, of_thrust = np.zeros((2, len(CAUSES)))
+    of_mass[_SCALE], of_thrust[_SCALE] = scale.mass_given, scale.thrust_given
+    # An accelerometer that reads too much makes k_T too large, or else the mass too small.
+    if own in ("k_T", "T_max"):
+        of_mass[_LEVER] = -lever
+    elif own == "mass":
+        of_thrust[_LEVER] = lever
+    else:
+        of_mass[_LEVER], of_thrust[_LEVER] = -lever, lever
+    weight = np.ones(rb.N_THETA)
+    if fit.rotation is not None and not given.anchor.origin:
+        # What comes from a prior does not move with the arm. Before a change in flight it does.
+        std, by_data = fit.rotation.std, np.maximum(fit.rotation.data_std, 1e-300)
+        weight = np.minimum((std / by_data) ** 2, 1.0)
+    out = {}
+    for name, told in values.items():
+        p = PARAMETERS.get(name)
+        if p is None or told.value is None:
+            continue
+        if p.theta:
+            by_thrust = p.scale == "thrust"
+            effect = told.value * of_thrust if by_thrust else np.zeros(len(CAUSES))
+            effect[_ARM] = arm * told.value
+            at = rb.THETA.index(p.theta)
+            if p.mean_torque:
+                effect[_CENTER + (at == rb.CG_Y)] = middle
+            if at == rb.MOMENT_RATIO:  # as long as the arms are wrong, so is what cant adds
+                effect[_CANT] = arm * airframe.cant * (scale.thrust or 0.0 if by_thrust else 1.0)
+            out[name] = float(weight[at]) * effect
+        elif p.fit in ("scale", "translation"):
+            out[name] = told.value * (of_mass if p.scale == "mass" else of_thrust)
+    return out
+
+
 def given_stds(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[str, float]:
     """Standard deviations that come from what was given, and which no flight makes smaller.
 
@@ -86,35 +144,7 @@ def given_stds(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[str,
     Returns:
         Name -> standard deviation, SI, of parameters that have a value.
     """
-    scale = resolve_scale(given.anchor, fit.translation, given.priors)
-    lever, airframe = _lever_arm_share(fit, given.airframe), given.airframe
-    arm, middle = _common_errors(airframe)
-    own = given.anchor.kind
-    of_mass = math.hypot(scale.mass_given, 0.0 if own == "mass" else lever)
-    of_thrust = math.hypot(scale.thrust_given, 0.0 if own in ("k_T", "T_max") else lever)
-    weight = np.ones(rb.N_THETA)
-    if fit.rotation is not None and not given.anchor.origin:
-        # What comes from a prior does not move with the arm. Before a change in flight it does.
-        std, by_data = fit.rotation.std, np.maximum(fit.rotation.data_std, 1e-300)
-        weight = np.minimum((std / by_data) ** 2, 1.0)
-    out = {}
-    for name, told in values.items():
-        p = PARAMETERS.get(name)
-        if p is None or told.value is None:
-            continue
-        share = 0.0
-        if p.theta:
-            share = math.hypot(arm, of_thrust if p.scale == "thrust" else 0.0)
-            at = rb.THETA.index(p.theta)
-            offset = middle if p.mean_torque else 0.0
-            cant = 0.0
-            if at == rb.MOMENT_RATIO:  # as long as the arms are wrong, so is what cant adds
-                cant = arm * airframe.cant * (scale.thrust or 0.0 if p.scale == "thrust" else 1.0)
-            out[name] = float(weight[at]) * math.hypot(share * told.value, offset, cant)
-        elif p.fit in ("scale", "translation"):
-            share = of_mass if p.scale == "mass" else of_thrust
-            out[name] = share * abs(told.value)
-    return out
+    return {n: float(np.linalg.norm(e)) for n, e in given_effects(values, fit, given).items()}
 
 
 def _common_errors(airframe: Airframe) -> tuple[float, float]:

@@ -23,21 +23,27 @@ def parameter_covariance(
     rotation: RotationFit,
     scale: Scale,
     values: Mapping[str, tuple[float, float]],
-    given: Mapping[str, float],
-) -> tuple[Sequence[str], Array]:
-    """Names and (n, n) covariance, SI.
+    given: Mapping[str, Array],
+) -> tuple[Sequence[str], Array, Array]:
+    """Names, (n, n) covariance and (n, causes) effects of what is given, SI.
 
     Args:
         rotation: the fit, relative to thrust.
         scale: mass and thrust with relative standard deviations.
         values: name -> value and standard deviation of the result.
-        given: name -> the part of it that comes from what was given.
+        given: name -> (causes,) what one standard deviation of each thing given does to it, see
+            `given_errors.given_effects`.
+
+    Returns:
+        Names of all that has a standard deviation, their covariance, and (n, causes) the effects
+        of what is given, whose products are a part of it.
     """
     names = [name for name, (_, std) in values.items() if std > 0.0]
     thrust = scale.thrust or 1.0
     maps = np.zeros((len(names), N_UNKNOWNS))
-    # Of thrust, of mass, and of what is given.
-    common = np.zeros((len(names), 3))
+    # Of thrust, of mass, and of each thing given.
+    causes = max((len(effect) for effect in given.values()), default=0)
+    common = np.zeros((len(names), 2 + causes))
     for i, name in enumerate(names):
         p, (value, _) = REGISTRY[name], values[name]
         if p.theta:
@@ -48,7 +54,7 @@ def parameter_covariance(
             common[i, 0] = value * scale.thrust_share
         elif p.scale == "mass":
             common[i, 1] = value * scale.mass_share
-        common[i, 2] = np.copysign(given.get(name, 0.0), value)
+        common[i, 2:] = given.get(name, 0.0)
     fit = maps @ rotation.full_covariance @ maps.T
     stds = np.array([values[name][1] for name in names])
     shared = (common**2).sum(axis=1)
@@ -60,4 +66,4 @@ def parameter_covariance(
     widening = np.sqrt(np.divide(rest, own, out=np.zeros_like(own), where=own > 0.0))
     covariance = fit * np.outer(widening, widening) + common @ common.T
     covariance[np.diag_indices(len(names))] = stds**2
-    return names, covariance
+    return names, covariance, common[:, 2:]

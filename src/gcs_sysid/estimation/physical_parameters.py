@@ -15,6 +15,7 @@ from gcs_sysid.estimation.individual_values import (
 from gcs_sysid.estimation.rigid_body_test import RigidBodyTest
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.scale import Scale, resolve_scale
+from gcs_sysid.estimation.speed_noise import ROUNDING_STD
 from gcs_sysid.estimation.status import NOTHING, RULES, Value, doubted, judged
 from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.model import rigid_body as rb
@@ -44,18 +45,23 @@ class ModelErrors:
     """
 
     cg_floor: float = 6e-6
-    """Of the arm (a micrometre or two), least standard deviation of the CG: speeds in whole rpm
-    leave a slow remainder of that size."""
+    """Of the arm (a micrometer or two), least standard deviation of the CG by commands."""
+    rounded: float = 0.2
+    """Of what speeds rounded to whole rpm would shift the CG by if the rounding stayed the same all
+    flight. In perfectly still air it is slow: errors beyond the fit's own were 0.3 of it at 1300 to
+    18 000 rpm (33 emulated flights of 30 s). The lightest air, 0.03 m/s^2 rms, makes it white (62
+    flights): this is between."""
     curve_shape: float = 1e-3
     """Of the CG's offset, with commands: thrust curves are not quite of the form fitted (measured:
     0.13 % where the lag is the speed's, not the command's; see `_slowness`)."""
     command: float = 0.0015
     """With commands: a motor is not quite of first order, nor its thrust quite a parabola of the
     command. On flights of the emulator it leaves 0.1 to 0.25 %, in the thrust curve as well."""
-    steps: float = 3e-4
+    steps: float = 1.7e-4
     """With speeds: commands change in steps, and the cubic between two samples rounds the corners
     that they leave in the speeds. Inertia reads 0.03 % larger where the loop runs once a sample
-    than where it runs four times (emulator, 250 Hz)."""
+    than where it runs four times (emulator, 250 Hz); anything between is as likely, and the
+    standard deviation of that is the whole over the root of three."""
     quick_motor: float = 0.03
     """s, lag of the motors that these two were measured with."""
     lag: float = 0.02
@@ -110,7 +116,8 @@ def physical_parameters(
     if rotation is not None:
         # A given T_max does not depend on the curve.
         own_bend = 0.0 if anchor.kind == THRUST_OF[rotor_input] else bend
-        raw |= _rotation_values(rotation, scale, arm, rotor_input, own_bend, doubt, cant)
+        floor = _cg_floor(translation, arm, rotor_input)
+        raw |= _rotation_values(rotation, scale, floor, rotor_input, own_bend, doubt, cant)
         for name, shift in _wind_shifts(translation, arm).items():
             raw[name] = raw[name][0], math.hypot(raw[name][1], shift)
         raw |= _axis_values(rotation, scale)
@@ -168,7 +175,7 @@ def _scale_values(
 def _rotation_values(
     rotation: RotationFit,
     scale: Scale,
-    arm: float,
+    cg_floor: float,
     rotor_input: RotorInput,
     bend: float,
     doubt: float,
@@ -179,7 +186,7 @@ def _rotation_values(
     Args:
         rotation: the fit.
         scale: with thrust, k_T or T_max.
-        arm: m.
+        cg_floor: m, least standard deviation of the CG.
         rotor_input: what theta is relative to.
         bend: relative change of thrust with the thrust curve.
         doubt: relative error of what rests on commands.
@@ -201,13 +208,26 @@ def _rotation_values(
         value = float(theta[at])
         if p.mean_torque:
             shape = ERRORS.curve_shape * slowness * value
-            out[name] = value, math.hypot(std[at], ERRORS.cg_floor * arm, shape)
+            out[name] = value, math.hypot(std[at], cg_floor, shape)
         elif p.scale == "none":
             out[name] = value, math.hypot(std[at], doubt * value)
         elif scale.thrust is not None:
             spread = value * math.hypot(scale.thrust_share, doubt)
             out[name] = value * scale.thrust, scale.thrust * math.hypot(bent[at], spread)
     return out
+
+
+def _cg_floor(translation: TranslationFit | None, arm: float, rotor_input: RotorInput) -> float:
+    """m, least standard deviation of the CG.
+
+    Rotors at Omega in hover that are each off by a constant d shift it by
+    sum x_i 2 Omega d_i / sum Omega^2: sqrt(2) arm std(d) / sqrt(sum Omega^2), where the sum of the
+    squares is g / kappa.
+    """
+    if rotor_input == "command" or translation is None or not translation.kappa > 0.0:
+        return ERRORS.cg_floor * arm
+    hover = math.sqrt(GRAVITY / translation.kappa)
+    return float(ERRORS.rounded * math.sqrt(2.0) * arm * ROUNDING_STD / hover)
 
 
 def _wind_shifts(translation: TranslationFit | None, arm: float) -> dict[str, float]:

@@ -202,9 +202,12 @@ def _root(result: Result, names: tuple[str, ...], *, given: bool) -> Array:
     to = [names.index(told[i]) for i in at]
     whole[np.ix_(to, to)] = matrix[np.ix_(at, at)]
     if not given:
-        # As `parameter_covariance` adds it: one error, which all that rests on it shares.
-        shared = np.array([np.copysign(e.std_given, e.value or 0.0) for e in estimates])
-        whole -= np.outer(shared, shared)
+        # As `parameter_covariance` adds it: all that rests on one thing given shares its error.
+        effects = _effects(result, len(told))
+        if effects is None:  # an earlier version's file: as if all were one error
+            shared = [np.copysign(e.std_given, e.value or 0.0) for e in estimates]
+            effects = np.array(shared)[[names.index(n) if n in names else 0 for n in told], None]
+        whole[np.ix_(to, to)] -= effects[at] @ effects[at].T
         whole[np.diag_indices(len(names))] = [(e.std_data or 0.0) ** 2 for e in estimates]
     scale = np.sqrt(np.diag(whole))
     scale[scale == 0.0] = 1.0
@@ -216,6 +219,17 @@ def _root(result: Result, names: tuple[str, ...], *, given: bool) -> Array:
     size[size == 0.0] = 1.0
     scaled: Array = (scale * np.sqrt(np.diag(correlation)) / size)[:, None] * root
     return scaled
+
+
+def _effects(result: Result, count: int) -> Array | None:
+    """(names, causes) what errors of what is given do to the parameters; None: not told."""
+    try:
+        effects = np.asarray(result.covariance.get("given"), np.float64)
+    except (TypeError, ValueError):
+        return None
+    if effects.ndim != 2 or len(effects) != count or not np.isfinite(effects).all():
+        return None
+    return effects
 
 
 def _shares(result: Result, name: str, rotors: int) -> Array:

@@ -8,10 +8,12 @@ import numpy as np
 
 from gcs_sysid.estimation.evidence import AXES
 from gcs_sysid.estimation.given_errors import (
+    CAUSES,
     Alignment,
     Given,
     aligned,
     alignment_of,
+    given_effects,
     given_stds,
     with_given,
 )
@@ -157,11 +159,21 @@ class Findings:
             for name, e in (parameters | self._timing()).items()
             if e.value is not None and e.std is not None
         }
-        given = {name: parameters[name].std_given for name in values if name in parameters}
-        names, matrix = parameter_covariance(rotation, self._scale, values, given)
+        told = {name: Value(e.value, e.std, e.status) for name, e in parameters.items()}
+        given = given_effects(told, self.learner.fit, self._given(self._anchor))
+        names, matrix, effects = parameter_covariance(rotation, self._scale, values, given)
         if not np.isfinite(matrix).all():
             return {}
-        return {"names": list(names), "matrix": matrix.tolist()}
+        return {
+            "names": list(names),
+            "matrix": matrix.tolist(),
+            "causes": list(CAUSES),
+            "given": effects.tolist(),
+        }
+
+    def _given(self, anchor: ScaleReference) -> Given:
+        known = self.learner.known_beforehand(anchor)
+        return Given(self.airframe, anchor, self.learner.rotor_input, known)
 
     def _estimates(
         self,
@@ -171,9 +183,8 @@ class Findings:
         bounds: dict[str, Value] | None = None,
     ) -> tuple[dict[str, Estimate], dict[str, Value]]:
         """Estimates with all of their uncertainty; the values of the same, for the verdict."""
-        rotor_input, airframe = self.learner.rotor_input, self.airframe
-        known = self.learner.known_beforehand(anchor)
-        stds = given_stds(values, fit, Given(airframe, anchor, rotor_input, known))
+        airframe = self.airframe
+        stds = given_stds(values, fit, self._given(anchor))
         timed = with_clock_error(values, self.clock_error)
         estimates = summary.estimates_of(
             with_given(timed, stds, airframe.arm), fit, anchor, bounds, stds

@@ -244,6 +244,11 @@ def _flown(
             f"{log}: no stretch of {HORIZONS[0]:g} s without a gap in both parts of the flight: "
             "it is too short, or the link lost too much"
         )
+    if twin.carried.any:
+        notes.append(
+            "moments that the model lacks, as they are at the start of a stretch, are carried on: "
+            + twin.carried.says
+        )
     if not record.has_velocity:
         notes.append("the log has no velocity: drag and velocity are not judged")
     return TwinFlight(flown, result.source, str(log), same, spans, accuracy, growth, tuple(notes))

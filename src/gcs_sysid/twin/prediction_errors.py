@@ -20,6 +20,7 @@ from scipy.special import stdtrit
 from gcs_sysid.arrays import Array
 from gcs_sysid.model import attitude
 from gcs_sysid.model.flight_model import FlightModel, MotionState, Trajectory
+from gcs_sysid.twin.carried_disturbance import NOTHING_CARRIED, choose_carried
 from gcs_sysid.twin.measured_flight import MeasuredFlight
 
 HORIZONS = (0.1, 0.3, 1.0, 3.0)
@@ -128,6 +129,9 @@ class Twin:
         self._basic = basic_model(model)
         self.averaged = 1
         """Samples of the past that the rates at the start are averaged over."""
+        self.carried = NOTHING_CARRIED
+        """Of a disturbance known at the start."""
+        self._left: dict[tuple[int, int], Array] = {}
 
     def choose_average(self, part: Part) -> None:
         """Take the average of the past that predicts best over a tenth of a second."""
@@ -139,13 +143,27 @@ class Twin:
         for run in record.runs(part.since, part.until):
             if run.stop - run.start < most + ahead + 2:
                 continue
-            left, _, _ = record.one_step(self._model, run)
+            left = self._one_step(run)
             total = np.concatenate([np.zeros((1, 3)), np.cumsum(left, axis=0)])
             at = np.arange(most, len(left) - ahead)
             for i, m in enumerate(candidates):
                 mean = (total[at + 1] - total[at + 1 - m]) / m
                 power[i] += ((left[at + ahead] - mean) ** 2).sum()
         self.averaged = candidates[int(np.argmin(power))]
+
+    def choose_carried(self, part: Part) -> None:
+        """Carry a disturbance on as predicts best in a part of the flight."""
+        runs = self._record.runs(part.since, part.until)
+        self.carried = choose_carried(
+            [self._one_step(run) for run in runs if run.stop - run.start > 1], self._record.dt
+        )
+
+    def _one_step(self, run: slice) -> Array:
+        """(n, 3) sums of what one step leaves of the rates."""
+        key = run.start, run.stop
+        if key not in self._left:
+            self._left[key] = self._record.one_step(self._model, run)[0]
+        return self._left[key]
 
     def starts(self, part: Part, seconds: float, overlap: int = 1) -> tuple[Array, int]:
         """First samples of the stretches of a length in a part of the flight, and their steps."""
@@ -176,14 +194,15 @@ class Twin:
         velocity = np.where(np.isfinite(measured["velocity"]), measured["velocity"], 0.0)[:, 0]
         start = MotionState(rates, measured["attitude"][:, 0], velocity)
         t = record.dt * np.arange(steps + 1)
-        flown = self._fly(self._model, t, starts, rows, start)
+        carried = self._forecast(starts, steps)
+        flown = self._fly(self._model, t, starts, rows, start, carried)
         error = _difference(flown, measured)
         spread = {name: np.zeros((len(starts), 3)) for name in QUANTITIES}
         basic = {name: e[:, -1] for name, e in error.items()}
         if overlap == 1:
             without = _difference(self._fly(self._basic, t, starts, rows, start), measured)
             basic = {name: e[:, -1] for name, e in without.items()}
-            each = self._fly(self._ensemble, t, starts, rows, start)
+            each = self._fly(self._ensemble, t, starts, rows, start, carried)
             for name, turned in _difference(each, measured).items():
                 end = turned[..., -1, :] - error[name][:, -1]
                 spread[name] = np.sqrt((end**2).mean(axis=0))
@@ -196,7 +215,13 @@ class Twin:
         )
 
     def _fly(
-        self, model: FlightModel, t: Array, starts: Array, rows: Array, start: MotionState
+        self,
+        model: FlightModel,
+        t: Array,
+        starts: Array,
+        rows: Array,
+        start: MotionState,
+        carried: Array | None = None,
     ) -> Trajectory:
         record = self._record
         if record.rotor_input == "command":
@@ -206,7 +231,19 @@ class Twin:
             start = MotionState(
                 start.rates, start.attitude, start.velocity, rotors=lagged[..., -1, :]
             )
-        return model.simulate(t, record.rotors[rows], start)
+        return model.simulate(t, record.rotors[rows], start, angular_disturbance=carried)
+
+    def _forecast(self, starts: Array, steps: int) -> Array | None:
+        """(stretches, steps, 3) rad/s^2 of what is carried on; None: nothing is."""
+        if not self.carried.any:
+            return None
+        record, known = self._record, np.zeros((len(starts), 3))
+        for run in record.runs(-np.inf, np.inf):
+            inside = (starts >= run.start) & (starts < run.stop)
+            if inside.any():
+                at = self.carried.at(self._one_step(run), record.dt)
+                known[inside] = at[starts[inside] - run.start]
+        return self.carried.forecast(known, steps, record.dt)
 
     def _averaged_rates(self, starts: Array) -> Array:
         """(stretches, 3) rates at the start, by those of the past carried on by the model."""
@@ -219,7 +256,7 @@ class Twin:
         for run in record.runs(-np.inf, np.inf):
             inside = (starts >= run.start) & (starts < run.stop)
             if inside.any():
-                left, _, _ = record.one_step(self._model, run)
+                left = self._one_step(run)
                 mean = left[before[inside] - run.start].mean(axis=1)
                 out[inside] = rates[inside] - (left[starts[inside] - run.start] - mean)
         return out
@@ -263,6 +300,7 @@ def judge(
         found = []
         for part, noise in judged:
             twin.choose_average(noise)
+            twin.choose_carried(noise)
             errors = twin.errors(part, seconds)
             told = twin.errors(noise, seconds, _OVERLAP)
             if errors.count and told.count:
