@@ -22,6 +22,7 @@ from gcs_sysid.estimation.search import residual_maker
 from gcs_sysid.estimation.whitened_fit import WhitenedFit, fit_whitened
 from gcs_sysid.estimation.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.whitening import bank_for_commands
+from gcs_sysid.model.rigid_body import N_THETA
 
 FIRST, LAST = 6.0, 120.0
 """s of flight from which motors are looked for, and from which they are known."""
@@ -104,6 +105,14 @@ class CommandRecord:
     def white(self) -> WhitenedRecord | None:
         """The moments; None as long as there are no motors to make rows with."""
         return None if self._now is None else self._now.white
+
+    def rectified(self, fit: RotationFit) -> tuple[float, float]:
+        """Mean thrust by a fit's motors over that with one time constant, and its std."""
+        if self._now is None:
+            return 1.0, 0.0
+        share, slope = self._now.maker.rectified(fit.coordinates)
+        at = slice(N_THETA, N_THETA + len(slope))
+        return 1.0 + share, float(slope @ fit.full_covariance[at, at] @ slope) ** 0.5
 
     def doubt_curve(self, std: float) -> None:
         """One standard deviation of the thrust curve that no scatter shows."""
