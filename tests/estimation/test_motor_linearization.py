@@ -117,3 +117,21 @@ def test_a_given_curve_is_not_free():
     assert CURVE not in basis.free
     assert basis.maps(AT[None]).shape[1] == 1 + 4
     assert basis.nodes.tolist() == [AT.tolist()]
+
+
+def test_noise_raises_the_thrust_of_motors_that_speed_up_faster():
+    """Mean thrust over that with one time constant, and to first order elsewhere."""
+    samples = flown()
+    u, *_ = samples
+    even = np.array([AT[DELAY], AT[LAG], AT[CURVE], 0.0, 0.0])
+    skip = round(0.3 / DT)
+    told = {}
+    for near in (AT, even):
+        maker = MotorRows(GEOMETRY, DT, LocalDynamics(near, "speed", DT), HOVER)
+        for part in (slice(0, 301), slice(301, None)):
+            maker.update(*(signal[part] for signal in samples))
+        told[tuple(near)] = maker.rectified(AT)[0]
+    mean = [share_of(u, at, "speed")[skip:].mean() for at in (AT, even)]
+    assert told[tuple(AT)] == pytest.approx(mean[0] / mean[1] - 1.0, rel=0.05)
+    assert told[tuple(even)] == pytest.approx(told[tuple(AT)], rel=0.3)
+    assert told[tuple(AT)] > 1e-3
