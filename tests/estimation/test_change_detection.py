@@ -1,5 +1,6 @@
 """Change detection on emulated flights with MEMS noise, against a reference that is known."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -319,3 +320,13 @@ def test_a_failing_rotor_is_named_in_the_event():
     assert event["kind"] == "rotor_failure"
     assert event["rotor"] == 2
     assert event["loss"]["ci95"] == pytest.approx([0.1304, 0.1696], abs=1e-4)
+
+
+def test_a_copy_of_the_detector_sees_what_the_detector_sees(changed):
+    """Blocks with an alarm are taken again by a copy: it must learn levels, and alarm."""
+    samples = measured(changed["payload"])
+    detector = ChangeDetector(GEOMETRY, DT)
+    detector.arm(reference())
+    found, _ = watch(samples, detector=deepcopy(detector))
+    assert found == watch(samples, detector=detector)[0]
+    assert AT <= found[0].detected <= AT + 0.02

@@ -155,3 +155,21 @@ def test_the_states_of_all_samples_at_once_are_those_of_one_after_the_other(
     parts = [maker._lagged(part) for part in np.split(driven, [1, 2, 30, 31, 120, 290])]
     np.testing.assert_allclose(np.concatenate(parts), wanted, rtol=0.0, atol=1e-13)
     np.testing.assert_allclose(maker._state, wanted[-1], rtol=0.0, atol=1e-13)
+
+
+def test_noise_raises_the_thrust_of_motors_that_speed_up_faster():
+    """Mean thrust over that with one time constant, and to first order elsewhere."""
+    samples = flown()
+    u, *_ = samples
+    even = np.array([AT[DELAY], AT[LAG], AT[CURVE], 0.0, 0.0])
+    skip = round(0.3 / DT)
+    told = {}
+    for near in (AT, even):
+        maker = MotorRows(GEOMETRY, DT, LocalDynamics(near, "speed", DT), HOVER)
+        for part in (slice(0, 301), slice(301, None)):
+            maker.update(*(signal[part] for signal in samples))
+        told[tuple(near)] = maker.rectified(AT)[0]
+    mean = [share_of(u, at, "speed")[skip:].mean() for at in (AT, even)]
+    assert told[tuple(AT)] == pytest.approx(mean[0] / mean[1] - 1.0, rel=0.05)
+    assert told[tuple(even)] == pytest.approx(told[tuple(AT)], rel=0.3)
+    assert told[tuple(AT)] > 1e-3

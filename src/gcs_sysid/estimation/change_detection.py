@@ -135,6 +135,22 @@ class ChangeDetector:
         """Time of the newest sample fed; the first was at 0."""
         return (self._count - 1) * self.dt
 
+    # Views are made when needed: a copy of the detector would have them of no array of its own.
+    @property
+    def _e(self) -> Array:
+        """(frame, 4) residuals of the frame that fills."""
+        return self._both[:, :4]
+
+    @property
+    def _jumps(self) -> Array:
+        """(frame, 4) their jumps."""
+        return self._both[:, 4:]
+
+    @property
+    def _floor(self) -> Array:
+        """(4,) least noise level of the residuals."""
+        return self._floors[:4]
+
     @property
     def armed(self) -> bool:
         """Whether a reference is in force."""
@@ -172,7 +188,7 @@ class ChangeDetector:
         # What the new reference explains otherwise on average is no jump of the vehicle.
         self._levels.mean[:4] += moved @ self._mean_x
         self._baseline.last += moved @ self._mean_x
-        self._e += self._x @ moved.T
+        self._e[:] += self._x @ moved.T
         self._levels.forget(np.tile(new, 2))
         self._baseline.last[new] = np.nan
         self._level_of_means.forget(new)
@@ -215,14 +231,12 @@ class ChangeDetector:
         self._mean_x = np.zeros(N_X)
         self._filled = 0
         self._both = np.full((self._frame, 8), np.nan)
-        self._e, self._jumps = self._both[:, :4], self._both[:, 4:]
         self._x = np.zeros((self._frame, N_X))
         self._y = np.full((self._frame, 4), np.nan)
         self._air = np.full((self._frame, 3), np.nan)
         self._silent: list[Array] = []
         self._left = 0  # samples of silence to come
         self._floors = np.zeros(8)
-        self._floor = self._floors[:4]
         self._fast.clear()
         self._slow.clear()
 
@@ -378,7 +392,6 @@ class ChangeDetector:
             x = self._x if count == self._frame else self._x[present]
             self._mean_x += gain * (x.sum(axis=0) / count - self._mean_x)
         self._floors = self._mean_x[TOTAL] * self._least
-        self._floor = self._floors[:4]
 
     def _use(self, reference: Reference) -> None:
         self.reference = reference

@@ -25,8 +25,10 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.estimation.actuator_dynamics import (
+    ASYMMETRY,
     CURVE,
     DELAY,
+    EXPONENT,
     LAG,
     N_COORDINATES,
     ROTOR_COLUMNS,
@@ -61,6 +63,7 @@ _EXACT = 1e-12
 _COUPLED = tuple(rb.SIGNALS.index(name) for name in ("qH", "pH"))
 _OWN = SIGNALS + len(_COUPLED)
 """Columns of one set of motor parameters."""
+_THRUST = rb.SIGNALS.index("thrust")
 _BODY = tuple(i for i in range(WIDTH) if i not in (*ROTOR_COLUMNS, *_COUPLED))
 """Columns of a row [x, y] that no motor has a part in."""
 
@@ -152,6 +155,12 @@ class MotorRows:
         points = np.tile(basis.at, (1 + len(basis.varied), 1))
         for row, i in enumerate(basis.varied, 1):
             points[row, i] += basis.moved[i]
+        # Last, motors with one time constant, for `thrusts`.
+        points = np.concatenate([points, points[:1]])
+        points[-1, [ASYMMETRY, EXPONENT]] = 0.0
+        self.thrusts = np.zeros(len(points))
+        """Sums of thrust over samples, at the point, with every other parameter moved, and with
+        one time constant."""
         _, self._tau, self._curve, e, self._p = (v[:, None] for v in points.T)
         self._up, self._down = np.exp(-0.5 * e), np.exp(0.5 * e)
         self._hover = self._drive(np.full((1, geometry.shape[1]), hover))[0]
@@ -162,6 +171,27 @@ class MotorRows:
         self._past, self._ahead = max(-before, 0), max(after, 0)
         self._shifts = (basis.late_by, before, after)
         self.restart()
+
+    def rectified(self, at: Array) -> tuple[float, Array]:
+        """Mean thrust over that of motors with one time constant, less one.
+
+        Motors that speed up faster than they slow down follow the noise of commands upwards.
+
+        Args:
+            at: (N_COORDINATES,) the motors.
+
+        Returns:
+            That share, and its (N_COORDINATES,) derivatives.
+        """
+        even, slope = self.thrusts[-1], np.zeros(N_COORDINATES)
+        if even <= 0.0:
+            return 0.0, slope
+        for place, i in enumerate(self._basis.varied, 1):
+            if i in (ASYMMETRY, EXPONENT):
+                moved = even * self._basis.moved[i]
+                slope[i] = (self.thrusts[place] - self.thrusts[0]) / moved
+        share = (self.thrusts[0] - even) / even + slope @ (at - self._basis.at)
+        return float(share), slope
 
     def restart(self) -> None:
         """What comes next does not join on to what came before."""
@@ -174,6 +204,11 @@ class MotorRows:
     def update(self, inputs: Array, gyro: Array, rates: Array) -> Array:
         """(m, width) rows that (n, rotors) commands, (n, 3) gyro and rates in rad/s complete."""
         signals, sets = self._signals(inputs), self._basis.sets
+        whole = complete_rows(signals[:, :, _THRUST])
+        # One after the other: sums are the same however samples are grouped.
+        sums = np.concatenate([self.thrusts[None], signals[whole, :, _THRUST]])
+        self.thrusts = np.cumsum(sums, axis=0)[-1]
+        signals = signals[:, :-1]
         points = signals.shape[1]
         timeline = np.column_stack([signals.reshape(-1, points * SIGNALS), gyro, rates])
         if self._held is not None:

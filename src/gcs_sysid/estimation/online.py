@@ -597,6 +597,11 @@ class OnlineEstimator:
             return fit
         if self._whitened is not None and at is not None:
             fit = self._whitened.judged_thrust(fit, at)
+            if self._record.commands is not None:
+                # Thrust of the rows that kappa is of has one time constant.
+                more, std = self._record.commands.rectified(at)
+                spread = float(np.hypot(fit.kappa_std, fit.kappa * std)) / more
+                fit = replace(fit, kappa=fit.kappa / more, kappa_std=spread)
         if CURVE not in self._basis.free:
             return fit
         where = self._coordinates(at)

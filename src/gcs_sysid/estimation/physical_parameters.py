@@ -245,7 +245,9 @@ def _axis_values(rotation: RotationFit, scale: Scale) -> Raw:
         return {}
     values, stds = axis_dampings(rotation)
     mean, mean_std = mean_damping(rotation)
-    found = [*zip(AXIS_DAMPINGS, values, stds, strict=True), ("rotational_damping", mean, mean_std)]
+    found = [("rotational_damping", mean, mean_std)]
+    if "damping" in rotation.deviating.shown:
+        found += zip(AXIS_DAMPINGS, values, stds, strict=True)
     return {
         name: (
             float(value) * scale.thrust,

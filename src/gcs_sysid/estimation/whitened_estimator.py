@@ -84,7 +84,7 @@ class WhitenedEstimator:
     """
 
     def __init__(self, record: FlightRecord, geometry: Array) -> None:
-        self._choice = DeviationChoice(geometry)
+        self._choice = DeviationChoice(geometry, commands=record.commands is not None)
         self._geometry = geometry
         self._record = record
         self.bound = np.full(rb.N_THETA, np.nan)

@@ -153,7 +153,7 @@ def fit_whitened(
     inverse_root = outcome.roots[1][0]
     spread, by_scatter = shrunk_inflation(inverse_root, scores, _REACH)
     disturbed = solved.trial.detected.max() > RULES.detected
-    if disturbed or len(deviations.std) or data.own:
+    if disturbed or deviations.shown or data.own:
         # What disturbs is hardly stationary, and who deviates in one way may do so in others: there
         # all scatter counts, proved or not.
         spread, by_scatter = inflation(inverse_root, meat(scores, _REACH)), np.ones(len(spread))
