@@ -72,6 +72,7 @@ def assert_same(fits, others):
         assert (a.rigid_body_test is None) == (b.rigid_body_test is None), k
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", [7, 250, 100_000])
 @pytest.mark.parametrize("smoother", ["window", "td"])
 def test_blocks_give_what_single_fits_give(truth, flight, block, smoother):
@@ -81,6 +82,7 @@ def test_blocks_give_what_single_fits_give(truth, flight, block, smoother):
     assert_same(fits, single(truth, samples, tuning))
 
 
+@pytest.mark.slow
 def test_blocks_of_commands_give_what_single_fits_give(truth, flight):
     samples = measured(flight, commands=True)
     # In the first seconds the valley of lag, delay and curve is flat, and rounding leads astray
@@ -94,6 +96,7 @@ def test_blocks_of_commands_give_what_single_fits_give(truth, flight):
     assert_same(*late)
 
 
+@pytest.mark.slow
 def test_blocks_know_the_prior(truth, flight):
     known = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
     mean = np.zeros(N_UNKNOWNS)

@@ -168,7 +168,7 @@ def test_noise_raises_the_thrust_of_motors_that_speed_up_faster():
         maker = MotorRows(GEOMETRY, DT, LocalDynamics(near, "speed", DT), HOVER)
         for part in (slice(0, 301), slice(301, None)):
             maker.update(*(signal[part] for signal in samples))
-        told[tuple(near)] = maker.rectified(AT)[0]
+        told[tuple(near)] = maker.mean_thrust.rectified(AT)[0]
     mean = [share_of(u, at, "speed")[skip:].mean() for at in (AT, even)]
     assert told[tuple(AT)] == pytest.approx(mean[0] / mean[1] - 1.0, rel=0.05)
     assert told[tuple(even)] == pytest.approx(told[tuple(AT)], rel=0.3)

@@ -15,14 +15,13 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.actuator_dynamics import CURVE, LAGS_OF, LagOf
-from gcs_sysid.estimation.motor_linearization import LocalDynamics, MotorRows, step_of
+from gcs_sysid.estimation.motor_linearization import LocalDynamics, MeanThrust, MotorRows, step_of
 from gcs_sysid.estimation.priors import DELAY, LAG, N_UNKNOWNS
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import residual_maker
 from gcs_sysid.estimation.whitened_fit import WhitenedFit, fit_whitened
 from gcs_sysid.estimation.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.whitening import bank_for_commands
-from gcs_sysid.model.rigid_body import N_THETA
 
 FIRST, LAST = 6.0, 120.0
 """s of flight from which motors are looked for, and from which they are known."""
@@ -106,13 +105,10 @@ class CommandRecord:
         """The moments; None as long as there are no motors to make rows with."""
         return None if self._now is None else self._now.white
 
-    def rectified(self, fit: RotationFit) -> tuple[float, float]:
-        """Mean thrust by a fit's motors over that with one time constant, and its std."""
-        if self._now is None:
-            return 1.0, 0.0
-        share, slope = self._now.maker.rectified(fit.coordinates)
-        at = slice(N_THETA, N_THETA + len(slope))
-        return 1.0 + share, float(slope @ fit.full_covariance[at, at] @ slope) ** 0.5
+    @property
+    def mean_thrust(self) -> MeanThrust | None:
+        """Of the samples so far; None as long as there are no motors."""
+        return None if self._now is None else self._now.maker.mean_thrust
 
     def doubt_curve(self, std: float) -> None:
         """One standard deviation of the thrust curve that no scatter shows."""

@@ -20,6 +20,7 @@ these, and the five are unknowns of the fit; it starts again where it ends, unti
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -139,6 +140,40 @@ def step_of(dt: float) -> OneStep:
     return OneStep(dt, (0,), max(round(_STEP / dt), 1), mean=False)
 
 
+@dataclass(frozen=True)
+class MeanThrust:
+    """What the noise of commands does to the mean thrust.
+
+    Motors that speed up faster than they slow down follow it upwards.
+
+    Attributes:
+        basis: the motors that thrust was summed with.
+        sums: of thrust over samples: at these motors, with each of their parameters moved that
+            varies, and with one time constant.
+    """
+
+    basis: LocalDynamics
+    sums: Array
+
+    def rectified(self, at: Array) -> tuple[float, Array]:
+        """Mean thrust over that of motors with one time constant, less one.
+
+        Args:
+            at: (N_COORDINATES,) the motors.
+
+        Returns:
+            That share, and its (N_COORDINATES,) derivatives.
+        """
+        even, slope = self.sums[-1], np.zeros(N_COORDINATES)
+        if even <= 0.0:
+            return 0.0, slope
+        for place, i in enumerate(self.basis.varied, 1):
+            if i in (ASYMMETRY, EXPONENT):
+                slope[i] = (self.sums[place] - self.sums[0]) / (even * self.basis.moved[i])
+        share = (self.sums[0] - even) / even + slope @ (at - self.basis.at)
+        return float(share), slope
+
+
 class MotorRows:
     """Samples to linearized rows of one step, block by block.
 
@@ -155,12 +190,10 @@ class MotorRows:
         points = np.tile(basis.at, (1 + len(basis.varied), 1))
         for row, i in enumerate(basis.varied, 1):
             points[row, i] += basis.moved[i]
-        # Last, motors with one time constant, for `thrusts`.
+        # Last, motors with one time constant, for the mean thrust.
         points = np.concatenate([points, points[:1]])
         points[-1, [ASYMMETRY, EXPONENT]] = 0.0
-        self.thrusts = np.zeros(len(points))
-        """Sums of thrust over samples, at the point, with every other parameter moved, and with
-        one time constant."""
+        self._thrusts = np.zeros(len(points))
         _, self._tau, self._curve, e, self._p = (v[:, None] for v in points.T)
         self._up, self._down = np.exp(-0.5 * e), np.exp(0.5 * e)
         self._hover = self._drive(np.full((1, geometry.shape[1]), hover))[0]
@@ -172,26 +205,10 @@ class MotorRows:
         self._shifts = (basis.late_by, before, after)
         self.restart()
 
-    def rectified(self, at: Array) -> tuple[float, Array]:
-        """Mean thrust over that of motors with one time constant, less one.
-
-        Motors that speed up faster than they slow down follow the noise of commands upwards.
-
-        Args:
-            at: (N_COORDINATES,) the motors.
-
-        Returns:
-            That share, and its (N_COORDINATES,) derivatives.
-        """
-        even, slope = self.thrusts[-1], np.zeros(N_COORDINATES)
-        if even <= 0.0:
-            return 0.0, slope
-        for place, i in enumerate(self._basis.varied, 1):
-            if i in (ASYMMETRY, EXPONENT):
-                moved = even * self._basis.moved[i]
-                slope[i] = (self.thrusts[place] - self.thrusts[0]) / moved
-        share = (self.thrusts[0] - even) / even + slope @ (at - self._basis.at)
-        return float(share), slope
+    @property
+    def mean_thrust(self) -> "MeanThrust":
+        """Of the samples so far; it does not change with those that come."""
+        return MeanThrust(self._basis, self._thrusts)
 
     def restart(self) -> None:
         """What comes next does not join on to what came before."""
@@ -206,8 +223,8 @@ class MotorRows:
         signals, sets = self._signals(inputs), self._basis.sets
         whole = complete_rows(signals[:, :, _THRUST])
         # One after the other: sums are the same however samples are grouped.
-        sums = np.concatenate([self.thrusts[None], signals[whole, :, _THRUST]])
-        self.thrusts = np.cumsum(sums, axis=0)[-1]
+        sums = np.concatenate([self._thrusts[None], signals[whole, :, _THRUST]])
+        self._thrusts = np.cumsum(sums, axis=0)[-1]
         signals = signals[:, :-1]
         points = signals.shape[1]
         timeline = np.column_stack([signals.reshape(-1, points * SIGNALS), gyro, rates])

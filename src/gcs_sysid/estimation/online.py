@@ -17,6 +17,7 @@ from gcs_sysid.estimation import rotation, translation
 from gcs_sysid.estimation.actuator_dynamics import CURVE, LagPlace
 from gcs_sysid.estimation.disturbance import curve_doubt
 from gcs_sysid.estimation.lag_hypotheses import fit_lag_places, with_lag_doubt
+from gcs_sysid.estimation.motor_linearization import MeanThrust
 from gcs_sysid.estimation.priors import Prior
 from gcs_sysid.estimation.record import FlightRecord
 from gcs_sysid.estimation.rigid_body_test import PRODUCTS, RigidBodyTest, judge_rigid_body
@@ -122,6 +123,7 @@ class _Instant:
         momentum: (3, thrusts + 3, thrusts + 3).
         momentum_rows: in them.
         seconds: flight time.
+        mean_thrust: by commands; None without motors for them.
     """
 
     rotation: Array
@@ -131,6 +133,7 @@ class _Instant:
     momentum: Array
     momentum_rows: int
     seconds: float
+    mean_thrust: MeanThrust | None
 
 
 class OnlineEstimator:
@@ -354,6 +357,7 @@ class OnlineEstimator:
             record.momentum.total.copy(),
             record.momentum.rows,
             self.seconds,
+            self._mean_thrust(),
         )
 
     def _is_outdated(self, warm_start: _WarmStart) -> bool:
@@ -380,7 +384,7 @@ class OnlineEstimator:
         return [
             Fit(
                 rot,
-                self._with_slope(thrust, rot, i.momentum),
+                self._with_slope(thrust, rot, i),
                 i.seconds,
                 self._validation,
                 rigid_body_test=self._rigid_body_test,
@@ -582,7 +586,7 @@ class OnlineEstimator:
         self,
         fit: TranslationFit | None,
         at: RotationFit | None,
-        momentum: Array | None = None,
+        instant: _Instant | None = None,
     ) -> TranslationFit | None:
         """The fit with how kappa changes with the thrust curve, where that is unknown.
 
@@ -591,21 +595,24 @@ class OnlineEstimator:
         Args:
             fit: of thrust over mass.
             at: what else is known.
-            momentum: (3, ...) moments of the momentum balance at that instant; None: of now.
+            instant: that the fit is of; None: now.
         """
         if fit is None or (at is None and CURVE not in self._basis.free):
             return fit
         if self._whitened is not None and at is not None:
             fit = self._whitened.judged_thrust(fit, at)
-            if self._record.commands is not None:
+            mean = instant.mean_thrust if instant is not None else self._mean_thrust()
+            if mean is not None:
                 # Thrust of the rows that kappa is of has one time constant.
-                more, std = self._record.commands.rectified(at)
-                spread = float(np.hypot(fit.kappa_std, fit.kappa * std)) / more
-                fit = replace(fit, kappa=fit.kappa / more, kappa_std=spread)
+                share, slope = mean.rectified(at.coordinates)
+                motors = slice(rigid_body.N_THETA, rigid_body.N_THETA + len(slope))
+                variance = float(slope @ at.full_covariance[motors, motors] @ slope)
+                spread = float(np.hypot(fit.kappa_std, fit.kappa * variance**0.5)) / (1.0 + share)
+                fit = replace(fit, kappa=fit.kappa / (1.0 + share), kappa_std=spread)
         if CURVE not in self._basis.free:
             return fit
         where = self._coordinates(at)
-        total = self._record.momentum.total if momentum is None else momentum
+        total = self._record.momentum.total if instant is None else instant.momentum
         if fit.source == "accelerometer":
             total = self._record.accelerometer.total
         step = 0.05 * np.eye(len(where))[CURVE]
@@ -621,6 +628,10 @@ class OnlineEstimator:
             curve_std = min(known, float(COORDINATE_STD[CURVE]))
             return replace(fit, kappa_std=float(np.hypot(fit.kappa_std, change * curve_std)))
         return replace(fit, curve_slope=float(change))
+
+    def _mean_thrust(self) -> MeanThrust | None:
+        commands = self._record.commands
+        return None if commands is None else commands.mean_thrust
 
     def _is_rigid_body_test_due(self) -> bool:
         record = self._record
