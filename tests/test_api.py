@@ -57,6 +57,7 @@ def numbers(result):
     return {name: (e.value, e.std, e.status) for name, e in result.parameters.items()}
 
 
+@pytest.mark.slow
 def test_a_log_gives_the_numbers_of_the_analysis(paper_flight, analysed):
     same = analyze_log(paper_flight.tlog, gcs_sysid.load_airframe("paper"))
     assert analysed.as_json() == same.as_json()
@@ -74,6 +75,7 @@ def test_arrays_give_the_numbers_of_their_log(signals, analysed):
         assert told.status == estimate.status
 
 
+@pytest.mark.slow
 def test_rows_without_numbers_are_gaps(signals, analysed):
     holed = np.array(signals.gyro, copy=True)
     holed[400:440] = np.nan
@@ -92,6 +94,7 @@ def test_flying_is_believed(signals, analysed):
     assert 25.0 < result.telemetry["used_seconds"] < 30.5
 
 
+@pytest.mark.slow
 def test_commands_serve_instead_of_speeds(signals, paper_flight):
     t, outputs = columns(paper_flight.tlog)[Stream.ROTOR_COMMAND, "ACTUATOR_OUTPUT_STATUS"]
     given = replace(
@@ -170,6 +173,7 @@ def test_every_field_of_signals_is_described():
         assert f"{field.name}: " in gcs_sysid.Signals.__doc__
 
 
+@pytest.mark.slow
 def test_the_package_alone_loads_no_numpy():
     code = (
         "import sys, gcs_sysid; "
@@ -184,6 +188,7 @@ def test_the_package_alone_loads_no_numpy():
         _ = gcs_sysid.nothing
 
 
+@pytest.mark.slow
 def test_what_is_given_widens_every_interval_and_is_told_apart(paper_flight, analysed):
     """Arms 3 % too long and a mass 5 % too large, given so: the truth is within the intervals."""
     long = 1.03 * gcs_sysid.load_airframe("paper").arm

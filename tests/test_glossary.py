@@ -54,6 +54,7 @@ def texts(source: str) -> Iterator[tuple[int, str]]:
                 yield node.lineno, node.value
 
 
+@pytest.mark.slow
 def test_the_search_finds_what_it_is_for():
     assert [line for line, _ in texts('"""the data tell"""\nx = "the data do not tell Izz"')] == [2]
     assert REPLACED.search("the data do not tell Izz")
@@ -64,6 +65,7 @@ def test_the_search_finds_what_it_is_for():
     assert sum(1 for path in SOURCES for _ in texts(path.read_text("utf-8"))) > 1500
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", sorted({path.relative_to(ROOT).parts[-2] for path in SOURCES}))
 def test_messages_use_the_words_of_the_glossary(folder):
     found = [

@@ -61,6 +61,7 @@ def imported(nodes):
             yield node.module or ""
 
 
+@pytest.mark.slow
 def test_nothing_is_evaluated():
     forbidden = {"eval", "exec", "compile", "__import__", "os.system", "os.popen", "yaml.load"}
     for name, tree in modules():
@@ -78,6 +79,7 @@ def test_nothing_is_unpickled_that_comes_from_outside():
     assert users == MAY_PICKLE
 
 
+@pytest.mark.slow
 def test_only_what_is_live_opens_a_link():
     openers = {
         name

@@ -35,6 +35,7 @@ def printed(capsys, *argv: str) -> str:
     return out
 
 
+@pytest.mark.slow
 def test_a_built_in_layout_needs_its_arm(capsys):
     out = printed(capsys, "analyze", SAMPLE, "--airframe", "px4-quad-x", "--mass", "1.5")
     assert out.startswith("partial: ")
@@ -42,6 +43,7 @@ def test_a_built_in_layout_needs_its_arm(capsys):
     assert {rows_of(out)[name][-1] for name in ("Ixx", "Iyy", "Izz")} == {"weak"}
 
 
+@pytest.mark.slow
 def test_grams_and_a_reinterpreted_unit_are_partial_and_say_why(capsys):
     out = printed(capsys, "analyze", SAMPLE, "--airframe", "paper", "--mass", "1500")
     assert out.startswith("partial: ")
@@ -50,6 +52,7 @@ def test_grams_and_a_reinterpreted_unit_are_partial_and_say_why(capsys):
     assert {row[-1] for row in rows_of(out).values() if len(row) > 3} <= {"weak", "given", "status"}
 
 
+@pytest.mark.slow
 def test_zero_has_a_limit_and_no_percentage(capsys):
     rows = rows_of(printed(capsys, "analyze", SAMPLE, "--airframe", "paper"))
     assert rows["rotational_damping"][:2] == ["~0", "(<"]

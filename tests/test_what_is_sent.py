@@ -94,6 +94,7 @@ def pass_time(monkeypatch, capsys):
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("manners", "kinds"),
     [
@@ -120,6 +121,7 @@ def test_as_time_goes_by_only_what_is_documented_is_sent(manners, kinds, pass_ti
     assert all(vehicle.own_rate.values())
 
 
+@pytest.mark.slow
 def test_who_only_listens_sends_nothing_in_a_minute(pass_time):
     for manners in ({}, {"mute": True}):
         assert not pass_time(Autopilot(**manners), 30.0, "--listen-only", silent=(10.0, 15.0))
@@ -284,6 +286,7 @@ def assert_harmless(vehicle):
     assert all(vehicle.own_rate.values())
 
 
+@pytest.mark.slow
 @needs_posix
 @pytest.mark.parametrize("words", [["live", "--headless", *AIRFRAME, "--no-record"], ["inspect"]])
 def test_a_serial_port(words, end_by, folder, capsys):
@@ -386,6 +389,7 @@ def test_the_screen_its_keys_and_its_end_over_a_signed_link(how, folder):
         assert reader.garbage_bytes == 0
 
 
+@pytest.mark.slow
 @needs_posix
 def test_a_page_and_its_buttons_over_tcp(end_by, folder, capsys, monkeypatch):
     """`--web`, ended by SIGHUP as by a terminal that closes."""

@@ -30,6 +30,7 @@ def test_peers_find_the_truth_where_there_is_no_noise(flight, peer):
     assert np.abs(theta - TRUE) / np.abs(TRUE) == pytest.approx(np.zeros(9), abs=0.02)
 
 
+@pytest.mark.slow
 def test_recursive_least_squares_end_where_plain_ones_do(flight):
     samples = exact(flight)
     recursive, _ = peers.recursive_least_squares(samples, flight.interval, 5)

@@ -22,6 +22,7 @@ def test_vehicles_are_drawn_anew_by_each_seed_and_can_fly():
         assert v.k_T / v.mass == pytest.approx(PAPER.k_T / PAPER.mass)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("commands", [False, True])
 def test_a_short_hover_is_followed(commands):
     fleet = stack_vehicles(vehicles(2, 1))

@@ -36,6 +36,7 @@ def test_page_of_a_partial_run_says_what_is_missing(data: Data) -> None:
     assert "accuracy/" not in page.replace("benchmarks/accuracy/", "")
 
 
+@pytest.mark.slow
 def test_figures_come_out_the_same_twice(data: Data, tmp_path: Path) -> None:
     first, second = tmp_path / "a", tmp_path / "b"
     assert figures.draw(data, first) == set(figures.FIGURES)

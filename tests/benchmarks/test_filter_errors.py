@@ -24,6 +24,7 @@ def short(flight, monkeypatch):
     monkeypatch.setattr(filter_errors, "acceleration", lambda: truth)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short")
 def test_best_lag_is_the_one_that_a_derivative_has():
     t = filter_errors.clean(CASE.rate).t

@@ -56,6 +56,7 @@ def flight():
     return Flight(DT, (stretch,), False, x, y, spin, MASS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("entry", "package", "bars"),
     [

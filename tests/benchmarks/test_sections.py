@@ -55,6 +55,7 @@ def test_large_errors_miss_them(data: Data, name: str, case: str) -> None:
     assert not any(v.outcome == "below the bound" for v in missed)
 
 
+@pytest.mark.slow
 def test_bars_under_the_bound_are_called_so(data: Data) -> None:
     worsen(data, "baseline", 40.0)
     bounds = data["bounds"]["outcomes"][0]

@@ -131,6 +131,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("files")
 @pytest.mark.parametrize(("argv", "names"), CASES.values(), ids=CASES.keys())
 def test_wrong_usage_gives_one_line(argv, names, capsys):
@@ -175,6 +176,7 @@ def test_the_program_itself(case, files):
     assert names in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "argument",
     [

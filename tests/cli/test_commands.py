@@ -81,6 +81,7 @@ def no_imu(paper_flight, tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_json_on_standard_output_is_the_contract_and_nothing_else(analyze, paper_flight):
     status, out, err = analyze(paper_flight.tlog, *PAPER, "--json", "-")
     assert (status, err) == (0, "")
@@ -96,6 +97,7 @@ def test_json_on_standard_output_is_the_contract_and_nothing_else(analyze, paper
     )
 
 
+@pytest.mark.slow
 def test_table_shows_truth_and_error(analyze, paper_flight):
     status, out, err = analyze(paper_flight.tlog, *PAPER, "--truth", paper_flight.truth_file)
     assert (status, err) == (0, "")
@@ -139,6 +141,7 @@ def test_the_table_fits_a_terminal_of_80_columns(with_truth, with_bounds):
     assert "-0.000123456" in free
 
 
+@pytest.mark.slow
 def test_json_in_a_file_comes_beside_the_table(analyze, paper_flight, tmp_path):
     path = tmp_path / "result.json"
     status, out, _ = analyze(paper_flight.tlog, *PAPER, "--json", path)
@@ -147,6 +150,7 @@ def test_json_in_a_file_comes_beside_the_table(analyze, paper_flight, tmp_path):
     check_contract(read_strict(path.read_text()))
 
 
+@pytest.mark.slow
 def test_two_logs_make_a_list(analyze, paper_flight):
     status, out, _ = analyze(paper_flight.tlog, paper_flight.tlog, *PAPER, "--json", "-")
     results = read_strict(out)
@@ -177,6 +181,7 @@ def test_json_that_cannot_be_written(analyze, paper_flight, tmp_path):
     assert err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_scale_and_size_from_the_command_line(analyze, paper_flight):
     px4 = ("--airframe", "px4-quad-x", "--arm", str(0.25 * math.sqrt(2)), "--mass", "1.5")
     by_size = read_strict(analyze(paper_flight.tlog, *px4, "--json", "-")[1])
@@ -190,6 +195,7 @@ def test_scale_and_size_from_the_command_line(analyze, paper_flight):
     assert heavy["scale"] == {"anchor": "mass", "value": 3.0, "unit": "kg"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["forward-td", "article", "article-stepwise"])
 def test_methods_for_study(analyze, paper_flight, method):
     status, out, _ = analyze(paper_flight.tlog, *PAPER, "--method", method, "--json", "-")
@@ -203,6 +209,7 @@ def test_methods_for_study(analyze, paper_flight, method):
         assert izz["status"] != "identified"
 
 
+@pytest.mark.slow
 def test_start_and_end(analyze, paper_flight):
     argv = (paper_flight.tlog, *PAPER, "--start", "20", "--end", "40", "--json", "-")
     result = read_strict(analyze(*argv)[1])

@@ -57,6 +57,7 @@ def test_layouts_of_the_command_line_are_the_wizards():
     assert list(LAYOUTS) == list(option_groups.LAYOUTS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_an_airframe_by_options_alone(layout, tmp_path, capsys):
     path = tmp_path / "mine.toml"
@@ -233,6 +234,7 @@ def test_without_a_package_the_doctor_still_speaks(capsys, monkeypatch):
     assert "cannot be checked" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", ["numpy", "serial"])
 def test_the_doctor_starts_without_the_packages_that_it_looks_for(module, tmp_path):
     code = (

@@ -58,6 +58,7 @@ def test_text(flight, width):
     assert rounded(text) + "\n" == path.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_json_alone_on_standard_output(inspect, flight):
     for argv in ((flight.tlog, "--json"), ("--json", flight.tlog), (flight.tlog, "--json", "-")):
         status, out, err = inspect(*argv)
@@ -106,6 +107,7 @@ def test_unreadable_gives_one_line(inspect, name, tmp_path, monkeypatch):
     assert name in err
 
 
+@pytest.mark.slow
 def test_an_airframe_or_a_number_of_rotors_may_be_named(inspect, flight):
     for options in (("--airframe", "paper", "--mass", "1.5"), ("--rotors", "4")):
         status, out, _ = inspect(flight.tlog, "--json", "-", *options)

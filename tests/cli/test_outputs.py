@@ -203,6 +203,7 @@ def limited():
     resource.setrlimit(resource.RLIMIT_FSIZE, (64, 64))  # what semaphores take
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", swept(lambda case: True))
 def test_a_full_disk_takes_a_file_and_not_the_numbers(call, tmp_path, case):
     if case.dash or case.suffix == ".tlog":
@@ -214,6 +215,7 @@ def test_a_full_disk_takes_a_file_and_not_the_numbers(call, tmp_path, case):
         assert case.prints in out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", thorough(lambda case: True))
 @pytest.mark.parametrize("place", ["gone", "read-only"])
 def test_a_folder_that_is_gone_or_read_only_is_a_line(call, tmp_path, case, place):
@@ -233,6 +235,7 @@ def test_a_folder_that_is_gone_or_read_only_is_a_line(call, tmp_path, case, plac
         check_refusal(status, err)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", thorough(lambda case: True))
 def test_standard_output_on_a_full_disk_costs_no_file(call, tmp_path, case):
     path = tmp_path / f"out{case.suffix}"
@@ -244,6 +247,7 @@ def test_standard_output_on_a_full_disk_costs_no_file(call, tmp_path, case):
         assert "standard output: cannot write: No space left on device" in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", thorough(lambda case: case.dash))
 def test_output_to_a_full_standard_output_is_a_line(call, case):
     with open("/dev/full", "w") as full:
@@ -257,6 +261,7 @@ def closed_pipe():
     return writing
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", thorough(lambda case: True))
 def test_a_reader_that_has_gone_costs_no_file(call, tmp_path, case):
     path = tmp_path / f"out{case.suffix}"
@@ -267,6 +272,7 @@ def test_a_reader_that_has_gone_costs_no_file(call, tmp_path, case):
     check_written(case, path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", thorough(lambda case: case.dash))
 def test_output_to_a_reader_that_has_gone_is_silent(call, case):
     with open(closed_pipe(), "wb") as pipe:
@@ -281,6 +287,7 @@ POOR = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", thorough(lambda case: True))
 @pytest.mark.parametrize("poor", POOR)
 def test_poor_terminals_cost_nothing(call, tmp_path, case, poor):
@@ -291,6 +298,7 @@ def test_poor_terminals_cost_nothing(call, tmp_path, case, poor):
     check_written(case, path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", thorough(lambda case: True))
 def test_a_terminal_one_column_wide_costs_nothing(call, tmp_path, case):
     import fcntl
@@ -321,6 +329,7 @@ def test_a_terminal_one_column_wide_costs_nothing(call, tmp_path, case):
     check_written(case, path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", thorough(lambda case: True))
 def test_closed_streams_cost_nothing(places, tmp_path, case):
     path = tmp_path / f"out{case.suffix}"

@@ -80,6 +80,7 @@ def test_limits_are_obeyed_and_said(plan):
     assert "±20°" not in out
 
 
+@pytest.mark.slow
 def test_what_cannot_be_reached_is_said(plan):
     status, out, _ = plan("--airframe", "paper", "--target", "0.1%", "--max-tilt", "5")
     assert status == 1

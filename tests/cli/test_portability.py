@@ -99,6 +99,7 @@ def test_the_stand_in_for_windows_is_strict(as_on_windows, tmp_path):
         assert word in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "argv", [["--help"], ["live", "--help"], [], ["airframe", "check", "paper"]]
 )
@@ -109,6 +110,7 @@ def test_what_is_printed_never_fails_for_its_signs(as_on_windows, argv, encoding
     assert len(out) > 300
 
 
+@pytest.mark.slow
 def test_the_doctor_and_the_wizard(as_on_windows, tmp_path):
     status, out, err = as_on_windows("gcs_sysid", "doctor", "--duration", "0.1")
     assert status in (0, 1), err
@@ -151,6 +153,7 @@ def product_files():
         yield from (p for p in sorted(folder.rglob("*.py")) if p.name != "gcs_sysid_dialect.py")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", product_files(), ids=lambda p: p.relative_to(ROOT).as_posix())
 def test_no_module_needs_what_posix_alone_has(path):
     """Such an import stands in a function, in a `try` that says what else to do."""

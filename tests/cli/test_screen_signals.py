@@ -43,6 +43,7 @@ def before_the_first_drawing(monkeypatch, run):
     monkeypatch.setattr(SysidApp, "poll", raised)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("when", [before_it_runs, while_it_is_built, before_the_first_drawing])
 def test_a_signal_that_comes_early_ends_the_session(when, monkeypatch, capsys):
     run = SysidApp.run

@@ -50,6 +50,7 @@ def test_a_finer_target_and_tighter_limits_take_longer():
     assert plan_for("paper", 0.02, gentle).seconds > usual.seconds
 
 
+@pytest.mark.slow
 def test_commands_have_a_plan_too():
     plan = plan_for("px4-sih", commands=True)
     assert plan.steps

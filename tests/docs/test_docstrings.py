@@ -24,6 +24,7 @@ MODULES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODULES)
 def test_examples_give_what_they_say(name, monkeypatch):
     monkeypatch.chdir(ROOT)  # for logs/sample.tlog

@@ -11,6 +11,7 @@ from .pages import ROOT
 NOTEBOOK = ROOT / "docs" / "notebook.ipynb"
 
 
+@pytest.mark.slow
 def test_its_cells_run_and_hold_no_outputs(monkeypatch):
     monkeypatch.chdir(ROOT)
     names: dict[str, object] = {}

@@ -118,6 +118,7 @@ def changed():
     return {name: fly("all-axes", AT + 1.0, [change]) for name, change in CHANGES.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_mass_step_is_seen_within_three_samples(changed, seed):
     samples = measured(changed["mass"], seed)
@@ -154,6 +155,7 @@ def test_a_moment_alone_may_be_the_winds(changed):
     assert found.cause.disturbance == "moment"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rotor", [0, 3])
 def test_weak_rotor_is_named_with_its_loss(quiet_flight, rotor):
     samples = measured(quiet_flight)
@@ -183,6 +185,7 @@ def test_no_alarm_without_a_change(quiet_flight):
         assert detector.armed
 
 
+@pytest.mark.slow
 def test_no_alarm_in_gusts():
     for flight in (fly("hover", 10.0), fly("all-axes", 10.0, turbulence=0.02)):
         assert watch(measured(flight))[0] == []
@@ -212,6 +215,7 @@ def test_rotor_delay_of_the_fit_is_made_up_for(quiet_flight, changed):
     assert AT <= found[0].detected <= AT + 0.02 + late * DT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mass", "cg"])
 def test_grouping_of_samples_does_not_matter(changed, name):
     samples = measured(changed[name])

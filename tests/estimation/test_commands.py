@@ -39,6 +39,7 @@ def commands_of(flight, truth, lag, curve):
     return (w - a * before) / (1.0 - a), full
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lag", "curve"),
     [
@@ -75,6 +76,7 @@ def commands_of_speed(flight, lag):
     return ((flight.speeds - a * before) / (1.0 - a)) ** 2 / full, full
 
 
+@pytest.mark.slow
 def test_a_lag_of_speed_is_told_from_one_of_the_command(truth, flight, monkeypatch):
     """Thrust is its square: taken for a lag of the command, Izz goes astray."""
     commands, full = commands_of_speed(flight, 0.06)
@@ -200,6 +202,7 @@ ROLL = np.array([-1.0, 1.0, 1.0, -1.0])
 """Commands that turn the vehicle about one axis alone."""
 
 
+@pytest.mark.slow
 def test_known_noise_of_commands_leaves_the_estimate_where_it_was(truth, flight):
     """Moments with it give what those without it gave."""
     every, dt = 4, 0.02
@@ -228,6 +231,7 @@ def test_known_noise_of_commands_leaves_the_estimate_where_it_was(truth, flight)
     assert np.all((told.std > 0.1 * np.abs(untold.theta - told.theta))[names])
 
 
+@pytest.mark.slow
 def test_elements_show_noise_as_their_filters_let_it_pass(truth):
     """Moments of rows made of noise alone, against what is said of them."""
     dt = 0.02
@@ -249,6 +253,7 @@ def test_elements_show_noise_as_their_filters_let_it_pass(truth):
         assert np.abs(said[3]).max() < 1e-9 * said[0, 0]
 
 
+@pytest.mark.slow
 def test_a_fit_that_got_stuck_is_no_reference_for_changes(truth, flight):
     commands, _ = commands_of(flight, truth, 0.05, 0.4)
     estimator = OnlineEstimator(truth.geometry, DT, COMMANDS)

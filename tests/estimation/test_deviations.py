@@ -141,6 +141,7 @@ class Fixed(DeviationChoice):
         )
 
 
+@pytest.mark.slow
 def test_score_and_information_are_those_of_a_fit_with_the_deviations(flown):
     """One step from no deviations leads where fitting them outright does."""
     data, basis = flown

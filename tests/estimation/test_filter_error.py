@@ -202,6 +202,7 @@ def test_in_disturbed_air_the_noise_is_looked_for(gusty):
     assert found.fit.validation.r_squared[:2].min() > 0.3
 
 
+@pytest.mark.slow
 def test_a_record_beyond_the_budget_keeps_the_online_estimate(monkeypatch, truth, flight):
     monkeypatch.setattr(likelihood, "_BUDGET", 20_000)
     assert most_passes(1000) == 20

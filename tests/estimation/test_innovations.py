@@ -39,6 +39,7 @@ def disturbed():
     return walk(TRUE, 1)
 
 
+@pytest.mark.slow
 def test_a_slow_moment_is_found_in_the_spectrum(disturbed):
     _, increments = disturbed
     for found in fit_noise([increments], np.zeros(3), np.zeros(3), DT):
@@ -47,6 +48,7 @@ def test_a_slow_moment_is_found_in_the_spectrum(disturbed):
         assert found.white_std == pytest.approx(TRUE.white_std, rel=0.1)
 
 
+@pytest.mark.slow
 def test_no_moment_is_found_where_there_is_none():
     quiet = replace(TRUE, moment_std=0.0)
     _, increments = walk(quiet, 2)

@@ -48,6 +48,7 @@ def start(truth):
     return truth.theta * (1.0 + 0.02 * np.random.default_rng(3).uniform(-1.0, 1.0, rb.N_THETA))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [1, 5, 10])
 def test_exact_without_noise(truth, flight, start, every):
     """At 20 Hz too, where the fastest signal turns by half a radian a sample."""
@@ -79,6 +80,7 @@ def test_intervals_and_bound_tell_the_errors(truth, slow, start):
     assert np.mean(inside) > 0.88
 
 
+@pytest.mark.slow
 def test_colour_is_found_and_used(truth, slow, start):
     samples, dt = slow
     noisy = with_noise(samples, high_pass(samples, 0.02, 5.0, dt, seed=1))
@@ -95,6 +97,7 @@ def test_colour_is_found_and_used(truth, slow, start):
     assert np.all(fit.bound < plain.bound)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("colour", [None, 5.0])
 def test_bound_equals_the_dense_computation(truth, slow, colour):
     """Against finite differences of the simulated record and its full covariance matrix."""
@@ -170,6 +173,7 @@ def test_noise_of_speeds_does_not_bias(truth, flight, start):
     assert np.all(np.mean(uncorrected, axis=0)[:2] > 2.0)
 
 
+@pytest.mark.slow
 def test_gaps_split_the_record(truth, slow, start):
     samples, dt = slow
     noisy = with_noise(samples, white(samples, 0.02, 5))
@@ -187,6 +191,7 @@ def test_gaps_split_the_record(truth, slow, start):
     assert np.all(fit.bound < 2.0 * whole.bound)
 
 
+@pytest.mark.slow
 def test_the_start_does_not_matter_and_runs_repeat(truth, slow, start):
     samples, dt = slow
     noisy = with_noise(samples, high_pass(samples, 0.02, 5.0, dt, seed=2))
@@ -198,6 +203,7 @@ def test_the_start_does_not_matter_and_runs_repeat(truth, slow, start):
     assert np.abs((fits[2].theta - fits[0].theta) / fits[0].std).max() < 0.1
 
 
+@pytest.mark.slow
 def test_prior_enters_as_information(truth, slow, start):
     samples, dt = slow
     noisy = with_noise(samples, white(samples, 0.02, 7))

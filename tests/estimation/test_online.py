@@ -58,6 +58,7 @@ def noisy(samples):
     return replace(samples, gyro=samples.gyro + noise, rates=samples.rates + noise)
 
 
+@pytest.mark.slow
 def test_inertia_is_right_though_there_is_no_gyroscopic_torque(truth, untwisted_flight):
     fit = estimator_of(truth, noisy(untwisted_flight), Tuning()).fit()
     assert fit.rigid_body_test.contradicted

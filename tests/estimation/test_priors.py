@@ -126,6 +126,7 @@ def test_an_impossible_prior_does_not_make_an_impossible_vehicle():
     assert rb.is_physical(found.theta)
 
 
+@pytest.mark.slow
 def test_the_online_estimator_uses_its_prior_in_every_fit(truth, flight):
     estimator = OnlineEstimator(truth.geometry, 0.005, Tuning())
     estimator.update(flight)

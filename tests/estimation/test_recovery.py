@@ -62,6 +62,7 @@ SIZE = theta_from(80.0, 80.0, 140.0, 7.0, 12.0, 8.0, 0.1, 0.05, 0.03, 20.0, 0.3,
 """Rough size of theta's entries: what an error is measured against."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", [0.0, 0.3])
 @pytest.mark.parametrize(
     ("smoother", "bar"),
@@ -130,6 +131,7 @@ def test_no_fit_without_data_or_response(truth, flight):
     assert fit is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [0.1, 0.37])
 def test_grouping_of_samples_does_not_matter(truth, flight, step):
     estimators = [OnlineEstimator(truth.geometry, DT, Tuning()) for _ in range(2)]
@@ -156,6 +158,7 @@ def test_missing_samples_are_left_out(truth, flight):
     assert 15.0 < fit.seconds < 26.0
 
 
+@pytest.mark.slow
 def test_missing_samples_are_left_out_of_whitened_rows(truth, flight):
     gone = (np.arange(len(flight.gyro)) % 800) < 100
     rpm = 2.0 * np.pi / 60.0
@@ -292,6 +295,7 @@ def article_fit(truth, samples, method, every=10):
     return estimator.fit()
 
 
+@pytest.mark.slow
 def test_direct_form_with_central_differences_is_close_without_noise(truth, plain_flight):
     fit = article_fit(truth, plain_flight, "central-difference", every=1)
     error = np.abs((fit.theta[:9] - truth.theta[:9]) / SIZE[:9])
@@ -312,6 +316,7 @@ def test_direct_form_is_drawn_to_zero_by_noise(truth, plain_flight):
     assert np.min(shares) > -0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_every_variant_of_the_article_gives_numbers(truth, plain_flight, method):
     samples = noisy(plain_flight, 0.02, 1).part(slice(None, None, 10))

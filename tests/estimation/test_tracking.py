@@ -87,6 +87,7 @@ def flights():
     return Flights()
 
 
+@pytest.mark.slow
 def test_nothing_happens_where_nothing_changes(flights):
     tracker = follow(flights["none"])
     assert tracker.events == []
@@ -155,6 +156,7 @@ def test_how_often_others_look_does_not_matter(flights):
     assert looked.fit().rotation.theta == pytest.approx(plain.fit().rotation.theta, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_failing_rotor_stops_the_estimate(flights):
     samples = replace(flights["none"], speeds=flights["none"].speeds.copy())
     samples.speeds[round(AT / DT) :, 1] /= np.sqrt(0.85)
@@ -168,6 +170,7 @@ def test_a_failing_rotor_stops_the_estimate(flights):
     assert tracker.fit().rotation.theta[:2] == pytest.approx(theta_of(VEHICLE)[:2], rel=0.01)
 
 
+@pytest.mark.slow
 def test_kept_samples_are_those_of_the_segment_in_force(flights):
     tracker = follow(
         flights["mass"], tracker=Tracker(GEOMETRY, DT, Tuning(), ChangeTuning(), keep=True)

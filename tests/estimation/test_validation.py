@@ -102,6 +102,7 @@ def colours(truth, flight, seeds, disturb):
     return np.array([f.whiteness for f in found]), np.array([f.whiteness_p for f in found])
 
 
+@pytest.mark.slow
 def test_white_gyro_noise_passes(truth, flight):
     whiteness, p = colours(truth, flight, 24, lambda noise: noise)
     np.testing.assert_allclose(whiteness.mean(axis=0), 1.0, atol=0.12)

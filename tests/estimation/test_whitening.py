@@ -121,6 +121,7 @@ def test_steps_do_not_depend_on_blocks(size):
     np.testing.assert_allclose(moved, whole.late_derivative)
 
 
+@pytest.mark.slow
 def test_known_noise_is_what_noise_adds():
     rng = np.random.default_rng(6)
     step = step_for(T)
@@ -176,6 +177,7 @@ def fitted(samples, tuning, size=5000):
     return estimator.fit()
 
 
+@pytest.mark.slow
 def test_no_bias_under_feedback(disturbed):
     vehicle, flights = disturbed
     for samples in flights:
@@ -187,6 +189,7 @@ def test_no_bias_under_feedback(disturbed):
         assert np.all(new.disturbance[:2] > 50.0)
 
 
+@pytest.mark.slow
 def test_blocks_do_not_matter_to_the_fit(disturbed):
     samples = disturbed[1][0].part(slice(0, 3000))
     one, many = (fitted(samples, WHITENED, size).rotation for size in (3000, 17))
@@ -194,6 +197,7 @@ def test_blocks_do_not_matter_to_the_fit(disturbed):
     assert one.whiteners == many.whiteners
 
 
+@pytest.mark.slow
 def test_nothing_is_detected_where_nothing_disturbs():
     calm = fly(
         Vehicle(),
@@ -222,6 +226,7 @@ def test_shocks_are_left_out(disturbed):
     assert abs(hit.theta[0] - clean.theta[0]) < clean.std[0]
 
 
+@pytest.mark.slow
 def test_memory_is_bounded(disturbed):
     samples = disturbed[1][0]
     estimator = OnlineEstimator(Vehicle().geometry, T, WHITENED)
@@ -232,6 +237,7 @@ def test_memory_is_bounded(disturbed):
     assert len(white.moments(np.zeros((len(white.whiteners), 1, 1))).counts) <= 40 + 64
 
 
+@pytest.mark.slow
 def test_quick_fits_stay_near_the_full_one(disturbed):
     vehicle, flights = disturbed
     estimator = OnlineEstimator(vehicle.geometry, T, WHITENED)
@@ -365,6 +371,7 @@ def test_a_series_of_quick_fits_goes_on_over_the_narrowing(calm, learnt_early):
         assert np.all(np.abs(fit.rotation.theta[:3] - truth[:3]) < 4.0 * std[:3])
 
 
+@pytest.mark.slow
 def test_a_whitener_that_was_given_up_is_a_leak_then(calm, learnt_early):
     estimator = OnlineEstimator(Vehicle().geometry, T, WHITENED)
     estimator.update(calm.part(slice(0, 7000)))

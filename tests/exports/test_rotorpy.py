@@ -92,12 +92,14 @@ def fly(quad, goal, seconds):
     return now["x"], furthest
 
 
+@pytest.mark.slow
 def test_it_hovers_in_place_because_the_numbers_are_right(vehicle):
     place, furthest = fly(load(vehicle), np.zeros(3), 4.0)
     assert furthest < 1e-4
     assert np.linalg.norm(place) < 1e-4
 
 
+@pytest.mark.slow
 def test_it_flies_a_step(vehicle):
     goal = np.array([0.5, -0.3, 0.4])
     place, furthest = fly(load(vehicle), goal, 12.0)
@@ -105,6 +107,7 @@ def test_it_flies_a_step(vehicle):
     assert furthest < 1.2 * np.linalg.norm(goal)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "factor"), [("cg_x", -1.0), ("cg_y", -1.0), ("mass", 1.1)])
 def test_it_would_not_with_wrong_numbers(result, name, factor):
     known = {name: factor * VALUES[name], "motor_lag": LAG, "rotor_speed_max": FULL_SPEED}

@@ -36,6 +36,7 @@ def rows(out):
     return {Path(row["path"]).name: row for row in read_table(out / "fleet.parquet")}
 
 
+@pytest.mark.slow
 def test_a_result_a_log_a_row_a_log_and_nothing_twice(batch, logs, tmp_path):
     out = tmp_path / "out"
     status, err = batch(logs, "-o", out, *PAPER)
@@ -68,6 +69,7 @@ def test_a_result_a_log_a_row_a_log_and_nothing_twice(batch, logs, tmp_path):
     assert rows(out)["renamed.tlog"]["result"].startswith("results/b-")
 
 
+@pytest.mark.slow
 def test_the_result_is_that_of_analyze(batch, flights, tmp_path):
     batch(flights[0], "-o", tmp_path / "out", *PAPER)
     run(["analyze", str(flights[0]), "--airframe", "paper", "--json", str(tmp_path / "one.json")])

@@ -10,6 +10,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.fleet.log_files import find_logs, nearest_airframe
 
 
+@pytest.mark.slow
 def test_content_or_name_makes_a_log(logs):
     found = [path.relative_to(logs).as_posix() for path in find_logs([logs])]
     assert found == [

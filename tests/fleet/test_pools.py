@@ -37,6 +37,7 @@ def pool():
     assert multiprocessing.active_children() == []
 
 
+@pytest.mark.slow
 def test_every_task_is_done_once(pool):
     done = list(complete(pool, tasks(), lambda: False))
     assert sorted(result for _, result in done) == list("01234567")
@@ -55,6 +56,7 @@ def test_who_kills_the_process_twice_was_to_blame(pool):
             assert result == path
 
 
+@pytest.mark.slow
 def test_stopped_takes_no_more(pool):
     done = []
     for task, _ in complete(pool, tasks(count=100), lambda: len(done) >= 3):

@@ -26,6 +26,7 @@ def test_seeds_and_inputs_kept_hold(harness):
         harness.check(data)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("harness", BY_NAME)
 def test_what_is_drawn_holds(harness):
     @settings(
@@ -44,6 +45,7 @@ def test_what_is_drawn_holds(harness):
     holds()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("harness", BY_NAME)
 def test_what_the_mutator_draws_holds(harness):
     mutator = Mutator(harness.seeds(), harness.tokens, harness.longest, random.Random(7))

@@ -213,6 +213,7 @@ def test_a_dead_rotor_is_refused_as_by_analyze():
 # Whole recordings of the emulator.
 
 
+@pytest.mark.slow
 def test_a_sound_flight(inspect):
     found = inspect()
     assert found.verdict == "yes"
@@ -243,6 +244,7 @@ def test_traps_are_told(inspect, trap, told):
     assert told in texts(inspect("--trap", trap))
 
 
+@pytest.mark.slow
 def test_unsound_rotor_speeds_give_way_to_commands(inspect):
     found = inspect("--trap", "rpm-dead=2")
     assert found.rotor_input.chosen.kind == "command"
@@ -266,6 +268,7 @@ def test_wraps_of_short_stamps_are_counted_and_leave_no_gap(inspect, trap, wraps
     assert all(stream.gaps == 0 for stream in found.streams)
 
 
+@pytest.mark.slow
 def test_a_reboot_parts_the_flights_and_time_goes_on(inspect):
     found = inspect("--trap", "reboot=8")
     assert found.clock.reboots == 1

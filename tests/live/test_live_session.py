@@ -149,6 +149,7 @@ def replay(path, port, address="127.0.0.1"):
             sender.sendto(frame.raw, (address, port))
 
 
+@pytest.mark.slow
 def test_replayed_recording_gives_the_same_numbers(udp, airframe, paper_flight, tmp_path):
     path = tmp_path / "again.tlog"
     sent = threading.Event()
@@ -244,6 +245,7 @@ def test_a_reset_is_in_the_recording_and_its_analysis(udp, airframe, paper_fligh
     reader.close()
 
 
+@pytest.mark.slow
 def test_actions_are_done_while_it_runs(udp, airframe, tmp_path):
     session = LiveSession(udp, airframe, LiveOptions(listen_only=True, duration=1.0))
     session._stem = tmp_path / "toggled.tlog"
@@ -316,6 +318,7 @@ def test_what_goes_wrong_with_a_listener_is_handed_over(udp, airframe, paper_fli
     assert session.latest().link.state is LinkState.ENDED
 
 
+@pytest.mark.slow
 def test_snapshots_do_not_change(udp, airframe, paper_flight):
     sent = threading.Event()
     seen = []
@@ -365,6 +368,7 @@ def intervals(frames):
     return {message_name(int(c["param1"])): c["param2"] for c in commands if c["command"] == 511}
 
 
+@pytest.mark.slow
 def test_the_vehicles_rates_are_given_back_even_after_trouble(udp, airframe, paper_flight):
     """Nothing of what was asked for stays, when the session dies of an exception."""
 
@@ -390,6 +394,7 @@ def test_the_vehicles_rates_are_given_back_even_after_trouble(udp, airframe, pap
     assert set(asked.values()) == {0.0}
 
 
+@pytest.mark.slow
 def test_a_vehicle_of_version_1_is_asked_in_version_1(udp, airframe):
     session = LiveSession(udp, airframe, LiveOptions(duration=1.0))
     packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
@@ -492,6 +497,7 @@ def test_a_signed_flight_gives_the_same_numbers(udp, airframe, paper_flight, tmp
     assert all(frame.signed for _, frame in read_tlog(path))
 
 
+@pytest.mark.slow
 def test_a_flight_signed_with_another_key_is_refused_with_the_reason(
     udp, airframe, paper_flight, tmp_path
 ):

@@ -85,6 +85,7 @@ def is_running(pid):
     return False
 
 
+@pytest.mark.slow
 def test_a_session_and_its_recording_give_the_same_numbers(receiver, paper_flight, tmp_path):
     airframe, path = load_airframe("paper"), tmp_path / "live.tlog"
     source, sent = receiver(record_to=path, listen_only=True), threading.Event()
@@ -102,6 +103,7 @@ def test_a_session_and_its_recording_give_the_same_numbers(receiver, paper_fligh
     assert (told["kernel_drops"], told["not_learnt"]) == (0, 0)
 
 
+@pytest.mark.slow
 def test_a_busy_session_loses_nothing_says_so_and_catches_up(
     receiver, paper_flight, tmp_path, monkeypatch
 ):
@@ -163,6 +165,7 @@ def test_what_is_ordered_is_done_at_one_place_of_stream_and_recording(
     assert source.recording_report.lines == (f"recorded to {first}", f"recorded to {second}")
 
 
+@pytest.mark.slow
 def test_what_cannot_be_opened_gives_its_line(receiver, tmp_path):
     taken = tmp_path / "taken.tlog"
     taken.write_bytes(b"precious")
@@ -176,6 +179,7 @@ def test_what_cannot_be_opened_gives_its_line(receiver, tmp_path):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @needs_posix
 def test_a_receiver_that_is_killed_ends_the_session_with_a_line(receiver, paper_flight, tmp_path):
     path = tmp_path / "live.tlog"
@@ -214,6 +218,7 @@ _SESSION = textwrap.dedent(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs Linux's /proc")
 @pytest.mark.parametrize("how", ["SIGKILL", "SIGSTOP"])
 def test_a_session_that_dies_leaves_a_whole_recording_and_the_vehicle_as_it_was(

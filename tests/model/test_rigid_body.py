@@ -104,6 +104,7 @@ def test_paper_layout_has_the_papers_right_hand_side():
     np.testing.assert_allclose(H, np.sqrt([O1, O2, O3, O4]) @ geometry[2], rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_jacobian_is_the_complex_step_derivative():
     rng = np.random.default_rng(3)
     for _ in range(10):

@@ -58,6 +58,7 @@ def drag(page, holder, start, end):
     page.mouse.up()
 
 
+@pytest.mark.slow
 def test_every_figure_is_drawn(visit):
     page = visit()
     holders = page.locator("[data-figure]")
@@ -73,6 +74,7 @@ def test_every_figure_is_drawn(visit):
         assert holder.locator(shapes).count() > 0
 
 
+@pytest.mark.slow
 def test_mouse_zooms_a_group_and_double_click_shows_all_again(visit):
     page = visit()
     roll, yaw, rate = (plot(page, n) for n in ("prediction-roll", "prediction-yaw", "rate-roll"))
@@ -89,6 +91,7 @@ def test_mouse_zooms_a_group_and_double_click_shows_all_again(visit):
     assert not button.is_visible()
 
 
+@pytest.mark.slow
 def test_button_shows_all_again(visit):
     page = visit()
     roll = plot(page, "rate-roll")
@@ -99,6 +102,7 @@ def test_button_shows_all_again(visit):
     assert x_ticks(roll) == before
 
 
+@pytest.mark.slow
 def test_keys_do_all_that_the_mouse_does(visit):
     page = visit()
     figure = plot(page, "rate-pitch")
@@ -128,6 +132,7 @@ def test_keys_do_all_that_the_mouse_does(visit):
     assert x_ticks(figure) == before
 
 
+@pytest.mark.slow
 def test_every_figure_is_reached_by_tab(visit):
     page = visit()
     count = page.locator("[data-figure]").count()
@@ -139,6 +144,7 @@ def test_every_figure_is_reached_by_tab(visit):
     assert len(reached - {""}) == count
 
 
+@pytest.mark.slow
 def test_pointing_tells_the_numbers(visit):
     page = visit()
     roll = plot(page, "prediction-roll")
@@ -150,6 +156,7 @@ def test_pointing_tells_the_numbers(visit):
     assert frame(roll).locator("output").text_content() == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [390, 800, 1280, 1600])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_fits_wide_and_narrow(visit, width, scheme):
@@ -165,6 +172,7 @@ def test_fits_wide_and_narrow(visit, width, scheme):
     assert dark is (scheme == "dark")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_text_has_contrast(visit, scheme):
     """4.5 to 1 at least, as WCAG AA asks, of every text on what lies behind it."""
@@ -204,6 +212,7 @@ def test_text_has_contrast(visit, scheme):
     assert worst[0] >= 4.5, worst
 
 
+@pytest.mark.slow
 def test_touch_zooms_too(visit):
     page = visit(390, has_touch=True, is_mobile=True)
     roll = plot(page, "prediction-roll")
@@ -221,6 +230,7 @@ def test_touch_zooms_too(visit):
     assert after != before
 
 
+@pytest.mark.slow
 def test_prints_on_white_without_what_is_only_for_screens(visit):
     page = visit(1280, "dark")
     page.emulate_media(media="print")

@@ -102,6 +102,7 @@ def test_names_of_logs_may_be_anything(paper_flight, tmp_path, capsys):
     assert "&lt;img src=x onerror=alert(1)&gt; &amp; &quot;it&#x27;s&quot;.tlog" in html
 
 
+@pytest.mark.slow
 def test_the_report_needs_neither_screen_nor_mavlink():
     code = (
         "import sys, gcs_sysid.report.page, gcs_sysid.report.data, gcs_sysid.files\n"
@@ -111,6 +112,7 @@ def test_the_report_needs_neither_screen_nor_mavlink():
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_who_asks_for_none_does_not_load_it():
     code = "import sys, gcs_sysid.cli.analyze_command; print('gcs_sysid.report' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

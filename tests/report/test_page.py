@@ -35,6 +35,7 @@ def unpacked(page, name):
     return np.frombuffer(base64.b64decode(page.data["arrays"][name]), "<f4").astype(float)
 
 
+@pytest.mark.slow
 def test_sections_in_order(page):
     assert [e.attributes["id"] for e in page.all("section")] == list(SECTIONS)
     assert len(page.all("h1")) == 1

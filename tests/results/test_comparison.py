@@ -58,6 +58,7 @@ def test_one_interval_that_misses_among_many_is_no_change():
     assert among.verdict == "no_change_seen"
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_is_the_same_is_rarely_called_changed():
     names = ("Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Ixz", "cg_x", "cg_y", "k_T", "k_M")
     draw = np.random.default_rng(5)

@@ -40,6 +40,7 @@ def cut(app):
             yield f"{widget.id}: {widget.region} is outside"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sizes", [SOME, pytest.param(ALL, marks=pytest.mark.thorough)], ids=["some", "all"]
 )

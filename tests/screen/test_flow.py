@@ -54,6 +54,7 @@ async def test_the_end_of_the_stream(run_screen):
         assert "Stream ended, numbers are final. q: quit" in s.text()
 
 
+@pytest.mark.slow
 async def test_a_vehicle_of_which_nothing_is_known_yet(run_screen):
     async with run_screen(fake.bare(), size=(200, 50)) as s:
         assert "no attitude yet" in s.text()
@@ -162,6 +163,7 @@ async def test_a_terminal_that_grows_and_shrinks(run_screen):
         assert s.lines()[2:-2] == before.split("\n")[2:-3]
 
 
+@pytest.mark.slow
 async def test_a_tall_small_terminal_shows_table_and_plot(run_screen):
     async with run_screen(fake.snapshot(), size=(80, 50)) as s:
         assert "10⁻³ kg m²" in s.text()
@@ -182,6 +184,7 @@ async def test_a_bar_is_full_at_the_target(run_screen, size):
         assert 4 <= bar(s, "Iyy") <= 6
 
 
+@pytest.mark.slow
 async def test_the_final_plot_is_drawn_though_it_came_soon_after_the_last(run_screen):
     """Drawings of the plot are rationed; the last one must not be lost."""
     async with run_screen(fake.snapshot()) as s:

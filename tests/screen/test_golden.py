@@ -78,6 +78,7 @@ async def check_both_themes(s, name):
     check(name, s.text())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES, ids=named)
 @pytest.mark.parametrize("state", STATES)
 async def test_states(run_screen, state, size):
@@ -92,6 +93,7 @@ async def test_replay(run_replay, size):
         await check_both_themes(s, f"replay-{named(size)}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("size", "page"), [(size, page) for size, pages in KEYS.items() for page in pages]
 )
@@ -133,6 +135,7 @@ def pale(s):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("theme", ["gcs-dark", "gcs-light"])
 @pytest.mark.parametrize("state", ["flying", "all", "enough", "waiting"])
 async def test_all_text_stands_out_from_its_ground(run_screen, theme, state):
@@ -144,6 +147,7 @@ async def test_all_text_stands_out_from_its_ground(run_screen, theme, state):
         assert not pale(s)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("theme", ["gcs-dark", "gcs-light"])
 @pytest.mark.parametrize("dialog", DIALOGS)
 async def test_questions_stand_out_from_their_ground(run_screen, theme, dialog):

@@ -45,6 +45,7 @@ async def test_select_with_nothing_to_select(run_screen):
         assert "No parameters yet" in s.answer()
 
 
+@pytest.mark.slow
 async def test_reset(run_screen):
     async with run_screen(fake.snapshot()) as s:
         await s.press("r", "enter")
@@ -85,6 +86,7 @@ async def test_record(run_screen):
         assert s.answer() == "recording to logs/next.tlog"
 
 
+@pytest.mark.slow
 async def test_a_failed_action_says_why_and_the_screen_lives(run_screen):
     async with run_screen(fake.snapshot()) as s:
         s.source.broken = True
@@ -108,6 +110,7 @@ async def test_pause_freezes_the_display_only(run_screen):
         assert s.source.calls == []
 
 
+@pytest.mark.slow
 async def test_dark_and_light(run_screen):
     async with run_screen(fake.snapshot()) as s:
         assert s.app.current_theme.dark
@@ -118,6 +121,7 @@ async def test_dark_and_light(run_screen):
         assert s.app.current_theme.dark
 
 
+@pytest.mark.slow
 async def test_help_opens_and_closes(run_screen):
     async with run_screen(fake.snapshot()) as s:
         for close in ("escape", "question_mark", "q", "enter"):
@@ -134,6 +138,7 @@ async def test_keys_of_the_main_screen_do_nothing_behind_the_help(run_screen):
         assert s.source.calls == []
 
 
+@pytest.mark.slow
 async def test_tab_goes_through_the_pages_and_back(run_screen):
     async with run_screen(fake.snapshot()) as s:
         seen = []
@@ -145,6 +150,7 @@ async def test_tab_goes_through_the_pages_and_back(run_screen):
         assert s.app.get_default_screen().page == "health"
 
 
+@pytest.mark.slow
 async def test_numbers_choose_a_page(run_screen):
     shown = {
         "2": "95 % band",
@@ -161,6 +167,7 @@ async def test_numbers_choose_a_page(run_screen):
             assert text in s.text()
 
 
+@pytest.mark.slow
 async def test_where_the_panels_have_room_pages_choose_the_plot(run_screen):
     async with run_screen(fake.snapshot(), size=(120, 40)) as s:
         assert "95 % band" in s.text()
@@ -176,6 +183,7 @@ async def test_where_the_panels_have_room_pages_choose_the_plot(run_screen):
         assert s.answer() == "Vehicle: is on the screen."
 
 
+@pytest.mark.slow
 async def test_where_all_has_room_health_takes_the_plots_place(run_screen):
     async with run_screen(fake.snapshot(), size=(200, 50)) as s:
         assert "95 % band" in s.text()
@@ -232,6 +240,7 @@ async def test_a_command_of_the_palette_chooses_a_parameter(run_screen):
         assert s.app.selected == "k_T"
 
 
+@pytest.mark.slow
 async def test_what_a_source_cannot_do_is_said_in_plain_words(run_screen):
     async with run_screen(fake.snapshot(), actions=Actions(absent="in a replay")) as s:
         words = {"m": "Mark", "r": "Reset", "o": "Record", "e": "Export", "h": "Report"}
@@ -241,6 +250,7 @@ async def test_what_a_source_cannot_do_is_said_in_plain_words(run_screen):
         assert s.source.calls == []
 
 
+@pytest.mark.slow
 async def test_export_asks_for_the_format_and_says_where(run_screen):
     async with run_screen(fake.snapshot()) as s:
         await s.press("e")
@@ -252,6 +262,7 @@ async def test_export_asks_for_the_format_and_says_where(run_screen):
         assert s.answer() == "written: paper.gazebo-sdf"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", ["e", "s", "b"])
 async def test_escape_leaves_everything_as_it_was(run_screen, key):
     async with run_screen(fake.snapshot()) as s:
@@ -295,6 +306,7 @@ async def test_what_fails_beside_is_said_too(run_screen):
         assert s.source.calls == ["report"]
 
 
+@pytest.mark.slow
 async def test_scale_asks_which_fact_then_its_value(run_screen):
     async with run_screen(fake.snapshot()) as s:
         await s.press("s")
@@ -317,6 +329,7 @@ async def test_scale_with_commands_offers_the_full_thrust(run_screen):
         assert "thrust over speed squared" not in s.text()
 
 
+@pytest.mark.slow
 async def test_a_scale_that_is_no_number_is_refused_in_a_line(run_screen):
     async with run_screen(fake.snapshot()) as s:
         await s.press("s", "enter", "end", "x", "enter")
@@ -326,6 +339,7 @@ async def test_a_scale_that_is_no_number_is_refused_in_a_line(run_screen):
         assert s.source.calls == []
 
 
+@pytest.mark.slow
 async def test_the_vehicle_is_chosen_from_those_that_speak(run_screen):
     async with run_screen(fake.two_vehicles()) as s:
         assert "v: 2 vehicles" in s.text()
@@ -347,6 +361,7 @@ async def test_one_vehicle_is_no_choice(run_screen):
         assert s.answer() == "No vehicle yet."
 
 
+@pytest.mark.slow
 async def test_a_baseline_is_loaded_compared_and_dropped(run_screen, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.json").write_text(fake.earlier().dumps(), encoding="utf-8")
@@ -362,6 +377,7 @@ async def test_a_baseline_is_loaded_compared_and_dropped(run_screen, tmp_path, m
         assert "against" not in s.text()
 
 
+@pytest.mark.slow
 async def test_a_baseline_that_is_none_is_refused_in_a_line(run_screen, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "b.json").write_text("[]", encoding="utf-8")
@@ -384,6 +400,7 @@ async def test_a_baseline_of_another_vehicle_is_dropped_with_a_word(run_screen):
         assert s.app.baseline is None
 
 
+@pytest.mark.slow
 async def test_what_is_typed_into_a_question_does_nothing_else(run_screen):
     async with run_screen(fake.snapshot()) as s:
         await s.press("b", "m", "r", "q", "escape")

@@ -22,6 +22,7 @@ def written(snapshot, silence=0.0):
     return [texts[0] for texts, _ in blocks(View(snapshot, {}, "", {}, silence))[0]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES, ids=named)
 async def test_the_pilot_view(run_screen, size):
     async with run_screen(led(), size=size) as s:
@@ -82,6 +83,7 @@ def test_it_fits_every_size():
     assert max(n for *_, n in heights) >= 50
 
 
+@pytest.mark.slow
 async def test_its_keys(run_screen):
     async with run_screen(led()) as s:
         await s.press("l")
@@ -99,6 +101,7 @@ async def test_its_keys(run_screen):
         assert not isinstance(s.app.screen, PilotScreen)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("theme", ["gcs-dark", "gcs-light"])
 @pytest.mark.parametrize("state", [LinkState.CONNECTED, LinkState.LOST])
 async def test_large_print_stands_out_from_its_ground(run_screen, theme, state):

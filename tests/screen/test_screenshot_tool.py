@@ -3,11 +3,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from . import fake
 
 TOOL = Path(__file__).parents[2] / "tools" / "screenshot.py"
 
 
+@pytest.mark.slow
 def test_picture_of_a_pickled_snapshot_names_no_remote_font(tmp_path):
     # The fake's own classes stay out of the pickle, so that the tool can read it anywhere.
     pickled, picture = tmp_path / "snapshot.pickle", tmp_path / "screen.svg"

@@ -26,6 +26,7 @@ KEYS = {
 }
 
 
+@pytest.mark.slow
 async def test_every_key_asks_for_what_it_stands_for_and_says_so(run_replay):
     async with run_replay() as (s, asked):
         for key, call in KEYS.items():
@@ -45,6 +46,7 @@ async def test_what_would_change_the_numbers_is_absent(run_replay):
         assert s.source.calls == asked == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(80, 24), (120, 40), (200, 50)])
 async def test_the_bar_says_where_it_stands(run_replay, size):
     async with run_replay(size=size) as (s, _):
@@ -74,6 +76,7 @@ def test_what_it_does_is_a_sign_and_a_word(changes, expected):
     assert state_of(replace(PLAYING, **changes)) == expected
 
 
+@pytest.mark.slow
 async def test_a_click_into_the_bar_goes_there(run_replay):
     async with run_replay(size=(120, 40)) as (s, asked):
         row, line = next((n, line) for n, line in enumerate(s.lines()) if "▶ 1x" in line)

@@ -42,6 +42,7 @@ def whole(paper_records):
     return run(paper_records)[1]
 
 
+@pytest.mark.slow
 def test_it_identifies_the_flight(whole, paper_flight):
     assert whole.verdict == "identified"
     assert whole.reasons == ()
@@ -108,6 +109,7 @@ def test_what_is_missing_is_the_reason(paper_records, gone, reason):
     assert result.parameters["mass"].status == "given"
 
 
+@pytest.mark.slow
 def test_without_attitude_the_accelerometer_gives_the_scale(paper_records, whole):
     _, result = run(without(paper_records, Stream.ATTITUDE))
     assert result.parameters["linear_drag"].value is None
@@ -131,6 +133,7 @@ def test_velocity_is_not_needed(paper_records):
     assert result.parameters["Ixx"].value == pytest.approx(0.0165, rel=0.02)
 
 
+@pytest.mark.slow
 def test_nothing_is_estimated_while_it_does_not_fly(paper_records):
     grounded = [
         r._replace(values=(0.0,)) if r.stream is Stream.IN_AIR else r for r in paper_records
@@ -198,6 +201,7 @@ def test_a_reboot_in_the_middle_costs_little(paper_records, boot):
     assert 30.0 < cut.telemetry["used_seconds"] < 45.0
 
 
+@pytest.mark.slow
 def test_a_gap_is_bridged(paper_records, whole):
     first = paper_records[0].t
     _, result = run([r for r in paper_records if not 30.0 < r.t - first < 33.0])

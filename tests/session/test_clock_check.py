@@ -52,12 +52,14 @@ def comparable(result):
     return told
 
 
+@pytest.mark.slow
 def test_what_good_clocks_do_changes_nothing(received, airframe, undisturbed):
     result = analyze_log(received(400.0), airframe)
     assert result.telemetry["clock_drift_ppm"] == pytest.approx(400.0, abs=1.0)
     assert comparable(result) == comparable(undisturbed)
 
 
+@pytest.mark.slow
 def test_a_clock_that_may_be_wrong_is_told_and_reckoned_with(fast, undisturbed):
     assert undisturbed.verdict == "identified"
     assert fast.verdict == "partial"
@@ -132,6 +134,7 @@ def test_a_simulator_may_keep_its_own_time(parameters, simulated):
     assert (clock_doubt(drift_of(8000.0), parameters) is None) is simulated
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["px4-esc-cg.tlog", "px4-sih-default.tlog", "ardupilot-sitl.tlog"])
 def test_recorded_simulators_are_not_doubted(name, shared_logs):
     log = open_log(shared_logs / name)

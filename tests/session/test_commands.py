@@ -51,6 +51,7 @@ def by_commands(both):
     return identified(commands_only(both))
 
 
+@pytest.mark.slow
 def test_commands_identify(by_commands, flight):
     result = by_commands
     assert result.verdict == "identified"
@@ -66,6 +67,7 @@ def test_commands_identify(by_commands, flight):
     assert "convention" in told["range_from"]
 
 
+@pytest.mark.slow
 def test_T_max_as_the_scale_gives_the_mass(by_commands, both, flight):
     result = identified(both, ("T_max", flight.truth["T_max"]))
     assert result.rotor_input == "command"
@@ -78,6 +80,7 @@ def test_T_max_as_the_scale_gives_the_mass(by_commands, both, flight):
         assert result.parameters[name].value == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gone", "anchor", "advice"),
     [
@@ -91,6 +94,7 @@ def test_a_scale_that_the_input_cannot_use_is_refused_with_advice(both, gone, an
     assert any(advice in reason for reason in result.reasons)
 
 
+@pytest.mark.slow
 def test_nothing_is_lost_while_the_input_is_undecided(both):
     chain = chain_of(both)
     result = chain.finish()
@@ -119,6 +123,7 @@ def test_traps_of_rotor_speeds(fly, trap, kind, why):
     agree(result, flown.truth, ("Ixx", "Iyy", "Izz", "cg_x", "moment_ratio"))
 
 
+@pytest.mark.slow
 def test_speeds_that_die_in_flight_give_way_to_commands(both):
     middle = both[len(both) // 2].t
     died = [
@@ -157,6 +162,7 @@ def test_the_gyros_filter_comes_from_the_parameters(fly, cutoff):
     assert late.outdated == (cutoff != 20)
 
 
+@pytest.mark.slow
 def test_the_autopilot_decides_on_the_filter(fly):
     flown = fly("--autopilot", "ardupilot", *FLIGHT[:2], "--duration", "12", "--rate", "50")
     result = analyze_log(flown.tlog, load_airframe("paper"))

@@ -37,6 +37,7 @@ def errors(result, truth):
     }
 
 
+@pytest.mark.slow
 def test_the_articles_flight_is_identified(paper_flight, paper_result):
     truth = paper_flight.truth
     assert paper_result.verdict == "identified"
@@ -102,6 +103,7 @@ def test_size_of_portions_does_not_matter(paper_flight, paper_result, airframe):
         assert value.std == (expected.std and pytest.approx(expected.std, rel=1e-4)), name
 
 
+@pytest.mark.slow
 def test_progress_rises_to_one(paper_flight, airframe):
     shares = []
     analyze_log(paper_flight.tlog, airframe, progress=shares.append)
@@ -110,6 +112,7 @@ def test_progress_rises_to_one(paper_flight, airframe):
     assert len(shares) > 1
 
 
+@pytest.mark.slow
 def test_another_vehicle_may_be_asked_for(paper_flight, paper_result, airframe):
     same = analyze_log(paper_flight.tlog, airframe, wanted=(1, 1))
     assert same.parameters == paper_result.parameters
@@ -119,6 +122,7 @@ def test_another_vehicle_may_be_asked_for(paper_flight, paper_result, airframe):
     assert "autopilot received; found: PX4 quadrotor 1:1" in other.reasons[0]
 
 
+@pytest.mark.slow
 def test_a_cut_and_damaged_recording_still_serves(paper_flight, paper_result, airframe, tmp_path):
     """As after a kill -9 and a bad sector: half a record at the end, rubbish in the middle."""
     path = tmp_path / "damaged.tlog"

@@ -47,6 +47,7 @@ def test_a_lossy_link_costs_little_more_than_what_it_loses(lossy):
     assert result.telemetry["rotor_outliers"] == 0
 
 
+@pytest.mark.slow
 def test_wild_rotor_speeds_are_taken_for_lost(lossy):
     flight, records = lossy
     rng = np.random.default_rng(1)
@@ -162,6 +163,7 @@ def test_speeds_that_stand_still_under_new_stamps_are_taken_for_lost():
     assert buffer.wild == 0
 
 
+@pytest.mark.slow
 def test_a_stream_that_often_repeats_itself_is_no_fault():
     t, v = moving()
     v = v[np.arange(len(v)) // 4 * 4]  # readings at a quarter of the rate
@@ -179,6 +181,7 @@ def test_motors_that_stand_are_told():
     assert (values[1100:] == 0.0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at_once", [7, 90])
 def test_samples_at_once_tell_the_same_as_one_by_one(at_once):
     t, v = moving()

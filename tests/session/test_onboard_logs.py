@@ -74,6 +74,7 @@ def as_dataflash(log, records):
     return log.bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ulg", "bin"])
 def test_an_onboard_log_gives_what_the_tlog_gives(
     kind, paper_flight, paper_records, airframe, ulog_file, dataflash_file, tmp_path

@@ -210,6 +210,7 @@ def flight(tmp_path_factory):
     return log
 
 
+@pytest.mark.slow
 def test_a_wrong_airframe_is_refused_with_the_reason_and_without_numbers(flight):
     given = Airframe("mine", QUAD.rotors).with_anchor("mass", 1.5)
     result = analyze_log(flight, given)
@@ -225,6 +226,7 @@ def test_a_wrong_airframe_is_refused_with_the_reason_and_without_numbers(flight)
     assert len(layout["rotors"]) == 6
 
 
+@pytest.mark.slow
 def test_the_airframe_of_a_log_that_tells_it(flight, capsys):
     options = argparse.Namespace(
         airframe=None, arm=None, mass=1.5, k_t=None, t_max=None, prior=[], vehicle=None

@@ -74,6 +74,7 @@ def test_forged_heartbeats_do_not_land_it():
     assert len(flown(armed=forged, in_air=turning["in_air"])) == 0  # nothing bears it out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", [1, 7, 100])
 def test_size_of_blocks_does_not_matter(block):
     height = between(12.0, 20.0, 5.0)
@@ -260,6 +261,7 @@ def test_without_any_rotor_for_a_second_nothing_says_that_it_flies():
     assert np.any(found > 19.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", [1, 7, 100])
 def test_size_of_blocks_does_not_matter_with_an_imu(block):
     speed, force = falling(15.0, 15.5)

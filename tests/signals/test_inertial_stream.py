@@ -68,6 +68,7 @@ def agree(result, whole, share=1.0):
         assert result.parameters[name].std < 1.5 * estimate.std + 1e-12, name
 
 
+@pytest.mark.slow
 def test_clean_samples_are_not_touched(whole):
     assert whole.telemetry["imu_outliers"] == {"spikes": 0, "frozen": 0, "missing": 0}
 
@@ -120,6 +121,7 @@ def faulty_stream(rate, seconds=6.0):
             yield Record(Stream.IMU, round(t, 6), values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "rate", [20.0, 250.0, *(pytest.param(f, marks=pytest.mark.thorough) for f in (100.0, 1000.0))]
 )

@@ -36,6 +36,7 @@ def run(t, x, rate):
     return despiked(t, x, max(2.6 / rate, 0.03), JOLT / rate)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [20.0, 50.0, 100.0, 250.0, 400.0])
 @pytest.mark.parametrize("sigma", [0.0, 0.002, 0.02, 0.3])
 @pytest.mark.parametrize("jitter", [0.0, 0.25])

@@ -66,6 +66,7 @@ def test_the_gyros_low_pass_is_butterworths(cutoff):
     np.testing.assert_allclose(_butterworth(cutoff), signal.butter(2, 2.0 * cutoff), rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "module", ["gcs_sysid.live.live_session", "gcs_sysid.cli.program", "sim_bridge.cli"]
 )

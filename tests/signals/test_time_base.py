@@ -130,6 +130,7 @@ def test_no_other_samples_are_taken_beyond_a_gap():
     assert np.isnan(beyond).all()
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(delays=st.lists(st.floats(0.0, 0.015), min_size=1, max_size=50))
 def test_order_between_streams_does_not_matter_within_the_lag(delays):
@@ -153,6 +154,7 @@ def test_order_between_streams_does_not_matter_within_the_lag(delays):
         np.testing.assert_array_equal(mixed.values(key)[:n], straight.values(key)[:n])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tick", [0.001, 0.05, 0.5, 10.0])
 def test_size_of_blocks_does_not_matter(tick):
     same(Run(usual(), tick), Run(usual()))
@@ -182,6 +184,7 @@ def odd(seed):
     return [*records, *usual(rate, end=3.0)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("at_once", [7, 300, 10**6])
 def test_how_samples_are_cut_does_not_matter(seed, at_once):
@@ -197,6 +200,7 @@ def test_how_samples_are_cut_does_not_matter(seed, at_once):
     assert one.base.restarts >= 1
 
 
+@pytest.mark.slow
 def test_gap_of_one_stream_is_marked_and_the_others_go_on():
     records = [r for r in usual() if r.stream is not Stream.ATTITUDE or not 2.0 < r.t < 2.5]
     run, whole = Run(records), Run(usual())
@@ -226,6 +230,7 @@ def lossy(share=0.2, scatter=0.02, seed=5):
     return [r for _, r in sorted(came, key=lambda pair: pair[0])]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tick", [0.001, 0.3])
 @pytest.mark.parametrize("share", [0.2, 0.5])
 def test_what_is_bridged_does_not_depend_on_when_it_is_asked_for(tick, share):
@@ -270,6 +275,7 @@ def test_commands_come_with_their_own_stamps():
     np.testing.assert_allclose((run.t - stamps)[~early], 0.012, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_repeated_samples_are_dropped_and_counted():
     records = usual()
     doubled = [r for r in records for _ in range(2)]
@@ -428,12 +434,14 @@ def test_states_hold_their_last_value():
     )
 
 
+@pytest.mark.slow
 def test_nothing_comes_out_without_an_imu_and_memory_stays_bounded():
     base = TimeBase()
     assert not list(grid_of(base, stream(Stream.ATTITUDE, 1000.0, end=20.0)))
     assert len(base._buffers[ATTITUDE]) < 5000
 
 
+@pytest.mark.slow
 def test_memory_stays_bounded_in_flight_and_after_the_imu_fell_silent():
     base = TimeBase()
     assert list(grid_of(base, usual(end=10.0), finish=False))

@@ -161,6 +161,7 @@ def test_before_4_0_there_are_groups_alone(make_desk: Callable[..., Any]) -> Non
     assert "HIGHRES_IMU" not in counts
 
 
+@pytest.mark.slow
 def test_the_tools_requests_bring_what_it_needs_before_4_0(make_desk: Callable[..., Any]) -> None:
     """Asked by flight time, and given its silence back at the end."""
     desk = make_desk(sensor_faults=SensorFaults(groups_only=True))

@@ -71,6 +71,7 @@ def test_one_flight_with_many_seeds(flights: dict[str, Flight]) -> None:
     assert np.std(noisy.speeds - flights["paper"].speeds) == pytest.approx(0.5, rel=0.05)
 
 
+@pytest.mark.slow
 def test_as_many_seeds_as_flights_are_needed(flights: dict[str, Flight]) -> None:
     with pytest.raises(ValueError, match="as many seeds"):
         flights["paper"].with_noise("none", 0.0, [1, 2])

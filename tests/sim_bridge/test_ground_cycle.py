@@ -57,6 +57,7 @@ def records(
     return found
 
 
+@pytest.mark.slow
 def test_on_the_ground_it_says_so(records: dict[str, list[tuple[float, Any]]]) -> None:
     for t, state in records["EXTENDED_SYS_STATE"]:
         on_ground = t < GROUND

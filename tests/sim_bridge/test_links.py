@@ -123,6 +123,7 @@ def peer_station(s: socket.socket) -> Station:
     return Station(s, read, lambda data: s.sendto(data, peer[0]))
 
 
+@pytest.mark.slow
 def test_requests_and_answers_over_udp(start: Start) -> None:
     with udp_socket() as s:
         port = s.getsockname()[1]
@@ -148,6 +149,7 @@ def test_requests_and_answers_over_udp(start: Start) -> None:
         assert process.communicate() == ("", "")
 
 
+@pytest.mark.slow
 def test_ardupilot_over_udp_is_silent_until_asked(start: Start) -> None:
     with udp_socket() as s:
         port = s.getsockname()[1]
@@ -169,6 +171,7 @@ def test_ardupilot_over_udp_is_silent_until_asked(start: Start) -> None:
         station.until(lambda m: is_a(m, "ATTITUDE"))
 
 
+@pytest.mark.slow
 def test_a_signed_link_takes_its_key_and_no_other(start: Start, tmp_path: Path) -> None:
     key = bytes(range(32))
     (tmp_path / "key").write_text(key.hex())
@@ -187,6 +190,7 @@ def test_a_signed_link_takes_its_key_and_no_other(start: Start, tmp_path: Path) 
         assert {m.get_type() for m in got} == {"BAD_DATA"}
 
 
+@pytest.mark.slow
 def test_listening_on_udp_it_answers_the_first_who_speaks(start: Start) -> None:
     port = free_port(socket.SOCK_DGRAM)
     start("--connect", f"udpin:127.0.0.1:{port}")
@@ -203,6 +207,7 @@ def test_listening_on_udp_it_answers_the_first_who_speaks(start: Start) -> None:
         station.until(lambda m: is_a(m, "HIGHRES_IMU"))
 
 
+@pytest.mark.slow
 def test_nobody_listening_on_udp_is_no_error(start: Start) -> None:
     port = free_port(socket.SOCK_DGRAM)
     process = start("--connect", f"udpout:127.0.0.1:{port}", "--speed", "max", "--duration", "2")
@@ -210,6 +215,7 @@ def test_nobody_listening_on_udp_is_no_error(start: Start) -> None:
     assert process.communicate() == ("", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["tcp", "tcpin"])
 def test_a_whole_flight_over_tcp_loses_nothing(start: Start, way: str, tmp_path: Path) -> None:
     port = free_port(socket.SOCK_STREAM)
@@ -246,6 +252,7 @@ def test_a_whole_flight_over_tcp_loses_nothing(start: Start, way: str, tmp_path:
     assert received == b"".join(frames)
 
 
+@pytest.mark.slow
 def test_a_lost_tcp_connection_is_one_clear_line(start: Start) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]

@@ -37,6 +37,7 @@ def test_set_points_are_derivatives_of_each_other():
         assert now.velocity[2] == pytest.approx(climb, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_the_vehicle_swings_as_far_as_it_should_and_stays_where_it_is():
     mission = ManoeuvreMission([STIR, CLIMB])
     flight = fly_ensemble(load_vehicle("px4-quad-x"), mission, 50.0)

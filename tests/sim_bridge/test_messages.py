@@ -37,6 +37,7 @@ def clock_us(message: Any) -> int | None:
     return None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "hertz"),
     [
@@ -143,6 +144,7 @@ def test_a_hexarotor_reports_two_groups(tmp_path: Path, read_tlog: Read) -> None
     assert (info.count, info.info) == (6, 0b111111)
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes(tmp_path: Path, tlog: Path) -> None:
     again, other = tmp_path / "again.tlog", tmp_path / "other.tlog"
     options = ["--duration", "5", "--noise", "mems"]

@@ -26,6 +26,7 @@ def thrusts(flight: Flight, vehicle: Vehicle) -> np.ndarray:
     return np.asarray(vehicle.k_T * flight.speeds**2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mode", "start", "own"), [(0, 2.0, 0.85), (1, 22.0, 0.88), (2, 42.0, 0.56)]
 )
@@ -147,6 +148,7 @@ def test_a_mass_step_leaves_the_vehicle_stable(paper_vehicle: Vehicle, factor: f
     assert ratio == pytest.approx(factor, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in vehicle_names() if n != "paper"])
 def test_every_vehicle_flies_the_hardest_mission(name: str) -> None:
     vehicle = load_vehicle(name)

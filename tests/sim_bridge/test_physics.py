@@ -107,6 +107,7 @@ def test_effects_leave_noise_and_gusts_as_they_were(paper_vehicle: Vehicle) -> N
     np.testing.assert_allclose(nearly.gyro, plain.gyro, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 def test_both_autopilots_fly_with_everything_on(
     tmp_path: Path, read_tlog: Read, autopilot: str
@@ -146,6 +147,7 @@ def test_the_seed_fixes_every_byte_with_everything_on(tmp_path: Path) -> None:
     assert fly(tmp_path, *words[:-1], "5")[0].read_bytes() != first
 
 
+@pytest.mark.slow
 def test_an_ensemble_flies_as_each_of_its_vehicles(paper_vehicle: Vehicle) -> None:
     # Scatter is drawn for each vehicle apart; the rest is shared.
     on = replace(usual(), scatter=0.0)
@@ -226,6 +228,7 @@ def test_a_turned_imu_reads_turned_axes(paper_vehicle: Vehicle) -> None:
     assert turned.rates() == turned.imu()[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mission", ["gentle", "climbs", "acro"])
 def test_doublets_reach_their_rates_and_stay_in_place(mission: str) -> None:
     flown = ALL_MISSIONS[mission]

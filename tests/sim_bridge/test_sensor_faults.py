@@ -72,6 +72,7 @@ def rpm_of(messages: list[Any]) -> np.ndarray:
     return np.array([m.rpm for m in messages if m.get_type() in names])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autopilot", ["px4", "copter"])
 def test_rotor_speeds_that_lie(autopilot: str, request: pytest.FixtureRequest) -> None:
     make: OpenDesk = request.getfixturevalue(autopilot)
@@ -99,6 +100,7 @@ def test_signed_rotor_speeds(px4: OpenDesk) -> None:
     np.testing.assert_array_equal(signed, plain * [1, 1, -1, -1])
 
 
+@pytest.mark.slow
 def test_old_rotor_speeds_under_fresh_stamps(px4: OpenDesk) -> None:
     status = of_type(px4("rpm-repeats=0.4", noise="mems").hear(6.0), "ESC_STATUS")
     repeats = [a.rpm == b.rpm for a, b in pairwise(status)]
@@ -108,6 +110,7 @@ def test_old_rotor_speeds_under_fresh_stamps(px4: OpenDesk) -> None:
     assert sum(a.rpm == b.rpm for a, b in pairwise(again)) == 0
 
 
+@pytest.mark.slow
 def test_quaternions_flip_and_stay_the_same_attitude(px4: OpenDesk) -> None:
     heard = of_type(px4("quaternion-flips").hear(6.0), "ATTITUDE_QUATERNION")
     plain = of_type(px4().hear(6.0), "ATTITUDE_QUATERNION")
@@ -126,6 +129,7 @@ def force_of(messages: list[Any]) -> np.ndarray:
     return np.array([[m.xacc, m.yacc, m.zacc] for m in of_type(messages, "HIGHRES_IMU")])
 
 
+@pytest.mark.slow
 def test_gyro_outliers(px4: OpenDesk) -> None:
     off = np.abs(gyro_of(px4("gyro-outliers=0.01").hear(8.0)) - gyro_of(px4().hear(8.0)))
     struck = off.max(axis=1) > 1.0
@@ -134,6 +138,7 @@ def test_gyro_outliers(px4: OpenDesk) -> None:
     assert ((off > 0.0).sum(axis=1) <= 1).all()
 
 
+@pytest.mark.slow
 def test_accelerometer_outliers(px4: OpenDesk) -> None:
     spoilt = px4("accelerometer-outliers=0.01").hear(8.0)
     off = np.abs(force_of(spoilt) - force_of(px4().hear(8.0)))
@@ -143,6 +148,7 @@ def test_accelerometer_outliers(px4: OpenDesk) -> None:
     assert np.array_equal(gyro_of(spoilt), gyro_of(px4().hear(8.0)))
 
 
+@pytest.mark.slow
 def test_attitude_outliers(px4: OpenDesk) -> None:
     spoilt, plain = px4("attitude-outliers=0.05").hear(8.0), px4().hear(8.0)
     angles = [
@@ -162,6 +168,7 @@ def test_attitude_outliers(px4: OpenDesk) -> None:
     assert np.allclose(np.linalg.norm(quaternions[0], axis=1), 1.0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_frozen_imu_repeats_all_its_values(px4: OpenDesk) -> None:
     messages = px4("imu-frozen=0.05").hear(8.0)
     values = np.hstack([gyro_of(messages), force_of(messages)])
@@ -244,6 +251,7 @@ def test_the_clock_is_set_in_flight(px4: OpenDesk, by: float, least: float) -> N
     assert set(np.diff(numbers)) == {1, -255}  # no reboot
 
 
+@pytest.mark.slow
 def test_the_gyro_is_the_mean_of_the_interval_that_ends_at_its_stamp(px4: OpenDesk) -> None:
     desk = px4("gyro-average")
     rates = [desk.simulation.state.rates]
@@ -264,6 +272,7 @@ def test_the_gyro_is_the_mean_of_the_interval_that_ends_at_its_stamp(px4: OpenDe
     assert desk.autopilot.rotor_delay == pytest.approx(-0.002)
 
 
+@pytest.mark.slow
 def test_streams_that_are_late(px4: OpenDesk) -> None:
     plain = px4().hear(4.0)
     late = px4("rotor-late=8").hear(4.0)
@@ -278,6 +287,7 @@ def test_streams_that_are_late(px4: OpenDesk) -> None:
     assert px4("rotor-late=8").autopilot.rotor_delay == pytest.approx(0.008)
 
 
+@pytest.mark.slow
 def test_skipped_samples_leave_no_gap_in_the_sequence(px4: OpenDesk) -> None:
     heard = px4("skips=0.02").hear(8.0)
     stamps = np.array([m.time_usec for m in of_type(heard, "HIGHRES_IMU")])
@@ -375,6 +385,7 @@ def test_outputs_are_counted_with_those_that_drive_nothing(px4: OpenDesk) -> Non
     assert (servo.servo5_raw, servo.servo16_raw) == (900, 900)
 
 
+@pytest.mark.slow
 def test_others_on_the_link(px4: OpenDesk) -> None:
     heard = px4("forwarded", "radio").hear(3.0)
     by_source: dict[tuple[int, int], Counter[str]] = {}
@@ -416,6 +427,7 @@ def test_rotor_input(
     assert not left_out & names
 
 
+@pytest.mark.slow
 def test_traps_are_seeded(tmp_path: Path) -> None:
     def fly(name: str, seed: str) -> bytes:
         path = tmp_path / name

@@ -30,6 +30,7 @@ def autocorrelation(x: np.ndarray, lag: int) -> float:
     return float(np.mean(x[lag:] * x[:-lag]) / np.mean(x * x))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [20.0, 250.0])
 @pytest.mark.parametrize("kind", [LowPass, HighPass])
 def test_coloured_noise_has_the_stationary_sigma(kind, rate: float) -> None:  # type: ignore[no-untyped-def]

@@ -103,6 +103,7 @@ def damaged(rng, data, first):
     return bytes(data)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(60))
 def test_logs_of_every_kind_are_read_as_a_plain_reader_reads_them(seed):
     rng = random.Random(seed)
@@ -195,6 +196,7 @@ def test_after_a_damaged_frame_the_next_i_frame_counts():
     assert frames.lost == 7
 
 
+@pytest.mark.slow
 def test_a_truncated_log_is_read_to_its_end():
     writer, _ = plain_log()
     whole = frames_of(writer.data).main.values.tolist()

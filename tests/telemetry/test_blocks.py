@@ -239,6 +239,7 @@ def compare_singly(path, wanted=None):
     assert vars(blocks.decoder.clock) == vars(single.decoder.clock)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(40))
 def test_blocks_make_what_single_frames_make(tmp_path, make_sender, seed):
     path = tmp_path / "odd.tlog"
@@ -248,6 +249,7 @@ def test_blocks_make_what_single_frames_make(tmp_path, make_sender, seed):
     compare(path, window, [None, None, (2, None), (9, 1)][seed // 4 % 4], rng)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(9))
 def test_frames_that_come_one_at_a_time_make_the_same(tmp_path, make_sender, seed):
     path = tmp_path / "odd.tlog"
@@ -255,6 +257,7 @@ def test_frames_that_come_one_at_a_time_make_the_same(tmp_path, make_sender, see
     compare_singly(path, [None, (2, None), (9, 1)][seed // 3])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_blocks_go_over_from_a_stray_heartbeat_to_the_vehicle_alike(tmp_path, make_sender, seed):
     path = tmp_path / "stray.tlog"

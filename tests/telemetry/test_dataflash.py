@@ -192,6 +192,7 @@ def test_damaged_stamps_and_values_are_left_out_and_counted(tmp_path, flight, pa
     assert log.as_dict()["duration"] < 5.0
 
 
+@pytest.mark.slow
 def test_damaged_logs_give_records_or_one_line(tmp_path, flight):
     data = flight.bytes()
     path = tmp_path / "hurt.bin"
@@ -240,6 +241,7 @@ def test_what_is_no_log_gives_one_line(tmp_path, content):
         read_dataflash(path)
 
 
+@pytest.mark.slow
 def test_one_flight_recorded_both_ways_agrees(shared_logs):
     ways = []
     for name in ("ardupilot-sitl.tlog", "ardupilot-sitl.bin"):

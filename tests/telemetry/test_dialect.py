@@ -55,6 +55,7 @@ def test_checksums_are_taken_by_fastcrc():
     assert mavlink.mcrf4xx is fastcrc.crc16.mcrf4xx
 
 
+@pytest.mark.slow
 def test_generated_files_are_what_the_generator_makes(tmp_path):
     table = (FOLDER / "known_messages.py").read_text(encoding="utf-8")
     if f"pymavlink {pymavlink.__version__}," not in table:

@@ -38,6 +38,7 @@ def test_all_frames_are_found(stream):
     assert scanner.garbage_bytes == scanner.bad_crc == 0
 
 
+@pytest.mark.slow
 @FIXTURES
 @given(cuts=st.lists(st.integers(0, 5000), max_size=200), seed=st.integers(0, 500))
 def test_frames_do_not_depend_on_chunking(damage, stream, cuts, seed):

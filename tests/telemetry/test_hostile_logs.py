@@ -189,6 +189,7 @@ def as_pyulog(path):
     return topics, log.initial_parameters, changed, dropouts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["px4-sih-default.ulg", "public/px4-sitl.ulg"])
 def test_a_log_is_read_as_by_pyulog(shared_logs, name):
     path = shared_logs / name

@@ -214,6 +214,7 @@ def test_a_reboot_is_told(sender):
     assert "100.0 s" in event.text
 
 
+@pytest.mark.slow
 def test_rates_are_by_the_vehicles_clock(sender):
     intake = Intake()
     intake.frames([sender.heartbeat()])
@@ -270,6 +271,7 @@ def test_damaged_and_unknown_frames_are_counted_and_make_no_records(sender):
     assert (health.received, health.rejected, health.unknown) == (2, 1, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10))
 def test_a_recording_gives_the_live_sessions_records_and_counts(tmp_path, sender, seed):
     rng = random.Random(seed)
@@ -297,6 +299,7 @@ def test_a_recording_gives_the_live_sessions_records_and_counts(tmp_path, sender
     assert len(records) > 1100
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "vehicle", "streams"),
     [

@@ -117,6 +117,7 @@ def test_units_and_axes_of_others_come_out_as_ours(folder, delimiter):
     assert log.vehicle.vehicle_type == 2  # MAV_TYPE_QUADROTOR
 
 
+@pytest.mark.slow
 def test_parquet_is_the_same(folder):
     pa = pytest.importorskip("pyarrow")
     parquet = pytest.importorskip("pyarrow.parquet")

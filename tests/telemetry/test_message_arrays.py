@@ -122,6 +122,7 @@ def test_windows_joined_are_the_whole(tmp_path, stream):
         assert joined.tobytes() == rows.tobytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [range(first, first + 20) for first in range(0, 200, 20)])
 def test_damaged_logs_give_no_less_than_pymavlink_and_nothing_wrong(
     damage, tmp_path, stream, pymavlink_reads, seeds

@@ -73,6 +73,7 @@ def live(frames, cuts):
     return records
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", NEW)
 def test_a_row_alone_takes_up_a_message(what, sender, tmp_path, monkeypatch):
     row, make = NEW[what]

@@ -54,6 +54,7 @@ def test_names_of_own_other_and_unknown_messages():
     assert message_name(60_999) == "UNKNOWN_60999"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["px4-esc-cg.tlog", "ardupilot-sitl.tlog", "public/real-quad-mavlink1.tlog"]
 )

@@ -48,6 +48,7 @@ def test_no_other_message_can_be_sent(cls, gate, sent, make_message):
         assert not sent
 
 
+@pytest.mark.slow
 def test_no_other_command_can_be_sent():
     numbers = set(everything.enums["MAV_CMD"]) | set(range(0, 65536, 7)) | ALLOWED_COMMANDS
     names = set(mavlink.mavlink_map) | {0.0, 1.0, 148.0, 300.0}
@@ -75,6 +76,7 @@ def group(stream, rate, start=1, target=(1, 1)):
     return mavlink.MAVLink_request_data_stream_message(*target, stream, rate, start)
 
 
+@pytest.mark.slow
 def test_no_other_group_can_be_asked_for():
     forms = [(s, r, b) for s in range(256) for r in (0, 1, 50, 51, 65535) for b in range(256)]
     passing = {form for form in forms if is_allowed(group(*form))}
@@ -169,6 +171,7 @@ def modules():
             yield name, ast.parse(path.read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_no_other_module_writes_to_a_link_or_socket():
     calls = {"send", "sendto", "sendall", "sendmsg", "send_bytes"}
     writers = set()
@@ -186,6 +189,7 @@ def test_no_other_module_writes_to_a_link_or_socket():
     assert writers <= links | {"web/share.py"}
 
 
+@pytest.mark.slow
 def test_no_other_module_opens_a_socket_or_a_port():
     users = set()
     for name, tree in modules():
@@ -204,6 +208,7 @@ def test_no_other_module_opens_a_socket_or_a_port():
     assert users <= {"telemetry/link.py", "telemetry/udp_link.py"}
 
 
+@pytest.mark.slow
 def test_what_speaks_to_browsers_never_has_a_link():
     """web/ has sockets of its own, but nothing that leads to a vehicle."""
     for name, tree in modules():

@@ -120,6 +120,7 @@ def test_what_is_written_is_read(tmp_path, flight):
     assert writer.summary() == f"recorded to {path}"
 
 
+@pytest.mark.slow
 def test_flushed_frames_are_in_the_file_while_it_is_open(tmp_path, flight):
     path = tmp_path / "flight.tlog"
     with TlogWriter(path) as writer:
@@ -128,6 +129,7 @@ def test_flushed_frames_are_in_the_file_while_it_is_open(tmp_path, flight):
         assert len(list(read_tlog(path))) == 1
 
 
+@pytest.mark.slow
 def test_an_existing_file_is_not_overwritten_unless_told(tmp_path, flight):
     path = tmp_path / "flight.tlog"
     path.write_bytes(b"precious")
@@ -143,6 +145,7 @@ def test_an_existing_file_is_not_overwritten_unless_told(tmp_path, flight):
     assert list(read_tlog(path)) == flight[:1]
 
 
+@pytest.mark.slow
 def test_a_file_that_appears_meanwhile_is_not_overwritten(tmp_path, flight, monkeypatch):
     path = tmp_path / "flight.tlog"
     real, taken = tlog_writer.open_file, []

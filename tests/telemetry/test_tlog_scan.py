@@ -96,6 +96,7 @@ def test_a_frame_found_after_garbage_has_its_own_time_if_that_is_whole(raws):
     assert counts.repaired_times == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(30))
 def test_windows_of_any_size_give_the_same_frames_times_and_counts(raws, seed):
     rng = random.Random(seed)

@@ -127,6 +127,7 @@ def test_escs_are_put_in_motor_order(tmp_path, ulog_file, of):
     np.testing.assert_allclose(record.values, np.array([40.0, 20.0]) * math.pi)
 
 
+@pytest.mark.slow
 def test_damaged_logs_give_records_or_one_line(tmp_path, flight):
     data = flight.bytes()
     path = tmp_path / "hurt.ulg"
@@ -171,6 +172,7 @@ def test_what_is_no_log_gives_one_line(tmp_path, capsys, content, says):
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.slow
 def test_one_flight_recorded_both_ways_gives_the_same_records(shared_logs):
     ways = {}
     for suffix in ("tlog", "ulg"):

@@ -36,6 +36,7 @@ def twin(result):
     return gcs_sysid.fly_twin(result, SAMPLE)
 
 
+@pytest.mark.slow
 def test_a_result_of_the_same_log_is_fitted_again_to_the_first_part(twin, result):
     assert twin.same_flight
     ((start, end),) = twin.judged
@@ -67,6 +68,7 @@ def test_errors_grow_from_the_measured_state(twin):
     assert growth.guess["attitude"][-1] > 5.0 * growth.rms["attitude"][-1]
 
 
+@pytest.mark.slow
 def test_a_wrong_model_leaves_the_band(result):
     """The band is of what the result claims: a vehicle with another inertia flies out of it."""
     elsewhere = replace(result, source="another.tlog", validation={})
@@ -105,6 +107,7 @@ def test_the_picture_is_whole_and_escaped(twin):
     assert "<b>&.json" in "".join(page.itertext())
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_the_function_gives(tmp_path, capsys, result, twin):
     result.write(tmp_path / "sample.json")
     out, picture = tmp_path / "twin.json", tmp_path / "twin.svg"
@@ -122,6 +125,7 @@ def test_the_command_writes_what_the_function_gives(tmp_path, capsys, result, tw
     assert "exists" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "status", "says"),
     [
@@ -147,6 +151,7 @@ def test_what_cannot_be_flown_is_one_line(tmp_path, capsys, result, arguments, s
     assert says in told.err
 
 
+@pytest.mark.slow
 def test_the_same_flight_is_known_by_any_name(tmp_path, result):
     """By its content, by its numbers whatever was given, and where it is gone by its name."""
     again = gcs_sysid.analyze(SAMPLE, "paper", mass=1.6)
@@ -255,6 +260,7 @@ def test_the_report_flies_the_first_part_only(tmp_path, twin):
     assert shown == pytest.approx(math.degrees(twin.accuracy[1.0]["rates"].rms), rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_recorder_keeps_no_more_than_it_is_asked_for():
     whole, half = FlightRecorder(), FlightRecorder(20.0)
     both = SimpleNamespace(

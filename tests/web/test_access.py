@@ -181,6 +181,7 @@ def test_a_port_in_use_is_one_clear_line(page):
             site.start()
 
 
+@pytest.mark.slow
 def test_where_there_is_no_serving_no_session_begins(tmp_path, capsys):
     with (
         socket.create_server(("127.0.0.1", 0)) as taken,

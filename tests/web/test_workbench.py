@@ -233,6 +233,7 @@ def test_the_airframe_is_proposed_from_the_log(fly):
     assert len(airframe_of(parse_request(asked), flight.tlog).rotors) == 6
 
 
+@pytest.mark.slow
 def test_a_log_without_its_layout_asks_for_one(paper_flight):
     assert log_worker.look(paper_flight.tlog, lambda *_: None)["airframe"] is None
     with pytest.raises(InputError, match="choose or draw the airframe"):
