@@ -53,6 +53,17 @@ def test_grams_and_a_reinterpreted_unit_are_partial_and_say_why(capsys):
 
 
 @pytest.mark.slow
+def test_a_mass_that_only_another_unit_explains_identifies_no_inertia(capsys):
+    """Ten times too heavy is no implausible mass for the arm."""
+    out = printed(capsys, "analyze", SAMPLE, "--airframe", "paper", "--mass", "15")
+    assert out.startswith("partial: ")
+    assert "rotor speeds were read as rad/s" in out
+    rows = rows_of(out)
+    assert {rows[name][-1] for name in ("Ixx", "Iyy", "Izz", "k_T", "k_M")} == {"weak"}
+    assert rows["cg_x"][-1] == "identified"
+
+
+@pytest.mark.slow
 def test_zero_has_a_limit_and_no_percentage(capsys):
     rows = rows_of(printed(capsys, "analyze", SAMPLE, "--airframe", "paper"))
     assert rows["rotational_damping"][:2] == ["~0", "(<"]

@@ -67,8 +67,8 @@ def test_the_arm_of_a_layout_is_a_placeholder():
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"mass": 1500.0}, "a mass of 1500 kg does not fit an arm of 0.25 m"),  # grams
-        ({"mass": 0.0015}, "does not fit an arm of 0.25 m"),  # tonnes
+        ({"mass": 1500.0}, "a mass of 1500 kg is implausible for an arm of 0.25 m"),  # grams
+        ({"mass": 0.0015}, "is implausible for an arm of 0.25 m"),  # tonnes
         ({"k_T": 1.25e-5 * (30.0 / math.pi) ** 2 * 100.0}, "check mass (kg), arm (m) and the unit"),
         ({"k_T": 1e-9}, "check mass (kg), arm (m) and the unit"),
         ({"Ixx": 0.2}, "Ixx is 2.1 of mass x arm^2, expected 0.01 to 1"),
@@ -98,12 +98,14 @@ def test_full_thrust_against_weight():
         assert bool(text) is bool(said)
 
 
-def test_reinterpreted_units_concern_what_speeds_give():
+def test_reinterpreted_units_concern_what_goes_with_the_mass():
+    """Either the unit was wrong, or the mass by which it was judged."""
     found = objections(values(), QUAD, "speed", reinterpreted=True)
     assert "read as rad/s" in found[0].reason
     statuses = capped(values(), found)
     assert statuses["k_T"].status == statuses["rotor_inertia"].status == "weak"
-    assert statuses["Ixx"].status == "identified"
+    assert statuses["Ixx"].status == "weak"
+    assert statuses["cg_x"].status == "identified"
 
 
 def test_vehicles_of_the_documentation_are_well_within_the_range():

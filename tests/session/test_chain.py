@@ -308,3 +308,15 @@ def test_a_rotor_stream_that_dies_and_comes_again_is_told():
     assert died.startswith("ESC_STATUS rotor 2 reads 0 while the others move, and no other")
     assert again == "ESC_STATUS is usable again: the estimate continues"
     assert other.endswith("estimate restarts")
+
+
+@pytest.mark.slow
+def test_a_refused_result_identifies_nothing(paper_records):
+    """As where a flight is long enough for thrust over mass, and not for the rotation."""
+    chain, whole = run(paper_records)
+    assert whole.parameters["k_T"].status == "identified"
+    chain._learner.fit = replace(chain._learner.fit, rotation=None)
+    result = chain.result()
+    assert result.verdict == "refused"
+    assert result.parameters["k_T"].value == pytest.approx(whole.parameters["k_T"].value)
+    assert {e.status for e in result.parameters.values()} <= {"given", "weak", "unobservable"}

@@ -23,8 +23,9 @@ Range = tuple[float, float]
 class PlausibleRanges:
     """Ranges of multirotors; arm is the mean distance of the rotors from the geometric center."""
 
-    density: Range = (5.0, 5000.0)
-    """Mass over arm cubed, kg/m^3. Vehicles of the table: 52 to 787."""
+    density: Range = (10.0, 2500.0)
+    """Mass over arm cubed, kg/m^3. Vehicles of the table: 52 to 787; of the article: 34; a 3-inch quad
+    with ducts: 898."""
     rotor: Range = (1e-5, 0.05)
     """k_T over the fourth power of the arm, kg/m^3: C_T rho D^4 / (4 pi^2) for thrust coefficients
     of 0.06 to 0.16 and diameters of 0.3 to 1.5 arms, the upper end doubled for coaxial pairs."""
@@ -39,7 +40,8 @@ class PlausibleRanges:
 RANGES = PlausibleRanges()
 _BY_ARM = frozenset(name for name, p in PARAMETERS.items() if p.theta)
 """Read off torque over angular acceleration, in proportion to the arm."""
-_BY_SPEED = frozenset({"k_T", "k_M", "rotor_inertia"})
+_BY_SCALE = frozenset(name for name, p in PARAMETERS.items() if p.scale != "none")
+"""In proportion to mass or thrust."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ def objections(
             Objection(
                 "rotor speeds were read as rad/s, because as rpm they could not carry this mass: "
                 "check --mass (kg) and --arm (m), or the unit that the ESCs send",
-                _BY_SPEED,
+                _BY_SCALE,
             )
         )
     found = {
@@ -120,8 +122,8 @@ def _sizes(
     low, high = (limit * arm**3 for limit in RANGES.density)
     if not low <= mass <= high:
         yield (
-            f"a mass of {mass:.4g} kg does not fit an arm of {arm:.3g} m (multirotors of this size "
-            f"weigh {_short(low)} to {_short(high)} kg): mass is in kg, arm in m"
+            f"a mass of {mass:.4g} kg is implausible for an arm of {arm:.3g} m (multirotors of this "
+            f"size weigh {_short(low)} to {_short(high)} kg): mass is in kg, arm in m"
         )
         return
     name = THRUST_OF[rotor_input]
@@ -173,7 +175,8 @@ _TRIANGLE = 1.05
 
 
 def _short(kilograms: float) -> str:
-    return f"{kilograms:.0f}" if kilograms >= 100.0 else f"{kilograms:.2g}"
+    short = f"{kilograms:.2g}"
+    return f"{float(short):.0f}" if kilograms >= 10.0 else short
 
 
 def _within(value: float, range_: Range) -> bool:

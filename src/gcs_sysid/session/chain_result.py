@@ -70,9 +70,7 @@ class Findings:
         """All of it."""
         values = self.learner.values(self.learner.fit, self._anchor)
         objections = self._objections(values)
-        capped = plausibility.capped(values, objections)
         fit, anchor = self.learner.fit, self._anchor
-        parameters = self._estimates(capped, fit, anchor, self._bounds())[0]
         # What is implausible is partial at most, but not refused.
         whole = self._estimates(values, fit, anchor)[1]
         word, reasons = verdict(whole, self.learner.rotor_input, self.learner.fit.rigid_body_test)
@@ -87,6 +85,10 @@ class Findings:
         else:
             reasons = (*first, *(objection.reason for objection in objections), *reasons)
             word = "partial" if objections and word == "identified" else word
+        # Refused: nothing of it is identified.
+        none = plausibility.Objection("", frozenset(values if word == "refused" else ()))
+        capped = plausibility.capped(values, (*objections, none))
+        parameters = self._estimates(capped, fit, anchor, self._bounds())[0]
         past = self._past_values()
         reasons = reasons if word != "identified" else ()
         if isinstance(self.offline, str):
