@@ -24,8 +24,8 @@ class PlausibleRanges:
     """Ranges of multirotors; arm is the mean distance of the rotors from the geometric center."""
 
     density: Range = (10.0, 2500.0)
-    """Mass over arm cubed, kg/m^3. Vehicles of the table: 52 to 787; of the article: 34; a 3-inch quad
-    with ducts: 898."""
+    """Mass over arm cubed, kg/m^3. Vehicles of the table: 52 to 787; of the article: 34; a 3-inch
+    quad with ducts: 898."""
     rotor: Range = (1e-5, 0.05)
     """k_T over the fourth power of the arm, kg/m^3: C_T rho D^4 / (4 pi^2) for thrust coefficients
     of 0.06 to 0.16 and diameters of 0.3 to 1.5 arms, the upper end doubled for coaxial pairs."""
@@ -122,8 +122,8 @@ def _sizes(
     low, high = (limit * arm**3 for limit in RANGES.density)
     if not low <= mass <= high:
         yield (
-            f"a mass of {mass:.4g} kg is implausible for an arm of {arm:.3g} m (multirotors of this "
-            f"size weigh {_short(low)} to {_short(high)} kg): mass is in kg, arm in m"
+            f"a mass of {mass:.4g} kg is implausible for an arm of {arm:.3g} m (multirotors of "
+            f"this size weigh {_short(low)} to {_short(high)} kg): mass is in kg, arm in m"
         )
         return
     name = THRUST_OF[rotor_input]
