@@ -29,13 +29,16 @@ KNOWN = {
         *((0, "cw"), (180, "cw"), (45, "ccw"), (135, "ccw")),
         *((-45, "ccw"), (-135, "ccw"), (-90, "cw"), (90, "cw")),
     ],
+    # Betaflight: mixerQuadX of mixer_init.c, propellers turning inward in front.
+    "betaflight-quad-x": [(135, "cw"), (45, "ccw"), (-135, "ccw"), (-45, "cw")],
 }
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_motors_are_numbered_and_turn_as_the_autopilot_has_them(name):
     rotors = layout_rotors(name, 0.3)
-    for rotor, (angle, spin) in zip(rotors, KNOWN[name.partition("-")[2]], strict=True):
+    known = KNOWN.get(name) or KNOWN[name.partition("-")[2]]
+    for rotor, (angle, spin) in zip(rotors, known, strict=True):
         assert math.hypot(rotor.x, rotor.y) == pytest.approx(0.3)
         turned = math.degrees(math.atan2(rotor.y, rotor.x)) - angle
         assert math.remainder(turned, 360.0) == pytest.approx(0.0, abs=1e-6)

@@ -113,6 +113,7 @@ LAYOUTS = (
     "px4-quad-x", "ardupilot-quad-x", "px4-quad-plus", "ardupilot-quad-plus",
     "px4-hexa-x", "ardupilot-hexa-x", "px4-hexa-plus", "ardupilot-hexa-plus",
     "px4-octo-x", "ardupilot-octo-x", "px4-octo-plus", "ardupilot-octo-plus",
+    "betaflight-quad-x",
 )  # fmt: skip
 """Names of `setup_help.layouts.LAYOUTS` (a test compares); not imported, to start fast."""
 

@@ -123,15 +123,10 @@ def _by_type(vehicle: Vehicle, parameters: Mapping[str, float]) -> GuessedAirfra
     if vehicle.key not in ("px4", "ardupilot"):
         if shape != "quad":
             raise InputError("where are the rotors? Give --airframe FILE.toml")
-        airframe, origin = _betaflight(), f"quad X in Betaflight's order {ASSUMED}"
+        airframe = _bare(load_airframe("betaflight-quad-x"))
+        origin = f"quad X in Betaflight's order {ASSUMED}"
     else:
         airframe = _bare(load_airframe(f"{vehicle.key}-{shape}-x"))
         origin = f"{shape} X in the autopilot's order {ASSUMED}"
     airframe = airframe.with_arm(_USUAL_ARM)
     return GuessedAirframe(airframe, f"{origin}, {size}", _UNKNOWN_ARM, assumed=True)
-
-
-def _betaflight() -> Airframe:
-    """Rear right (clockwise), front right, rear left, front left."""
-    places = ((-1.0, 1.0, -1), (1.0, 1.0, 1), (-1.0, -1.0, 1), (1.0, -1.0, -1))
-    return Airframe("betaflight-quad-x", tuple(Rotor(x, y, s) for x, y, s in places))

@@ -28,10 +28,10 @@ LAYOUTS = {
     f"{autopilot}-{shape}": f"{shape_title}, {title}'s motor order"
     for shape, shape_title in _SHAPES.items()
     for autopilot, title in _AUTOPILOTS.items()
-}
+} | {"betaflight-quad-x": "quad X, Betaflight's motor order"}
 """Name -> what it is, in words."""
 
-TWO_LENGTHS = ("px4-quad-x", "ardupilot-quad-x")
+TWO_LENGTHS = ("px4-quad-x", "ardupilot-quad-x", "betaflight-quad-x")
 """Layouts that need not be square: forward and sideways may differ."""
 
 USUAL_ARM = 0.25
