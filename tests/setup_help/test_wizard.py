@@ -72,7 +72,7 @@ def test_slips_are_answered_at_once_with_a_word():
     assert found.name == "mine"
     for word in (
         *(
-            "from 1 to 13",
+            "from 1 to 14",
             "decimals with a point",
             "'far' is not a number",
             "positive",
