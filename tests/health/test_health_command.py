@@ -163,6 +163,36 @@ def test_slow_rotors_get_health_from_analyze_and_inspect(fly, tmp_path, capsys):
 
 
 @pytest.mark.slow
+def test_a_wrong_motor_order_tells_no_cg_anywhere(fly, tmp_path, capsys):
+    turned = fly(*HOVER[:6], "--airframe", "ardupilot-quad-x", "--seed", "5")
+    out, report = tmp_path / "r.json", tmp_path / "r.html"
+    rotors = load_airframe("ardupilot-quad-x").rotors
+    tables = "".join(
+        f"[[rotor]]\nx = {r.x}\ny = {r.y}\nspin = {'ccw' if r.spin > 0 else 'cw'!r}\n"
+        for r in (rotors[2], rotors[1], rotors[0], rotors[3])
+    )
+    file = tmp_path / "swapped.toml"
+    file.write_text(f"name = 'swapped'\n{tables}")
+    wrong = [str(turned.tlog), "--airframe", str(file), "--mass", "1.5"]
+    assert run(["analyze", *wrong, "--json", str(out), "--report", str(report)]) == 1
+    text = capsys.readouterr()
+    says = "as flown, motor 1 is front right, 2 rear left, 3 front left, 4 rear right"
+    assert says in text.err
+    assert "What its hover still shows" not in text.out
+    health = json.loads(out.read_text())["health"]
+    assert (health["verdict"], health["cg"], health["autopilot_parameters"]) == (
+        "refused",
+        None,
+        {},
+    )
+    assert says in health["reasons"][0]
+    assert says in report.read_text("utf-8")
+    assert run(["health", *wrong]) == 1
+    assert says in capsys.readouterr().err
+    assert run(["health", str(turned.tlog), "--airframe", "ardupilot-quad-x"]) == 0
+
+
+@pytest.mark.slow
 def test_hover_assessed_by_another_process_is_the_same(flight, tmp_path, monkeypatch, capfd):
     command = ["analyze", str(flight.tlog), "--airframe", "paper", "--json"]
     alone, beside, ended = (tmp_path / f"{name}.json" for name in ("alone", "beside", "ended"))

@@ -5,14 +5,20 @@ import pytest
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.health.airframe_guess import guess_airframe
+from gcs_sysid.health.assessment import HoverRecords, beside_analysis
+from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.motion_layout import layout_by_motion
+from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.rigid_body import mixer
+from gcs_sysid.report.health_picture import health_section
+from gcs_sysid.screen.widgets.health_panel import health_lines
 from gcs_sysid.session.told_layout import place_words, usual_layouts
 from gcs_sysid.signals.columns import RecordBlock, Track
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.vehicles import Vehicle
+from gcs_sysid.web.result_view import why_no_health
 
 RATE = 100.0
 PX4 = Vehicle(1, 1, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4)
@@ -111,6 +117,69 @@ def test_what_is_given_stays_and_what_is_told_too():
         told |= {f"CA_ROTOR{i}_PX": round(rotor.x), f"CA_ROTOR{i}_PY": round(rotor.y)}
         told |= {f"CA_ROTOR{i}_KM": 0.05 * rotor.spin}
     assert places(layout(flight(BETAFLIGHT), None, told).airframe.rotors) == places(given.rotors)
+
+
+class Told:
+    """What a log tells beside its records."""
+
+    vehicle = PX4
+    systems = (PX4,)
+    parameters: dict[str, float] = {}  # noqa: RUF012
+
+
+def health(rotors, **how):
+    """Of a flight with Betaflight's motor order, assessed with these rotors."""
+    keeper = HoverRecords()
+    keeper.begin(Told())
+    for block in flight(BETAFLIGHT, **how):
+        keeper.take(block)
+    airframe = Airframe("mine", rotors).with_arm(0.2).with_anchor("mass", 1.0)
+    return keeper.health("a.tlog", Given(airframe))
+
+
+OTHER_ORDERS = set(usual_layouts(4)) - {"quad bf-x", "quad bf-x-reversed"}
+AS_FLOWN = "as flown, motor 1 is rear right, 2 front right, 3 rear left, 4 front left"
+
+
+@pytest.mark.parametrize("name", sorted(OTHER_ORDERS))
+def test_a_motor_order_that_the_motion_contradicts_tells_no_cg(name):
+    rotors = usual_layouts(4)[name]
+    found = health(rotors, moving=0.1)
+    assert found.contradicted
+    assert not found.told
+    document = document_of(found)
+    assert document["verdict"] == "refused"
+    assert document["cg"] is None
+    assert (document["rotors"], document["advice"]) == ([], [])
+    assert document["autopilot_parameters"] == {}
+    assert AS_FLOWN in document["reasons"][0]
+    panel = " ".join(text for line in health_lines(document, 79) for text, _ in line)
+    assert AS_FLOWN in panel
+    assert AS_FLOWN in str(health_section(document))
+    assert AS_FLOWN in why_no_health({"health": document})[0]
+
+
+def test_the_order_as_flown_keeps_its_cg_and_so_does_one_that_gusts_hide():
+    for rotors in (BETAFLIGHT, usual_layouts(4)["quad bf-x-reversed"]):  # spins do not count
+        found = health(rotors, moving=0.1)
+        assert found.told
+        assert not found.contradicted
+    assert why_no_health({"health": document_of(found)}) == []
+    gusty = layout(flight(BETAFLIGHT, moving=0.01, gusts=1000.0), Airframe("mine", BETAFLIGHT))
+    assert gusty.as_flown == ""
+
+
+def test_an_analysis_refused_by_its_rotors_withholds_the_hover():
+    found = health(BETAFLIGHT, moving=0.1)
+    why = "the motion does not match these rotors: check motor order"
+    withheld = beside_analysis(found, "refused", ("gyro spikes", why))
+    assert withheld.contradicted
+    assert not withheld.told
+    assert why in withheld.reasons[0]
+    assert document_of(withheld)["autopilot_parameters"] == {}
+    # Any other refusal leaves it, and so does the same reason below a result.
+    assert beside_analysis(found, "refused", ("no attitude (ATTITUDE)",)) is found
+    assert beside_analysis(found, "partial", (why,)) is found
 
 
 def test_frames_of_ardupilot():

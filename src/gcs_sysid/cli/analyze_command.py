@@ -15,7 +15,7 @@ from gcs_sysid.cli.health_text import health_text
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.errors import InputError
 from gcs_sysid.estimation.tuning import Tuning
-from gcs_sysid.health.assessment import HoverRecords, health_of_log
+from gcs_sysid.health.assessment import HoverRecords, beside_analysis, health_of_log
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import Given, Health
 from gcs_sysid.model.airframe import Airframe
@@ -85,10 +85,12 @@ def run(options: argparse.Namespace) -> int:
                 unreadable += 1
                 continue
             results.append(result)
-            health = hover.health()
+            health = hover.health(result)
             healths.append(health)
             _print(log, result, truth, deliveries, table=options.json != "-")
-            if result.verdict == "refused" and health is not None and options.json != "-":
+            if health is not None and health.contradicted:
+                output.say(f"gcs-sysid: {log}: no health: {'; '.join(health.reasons)}")
+            elif result.verdict == "refused" and health is not None and options.json != "-":
                 print(f"What its hover still shows:\n\n{health_text(health)}")
             if reporter is not None:
                 document = None if health is None else document_of(health)
@@ -124,12 +126,20 @@ class _Hover:
     def __exit__(self, *_: object) -> None:
         pass
 
-    def health(self) -> Health | None:
-        """None where nothing hovers."""
+    def health(self, result: Result) -> Health | None:
+        """None where nothing hovers, unless the motion contradicts the airframe.
+
+        Args:
+            result: of the analysis.
+        """
+        found = replace(self._assessed(), source=self._log)
+        health = beside_analysis(found, result.verdict, result.reasons)
+        return health if health.told or health.contradicted else None
+
+    def _assessed(self) -> Health:
         assert self.keeper is not None
         _, given, _, span = self._task
-        health = self.keeper.health(self._log, given, span)
-        return health if health.told else None
+        return self.keeper.health(self._log, given, span)
 
 
 class _HoverBeside(_Hover):
@@ -150,13 +160,13 @@ class _HoverBeside(_Hover):
     def __exit__(self, *_: object) -> None:
         self._pool.close()
 
-    def health(self) -> Health | None:
+    def _assessed(self) -> Health:
         """As of `_Hover`; here, where the other process was ended."""
         try:
             health: Health = self._found.result()
         except BrokenExecutor:
             health = _health_of(self._task)
-        return replace(health, source=self._log) if health.told else None
+        return health
 
 
 def _health_of(task: _HoverTask) -> Health:

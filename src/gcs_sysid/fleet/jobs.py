@@ -10,7 +10,7 @@ from typing import Any
 from gcs_sysid import __version__
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import split_mapping, split_session
-from gcs_sysid.health.assessment import HoverRecords
+from gcs_sysid.health.assessment import HoverRecords, beside_analysis
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.model.airframe import Airframe
@@ -105,8 +105,9 @@ def analyze(task: Task) -> Document:
         records = HoverRecords()
         result = analyze_log(Path(task.path), job.airframe, job.vehicle, options, keeper=records)
         made = result.as_json()
-        health = records.health(str(job.log), Given(job.airframe))
-        if health.told:
+        found = records.health(str(job.log), Given(job.airframe))
+        health = beside_analysis(found, result.verdict, result.reasons)
+        if health.told or health.contradicted:
             made["health"] = document_of(health)
     except InputError as error:
         if isinstance(error.__cause__, OSError | MemoryError):

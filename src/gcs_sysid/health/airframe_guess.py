@@ -38,6 +38,7 @@ class GuessedAirframe:
         shown: whether these rotors' moments turn the vehicle, as far as a flight shows.
         explained: share of roll or pitch acceleration, the lesser, that their moments explain over
             tenths of a second; None where too little was flown.
+        as_flown: where the motors are by the motion, in words, where that contradicts `airframe`.
     """
 
     airframe: Airframe
@@ -47,6 +48,7 @@ class GuessedAirframe:
     assumed: bool = False
     shown: bool = False
     explained: float | None = None
+    as_flown: str = ""
 
 
 def guess_airframe(

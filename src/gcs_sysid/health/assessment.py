@@ -1,7 +1,7 @@
 """From a log to the health of its vehicle."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health, RotorHealth
 from gcs_sysid.health.vibration import vibration_of
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.session.reasons import blames_rotors
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import OnboardLog, Telemetry, open_log
@@ -31,6 +32,11 @@ _ORDER = (
     "the vehicle does not rotate as these rotors would make it ({}): give --airframe with the "
     "rotors in the autopilot's motor order"
 )
+_AS_FLOWN = (
+    "the motion does not match this motor order ({}); as flown, {}: give --airframe with the "
+    "rotors in that order"
+)
+_WITHHELD = "CG and rotor shares are withheld: they depend on the motor order, and {}"
 
 
 def health_of_log(
@@ -131,6 +137,8 @@ def health_of(
         span: s between which windows count.
     """
     airframe = guess.airframe
+    if guess.as_flown:
+        return _contradicted(airframe, _AS_FLOWN.format(guess.origin, guess.as_flown))
     problem = _missing(streams)
     windows = None if problem else windows_of(streams, len(airframe.rotors))
     if windows is None:
@@ -155,7 +163,7 @@ def health_of(
         return Health("", airframe=airframe, reasons=(_no_hover(windows),))
     flown = complete_rows(np.column_stack([thrust, windows.turning]))
     if not guess.shown and balance.turns_otherwise(windows.part(flown), airframe, thrust[flown]):
-        return Health("", airframe=airframe, reasons=(_ORDER.format(guess.origin),))
+        return _contradicted(airframe, _ORDER.format(guess.origin))
     hover, thrust = windows.part(sound), thrust[sound]
     assert hover is not None
     health = _balances(streams, hover, thrust, curve if not by_speed else None, guess)
@@ -178,6 +186,33 @@ def health_of(
     weakened, watched = watch_rotors(hover, thrust, c, airframe, places)
     health = replace(health, weakened=weakened, watched=watched)
     return replace(health, advice=advice_of(health, given, guess))
+
+
+def beside_analysis(health: Health, verdict: str, reasons: Sequence[str]) -> Health:
+    """The health to show beside an analysis: withheld where that was refused by the rotors.
+
+    Args:
+        health: of the same log and airframe.
+        verdict: of the analysis.
+        reasons: for it.
+    """
+    refused = verdict == "refused" and next(filter(blames_rotors, reasons), None)
+    if not refused or health.contradicted or not health.told:
+        return health
+    assert health.airframe is not None
+    return replace(
+        _contradicted(health.airframe, _WITHHELD.format(refused)),
+        source=health.source,
+        vehicle=health.vehicle,
+        autopilot=health.autopilot,
+        parameters=health.parameters,
+        explained=health.explained,
+    )
+
+
+def _contradicted(airframe: Airframe, reason: str) -> Health:
+    """Nothing but why: CG, shares and positions all depend on the motor order."""
+    return Health("", airframe=airframe, reasons=(reason,), contradicted=True)
 
 
 def _missing(streams: Streams) -> tuple[str, ...]:

@@ -44,7 +44,8 @@ def layout_by_motion(
 
     Returns:
         The guess, or where it was assumed the layout that the flight shows instead, and the
-        streams of its rotors.
+        streams of its rotors. A layout that was given or logged stays, and `as_flown` tells the one
+        that contradicts it.
     """
     if guess.assumed:
         guess = _of_as_many_as_carry(blocks, guess, autopilot, parameters)
@@ -58,12 +59,11 @@ def layout_by_motion(
     own = max((_explained(airframe.geometry, *motion) for motion in seen), key=_least)
     shown = _least(own) >= TUNING.surely_explained
     guess = replace(guess, explained=_least(own))
+    first = _clearly_best(count, seen)
     if not guess.assumed:
-        return replace(guess, shown=shown), streams
-    best = max((_ranked(count, *motion) for motion in seen), key=lambda ranked: ranked[0].least)
-    first = best[0]
-    rival = max((other.least for other in best[1:] if other.differs(first)), default=0.0)
-    if first.least < max(TUNING.least_explained, TUNING.more_explained * rival):
+        as_flown = "" if first is None else _contradiction(first, airframe, _least(own))
+        return replace(guess, shown=shown and not as_flown, as_flown=as_flown), streams
+    if first is None:
         return replace(guess, shown=shown), streams
     rotors = first.rotors
     size = guess.origin.partition(f" {ASSUMED}, ")[2]
@@ -71,8 +71,7 @@ def layout_by_motion(
     if np.allclose(layout.geometry, airframe.geometry, atol=1e-9):
         origin = guess.origin.replace(f"{ASSUMED}, ", "as the flight shows, ", 1)
         return replace(guess, origin=origin, shown=True, explained=first.least), streams
-    places = ", ".join(f"{i} {place_words(rotor)}" for i, rotor in enumerate(rotors, 1))
-    origin = f"{first.name} as the flight shows: motors {places}; {size}"
+    origin = f"{first.name} as the flight shows: motors {first.places}; {size}"
     found = replace(guess, airframe=layout, origin=origin, shown=True, explained=first.least)
     return found, streams
 
@@ -85,11 +84,36 @@ class _Candidate:
     rotors: tuple[Rotor, ...]
     least: float
 
+    @property
+    def places(self) -> str:
+        """Each motor's, in words."""
+        return ", ".join(f"{i} {place_words(rotor)}" for i, rotor in enumerate(self.rotors, 1))
+
     def differs(self, other: "_Candidate") -> bool:
         """Whether a rotor stands elsewhere; spins do not count."""
         return not np.allclose(
             [(r.x, r.y) for r in self.rotors], [(r.x, r.y) for r in other.rotors], atol=0.1
         )
+
+
+def _clearly_best(count: int, seen: Sequence[tuple[Array, Array]]) -> _Candidate | None:
+    """The layout that explains the motion far better than any other; None where none does."""
+    ranked = [_ranked(count, *motion) for motion in seen]
+    best = max(filter(None, ranked), key=lambda layouts: layouts[0].least, default=None)
+    if best is None:  # no usual layout has as many rotors
+        return None
+    first = best[0]
+    rival = max((other.least for other in best[1:] if other.differs(first)), default=0.0)
+    least = max(TUNING.least_explained, TUNING.more_explained * rival)
+    return first if first.least >= least else None
+
+
+def _contradiction(first: _Candidate, airframe: Airframe, explained: float) -> str:
+    """Where the motors are as flown; empty where the airframe explains the motion as well."""
+    own = _Candidate(airframe.name, airframe.with_arm(1.0).rotors, explained)
+    if first.least < TUNING.more_explained * own.least or not first.differs(own):
+        return ""
+    return "motor " + first.places.replace(" ", " is ", 1)
 
 
 def _ranked(count: int, thrust: Array, turning: Array) -> list[_Candidate]:

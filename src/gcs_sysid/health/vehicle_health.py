@@ -91,6 +91,8 @@ class Health:
         vehicle: as in a result.
         autopilot: "px4", "ardupilot" or another key; "" when not known.
         reasons: why there is no answer; empty when there is one.
+        contradicted: whether the motion contradicts the airframe: then nothing that depends on its
+            motor order is told, and `reasons` say so even where an analysis has its own.
         airframe: that the balances rest on.
         rotor_input: "speed" or "command".
         seconds: of hover.
@@ -125,6 +127,7 @@ class Health:
     vehicle: Mapping[str, Any] = field(default_factory=dict)
     autopilot: str = ""
     reasons: tuple[str, ...] = ()
+    contradicted: bool = False
     airframe: Airframe | None = None
     rotor_input: str = ""
     rotor_source: str = ""

@@ -1,14 +1,16 @@
 """The health of a vehicle while it flies: the hover of the last minutes, every few seconds."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from gcs_sysid.health.assessment import HoverRecords
+from gcs_sysid.health.assessment import HoverRecords, beside_analysis
 from gcs_sysid.health.health_file import condition_text, document_of
 from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.results.result import Result
 from gcs_sysid.signals.columns import RecordBlock, Track, by_key
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import Telemetry
@@ -66,11 +68,14 @@ class HoverWatch:
         if len(self._fresh) > _MOST_WAITING:
             self._join()
 
-    def look(self, airframe: Airframe) -> HoverNews | None:
+    def look(
+        self, airframe: Airframe, result: Callable[[], Result] | None = None
+    ) -> HoverNews | None:
         """What the hover tells now; None where it is not time for another look.
 
         Args:
             airframe: with the scale in force.
+            result: the latest of the identification; asked for where it is time to look.
         """
         if self._now - self._looked < _EVERY:
             return None
@@ -80,6 +85,9 @@ class HoverWatch:
         records.begin(self._telemetry)
         records.take(RecordBlock(tuple(self._kept)))
         health = records.health(self._source, Given(airframe))
+        if result is not None:
+            latest = result()
+            health = beside_analysis(health, latest.verdict, latest.reasons)
         text = ""
         weakened = health.weakened
         if weakened is not None and weakened.condition.rotor != self._named:

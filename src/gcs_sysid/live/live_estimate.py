@@ -155,7 +155,7 @@ class LiveEstimate:
         if self._hover is None:
             return
         try:
-            news = self._hover.look(self.chain.airframe)
+            news = self._hover.look(self.chain.airframe, self.pipeline.result)
         except Exception as defect:  # noqa: BLE001 - the flight goes on without it
             self._hover = self.pipeline.on_records = None
             self.note(f"{in_words(defect)}: health is no longer updated")

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from gcs_sysid.health.assessment import HoverRecords
+from gcs_sysid.health.assessment import HoverRecords, beside_analysis
 from gcs_sysid.health.health_file import document_of
 from gcs_sysid.health.vehicle_health import Given
 from gcs_sysid.live.log_segments import LogSegments
@@ -83,7 +83,8 @@ def survey(
     """
     seen, hover = _Survey(), HoverRecords()
     result = analyze_log(path, airframe, wanted, progress=progress, observer=seen, keeper=hover)
-    health = document_of(hover.health(str(path), Given(airframe)))
+    found = hover.health(str(path), Given(airframe))
+    health = document_of(beside_analysis(found, result.verdict, result.reasons))
     return Recorded(path, airframe, wanted, result, seen.duration, seen.options, health)
 
 

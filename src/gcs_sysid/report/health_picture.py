@@ -71,8 +71,10 @@ def health_section(document: Mapping[str, Any]) -> Markup:
     """The health of the vehicle as a section of a report.
 
     Args:
-        document: a health file's content, in which something hovers.
+        document: a health file's content; where its verdict is "refused", the reasons are all.
     """
+    if document["verdict"] != "told":
+        return section("health", "Health", element("p", "; ".join(document["reasons"])))
     picture = Markup(health_picture(document).strip())
     assumed = "; ".join(document["assumptions"])
     return section(

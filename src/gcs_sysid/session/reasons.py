@@ -11,6 +11,13 @@ from gcs_sysid.signals.sampling import Sampler
 
 _ENOUGH_TO_ANSWER = 10.0
 """s of flight in which roll and pitch are seen to answer the rotors, if they do at all."""
+_MISMATCH = "the motion does not match these rotors"
+_CORRECTED = ": corrected, it would explain the motion far better"
+
+
+def blames_rotors(reason: str) -> bool:
+    """Whether a reason is that the airframe's rotors contradict the motion."""
+    return reason.startswith(_MISMATCH) or reason.endswith(_CORRECTED)
 
 
 def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[str, ...]:
@@ -44,12 +51,12 @@ def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[st
     if Stream.ATTITUDE not in seen:
         return ("no attitude (ATTITUDE or ATTITUDE_QUATERNION)",)
     if learner.fit.other_layout is not None:
-        return (f"{learner.fit.other_layout}: corrected, it would explain the motion far better",)
+        return (f"{learner.fit.other_layout}{_CORRECTED}",)
     if learner.fit.rotation is None:
         if learner.fit.seconds > _ENOUGH_TO_ANSWER:
             return (
-                "the motion does not match these rotors: check motor order and rotor "
-                "positions in the airframe file, and fly roll and pitch",
+                f"{_MISMATCH}: check motor order and rotor positions in the airframe file, and fly "
+                "roll and pitch",
             )
         return ("too little flight with all needed data",)
     rotation = learner.fit.rotation

@@ -11,9 +11,9 @@ from typing import Any
 from gcs_sysid.argument_types import Measured
 from gcs_sysid.errors import InputError
 from gcs_sysid.fleet.limits import MEGABYTE, Limits, OverTime, within
-from gcs_sysid.health.assessment import health_of_log
+from gcs_sysid.health.assessment import beside_analysis, health_of_log
 from gcs_sysid.health.health_file import document_of
-from gcs_sysid.health.vehicle_health import Given
+from gcs_sysid.health.vehicle_health import Given, Health
 from gcs_sysid.inspection.inspector import inspect_log
 from gcs_sysid.model.airframe import Airframe, load_airframe, parse_airframe
 from gcs_sysid.report.data import gather, provenance_of
@@ -87,14 +87,16 @@ def analyze(log: Path, name: str, request: AnalysisRequest, folder: Path, tell: 
         recorder.close()
     tell("analyzing the hover", 0.95)
     document = result.as_json()
-    health = _health(log, name, airframe)
-    if health is not None:
-        document["health"] = health
-        (folder / PICTURE).write_text(health_picture(health), encoding="utf-8")
+    hover = beside_analysis(_health(log, name, airframe), result.verdict, result.reasons)
+    if hover.told:
+        picture = health_picture(document_of(hover))
+        (folder / PICTURE).write_text(picture, encoding="utf-8")
+    if hover.told or hover.contradicted:
+        document["health"] = document_of(hover)
     (folder / RESULT).write_text(
         json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8"
     )
-    return {"verdict": result.verdict, "reasons": list(result.reasons), "health": bool(health)}
+    return {"verdict": result.verdict, "reasons": list(result.reasons), "health": hover.told}
 
 
 def health(log: Path, name: str, table: Mapping[str, Any], folder: Path, tell: Tell) -> Any:
@@ -112,15 +114,16 @@ def health(log: Path, name: str, table: Mapping[str, Any], folder: Path, tell: T
         found = _health(copy, name, airframe)
     finally:
         copy.unlink()
-    if found is None:
+    if found.contradicted:
+        raise InputError("; ".join(found.reasons))
+    if not found.told:
         raise InputError("no health yet: the vehicle has not hovered long enough in this recording")
-    (folder / PICTURE).write_text(health_picture(found), encoding="utf-8")
-    return {"advice": found["advice"], "seconds": found["seconds_of_hover"]}
+    (folder / PICTURE).write_text(health_picture(document_of(found)), encoding="utf-8")
+    return {"advice": list(found.advice), "seconds": found.seconds}
 
 
-def _health(log: Path, name: str, airframe: Airframe) -> dict[str, Any] | None:
-    found = health_of_log(log, Given(airframe))
-    return document_of(replace(found, source=name)) if found.told else None
+def _health(log: Path, name: str, airframe: Airframe) -> Health:
+    return replace(health_of_log(log, Given(airframe)), source=name)
 
 
 def airframe_of(request: AnalysisRequest, log: Path) -> Airframe:

@@ -24,6 +24,18 @@ def verdict_view(result: Result) -> dict[str, Any]:
     }
 
 
+def why_no_health(document: Mapping[str, Any]) -> list[str]:
+    """Why a result's hover tells nothing; empty where it does, or nothing hovers.
+
+    Args:
+        document: of a result's file.
+    """
+    found = document.get("health")
+    if not isinstance(found, dict) or found.get("verdict") != "refused":
+        return []
+    return [f"no health: {reason}" for reason in found["reasons"]]
+
+
 def value_view(estimate: Estimate) -> dict[str, str]:
     """Value, half of the 95 % interval and unit of an estimate, on one power of ten."""
     nothing = {"value": PAGE.nothing, "half": "", "unit": "", "percent": ""}

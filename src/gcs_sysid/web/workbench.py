@@ -20,7 +20,7 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
 from gcs_sysid.web.access import json_of, refuse
 from gcs_sysid.web.log_request import PICTURE, REPORT, RESULT, file_name, parse_request
-from gcs_sysid.web.result_view import comparison_rows, result_rows, verdict_view
+from gcs_sysid.web.result_view import comparison_rows, result_rows, verdict_view, why_no_health
 from gcs_sysid.web.worker_process import WorkerPool
 
 MOST_LOG = 2 << 30
@@ -258,10 +258,13 @@ class Workbench:
     async def _result(self, request: web.Request) -> web.StreamResponse:
         item = self._finished(request.match_info["id"])
         result = await asyncio.to_thread(read_result, item.folder / RESULT)
+        verdict = verdict_view(result)
+        text = await asyncio.to_thread((item.folder / RESULT).read_text, encoding="utf-8")
+        verdict["reasons"] += why_no_health(json.loads(text))
         return web.json_response(
             {
                 **item.as_json(),
-                "verdict": verdict_view(result),
+                "verdict": verdict,
                 "parameters": result_rows(result),
                 "health": (item.folder / PICTURE).exists(),
                 "report": (item.folder / REPORT).exists(),
