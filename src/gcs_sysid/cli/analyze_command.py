@@ -89,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
             healths.append(health)
             _print(log, result, truth, deliveries, table=options.json != "-")
             if result.verdict == "refused" and health is not None and options.json != "-":
-                print(f"What its hover still shows:\n\n{health_text(health)}")
+                print(f"From hover only:\n\n{health_text(health)}")
             if reporter is not None:
                 document = None if health is None else document_of(health)
                 deliveries.give(functools.partial(reporter.write, result, document))

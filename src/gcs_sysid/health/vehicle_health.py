@@ -84,7 +84,7 @@ class RotorHealth:
 
 @dataclass(frozen=True)
 class Health:
-    """What hovering told of a vehicle; all but the first four are empty where nothing hovers.
+    """What hover shows of a vehicle; all but the first four are empty where nothing hovers.
 
     Attributes:
         source: the log.

@@ -89,7 +89,7 @@ def _who_has(port: int, system: str = platform.system()) -> str:
 def listen(
     ears: Sequence[Ear], seconds: float, clock: Callable[[], float] = time.monotonic
 ) -> None:
-    """Hear who speaks, on all links at once, and close them.
+    """Listen for vehicles on all links at once, then close the links.
 
     Args:
         ears: open.
