@@ -13,7 +13,7 @@ the rotors' effects (1, x, y, spin), by least squares.
 
 A weak rotor of four differs from a moved CG by the sum and the yaw balance alone. Each hypothesis
 is fitted by generalized least squares and costs its chi-square; a rotor is named where it beats all
-others by a margin, and else the answer is that they cannot be told apart.
+others by a margin, and else the answer is that they cannot be separated.
 """
 
 import math
