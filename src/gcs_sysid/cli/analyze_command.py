@@ -107,7 +107,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 class _Hover:
-    """What hover tells, from the records that the analysis reads.
+    """What hover shows, from the records that the analysis reads.
 
     Args:
         log: as the user named it.
