@@ -28,7 +28,8 @@ class Tuning:
         more_explained: times what any other layout explains.
         surely_explained: share from which on an airframe's rotors surely turn the vehicle.
         carrying: of the most that the rotors do, from which they may carry the vehicle.
-        least_seen: share of the time in which rotors carry, below which heights do not prove flight.
+        least_seen: share of the time in which rotors carry, below which heights do not prove
+            flight.
         most_rate: rad/s, in hover.
         most_turning: rad/s^2, mean over a window.
         most_lift: relative deviation of thrust over mass from gravity.
@@ -37,7 +38,8 @@ class Tuning:
         rotor_scatter: standard deviation of rotors' k_T about their mean where nothing is known of
             them (3 %: what a set of one make shows; REALITY.md's CineRat and `--physics scatter`).
         curve_std: standard deviation of the thrust curve c where nothing else is known.
-        least_throttle_motion: standard deviation of the mean command, from which the curve is estimated.
+        least_throttle_motion: standard deviation of the mean command, from which the curve is
+            estimated.
         lift_std: relative, of gravity's balance: attitude, own acceleration.
         accelerometer_std: m/s^2, bias of an accelerometer where no attitude is logged.
         unseen_climb: m/s, vertical speed where none is logged.
