@@ -29,10 +29,9 @@ def runs(mask: Mask) -> list[tuple[slice, bool]]:
 
 
 def by_parts(work: Callable[[Array], Array], stack: Array) -> Array:
-    """(k, ...) what work makes of (k, ...) matrices, a few at a time.
+    """Apply `work` to a stack of (k, ...) matrices, a few at a time; (k, ...).
 
-    What they all need in between is then never there for all of them: the matrices may be many, and
-    large.
+    This bounds the memory for intermediate results, as the matrices may be many and large.
     """
     starts = range(0, max(len(stack), 1), _AT_ONCE)
     return np.concatenate([work(stack[start : start + _AT_ONCE]) for start in starts])

@@ -73,14 +73,14 @@ def test_a_swing_that_the_autopilot_damps_is_told_and_expected_no_more():
     came = replace(asked, roll=asked.roll / 3.0, pitch=asked.pitch / 3.0).lasting(11.0)
     mission.add(Swings.from_json(came.as_json()), flight.simulation.time)
     told = []
-    while not any("is reached" in text for text in told) and len(told) < 12:
+    while not any("swing too small" in text for text in told) and len(told) < 12:
         flight.fly(1.0)
         advice = coach.advise()
         told.append(advice.text if advice else "")
-    words = next(text for text in told if "is reached" in text).partition(";")[0]
+    words = next(text for text in told if "swing too small" in text).partition(";")[0]
     degrees = round(np.degrees(asked.roll))
-    assert words.startswith(f"at about {asked.pace:g} Hz only ±")
-    assert words.endswith(f"of ±{degrees}° is reached")
+    assert words.startswith("swing too small (±")
+    assert words.endswith(f"of ±{degrees}° at {asked.pace:g} Hz)")
     share = float(words.partition("±")[2].partition("°")[0]) / degrees
     assert share == pytest.approx(1.0 / 3.0, abs=0.12)
     assert coach.choice is not None

@@ -6,7 +6,7 @@ import pytest
 
 from gcs_sysid.coach.interval_targets import excess, is_enough, shares
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre
-from gcs_sysid.coach.manoeuvre_words import sentence
+from gcs_sysid.coach.manoeuvre_words import damped_words, sentence
 from gcs_sysid.estimation.status import NOTHING, Value
 from gcs_sysid.model.parameters import CORE_OF
 
@@ -77,3 +77,8 @@ def test_enough_is_when_every_interval_is():
     assert not is_enough({}, 0.02)
     assert excess({"a": 0.02, "b": 0.01}, 0.02) == 0.0
     assert excess({"a": None}, 0.02) > excess({"a": 0.5}, 0.02) > 0.0
+
+
+def test_a_damped_swing_is_reported_with_its_size_and_pace():
+    asked = Manoeuvre("roll", roll=math.radians(22.0), pace=0.5)
+    assert damped_words(asked, 12.0 / 22.0) == "swing too small (±12° of ±22° at 0.5 Hz)"

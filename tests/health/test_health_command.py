@@ -151,7 +151,7 @@ def test_slow_rotors_get_health_from_analyze_and_inspect(fly, tmp_path, capsys):
     assert run(["analyze", str(slow.tlog), "--airframe", "paper", "--json", str(out)]) == 1
     text = capsys.readouterr()
     assert "cannot identify from this" in text.err
-    assert "What its hover still shows" in text.out
+    assert "From hover only:" in text.out
     result = json.loads(out.read_text())
     assert result["verdict"] == "refused"
     assert result["health"]["cg"]["x"]["value"] == pytest.approx(slow.truth["cg_x"], abs=2e-3)

@@ -211,7 +211,7 @@ def health() -> dict[str, object]:
     """What its hover tells: the CG aft and to the left, rotor 4 at full command at times."""
     shares, gains = (0.236, 0.268, 0.224, 0.272), (1.01, 0.998, 0.995, 0.902)
     return {
-        "verdict": "told",
+        "verdict": "available",
         "reasons": [],
         "seconds_of_hover": 41.5,
         "rotor_input": "speed",
@@ -232,8 +232,8 @@ def health() -> dict[str, object]:
             for number, (share, gain) in enumerate(zip(shares, gains, strict=True))
         ],
         "advice": [
-            "the CG should go 24 +- 8 mm forward: move the battery by that times the vehicle's "
-            "mass over its own (--mass with --battery-mass works it out)",
+            "shift the CG 24.2 ± 8.0 mm forward. Battery travel = shift × vehicle mass / battery "
+            "mass (computed with --mass and --battery-mass)",
             "motor or ESC 4 turns its rotor with 10 % less speed squared for its command than the "
             "others: look at it",
         ],

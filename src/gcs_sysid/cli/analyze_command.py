@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
             if health is not None and health.contradicted:
                 output.say(f"gcs-sysid: {log}: no health: {'; '.join(health.reasons)}")
             elif result.verdict == "refused" and health is not None and options.json != "-":
-                print(f"What its hover still shows:\n\n{health_text(health)}")
+                print(f"From hover only:\n\n{health_text(health)}")
             if reporter is not None:
                 document = None if health is None else document_of(health)
                 deliveries.give(functools.partial(reporter.write, result, document))
@@ -109,7 +109,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 class _Hover:
-    """What hover tells, from the records that the analysis reads.
+    """What hover shows, from the records that the analysis reads.
 
     Args:
         log: as the user named it.

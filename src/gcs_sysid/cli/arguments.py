@@ -584,7 +584,7 @@ def add_health(parser: argparse.ArgumentParser) -> None:
 
 
 def layout_of(options: argparse.Namespace, told: "Airframe | None" = None) -> "Airframe":
-    """The airframe that is named, or the one told, with the scale that is given, if any.
+    """The airframe that is named, or the one reported, with the scale that is given, if any.
 
     Raises:
         InputError: there is none of that name, or it is no airframe.
@@ -609,12 +609,12 @@ def layout_of(options: argparse.Namespace, told: "Airframe | None" = None) -> "A
 
 
 def is_auto(options: argparse.Namespace) -> bool:
-    """Whether the vehicle is to tell its layout."""
+    """Whether the layout comes from the vehicle."""
     return options.airframe in (None, "auto")
 
 
 def check_scale_given(options: argparse.Namespace) -> None:
-    """See that something sets the scale of an airframe that the vehicle tells.
+    """See that something sets the scale of an airframe that the vehicle reports.
 
     Raises:
         InputError: nothing does.
@@ -622,8 +622,8 @@ def check_scale_given(options: argparse.Namespace) -> None:
     given = (options.mass, options.k_t, options.t_max, getattr(options, "added_mass", None))
     if given.count(None) == len(given):
         raise InputError(
-            f"{NO_SCALE}; without --airframe the rotors are those that the vehicle reports, most "
-            "often with --arm M for their size"
+            f"{NO_SCALE}; without --airframe the layout comes from the log; most logs also need "
+            "--arm M"
         )
 
 
@@ -632,7 +632,7 @@ def airframe_of(options: argparse.Namespace, told: "Airframe | None" = None) -> 
 
     Args:
         options: of the command line.
-        told: the layout that the vehicle tells, which stands for `--airframe`.
+        told: the layout that the vehicle reports, which stands for `--airframe`.
 
     Raises:
         InputError: there is none, or nothing sets the scale.

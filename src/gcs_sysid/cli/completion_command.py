@@ -1,6 +1,6 @@
 """`gcs-sysid completion`: the script that completes its commands with the tab key.
 
-shtab writes it from the parser. Here is what a parser does not tell: where files are meant, and
+shtab writes it from the parser. Here is what a parser does not know: where files are meant, and
 which airframes are built in. The script holds all it needs, so that the key starts no Python.
 """
 

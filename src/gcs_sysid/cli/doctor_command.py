@@ -1,4 +1,4 @@
-"""`gcs-sysid doctor`: is this machine ready, and who speaks?"""
+"""`gcs-sysid doctor`: is this machine ready, and which vehicles are there?"""
 
 import argparse
 import json

@@ -18,7 +18,7 @@ from gcs_sysid.session.analysis import analyze_log
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command; 1 when the result does not tell what the format needs."""
+    """Run the command; 1 when the result lacks what the format needs."""
     if options.signals is not None:
         return _signals(options)
     if options.to is None or options.output is None:

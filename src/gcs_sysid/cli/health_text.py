@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from gcs_sysid.health.autopilot_parameters import suggested
 from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.health_file import condition_text
+from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Health
-from gcs_sysid.results.number_format import PLAIN, significant
+from gcs_sysid.results.number_format import PLAIN, decimals_for, significant
 
 _WIDTH = 79
 _NAME = 20
@@ -16,7 +17,7 @@ _WINDY = 2e-3
 
 
 def health_text(health: Health) -> str:
-    """All that a flight told, in lines."""
+    """All that hover shows of a vehicle, in lines."""
     return "\n".join([*_head(health), "", *_rotors(health), *_parameters(health), *_foot(health)])
 
 
@@ -35,8 +36,9 @@ def _head(health: Health) -> Iterator[str]:
         yield _line(
             "CG " + ("along" if positive == "forward" else "across"),
             f"{PLAIN.measure(1e3 * abs(value), 1e3 * half, 'mm')} {way} of the center "
-            f"(± {flown:.1f} mm if the rotors are alike)",
+            f"(identical rotors: ± {PLAIN.fixed(flown, decimals_for(max(flown, 0.01)))} mm)",
         )
+    yield _line("", f"± includes unequal rotors ({100.0 * TUNING.rotor_scatter:g} %)")
     if health.by_wind is not None and max(map(abs, health.by_wind)) > _WINDY:
         yield _line("  of it by wind", _as_flown(health.by_wind))
     yield from _pure("yaw imbalance", health.yaw_imbalance, 100.0, "% of the load, ccw minus cw")

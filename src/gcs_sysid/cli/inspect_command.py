@@ -22,7 +22,7 @@ WIDEST = 120
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command; 1 when nothing at all was heard on a link."""
+    """Run the command; 1 when nothing at all was received on a link."""
     if options.target is None and options.json not in (None, "-"):
         # `inspect --json LOG`: the option took the log for its file.
         options.target, options.json = options.json, "-"

@@ -302,7 +302,7 @@ def say_until_end(session: Session, announcer: "Announcer | None" = None) -> Non
 
 
 def events_after(last: Event | None, events: Sequence[Event]) -> Sequence[Event]:
-    """The events that came after the last one told; all, when that is long gone."""
+    """The events after the last one printed; all, when that is long gone."""
     for i in range(len(events) - 1, -1, -1):
         if events[i] is last:
             return events[i + 1 :]

@@ -31,7 +31,7 @@ class ReportJob:
         recording: that it is of; may still be growing.
         target: file to write, not there yet.
         airframe: with the anchor in force.
-        vehicle: system and component; None: the first autopilot heard.
+        vehicle: system and component; None: the first autopilot found.
         truth: of an emulated vehicle.
         command: that would make it again.
     """
@@ -48,7 +48,7 @@ def have_written(job: ReportJob) -> None:
     """Have another process write a report, and wait for it.
 
     Raises:
-        InputError: the recording tells nothing, or the file cannot be written.
+        InputError: the recording has no result, or the file cannot be written.
     """
     done = subprocess.run(
         [sys.executable, "-P", "-m", "gcs_sysid.cli.live_report"],

@@ -136,7 +136,8 @@ def _notes(result: Result) -> list[str]:
         )
     spikes = result.telemetry.get("imu_outliers", {}).get("spikes", 0)
     if spikes:
-        notes.append(f"{spikes} gyro spikes were replaced by interpolation")
+        were = "spike was" if spikes == 1 else "spikes were"
+        notes.append(f"{spikes} gyro {were} replaced by interpolation")
     if result.estimator == "offline":
         notes.insert(0, f"offline estimate: {result.method or 'maximum likelihood'}")
     return [*notes, *result.reasons]

@@ -72,7 +72,7 @@ def export_result(target: str, result: Result) -> str:
         result: as it is at this moment.
 
     Raises:
-        GcsSysidError: it does not tell what the format needs, or the file cannot be written.
+        GcsSysidError: it lacks what the format needs, or the file cannot be written.
     """
     vehicle = assemble(result)
     text = TARGETS[target].write(vehicle)
@@ -90,7 +90,7 @@ def report_session(
     """Write a report of a session's recording so far, or of the log, beside it; says where.
 
     Raises:
-        InputError: there is no recording, or it tells nothing yet.
+        InputError: there is no recording, or no result from it yet.
     """
     recording = session.flushed_recording()
     if recording is None:

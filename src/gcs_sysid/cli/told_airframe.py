@@ -29,7 +29,7 @@ def of_log(path: Path, options: argparse.Namespace) -> Airframe:
     """The airframe for a log, by the parameters in it.
 
     Raises:
-        InputError: the log cannot be read, or does not tell; nothing sets the scale.
+        InputError: the log cannot be read, or has no layout; nothing sets the scale.
     """
     log = open_log(path, options.vehicle)
     for _ in log.blocks():
@@ -45,7 +45,7 @@ def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airfram
     """The airframe for a vehicle on a link, which is asked; what comes meanwhile is kept.
 
     Raises:
-        InputError: the vehicle does not tell; nothing sets the scale.
+        InputError: the vehicle reports no layout; nothing sets the scale.
         LinkError: the receiver has died.
     """
     from gcs_sysid.telemetry.intake import Intake

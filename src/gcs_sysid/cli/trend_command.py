@@ -13,7 +13,7 @@ from gcs_sysid.fleet.trend_page import render
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command; 1 when no log of the fleet tells anything."""
+    """Run the command; 1 when no log of the fleet has a result."""
     table.require()
     fleet, target = Path(options.fleet), Path(options.output)
     file = fleet / TABLE if fleet.is_dir() else fleet

@@ -37,7 +37,7 @@ class Choice:
         now: shares before.
         expected: shares after.
         after: the fit expected then.
-        told: (N_UNKNOWNS, N_UNKNOWNS) information of a second of it.
+        told: (N_UNKNOWNS, N_UNKNOWNS) information from one second of it.
     """
 
     manoeuvre: Manoeuvre
@@ -71,7 +71,7 @@ def choose(
     Args:
         prospect: what is known.
         library: to choose from.
-        judge: tells the shares of a fit.
+        judge: gives the shares of a fit.
         target: share to reach.
         achieved: a maneuver as the vehicle was seen to fly it: the same with smaller swings.
             Expected information is that of the achieved one.

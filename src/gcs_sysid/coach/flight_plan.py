@@ -94,7 +94,7 @@ def make_plan(
     Args:
         name: of the airframe.
         prior_vehicle: of it.
-        judge: tells the shares of a fit.
+        judge: gives the shares of a fit.
         target: share to reach.
         limits: of the manoeuvres.
     """

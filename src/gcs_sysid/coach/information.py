@@ -1,6 +1,6 @@
 """The information that a manoeuvre adds about the parameters, before it is flown.
 
-What a swing tells is counted frequency by frequency (Whittle's likelihood): with s_j(f) what the
+What a swing adds is counted frequency by frequency (Whittle's likelihood): with s_j(f) what the
 j-th unknown changes of the angular acceleration and S(f) the spectral density of what disturbs it,
 
     information = seconds * sum_f Re s_j(f)^* S(f)^-1 s_k(f)

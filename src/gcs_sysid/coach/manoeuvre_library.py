@@ -65,7 +65,7 @@ class Manoeuvre:
 
     @property
     def effective_seconds(self) -> float:
-        """Seconds at full swing that tell as much: squares of the ramps count for 3/8 each."""
+        """Equivalent seconds at full swing: squares of the ramps count for 3/8 each."""
         return self.seconds - 2.0 * RAMP * (1.0 - 0.375)
 
     @property

@@ -49,10 +49,10 @@ def _angle(angle: float) -> str:
 
 
 def damped_words(manoeuvre: Manoeuvre, share: float) -> str:
-    """What came of a manoeuvre: "at about 1.4 Hz only ±8° of ±20° is reached"."""
+    """What came of a manoeuvre: "swing too small (±8° of ±20° at 1.4 Hz)"."""
     asked = max(manoeuvre.roll, manoeuvre.pitch, manoeuvre.yaw)
     pace = manoeuvre.pace if asked > manoeuvre.yaw else manoeuvre.yaw_pace
-    return f"at about {pace:g} Hz only {_angle(share * asked)} of {_angle(asked)} is reached"
+    return f"swing too small ({_angle(share * asked)} of {_angle(asked)} at {pace:g} Hz)"
 
 
 def gain_words(name: str, now: float | None, expected: float) -> str:

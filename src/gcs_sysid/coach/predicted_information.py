@@ -1,6 +1,6 @@
 """What is known now, and what would be known after a manoeuvre.
 
-Both are told as a `Fit`, so that expected intervals pass through the very rules that intervals of
+Both are given as a `Fit`, so that expected intervals pass through the very rules that intervals of
 a flight do: scale, Student's factor for few batches, and the factor of one who looks all the time.
 """
 
@@ -42,7 +42,7 @@ class PredictedInformation:
     """What is known of a vehicle at one instant of its flight, or before it.
 
     Attributes:
-        fit: of the flight; without a rotation while that tells nothing.
+        fit: of the flight; without a rotation while that has no information.
         craft: the best guess: the fit, as far as it is one, else what is assumed.
         noise: that manoeuvres are flown in.
         information: (N_UNKNOWNS, N_UNKNOWNS) about theta and coordinates, of the flight and of
@@ -68,7 +68,7 @@ class PredictedInformation:
         Args:
             told: (N_UNKNOWNS, N_UNKNOWNS) information of a second at full swing.
             seconds: from its start to its end.
-            full: as many at full swing tell as much.
+            full: as many at full swing have as much information.
         """
         n = rb.N_THETA
         covariance, freedom = self._spread(told, full)

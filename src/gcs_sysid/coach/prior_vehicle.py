@@ -45,7 +45,7 @@ class PriorVehicle(NamedTuple):
     kappa: float
 
     def at(self, kappa: float) -> "PriorVehicle":
-        """The same vehicle where flight tells its thrust over mass."""
+        """The same vehicle where flight determines its thrust over mass."""
         factor = np.full(rb.N_THETA, self.kappa / kappa)
         factor[~rb.RELATIVE] = 1.0
         craft = replace(self.craft, theta=factor * self.craft.theta, thrust=GRAVITY / kappa)

@@ -1,1 +1,1 @@
-"""What an ordinary flight tells of a vehicle without excitation: balances of hovering."""
+"""What an ordinary flight without excitation shows of a vehicle: balances in hover."""

@@ -6,6 +6,7 @@ from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.health.vehicle_health import Given, Health
+from gcs_sysid.results.number_format import PLAIN
 
 _AXES = (("forward", "aft"), ("right", "left"))
 
@@ -27,8 +28,8 @@ def advice_of(health: Health, given: Given, guess: GuessedAirframe) -> tuple[str
     out += _margins(health)
     if health.condition is None and health.told and len(health.rotors) == 4:
         out.append(
-            "a weak propeller looks like a CG shift on four rotors in one flight: give a flight "
-            "before with --baseline, or fly once more with the load moved"
+            "a weak propeller looks like a CG shift on four rotors in one flight: pass an earlier "
+            "flight as --baseline, or fly once more with the load moved"
         )
     if guess.arm_std:
         out.append("give --arm: the CG in mm scales with it")
@@ -56,14 +57,14 @@ def _cg(health: Health, given: Given) -> list[str]:
         if given.battery_mass is not None and health.known_mass is not None:
             scale = health.known_mass / given.battery_mass
         way = negative if value > 0.0 else positive
-        moves.append(f"{1e3 * scale * abs(value):.0f} +- {1e3 * scale * half:.0f} mm {way}")
+        moves.append(f"{PLAIN.measure(1e3 * scale * abs(value), 1e3 * scale * half, 'mm')} {way}")
     if not moves:
         return []
     if given.battery_mass is not None and health.known_mass is not None:
         return [f"move the battery {' and '.join(moves)}"]
     return [
-        f"the CG should go {' and '.join(moves)}: move the battery by that times the vehicle's "
-        "mass over its own (--mass with --battery-mass works it out)"
+        f"shift the CG {' and '.join(moves)}. Battery travel = shift × vehicle mass / battery mass "
+        "(computed with --mass and --battery-mass)"
     ]
 
 

@@ -34,7 +34,7 @@ class GuessedAirframe:
         origin: in words.
         arm_std: relative standard deviation of its size.
         relative: whether positions are already those from the CG, as PX4's are meant to be.
-        assumed: whether nothing but the vehicle's type tells the order of its rotors.
+        assumed: whether the order of its rotors follows from the vehicle's type alone.
         shown: whether these rotors' moments turn the vehicle, as far as a flight shows.
         explained: share of roll or pitch acceleration, the lesser, that their moments explain over
             tenths of a second; None where too little was flown.
@@ -63,7 +63,7 @@ def guess_airframe(
         arm: m, mean distance of the rotors, for one that is not given.
 
     Raises:
-        InputError: nothing tells where the rotors are.
+        InputError: the rotor positions are unknown.
     """
     if given is not None:
         return GuessedAirframe(given, f"{given.name}, as given")

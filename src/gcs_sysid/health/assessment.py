@@ -45,7 +45,7 @@ def health_of_log(
     wanted: tuple[int, int | None] | None = None,
     span: tuple[float, float] = (0.0, math.inf),
 ) -> Health:
-    """What the hover in a recording tells.
+    """What the hover in a recording shows.
 
     Args:
         path: a .tlog, .ulg, .bin or .bbl file.
@@ -82,7 +82,7 @@ class HoverRecords:
     def health(
         self, source: str, given: Given, span: tuple[float, float] = (0.0, math.inf)
     ) -> Health:
-        """What the hover in the log read tells; the records are given up.
+        """What the hover in the log read shows; the records are given up.
 
         Args:
             source: the log's name.
@@ -127,7 +127,7 @@ def health_of(
     parameters: Mapping[str, float],
     span: tuple[float, float] = (0.0, math.inf),
 ) -> Health:
-    """What the hover in streams tells.
+    """What the hover in streams shows.
 
     Args:
         streams: of one log.

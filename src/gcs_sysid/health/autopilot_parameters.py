@@ -50,7 +50,7 @@ class Suggestion:
 
 
 def suggested(health: Health) -> tuple[Suggestion, ...]:
-    """All parameters that the flight tells well enough to change them."""
+    """All parameters that the flight determines well enough to change them."""
     if not health.told:
         return ()
     of = {"px4": _px4, "ardupilot": _ardupilot}.get(health.autopilot)

@@ -34,7 +34,7 @@ class Quantity:
     """A number with its uncertainty.
 
     Attributes:
-        value: None where the log does not tell it.
+        value: None where the log does not determine it.
         std: standard deviation, all of it.
         unit: SI; "1" for pure numbers.
         std_given: the part of `std` that comes from what was given or assumed, not from the flight.

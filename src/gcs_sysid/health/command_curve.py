@@ -39,7 +39,7 @@ def curve_of(
     Args:
         windows: all those in flight.
         given: by the airframe file.
-        own: the autopilot's own setting, where it tells.
+        own: the autopilot's own setting, where it is known.
         autopilot_name: of that setting.
     """
     if given is not None:
@@ -98,7 +98,7 @@ def _by_lift(windows: Windows) -> tuple[float, float, str] | None:
     together, and least squares finds too flat a curve, by about the gusts' share of the power. That
     is its bias. Commands of seconds before know nothing of a gust: with them as instruments there
     is none, but few flights climb enough for that. Both are merged by what they are off by. The
-    accelerometer tells the thrust, or the velocity does, whichever the commands explain better:
+    accelerometer gives the thrust, or the velocity does, whichever the commands explain better:
     some velocities are late, some accelerometers have a bias that their filter moves about.
     """
     told = [

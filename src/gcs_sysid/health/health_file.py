@@ -10,6 +10,7 @@ from gcs_sysid.health.autopilot_parameters import suggested
 from gcs_sysid.health.balance import Quantity
 from gcs_sysid.health.rotor_condition import Condition, Load
 from gcs_sysid.health.vehicle_health import Baseline, Health
+from gcs_sysid.results.number_format import PLAIN
 
 SCHEMA = "gcs-sysid-health/1"
 _MOST_BYTES = 5_000_000
@@ -25,7 +26,7 @@ def document_of(health: Health) -> dict[str, Any]:
         "schema": SCHEMA,
         "source": health.source,
         "vehicle": dict(health.vehicle),
-        "verdict": "told" if health.told else "refused",
+        "verdict": "available" if health.told else "refused",
         "reasons": list(health.reasons),
         "seconds_of_hover": health.seconds,
         "rotor_input": health.rotor_input or None,
@@ -94,11 +95,10 @@ def condition_text(condition: Condition) -> str:
         return "rotors and CG as in the flight before"
     if condition.verdict == "rotor" and condition.rotor is not None and condition.loss is not None:
         assert condition.loss.value is not None
-        half = condition.loss.half or 0.0
-        return (
-            f"rotor {condition.rotor + 1} gives {100.0 * condition.loss.value:.1f} "
-            f"+- {100.0 * half:.1f} % less thrust than before"
+        loss = PLAIN.measure(
+            100.0 * condition.loss.value, 100.0 * (condition.loss.half or 0.0), "%"
         )
+        return f"rotor {condition.rotor + 1} gives {loss} less thrust than before"
     if condition.verdict == "all":
         change = 100.0 * float(condition.changes.mean())
         return f"all rotors do {change:+.1f} % for the same thrust: air, battery or payload"

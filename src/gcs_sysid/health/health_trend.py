@@ -35,7 +35,7 @@ class Series:
     Attributes:
         name: of it.
         unit: of `values`, for people.
-        values: of each flight; NaN where it told none.
+        values: of each flight; NaN where there is none.
         stds: of each by its own scatter alone.
     """
 
@@ -46,7 +46,7 @@ class Series:
 
     @property
     def known(self) -> int:
-        """Flights that told it."""
+        """Flights that have a value."""
         return int(np.isfinite(self.values).sum())
 
     def in_power(self) -> "Series":
@@ -66,7 +66,7 @@ class Series:
         Scatter beyond the flights' own, which weather makes, widens it (Birge's ratio).
 
         Raises:
-            ValueError: fewer than three flights told it.
+            ValueError: fewer than three flights have a value.
         """
         v, s = np.array(self.values), np.array(self.stds)
         there = np.isfinite(v) & np.isfinite(s)

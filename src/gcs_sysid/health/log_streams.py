@@ -81,7 +81,7 @@ def streams_of(
 
     Args:
         blocks: of the chosen vehicle.
-        airframe: tells how many rotors there are, and perhaps the range of commands.
+        airframe: gives the number of rotors, and perhaps the range of commands.
         autopilot: "px4", "ardupilot" or another key.
         parameters: the autopilot's.
     """

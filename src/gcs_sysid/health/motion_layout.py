@@ -1,4 +1,4 @@
-"""Where the rotors are by how the vehicle turns, in logs that do not tell it.
+"""Where the rotors are by how the vehicle turns, in logs without a layout.
 
 The moments of a layout's rotors must be what turns the vehicle: of all layouts that are flown, one
 explains the angular acceleration about roll and pitch and the others next to nothing of it. Over
@@ -38,7 +38,7 @@ def layout_by_motion(
 
     Args:
         blocks: of the log.
-        guess: from what the log tells, or the user.
+        guess: from the log, or from the user.
         autopilot: "px4", "ardupilot" or another key.
         parameters: the autopilot's.
 

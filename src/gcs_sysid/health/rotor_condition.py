@@ -13,7 +13,7 @@ the rotors' effects (1, x, y, spin), by least squares.
 
 A weak rotor of four differs from a moved CG by the sum and the yaw balance alone. Each hypothesis
 is fitted by generalized least squares and costs its chi-square; a rotor is named where it beats all
-others by a margin, and else the answer is that they cannot be told apart.
+others by a margin, and else the answer is that they cannot be separated.
 """
 
 import math
@@ -140,15 +140,15 @@ class Condition:
 
     Attributes:
         verdict: "unchanged", "rotor", "cg", "all" (all rotors alike: air, battery, payload), or
-            "unclear": something changed that these data do not tell apart.
+            "unclear": something changed, but these data cannot separate the causes.
         rotor: which, from 0, where one is named.
         loss: share of thrust that it lost, where one is named.
         margin: chi-square by which the best explanation beats the next one of another kind.
         moved: (2,) m that the CG would have moved by, were it that.
         changes: (rotors,) relative change of load.
         efficiency: of each rotor against the baseline, shrunk to the mean.
-        suspect: which rotor it would be, from 0, where the verdict is "unclear" and the data tell
-            it from the other rotors.
+        suspect: which rotor it would be, from 0, where the verdict is "unclear" and the data
+            separate it from the other rotors.
     """
 
     verdict: str

@@ -1,4 +1,4 @@
-"""The numbers that decide what a hover tells, in one place, with their evidence."""
+"""The thresholds for judging hover, in one place, with their evidence."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,8 @@ class Tuning:
         more_explained: times what any other layout explains.
         surely_explained: share from which on an airframe's rotors surely turn the vehicle.
         carrying: of the most that the rotors do, from which they may carry the vehicle.
-        least_seen: share of the time in which rotors carry, below which heights do not tell flight.
+        least_seen: share of the time in which rotors carry, below which heights do not prove
+            flight.
         most_rate: rad/s, in hover.
         most_turning: rad/s^2, mean over a window.
         most_lift: relative deviation of thrust over mass from gravity.
@@ -36,8 +37,9 @@ class Tuning:
         fewest_windows: of hover, for an answer.
         rotor_scatter: standard deviation of rotors' k_T about their mean where nothing is known of
             them (3 %: what a set of one make shows; REALITY.md's CineRat and `--physics scatter`).
-        curve_std: standard deviation of the thrust curve c where nothing tells it.
-        least_throttle_motion: standard deviation of the mean command, of which the curve is told.
+        curve_std: standard deviation of the thrust curve c where nothing else is known.
+        least_throttle_motion: standard deviation of the mean command, from which the curve is
+            estimated.
         lift_std: relative, of gravity's balance: attitude, own acceleration.
         accelerometer_std: m/s^2, bias of an accelerometer where no attitude is logged.
         unseen_climb: m/s, vertical speed where none is logged.
@@ -73,7 +75,7 @@ class Tuning:
             with 5 % none came out below 3.6 %; what was named without a fault had lost 2.4 % at
             most, by gusts (`benchmarks.health --first 100`, `benchmarks.health_alarms`).
         windier: times the noise power of both stretches together, from which on one keeps its own.
-        shortest_drift: s of flight from which a drift is told.
+        shortest_drift: s of flight from which a drift is reported.
         full_command: command from which a rotor counts as saturated.
         told_curve: standard deviation of c from which on it is no suggestion.
         above_idle: of the range of outputs, MOT_SPIN_MIN above what turns all rotors (ArduPilot's

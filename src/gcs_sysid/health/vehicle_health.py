@@ -84,7 +84,7 @@ class RotorHealth:
 
 @dataclass(frozen=True)
 class Health:
-    """What hovering told of a vehicle; all but the first four are empty where nothing hovers.
+    """What hover shows of a vehicle; all but the first four are empty where nothing hovers.
 
     Attributes:
         source: the log.
@@ -114,7 +114,7 @@ class Health:
         condition: of the rotors against a baseline; None without one.
         apart: why it was not held against the first of several logs; empty where it was.
         weakened: a rotor that became weak in this flight; None where none did, or the hover is
-            too short to tell.
+            too short to judge.
         watched: stretches of hover that were held against the begin of the flight for that.
         explained: as of `GuessedAirframe`.
         load: for later flights.

@@ -284,7 +284,7 @@ def load_airframe(name_or_path: str) -> Airframe:
 
 
 def read_airframe_table(name_or_path: str) -> tuple[dict[str, Any], str]:
-    """Read an airframe's TOML and tell where it came from, without judging its content.
+    """Read an airframe's TOML and report its origin, without judging its content.
 
     Raises:
         InputError: no such name or file, or the text is not TOML.

@@ -82,21 +82,22 @@ class Parameter:
         symbol: in text, as in docs/method.md.
         unit: SI.
         meaning: in words.
-        told_by: what in a flight tells it.
+        told_by: the motion or signal that makes it observable.
         label: for columns of thirteen letters; empty: the name.
-        group: words that it shares with those told of together.
+        group: words shared with the parameters that are reported together.
         fit: "scale": mass or thrust, of which one fact must be known; "rotation": read off theta;
             "translation": of the equations of force; "actuator": a coordinate between a rotor's
             telemetry and its thrust (`estimation.actuator_dynamics`).
         theta: entry of theta that it is read off; its own name makes it one.
         scale: what its relative value is multiplied by: "thrust" (k_T, T_max), "mass" or "none".
-        inputs: kinds of the rotors' input that tell it.
+        inputs: kinds of rotor input with which it is observable.
         core: kinds of input with which a complete identification needs it.
         section: of the result: "parameters" or "timing".
         sign: physical bound.
         prior: whether a value and standard deviation may be given before a flight.
         axes: roll 0, pitch 1, yaw 2: whose fit it rests on.
-        mean_torque: whether the mean torque there tells it, however little else the fit explains.
+        mean_torque: whether the mean torque there determines it, however little else the fit
+            explains.
         rigid_body: whether it rests on the gyroscopic torque of a rigid body.
         reference: of its status.
         clock: error by a wrong clock.
@@ -133,7 +134,7 @@ class Parameter:
     optional: bool = False
 
     def in_result(self, rotor_input: RotorInput) -> bool:
-        """Whether a result with this rotor input has it, be it as one that cannot be told."""
+        """Whether a result with this rotor input has it, even if unobservable."""
         return not self.optional and (rotor_input in self.inputs or self.theta == self.name)
 
 

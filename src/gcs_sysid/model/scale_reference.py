@@ -18,7 +18,7 @@ class ScaleReference:
         std: of the value; zero as given by a user, not where it comes from an earlier segment.
         origin: where it comes from; empty for a user.
         loaded: of "added_mass", k_T / m of the flight with the mass added, and its deviation.
-        given: share by which what was given at first may be wrong, which no flight tells: all
+        given: share by which what was given at first may be wrong, which no flight shows: all
             that is in proportion to the scale is off by it, after changes in flight too.
     """
 

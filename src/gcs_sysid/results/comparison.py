@@ -37,7 +37,7 @@ class Difference:
         after: in the second.
         value: after - before; None where either has no value.
         std: of the difference.
-        p: probability of a difference as large by chance; None where it cannot be told.
+        p: probability of a difference as large by chance; None where it is unknown.
         p_holm: the same, reckoning with the number of parameters looked at.
         verdict: in one word.
         why: the verdict is no better.
@@ -89,7 +89,7 @@ class Comparison:
         after: the second.
         differences: by parameter, in the order of tables.
         verdict: of all together.
-        notes: what it rests on and what it does not tell.
+        notes: what it rests on and what it does not show.
     """
 
     before: Result

@@ -127,7 +127,7 @@ def covariance_of(result: Result) -> tuple[tuple[str, ...], Array]:
 def flight_model(result: Result, samples: ParameterSamples | None = None) -> FlightModel:
     """The equations of motion with a result's numbers in them.
 
-    What the flight does not tell of damping, drag and rotor inertia is zero. Rotors have the shares
+    What the flight does not show of damping, drag and rotor inertia is zero. Rotors have the shares
     of thrust and torque that the result gives each of them.
 
     Args:

@@ -64,7 +64,7 @@ def objections(
     *,
     reinterpreted: bool = False,
 ) -> tuple[Objection, ...]:
-    """What speaks against estimates, however well the model fits.
+    """What contradicts estimates, however well the model fits.
 
     Args:
         values: parameters by name.

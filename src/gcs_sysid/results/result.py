@@ -216,7 +216,7 @@ class Result:
     """What to fly next, of a running session: see `Advice`."""
 
     health: dict[str, Any] | None = field(default=None, compare=False)
-    """A health file's content: what the last minutes of hover tell, of a running session."""
+    """A health file's content: what the last minutes of hover show, of a running session."""
 
     history: "History | None" = field(default=None, compare=False)
     """Estimates over time, where `analyze(..., history=True)` kept them; not in files."""
@@ -267,7 +267,7 @@ class Result:
             n: vehicles.
             seed: of the random numbers.
             given: whether errors of arm, scale and IMU as given are drawn too; without them the
-                samples tell what this vehicle's motion may differ by.
+                samples show what this vehicle's motion may differ by.
 
         Raises:
             InputError: there is no covariance, or hardly any draw is physical.

@@ -63,9 +63,9 @@ class LinkStatus:
     last_gap: float | None = None
     """s, how long the latest of them was."""
     clock_ppm: float | None = None
-    """Parts per million by which the vehicle's clock is fast; None until it can be told."""
+    """Parts per million by which the vehicle's clock is fast; None until it is known."""
     vehicles: tuple[HeardVehicle, ...] = ()
-    """All that one could choose, in the order heard."""
+    """All that one could choose, in the order found."""
     recording: str = ""
     """Path of the recording, empty when none is made."""
     bytes_per_second: float = 0.0
@@ -220,7 +220,7 @@ class Snapshot:
     events: tuple[Event, ...] = ()
     """The latest last; at most a few hundred are kept."""
     advice: Advice | None = None
-    """What to fly next; None while nobody can tell, or nobody asked."""
+    """What to fly next; None while it is unknown or not asked for."""
     playback: Playback | None = None
     """Of a replay."""
     health: Mapping[str, Any] | None = None

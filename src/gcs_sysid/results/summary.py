@@ -174,7 +174,7 @@ def validation_of(fit: Fit) -> dict[str, Any]:
 def event_of(
     event: Event, before: Mapping[str, Value], after: Mapping[str, Value] | None
 ) -> dict[str, Any]:
-    """A change as a result tells it.
+    """A change as a result reports it.
 
     Args:
         event: as the tracker found it.

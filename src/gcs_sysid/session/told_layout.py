@@ -1,4 +1,4 @@
-"""The layout that a vehicle tells by its parameters, and what an airframe says otherwise.
+"""The layout that a vehicle reports by its parameters, and what an airframe says otherwise.
 
 PX4 tells each rotor's place and spin (CA_ROTORn_*), ArduPilot the name of a frame (FRAME_CLASS,
 FRAME_TYPE); both tell which output drives which motor. A vehicle flies by what it tells, so an

@@ -35,7 +35,7 @@ _ANCHOR_WORDS: dict[AnchorName, str] = {
 
 @dataclass(frozen=True)
 class AirframeAnswers:
-    """What a user tells of a vehicle.
+    """What a user enters about a vehicle.
 
     Attributes:
         name: any text of one line.

@@ -1,4 +1,4 @@
-"""UDP ports usually used, and who is heard there. Nothing here can send."""
+"""UDP ports usually used, and vehicles found there. Nothing here can send."""
 
 import errno
 import os
@@ -31,7 +31,7 @@ _SLICE = 0.05
 
 @dataclass
 class Ear:
-    """A link that is listened to, and who was heard on it."""
+    """A link that is listened to, and the vehicles found on it."""
 
     link: Link
     selector: VehicleSelector
@@ -89,7 +89,7 @@ def _who_has(port: int, system: str = platform.system()) -> str:
 def listen(
     ears: Sequence[Ear], seconds: float, clock: Callable[[], float] = time.monotonic
 ) -> None:
-    """Hear who speaks, on all links at once, and close them.
+    """Listen for vehicles on all links at once, then close the links.
 
     Args:
         ears: open.
@@ -108,7 +108,7 @@ def listen(
 
 
 def heard(ears: Sequence[Ear], seconds: float) -> list[Finding]:
-    """A finding on every vehicle heard, with the command to start; or one that nobody was."""
+    """A finding for every vehicle found, with the command to start; or one that there is none."""
     findings = []
     for ear in ears:
         several = len(ear.selector.autopilots) > 1
@@ -154,7 +154,7 @@ def usual_urls() -> list[LinkUrl]:
 
 
 def holder_of_udp_port(port: int, proc: Path = Path("/proc")) -> str | None:
-    """Which program listens on a UDP port: "name (process N)"; None where that cannot be told.
+    """Which program listens on a UDP port: "name (process N)"; None where that is unknown.
 
     Linux tells in /proc, of one's own programs.
     """

@@ -47,7 +47,7 @@ _SCALES: dict[str, AnchorName] = {"1": "mass", "2": "k_T", "3": "T_max"}
 
 @dataclass
 class Given:
-    """What is told already, by options; None and empty: to be asked for."""
+    """What options give already; None and empty: to be asked for."""
 
     layout: str | None = None
     arm: float | tuple[float, float] | None = None
@@ -107,7 +107,7 @@ def _origin(layout: str) -> str:
 
 
 def with_spins(rotors: tuple[Rotor, ...], text: str) -> tuple[Rotor, ...]:
-    """The rotors with spins as told: "usual", "reversed", or one for each motor.
+    """The rotors with spins as given: "usual", "reversed", or one for each motor.
 
     Raises:
         InputError: the text says none of these.

@@ -109,7 +109,7 @@ class VehicleClock:
 
     @property
     def unix_minus_boot(self) -> float | None:
-        """How far Unix time is ahead of the time since boot, s; None until it was told."""
+        """How far Unix time is ahead of the time since boot, s; None until it is known."""
         return self._unix_minus_boot
 
     def take(self, kind: Array, raw: Array, *, may_go_back: bool) -> tuple[Array, Array]:
@@ -294,7 +294,7 @@ class ClockDrift:
 
     @property
     def ppm(self) -> float | None:
-        """Parts per million by which the vehicle's clock is fast; None until it can be told."""
+        """Parts per million by which the vehicle's clock is fast; None until it is known."""
         moments = self._moments
         if not moments or moments[-1][1] - moments[0][1] < self.LEAST_SPAN:
             return None
@@ -303,7 +303,7 @@ class ClockDrift:
 
     @property
     def bounds(self) -> tuple[float, float] | None:
-        """Parts per million between which the drift surely lies; None until that can be told.
+        """Parts per million between which the drift surely lies; None until that is known.
 
         A clock that runs wrong does so evenly. Delays that come and go, a computer's clock that
         is set and a simulator that is held up bend the line, and so far its slope is not believed.

@@ -53,7 +53,7 @@ class RecordDecoder:
         table: of the messages that are read; None: `message_table.MESSAGES`.
 
     Attributes:
-        clock: the vehicle's clock as its stamps tell it.
+        clock: the vehicle's clock by its stamps.
         states: heartbeats, flight and parameters.
     """
 
@@ -84,7 +84,7 @@ class RecordDecoder:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Name -> value of the autopilot's parameters heard so far."""
+        """Name -> value of the autopilot's parameters received so far."""
         return self.states.parameters
 
     def reads(self, message_id: int) -> bool:
@@ -124,7 +124,7 @@ class RecordDecoder:
         return Taken(stop - frames.number, moments, self._came_at())
 
     def take_state(self, frame: Frame, now: float) -> Record | None:
-        """Read a message that tells a state; the record that it makes, if any.
+        """Read a message with a state; the record that it makes, if any.
 
         Args:
             frame: of `STATE_IDS`.

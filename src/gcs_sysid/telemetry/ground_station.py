@@ -42,7 +42,7 @@ class GroundStation:
 
     Attributes:
         lost: whether a vehicle that spoke before is silent now, or the link is gone.
-        heard_at: when the vehicle was heard last; None before.
+        heard_at: when the vehicle last sent; None before.
     """
 
     def __init__(
@@ -145,7 +145,7 @@ class GroundStation:
             self._events.append(text)
 
     def take_events(self) -> list[str]:
-        """What there is to tell since this was last asked, one line each."""
+        """Events since this was last asked, one line each."""
         events = list(self._events)
         self._events.clear()
         return events

@@ -40,7 +40,7 @@ class Intake:
     Frames from before the vehicle's first heartbeat make no records.
 
     Attributes:
-        selector: who was heard, who was chosen.
+        selector: vehicles found, and the one chosen.
         decoder: makes the records; its `dropped` and `clock` are worth showing.
         monitor: counts and rates.
         drift: of the vehicle's clock, by the times at which frames came, as far as they are told.
@@ -71,12 +71,12 @@ class Intake:
 
     @property
     def systems(self) -> list[Vehicle]:
-        """All systems heard, in the order heard."""
+        """All systems found, in the order found."""
         return list(self.selector.systems.values())
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The vehicle's parameters heard so far."""
+        """The vehicle's parameters received so far."""
         return self.decoder.parameters
 
     @property
@@ -92,7 +92,7 @@ class Intake:
     def frames(self, frames: Iterable[Frame], wall: float | None = None) -> list[Record]:
         """Take frames in the order received; the records they make.
 
-        What happened on the way is told by `take_events`.
+        `take_events` reports what happened on the way.
 
         Args:
             frames: as they came.

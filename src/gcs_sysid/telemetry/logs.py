@@ -41,19 +41,19 @@ from gcs_sysid.telemetry.vehicles import Vehicle
 
 
 class Telemetry(Protocol):
-    """What a link or a log tells beside its records."""
+    """What a link or a log has beside its records."""
 
     @property
     def vehicle(self) -> Vehicle | None:
-        """The chosen vehicle; None until it was heard."""
+        """The chosen vehicle; None until it is found."""
 
     @property
     def systems(self) -> list[Vehicle]:
-        """All systems heard, in the order heard."""
+        """All systems found, in the order found."""
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The vehicle's parameters, as far as they were heard."""
+        """The vehicle's parameters, as far as they were received."""
 
     @property
     def drift(self) -> ClockDrift:

@@ -56,10 +56,10 @@ class Message:
 
     Attributes:
         name: in the dialect.
-        stream: what it tells.
+        stream: what it measures.
         stamp: what it says of its time.
         fields: that make up the record's values, arrays with all their elements; "": zero, for
-            what the message does not tell.
+            what the message does not hold.
         scale: SI unit per unit of the fields, one for all or one for each value.
         rank: among the messages of a stream, 0 the best; of rotors all are passed on.
         offset: index of the first rotor, or the field that tells it.

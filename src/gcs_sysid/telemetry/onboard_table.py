@@ -13,7 +13,7 @@ class OnboardMessage:
 
     Attributes:
         name: of the topic or entry.
-        stream: what it tells.
+        stream: what it measures.
         fields: that make up the values; in a topic, `q[4]` are `q[0]` to `q[3]`, and `output[n]`
             as many as its field `n` says.
         scale: SI unit per unit of the fields.

@@ -93,7 +93,7 @@ def wanted_parameters(autopilot: str, rotors: int) -> tuple[str, ...]:
 
 
 def layout_parameters(autopilot: str, rotors: int) -> tuple[str, ...]:
-    """Those of `wanted_parameters` that tell the layout: places, spins, outputs."""
+    """Those of `wanted_parameters` that define the layout: places, spins, outputs."""
     if autopilot == "px4":
         per_rotor = [n.format(i) for i in range(rotors) for n in _PX4_PER_ROTOR]
         per_output = [n.format(i + 1) for i in range(rotors) for n in _PX4_PER_OUTPUT]

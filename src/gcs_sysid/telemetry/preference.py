@@ -17,7 +17,7 @@ class Preference:
         self._heard: dict[int, float] = {}
 
     def allows(self, ranked: Sequence[tuple[int, Array, Array]]) -> list[Mask]:
-        """Note messages, and tell which of them to use.
+        """Note messages, and return which of them to use.
 
         Args:
             ranked: of each kind its rank, the (n,) places of its messages in the order of

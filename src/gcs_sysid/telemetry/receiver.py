@@ -61,7 +61,7 @@ class Receiver:
         self._garbage_of_dropped = 0
 
     def follow(self, vehicle: tuple[int, int]) -> None:
-        """Answer from now on to the address that the vehicle (sysid, compid) speaks from."""
+        """Answer from now on to the address that the vehicle (sysid, compid) sends from."""
         self.whereabouts.follow(vehicle)
 
     def poll(self, timeout: float) -> list[Frame]:

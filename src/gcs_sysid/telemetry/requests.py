@@ -341,7 +341,7 @@ class StreamRequests:
             self._events.append(text)
 
     def take_events(self) -> list[str]:
-        """What there is to tell since this was last asked, one line each."""
+        """Events since this was last asked, one line each."""
         events, self._events = self._events, []
         if self._restoration is not None:
             events += self._restoration.take_events()

@@ -18,7 +18,7 @@ _IMU = frozenset(MESSAGE_IDS[name] for name in ("HIGHRES_IMU", "RAW_IMU", "SCALE
 
 
 class Rival(NamedTuple):
-    """Another address that speaks in the vehicle's name, by turns with its own."""
+    """Another address that sends in the vehicle's name, by turns with its own."""
 
     vehicle: tuple[int, int]
     address: Address
@@ -27,7 +27,7 @@ class Rival(NamedTuple):
 
 
 class Whereabouts:
-    """Follows the address that the vehicle speaks from.
+    """Follows the address that the vehicle sends from.
 
     Once an address brings IMU data, what the vehicle's state is is believed from there alone, as
     far as it is told from there: who forges heartbeats must not disarm the vehicle. Everything

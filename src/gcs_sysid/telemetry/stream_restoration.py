@@ -188,7 +188,7 @@ class StreamRestoration:
                 self._events.append(f"{path}: cannot be removed: {error.strerror}")
 
     def take_events(self) -> list[str]:
-        """What there is to tell since this was last asked, one line each."""
+        """Events since this was last asked, one line each."""
         events, self._events = self._events, []
         return events
 

@@ -17,7 +17,7 @@ STATE_SUFFIX = ".time"
 
 @dataclass(frozen=True)
 class LinkReport:
-    """What there is to tell of a link, beside its frames.
+    """The state of a link, beside its frames.
 
     Attributes:
         ended: as of `Link`, as are `breaks`, `floods` and `dropped`.

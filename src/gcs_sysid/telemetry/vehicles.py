@@ -1,4 +1,4 @@
-"""Which of the systems heard is the vehicle."""
+"""Which of the systems found is the vehicle."""
 
 from dataclasses import dataclass, replace
 
@@ -70,7 +70,7 @@ def _type_name(vehicle_type: int) -> str:
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A system that was heard, with what its heartbeat says."""
+    """A system that was found, with what its heartbeat says."""
 
     system: int
     component: int
@@ -192,7 +192,7 @@ class VehicleSelector:
 
     @property
     def autopilots(self) -> list[Vehicle]:
-        """All vehicles heard that one could choose, in the order heard."""
+        """All vehicles found that one could choose, in the order found."""
         return [vehicle for vehicle in self.systems.values() if vehicle.is_autopilot]
 
     def _hear(self, vehicle: Vehicle) -> None:

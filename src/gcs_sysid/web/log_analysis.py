@@ -103,7 +103,7 @@ def health(log: Path, name: str, table: Mapping[str, Any], folder: Path, tell: T
     """The health picture of a recording that may still be growing.
 
     Raises:
-        InputError: it tells nothing yet.
+        InputError: there is no health yet.
     """
     airframe = parse_airframe(table, "the session's airframe")
     # What is recorded meanwhile must not come in between.
@@ -130,7 +130,7 @@ def airframe_of(request: AnalysisRequest, log: Path) -> Airframe:
     """The airframe with its scale, as a page asks for it.
 
     Raises:
-        InputError: the log does not tell its layout, or something given makes no sense.
+        InputError: the log has no layout, or something given makes no sense.
     """
     if request.kind == "log":
         airframe = _told_airframe(log, request.arm)

@@ -27,7 +27,7 @@ Tell = Callable[[str, float], None]
 
 
 def look(log: Path, tell: Tell) -> dict[str, Any]:
-    """Who flew, for how long, and the layout that the log's parameters tell.
+    """Who flew, for how long, and the layout by the log's parameters.
 
     Raises:
         InputError: the log cannot be read.

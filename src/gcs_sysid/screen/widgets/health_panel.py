@@ -4,7 +4,7 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from gcs_sysid.results.number_format import PLAIN
+from gcs_sysid.results.number_format import PLAIN, decimals_for
 from gcs_sysid.screen import formatting as fmt
 from gcs_sysid.screen.view import View
 from gcs_sysid.screen.widgets.lines import Line, Lines
@@ -20,6 +20,7 @@ _SUMS = (
     ("thrust drift", "drift_per_minute", 100.0, "% a minute"),
 )
 """Name, key of the health file, factor and words."""
+_UNEQUAL = "± includes unequal rotors (3 %)"
 
 
 def health_lines(health: Mapping[str, Any] | None, width: int) -> list[Line]:
@@ -29,7 +30,7 @@ def health_lines(health: Mapping[str, Any] | None, width: int) -> list[Line]:
         health: None before the first look.
         width: columns.
     """
-    if health is None or health["verdict"] != "told":
+    if health is None or health["verdict"] == "refused":
         why = _NOT_YET if health is None else f"No health: {'; '.join(health['reasons'])}"
         return [[(line, fmt.MUTED)] for line in textwrap.wrap(why, width)]
     lines = [_source(health), *_weak(health, width), *_places(health), *_rotors(health, width)]
@@ -40,7 +41,7 @@ def health_lines(health: Mapping[str, Any] | None, width: int) -> list[Line]:
             text = PLAIN.measure(factor * quantity["value"], half, words)
             lines.append([(f"{name:<{_NAME}}", fmt.MUTED), (text, "")])
     for text in health["advice"]:
-        lines += _wrapped(f"-> {text}", width, "")
+        lines += _wrapped(f"→ {text}", width, "")
     return lines
 
 
@@ -50,13 +51,13 @@ def _half(quantity: Mapping[str, Any]) -> float:
 
 
 def _wrapped(text: str, width: int, style: str) -> list[Line]:
-    lines = textwrap.wrap(text, width, subsequent_indent="   ", break_on_hyphens=False)
+    lines = textwrap.wrap(text, width, subsequent_indent="  ", break_on_hyphens=False)
     return [[(line, style)] for line in lines]
 
 
 def _source(health: Mapping[str, Any]) -> Line:
     by = "measured speeds" if health["rotor_input"] == "speed" else "commands"
-    return [(f"{health['seconds_of_hover']:.0f} s of hover, rotors by {by}", fmt.MUTED)]
+    return [(f"{health['seconds_of_hover']:.0f} s of hover, rotors by {by}; {_UNEQUAL}", fmt.MUTED)]
 
 
 def _weak(health: Mapping[str, Any], width: int) -> Iterator[Line]:
@@ -77,7 +78,7 @@ def _places(health: Mapping[str, Any]) -> Iterator[Line]:
         way = positive if value >= 0.0 else negative
         flown = 1.96e3 * max(std**2 - quantity["std_given"] ** 2, 0.0) ** 0.5
         text = PLAIN.measure(1e3 * abs(value), 1e3 * _half(quantity), "mm")
-        alike = f"  (± {flown:.1f} if the rotors are alike)"
+        alike = f"  (identical rotors: ± {PLAIN.fixed(flown, decimals_for(max(flown, 0.01)))} mm)"
         yield [(f"{name:<{_NAME}}", fmt.MUTED), (f"{text} {way}", "bold"), (alike, fmt.MUTED)]
 
 
@@ -86,7 +87,7 @@ def _rotors(health: Mapping[str, Any], width: int) -> Iterator[Line]:
     rotors = health["rotors"]
     shares = [rotor["thrust_share"]["value"] for rotor in rotors]
     wide = width >= 70
-    head = f"{'rotor':<6}{'share':>8}{'':>{_BAR + 3}}{'motor gain':>11}{'left':>9}"
+    head = f"{'rotor':<6}{'share':>8}{'':>{_BAR + 3}}{'motor gain':>11}{'margin':>9}"
     yield [(head + (f"{'at full':>10}{'vibration':>14}" if wide else ""), fmt.MUTED)]
     for number, (rotor, share) in enumerate(zip(rotors, shares, strict=True), 1):
         parts: Line = [

@@ -1,0 +1,81 @@
+"""Health in words: one number format, and values of its file."""
+
+import json
+
+import pytest
+
+from gcs_sysid.cli.health_text import health_text
+from gcs_sysid.health.advice import advice_of
+from gcs_sysid.health.airframe_guess import GuessedAirframe
+from gcs_sysid.health.balance import Quantity
+from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
+from gcs_sysid.health.rotor_condition import Condition
+from gcs_sysid.health.tuning import TUNING
+from gcs_sysid.health.vehicle_health import Given, Health
+from gcs_sysid.model.airframe import load_airframe
+from gcs_sysid.screen.widgets.health_panel import health_lines
+from tests.screen.fake import health as health_document
+
+AFT = Quantity(-0.1, 0.0067 / 1.96, "m", 0.0067 / 1.96)
+CENTERED = Quantity(0.0, 0.001, "m")
+HEALTH = Health(
+    "a.tlog", airframe=load_airframe("paper"), rotor_input="speed", cg=(AFT, CENTERED),
+)  # fmt: skip
+
+
+def advice(given):
+    return advice_of(HEALTH, given, GuessedAirframe(HEALTH.airframe, "", 0.0))
+
+
+def test_advice_on_the_cg_is_written_like_every_other_number():
+    assert any(text.startswith("shift the CG 100.0 ± 6.7 mm forward. ") for text in advice(Given()))
+
+
+def test_battery_travel_is_computed_with_both_masses():
+    given = Given(battery_mass=HEALTH.known_mass / 2.0)
+    assert "move the battery 200 ± 13 mm forward" in advice(given)
+
+
+def test_a_weak_rotor_is_written_like_every_other_number():
+    loss = Quantity(0.052, 0.004, "1")
+    condition = Condition("rotor", 1, loss, 20.0, (0.0, 0.0), None, ())
+    assert condition_text(condition) == "rotor 2 gives 5.20 ± 0.78 % less thrust than before"
+
+
+def test_text_and_panel_say_which_rotors_their_interval_assumes():
+    note = f"± includes unequal rotors ({100.0 * TUNING.rotor_scatter:g} %)"
+    assert note in health_text(HEALTH)
+    panel = "\n".join(
+        "".join(part for part, _ in line) for line in health_lines(health_document(), 76)
+    )
+    assert note in panel
+    assert "identical rotors: ± 1.8 mm" in panel
+
+
+def test_text_without_plus_minus_signs_is_still_readable():
+    shown = health_text(HEALTH).encode("ascii", "replace").decode()
+    assert "100.0 ? 6.7 mm aft of the center" in shown
+
+
+@pytest.mark.parametrize(
+    ("health", "verdict"), [(HEALTH, "available"), (Health("a.tlog"), "refused")]
+)
+def test_the_verdict_of_a_health_file(health, verdict):
+    assert document_of(health)["verdict"] == verdict
+
+
+@pytest.mark.parametrize("verdict", ["available", "told"])
+def test_files_of_earlier_versions_are_read(verdict, tmp_path):
+    document = {
+        "schema": "gcs-sysid-health/1", "source": "a.tlog", "verdict": verdict,
+        "cg": {"x": {"value": 0.01}, "y": {"value": 0.0}},
+        "load": {
+            "kind": "speed", "thrust_curve": None, "value": [1.0] * 4, "seconds": 30.0,
+            "covariance": [[1e-6 * (i == j) for j in range(4)] for i in range(4)],
+        },
+    }  # fmt: skip
+    path = tmp_path / "before.json"
+    path.write_text(json.dumps(document))
+    assert read_baseline(path).cg == (0.01, 0.0)
+    shown = health_lines({**health_document(), "verdict": verdict}, 76)
+    assert any("CG along" in part for line in shown for part, _ in line)
