@@ -102,15 +102,16 @@ def test_an_unobservable_row_has_no_numbers():
 
 
 @pytest.mark.parametrize(
-    ("parameters", "options"),
+    ("parameters", "kind", "options"),
     [
-        ({}, "--airframe FILE"),
-        ({"CA_ROTOR_COUNT": 4.0}, "--arm M"),
-        ({"FRAME_CLASS": 1.0}, "--arm M"),
+        ({}, "ulog", "--airframe FILE"),
+        ({"CA_ROTOR_COUNT": 4.0}, "ulog", "--arm M"),
+        ({"FRAME_CLASS": 1.0}, "dataflash", "--arm M"),
+        ({}, "blackbox", "--airframe betaflight-quad-x --arm M"),
     ],
 )
-def test_inspect_proposes_a_command_that_fits_the_log(parameters, options):
-    assert next_command("a.ulg", parameters) == f"gcs-sysid analyze a.ulg {options} --mass KG"
+def test_inspect_proposes_a_command_that_fits_the_log(parameters, kind, options):
+    assert next_command("a.log", parameters, kind) == f"gcs-sysid analyze a.log {options} --mass KG"
 
 
 def test_the_headline_follows_the_target():

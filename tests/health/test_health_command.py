@@ -178,7 +178,7 @@ def test_a_wrong_motor_order_tells_no_cg_anywhere(fly, tmp_path, capsys):
     text = capsys.readouterr()
     says = "as flown, motor 1 is front right, 2 rear left, 3 front left, 4 rear right"
     assert says in text.err
-    assert "What its hover still shows" not in text.out
+    assert "From hover only" not in text.out
     health = json.loads(out.read_text())["health"]
     assert (health["verdict"], health["cg"], health["autopilot_parameters"]) == (
         "refused",

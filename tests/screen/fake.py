@@ -208,7 +208,7 @@ def _quantity(value: float, std: float, given: float = 0.0) -> dict[str, object]
 
 
 def health() -> dict[str, object]:
-    """What its hover tells: the CG aft and to the left, rotor 4 at full command at times."""
+    """What its hover shows: the CG aft and to the left, rotor 4 at full command at times."""
     shares, gains = (0.236, 0.268, 0.224, 0.272), (1.01, 0.998, 0.995, 0.902)
     return {
         "verdict": "available",

@@ -77,10 +77,14 @@ def report(found: Inspection, width: int = 80) -> str:
     return "\n\n".join("\n".join(part) for part in parts if part)
 
 
-def next_command(source: str, parameters: Mapping[str, float]) -> str:
+def next_command(source: str, parameters: Mapping[str, float], kind: str = "") -> str:
     """The command that identifies from a log. Layouts that vehicles report lack lengths."""
-    layout = any(parameters.get(name, 0.0) > 0.0 for name in _LAYOUT)
-    return f"gcs-sysid analyze {source} {'--arm M' if layout else '--airframe FILE'} --mass KG"
+    layout = "--airframe FILE"
+    if any(parameters.get(name, 0.0) > 0.0 for name in _LAYOUT):
+        layout = "--arm M"
+    elif kind == "blackbox":
+        layout = "--airframe betaflight-quad-x --arm M"
+    return f"gcs-sysid analyze {source} {layout} --mass KG"
 
 
 def _entry(name: str, text: str, width: int) -> list[str]:
@@ -280,7 +284,7 @@ def _verdict(found: Inspection, width: int) -> list[str]:
                 finding.advice, width, initial_indent="    -> ", subsequent_indent="       "
             )
     if found.verdict != "no" and found.kind != "link":
-        lines += ["", f"Next: {next_command(found.source, found.parameters)}"]
+        lines += ["", f"Next: {next_command(found.source, found.parameters, found.kind)}"]
     elif found.obtainable == "health" and found.kind != "link":
         lines += ["", f"Next: gcs-sysid health {found.source} --arm M --mass KG"]
     return lines
