@@ -13,7 +13,7 @@ from gcs_sysid.screen.widgets.acceleration import nice_limit, overlay, strip
 from gcs_sysid.screen.widgets.attitude_panel import HORIZON_WIDTH, WINGS, deflection, horizon
 from gcs_sysid.screen.widgets.coach_panel import advice_lines
 from gcs_sysid.screen.widgets.convergence import nice_ticks, reduce_course, shade, value_range
-from gcs_sysid.screen.widgets.link_panel import message_line
+from gcs_sysid.screen.widgets.link_panel import facts, message_line
 
 from . import fake
 
@@ -278,3 +278,13 @@ def test_a_long_message_name_is_cut():
     line = "".join(text for text, _ in message_line("X" * 40, 1.0, None, 36))
     assert len(line) == 34  # two columns less: nothing was asked, so there is no sign
     assert "…" in line
+
+
+def test_a_drift_that_no_clock_has_is_unknown():
+    """A computer that falls behind makes the vehicle's clock seem slow."""
+    link = fake.snapshot().link
+    shown = {
+        drift: {name: text for name, text, _ in facts(replace(link, clock_ppm=drift))}["clock"]
+        for drift in (200.0, -425_834.0, None)
+    }
+    assert shown == {200.0: "+200 ppm", -425_834.0: "unknown", None: "unknown"}

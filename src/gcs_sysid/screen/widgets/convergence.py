@@ -159,7 +159,8 @@ class Convergence(RationedPlot):
         scale = 10.0 ** -view.exponents.get(key, 0)
         whole = reduce_course(history, view.selected, braille.DOTS_WIDE * width, scale)
         if whole is None:
-            return [[(f"{words.label(view.selected)}: no estimate yet", "")]]
+            missing = "history" if found is not None and found[1].shown else "estimate"
+            return [[(f"{words.label(view.selected)}: no {missing} yet", "")]]
         truth = None if truth is None else scale * truth
         bounds = value_range(whole, truth)
         # Headline, time axis with its numbers, and legend take four lines.

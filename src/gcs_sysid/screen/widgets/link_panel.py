@@ -14,6 +14,8 @@ ENOUGH = 0.9
 """A message that comes at less than this fraction of the rate asked for is marked."""
 
 _WARNING = "$text-warning"
+_MOST_PPM = 10_000.0
+"""No clock drifts by a hundredth; a computer that falls behind makes it seem so."""
 
 
 def facts(link: LinkStatus) -> list[tuple[str, str, str]]:
@@ -21,7 +23,9 @@ def facts(link: LinkStatus) -> list[tuple[str, str, str]]:
     rejected = f"rejected {fmt.grouped(link.rejected)}"
     lost = f"{fmt.grouped(link.lost)} ({link.lost_percent:.1f} %), {rejected}"
     gaps = "none" if not link.gaps else f"{link.gaps}, the last {link.last_gap or 0.0:.2f} s"
-    clock = "unknown" if link.clock_ppm is None else f"{link.clock_ppm:+.0f} ppm"
+    drift = link.clock_ppm
+    known = drift is not None and abs(drift) <= _MOST_PPM
+    clock = f"{drift:+.0f} ppm" if known else "unknown"
     return [
         ("link", f"{fmt.LINK_SIGN[link.state]} {link.url}", ""),
         ("received", f"{fmt.grouped(link.received)}, {fmt.data_rate(link.bytes_per_second)}", ""),
