@@ -344,7 +344,7 @@ def identify(
         ... )
         >>> result = gcs_sysid.identify(signals, "paper", mass=1.5)
         >>> result.verdict, result.parameters["k_T"].status, result.parameters["Ixx"].status
-        ('refused', 'identified', 'unobservable')
+        ('refused', 'weak', 'unobservable')
     """
     whole = load_airframe(airframe, **known)
     chain = Chain(whole, ChainOptions(history_interval=None, offline=offline))

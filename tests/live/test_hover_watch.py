@@ -60,7 +60,7 @@ def test_it_looks_every_ten_seconds_and_forgets_after_ninety(airframe):
     assert looked[:2] == [0, 10]
     assert told[0]["verdict"] == "refused"
     told = told[-1]
-    assert told["verdict"] == "told"
+    assert told["verdict"] == "available"
     assert 75.0 < told["seconds_of_hover"] <= 90.0
     assert told["source"] == "udp"
     assert told["cg"]["x"]["value"] == pytest.approx(0.0, abs=1e-3)
@@ -90,7 +90,7 @@ def test_a_rotor_that_becomes_weak_is_named_once(airframe):
 def test_a_reboot_begins_another_flight(airframe):
     watch = HoverWatch(Told(), "udp")
     watch.take(hover(500.0, 540.0))
-    assert watch.look(airframe).document["verdict"] == "told"
+    assert watch.look(airframe).document["verdict"] == "available"
     event = IntakeEvent(2.0, "reboot", "the vehicle's clock went back: reboot")
     watch.take(hover(2.0, 3.0, events=[(0, event)]))
     assert watch.look(airframe).document["verdict"] == "refused"

@@ -39,10 +39,10 @@ def commands_only(records):
     return [r for r in records if r.stream is not Stream.ROTOR_SPEED]
 
 
-def agree(result, truth, names, deviations=4.0):
+def agree(result, truth, names, status="identified", deviations=4.0):
     for name in names:
         estimate = result.parameters[name]
-        assert estimate.status == "identified", name
+        assert estimate.status == status, name
         assert abs(estimate.value - truth[name]) < deviations * estimate.std, name
 
 
@@ -120,7 +120,9 @@ def test_traps_of_rotor_speeds(fly, trap, kind, why):
     told = result.telemetry["rotor_input"]
     assert result.rotor_input == kind
     assert why in told["refused"].get("ESC_STATUS", told["why"])
-    agree(result, flown.truth, ("Ixx", "Iyy", "Izz", "cg_x", "moment_ratio"))
+    agree(result, flown.truth, ("cg_x", "moment_ratio"))
+    # Another unit than declared may come of a wrong mass, to which inertia is proportional.
+    agree(result, flown.truth, ("Ixx", "Iyy", "Izz"), "weak" if why == "rad/s" else "identified")
 
 
 @pytest.mark.slow

@@ -98,7 +98,7 @@ def row(
 
 def _health(document: Document | None) -> dict[str, float | None] | None:
     """What hover told; None where nothing hovered, or not as the airframe has it."""
-    if document is None or document["verdict"] != "told":
+    if document is None or document["verdict"] == "refused":
         return None
     out: dict[str, float | None] = {}
     for name, keys in _HEALTH.items():

@@ -73,7 +73,7 @@ def health_section(document: Mapping[str, Any]) -> Markup:
     Args:
         document: a health file's content; where its verdict is "refused", the reasons are all.
     """
-    if document["verdict"] != "told":
+    if document["verdict"] == "refused":
         return section("health", "Health", element("p", "; ".join(document["reasons"])))
     picture = Markup(health_picture(document).strip())
     assumed = "; ".join(document["assumptions"])
