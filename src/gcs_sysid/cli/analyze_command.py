@@ -134,7 +134,7 @@ class _Hover:
         """
         found = replace(self._assessed(), source=self._log)
         health = beside_analysis(found, result.verdict, result.reasons)
-        return health if health.told or health.contradicted else None
+        return health if health.reported else None
 
     def _assessed(self) -> Health:
         assert self.keeper is not None

@@ -20,7 +20,6 @@ _POLL = 0.05
 """s."""
 _TELLS_WITHIN = 8.0
 """s in which a vehicle that was heard answers for its layout: some 20 parameters."""
-_BLACKBOX = (".bbl", ".bfl")
 _USUAL = 4
 """Rotors that are asked for until the vehicle says how many it has."""
 
@@ -36,7 +35,7 @@ def of_log(path: Path, options: argparse.Namespace) -> Airframe:
         pass
     told = None if log.vehicle is None else told_layout(log.vehicle.key, log.parameters)
     problem = f"{path} does not hold the vehicle's layout"
-    if path.suffix.lower() in _BLACKBOX:
+    if log.kind == "blackbox":
         problem += "; Betaflight's usual one is --airframe betaflight-quad-x with --arm M"
     return _airframe(told, options, problem)
 

@@ -94,9 +94,9 @@ def fit_by_instruments(
 def combined(fit: RotationFit, found: Sequence[InstrumentFit | None]) -> tuple[RotationFit, bool]:
     """A fit moved towards its instruments as far as there is evidence that it is biased.
 
-    The bias b of the fit is unknown, b ~ N(0, tau^2) with tau^2 what makes the contrast likeliest,
-    delta^2 less what chance makes of it (Hausman): the estimate moves by delta times the share
-    w = tau^2 / delta^2, and what is left of it is an error.
+    The fit has an unknown bias b ~ N(0, tau^2). The maximum-likelihood tau^2 is delta^2 minus the
+    variance of the contrast delta under no bias (Hausman). The estimate is corrected by w delta,
+    w = tau^2 / delta^2, and the remaining uncertainty of b widens its interval.
 
     Args:
         fit: of the record.

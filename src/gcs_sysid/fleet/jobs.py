@@ -107,7 +107,7 @@ def analyze(task: Task) -> Document:
         made = result.as_json()
         found = records.health(str(job.log), Given(job.airframe))
         health = beside_analysis(found, result.verdict, result.reasons)
-        if health.told or health.contradicted:
+        if health.reported:
             made["health"] = document_of(health)
     except InputError as error:
         if isinstance(error.__cause__, OSError | MemoryError):

@@ -174,6 +174,11 @@ class Health:
         """Whether anything hovered."""
         return self.cg is not None
 
+    @property
+    def reported(self) -> bool:
+        """Whether it belongs beside an analysis: something hovered, or the motion contradicts."""
+        return self.told or self.contradicted
+
 
 def as_baseline(health: Health) -> Baseline | None:
     """A flight as baseline of later ones; None where nothing hovered."""

@@ -103,7 +103,11 @@ def objections(
 
 def capped(values: Mapping[str, Value], found: Iterable[Objection]) -> dict[str, Value]:
     """The values, none that an objection concerns better than `weak`; given ones stay given."""
-    names = frozenset[str]().union(*(objection.names for objection in found))
+    return weakened(values, frozenset[str]().union(*(objection.names for objection in found)))
+
+
+def weakened(values: Mapping[str, Value], names: frozenset[str]) -> dict[str, Value]:
+    """The values, none of those named better than `weak`; given ones stay given."""
     return {
         name: replace(value, status="weak")
         if name in names and value.status in ("identified", "zero")

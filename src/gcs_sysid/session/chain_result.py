@@ -85,9 +85,9 @@ class Findings:
         else:
             reasons = (*first, *(objection.reason for objection in objections), *reasons)
             word = "partial" if objections and word == "identified" else word
-        # Refused: nothing of it is identified.
-        none = plausibility.Objection("", frozenset(values if word == "refused" else ()))
-        capped = plausibility.capped(values, (*objections, none))
+        capped = plausibility.capped(values, objections)
+        if word == "refused":
+            capped = plausibility.weakened(values, frozenset(values))
         parameters = self._estimates(capped, fit, anchor, self._bounds())[0]
         past = self._past_values()
         reasons = reasons if word != "identified" else ()

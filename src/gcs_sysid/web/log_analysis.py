@@ -91,7 +91,7 @@ def analyze(log: Path, name: str, request: AnalysisRequest, folder: Path, tell: 
     if hover.told:
         picture = health_picture(document_of(hover))
         (folder / PICTURE).write_text(picture, encoding="utf-8")
-    if hover.told or hover.contradicted:
+    if hover.reported:
         document["health"] = document_of(hover)
     (folder / RESULT).write_text(
         json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8"

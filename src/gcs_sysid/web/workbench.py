@@ -17,7 +17,7 @@ from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import builtin_names, load_airframe
 from gcs_sysid.results.comparison import compare
 from gcs_sysid.results.result import Result
-from gcs_sysid.results.result_file import read_result
+from gcs_sysid.results.result_file import parse_result, read_result
 from gcs_sysid.web.access import json_of, refuse
 from gcs_sysid.web.log_request import PICTURE, REPORT, RESULT, file_name, parse_request
 from gcs_sysid.web.result_view import comparison_rows, result_rows, verdict_view, why_no_health
@@ -257,10 +257,11 @@ class Workbench:
 
     async def _result(self, request: web.Request) -> web.StreamResponse:
         item = self._finished(request.match_info["id"])
-        result = await asyncio.to_thread(read_result, item.folder / RESULT)
-        verdict = verdict_view(result)
         text = await asyncio.to_thread((item.folder / RESULT).read_text, encoding="utf-8")
-        verdict["reasons"] += why_no_health(json.loads(text))
+        document = json.loads(text)
+        result = parse_result(document, RESULT)
+        verdict = verdict_view(result)
+        verdict["reasons"] += why_no_health(document)
         return web.json_response(
             {
                 **item.as_json(),
