@@ -110,6 +110,7 @@ def test_less_than_four_per_cent_is_not_called(share, called):
     assert ("changed" in verdicts(samples)) is called
 
 
+@pytest.mark.slow
 def test_what_passes_is_no_change():
     for length in (0.3, 0.7, 1.5):
         share = np.where(LATER & (AT + length > TIME), 0.15, 0.0)
@@ -119,12 +120,14 @@ def test_what_passes_is_no_change():
             assert "changed" not in found
 
 
+@pytest.mark.slow
 def test_the_end_of_a_gust_is_no_change():
     """The vehicle is then what it was in all of the flight before the gust."""
     samples = fly(force=np.where(LATER, 0.0, 1.5))
     assert "changed" not in verdicts(samples)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_climb_moves_thrust_as_slowly_as_the_vehicle(sign):
     """Inflow of 0.6 1/s at 2 m/s is 12 % of the weight, and lasts."""
@@ -161,6 +164,7 @@ def test_after_full_throttle_no_line_tells_what_thrust_does():
     assert looked(fly(share=share, velocity=0.0 * velocity)).verdict == "changed"
 
 
+@pytest.mark.slow
 def test_full_throttle_with_a_thrust_curve_a_little_off_is_no_change():
     thrust = np.where(LATER, 2.0, 1.0)
     samples = fly(thrust, np.where(LATER, 0.05, 0.0))
@@ -191,6 +195,7 @@ def test_a_rotor_that_lost_thrust_is_named(rotor):
     assert found.cause.loss == pytest.approx(0.2, abs=0.01)
 
 
+@pytest.mark.slow
 def test_force_and_moment_of_no_rotors_direction_are_a_disturbance():
     # Pitch alone, with the thrust that a rotor's loss would go with.
     samples = fly(share=np.where(LATER, 0.03, 0.0), turn=[0.0, np.where(LATER, 4.0, 0.0), 0.0])

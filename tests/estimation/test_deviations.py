@@ -162,6 +162,7 @@ def test_score_and_information_are_those_of_a_fit_with_the_deviations(flown):
     assert fit.warm_start.unknowns.shape == (N_UNKNOWNS + 2,)
 
 
+@pytest.mark.slow
 def test_looking_from_a_fit_with_deviations_tells_the_same(flown):
     data, basis = flown
     fixed = Fixed([0, 1])

@@ -82,6 +82,7 @@ def test_rotation_is_recovered_without_noise(truth, flight, smoother, bar, memor
     np.testing.assert_allclose(fit.r_squared, 1.0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_damping_and_rotor_inertia_matter_in_this_flight(truth, flight):
     """Else the recovery above would not show that they are carried."""
     Q = rb.forward_matrix(np.where(np.arange(rb.N_THETA) < rb.DAMPING, truth.theta, 0.0))

@@ -216,6 +216,7 @@ def test_nothing_is_detected_where_nothing_disturbs():
     assert np.all(np.abs(fit.rotation.theta[:2] / truth[:2] - 1.0) < 0.01)
 
 
+@pytest.mark.slow
 def test_shocks_are_left_out(disturbed):
     samples = disturbed[1][0].part(slice(0, 3000))
     gyro = samples.gyro.copy()

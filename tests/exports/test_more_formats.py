@@ -196,6 +196,7 @@ def test_gazebo_has_each_rotors_own_coefficients(result):
     assert "each rotor has its own" in " ".join(gazebo_sdf.notes(vehicle))
 
 
+@pytest.mark.slow
 def test_an_ensemble_has_the_covariance_of_the_result(result):
     names = ["Izz", "k_M"]
     stds = [0.02 * VALUES["Izz"], 0.02 * VALUES["k_M"]]

@@ -180,6 +180,7 @@ def test_a_landing_is_found_within_half_a_second(after, in_air):
     assert 25.0 <= found[-1] < 25.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", [1, 10**6])
 @pytest.mark.parametrize("in_air", [UNKNOWN, between(5.0, 27.0)], ids=["untold", "told late"])
 def test_what_lies_on_its_back_has_landed(in_air, block):

@@ -240,6 +240,7 @@ def test_what_is_bridged_does_not_depend_on_when_it_is_asked_for(tick, share):
         np.testing.assert_array_equal(often.values(key)[: upto.sum()], usually.values(key)[upto])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lost", [1, 4, 6])
 def test_velocity_is_carried_over_lost_samples(lost):
     records = [*usual(), *stream(Stream.VELOCITY, 50.0, 0.0007, 6.0)]
@@ -293,6 +294,7 @@ def test_imu_samples_that_swapped_places_are_no_reboot():
     same(run, Run(stream(Stream.IMU, 250.0)))
 
 
+@pytest.mark.slow
 def test_late_records_are_counted():
     records = usual()
     late = [r for r in records if r.stream is Stream.ATTITUDE and 2.0 < r.t < 2.1]

@@ -41,6 +41,7 @@ def test_paper_modes_reach_their_body_rates(
     np.testing.assert_allclose(got, expected, rtol=0.15)
 
 
+@pytest.mark.slow
 def test_paper_modes_fly_right_then_forward(flights: dict[str, Flight]) -> None:
     flight = flights["paper"]
     travelled = np.cumsum(flight.velocity[0], axis=0) * flight.interval

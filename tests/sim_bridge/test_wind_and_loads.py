@@ -20,6 +20,7 @@ def autocorrelation(x: np.ndarray, lag: int) -> float:
     return float(np.mean(x[lag:] * x[:-lag]) / np.mean(x * x))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "at_T"), [(FirstOrder, 1.0), (SecondOrder, 0.5)])
 def test_gusts_have_dryden_s_variance_and_correlation(kind: type, at_T: float) -> None:
     component = kind(1.7, 0.8, 0.08)

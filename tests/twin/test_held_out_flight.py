@@ -47,6 +47,7 @@ def test_a_result_of_the_same_log_is_fitted_again_to_the_first_part(twin, result
     assert twin.result.parameters["Izz"].value != result.parameters["Izz"].value
 
 
+@pytest.mark.slow
 def test_the_model_flies_like_the_vehicle(twin):
     rates = twin.accuracy[1.0]["rates"]
     assert rates.r_squared > 0.98
