@@ -8,12 +8,18 @@ acceleration over the period before.
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from sim_bridge.simulated_vehicle import Value, Vehicle
 
 SLOSH_DAMPING = 0.05
 """Of critical: water in a tank with one baffle."""
 SLOSH_DEPTH = 0.3
 """Depth of the liquid below the CG, in arms."""
+TANK_RADIUS = 0.2
+"""Half width of the tank, in arms: how far the middle of the liquid can move."""
+_WALL = 8.0
+"""Hz at which liquid meets a wall: critically damped, it runs up rather than bounces."""
 
 Triple = tuple[Value, Value, Value]
 
@@ -27,7 +33,7 @@ class Slosh:
         xi'' = -W^2 xi - 2 zeta W xi' - a_t    (x and y)
         F = -m_s xi'',   M = -m_s (r x xi'' + xi x f)
 
-    Linear in xi; terms with w^2 are left out.
+    Linear in xi up to the walls; terms with w^2 are left out.
     """
 
     def __init__(self, vehicle: Vehicle, share: float, hertz: float, period: float) -> None:
@@ -36,6 +42,7 @@ class Slosh:
         self._h = period
         arm = sum(math.hypot(r.x, r.y) for r in vehicle.rotors) / len(vehicle.rotors)
         self._z = SLOSH_DEPTH * arm
+        self._radius = TANK_RADIUS * arm
         self._place: tuple[Value, Value] = (0.0, 0.0)
         self._speed: tuple[Value, Value] = (0.0, 0.0)
 
@@ -50,8 +57,8 @@ class Slosh:
         omega, h, z = self._omega, self._h, self._z
         (x, y), (v_x, v_y) = self._place, self._speed
         loss = 2.0 * SLOSH_DAMPING * omega
-        a_x = -omega * omega * x - loss * v_x - (f_x + turning[1] * z)
-        a_y = -omega * omega * y - loss * v_y - (f_y - turning[0] * z)
+        a_x = self._wall(x, v_x) - omega * omega * x - loss * v_x - (f_x + turning[1] * z)
+        a_y = self._wall(y, v_y) - omega * omega * y - loss * v_y - (f_y - turning[0] * z)
         # Semi-implicit, which keeps the energy of an oscillation.
         v_x, v_y = v_x + h * a_x, v_y + h * a_y
         self._speed = (v_x, v_y)
@@ -64,6 +71,12 @@ class Slosh:
             -m * (z * a_x - x * f_z),
             -m * (x * f_y - y * f_x),
         )
+
+    def _wall(self, place: Value, speed: Value) -> Value:
+        """Acceleration by the tank's wall along one axis, m/s^2: -W_w^2 e - 2 W_w v beyond it."""
+        beyond = np.sign(place) * np.maximum(abs(place) - self._radius, 0.0)
+        omega = 2.0 * math.pi * _WALL
+        return -omega * omega * beyond - 2.0 * omega * speed * (beyond != 0.0)
 
 
 class Swing:
