@@ -244,7 +244,7 @@ def _scores(
         airframe = misplaced(drawn.airframe, random) if scatter else drawn.airframe
         airframe = replace(airframe, rotor_input="speed" if speeds else "command")
         told = health_of_log(log, Given(airframe)) if speeds else _by_commands(log, airframe)
-        if not told.told:
+        if not told.available:
             print(f"vehicle {number}: {told.reasons}")
             continue
         assert told.cg is not None

@@ -88,9 +88,9 @@ class TruthFile:
             raise InputError(f"cannot write {self._path}: {error.strerror}") from error
 
     def _truth(self, vehicle: Vehicle) -> dict[str, Any]:
-        told = {**vehicle.truth(), "rotor_delay": self._autopilot.rotor_delay}
+        facts = {**vehicle.truth(), "rotor_delay": self._autopilot.rotor_delay}
         on = self._sim.physics.switched_on
-        return {**told, "physics": {k: plain(v) for k, v in on.items()}} if on else told
+        return {**facts, "physics": {k: plain(v) for k, v in on.items()}} if on else facts
 
 
 def fly(

@@ -83,8 +83,8 @@ def _airframes(options: argparse.Namespace, logs: list[Path]) -> dict[Path, Airf
         try:
             known[file] = arguments.airframe_of(single)
         except InputError as error:
-            told = "" if options.airframe or str(file) in str(error) else f"{file}: "
-            raise InputError(f"{told}{error}") from error
+            prefix = "" if options.airframe or str(file) in str(error) else f"{file}: "
+            raise InputError(f"{prefix}{error}") from error
     return {log: known[file] for log, file in files.items()}
 
 

@@ -28,8 +28,8 @@ class Deliveries:
         try:
             part()
         except (OSError, InputError) as error:
-            told = InputError(f"cannot write: {error.strerror}") if is_full(error) else error
-            self._errors.append(told)
+            reported = InputError(f"cannot write: {error.strerror}") if is_full(error) else error
+            self._errors.append(reported)
             return False
         return True
 

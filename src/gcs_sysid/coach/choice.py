@@ -37,7 +37,7 @@ class Choice:
         now: shares before.
         expected: shares after.
         after: the fit expected then.
-        told: (N_UNKNOWNS, N_UNKNOWNS) information from one second of it.
+        added: (N_UNKNOWNS, N_UNKNOWNS) information from one second of it.
     """
 
     manoeuvre: Manoeuvre
@@ -45,7 +45,7 @@ class Choice:
     now: Mapping[str, float | None]
     expected: Mapping[str, float | None]
     after: Fit
-    told: Array
+    added: Array
 
     @property
     def names(self) -> list[str]:
@@ -88,21 +88,23 @@ def choose(
             motion = motion_of(flown, prospect.craft)
         if prospect.fit.rotation is None and not _starts(motion):
             continue
-        told = information(motion, prospect.craft, prospect.noise, float(prospect.coordinates[LAG]))
+        added = information(
+            motion, prospect.craft, prospect.noise, float(prospect.coordinates[LAG])
+        )
         reached = reached.lasting(USUAL)
-        left = excess(judge(_after(prospect, told, reached)), _CLOSE * target)
+        left = excess(judge(_after(prospect, added, reached)), _CLOSE * target)
         if best is None or left < best[0]:
-            best = left, reached, motion, told
+            best = left, reached, motion, added
     if best is None or not best[0] < far:
         return None
-    _, chosen, motion, told = best
+    _, chosen, motion, added = best
     for seconds in _LENGTHS:
         tried = chosen.lasting(float(seconds))
-        if is_enough(judge(_after(prospect, told, tried)), _CLOSE * target):
+        if is_enough(judge(_after(prospect, added, tried)), _CLOSE * target):
             chosen = tried
             break
-    after = _after(prospect, told, chosen)
-    return Choice(chosen, motion, now, judge(after), after, told)
+    after = _after(prospect, added, chosen)
+    return Choice(chosen, motion, now, judge(after), after, added)
 
 
 def _starts(motion: Motion) -> bool:
@@ -111,5 +113,5 @@ def _starts(motion: Motion) -> bool:
     return bool(min(roll, pitch) > _BOTH * max(roll, pitch))
 
 
-def _after(prospect: PredictedInformation, told: Array, manoeuvre: Manoeuvre) -> Fit:
-    return prospect.after(told, manoeuvre.seconds, manoeuvre.effective_seconds)
+def _after(prospect: PredictedInformation, added: Array, manoeuvre: Manoeuvre) -> Fit:
+    return prospect.after(added, manoeuvre.seconds, manoeuvre.effective_seconds)

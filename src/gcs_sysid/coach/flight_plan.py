@@ -112,7 +112,7 @@ def make_plan(
             break
         flown = found.manoeuvre
         steps.append(Step(seconds, flown, now, found.expected, tuple(found.names)))
-        prospect = prospect.then(found.told, flown.seconds, flown.effective_seconds)
+        prospect = prospect.then(found.added, flown.seconds, flown.effective_seconds)
         now = judge(prospect.after())
         seconds += flown.seconds + PAUSE
     total = seconds - PAUSE if steps else seconds

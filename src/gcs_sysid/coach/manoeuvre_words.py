@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre
 from gcs_sysid.results.number_format import PLAIN
 
-_TOLD = 3
+_MOST_NAMES = 3
 """Parameters that a sentence names."""
 
 
@@ -71,7 +71,7 @@ def sentence(
     """All in one sentence, the widest intervals first."""
     gains = [
         gain_words(name, now.get(name), share)
-        for name in names[:_TOLD]
+        for name in names[:_MOST_NAMES]
         for share in (expected[name],)
         if share is not None
     ]

@@ -62,16 +62,16 @@ class PredictedInformation:
     free: Array
     kappa: float
 
-    def after(self, told: Array | None = None, seconds: float = 0.0, full: float = 0.0) -> Fit:
+    def after(self, added: Array | None = None, seconds: float = 0.0, full: float = 0.0) -> Fit:
         """What is expected to be known after a manoeuvre; of now without one.
 
         Args:
-            told: (N_UNKNOWNS, N_UNKNOWNS) information of a second at full swing.
+            added: (N_UNKNOWNS, N_UNKNOWNS) information of a second at full swing.
             seconds: from its start to its end.
             full: as many at full swing have as much information.
         """
         n = rb.N_THETA
-        covariance, freedom = self._spread(told, full)
+        covariance, freedom = self._spread(added, full)
         widening = np.interp(freedom, _FREEDOMS, _FACTORS)
         covariance *= np.outer(widening, widening)
         rotation = RotationFit(
@@ -93,22 +93,22 @@ class PredictedInformation:
             running=True,
         )
 
-    def then(self, told: Array, seconds: float, full: float) -> "PredictedInformation":
+    def then(self, added: Array, seconds: float, full: float) -> "PredictedInformation":
         """What is known once a manoeuvre has been flown as expected; arguments as of `after`."""
-        after = self.after(told, seconds, full)
+        after = self.after(added, seconds, full)
         fit = Fit(
             after.rotation,
             self.fit.translation,
             after.seconds,
             rigid_body_test=self.fit.rigid_body_test,
         )
-        _, freedom = self._spread(told, full)
-        return replace(self, fit=fit, information=self.information + full * told, freedom=freedom)
+        _, freedom = self._spread(added, full)
+        return replace(self, fit=fit, information=self.information + full * added, freedom=freedom)
 
-    def _spread(self, told: Array | None, full: float) -> tuple[Array, Array]:
+    def _spread(self, added: Array | None, full: float) -> tuple[Array, Array]:
         """(N_UNKNOWNS, N_UNKNOWNS) covariance without Student's factor, and its freedom."""
         free = self.free
-        gained = np.zeros((N_UNKNOWNS, N_UNKNOWNS)) if told is None else full * told
+        gained = np.zeros((N_UNKNOWNS, N_UNKNOWNS)) if added is None else full * added
         total = (self.information + gained)[np.ix_(free, free)]
         scale = np.sqrt(np.diag(total))
         inverse = np.linalg.inv(total / np.outer(scale, scale)) / np.outer(scale, scale)
@@ -156,9 +156,9 @@ def predicted_information(
     unknowns = mean.copy()
     rotation = fit.rotation
     if rotation is not None:
-        told, freedom = _told(rotation, prior_vehicle, free)
-        information += told
-        found = told @ rotation.unknowns + margin @ mean
+        added, freedom = _information_of(rotation, prior_vehicle, free)
+        information += added
+        found = added @ rotation.unknowns + margin @ mean
         d = np.sqrt(np.diag(information))
         unknowns = np.linalg.solve(information / np.outer(d, d), found / d) / d
     theta = unknowns[: rb.N_THETA]
@@ -172,7 +172,9 @@ def predicted_information(
     return PredictedInformation(fit, craft, noise, information, freedom, coordinates, free, kappa)
 
 
-def _told(rotation: RotationFit, prior_vehicle: PriorVehicle, free: Array) -> tuple[Array, Array]:
+def _information_of(
+    rotation: RotationFit, prior_vehicle: PriorVehicle, free: Array
+) -> tuple[Array, Array]:
     """(N_UNKNOWNS, N_UNKNOWNS) information and (N_UNKNOWNS,) freedom of what a flight told."""
     freedom = np.full(N_UNKNOWNS, _FREEDOMS[-1])
     widening = np.ones(N_UNKNOWNS)
@@ -182,10 +184,10 @@ def _told(rotation: RotationFit, prior_vehicle: PriorVehicle, free: Array) -> tu
         widening[free] = np.delete(rotation.warm_start.widening, deviating)
         freedom[free] = np.interp(widening[free], _FACTORS[::-1], _FREEDOMS[::-1])
     covariance = rotation.full_covariance / np.outer(widening, widening)
-    for axis, told_by in enumerate(_OF_AXIS):
+    for axis, of_axis in enumerate(_OF_AXIS):
         if rotation.r_squared[axis] < RULES.explained(whitened=bool(rotation.whiteners))[1]:
             # Where gusts turn the vehicle more than its rotors do, the scatter is deceptive.
-            covariance[told_by, told_by] += (10.0 * prior_vehicle.std[told_by]) ** 2
+            covariance[of_axis, of_axis] += (10.0 * prior_vehicle.std[of_axis]) ** 2
     information = np.zeros_like(covariance)
     there = free[np.diag(covariance)[free] > 0.0]
     part = covariance[np.ix_(there, there)]

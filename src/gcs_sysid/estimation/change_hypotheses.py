@@ -98,8 +98,8 @@ def judge(
     if sure and decide:
         return Judgement("changed", onset, cause)
     over = trial.is_over() and not sure
-    told = trial.disturbance(cause, force=force)
-    return Judgement("disturbance" if over or last else "undecided", onset, told, not over)
+    probability = trial.disturbance(cause, force=force)
+    return Judgement("disturbance" if over or last else "undecided", onset, probability, not over)
 
 
 class _Trial:
@@ -176,8 +176,8 @@ class _Trial:
         kind = kind_of(True, moves, False) if self._watched[1:3].all() else "change"
         shift = (float(moved.value[0]), float(moved.value[1])) if moved.std.any() else (0.0, 0.0)
         ratio = 1.0 / max(1.0 - share, 0.1)
-        told = (mass.likelihood + moved.likelihood) / whole
-        cause = Cause(kind, None, 0.0, 0.0, ratio, shift, told)
+        probability = (mass.likelihood + moved.likelihood) / whole
+        cause = Cause(kind, None, 0.0, 0.0, ratio, shift, probability)
         holds = (
             abs(share) >= max(tuning.least_mass, sure * std, self._strange())
             and self._stays(lambda since: {0: self._mass(since)}, share)

@@ -114,14 +114,14 @@ def given_effects(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[s
         std, by_data = fit.rotation.std, np.maximum(fit.rotation.data_std, 1e-300)
         weight = np.minimum((std / by_data) ** 2, 1.0)
     out = {}
-    for name, told in values.items():
+    for name, entry in values.items():
         p = PARAMETERS.get(name)
-        if p is None or told.value is None:
+        if p is None or entry.value is None:
             continue
         if p.theta:
             by_thrust = p.scale == "thrust"
-            effect = told.value * of_thrust if by_thrust else np.zeros(len(CAUSES))
-            effect[_ARM] = arm * told.value
+            effect = entry.value * of_thrust if by_thrust else np.zeros(len(CAUSES))
+            effect[_ARM] = arm * entry.value
             at = rb.THETA.index(p.theta)
             if p.mean_torque:
                 effect[_CENTER + (at == rb.CG_Y)] = middle
@@ -129,7 +129,7 @@ def given_effects(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[s
                 effect[_CANT] = arm * airframe.cant * (scale.thrust or 0.0 if by_thrust else 1.0)
             out[name] = float(weight[at]) * effect
         elif p.fit in ("scale", "translation"):
-            out[name] = told.value * (of_mass if p.scale == "mass" else of_thrust)
+            out[name] = entry.value * (of_mass if p.scale == "mass" else of_thrust)
     return out
 
 
@@ -173,13 +173,13 @@ def with_given(
     sizes = {n: v.value for n, v in values.items() if v.value is not None} | {ARM: arm}
     out = dict(values)
     for name, own in stds.items():
-        told = values[name]
-        if not own or told.value is None or told.std is None:
+        entry = values[name]
+        if not own or entry.value is None or entry.std is None:
             continue
-        std = math.hypot(told.std, own)
-        wide = std >= RULES.identified_below * PARAMETERS[name].reference.size(told.value, sizes)
-        status = "weak" if told.status == "identified" and wide else told.status
-        out[name] = replace(told, std=std, status=status)
+        std = math.hypot(entry.std, own)
+        wide = std >= RULES.identified_below * PARAMETERS[name].reference.size(entry.value, sizes)
+        status = "weak" if entry.status == "identified" and wide else entry.status
+        out[name] = replace(entry, std=std, status=status)
     return out
 
 
@@ -216,9 +216,9 @@ def alignment_of(fit: Fit, airframe: Airframe) -> Alignment | None:
     # Rotors that differ imitate an IMU that is turned: what is free in the fit is free here.
     free, eps = np.concatenate([rotation.theta, rotation.deviations]), np.zeros(len(errors))
     now = first = _Normal.at(free, moments.rows, W, errors, size, rotation.deviating)
-    told = rotation.data_std < _KNOWN_TO * size
-    told[[rb.CG_X, rb.CG_Y, rb.DAMPING]] = False  # of slow errors of their own
-    f = float((rotation.data_std**2 / first.variance[:n])[told].max()) if told.any() else np.inf
+    entry = rotation.data_std < _KNOWN_TO * size
+    entry[[rb.CG_X, rb.CG_Y, rb.DAMPING]] = False  # of slow errors of their own
+    f = float((rotation.data_std**2 / first.variance[:n])[entry].max()) if entry.any() else np.inf
     turn = math.radians(airframe.uncertainty.imu_rotation.amount)
     imitated = np.zeros(len(errors))
     imitated[-_AXES:] = (_IMITATED / turn) ** 2 if turn else 0.0

@@ -66,9 +66,9 @@ def fit_offline(
     """
     if online.rotation is None or not tracker.kept:
         return "no online estimate to start from"
-    tell = progress or (lambda what, share: None)
+    on_progress = progress or (lambda what, share: None)
     if online.rotation.whiteners:
-        found = _second_look(tracker, online, tell)
+        found = _second_look(tracker, online, on_progress)
         if found is not None:
             assert found.fit.rotation is not None
             if found.fit.rotation.disturbance.max() > RULES.detected:
@@ -76,10 +76,10 @@ def fit_offline(
         elif online.rotation.disturbance.max() > RULES.detected:
             # White process noise is no model of disturbed air.
             return "the fit by the likeliest noise did not converge"
-    return _maximum(tracker, online, tell)
+    return _maximum(tracker, online, on_progress)
 
 
-def _second_look(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | None:
+def _second_look(tracker: Tracker, online: Fit, on_progress: Progress) -> OfflineFit | None:
     """By the likeliest noise of each axis; None where the record is too short for that."""
     assert online.rotation is not None
     dt, T = tracker.dt, step_for(tracker.dt).time
@@ -88,7 +88,7 @@ def _second_look(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | 
     chosen = False
     what = f"filter error over {sum(len(part.gyro) for part in tracker.kept)} samples"
     for look in range(_LOOKS):
-        tell(what, look / _LOOKS)
+        on_progress(what, look / _LOOKS)
         left = residual_runs(tracker.kept, tracker.geometry, dt, rotation)
         if not left:
             break
@@ -111,7 +111,7 @@ def _second_look(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | 
         found, rotation, chosen = (fit, estimator.bound), fit.rotation, chosen or likelier
         if moved.max() < _SETTLED:
             break
-    tell(what, 1.0)
+    on_progress(what, 1.0)
     if found is None:
         return None
     fit, bound = found
@@ -144,7 +144,7 @@ def _widened(fit: RotationFit, online: RotationFit) -> RotationFit:
     return replace(fit, covariance=full[:n, :n], full_covariance=full)
 
 
-def _maximum(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | str:
+def _maximum(tracker: Tracker, online: Fit, on_progress: Progress) -> OfflineFit | str:
     """By the maximum of the whole record's likelihood."""
     rotation = online.rotation
     assert rotation is not None
@@ -162,7 +162,7 @@ def _maximum(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | str:
         prior=_on_theta(tracker.estimator.prior),
         delay=rotation.delay,
         torque=rotation.deviating.torque(rotation.deviations),
-        progress=lambda done: tell(f"{what}, at most {passes} passes", done),
+        progress=lambda done: on_progress(f"{what}, at most {passes} passes", done),
     )
     if found is None:
         return "no gap-free stretch of flight is long enough"

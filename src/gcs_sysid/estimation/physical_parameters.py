@@ -286,12 +286,12 @@ def rotor_values(
 def _not_rigid(values: Mapping[str, Value]) -> dict[str, Value]:
     """Values where the vehicle does not move like a rigid body: the rest is doubted, too."""
     out = dict(values)
-    for name, told in values.items():
+    for name, entry in values.items():
         p = REGISTRY[name]
         if p.rigid_body:
-            out[name] = replace(told, status="unobservable")
-        elif p.theta and p.scale == "thrust" and told.value is not None and told.std is not None:
-            out[name] = replace(told, std=math.hypot(told.std, ERRORS.not_rigid * told.value))
+            out[name] = replace(entry, status="unobservable")
+        elif p.theta and p.scale == "thrust" and entry.value is not None and entry.std is not None:
+            out[name] = replace(entry, std=math.hypot(entry.std, ERRORS.not_rigid * entry.value))
     return out
 
 
@@ -303,14 +303,14 @@ def with_clock_error(values: Mapping[str, Value], share: float) -> dict[str, Val
         share: by which it may run fast or slow.
     """
 
-    def widened(name: str, told: Value) -> Value:
+    def widened(name: str, entry: Value) -> Value:
         clock = REGISTRY[name].clock
         size = values.get(clock.of or name, NOTHING).value
-        if size is None or not (clock.power and told.std) or told.status == "given":
-            return told
-        return replace(told, std=math.hypot(told.std, share * clock.power * abs(size)))
+        if size is None or not (clock.power and entry.std) or entry.status == "given":
+            return entry
+        return replace(entry, std=math.hypot(entry.std, share * clock.power * abs(size)))
 
-    return {name: widened(name, told) if share else told for name, told in values.items()}
+    return {name: widened(name, entry) if share else entry for name, entry in values.items()}
 
 
 def rests_on_prior(rotation: RotationFit) -> frozenset[str]:

@@ -487,8 +487,8 @@ class Outcome:
                 + problem.prior_information() / self._scales
                 + 1e-15 * np.eye(p)
             )
-            told = _times(held, _times(inverse_root, pull / (d * widening)))
-            step = _times(covariance, told + problem.prior_pull(self._unknowns) / d)
+            from_data = _times(held, _times(inverse_root, pull / (d * widening)))
+            step = _times(covariance, from_data + problem.prior_pull(self._unknowns) / d)
         unknowns = self._moved(step / d)
         every = np.zeros((K, unknowns.shape[1], unknowns.shape[1]))
         every[:, problem.free[:, None], problem.free] = covariance / self._scales

@@ -345,7 +345,7 @@ def without_noise(problem: Problem, point: Point, noise: Array) -> tuple[Problem
     Returns:
         The problem, its solution, and (K, p) what the noise adds to the gradient there.
     """
-    told = Problem(problem.bank, problem.rows, problem.basis, problem.prior, noise)
+    corrected = Problem(problem.bank, problem.rows, problem.basis, problem.prior, noise)
     unknowns, d = point.unknowns, scales(point.hessian)
     # The curvature with noise is the larger: steps with it are short, and sure to come nearer.
     hessian = point.hessian
@@ -353,15 +353,15 @@ def without_noise(problem: Problem, point: Point, noise: Array) -> tuple[Problem
         hessian = hessian + problem.prior_information()
     H = hessian / (d[:, :, None] * d[:, None, :]) + _DAMPING * np.eye(problem.p)
     for _ in range(_NOISE_STEPS):
-        gradient = told.evaluate(unknowns).gradient
+        gradient = corrected.evaluate(unknowns).gradient
         if problem.prior is not None:
             gradient = gradient + problem.prior_pull(unknowns)
         step = np.linalg.solve(H, (gradient / d)[..., None])[..., 0]
         moved = problem.moved(unknowns, step / d)
         physical = rb.are_physical(moved)
         unknowns = np.where(physical[:, None], moved, unknowns)
-    found = told.evaluate(unknowns)
-    return told, found, problem.evaluate(unknowns).gradient - found.gradient
+    found = corrected.evaluate(unknowns)
+    return corrected, found, problem.evaluate(unknowns).gradient - found.gradient
 
 
 def residual_maker(Q: Array) -> Array:

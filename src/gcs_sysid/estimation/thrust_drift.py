@@ -36,7 +36,7 @@ class DriftTuning:
     Attributes:
         period: s of samples in an average: several time constants of motors.
         rate: 1/s, one standard deviation of b: 10 % in a minute are usual.
-        told_rate: of it, what is left where the voltage is told: temperature and its errors.
+        measured_rate: of it, what is left where the voltage is told: temperature and its errors.
         effect: mean and standard deviation of beta.
         settled: averages of flight after which V_0 is taken: before, it may be that of a battery
             without its load, told at rest.
@@ -55,7 +55,7 @@ class DriftTuning:
 
     period: float = 1.0
     rate: float = 2e-3
-    told_rate: float = 0.1
+    measured_rate: float = 0.1
     effect: tuple[float, float] = (1.2, 0.6)
     settled: int = 3
     wander: float = 4e-5
@@ -81,7 +81,7 @@ were off by 0.003 to 0.067, the drift being known exactly."""
 _D, _RATE, _EFFECT = 3, 4, 5
 _LEAST_VOLTAGE = 1.0
 """V, below which there is no battery, or nobody measures it."""
-_UNTOLD_BATTERY = 0.05
+_UNMEASURED_BATTERY = 0.05
 """One standard deviation of D between flights where no voltage is told: 4.2 to 3.6 V a cell under
 load are 0.15."""
 _MOST_EFFECT = 2.0
@@ -105,7 +105,7 @@ class ThrustDrift:
         """Samples with a voltage, and their sum."""
         self.voltage: float | None = None
         """V_0, the battery's to which thrust is referred; None: not told, or not yet."""
-        self._told = 0
+        self._measured = 0
         self._fallen = 0.0  # w
         self._started = False
         self._mean = np.array([0.0, tuning.slope[0], tuning.bend[0], 0.0, 0.0, tuning.effect[0]])
@@ -132,7 +132,7 @@ class ThrustDrift:
         """One standard deviation of what the battery may do to thrust unseen, relative."""
         slope = max(float(self._mean[1]), 0.25)
         if self.voltage is None:
-            return _UNTOLD_BATTERY / slope
+            return _UNMEASURED_BATTERY / slope
         drift, std = self._drift_and_std()
         return float(np.hypot(drift - self._target, std)) / slope
 
@@ -143,16 +143,16 @@ class ThrustDrift:
             before: that has followed the same rotors.
             landed: whether the battery may be another.
         """
-        told = before.voltage is not None
-        self.voltage, self._told = before.voltage, before._told
+        measured = before.voltage is not None
+        self.voltage, self._measured = before.voltage, before._measured
         self._fallen = before._fallen
         self._mean, self._covariance = before._mean.copy(), before._covariance.copy()
         self._set(0, 10.0)
         self._noise, self._worth = before._noise, before._worth
-        if landed and not told:
+        if landed and not measured:
             self._set(_D, 0.0)
             self._set(_RATE, self._tuning.rate)
-        elif not landed or told:
+        elif not landed or measured:
             self._target = self._now = before._target
 
     def update(self, commands: Array, force: Array, voltage: Array | None = None) -> Array:
@@ -172,8 +172,8 @@ class ThrustDrift:
         terms = np.column_stack([whole, kept.mean(axis=1), (kept * kept).mean(axis=1), up, up * up])
         volts = np.full(len(out), np.nan) if voltage is None else voltage
         with np.errstate(invalid="ignore"):
-            told = whole & (volts > _LEAST_VOLTAGE)
-        volts = np.column_stack([told, np.where(told, volts, 0.0)])
+            measured = whole & (volts > _LEAST_VOLTAGE)
+        volts = np.column_stack([measured, np.where(measured, volts, 0.0)])
         counted = np.cumsum(whole) + self._sums[0]
         start = 0
         while start < len(out):
@@ -204,7 +204,7 @@ class ThrustDrift:
         if self._started:
             self._mean = self._step @ self._mean
             self._covariance = self._step @ self._covariance @ self._step.T
-            wander = t.wander * (1.0 if self.voltage is None else t.told_rate)
+            wander = t.wander * (1.0 if self.voltage is None else t.measured_rate)
             self._covariance[_RATE, _RATE] += wander**2 * self._time
         self._started = True
         innovation = float(np.log(u) - row @ self._mean)
@@ -239,15 +239,15 @@ class ThrustDrift:
         if 2.0 * count < self._count:
             return
         volts = total / count
-        self._told += 1
+        self._measured += 1
         if self.voltage is None:
-            if self._told < self._tuning.settled:
+            if self._measured < self._tuning.settled:
                 return
             self.voltage = volts
             # What the voltage explains, the drift of its own need not; none of it is before V_0.
             self._mean[0] += self._mean[_D]
             self._set(_D, 0.0)
-            self._set(_RATE, self._tuning.told_rate * self._tuning.rate)
+            self._set(_RATE, self._tuning.measured_rate * self._tuning.rate)
         self._fallen = float(np.log(self.voltage / volts))
 
     def _drift_and_std(self) -> tuple[float, float]:

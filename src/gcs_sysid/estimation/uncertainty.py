@@ -115,8 +115,8 @@ def shrunk_inflation(
     spread = (vectors * np.maximum(shrunk, floor)) @ vectors.T
     whole = np.einsum("ij,jk,ki->i", inverse_root, spread, inverse_root)
     known = floor * np.einsum("ij,ji->i", inverse_root, inverse_root)
-    told = np.maximum(1.0 - known / np.maximum(whole, 1e-300), 1.0 - trust)
-    return spread, told
+    by_scatter = np.maximum(1.0 - known / np.maximum(whole, 1e-300), 1.0 - trust)
+    return spread, by_scatter
 
 
 _LEAST_SCATTER = 0.5
@@ -131,7 +131,9 @@ def symmetric_roots(matrix: Array, ridge: float = _RIDGE) -> tuple[Array, Array]
     return (vectors * roots) @ turned, (vectors / roots) @ turned
 
 
-def student_factor(shares: Array, reach: int | None = None, told: Array | float = 1.0) -> Array:
+def student_factor(
+    shares: Array, reach: int | None = None, by_scatter: Array | float = 1.0
+) -> Array:
     """What makes 1.96 standard deviations a 95 % interval when batches are few.
 
     A variance told by the scatter of few batches is uncertain itself; the estimate over its
@@ -148,7 +150,7 @@ def student_factor(shares: Array, reach: int | None = None, told: Array | float 
     Args:
         shares: (k, p) expected share of each batch in the variance of each unknown, any scale.
         reach: as of `meat`.
-        told: (p,) share of the variance that is told by scatter, see `shrunk_inflation`.
+        by_scatter: (p,) share of the variance that scatter determines, see `shrunk_inflation`.
 
     Returns:
         (p,) factors on the standard deviations: quantile of t over quantile of the normal.
@@ -159,7 +161,7 @@ def student_factor(shares: Array, reach: int | None = None, told: Array | float 
         spread = spread + 2.0 * weight**2 * (w[lag:] * w[:-lag]).sum(axis=0)
     total = w.sum(axis=0)
     freedom = np.where(spread > 0.0, total * total / np.where(spread > 0.0, spread, 1.0), 1.0)
-    freedom = np.maximum(freedom, 1.0) / np.maximum(told, _LEAST_TOLD) ** 2
+    freedom = np.maximum(freedom, 1.0) / np.maximum(by_scatter, _LEAST_SHARE) ** 2
     factor: Array = stdtrit(freedom, 0.975) / _NORMAL
     return factor
 
@@ -188,6 +190,6 @@ def watched_factor(seconds: float) -> float:
 
 
 _NORMAL = 1.959963984540054
-_LEAST_TOLD = 1e-3
+_LEAST_SHARE = 1e-3
 _FIRST_LOOK = 1.0
 """s; the first estimates rest on hardly more. What is more would be wider later."""

@@ -154,12 +154,10 @@ def _whiteness(
     ratio = gains[1] / gains[0]
     # Of the plain power, what the speeds' noise does not explain is the gyro's.
     expected = ratio * plain + counts[:, None] * (of_speeds[1] - ratio * of_speeds[0])
-    return told_whiteness(summed, expected, counts)
+    return whiteness_of(summed, expected, counts)
 
 
-def told_whiteness(
-    summed: Array, expected: Array, counts: NDArray[np.int64]
-) -> tuple[Array, Array]:
+def whiteness_of(summed: Array, expected: Array, counts: NDArray[np.int64]) -> tuple[Array, Array]:
     """Whiteness and its p-value, per axis, from batches of residual power.
 
     Args:

@@ -25,7 +25,7 @@ from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.validation import (
     Validation,
     judge_prediction,
-    told_whiteness,
+    whiteness_of,
 )
 from gcs_sysid.estimation.whitened_fit import find_shocks, fit_whitened, follow_whitened
 from gcs_sysid.estimation.whitened_moments import WhitenedMoments, grouped
@@ -178,7 +178,7 @@ class WhitenedEstimator:
         ]
         if not found:
             return None
-        whiteness = told_whiteness(
+        whiteness = whiteness_of(
             *(np.concatenate(part) for part in zip(*(f.power for f in found), strict=True))
         )
         if len(found) == 1:
@@ -265,9 +265,9 @@ class WhitenedEstimator:
         """
         T, pick = self._white.time, self._white.places(fit.whiteners)
         own = np.diag(fit.residual_covariance)
-        told = self._record.whitened_noise(pick)
+        input_noise = self._record.whitened_noise(pick)
         TP = residual_maker(rb.forward_matrix(theta)) @ self.basis.map_at(fit.coordinates)
-        rotors = np.einsum("ai,aij,aj->a", TP, told, TP)
+        rotors = np.einsum("ai,aij,aj->a", TP, input_noise, TP)
         left = np.maximum(own - rotors, _LEAST_OWN * own)
         # Without any whitener nothing tells what is the gyro's: half of a change, at most.
         shares = np.array([whitener.gyro_share or 0.5 for whitener in fit.whiteners])
@@ -303,7 +303,7 @@ class WhitenedEstimator:
     def _slow_power(
         self, data: WhitenedMoments, kept: Mask, fit: RotationFit
     ) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Of the innovations that were not fitted, as `told_whiteness` takes it.
+        """Of the innovations that were not fitted, as `whiteness_of` takes it.
 
         Were they white, another whitener would make of them
 
@@ -342,7 +342,7 @@ class _Fold:
     Attributes:
         validation: of it, without whiteness.
         measured: (3,) power of its acceleration.
-        power: what its whiteness follows from, see `told_whiteness`.
+        power: what its whiteness follows from, see `whiteness_of`.
     """
 
     validation: Validation

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
-from gcs_sysid.estimation.axis_problem import TOLD, AxisPoint, AxisProblem, minimise_axes
+from gcs_sysid.estimation.axis_problem import NOISE_SHARE, AxisPoint, AxisProblem, minimise_axes
 from gcs_sysid.estimation.deviations import NO_DEVIATIONS, DeviationChoice, Deviations
 from gcs_sysid.estimation.disturbance import RULES, Trial
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
@@ -147,7 +147,7 @@ def fit_whitened(
         batches = data.of_axes(solved.pick)
     noise = data.noise[list(solved.pick)]
     batches, counts = grouped(batches[kept], data.counts[kept], data.grouped)
-    batches -= TOLD * counts[:, None, None, None] * noise
+    batches -= NOISE_SHARE * counts[:, None, None, None] * noise
     outcome = WhitenedOutcome(solved.problem, solved.point)
     scores = outcome.scores(0, batches, counts)
     inverse_root = outcome.roots[1][0]
@@ -168,19 +168,21 @@ def fit_whitened(
         pull = raw.evaluate(solved.point.unknowns).gradient - solved.point.gradient
         spread = spread + outcome.spread_of(doubt * pull)
     # First as the scatter has it: how sure the contrasts are, it tells too.
-    told = outcome.fits(spread, widening, [solved.converged], [0])[0]
+    improved = outcome.fits(spread, widening, [solved.converged], [0])[0]
     if data.judges:
-        told = replace(told, r_squared=_explained(solved, given.total(kept), data.judges, basis))
-    r_squared = told.r_squared
-    errors = solved.trial.systematic(told, hover)
+        improved = replace(
+            improved, r_squared=_explained(solved, given.total(kept), data.judges, basis)
+        )
+    r_squared = improved.r_squared
+    errors = solved.trial.systematic(improved, hover)
     for error in errors:
         way = np.zeros(solved.problem.p)
         way[: rb.N_THETA] = error / widening[0, : rb.N_THETA]
         spread = spread + outcome.spread_of(way[None] @ solved.point.hessian[0])
     if len(errors):
-        told = outcome.fits(spread, widening, [solved.converged], [0])[0]
+        improved = outcome.fits(spread, widening, [solved.converged], [0])[0]
     fit = replace(
-        told,
+        improved,
         r_squared=r_squared,
         whiteners=tuple(data.whiteners[i] for i in solved.pick),
         disturbance=solved.trial.detected,
@@ -382,7 +384,7 @@ def _chosen(
     every = choice.every(point.unknowns[0])
     competing = choice.with_turns(every, point.unknowns[0])
     n, m = rb.N_THETA, len(competing.std)
-    noise = (before.bank - before.without) / (TOLD * rows)
+    noise = (before.bank - before.without) / (NOISE_SHARE * rows)
     problem = AxisProblem(before.bank, rows, basis, prior, noise, competing)
     unknowns = problem.extended(point.unknowns[:, :N_UNKNOWNS])
     # Where the fit stands in terms of all deviations: the same torque.
@@ -429,7 +431,9 @@ def _alike(
     torque = deviations.torque(known[N_UNKNOWNS:])
     T = residual_maker(rb.forward_matrix(known[: rb.N_THETA], torque))
     of_noise = ((T @ noise) * T).sum(axis=-1)
-    alike: Array = np.maximum(point.told / rows + TOLD * of_noise, _LEAST * point.variance)
+    alike: Array = np.maximum(
+        point.motion_power / rows + NOISE_SHARE * of_noise, _LEAST * point.variance
+    )
     return alike
 
 
@@ -445,7 +449,7 @@ def _scanned(
     every = max(len(total) * len(nodes) // _SCANNED, 1)
     some, some_noise = total[::every], data.noise[::every]
     middle = nodes[basis.middle]
-    at_middle = basis.moments_at(some - TOLD * rows * some_noise, middle)
+    at_middle = basis.moments_at(some - NOISE_SHARE * rows * some_noise, middle)
     guesses = [first_guess(moments, rows, middle, prior) for moments in at_middle]
     known = [guess for guess in guesses if guess is not None]
     if not known:

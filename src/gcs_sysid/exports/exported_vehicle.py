@@ -199,7 +199,7 @@ def assemble(
         InputError: a value makes no sense, the rotors are not known, or they contradict.
     """
     rotors, label = _rotors(result, airframe)
-    known = {n: q for n, e in (result.parameters | result.timing).items() if (q := _told(e))}
+    known = {n: q for n, e in (result.parameters | result.timing).items() if (q := _quantity_of(e))}
     known.pop("rotor_delay", None)
     if airframe is not None:
         for n, quantity in _of_airframe(airframe).items():
@@ -214,7 +214,7 @@ def assemble(
     return Vehicle(_identifier(name or label), rotors, known, result)
 
 
-def _told(estimate: Estimate) -> Quantity | None:
+def _quantity_of(estimate: Estimate) -> Quantity | None:
     if estimate.value is None or estimate.status == "unobservable":
         return None
     return Quantity(estimate.value, estimate.std, estimate.status)

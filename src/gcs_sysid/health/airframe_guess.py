@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
-from gcs_sysid.session.told_layout import told_layout
+from gcs_sysid.session.reported_layout import reported_layout
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.vehicles import Vehicle
 
@@ -107,10 +107,10 @@ def _of_px4(parameters: Mapping[str, float]) -> GuessedAirframe | None:
 def _by_type(vehicle: Vehicle, parameters: Mapping[str, float]) -> GuessedAirframe:
     size = f"its arm of {_USUAL_ARM:g} m assumed: give --arm"
     shape = _ROTORS.get(vehicle.vehicle_type or 0)
-    told = told_layout(vehicle.key, parameters)
-    if told is not None:
-        airframe = Airframe("told", told.rotors).with_arm(_USUAL_ARM)
-        return GuessedAirframe(airframe, f"{told.by}, {size}", _UNKNOWN_ARM)
+    reported = reported_layout(vehicle.key, parameters)
+    if reported is not None:
+        airframe = Airframe("reported", reported.rotors).with_arm(_USUAL_ARM)
+        return GuessedAirframe(airframe, f"{reported.by}, {size}", _UNKNOWN_ARM)
     if vehicle.key == "ardupilot" and {"FRAME_CLASS", "FRAME_TYPE"} <= set(parameters):
         raise InputError(
             f"where are the rotors? FRAME_CLASS {parameters['FRAME_CLASS']:.0f} and FRAME_TYPE "

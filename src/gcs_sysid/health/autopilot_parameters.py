@@ -51,7 +51,7 @@ class Suggestion:
 
 def suggested(health: Health) -> tuple[Suggestion, ...]:
     """All parameters that the flight determines well enough to change them."""
-    if not health.told:
+    if not health.available:
         return ()
     of = {"px4": _px4, "ardupilot": _ardupilot}.get(health.autopilot)
     return () if of is None else tuple(of(health))
@@ -69,7 +69,7 @@ def _curve(health: Health) -> Quantity | None:
     if health.curve is None or health.curve.c.std is None:
         return None
     # A curve that the flight does not tell is no suggestion.
-    return health.curve.c if 0.0 < health.curve.c.std < TUNING.told_curve else None
+    return health.curve.c if 0.0 < health.curve.c.std < TUNING.usable_curve else None
 
 
 def _px4(health: Health) -> Iterator[Suggestion]:
@@ -199,7 +199,7 @@ def parameter_file(health: Health, form: str) -> str:
     if not found:
         raise InputError(
             f"{health.source}: this flight suggests no parameters of its autopilot"
-            + ("" if health.told else ": nothing hovers in it")
+            + ("" if health.available else ": nothing hovers in it")
         )
     system = int(health.vehicle.get("sysid") or 1)
     component = int(health.vehicle.get("compid") or 1)

@@ -109,14 +109,14 @@ def robust_fit(
         ValueError: fewer rows than columns.
     """
     n, p = columns.shape
-    told = columns if projected is None else projected
+    regressors = columns if projected is None else projected
     if n <= p:
         raise ValueError(f"{n} windows do not show {p} coefficients")
-    huber = _huber_fit(columns, y, ridge, jitter, told)
+    huber = _huber_fit(columns, y, ridge, jitter, regressors)
     value, residual, weight, scale, penalty = huber
-    normal = _products(told, jitter, weight) + scale**2 * np.diag(penalty)
+    normal = _products(regressors, jitter, weight) + scale**2 * np.diag(penalty)
     bread = _inverse(normal)
-    score = told * (weight * residual)[:, None]
+    score = regressors * (weight * residual)[:, None]
     lags = min(max(2, round(2.5 * n ** (1.0 / 3.0))), n - 1)
     meat = score.T @ score
     for lag in range(1, lags + 1):
@@ -162,7 +162,7 @@ def robust_values(columns: Array, targets: Array, ridge: Array) -> Array:
 
 
 def _huber_fit(
-    columns: Array, y: Array, ridge: Array | None, jitter: Array | None, told: Array
+    columns: Array, y: Array, ridge: Array | None, jitter: Array | None, regressors: Array
 ) -> tuple[Array, Array, Array, float, Array]:
     """Coefficients (p,), residuals (n,), weights (n,), robust scale and penalty (p,)."""
     p = columns.shape[1]
@@ -172,8 +172,8 @@ def _huber_fit(
     value = np.zeros(p)
     residual = y
     for _ in range(_ROUNDS):
-        weighted = told * weight[:, None]
-        normal = _products(told, jitter, weight, weighted) + scale**2 * np.diag(penalty)
+        weighted = regressors * weight[:, None]
+        normal = _products(regressors, jitter, weight, weighted) + scale**2 * np.diag(penalty)
         value = _inverse(normal) @ (weighted.T @ y)
         residual = y - columns @ value
         scale = max(1.4826 * median_of(np.abs(residual - median_of(residual))), 1e-15)

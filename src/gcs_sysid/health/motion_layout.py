@@ -18,7 +18,7 @@ from gcs_sysid.health.hover import flight_of, windowed_means
 from gcs_sysid.health.log_streams import RotorStream, Streams, rate_of, streams_of
 from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.model.airframe import Airframe, Rotor
-from gcs_sysid.session.told_layout import place_words, usual_layouts
+from gcs_sysid.session.reported_layout import place_words, usual_layouts
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
 

@@ -77,7 +77,7 @@ class Tuning:
         windier: times the noise power of both stretches together, from which on one keeps its own.
         shortest_drift: s of flight from which a drift is reported.
         full_command: command from which a rotor counts as saturated.
-        told_curve: standard deviation of c from which on it is no suggestion.
+        usable_curve: standard deviation of c from which on it is no suggestion.
         above_idle: of the range of outputs, MOT_SPIN_MIN above what turns all rotors (ArduPilot's
             manual).
         idle_std: of the range of outputs, by which an idle is known.
@@ -95,7 +95,7 @@ class Tuning:
         drag_lever: arms, prior standard deviation of the height that drag acts at.
         wind_share: of what wind seems to move the center of thrust by, that may be real: the rest
             is an accelerometer off level.
-        told_by_instruments: standard deviation of c up to which the instruments are strong enough.
+        instruments_std: standard deviation of c up to which the instruments are strong enough.
         gust_bias: relative error of the thrust's slope, over the share of gusts in its power
             (measured over nine flights of `benchmarks.health`).
         white_neighbors: autocorrelation of neighboring windows, of white noise and of gusts.
@@ -152,7 +152,7 @@ class Tuning:
     windier: float = 3.0
     shortest_drift: float = 20.0
     full_command: float = 0.99
-    told_curve: float = 0.15
+    usable_curve: float = 0.15
     above_idle: float = 0.03
     idle_std: float = 0.01
     voltage_std: float = 0.05
@@ -167,7 +167,7 @@ class Tuning:
     curve_floor: float = 0.004
     drag_lever: float = 1.0
     wind_share: float = 0.5
-    told_by_instruments: float = 0.05
+    instruments_std: float = 0.05
     gust_bias: float = 0.8
     white_neighbors: tuple[float, float] = (0.25, 0.5)
     cg_floor: float = 0.0005

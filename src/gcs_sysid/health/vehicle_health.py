@@ -71,14 +71,14 @@ class RotorHealth:
 
     def as_json(self) -> dict[str, Any]:
         """As health files write it."""
-        told = {
+        quantities = {
             "thrust_share": self.thrust_share,
             "efficiency": self.efficiency,
             "motor_gain": self.motor_gain,
             "headroom": self.headroom,
             "vibration": self.vibration,
         }
-        out: dict[str, Any] = {n: None if q is None else q.as_json() for n, q in told.items()}
+        out: dict[str, Any] = {n: None if q is None else q.as_json() for n, q in quantities.items()}
         return {**out, "saturated": self.saturated}
 
 
@@ -170,14 +170,14 @@ class Health:
         return None if self.mass is None else self.mass.value
 
     @property
-    def told(self) -> bool:
+    def available(self) -> bool:
         """Whether anything hovered."""
         return self.cg is not None
 
     @property
     def reported(self) -> bool:
         """Whether it belongs beside an analysis: something hovered, or the motion contradicts."""
-        return self.told or self.contradicted
+        return self.available or self.contradicted
 
 
 def as_baseline(health: Health) -> Baseline | None:

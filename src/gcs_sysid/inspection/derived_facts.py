@@ -32,7 +32,7 @@ class FlightWatch:
         self._since: float | None = None
 
     @property
-    def told_by(self) -> str:
+    def recognized_by(self) -> str:
         """As `Inspection.flight_told_by` says."""
         if self._in_air is not None:
             return "autopilot"
@@ -103,8 +103,8 @@ class RotorJudge:
         block = RecordBlock.of(self._waiting)
         self._waiting.clear()
         for part in block.windows():
-            for _, told in part.parameters:
-                self._rotor_selector.learn(told.source, told.values[0])
+            for _, record_of in part.parameters:
+                self._rotor_selector.learn(record_of.source, record_of.values[0])
             self._note(self._sampler.take(part.tracks))
 
     def finish(self, sources: Sequence[RotorSource]) -> RotorInput:

@@ -170,7 +170,7 @@ class Inspector:
             problems: that a link has.
         """
         self._look_at_all()
-        told_by = self._flight.told_by
+        recognized_by = self._flight.recognized_by
         self._flight.turn(self.duration, flying=False)
         self._count_wraps()
         telemetry = self._telemetry
@@ -187,7 +187,7 @@ class Inspector:
             vehicle=telemetry.vehicle,
             systems=tuple(telemetry.systems),
             flights=tuple(self._flight.spans),
-            flight_told_by=told_by,  # type: ignore[arg-type]
+            flight_told_by=recognized_by,  # type: ignore[arg-type]
             streams=tuple(
                 _stream_facts(key, watch, messages)
                 for key, watch in sorted(self._streams.items(), key=_in_table_order)

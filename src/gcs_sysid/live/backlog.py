@@ -39,19 +39,19 @@ class Backlog:
         Args:
             now: any steady clock, s.
         """
-        told, waiting = [], self._source.waiting
+        notes, waiting = [], self._source.waiting
         self.longest = max(self.longest, waiting)
         self._longest_now = max(self._longest_now, waiting)
         if not self.too_slow and waiting > TOO_SLOW:
             self.too_slow, self._since = True, now
-            told.append(
+            notes.append(
                 f"the computer is too slow: {waiting:.1f} s of data waiting, none lost; advice and "
                 "new estimates wait until it has caught up"
             )
         elif self.too_slow and waiting < CAUGHT_UP:
             self.too_slow = False
             self._seconds += now - self._since
-            told.append(
+            notes.append(
                 f"caught up after {now - self._since:.1f} s, {self._longest_now:.1f} s behind "
                 "at most"
             )
@@ -59,8 +59,8 @@ class Backlog:
             self._longest_now = 0.0
         if self._source.unlearnt and not self._unlearnt:
             self._unlearnt = True
-            told.append("the backlog is too large: some data are not used for the estimate")
-        return told
+            notes.append("the backlog is too large: some data are not used for the estimate")
+        return notes
 
     def last_words(self) -> list[str]:
         """What there is to tell when nothing more comes."""

@@ -177,7 +177,7 @@ class Coach:
         ):
             self._begin(fit, now)
         else:
-            self._advice = self._told(now, progress)
+            self._advice = self._advice_now(now, progress)
         self._seconds = fit.seconds
 
     def _is_damped(self) -> bool:
@@ -244,7 +244,7 @@ class Coach:
             self._text = sentence(found.manoeuvre, found.names, now, found.expected)
         if self._damped and self.choice is not None:
             self._text, self._damped = f"{self._damped}; {self._text}", ""
-        self._advice = self._told(now, 0.0)
+        self._advice = self._advice_now(now, 0.0)
 
     def _asked_squares(self, choice: Choice) -> Array:
         """(3,) squared body rates, mean over the manoeuvre as it is asked."""
@@ -256,7 +256,7 @@ class Coach:
         asked: Array = squares
         return asked
 
-    def _told(self, now: Mapping[str, float | None], progress: float) -> Advice | None:
+    def _advice_now(self, now: Mapping[str, float | None], progress: float) -> Advice | None:
         choice = self.choice
         if choice is None:
             return None

@@ -126,7 +126,7 @@ class LiveEstimate:
         if text:
             self.chain.note(text)
 
-    def tell(self, texts: Sequence[str]) -> None:
+    def note_all(self, texts: Sequence[str]) -> None:
         """Add lines to the event log."""
         for text in texts:
             self.note(text)

@@ -114,7 +114,7 @@ class LiveSession:
         self._stop = threading.Event()
         self._all_taken = False
         self._latest: Snapshot | None = None
-        self._told_result_at = 0.0
+        self._result_reported_at = 0.0
         self._asked = self._published = -float("inf")
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
 
@@ -235,7 +235,7 @@ class LiveSession:
         self._guarded(self._station.leave)
         self._guarded(self._take_the_rest)
         self._guarded(self._source.close)
-        self._estimate.tell(self._source.take_events())
+        self._estimate.note_all(self._source.take_events())
         assert self._latest is not None
         last = self._latest.result
         self.final = self._estimate.final(self._complete, last, self.problem)
@@ -267,7 +267,7 @@ class LiveSession:
         self._attend(now)
         self._see_backlog(now)
         self._meet(self._commands.grant(self._estimate.note))
-        self._estimate.tell(self._source.take_events())
+        self._estimate.note_all(self._source.take_events())
         if self._backlog.is_idle:
             self._estimate.think()
         every = _PUBLISH_LATE if self._backlog.too_slow else _PUBLISH_EVERY
@@ -279,7 +279,7 @@ class LiveSession:
         match item:
             case Batch():
                 self._estimate.learn(item, self._source.link_report.garbage_bytes)
-                self._tell_result()
+                self._report_result()
             case ResetMark(time_us):
                 self._estimate.reset(time_us)
             case RecordingCut():
@@ -305,11 +305,11 @@ class LiveSession:
                 station.tick(now, intake)
         except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
             self._estimate.retreat(defect)
-        self._estimate.tell(station.take_events())
+        self._estimate.note_all(station.take_events())
 
     def _see_backlog(self, now: float) -> None:
         before = self._backlog.too_slow
-        self._estimate.tell(self._backlog.look(now))
+        self._estimate.note_all(self._backlog.look(now))
         if self._backlog.too_slow is not before:
             self._estimate.relieve(on=not before)
 
@@ -317,7 +317,7 @@ class LiveSession:
         """Learn from all that is recorded; nobody asks for estimates on the way."""
         self._estimate.relieve(on=True)
         self._source.finish()
-        self._estimate.tell(self._backlog.last_words())
+        self._estimate.note_all(self._backlog.last_words())
         while not self._all_taken:
             for item in self._source.take(_POLL):
                 self._take(item)
@@ -343,13 +343,13 @@ class LiveSession:
     def _complete(self, result: Result) -> Result:
         return with_link(result, self._source, self._station, self._backlog, time.monotonic())
 
-    def _tell_result(self) -> None:
+    def _report_result(self) -> None:
         estimate, t = self._estimate, self._estimate.chain.t
         if estimate.relieved or estimate.duty is not Duty.IDENTIFY:
             return
-        if self._on_result is None or t - self._told_result_at < _RESULT_EVERY:
+        if self._on_result is None or t - self._result_reported_at < _RESULT_EVERY:
             return
-        self._told_result_at = t
+        self._result_reported_at = t
         try:
             result = estimate.advised(self._complete(estimate.pipeline.result()))
         except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
@@ -390,7 +390,7 @@ class LiveSession:
         self._estimate.relieve(on=before.relieved)
         before.drop()
         self._estimate.know(before.pipeline.intake.selector.autopilots)
-        self._told_result_at = 0.0
+        self._result_reported_at = 0.0
         self._estimate.note(f"chosen: {vehicle.name}; the session restarts")
         path = self._source.recording_report.path
         if path:

@@ -136,7 +136,7 @@ class ReceiverMain:
         while not self._finished:
             self._obey()
             items = self._taken(0.0 if self._finished else POLL)
-            self._tell()
+            self._send_report()
             self._outbox.put_items(items)
             if 0 < sum(len(i.frames) for i in items if isinstance(i, Batch)) < FEW:
                 time.sleep(GATHER)
@@ -196,7 +196,7 @@ class ReceiverMain:
             self._outbox.put_items(items)
         self._reception.finish()
 
-    def _tell(self) -> None:
+    def _send_report(self) -> None:
         """Report what has changed."""
         now = time.monotonic()
         if now - self._reported < REPORT_EVERY and not self._finished:
@@ -255,8 +255,8 @@ def main() -> int:
         settings = json.loads(sys.stdin.buffer.readline())
         reception, requests = open_reception(settings)
     except (GcsSysidError, ValueError) as error:
-        told = [type(error).__name__, str(error)]
-        outbox.put(wire.json_message(wire.REFUSED, told))
+        refusal = [type(error).__name__, str(error)]
+        outbox.put(wire.json_message(wire.REFUSED, refusal))
         outbox.close()
         return 2
     url = reception.url

@@ -82,7 +82,7 @@ class ReplaySession:
         self._stay = stay
         self._clock = clock
         self._on_result = on_result
-        self._told_result_at = 0.0
+        self._result_reported_at = 0.0
         self._speed = speed
         self._paused = self._ended = False
         self._asked_speed, self._asked_paused = speed, False
@@ -211,7 +211,7 @@ class ReplaySession:
             return self._wait(playback.log_segments, end, until)
         playback.take()
         self._changed = True
-        self._tell_result()
+        self._report_result()
         return 0.0
 
     def _wait(self, log_segments: LogSegments, end: float, until: float) -> float:
@@ -257,7 +257,7 @@ class ReplaySession:
         self._ended = False
         self._prediction = LivePrediction(self._pipeline.chain)
         self._pipeline.chain.observers[:] = [self._look]
-        self._told_result_at = self._position
+        self._result_reported_at = self._position
         self._anchor = (self._clock(), self._position)
 
     def _look(self, block: SampleBlock) -> None:
@@ -285,9 +285,9 @@ class ReplaySession:
 
     # -- what others see
 
-    def _tell_result(self) -> None:
-        if self._on_result is not None and self._position - self._told_result_at >= 1.0:
-            self._told_result_at = self._position
+    def _report_result(self) -> None:
+        if self._on_result is not None and self._position - self._result_reported_at >= 1.0:
+            self._result_reported_at = self._position
             self._on_result(self._pipeline.result())
 
     def _is_publishing_due(self) -> bool:

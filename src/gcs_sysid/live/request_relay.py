@@ -5,20 +5,20 @@ from collections.abc import Callable
 from gcs_sysid.telemetry.outgoing import Gate
 
 
-class RequestsTold:
+class RelayedRequests:
     """Stands for the gate where that is in another process: tells it what to ask for.
 
     Args:
-        tell: name of a method of `Gate`, the version to speak, arguments.
+        send: called with a method of `Gate`, the protocol version and the arguments.
         listen_only: as of `Gate`.
         signing: as of `Gate`.
     """
 
     def __init__(
-        self, tell: Callable[..., None], *, listen_only: bool = False, signing: bool = False
+        self, send: Callable[..., None], *, listen_only: bool = False, signing: bool = False
     ) -> None:
         self.version = 2
-        self._tell = tell
+        self._send = send
         self.listen_only = listen_only
         self.signing = signing
 
@@ -50,12 +50,12 @@ class RequestsTold:
 
     def _ask(self, name: str, *arguments: object) -> bool:
         if not self.listen_only:
-            self._tell(name, self.version, *arguments)
+            self._send(name, self.version, *arguments)
         return not self.listen_only
 
 
 class RequestsDone:
-    """Does what `RequestsTold` tells, through the gate alone, and can take it back.
+    """Does what `RelayedRequests` tells, through the gate alone, and can take it back.
 
     Args:
         gate: decides what is sent.

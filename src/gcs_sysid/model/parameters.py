@@ -82,7 +82,7 @@ class Parameter:
         symbol: in text, as in docs/method.md.
         unit: SI.
         meaning: in words.
-        told_by: the motion or signal that makes it observable.
+        excited_by: the motion or signal that makes it observable.
         label: for columns of thirteen letters; empty: the name.
         group: words shared with the parameters that are reported together.
         fit: "scale": mass or thrust, of which one fact must be known; "rotation": read off theta;
@@ -112,7 +112,7 @@ class Parameter:
     symbol: str
     unit: str
     meaning: str
-    told_by: str
+    excited_by: str
     label: str = ""
     group: str = ""
     fit: Literal["scale", "rotation", "translation", "actuator"] = "rotation"
@@ -151,11 +151,11 @@ def _axis_damping(axis: int) -> Parameter:
     )  # fmt: skip
 
 
-def _moment(axis: int, told_by: str, usual: float) -> Parameter:
+def _moment(axis: int, excited_by: str, usual: float) -> Parameter:
     letter = "xyz"[axis]
     name = f"I{letter}{letter}"
     return Parameter(
-        name, name, "kg m^2", f"moment of inertia about the body {letter} axis", told_by,
+        name, name, "kg m^2", f"moment of inertia about the body {letter} axis", excited_by,
         group="moments of inertia", theta=name, core=INPUTS, sign="positive", prior=True,
         axes=(axis,), rigid_body=axis == 2, clock=_FULL, usual=(usual, usual),
     )  # fmt: skip

@@ -201,13 +201,13 @@ def event_of(
             "ci95": [event.cause.loss - half, event.cause.loss + half],
         }
     if after is not None:
-        told = describe(
+        description = describe(
             {n: (v.value, v.std) for n, v in before.items()},
             {n: (v.value, v.std) for n, v in after.items()},
         )
-        if told["kind"] != "change":
-            out["kind"] = told["kind"]
-        out["parameters"] = told["parameters"]
+        if description["kind"] != "change":
+            out["kind"] = description["kind"]
+        out["parameters"] = description["parameters"]
     return out
 
 

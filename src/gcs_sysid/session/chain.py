@@ -86,8 +86,8 @@ class Chain:
         """
         before = self.renewals
         for part in block.windows():
-            for _, told in part.parameters:
-                self.rotor_selector.learn(told.source, told.values[0])
+            for _, parameter in part.parameters:
+                self.rotor_selector.learn(parameter.source, parameter.values[0])
             for samples in self.sampler.take(part.tracks):
                 self._learn(samples)
         return self.renewals > before

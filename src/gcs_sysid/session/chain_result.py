@@ -161,8 +161,8 @@ class Findings:
             for name, e in (parameters | self._timing()).items()
             if e.value is not None and e.std is not None
         }
-        told = {name: Value(e.value, e.std, e.status) for name, e in parameters.items()}
-        given = given_effects(told, self.learner.fit, self._given(self._anchor))
+        entries = {name: Value(e.value, e.std, e.status) for name, e in parameters.items()}
+        given = given_effects(entries, self.learner.fit, self._given(self._anchor))
         names, matrix, effects = parameter_covariance(rotation, self._scale, values, given)
         if not np.isfinite(matrix).all():
             return {}

@@ -142,8 +142,8 @@ def start_command(vehicle: Vehicle, url: str, several: bool = False) -> str:
     """What to type to identify a vehicle; the size and the mass are for the user to fill in."""
     # The type in its heartbeat tells no order of motors, and of many a hexa not even the number;
     # its parameters do, once it may be asked.
-    told = vehicle.key in ("px4", "ardupilot") and rotor_count(vehicle) != _TRICOPTER
-    frame = "--airframe auto --arm M" if told else "--airframe FILE.toml"
+    reported = vehicle.key in ("px4", "ardupilot") and rotor_count(vehicle) != _TRICOPTER
+    frame = "--airframe auto --arm M" if reported else "--airframe FILE.toml"
     which = f" --vehicle {vehicle.system}:{vehicle.component}" if several else ""
     return f"gcs-sysid live {quoted(url)} {frame} --mass KG{which}"
 

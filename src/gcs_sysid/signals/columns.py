@@ -96,8 +96,8 @@ class RecordBlock:
 
     def records(self) -> Iterator[tuple[int, Record]]:
         """(order, record) one by one, in order, without holding them all."""
-        told = np.array([number for number, _ in self.parameters], np.int64)
-        orders = [told, *(track.order for track in self.tracks)]
+        orders_of_parameters = np.array([number for number, _ in self.parameters], np.int64)
+        orders = [orders_of_parameters, *(track.order for track in self.tracks)]
         rows = [(r for _, r in self.parameters), *(track.records() for track in self.tracks)]
         order = np.concatenate(orders)
         sorting = np.argsort(order, kind="stable")
@@ -156,7 +156,7 @@ class RecordBlock:
             tracks = (track.between(first, stop) for track in self.tracks)
             window = RecordBlock(
                 tuple(track for track in tracks if len(track.t)),
-                tuple(told for told in self.parameters if first <= told[0] < stop),
+                tuple(entry for entry in self.parameters if first <= entry[0] < stop),
                 tuple(event for event in self.events if first <= event[0] < stop),
             )
             if len(window) or window.events:

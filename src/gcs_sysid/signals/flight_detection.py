@@ -128,9 +128,9 @@ class FlightDetector:
         low = ground - down < _HEIGHT
         heard: Mask = np.logical_or.reduce(np.isfinite(speeds), axis=1)
         silent = self._since(t, heard, "_rotors_at") >= _UNHEARD
-        told = np.isfinite(in_air)
+        reported = np.isfinite(in_air)
         change = np.select(
-            [stands, told, falls, low | silent, turn],
+            [stands, reported, falls, low | silent, turn],
             [-1.0, np.where(in_air > 0.5, 1.0, -1.0), 1.0, -1.0, 1.0],
             0.0,
         )

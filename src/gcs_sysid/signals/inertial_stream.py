@@ -92,10 +92,10 @@ class InertialBuffer(StreamBuffer):
             t, v = t[~frozen], v[~frozen]
         settled = (known == len(t)) | (known - np.searchsorted(t, grid) > self._ahead)
 
-        def tell(count: int, grid: Array) -> Array:
+        def values_at(count: int, grid: Array) -> Array:
             return self._sound_values(t[:count], v[:count], grid)
 
-        return as_known(tell, grid, known, settled, len(t))
+        return as_known(values_at, grid, known, settled, len(t))
 
     def _sound_values(self, t: Array, v: Array, grid: Array) -> Array:
         gap = self.gap

@@ -195,14 +195,14 @@ class RotorBuffer(StreamBuffer):
         left_out = spoilt[known] - spoilt[np.minimum(right, known)]
         settled = (known == len(t)) | (known - right - left_out > among + _REACH)
 
-        def tell(count: int, grid: Array) -> Array:
+        def values_at(count: int, grid: Array) -> Array:
             sound = ~wild_rows(t[:count], v[:count], gap)
             times = t[:count][~sound]
             self.wild += int(np.count_nonzero((times > self._counted) & (times <= grid[-1])))
             self._counted = float(grid[-1])
             return interpolate(t[:count][sound], v[:count][sound], grid, gap, among)
 
-        return as_known(tell, grid, known, settled, len(t))
+        return as_known(values_at, grid, known, settled, len(t))
 
 
 def wild_rows(t: Array, v: Array, gap: float) -> Mask:

@@ -83,10 +83,12 @@ def _of_ardupilot(parameters: Parameters) -> Range:
         low, high = 1000.0, 2000.0
     start = parameters.get("MOT_SPIN_MIN", 0.15)
     full = parameters.get("MOT_SPIN_MAX", 0.95)
-    told = "MOT_SPIN_MIN" in parameters and "MOT_SPIN_MAX" in parameters
+    reported = "MOT_SPIN_MIN" in parameters and "MOT_SPIN_MAX" in parameters
     if not 0.0 <= start < full <= 1.0:
-        start, full, told = 0.15, 0.95, False
-    origin = "MOT_PWM_* and MOT_SPIN_*" if told else "MOT_SPIN_MIN 0.15, MOT_SPIN_MAX 0.95 assumed"
+        start, full, reported = 0.15, 0.95, False
+    origin = (
+        "MOT_PWM_* and MOT_SPIN_*" if reported else "MOT_SPIN_MIN 0.15, MOT_SPIN_MAX 0.95 assumed"
+    )
     return Range(low + start * (high - low), low + full * (high - low), origin)
 
 

@@ -326,12 +326,12 @@ def _alike(t: Array, gaps: Array, among: Array) -> list[slice]:
 
 
 def as_known(
-    tell: Callable[[int, Array], Array], grid: Array, known: Array, settled: Array, count: int
+    evaluate: Callable[[int, Array], Array], grid: Array, known: Array, settled: Array, count: int
 ) -> Array:
     """Values of which some must not be told from samples that came later.
 
     Args:
-        tell: gives the (n, width) values from so many samples, at (n,) s; asked in order.
+        evaluate: (n, width) values from so many samples, at (n,) s; called in order.
         grid: (n,) s.
         known: (n,) how many samples were known of each.
         settled: (n,) whether samples to come changed nothing any more.
@@ -339,5 +339,5 @@ def as_known(
     """
     from_ = np.where(settled, count, known)
     edges = [0, *(np.flatnonzero(np.diff(from_)) + 1).tolist(), len(grid)]
-    parts = [tell(int(from_[a]), grid[a:b]) for a, b in pairwise(edges)]
+    parts = [evaluate(int(from_[a]), grid[a:b]) for a, b in pairwise(edges)]
     return parts[0] if len(parts) == 1 else np.concatenate(parts)

@@ -354,8 +354,8 @@ class TimeBase:
         for buffer in self._buffers.values():
             buffer.forget_before(t[-1])
         fresh, self._fresh = self._fresh, False
-        told = np.diff(ends, prepend=first) > 0
-        yield Block(t, values, stamps, ends[told] - first, orders[told], fresh)
+        lasting = np.diff(ends, prepend=first) > 0
+        yield Block(t, values, stamps, ends[lasting] - first, orders[lasting], fresh)
 
     def _end_grid(self, order: int, *, clear: bool) -> Iterator[Block]:
         yield from self.finish(order)

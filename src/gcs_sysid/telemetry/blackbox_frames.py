@@ -131,8 +131,8 @@ def read_frames(
         )
         for letter, layout in layouts.items()
     }
-    told = np.column_stack([order[E], np.concatenate(events)])
-    resumed = told[told[:, 1] == RESUME][:, [0, 2, 3]]
+    all_events = np.column_stack([order[E], np.concatenate(events)])
+    resumed = all_events[all_events[:, 1] == RESUME][:, [0, 2, 3]]
     broken = ~every.whole | every.gap
     broken[resumed[:, 0]] = True
     main, time_us = main_frames(header, written[I], written[P], broken, resumed)
@@ -142,7 +142,7 @@ def read_frames(
     )
     end = every.ends[-1] if every.over[-1:].any() else stop
     return Frames(
-        main=main, time_us=time_us, slow=slow, gps=gps, home=home, events=told,
+        main=main, time_us=time_us, slow=slow, gps=gps, home=home, events=all_events,
         counts={chr(k): len(places) for k, places in order.items()},
         damaged=int((~every.whole).sum()),
         lost=len(order[I]) + len(order[P]) - len(time_us),

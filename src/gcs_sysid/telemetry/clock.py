@@ -94,7 +94,7 @@ class VehicleClock:
             return self.stamp_us32(time_usec)
         return self.stamp_us64(time_usec)
 
-    def tells_unix_time(self, time_unix_usec: int, time_boot_ms: int) -> bool:
+    def gives_unix_time(self, time_unix_usec: int, time_boot_ms: int) -> bool:
         """Whether a SYSTEM_TIME says how Unix time and time since boot hang together, and is new.
 
         That is kept once known: GPS corrects Unix time in flight, and the axis must not jump.
@@ -104,7 +104,7 @@ class VehicleClock:
 
     def system_time(self, time_unix_usec: int, time_boot_ms: int) -> None:
         """Learn how Unix time and time since boot hang together, from SYSTEM_TIME."""
-        if self.tells_unix_time(time_unix_usec, time_boot_ms):
+        if self.gives_unix_time(time_unix_usec, time_boot_ms):
             self._unix_minus_boot = time_unix_usec * 1e-6 - time_boot_ms * 1e-3
 
     @property

@@ -159,8 +159,8 @@ class RecordDecoder:
         known = -1 if self.states.autopilot is None else self.states.autopilot
         if beats is None:
             return np.full(len(order), known)
-        told = np.concatenate([[known], beats["autopilot"].astype(int)])
-        before: Array = told[np.searchsorted(beats["_frame"], order)]
+        reported = np.concatenate([[known], beats["autopilot"].astype(int)])
+        before: Array = reported[np.searchsorted(beats["_frame"], order)]
         return before
 
     def _learn_unix_time(self, frames: FrameBlock, mine: Mask) -> int:
@@ -171,7 +171,7 @@ class RecordDecoder:
         times = message_arrays(frames, ("SYSTEM_TIME",), mine).get("SYSTEM_TIME", ())
         for row in times:
             if int(row["_frame"]) > frames.number:
-                if self.clock.tells_unix_time(*self._system_time(row)):
+                if self.clock.gives_unix_time(*self._system_time(row)):
                     return int(row["_frame"])
             else:
                 self.clock.system_time(*self._system_time(row))
@@ -292,8 +292,8 @@ class RecordDecoder:
             there.append((message.rank, rows["_frame"], t, values))
         allowed = self._preferences[stream].allows([part[:3] for part in there])
         parts = [
-            tuple(_kept(part, mask) for part in told[1:])
-            for told, mask in zip(there, allowed, strict=True)
+            tuple(_kept(part, mask) for part in reported[1:])
+            for reported, mask in zip(there, allowed, strict=True)
         ]
         order, t, values = (
             parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
@@ -334,8 +334,8 @@ class RecordDecoder:
             first, size = divmod(kind, whole + 1)
             if size:
                 some = kinds == kind
-                at, times, told = (_kept(part, some) for part in (order, t, values[:, :size]))
-                self._add(out, message.stream, at, times, told, first, message.source)
+                at, times, reported = (_kept(part, some) for part in (order, t, values[:, :size]))
+                self._add(out, message.stream, at, times, reported, first, message.source)
 
     @staticmethod
     def _values(message: Message, rows: Array) -> Array:
@@ -345,8 +345,8 @@ class RecordDecoder:
             values = fields[0].astype(float)
         else:
             values = np.empty((len(rows), len(fields)))
-            for column, told in enumerate(fields):
-                values[:, column] = told
+            for column, reported in enumerate(fields):
+                values[:, column] = reported
         if message.convert is not None:
             whole = complete_rows(values)
             if not whole.all():

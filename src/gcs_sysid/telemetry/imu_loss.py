@@ -163,12 +163,12 @@ def loss_reason(telemetry: Mapping[str, Any]) -> tuple[str, bool]:
     Returns:
         One line, empty where little is missing, and whether the verdict is at most `partial`.
     """
-    told = telemetry.get("imu_loss", {})
-    share = 0.01 * told.get("missing_percent", 0.0)
+    loss = telemetry.get("imu_loss", {})
+    share = 0.01 * loss.get("missing_percent", 0.0)
     if share < SERIOUS:
         return "", False
     words = (
         f"{100.0 * share:.0f} % of the IMU's samples are missing by their timestamps, for "
-        f"{told['longest']:.2f} s at most: the estimate uses the rest"
+        f"{loss['longest']:.2f} s at most: the estimate uses the rest"
     )
     return words, share >= TOO_MUCH

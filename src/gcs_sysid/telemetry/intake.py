@@ -28,7 +28,7 @@ _HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
 _STATUSTEXT = MESSAGE_IDS["STATUSTEXT"]
 _heartbeat = picker("HEARTBEAT", "type", "autopilot", "base_mode")
 _STATES = sorted(STATE_IDS)
-_MOST_OTHERS_TOLD = 4
+_MOST_OTHERS_LISTED = 4
 """Vehicles that are told of one by one; a hostile sender can make up hundreds."""
 _MORE = 3
 """Times the messages of the chosen vehicle, from which another is told of when all is not well."""
@@ -125,7 +125,7 @@ class Intake:
         stop = self._next_mark(frames, good)
         if stop == 0:
             self._note("reset", "estimate reset by the user")
-            self._tell(frames.number, out)
+            self._add_events(frames.number, out)
             return 1
         beats = good & (frames.message_id == _HEARTBEAT)
         chosen = self.selector.chosen
@@ -179,7 +179,7 @@ class Intake:
                 self.fates["others"] += 1
                 if beat:
                     self._hear(frame)
-        self._tell(one.number, out)
+        self._add_events(one.number, out)
         return 1
 
     def _take_chosen(
@@ -198,7 +198,7 @@ class Intake:
             self._count(frames)
         if clock.reboots != reboots:
             self._note("reboot", f"the vehicle's clock went back from {before:.1f} s: reboot")
-            self._tell(frames.number, out)
+            self._add_events(frames.number, out)
         now = taken.moments.after(frames.number + np.arange(len(frames)))
         self.monitor.take_chosen(
             frames.message_id[chosens],
@@ -264,9 +264,9 @@ class Intake:
             record = self.decoder.take_state(frame, now)
             if record is not None:
                 out.add_record(order, record)
-        self._tell(order, out)
+        self._add_events(order, out)
 
-    def _tell(self, order: int, out: TrackCollector) -> None:
+    def _add_events(self, order: int, out: TrackCollector) -> None:
         out.events += [(order, event) for event in self.take_events()]
 
     def take_events(self) -> list[IntakeEvent]:
@@ -308,10 +308,10 @@ class Intake:
     @property
     def problems(self) -> tuple[str, ...]:
         """Why what comes may not be the vehicle's, one line each."""
-        return (*self._contradicting, *self._others_told_more)
+        return (*self._contradicting, *self._others_sending_more)
 
     @property
-    def _others_told_more(self) -> tuple[str, ...]:
+    def _others_sending_more(self) -> tuple[str, ...]:
         chosen, frames = self.selector.chosen, self.selector.frames
         if chosen is None or self.selector.wanted is not None:
             return ()
@@ -352,13 +352,13 @@ class Intake:
         other = self.selector.systems.get(who)
         if other is None or not other.is_autopilot or self.selector.wanted is not None:
             return
-        if who in self._others or len(self._others) > _MOST_OTHERS_TOLD:
+        if who in self._others or len(self._others) > _MOST_OTHERS_LISTED:
             return
         self._others.add(who)
-        if len(self._others) > _MOST_OTHERS_TOLD:
+        if len(self._others) > _MOST_OTHERS_LISTED:
             self._note(
                 "vehicles",
-                f"more than {_MOST_OTHERS_TOLD} other vehicles: further ones are not listed",
+                f"more than {_MOST_OTHERS_LISTED} other vehicles: further ones are not listed",
             )
         else:
             self._note(

@@ -165,8 +165,8 @@ class TlogLog:
         """As `Telemetry` says."""
         self.intake.garbage_bytes = self._reader.garbage_bytes
         torn = self._reader.counts.cut_short
-        told = {"clock_drift_ppm": self.drift_ppm} | ({"cut_short": torn} if torn else {})
-        return {**self.intake.as_dict(), **told}
+        facts = {"clock_drift_ppm": self.drift_ppm} | ({"cut_short": torn} if torn else {})
+        return {**self.intake.as_dict(), **facts}
 
 
 class OnboardLog:
@@ -194,13 +194,13 @@ class OnboardLog:
         self._total = max(sum(len(track.t) for track in recording.tracks), 1)
         start, _ = self._span()
         heard = IntakeEvent(start, "vehicle", f"{own} found")
-        self._told = ((0, heard),) if fits else ()
+        self._notes = ((0, heard),) if fits else ()
         self._events: list[IntakeEvent] = []
 
     def blocks(self) -> Iterator[RecordBlock]:
         """As `Log` says: one block."""
         if self.vehicle is not None:
-            yield replace(self._recording.block(), events=self._told)
+            yield replace(self._recording.block(), events=self._notes)
             self._given = self._total
 
     def records(self) -> Iterator[Record]:
@@ -276,15 +276,15 @@ class OnboardLog:
         return {"count": 0, "last": []}
 
 
-def _one_by_one(blocks: Iterable[RecordBlock], told: list[IntakeEvent]) -> Iterator[Record]:
+def _one_by_one(blocks: Iterable[RecordBlock], facts: list[IntakeEvent]) -> Iterator[Record]:
     """The records of blocks; events are put into `told` before the records that follow them."""
     for block in blocks:
         events = deque(block.events)
         for order, record in block.records():
             while events and events[0][0] <= order:
-                told.append(events.popleft()[1])
+                facts.append(events.popleft()[1])
             yield record
-        told += (event for _, event in events)
+        facts += (event for _, event in events)
 
 
 def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:

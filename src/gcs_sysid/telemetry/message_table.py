@@ -110,8 +110,8 @@ def _from_euler(angles: Array) -> Array:
 
 def _sum_of_cells(volts: Array) -> Array:
     """(n, 1) of (n, cells), 0 where none is told."""
-    told: Array = np.where(volts >= _NO_CELL, 0.0, volts).sum(axis=1, keepdims=True)
-    return told
+    total: Array = np.where(volts >= _NO_CELL, 0.0, volts).sum(axis=1, keepdims=True)
+    return total
 
 
 _NO_CELL = 65535.0

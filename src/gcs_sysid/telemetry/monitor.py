@@ -225,8 +225,8 @@ class Monitor:
         ids, first = np.unique(message_id[unnamed], return_index=True)
         for new in ids[np.argsort(first)][: MOST_UNNAMED + 1].tolist():
             self._type(new)
-        told = np.isin(message_id, np.array(sorted(self._known)))
-        return np.where(told, message_id, OTHER_TYPES)
+        counted = np.isin(message_id, np.array(sorted(self._known)))
+        return np.where(counted, message_id, OTHER_TYPES)
 
     def _go_on(self, now: float) -> None:
         """See whether the clock went back."""

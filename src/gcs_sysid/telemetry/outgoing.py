@@ -224,8 +224,8 @@ class Gate:
 
     def request_message_interval(self, target: tuple[int, int], message_id: int) -> bool:
         """Ask the same by REQUEST_MESSAGE, which supersedes the command for it."""
-        told = mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL
-        return self._command(target, mavlink.MAV_CMD_REQUEST_MESSAGE, told, message_id)
+        interval_message = mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL
+        return self._command(target, mavlink.MAV_CMD_REQUEST_MESSAGE, interval_message, message_id)
 
     def request_group(self, target: tuple[int, int], group: int, hertz: int) -> bool:
         """Ask for a group of messages (REQUEST_DATA_STREAM) at a rate; 0 Hz stops it."""

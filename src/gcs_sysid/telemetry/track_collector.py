@@ -168,8 +168,8 @@ class Recording:
     def add_voltage(self, t: Array, volts: Array) -> None:
         """Add the battery's, as an extra too: (n,) s and (n,) or (n, 1) V."""
         self.extras["battery voltage"] = t, volts
-        told = np.isfinite(volts).reshape(len(t), -1).all(axis=1)
-        self.add(Stream.VOLTAGE, t[told], volts[told])
+        reported = np.isfinite(volts).reshape(len(t), -1).all(axis=1)
+        self.add(Stream.VOLTAGE, t[reported], volts[reported])
 
     def _drop(self, reason: str, rows: Mask) -> None:
         if rows.any():
@@ -177,15 +177,15 @@ class Recording:
 
     def block(self) -> RecordBlock:
         """Everything in the order of time; at the same time, parameters first, then tracks."""
-        told = np.array([t for t, _, _ in self.parameters])
-        times = np.concatenate([told, *(track.t for track in self.tracks)])
+        reported = np.array([t for t, _, _ in self.parameters])
+        times = np.concatenate([reported, *(track.t for track in self.tracks)])
         order = np.empty(len(times), np.int64)
         order[np.argsort(times, kind="stable")] = np.arange(len(times))
-        ends = np.cumsum([len(told), *(len(track.t) for track in self.tracks)])
+        ends = np.cumsum([len(reported), *(len(track.t) for track in self.tracks)])
         parameters = [
             (number, Record(Stream.PARAMETER, t, (value,), source=name))
             for number, (t, name, value) in zip(
-                order[: len(told)].tolist(), self.parameters, strict=True
+                order[: len(reported)].tolist(), self.parameters, strict=True
             )
         ]
         return RecordBlock(

@@ -115,9 +115,9 @@ class UdpLink(Link):
         if not _ROOM:
             data, source = from_socket.recvfrom(LARGEST_DATAGRAM)
             return Chunk(data, source[:2])
-        data, told, _, source = from_socket.recvmsg(LARGEST_DATAGRAM, _ROOM)
+        data, ancillary, _, source = from_socket.recvmsg(LARGEST_DATAGRAM, _ROOM)
         time_us = None
-        for level, kind, content in told:
+        for level, kind, content in ancillary:
             if level != socket.SOL_SOCKET:
                 continue
             if kind == SO_TIMESTAMPNS and len(content) == _STAMP.size:

@@ -130,10 +130,10 @@ def _values(
     values = np.hstack([_columns(topic, field) for field in row.fields])
     if row.offset is not None:
         name, fields = row.offset
-        told = topics.get((name, 0))
-        if told is not None:
-            offsets = np.hstack([_columns(told, field) for field in fields])
-            last = np.searchsorted(told["timestamp"] * 1e-6, t, side="right") - 1
+        size = topics.get((name, 0))
+        if size is not None:
+            offsets = np.hstack([_columns(size, field) for field in fields])
+            last = np.searchsorted(size["timestamp"] * 1e-6, t, side="right") - 1
             values -= np.where(last[:, None] >= 0, offsets[np.maximum(last, 0)], 0.0)
     return values
 
@@ -144,11 +144,11 @@ def _constant(topic: Topic, field: str) -> int | None:
 
 def _columns(topic: Topic, field: str) -> Array:
     """(n, count) of a field, see `OnboardMessage.fields`; KeyError when not all of it is there."""
-    name, _, told = field.rstrip("]").partition("[")
+    name, _, size = field.rstrip("]").partition("[")
     with np.errstate(invalid="ignore"):  # damaged values may be NaN
-        if not told:
+        if not size:
             return topic[name].astype(float)[:, None]
-        count = int(told) if told.isdigit() else int(topic[told].max())
+        count = int(size) if size.isdigit() else int(topic[size].max())
         if not count:
             raise KeyError(name)
         return np.column_stack([topic[f"{name}[{i}]"] for i in range(count)]).astype(float)

@@ -149,10 +149,10 @@ def fly_held_out(
         )
     # The other kind of input would need other coefficients.
     vehicle = replace(vehicle, rotor_input=result.rotor_input)
-    told = progress or (lambda _: None)
+    on_progress = progress or (lambda _: None)
     recorder = FlightRecorder()
     whole = analyze_log(
-        log, vehicle, wanted, None, lambda share: told(0.5 * share), observer=recorder
+        log, vehicle, wanted, None, lambda share: on_progress(0.5 * share), observer=recorder
     )
     if whole.rotor_input != result.rotor_input:
         raise InputError(
@@ -160,7 +160,7 @@ def fly_held_out(
             "from: analyze this log by itself"
         )
     same = is_same_flight(result, whole, log)
-    return _flown(result, whole, recorder, log, (vehicle, wanted), told, seed, same=same)
+    return _flown(result, whole, recorder, log, (vehicle, wanted), on_progress, seed, same=same)
 
 
 def fly_own_flight(
@@ -199,7 +199,7 @@ def _flown(
     recorder: FlightRecorder,
     log: Path,
     of: tuple[Airframe, tuple[int, int | None] | None],
-    told: Callable[[float], None],
+    on_progress: Callable[[float], None],
     seed: int,
     *,
     same: bool,
@@ -220,7 +220,7 @@ def _flown(
         cut = float(times[round(FITTED_SHARE * (len(times) - 1))])
         options = ChainOptions(history_interval=None, start=max(since, start), end=cut)
         flown = analyze_log(
-            log, as_exact(vehicle), wanted, options, lambda share: told(0.5 + 0.5 * share)
+            log, as_exact(vehicle), wanted, options, lambda share: on_progress(0.5 + 0.5 * share)
         )
         before, rest = _settled(times, since, cut), Part(cut, np.inf)
         judged = [(rest, before)]

@@ -207,13 +207,13 @@ def _acting(t: Array, rotors: Array, dt: float, delay: float, cutoff: float | No
         if not there:
             continue
         now = t[part]
-        told = np.stack(
+        stacked = np.stack(
             [np.interp(now + delay, now, column, np.nan, np.nan) for column in rotors[part].T], 1
         )
-        out[part] = told
+        out[part] = stacked
         if cutoff is not None and cutoff < 0.45 / dt:
-            inside = complete_rows(told)
-            out[part][inside] = _low_passed(told[inside], cutoff * dt)
+            inside = complete_rows(stacked)
+            out[part][inside] = _low_passed(stacked[inside], cutoff * dt)
     return out
 
 

@@ -302,9 +302,9 @@ def judge(
             twin.choose_average(noise)
             twin.choose_carried(noise)
             errors = twin.errors(part, seconds)
-            told = twin.errors(noise, seconds, _OVERLAP)
-            if errors.count and told.count:
-                found.append((errors, told))
+            predicted = twin.errors(noise, seconds, _OVERLAP)
+            if errors.count and predicted.count:
+                found.append((errors, predicted))
         if not found:
             continue
         out[seconds] = {name: _accuracy(name, found) for name in names}
@@ -324,8 +324,8 @@ def judge(
 
 def _accuracy(name: str, found: Sequence[tuple[_Errors, _Errors]]) -> Accuracy:
     ends, bands, own, guesses, basics = [], [], [], [], []
-    for errors, told in found:
-        end, noise = errors.error[name][:, -1], told.error[name][:, -1]
+    for errors, predicted in found:
+        end, noise = errors.error[name][:, -1], predicted.error[name][:, -1]
         noise = noise[np.isfinite(noise).all(axis=1)]
         independent = max(2.0, len(noise) / _OVERLAP)
         spread = errors.parameters[name]

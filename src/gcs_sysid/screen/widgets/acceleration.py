@@ -110,12 +110,12 @@ class AccelerationPanel(RationedPlot):
             for row, text in enumerate(drawn):
                 head = heads[row] if row < len(heads) else ""
                 lines.append([(f"{head:<{MARGIN}}", fmt.MUTED if row else "bold"), (text, "")])
-        told = "  ".join(
+        readings = "  ".join(
             f"{name} {'?' if np.isnan(share) else f'{100.0 * max(share, 0.0):.1f} %'}"
             for name, share in zip(AXES, shares, strict=True)
         )
         legend = f"⠒ measured  {PREDICTED} predicted"
-        explained = f"   explained: {told}"
+        explained = f"   explained: {readings}"
         fits = len(legend) + len(explained) <= width
         lines.append([(legend, fmt.MUTED), (explained if fits else "", "bold")])
         return lines
