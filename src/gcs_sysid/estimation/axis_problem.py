@@ -40,7 +40,7 @@ _DIAGONAL = np.arange(WIDTH)
 
 @dataclass(frozen=True)
 class AxisPoint:
-    """Where the search stands, for K hypotheses.
+    """State of the search, for K hypotheses.
 
     Attributes:
         unknowns: (K, N_UNKNOWNS).

@@ -3,11 +3,11 @@
 Two-sided CUSUM tests run on the four residuals of a reference (`change_reference`), on two scales.
 The fast one looks at every sample's jump from a short baseline (bias, trim and gusts are in both)
 with a large allowance: a mass step or payload shows within three samples, a spike of one or two
-does not. The slow one looks at means over a quarter of a second, freed of the slowly tracked mean:
-smaller steps. Both divide by the scatter that just such values had in the flight so far, so that
-gusts and coloured noise raise the level, not the alarm rate.
+does not. The slow one looks at means over a quarter of a second, less the slowly tracked mean, and
+detects smaller steps. Both divide by the scatter that just such values had in the flight so far, so
+that gusts and coloured noise raise the level, not the alarm rate.
 
-An alarm is no change: `change_hypotheses` tells what it was.
+An alarm is not yet a change: `change_hypotheses` classifies it.
 
 Mean and level move at frame borders only, and from whole frames: how samples are grouped into
 blocks changes nothing.
@@ -164,15 +164,15 @@ class ChangeDetector:
         self._slow.clear()
 
     def disarm(self) -> None:
-        """Forget the reference and what was learnt with it."""
+        """Drop the reference and the levels found with it."""
         self._use(Reference(self._geometry, np.full((4, N_X), np.nan)))
         self._forget()
 
     def arm(self, fit: Fit) -> bool:
-        """Put a fit in force, as far as it is good enough; levels learnt so far are kept.
+        """Use a fit as the reference where it is good enough; noise levels are kept.
 
         Returns:
-            Whether anything is watched now.
+            Whether anything is monitored now.
         """
         found = reference_of(
             fit, self._geometry, self.dt, commands=self._commands, moments=self._moments
@@ -360,9 +360,9 @@ class ChangeDetector:
                 sigmas=float(z[c]),
                 scale="slow",
             )
-        # While a deviation builds up in a sum, it is not learnt: it alarms, or decays.
+        # While a deviation builds up in a sum, level and mean are frozen: it alarms, or decays.
         learn = ~self._slow.rising
-        # The mean of the means is zero by the tracking: only their scatter is learnt.
+        # The mean of the means is zero by the tracking: only their scatter is estimated.
         usable = learn & (self._levels.frames[:4] >= 2)
         self._level_of_means.update(np.where(usable, mean, np.nan)[None], floor)
         self._level_of_means.mean[:] = 0.0

@@ -1,9 +1,9 @@
-"""What a moment that nobody models leaves in an estimate, and how it is noticed.
+"""How an unmodeled moment biases an estimate, and how it is detected.
 
-Whiteners of a bank see the same data in different lights (`estimation.whitening`). The power of
-their innovations tells whether there is a disturbance; the distance between their estimates,
-whether it biased the one that is taken; the share of the whitened acceleration that rotors
-explain, how much of the motion is somebody else's.
+The whiteners of a bank weigh the same data differently (`estimation.whitening`). The power of their
+innovations shows whether there is a disturbance; the distance between their estimates, whether it
+biased the one chosen; the share of the whitened acceleration that rotors explain, how much of the
+motion is not theirs.
 """
 
 from collections.abc import Sequence
@@ -154,7 +154,7 @@ def axis_floor(fit: RotationFit, axis: int) -> Array:
 
 
 _OF_YAW = (rb.MOMENT_RATIO, rb.ROTOR_INERTIA)
-"""What scales with Izz: the yaw equation tells their ratios to it."""
+"""Parameters that scale with Izz: the yaw equation determines their ratios to it."""
 
 
 def _stds(information: Array) -> Array:

@@ -1,8 +1,8 @@
-"""What speaks against a fit that looks good by itself: the last part of the flight, predicted.
+"""Checks of a fit beyond its own statistics: prediction of the last part of the flight.
 
 A standard deviation is the fit's own opinion. Where the held-out part of a flight is predicted
-badly, where what is left of it is no noise, or where nothing could be held out, no parameter of
-that axis is `identified`, however small its standard deviation is.
+badly, where its residuals are not noise, or where nothing could be held out, no parameter of that
+axis is `identified`, however small its standard deviation is.
 """
 
 from dataclasses import dataclass, replace
@@ -80,7 +80,7 @@ def evidence_of(
 
     Args:
         fit: with a validation, or without while a flight goes on.
-        rotor_input: what it rests on.
+        rotor_input: that it was fitted to.
         dt: s between samples.
         filtered: whether the gyro comes through a low-pass, which colors its noise: whiteness then
             says nothing.

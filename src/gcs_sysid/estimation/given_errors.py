@@ -1,12 +1,12 @@
-"""What errors of the given rotor positions, scale and IMU pose do to an estimate.
+"""Effect of errors in the given rotor positions, scale and IMU pose on an estimate.
 
-**What no flight tells** is the scale reference, the scale common to all arms, the middle of the
-rotors, and with the accelerometer as source of thrust over mass the IMU's place. A share e of the
-scale reference moves mass, k_T (T_max), inertia, k_M, damping and drag by e. A share e of all arms
-moves theta as a whole by e: inertia, CG, moment ratio, damping and rotor inertia, all over k_T. The
-CG is counted from the middle. These errors are the same in all flights of a vehicle.
+**Not observable in any flight** are the scale reference, the scale common to all arms, the middle
+of the rotors, and with the accelerometer as source of thrust over mass the IMU's place. A share e
+of the scale reference moves mass, k_T (T_max), inertia, k_M, damping and drag by e. A share e of
+all arms moves theta as a whole by e: inertia, CG, moment ratio, damping and rotor inertia, all over
+k_T. The CG is counted from the middle. These errors are the same in all flights of a vehicle.
 
-**What flights do tell** is how rotors lie to each other and how the IMU is turned, as unknowns eps
+**Observable in flight** are the rotors' relative positions and the IMU's rotation, as unknowns eps
 with the given standard deviations as a prior. An error is one of the known signals,
 
     x = (1 + eps L) x_true,  w' = (1 + eps E) w'_true    =>    residual = eps D x,  D = E Q - Q L
@@ -20,7 +20,7 @@ estimate by S eps, S = H^-1 C, and is known by the part of it that theta cannot 
 with eps in its prior's standard deviations, f the factor by which coloured residuals widen the
 covariance of theta, and F what air and unequal rotors imitate. All sums follow from the moments of
 the rows. An IMU that is turned by 1 degree makes Izz, Ixz and Iyz wrong by several percent; a
-minute of doublets tells it to 0.3 degrees.
+minute of doublets determines it to 0.3 degrees.
 """
 
 import math
@@ -44,9 +44,9 @@ from gcs_sysid.model.parameters import ARM, PARAMETERS, RotorInput
 from gcs_sysid.model.scale_reference import Known, ScaleReference
 
 _RIDGE = 1.0
-"""Of what an entry of theta matters to: an error of what is given is not taken to move it by more.
-It keeps directions that a flight does not tell from taking up everything; of an entry known to 5 %
-it changes the outcome by a quarter of a percent."""
+"""Bound on how far a given error may move an entry of theta, relative to its reference value. It
+keeps unobservable directions from absorbing everything; for an entry known to 5 % it changes the
+result by a quarter of a percent."""
 _KNOWN_TO = 0.2
 """Of the same: entries that are known better show how much coloured residuals widen intervals."""
 _IMITATED = math.radians(0.3)
@@ -185,7 +185,7 @@ def with_given(
 
 @dataclass(frozen=True)
 class Alignment:
-    """Where rotors and IMU are, as a flight tells, and what that does to its estimate.
+    """Rotor and IMU poses identified from a flight, and their effect on its estimate.
 
     Attributes:
         shift: (N_THETA + m,) to be added to theta and to the m deviations of the fit.
@@ -201,7 +201,7 @@ class Alignment:
 
 
 def alignment_of(fit: Fit, airframe: Airframe) -> Alignment | None:
-    """Find rotors and IMU from the moments of a fit; None where they are exact or nothing tells.
+    """Find rotors and IMU from the moments of a fit; None where they are exact or not identifiable.
 
     Args:
         fit: with moments.
@@ -253,7 +253,7 @@ def _weighed(information: Array, imitated: Array) -> tuple[Array, Array]:
 
 
 def aligned(fit: Fit, alignment: Alignment | None) -> Fit:
-    """The fit with rotors and IMU where the flight tells that they are."""
+    """The fit with rotors and IMU at their identified poses."""
     rotation, n = fit.rotation, rb.N_THETA
     if rotation is None or alignment is None:
         return fit
@@ -342,7 +342,7 @@ class _Normal:
 
 
 def _not_negative(information: Array) -> Array:
-    """(p, p) without what is negative: where inputs are hardly more than the noise taken out."""
+    """(p, p) with negative eigenvalues removed: inputs there hardly exceed the noise removed."""
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
     positive: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return positive

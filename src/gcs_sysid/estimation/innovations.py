@@ -409,7 +409,7 @@ def make_whitener(
 
 
 def initial_std(noise: Noise, known: Array, dt: float) -> Array:
-    """(3,) a prior of the first rate that says next to nothing, rad/s."""
+    """(3,) a nearly uninformative prior of the first rate, rad/s."""
     white = np.array([axis.white_std for axis in noise])
     std: Array = _DIFFUSE * np.hypot(white, dt * np.sqrt(np.diag(known)))
     return std

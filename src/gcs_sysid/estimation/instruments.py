@@ -43,7 +43,7 @@ _BATCH = 1.0
 
 @dataclass(frozen=True)
 class InstrumentRules:
-    """When setpoints are believed."""
+    """When setpoints are usable."""
 
     least_f: float = 10.0
     """F of the first stage."""
@@ -57,7 +57,7 @@ RULES = InstrumentRules()
 
 @dataclass(frozen=True)
 class InstrumentFit:
-    """What setpoints say of one axis.
+    """Estimate of one axis with setpoints as instruments.
 
     Attributes:
         delta: by which ln I differs from the fit's.
@@ -153,7 +153,7 @@ def _fit_axis(
     power = float(predicted @ predicted)
     delta = float(predicted @ e) / max(power, 1e-300)
     left = e - delta * s
-    # What the setpoint's own past tells is no answer (Granger 1969, Econometrica 37).
+    # What the setpoint's own past predicts is not feedback (Granger 1969, Econometrica 37).
     left_of_z = z - _projected(z, Z)
     left_of_answers = answers - _projected(answers, Z)
     scores = np.add.reduceat(predicted * left, np.arange(0, rows, max(round(_BATCH / T), 1)))

@@ -32,7 +32,7 @@ class OtherLayout:
     """A layout that explains the motion better than the one given.
 
     Attributes:
-        says: what is wrong with the given one, in words.
+        says: what is wrong with the given layout, as text.
         explained: the lesser share of roll and pitch that it explains.
     """
 

@@ -58,7 +58,7 @@ only _FEWEST passes are left."""
 _FEWEST = 12
 """Passes; most searches settle in fewer."""
 _NOISE_REFITS = 3
-"""The noise model is fitted anew in so many first iterations, then where the search settles."""
+"""The noise model is refitted in this many first iterations, then where the search settles."""
 _MAX_REFITS = 6
 _ALIKE = 0.05
 """Relative change of the noise's levels that moves no estimate."""
@@ -70,8 +70,8 @@ _SMALL = 0.3
 _SETTLED = 0.02
 """Standard deviations; a smaller step ends the search."""
 DELAY_STD = 0.003
-"""s, prior of the delay around the online estimate's: that leans on the window, and is off by
-1.5 ms where moments that nobody models act."""
+"""s, prior of the delay around the online estimate's: that depends on the window, and is off by 1.5
+ms under unmodeled moments."""
 _WHITE = 0.01
 """Residuals whiter than this p-value pass as white."""
 _LAGS = 20
@@ -152,7 +152,7 @@ def maximise_likelihood(
         delay: s, of the speeds' stamps behind the gyro's, as known from the online estimate; it is
             estimated too, within 3 DELAY_STD of that. None: there is none.
         torque: (3, N_SIGNALS) of deviations from the model, as the online estimate has them.
-        progress: is told the share of the most passes that is done.
+        progress: called with the share of the maximum number of passes that is done.
 
     Returns:
         The fit, or None if there is no piece of MIN_RUN samples without a gap, or fewer samples

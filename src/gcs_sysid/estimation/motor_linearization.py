@@ -51,8 +51,8 @@ _MOVED = np.array([0.0, 0.0, 0.05, 0.05, 0.1])
 _SPACING = 0.004
 """s between the delays that a parabola is laid through."""
 _STEP = 0.012
-"""s of a row. Between commands 4 ms apart nothing tells what motors did; beyond 30 Hz they are not
-of first order, and electronic speed controllers have lags of their own."""
+"""s of a row. Between commands 4 ms apart the motors' response is not observable; beyond 30 Hz they
+are not of first order, and electronic speed controllers have lags of their own."""
 _SETTLED = 6.0
 """Time constants after which a motor's past is forgotten."""
 _LEAST = 1e-3

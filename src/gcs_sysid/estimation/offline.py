@@ -1,8 +1,8 @@
 """The offline estimate of a flight, started from the online fit.
 
-Where a moment that nobody models acts (gusts, propeller wash), the samples are looked at a second
-time with the noise that makes the record likeliest (`estimation.filter_error`). In calm air, and
-at slow rates, the likelihood of the whole record is maximized (`estimation.likelihood`).
+Under an unmodeled moment (gusts, propeller wash), the samples are processed a second time with the
+maximum-likelihood noise model (`estimation.filter_error`). In calm air, and at slow rates, the
+likelihood of the whole record is maximized (`estimation.likelihood`).
 """
 
 from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ _CHANCE = 1.959963984540054
 """Standard deviations by which two estimates may differ by chance."""
 
 Progress = Callable[[str, float], None]
-"""Is told what is being done, and the share of it that is, 0 to 1 at most."""
+"""Called with the current step and the share of it that is done, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def fit_offline(
     Args:
         tracker: with `keep`.
         online: its last fit.
-        progress: called with what is being done and the share of it that is done.
+        progress: called with the current step and the share of it that is done.
 
     Returns:
         The fit, or why there is none.
@@ -127,7 +127,7 @@ def _second_look(tracker: Tracker, online: Fit, on_progress: Progress) -> Offlin
 
 
 def _widened(fit: RotationFit, online: RotationFit) -> RotationFit:
-    """What is more than chance between two estimates of one flight is an error of either.
+    """Disagreement beyond chance between two estimates of one flight counts as error of either.
 
     The online one weighs the same rows less well, so that by chance they differ by the difference
     of their variances (Hausman 1978, Econometrica 46, 1251-1271).
@@ -180,7 +180,7 @@ def _maximum(tracker: Tracker, online: Fit, on_progress: Progress) -> OfflineFit
         covariance=full[:n, :n],
         full_covariance=full,
         coordinates=np.array([found.delay, *rotation.coordinates[1:]]),
-        # Without a prior the data tell all there is, and more than they told online.
+        # Without a prior the information is the data's alone, and more than online.
         data_std=rotation.data_std if tracker.estimator.prior is not None else found.std,
     )
     bounding = replace(fit, covariance=np.diag(found.bound**2))

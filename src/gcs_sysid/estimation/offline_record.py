@@ -17,7 +17,7 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 
 MIN_RUN = 24
-"""Samples; shorter pieces between gaps say little and are left out."""
+"""Samples; shorter pieces between gaps carry little information and are left out."""
 DELAY = rb.N_THETA
 """Place of the rotor speeds' delay among the unknowns, behind theta."""
 N_UNKNOWNS = rb.N_THETA + 1

@@ -1,11 +1,10 @@
-"""Is the vehicle a rigid body? What the flight says of its gyroscopic torque.
+"""Is the vehicle a rigid body? A test of its gyroscopic torque.
 
-Izz and the rotors' torque share one scale, which only the gyroscopic torque w x J w tells, and
-products of inertia rest on it too. Where a vehicle (or its simulator) does not have that torque,
-the fit bends Izz until there is none, explains nearly all of the motion, and is confidently
-wrong. So the torque that the fit predicts is put to the test: how many times of it is there,
-axis by axis, when everything that rotors and damping could do is left free? A rigid body
-answers 1.
+Izz and the rotors' torque share one scale, which only the gyroscopic torque w x J w determines;
+products of inertia depend on it too. Where a vehicle (or its simulator) does not have that torque,
+the fit bends Izz until there is none, explains nearly all of the motion, and is confidently wrong.
+So the predicted torque is tested: what multiple of it is present, axis by axis, with everything
+that rotors and damping could do left free? A rigid body gives 1.
 """
 
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ PRODUCTS = [rb.SIGNALS.index(name) for name in ("qr", "rp", "pq", "pp", "qq", "r
 """Columns of the products of rates, which the gyroscopic torque is made of."""
 _OTHERS = np.setdiff1d(np.arange(rb.N_SIGNALS), PRODUCTS)
 _OFF, _SURE = 0.3, 4.0
-"""By how much, and how many standard deviations, a share must be off before it is believed."""
+"""By how much, and how many standard deviations, a share must be off to count."""
 _NONE = 1e-8
 """Share of an axis' acceleration below which there is no gyroscopic torque to speak of."""
 _TINY = 1e-300

@@ -59,7 +59,7 @@ _HALVINGS = 20
 
 @dataclass(frozen=True)
 class WarmStart:
-    """From where a later fit of the same, longer record goes on.
+    """Warm start for a later fit of the same, longer record.
 
     Attributes:
         unknowns: (N_UNKNOWNS,) at the minimum of the cost.
@@ -84,7 +84,7 @@ class RotationFit:
             widened so that 1.96 standard deviations are Student's 95 % interval.
         residual_covariance: (3, 3) of one row's residual.
         r_squared: (3,) share of each axis' angular acceleration that the model explains.
-        rows: how many rows it rests on.
+        rows: number of rows fitted.
         converged: whether the minimiser was reached.
         coordinates: (N_COORDINATES,) rotor delay (s), motor lag (s), thrust curve, and nuisances of
             the lag, see `estimation.actuator_dynamics`.
@@ -92,8 +92,8 @@ class RotationFit:
         whiteners: of each axis, where rows were whitened; else empty.
         disturbance: (3,) nats a second by which an unmodelled moment explains an axis better than
             sensor noise alone, see `whitened_fit.Trial.detected`; NaN where rows were not whitened.
-        data_std: (N_THETA,) standard deviations without the prior: huge where the flight alone
-            does not tell a parameter.
+        data_std: (N_THETA,) standard deviations without the prior: huge where the flight alone does
+            not determine a parameter.
         full_covariance: (N_UNKNOWNS, N_UNKNOWNS) of theta and the coordinates; zeros where one
             was not estimated.
         warm start: what `follow_rotation` starts from.
@@ -310,8 +310,8 @@ def follow_rotation(
 def most_certain(fits: Sequence[RotationFit]) -> RotationFit:
     """The first that is nearly as certain as any, so the one with the shortest memory.
 
-    How certain each is, scatter tells with an error of its own. The least of several such numbers
-    is too small, and long memories, which sum up slow errors, gain most by chance.
+    How certain each is, is itself estimated from scatter, with error. The least of several such
+    numbers is too small, and long memories, which sum up slow errors, gain most by chance.
     """
     uncertain = np.array([uncertainty(fit) for fit in fits])
     return fits[int(np.argmax(uncertain <= uncertain.min() + _ALIKE))]

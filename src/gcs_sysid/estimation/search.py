@@ -19,8 +19,9 @@ N_X = rb.N_SIGNALS
 
 COORDINATE_MEAN = np.array([0.0, 0.05, 0.5, 0.0, 0.0])
 COORDINATE_STD = np.array([0.03, 0.05, 0.5, 0.4, 0.5])
-"""s, s, 1, 1 and 1; keep delay, lag, curve, asymmetry and exponent of the lag in the ordinary while
-the flight does not tell them. Simulators and motors on the bench have an asymmetry of 0 to 0.7."""
+"""s, s, 1, 1 and 1; keep delay, lag, curve, asymmetry and exponent of the lag at usual values while
+the flight does not determine them. Simulators and motors on the bench have an asymmetry of 0 to
+0.7."""
 
 MAX_ITERATIONS = 40
 _SCAN_ITERATIONS, _STARTS = 8, 4
@@ -373,7 +374,7 @@ def residual_maker(Q: Array) -> Array:
 
 
 def first_guess(total: Array, rows: int, at: Array, prior: Prior | None) -> Array | None:
-    """(N_UNKNOWNS,) to start from: a rough fit, or what the prior says where it fits better."""
+    """(N_UNKNOWNS,) to start from: a rough fit, or the prior's mean where that fits better."""
     rough = _starting_point(total)
     if rough is not None:
         rough = np.concatenate([rough, at])

@@ -77,7 +77,7 @@ class Level:
         self._least_gain = least_gain
 
     def forget(self, which: Mask) -> None:
-        """Start anew on some channels."""
+        """Restart on some channels."""
         self.frames[which] = 0
 
     def update(self, frame: Array, floor: Array) -> None:

@@ -24,7 +24,7 @@ class StatusRules:
     identified_below: float = 0.05
     """Standard deviation over the reference value."""
     unobservable_above: float = 0.5
-    """The same, above which the data say nothing useful."""
+    """The same, above which the data carry no useful information."""
     weak_below_r2: float = 0.8
     """R² below which nothing on that axis is identified."""
     unobservable_below_r2: float = 0.5

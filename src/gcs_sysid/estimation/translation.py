@@ -7,7 +7,7 @@ Momentum balance in world axes, averaged with the same window on both sides:
 Gravity is the reference: over a flight the mean vertical acceleration is nearly nothing, so
 kappa does not suffer from an accelerometer's bias. Where the vehicle sends no velocity, the
 accelerometer itself, f = -kappa sum O z + bias, serves as second source; its bias is then an
-unknown, which the flight tells as far as thrust varies.
+unknown, observable as far as thrust varies.
 """
 
 from dataclasses import dataclass
@@ -44,7 +44,7 @@ _SLOPE_ERROR_SHARE = 3e-3
 """Relative error of kappa where it rests on how thrust varies: noise of the rotor speeds draws it
 towards zero, and drag is not in it."""
 _MIN_BATCHES_FOR_BIAS = 10
-"""Fewer do not tell how far the bias itself may be off."""
+"""Fewer do not determine the error of the bias itself."""
 _TINY = 1e-300
 _ROWS_IN_WINDOW = 3.0
 """Square root of the rows that share a window's noise."""
@@ -60,7 +60,7 @@ class Gain:
 
 @dataclass(frozen=True)
 class WarmStart:
-    """From where a later fit of the same, longer record goes on.
+    """Warm start for a later fit of the same, longer record.
 
     Attributes:
         weights: (axes,) inverse residual variances.
@@ -212,7 +212,8 @@ def fit_accelerometer(
     kappa = -float(balance.estimate[0, 0])
     std = float(np.sqrt(balance.covariance(balance.inflation(batches[:, None]))[0, 0, 0]))
     if gain is not None:
-        # A window's worth of neighbouring rows counts once: early on no batches tell that.
+        # A window's worth of neighbouring rows counts once: early on there are no batches to show
+        # it.
         share = float(np.hypot(_ROWS_IN_WINDOW * std / abs(kappa), gain.share))
         scaled = kappa * gain.value
         return TranslationFit(

@@ -1,15 +1,15 @@
-"""Does a fit predict what it has not seen?
+"""Does a fit predict held-out data?
 
 The parameters are fitted on the first part of the flight and predict the angular acceleration of
 the rest. Both parts are sums of moments, so no sample is needed again.
 
 **Whiteness.** Neighbouring rows share samples, so their residuals are coloured by the window
-itself, and a test of the rows for whiteness would always fail. What can be asked is whether the
-residual has the colour that white noise on the sensors gets from the filters: white gyro noise
-is differentiated by the window, white noise of the rotor speeds is averaged. Two filters on the
-same residual tell: the rows as they are, and their leaky sums, which weigh low frequencies more.
-Given the residual's power in the one, white sensor noise fixes its power in the other. Both are
-in the moments already.
+itself, and a test of the rows for whiteness would always fail. What can be tested is whether the
+residual has the colour that white noise on the sensors gets from the filters: white gyro noise is
+differentiated by the window, white noise of the rotor speeds is averaged. Two filters on the same
+residual decide: the rows as they are, and their leaky sums, which weigh low frequencies more. Given
+the residual's power in the one, white sensor noise fixes its power in the other. Both are in the
+moments already.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,8 @@
 """The rotation of a record from its whitened rows; how it is judged from those of the window.
 
-Of a single step, noise is most of what there is. How much of the motion a fit explains is therefore
-told on the rows of the symmetric window, which pass what is slower than some 5 Hz: the same numbers
-that fits to the window give, and that verdicts rest on.
+A single step is mostly noise. How much of the motion a fit explains is therefore computed on the
+rows of the symmetric window, which passes about 5 Hz: the same numbers as of fits to the window, on
+which verdicts are based.
 """
 
 import math
@@ -113,7 +113,7 @@ class WhitenedEstimator:
 
         Args:
             start: an earlier fit of it; None: from the data alone.
-            prior: what else is known.
+            prior: prior knowledge.
             rigid: whether the body has gyroscopic torque.
             calm: whether no steady wind blows.
 
@@ -269,7 +269,7 @@ class WhitenedEstimator:
         TP = residual_maker(rb.forward_matrix(theta)) @ self.basis.map_at(fit.coordinates)
         rotors = np.einsum("ai,aij,aj->a", TP, input_noise, TP)
         left = np.maximum(own - rotors, _LEAST_OWN * own)
-        # Without any whitener nothing tells what is the gyro's: half of a change, at most.
+        # Without a whitener the gyro's part is unknown: half of a change, at most.
         shares = np.array([whitener.gyro_share or 0.5 for whitener in fit.whiteners])
         density: Array = np.diag(left * shares) * T**3
         return density
@@ -337,12 +337,12 @@ class WhitenedEstimator:
 
 @dataclass(frozen=True)
 class _Fold:
-    """A part of a flight that was predicted.
+    """A held-out part of a flight, predicted.
 
     Attributes:
         validation: of it, without whiteness.
         measured: (3,) power of its acceleration.
-        power: what its whiteness follows from, see `whiteness_of`.
+        power: for its whiteness, see `whiteness_of`.
     """
 
     validation: Validation

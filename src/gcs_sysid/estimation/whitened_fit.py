@@ -44,7 +44,7 @@ _SCAN, _TRY, _AGAIN, _FIT, _FOLLOW = 5, 8, 4, 30, 3
 """Iterations: at a node; with a whitener, from there and from a fit; with those of the axes; of a
 fit that follows."""
 _CHOSEN = 3
-"""Times that deviations from the model are chosen anew."""
+"""Times that deviations from the model are chosen again."""
 _SCANNED = 64
 """Pairs of whitener and node that are looked at, about."""
 _REACH = 2
@@ -167,7 +167,7 @@ def fit_whitened(
         raw = AxisProblem(solved.problem.bank, rows, basis, prior, silent, deviations)
         pull = raw.evaluate(solved.point.unknowns).gradient - solved.point.gradient
         spread = spread + outcome.spread_of(doubt * pull)
-    # First as the scatter has it: how sure the contrasts are, it tells too.
+    # First from scatter, which also gives the contrasts' standard deviations.
     improved = outcome.fits(spread, widening, [solved.converged], [0])[0]
     if data.judges:
         improved = replace(
@@ -387,7 +387,7 @@ def _chosen(
     noise = (before.bank - before.without) / (NOISE_SHARE * rows)
     problem = AxisProblem(before.bank, rows, basis, prior, noise, competing)
     unknowns = problem.extended(point.unknowns[:, :N_UNKNOWNS])
-    # Where the fit stands in terms of all deviations: the same torque.
+    # The fit in terms of all deviations: the same torque.
     flat = every.torques.reshape(len(every.std), -1)
     torque = before.deviations.torque(point.unknowns[:, N_UNKNOWNS:]).reshape(-1)
     phi = np.zeros(m)
@@ -416,10 +416,10 @@ def _alike(
 ) -> Array:
     """(K, 3) power of the innovations as it would be if all had the same share of known noise.
 
-    Noise of the inputs pulls the least power towards a vehicle that answers them less. Whoever
-    errs that way, by chance, would look better than the truth. What is compared is therefore the
-    power without the known noise, which is stationary at the truth, and that noise as one and the
-    same vehicle answers it.
+    Input noise biases the minimum of the power towards a vehicle with less response. An estimate
+    that errs that way by chance would look better than the truth. The power compared is therefore
+    that without the known noise, which is stationary at the truth, plus that noise with one and the
+    same response.
 
     Args:
         point: K solutions.
