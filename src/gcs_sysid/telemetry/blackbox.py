@@ -66,7 +66,7 @@ _WANTED = {f"{name}[{i}]" for name, count in _ARRAYS.items() for i in range(coun
 
 
 class _Position(NamedTuple):
-    """Fields that tell velocity and position, and what turns them into m/s, m and NED."""
+    """Fields with velocity and position, and their conversion to m/s, m and NED."""
 
     velocity: str
     position: str

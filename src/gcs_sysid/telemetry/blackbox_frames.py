@@ -1,9 +1,9 @@
 """Finds the frames of a blackbox session, and computes their values.
 
-Nothing tells where a frame begins but that the one before has ended. Every byte that could begin
-one is tried, all of them at once; then the chain is followed from end to beginning. As in the
-reference decoder a frame counts when another follows it; else it is damaged, the search goes on
-behind its first byte, and P frames count again after the next I frame.
+Only the end of a frame marks where the next one begins. Every byte that could begin one is tried,
+all of them at once; then the chain is followed from end to beginning. As in the reference decoder a
+frame counts when another follows it; else it is damaged, the search continues after its first byte,
+and P frames count again after the next I frame.
 """
 
 from collections.abc import Iterator, Sequence

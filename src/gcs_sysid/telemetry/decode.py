@@ -94,8 +94,8 @@ class RecordDecoder:
     def take(self, frames: FrameBlock, mine: Mask, out: TrackCollector) -> Taken:
         """Read the messages of the table, up to a stamp that sets the clock back, or one frame.
 
-        Those that tell states are not read; the caller gives them to `take_state` one by one,
-        with the clock that `ClockTimes` tells.
+        State messages are not read; the caller gives them to `take_state` one by one, with the
+        clock of `ClockTimes`.
 
         Args:
             frames: the next frames.
@@ -133,13 +133,13 @@ class RecordDecoder:
         return self.states.take(frame, now if now == now else None)
 
     def _forget_times(self) -> None:
-        """What was heard at times of another boot says nothing of the present."""
+        """Stamps of another boot do not apply."""
         self._preferences: defaultdict[Stream, Preference] = defaultdict(Preference)
         self.states.forget_times()
         self._sent_last = -np.inf
 
     def _leave_out(self, messages: dict[str, Array], frames: FrameBlock, mine: Mask) -> None:
-        """Leave out what the table says is not meant."""
+        """Leave out what the table excludes."""
         for name, rows in messages.items():
             message, kept = self._table[name], np.ones(len(rows), bool)
             if message.sensor:
@@ -164,7 +164,9 @@ class RecordDecoder:
         return before
 
     def _learn_unix_time(self, frames: FrameBlock, mine: Mask) -> int:
-        """Take a SYSTEM_TIME that stands first; the next from which others are read anew."""
+        """Take a SYSTEM_TIME that comes first; number of the next one, from which frames are read
+        again.
+        """
         end = frames.number + len(frames)
         if self.clock.unix_minus_boot is not None:
             return end
@@ -186,7 +188,7 @@ class RecordDecoder:
     def _stamps(
         self, messages: dict[str, Array], first: int, stop: int
     ) -> tuple[dict[str, Array], ClockTimes, int]:
-        """Times of the messages with stamps that drive the clock, NaN where they tell none.
+        """Times of the messages with stamps that drive the clock, NaN where they have none.
 
         Args:
             messages: by name.
@@ -280,7 +282,7 @@ class RecordDecoder:
         stamps: dict[str, Array],
         out: TrackCollector,
     ) -> None:
-        """Pass on what is best of messages that tell the same, in the order of their ranks."""
+        """Pass on the best of messages with the same content, in the order of their ranks."""
         there = []
         for message in some:
             rows, t = messages[message.name], stamps[message.name]
@@ -321,7 +323,7 @@ class RecordDecoder:
         return order, t, q
 
     def _give(self, message: Message, rows: Array, t: Array, out: TrackCollector) -> None:
-        """Pass on messages that tell of rotors, those of one offset and width together."""
+        """Pass on rotor messages, those of one offset and width together."""
         order, values = rows["_frame"], self._values(message, rows)
         whole = values.shape[1]
         if message.used is None and isinstance(message.offset, int):

@@ -1,7 +1,7 @@
-"""A ground station on a link: what it says to a vehicle, and whom it believes.
+"""A ground station on a link: what it sends to a vehicle, and which frames it accepts.
 
-Everything here depends on when things happen. Nothing of it reaches the estimate but the frames
-that are believed, which is why the analysis of a recording ends with the live session's numbers.
+Everything here depends on when things happen. Only accepted frames reach the estimate, which is why
+the analysis of a recording ends with the live session's numbers.
 """
 
 from collections import deque
@@ -20,7 +20,7 @@ from gcs_sysid.telemetry.transceiver import Port
 LOST_AFTER = 3.0
 """s of silence after which the link counts as lost."""
 _MOST_EVENTS = 100
-"""Kept while nobody asks."""
+"""Events kept until taken."""
 
 _REFUSED = {
     Refusal.UNSIGNED: "unsigned frames are rejected, because a signing key is set",
@@ -41,7 +41,7 @@ class GroundStation:
         state_folder: where the rates to restore are kept, see `stream_restoration`; None: nowhere.
 
     Attributes:
-        lost: whether a vehicle that spoke before is silent now, or the link is gone.
+        lost: whether a vehicle received before is silent now, or the link is gone.
         heard_at: when the vehicle last sent; None before.
     """
 
@@ -163,7 +163,7 @@ class GroundStation:
         return tuple(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """For the result's `telemetry`: who was refused; empty when all was believed."""
+        """For the result's `telemetry`: senders refused; empty when all were accepted."""
         report = self._port.link_report
         out: dict[str, Any] = {}
         if report.refused is not None:
@@ -188,7 +188,7 @@ class GroundStation:
 
 
 def _rival_text(rival: Rival) -> str:
-    """Who else speaks in the vehicle's name, in words."""
+    """Another sender with the vehicle's address, as text."""
     system, component = rival.vehicle
     return (
         f"two senders use the address {system}:{component}: {_words(rival.address)}, taken as the "

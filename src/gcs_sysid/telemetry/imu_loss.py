@@ -1,8 +1,8 @@
-"""Samples of the IMU that did not come, by the vehicle's own stamps.
+"""Missing IMU samples, by the vehicle's own stamps.
 
-Sequence numbers count modulo 256, so that a burst of any length looks like a short one, and they
-say nothing of what the autopilot never sent: PX4 leaves out 0.4 to 2 % of its samples, while no
-packet is lost. The stamps tell both: steps of several usual intervals have samples missing in them.
+Sequence numbers count modulo 256, so that a burst of any length looks like a short one, and they do
+not show what the autopilot never sent: PX4 skips 0.4 to 2 % of its samples with no packet lost.
+Stamps show both: steps of several usual intervals have samples missing in them.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from gcs_sysid.arrays import Array
 PAUSE = 10.0
 """s. A longer step is no loss: the link was away, or the vehicle's clock was set."""
 SERIOUS = 0.1
-"""Share missing from which it is told: five times what PX4 leaves out."""
+"""Share missing from which it is reported: five times what PX4 leaves out."""
 TOO_MUCH = 0.6
 """Share missing from which the verdict is at most `partial`: no study goes beyond a half."""
 _HELD, _SETTLED = 512, 256
@@ -50,7 +50,7 @@ class Counts(NamedTuple):
 class ImuLoss:
     """Counts samples by their stamps.
 
-    Steps are held against the shortest interval that some samples in a row have kept. A stream
+    Steps are compared with the shortest interval that some samples in a row have kept. A stream
     that comes evenly at another rate has another one. The counts depend on the order of samples
     alone, however they are cut into blocks; what is late by less than half of `_HELD` is not lost.
     """

@@ -29,9 +29,9 @@ _STATUSTEXT = MESSAGE_IDS["STATUSTEXT"]
 _heartbeat = picker("HEARTBEAT", "type", "autopilot", "base_mode")
 _STATES = sorted(STATE_IDS)
 _MOST_OTHERS_LISTED = 4
-"""Vehicles that are told of one by one; a hostile sender can make up hundreds."""
+"""Vehicles listed one by one; a hostile sender can make up hundreds."""
 _MORE = 3
-"""Times the messages of the chosen vehicle, from which another is told of when all is not well."""
+"""Ratio of messages to the chosen vehicle's from which another vehicle is reported as a problem."""
 
 
 class Intake:
@@ -43,12 +43,12 @@ class Intake:
         selector: vehicles found, and the one chosen.
         decoder: makes the records; its `dropped` and `clock` are worth showing.
         monitor: counts and rates.
-        drift: of the vehicle's clock, by the times at which frames came, as far as they are told.
-        turning: names of the messages that have told of all their rotors turning.
+        drift: of the vehicle's clock, by the times of reception, where known.
+        turning: names of the messages that have shown all their rotors turning.
         fates: what became of the frames whose checksum is right, all of them: "used" (made a
-            record), "not needed" (of a type that tells nothing for identification), "passed over"
-            (a better message tells the same, or nothing new), "dropped" (see the decoder's),
-            "others" (not the vehicle's, or before its first heartbeat).
+            record), "not needed" (of a type of no use for identification), "passed over" (a better
+            message has the same content, or nothing new), "dropped" (see the decoder's), "others"
+            (not the vehicle's, or before its first heartbeat).
         garbage_bytes: set by the caller, from `Receiver` or `TlogReader`.
     """
 
@@ -81,7 +81,7 @@ class Intake:
 
     @property
     def intervals(self) -> dict[int, tuple[int, int]]:
-        """What MESSAGE_INTERVAL told, see `VehicleStates`."""
+        """Intervals from MESSAGE_INTERVAL, see `VehicleStates`."""
         return self.decoder.states.intervals
 
     @property
@@ -106,8 +106,7 @@ class Intake:
         """Take frames, few or many: how they are cut into blocks does not matter.
 
         Returns:
-            The records they make, and what happened on the way: that is told here, and not by
-            `take_events` again.
+            Their records and the events; `take_events` does not return these again.
         """
         out = TrackCollector()
         at = 0
@@ -212,7 +211,7 @@ class Intake:
         rows = np.flatnonzero(good & states & (chosens | (frames.message_id == _HEARTBEAT)))
         end = clock.now
         for row in rows.tolist():
-            # What is noted of it, is noted at its own time.
+            # Notes on it are at its own time.
             clock.now = None if np.isnan(now[row]) else float(now[row])
             self._take_state(frames.number + row, frames.frame(row), float(now[row]), out)
         clock.now = end
@@ -256,7 +255,7 @@ class Intake:
         self.selector.take(frames.system[good], frames.component[good])
 
     def _take_state(self, order: int, frame: Frame, now: float, out: TrackCollector) -> None:
-        """Take a message that tells a state, or any heartbeat."""
+        """Take a state message, or any heartbeat."""
         if frame.message_id == _HEARTBEAT:
             self.selector.hear(frame)
             self._hear(frame)
@@ -289,13 +288,13 @@ class Intake:
 
     @property
     def _may_go_over(self) -> bool:
-        """Whether the chosen vehicle, chosen by nobody, has told nothing but heartbeats yet."""
+        """Whether the vehicle, chosen automatically, has sent only heartbeats so far."""
         selector = self.selector
         return selector.chosen is not None and selector.wanted is None and self.clock is None
 
     def _begin_anew(self, first: Vehicle) -> None:
         """Another vehicle is the chosen one: of the first there were heartbeats alone."""
-        self._others.add(first.address)  # told of here
+        self._others.add(first.address)  # reported here
         self.decoder = RecordDecoder()
         self._contradictions = Contradictions()
         self.monitor.begin_anew()
@@ -335,7 +334,7 @@ class Intake:
         )
 
     def _hear(self, heartbeat: Frame) -> None:
-        """See whether a heartbeat is of another vehicle, or of somebody who poses as this one."""
+        """See whether a heartbeat is of another vehicle, or of a sender that poses as this one."""
         chosen, who = self.selector.chosen, (heartbeat.system, heartbeat.component)
         if chosen is None:
             return
@@ -348,7 +347,7 @@ class Intake:
             self._note("senders", *self._contradicting)
 
     def _note_other(self, chosen: Vehicle, who: tuple[int, int]) -> None:
-        """Tell of a vehicle that could be meant as well, when the user chose none."""
+        """Report another vehicle that could be meant, when the user chose none."""
         other = self.selector.systems.get(who)
         if other is None or not other.is_autopilot or self.selector.wanted is not None:
             return
@@ -375,4 +374,4 @@ class Intake:
 
     def _note(self, kind: str, text: str) -> None:
         self._events.append(IntakeEvent(self.clock or 0.0, kind, text))
-        del self._events[:-1000]  # nobody asks: keep it bounded
+        del self._events[:-1000]  # not taken: keep it bounded

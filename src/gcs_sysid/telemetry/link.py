@@ -59,7 +59,7 @@ class Link(ABC):
         ended: the other side closed it, or the device is gone.
         breaks: how often a stream of bytes ended, to be followed by another one or not.
         floods: how often others were found to flood it.
-        dropped: datagrams that the system dropped, because nobody read in time.
+        dropped: datagrams that the system dropped, not read in time.
         unsent: messages that could not be sent.
     """
 

@@ -82,7 +82,7 @@ class Log(Telemetry, Protocol):
     def blocks(self) -> Iterator[RecordBlock]:
         """The records of the chosen vehicle, once, as columns; blocks follow each other.
 
-        What happened on the way is told in the blocks, and not by `take_events`.
+        Events are in the blocks, not in `take_events`.
         """
 
     def records(self) -> Iterator[Record]:
@@ -175,7 +175,7 @@ class OnboardLog:
     drift_ppm: float | None = None
     recorded: float | None = None
     problems: tuple[str, ...] = ()
-    """An autopilot's own log holds nobody else's messages."""
+    """An autopilot's own log holds no others' messages."""
 
     def __init__(
         self, kind: str, recording: Recording, wanted: tuple[int, int | None] | None = None
@@ -277,7 +277,7 @@ class OnboardLog:
 
 
 def _one_by_one(blocks: Iterable[RecordBlock], facts: list[IntakeEvent]) -> Iterator[Record]:
-    """The records of blocks; events are put into `told` before the records that follow them."""
+    """The records of blocks; events are put into `told` before the records after them."""
     for block in blocks:
         events = deque(block.events)
         for order, record in block.records():

@@ -27,8 +27,8 @@ GAP = 0.1
 """s. A pause of the IMU longer than this, and than five of its usual steps, is a gap."""
 GAPS_KEPT = 100
 MOST_UNNAMED = 64
-"""Message types without a name that are counted one by one, the first heard; a hostile sender can
-make up 16 million."""
+"""Message types without a name that are counted one by one, the first received; a hostile sender
+can make up 16 million."""
 _NEW_SHARE = 0.02
 """Of each step of the IMU in what its usual step is believed to be."""
 _REMEMBERED = 2048
@@ -128,7 +128,7 @@ class Monitor:
         received: frames whose checksum is right, of all systems.
         heard: frames of the chosen vehicle, repeated ones too.
         bad_crc: frames whose checksum is wrong.
-        unknown: frames of types that nobody here knows.
+        unknown: frames of unknown types.
         gaps: (t, length) in s of pauses in the IMU stream, the latest ones.
         gap_count: how many there were.
     """
@@ -163,7 +163,7 @@ class Monitor:
         self.bad_crc += counts.get(BAD_CRC, 0)
 
     def begin_anew(self) -> None:
-        """From now on another vehicle is the chosen one; what came of all goes on."""
+        """From now on another vehicle is the chosen one; totals over all senders continue."""
         self.heard = 0
         self._counts.clear()
         self._sequence = SequenceCount()
@@ -301,7 +301,9 @@ class Monitor:
 
     @property
     def sent(self) -> int:
-        """Messages that the chosen vehicle has sent since it was first heard, `lost` included."""
+        """Messages that the chosen vehicle has sent since it was first received, `lost`
+        included.
+        """
         return self._sequence.expected
 
     @property

@@ -1,4 +1,4 @@
-"""Asks a vehicle for the streams that identification needs, and sees to it that they come.
+"""Requests the streams that identification needs, and checks that they arrive.
 
 An ACK proves nothing (PX4 acknowledges streams that never arrive), and another ground station
 may reset the rates at any time, so only what arrives counts. There is no clock in here: the
@@ -29,8 +29,8 @@ from gcs_sysid.telemetry.wanted_streams import (
 HEARTBEAT_EVERY = 1.0
 """s."""
 INTRODUCTIONS = 3
-"""Heartbeats in version 2 to a vehicle that speaks version 1: PX4 speaks 1 until it hears 2, and
-what only knows 1 passes over them."""
+"""Heartbeats in version 2 to a vehicle that sends version 1: PX4 sends 1 until it receives 2, and
+systems limited to 1 ignore them."""
 ASK_AGAIN_AFTER = 5.0
 """s between two requests for the same message: time for it to arrive and be judged."""
 ENOUGH = 0.7
@@ -39,7 +39,7 @@ ASKS_AT_MOST = 60
 """Unanswered requests a message; five minutes. A stream that the vehicle has not got (ESC_STATUS
 without telemetry, say) need not be asked for during a whole flight."""
 REPORT_AFTER = 3
-"""Requests after which a stream that does not come is told, and takes no room on the link."""
+"""Requests after which a missing stream is reported, and gets no share of the link."""
 LOSS_JUDGED_EVERY = 10.0
 """s."""
 TOO_MUCH_LOSS = 0.1
@@ -49,7 +49,7 @@ HELPED = 0.7
 """A cut has helped when the share lost came below this part of what it was."""
 CUTS_AT_MOST = 3
 _LEAST_MESSAGES = 200
-"""Fewer sent in `LOSS_JUDGED_EVERY` tell no share of loss."""
+"""Fewer sent in `LOSS_JUDGED_EVERY` give no loss rate."""
 
 
 class StreamRequests:
@@ -115,7 +115,7 @@ class StreamRequests:
             now: any steady clock, s. Call it a few times a second.
             vehicle: the chosen vehicle, None while there is none.
             arriving: message name -> Hz observed, as `Monitor.rates` gives it.
-            turning: messages that have told of all their rotors turning.
+            turning: messages that have shown all their rotors turning.
             lost_of: messages of the vehicle lost and sent so far.
             intervals: as of `StreamRestoration.tick`.
             loop_rate: ArduPilot's SCHED_LOOP_RATE, Hz; None: not known.
@@ -292,7 +292,7 @@ class StreamRequests:
             self._report(self.problem)
 
     def _see_to(self, name: str, hz: float, got: float, now: float) -> None:
-        """Ask for a stream where it is due, and tell of what does not come."""
+        """Request a stream where due, and report those that do not arrive."""
         enough = got >= ENOUGH * hz
         if enough:
             self._asks[name] = min(self._asks.get(name, 0), 1)
@@ -348,7 +348,7 @@ class StreamRequests:
         return events
 
     def reboot(self) -> None:
-        """Ask anew: the vehicle has forgotten, or may have while it was not heard."""
+        """Request again: the vehicle has forgotten, or may have while out of contact."""
         if self._groups is not None:
             self._groups.again()
         if self._restoration is not None:
@@ -359,7 +359,7 @@ class StreamRequests:
         self._introductions = 0
 
     def close(self) -> None:
-        """Give the vehicle back the rates it had. Said twice: nobody is there to say it again."""
+        """Restore the vehicle's rates. Sent twice, as there is no later retry."""
         asked = dict(self.asked)
         for _ in range(2):
             if self._groups is not None:

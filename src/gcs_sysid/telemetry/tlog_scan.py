@@ -1,10 +1,10 @@
 """From the bytes of a .tlog to its frames, a piece at a time.
 
-What counts as a frame is what `frames` says; here the same is decided for arrays. A record is
-8 bytes of time and a frame, so each frame's length tells where the next one's magic byte must
-be. Every byte that could be a magic byte and leads to another one is a candidate; runs of
-candidates that lead to each other are the chain, and only where a run ends is anything decided
-one by one. Then the checksums of all frames in the chain are taken together.
+The rules for a frame are those of `frames`, here applied to arrays. A record is 8 bytes of time and
+a frame, so each frame's length gives the position of the next one's magic byte. Every byte that
+could be a magic byte and leads to another one is a candidate; runs of candidates that lead to each
+other are the chain, and only where a run ends is anything decided one by one. Then the checksums of
+all frames in the chain are taken together.
 
 - A frame whose checksum is right is good, whatever follows.
 - One that is wrong, or of an unknown type, keeps its place when a record follows it and no good
@@ -65,7 +65,7 @@ class ScanCounts:
     Attributes:
         frames: frames of any validity.
         bad_crc: those of them with a wrong checksum: another definition, or damaged.
-        unknown: those of types that nobody here knows.
+        unknown: those of unknown types.
         garbage_bytes: bytes that belong to no record.
         resyncs: how often the chain of records was broken and found again.
         repaired_times: record times that were damaged.
@@ -291,7 +291,7 @@ class _Chain:
         return chain[: np.searchsorted(chain, self._limit, side="right")]
 
     def _by_length(self, *, hunting: bool) -> Array:
-        """The chain as the lengths tell it, checksums aside."""
+        """The chain by frame lengths, checksums aside."""
         linked, follows = self._linked, self._follows
         # Runs of candidates that lead to each other, and where the last of each leads.
         ends = np.append(follows[:-1] != linked[1:], [True] * min(len(linked), 1))

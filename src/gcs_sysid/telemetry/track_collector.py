@@ -19,7 +19,7 @@ from gcs_sysid.telemetry.clock import JUMP_AHEAD
 STATE_EVERY = 1.0
 """s between two reports of a state that is only logged when it changes."""
 STATE_FOR = 86400.0
-"""s for which it is told: what ends later has a damaged time."""
+"""s of log accepted: a later time is damaged."""
 
 
 class TrackCollector:
@@ -91,7 +91,7 @@ _Key = tuple[Stream, str, int, int]
 
 @dataclass
 class Recording:
-    """What a reader makes of an onboard log.
+    """Content of an onboard log as read.
 
     Attributes:
         tracks: the streams.
@@ -156,7 +156,7 @@ class Recording:
             self.tracks.append(Track(stream, t[order], values[order], offset, source))
 
     def add_state(self, stream: Stream, changes: Mapping[float, bool], end: float) -> None:
-        """Add a state by the times at which it changed, told every second like on a link."""
+        """Add a state by the times at which it changed, repeated every second as on a link."""
         if not changes:
             return
         at = np.array(sorted(changes))

@@ -126,7 +126,7 @@ def _add_topic(
 def _values(
     row: OnboardMessage, t: Array, topic: Topic, topics: dict[tuple[str, int], Topic]
 ) -> Array:
-    """(n, fields) of a row's fields, less what it says is taken off."""
+    """(n, fields) of a row's fields, less its offsets."""
     values = np.hstack([_columns(topic, field) for field in row.fields])
     if row.offset is not None:
         name, fields = row.offset
@@ -172,7 +172,7 @@ def _motors(topic: Topic, thrust_factor: float) -> Array:
 
 
 def _speeds(topic: Topic) -> Array:
-    """(n, motors) rad/s without sign, in motor order where the ESCs tell their motors."""
+    """(n, motors) rad/s without sign, in motor order where the ESCs report their motors."""
     count = sum(1 for field in topic if field.endswith(".esc_rpm"))
     count = min(int(topic["esc_count"].max()), count) or count
     if not count:

@@ -33,7 +33,7 @@ _LONGEST_UNKNOWN = 2048
 """Bytes of the rows of a topic whose subscription is missing."""
 _MOST_FAULTS = 100
 _MOST_NEW_KINDS = 1000
-"""Entries of kinds that nobody here knows."""
+"""Entries of unknown kinds."""
 _OTHERS, _BYTES_AN_OTHER = 2**16, 64
 """Entries that are no rows: so many, and one for so many bytes. More of them are garbage."""
 _LONG = 300
