@@ -18,9 +18,9 @@ _ROTORS = {
 ASSUMED = "assumed"
 """In the words of an origin, after the order of motors."""
 _USUAL_ARM = 0.25
-"""m, where nothing tells."""
+"""m, where unknown."""
 _UNKNOWN_ARM = 0.5
-"""Relative standard deviation of an arm that nobody told."""
+"""Relative standard deviation of an arm that was not given."""
 _REAL = (0.02, 5.0)
 """m: rotors of CA_ROTORn_P* in metres lie between; stock simulators have 1 for all."""
 

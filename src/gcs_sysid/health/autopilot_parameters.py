@@ -68,7 +68,7 @@ def _make(health: Health, name: str, quantity: Quantity | None, note: str) -> It
 def _curve(health: Health) -> Quantity | None:
     if health.curve is None or health.curve.c.std is None:
         return None
-    # A curve that the flight does not tell is no suggestion.
+    # A curve that the flight does not determine is not suggested.
     return health.curve.c if 0.0 < health.curve.c.std < TUNING.usable_curve else None
 
 
@@ -150,7 +150,7 @@ def _spin_min(health: Health) -> Quantity | None:
     if health.idle is None or now is None:
         return None
     share = (health.idle - low) / (high - low)
-    # In flight nothing goes below MOT_SPIN_MIN itself: only an idle on the ground tells.
+    # In flight no output is below MOT_SPIN_MIN: only an idle on the ground shows it.
     if not 0.0 < share < now - TUNING.idle_std:
         return None
     return Quantity(share + TUNING.above_idle, TUNING.idle_std, "1", TUNING.idle_std)

@@ -94,7 +94,7 @@ def robust_fit(
     """Least squares with Huber's weights and Newey-West's covariance.
 
     The windows overlap by half, and gusts last for seconds: the score's autocovariance counts over
-    the lags that a sample of this length can tell (Andrews' rate), with Student's t for as many
+    the lags that a sample of this length resolves (Andrews' rate), with Student's t for as many
     independent stretches as those leave.
 
     Args:
@@ -229,8 +229,8 @@ class Center:
     Attributes:
         cg: (2,) m, forward and right of the geometric center.
         covariance: (2, 2) by the flight's own scatter.
-        by_wind: (2,) m by which drag has moved the center of thrust from the CG, as far as the
-            flight tells; it is in `cg`.
+        by_wind: (2,) m by which drag has moved the center of thrust from the CG, as far as
+            observable; it is in `cg`.
     """
 
     cg: Array
@@ -243,9 +243,9 @@ def cg_of(windows: Windows, airframe: Airframe, thrust: Array) -> Center:
 
     Wind drags at rotors and body above the CG and flaps the blades: a moment in proportion to the
     specific force in the rotors' plane, which the accelerometer measures. On a real 18 kg quad it
-    moved the center of thrust by 64 mm per m/s^2, 15 mm in a breeze. What is left of it at the mean
-    force is told apart: an accelerometer off level by a degree looks like wind, so it stays in the
-    CG and in its interval.
+    moved the center of thrust by 64 mm per m/s^2, 15 mm in a breeze. The remainder at the mean
+    force is reported separately: an accelerometer off level by a degree looks like wind, so it
+    stays in the CG and in its interval.
 
     Args:
         windows: of hover, with all of thrust.

@@ -82,7 +82,7 @@ class Series:
 
 
 def series_of(flights: Sequence[Health]) -> list[Series]:
-    """All that flights of one vehicle told, in their order; those that hovered alone count."""
+    """Results of one vehicle's flights, in their order; only those that hovered count."""
     usable = [health for health in flights if health.available]
     if not usable:
         return []

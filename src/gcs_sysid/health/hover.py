@@ -25,7 +25,7 @@ from gcs_sysid.signals.records import Stream
 _GRID = 0.1
 """s between the instants at which flight is judged."""
 _HELD = 3.0
-"""s for which a state (armed, in the air) is believed after it was told."""
+"""s for which a state (armed, in the air) holds after it was reported."""
 
 
 class _Integrals:
@@ -393,7 +393,7 @@ def flight_of(streams: Streams, rotors: int) -> tuple[Array, Mask]:
 
 
 def _held(times: Array, values: Array, grid: Array) -> Array:
-    """(n,) the last value told, for a while; NaN after that and before the first."""
+    """(n,) the last value reported, for a while; NaN after that and before the first."""
     i = np.searchsorted(times, grid, side="right") - 1
     known = (i >= 0) & (grid - times[np.maximum(i, 0)] < _HELD)
     out: Array = np.where(known, values[np.maximum(i, 0)], np.nan)

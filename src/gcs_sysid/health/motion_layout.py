@@ -44,7 +44,7 @@ def layout_by_motion(
 
     Returns:
         The guess, or where it was assumed the layout that the flight shows instead, and the
-        streams of its rotors. A layout that was given or logged stays, and `as_flown` tells the one
+        streams of its rotors. A layout that was given or logged stays, and `as_flown` is the one
         that contradicts it.
     """
     if guess.assumed:

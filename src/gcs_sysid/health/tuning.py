@@ -63,7 +63,7 @@ class Tuning:
             yaw and sum gusts hide, was never named (`benchmarks.health --weak`).
         same_vehicle: factor of all loads within which two flights may be of one vehicle: payload,
             other propellers.
-        learnt_from: s of hover at the begin of a flight that later ones in it are held against.
+        learnt_from: s of hover at the start of a flight that later ones in it are compared with.
         judged_by: s of hover in a stretch that is.
         least_change: of a rotor's load over another's in a stretch, relative, that is looked into:
             5 % less of one rotor of eight makes 2.5 %.
@@ -81,14 +81,14 @@ class Tuning:
         above_idle: of the range of outputs, MOT_SPIN_MIN above what turns all rotors (ArduPilot's
             manual).
         idle_std: of the range of outputs, by which an idle is known.
-        voltage_std: relative, of what sag and air density make of a throttle.
+        voltage_std: relative, effect of sag and air density on a throttle.
         worth_moving: m over meter of arm, CG offset that is worth a hand's move.
         motor_scatter: of motors' gains, relative, that is usual.
         sure: standard deviations beyond that.
         least_thrust_to_weight: usual advice of the autopilots' manuals is 2.
         much_saturated: share of the flight at full command.
         shaking: times the others' vibration.
-        least_shaking: m/s^2, amplitude below which nobody minds.
+        least_shaking: m/s^2, amplitude below which it is no concern.
         instrument_lags: windows before, of the commands that are instruments: beyond the windows'
             overlap and the memory of gusts (0.3 s).
         curve_floor: standard deviation of c that no flight goes below (motor's lag, battery).

@@ -75,7 +75,8 @@ class Chain:
             airframe.imu_arm,
         )
         self.clock_error = 0.0
-        """Share by which the vehicle's clock may be wrong, as the owner tells; of results alone."""
+        """Share by which the vehicle's clock may be wrong, set by the owner; affects results
+        alone."""
         self._offline: OfflineFit | str | None = None
 
     def take(self, block: RecordBlock) -> bool:
@@ -139,7 +140,7 @@ class Chain:
             raise InputError(f"{kind} cannot set the scale with {used}s as the rotors' input")
 
     def set_anchor(self, anchor: ScaleReference) -> None:
-        """Let another fact set the scale, from the start on; the estimate's history begins anew.
+        """Change the scale reference, from the start on; the estimate's history restarts.
 
         Raises:
             InputError: see `check_anchor`.
@@ -151,7 +152,7 @@ class Chain:
         self.note(f"scale: {scale.anchor} = {scale.value:.6g} {scale.unit}")
 
     def renew_every(self, interval: float | None) -> None:
-        """As of `Learner`; what is learnt does not depend on it."""
+        """As of `Learner`; the fits do not depend on it."""
         self._learner.renew_every(interval)
 
     def note(self, text: str) -> None:
@@ -222,7 +223,7 @@ class Chain:
 
     @property
     def gyro_cutoff(self) -> float | None:
-        """Hz, low-pass of the autopilot on its gyro that the estimate reckons with."""
+        """Hz, low-pass of the autopilot on its gyro that the estimate allows for."""
         return self._learner.cutoffs[0]
 
     @property

@@ -145,7 +145,7 @@ class Findings:
 
     @property
     def _aligned_rotation(self) -> RotationFit | None:
-        """As values are: with rotors and IMU where the flight tells that they are."""
+        """As values are: with rotors and IMU at their identified poses."""
         return aligned(self.learner.fit, self._alignment).rotation
 
     @cached_property
@@ -284,7 +284,9 @@ class Findings:
         }
 
     def _imu_rotation(self) -> dict[str, Any] | None:
-        """How the IMU is turned, in degrees; None where that is given as exact or not told."""
+        """How the IMU is turned, in degrees; None where that is given as exact or not
+        identifiable.
+        """
         found = self._alignment
         if found is None or not found.turned_std.any():
             return None

@@ -1,6 +1,6 @@
-"""From blocks of samples to fits: which estimator learns from them, and what is told of it.
+"""From blocks of samples to fits: selects the estimator and reports its events.
 
-What it learns depends on the blocks, and on what was known when each came, alone.
+The fits depend only on the blocks, and on what was known when each came.
 """
 
 from collections import deque
@@ -71,9 +71,9 @@ class Learner:
         self.observers: list[Callable[[SampleBlock], None]] = []
         """Are shown every block of samples before the estimator takes it."""
         self.rotors: RotorSource | None = None
-        """The stream that is learnt from."""
+        """The stream in use."""
         self.cutoffs: Cutoffs = (None, None)
-        """What the estimate reckons with."""
+        """Conditions that the estimate allows for."""
         self.anchors = [anchor]
         """The scale of each segment, and that in force."""
         self.tracker: Tracker | None = None
@@ -126,7 +126,7 @@ class Learner:
         return {} if anchor.origin else summary.priors_for(self._airframe.priors, self.rotor_input)
 
     def evidence(self, fit: Fit) -> Evidence:
-        """What speaks against a fit; nothing against the article's, which are for study."""
+        """Objections to a fit; none to the article's, which are for study."""
         if self._options.tuning.method != "forward" or self.tracker is None:
             return Evidence()
         filtered = self.cutoffs[0] is not None
@@ -141,7 +141,7 @@ class Learner:
         self.history.clear()
 
     def set_anchor(self, anchor: ScaleReference) -> None:
-        """Let another fact set the scale, from the start on; the history begins anew."""
+        """Change the scale reference, from the start on; the history restarts."""
         self.anchors = [anchor]
         for segment in () if self.tracker is None else self.tracker.segments:
             self._go_on_after(segment)

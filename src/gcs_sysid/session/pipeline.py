@@ -36,7 +36,7 @@ class Pipeline:
     Args:
         airframe: with a scale anchor.
         source: what the result names as its source.
-        wanted: system and perhaps component to listen to; None: the first autopilot heard.
+        wanted: system and perhaps component to listen to; None: the first autopilot received.
         options: of the chain.
         anchor: sets the scale instead of the airframe's.
     """
@@ -63,7 +63,7 @@ class Pipeline:
 
     @property
     def vehicle_layout(self) -> ReportedLayout | None:
-        """The layout that the vehicle tells by its parameters, as far as they have come."""
+        """The layout that the vehicle reports by its parameters, as far as received."""
         vehicle = self._telemetry.vehicle
         return None if vehicle is None else reported_layout(vehicle.key, self._telemetry.parameters)
 
@@ -74,7 +74,7 @@ class Pipeline:
         return () if reported is None else differences(self.chain.airframe, reported)
 
     def check_airframe(self) -> tuple[str, ...]:
-        """`airframe_problems`, told in the event log as soon as there are any."""
+        """`airframe_problems`, entered in the event log as soon as there are any."""
         found = self.airframe_problems
         if found != self._contradicted:
             self._contradicted = found
@@ -129,10 +129,10 @@ class Pipeline:
             progress(1.0)
 
     def windows(self, log: Log, samples: int = WINDOW) -> Iterator[RecordBlock]:
-        """What `take_log` takes, window by window, for those who do it at their own pace.
+        """As `take_log`, window by window, for callers that set their own pace.
 
         Args:
-            log: as of `take_log`; what it tells is told in results from now on.
+            log: as of `take_log`; its telemetry is in results from now on.
             samples: of the IMU in a window.
         """
         self._telemetry = log

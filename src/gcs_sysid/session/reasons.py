@@ -71,7 +71,7 @@ def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[st
 
 
 def limit_by_given(by_flight: Mapping[str, Value], whole: Mapping[str, Value]) -> tuple[str, ...]:
-    """What the flight tells well enough, and what was given does not.
+    """Parameters that the flight determines well enough, but the given values do not.
 
     Args:
         by_flight: values with the uncertainty of the flight alone.

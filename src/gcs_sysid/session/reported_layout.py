@@ -1,8 +1,8 @@
-"""The layout that a vehicle reports by its parameters, and what an airframe says otherwise.
+"""The layout that a vehicle reports by its parameters, and an airframe's differences from it.
 
-PX4 tells each rotor's place and spin (CA_ROTORn_*), ArduPilot the name of a frame (FRAME_CLASS,
-FRAME_TYPE); both tell which output drives which motor. A vehicle flies by what it tells, so an
-airframe that contradicts it is wrong, and that can be said while it stands.
+PX4 reports each rotor's position and spin (CA_ROTORn_*), ArduPilot the name of a frame
+(FRAME_CLASS, FRAME_TYPE); both report which output drives which motor. A vehicle flies by these, so
+an airframe that contradicts them is wrong, which can be reported before take-off.
 """
 
 import math
@@ -23,7 +23,7 @@ from gcs_sysid.model.airframe import (
 
 _MOST_ROTORS = 12
 _UNIT = 1e-3
-"""Of a mean distance of 1 or sqrt(2): what simulators and mixers tell, who need no lengths."""
+"""Of a mean distance of 1 or sqrt(2): as simulators and mixers report, which need no lengths."""
 _SAME_ARM = 0.1
 """Share by which arms may differ before it is worth a word."""
 _LEAST_UPRIGHT = math.cos(math.radians(30.0))
@@ -70,12 +70,12 @@ _PX4_MOTOR_1, _MOTOR_1, _MOTOR_9 = 101, 33, 82
 
 @dataclass(frozen=True)
 class ReportedLayout:
-    """What a vehicle tells of its rotors.
+    """The rotors as a vehicle reports them.
 
     Attributes:
-        rotors: in motor order; of mean distance 1 where no size is told.
+        rotors: in motor order; of mean distance 1 where no size is reported.
         sized: whether the distances are meters.
-        by: the parameters that tell it.
+        by: the parameters that define it.
         outputs: motor that each output drives, from 0, as far as outputs drive motors.
     """
 
@@ -91,7 +91,7 @@ class ReportedLayout:
 
     @property
     def by_output(self) -> tuple[Rotor, ...]:
-        """The rotors in the order of outputs, where they are told; else in motor order."""
+        """The rotors in the order of outputs, where reported; else in motor order."""
         whole = sorted(self.outputs) == list(range(len(self.rotors)))
         return tuple(self.rotors[i] for i in self.outputs) if whole else self.rotors
 
@@ -105,7 +105,7 @@ class ReportedLayout:
 
 
 def reported_layout(autopilot: str, parameters: Mapping[str, float]) -> ReportedLayout | None:
-    """What the parameters that have come tell; None: not enough of them, or no usual frame.
+    """The layout by the parameters so far; None: not enough of them, or no usual frame.
 
     Args:
         autopilot: "px4", "ardupilot", ...
@@ -150,7 +150,7 @@ def _px4(parameters: Mapping[str, float]) -> ReportedLayout | None:
 
 
 def _axis(parameters: Mapping[str, float], i: int) -> tuple[float, float, float]:
-    """Of thrust, upright where it is not told."""
+    """Of thrust, upright where not reported."""
     x, y, z = (parameters.get(f"CA_ROTOR{i}_A{axis}", -(axis == "Z")) for axis in "XYZ")
     length = math.hypot(x, y, z)
     if not 0.0 < length < math.inf or -z < _LEAST_UPRIGHT * length:
@@ -208,10 +208,10 @@ def airframe_of_layout(reported: ReportedLayout, arm: float | None) -> Airframe:
 
     Args:
         reported: the layout.
-        arm: m, mean distance of the rotors from the center; None: as it is told.
+        arm: m, mean distance of the rotors from the center; None: as reported.
 
     Raises:
-        InputError: neither tells its size.
+        InputError: neither gives its size.
     """
     airframe = Airframe("auto", reported.by_output)
     if arm is not None:

@@ -12,7 +12,7 @@ from gcs_sysid.signals.records import Record, Stream
 _ROWS_AT_ONCE = 4096
 
 Key = tuple[Stream, str, int]
-"""What tells streams apart: stream, source, first rotor."""
+"""Key of a stream: stream, source, first rotor."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ class IntakeEvent:
     t: float
     """Vehicle time, s; after a reboot in the new count."""
     kind: str
-    """"vehicle" (chosen), "vehicles" (another one that could be meant), "reboot" or "reset" (the
-    user had the estimate begin anew)."""
+    """"vehicle" (chosen), "vehicles" (another one that could be meant), "reboot" or "reset" (of the
+    estimate, by the user)."""
     text: str
 
 
@@ -82,8 +82,8 @@ class RecordBlock:
 
     Attributes:
         tracks: the samples, one track for each stream, source, offset and width; their `order`
-            tells how they follow each other. A frame makes at most one sample.
-        parameters: (order, record) of those that were told, rising.
+            gives the sequence. A frame makes at most one sample.
+        parameters: (order, record) of those reported, rising.
         events: (order, event), rising; each was known before the sample of the same order.
     """
 

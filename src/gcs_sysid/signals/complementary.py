@@ -22,7 +22,7 @@ way costs is measured in benchmarks/filter_claims.py."""
 BIAS_INTERVAL = 0.1
 """s between renewals of the bias."""
 DEFAULT_K_I = 0.05
-"""1/s^2 for the gyro bias: settles in about 15 s (until then bias / k_p stands in the attitude).
+"""1/s^2 for the gyro bias: settles in about 15 s (until then the attitude is off by bias / k_p).
 With 0.1 the bias's own noise, which goes into the rates, already spoils estimates in hover."""
 
 

@@ -45,7 +45,7 @@ class InertialBuffer(StreamBuffer):
         self._arm = arm
         self.faults = faults
         self.step = 0.0
-        """Usual time between samples, s, as the owner tells once it is known."""
+        """Usual time between samples, s, set by the owner once known."""
         self._counted = -np.inf
 
     @property
@@ -123,7 +123,7 @@ def at_cg(
         rates: (n, 3) rad/s.
         force: (n, 3) m/s^2.
         arm: r, the sensor from the CG in m.
-        gap: s; samples further apart tell no angular acceleration.
+        gap: s; samples further apart give no angular acceleration.
 
     Returns:
         (n, 3) m/s^2, NaN beside gaps.

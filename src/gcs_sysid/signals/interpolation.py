@@ -103,7 +103,7 @@ def interpolate(
         grid: (n,) times wanted.
         gap: samples further apart than this have nothing between them.
         among: how many samples on each side the outer ones may be looked for.
-        known: (n,) how many of the samples each time may be told from; None: all.
+        known: (n,) how many of the samples each time may use; None: all.
 
     Returns:
         (n, width), NaN outside the samples and inside gaps. Next to a gap or an end the two

@@ -73,7 +73,7 @@ def frozen(x: Array) -> Mask:
     Values of noisy sensors never do: nothing was measured.
     """
     out: Mask = np.zeros(len(x), dtype=bool)
-    # One column tells nearly always, at a fraction of the cost.
+    # One column nearly always suffices, at a fraction of the cost.
     out[1:] = x[1:, 0] == x[:-1, 0]
     if out.any():
         now, before = x[1:], x[:-1]

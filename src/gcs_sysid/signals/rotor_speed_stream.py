@@ -17,7 +17,7 @@ _WILD, _BESIDE = 0.2, 2.0
 these differ by. No rotor speeds up and slows down by a fifth while its neighbours in time stand."""
 _STANDS, _FEWEST = 0.15, 5
 """s, and repeats; speeds of all rotors that stay exactly the same for so long are old ones under
-new stamps, as an autopilot sends them that hears nothing of its ESCs."""
+new stamps, as from an autopilot that receives nothing from its ESCs."""
 _RARELY = 0.15
 """Share of messages that repeat the one before, from which that is how this stream is: readings
 slower than messages, coarse ones, or a simulation without noise."""

@@ -240,7 +240,7 @@ class Sampler:
             if flew:  # else the selector has not seen what came in that time
                 selector.fly(seconds)
             if flew and not flies and selector.choice is not None:
-                selector.gap()  # what came since it landed tells nothing of the next flight
+                selector.gap()  # samples since landing do not bear on the next flight
             waited = waits
             # Once there was a judgement nothing waits any more.
             waits = not self._is_judged and self._waits(held.part(ready if waits else first, stop))
@@ -378,7 +378,7 @@ class Sampler:
         return out
 
     def _turning(self, block: Block, n: int) -> Array:
-        """(n, rotors) above zero where a rotor turns, as far as any stream tells."""
+        """(n, rotors) above zero where a rotor turns, as far as any stream shows."""
         turning = np.full((n, self._rotors), np.nan)
         for (stream, _, offset), values in block.values.items():
             if stream in (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND) and offset < self._rotors:

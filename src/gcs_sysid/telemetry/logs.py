@@ -276,15 +276,15 @@ class OnboardLog:
         return {"count": 0, "last": []}
 
 
-def _one_by_one(blocks: Iterable[RecordBlock], facts: list[IntakeEvent]) -> Iterator[Record]:
-    """The records of blocks; events are put into `told` before the records after them."""
+def _one_by_one(blocks: Iterable[RecordBlock], noted: list[IntakeEvent]) -> Iterator[Record]:
+    """The records of blocks; events are put into `noted` before the records after them."""
     for block in blocks:
         events = deque(block.events)
         for order, record in block.records():
             while events and events[0][0] <= order:
-                facts.append(events.popleft()[1])
+                noted.append(events.popleft()[1])
             yield record
-        facts += (event for _, event in events)
+        noted += (event for _, event in events)
 
 
 def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:
