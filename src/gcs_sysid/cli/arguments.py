@@ -188,7 +188,7 @@ def web_address(text: str) -> tuple[str, int]:
 
 
 LOCAL_PAGE = ("127.0.0.1", 8000)
-"""Where a page is served unless told otherwise."""
+"""Where a page is served by default."""
 
 
 def add_web(parser: argparse.ArgumentParser) -> None:

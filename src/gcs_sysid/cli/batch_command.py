@@ -95,7 +95,7 @@ def _summary(tally: Tally) -> str:
 
 
 def _shower() -> Callable[[table.Row, Tally], None]:
-    """Tells of failures as they come and, on a terminal, of how far it is."""
+    """Reports failures as they come and, on a terminal, progress."""
     start, terminal = time.monotonic(), sys.stderr.isatty()
 
     def show(row: table.Row, tally: Tally) -> None:

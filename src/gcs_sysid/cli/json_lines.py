@@ -1,4 +1,4 @@
-"""Results as lines of JSON, written so that nobody waits for who reads them."""
+"""Results as lines of JSON, written without waiting for the reader."""
 
 import threading
 from collections import deque

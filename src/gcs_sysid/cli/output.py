@@ -39,7 +39,7 @@ class Deliveries:
         return all(isinstance(error, BrokenPipeError) for error in self._errors)
 
     def check(self) -> None:
-        """Tell what could not be delivered.
+        """Report output that could not be written.
 
         Raises:
             InputError: the first of them; others are lines on standard error, unless they are
@@ -186,7 +186,7 @@ def save(path: Path, text: str, *, force: bool) -> None:
 
 
 def print_file(text: str) -> None:
-    """Print a file's text as the file has it, whatever a pipe on Windows would make of it."""
+    """Print a file's text as the file has it, whatever the encoding of a pipe on Windows."""
     if isinstance(sys.stdout, io.TextIOWrapper) and not sys.stdout.isatty():
         sys.stdout.reconfigure(encoding="utf-8", newline="\n")
     show(text.removesuffix("\n"))

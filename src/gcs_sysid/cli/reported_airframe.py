@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # a log needs no receiver, which takes a while to load
 _POLL = 0.05
 """s."""
 _REPORTED_WITHIN = 8.0
-"""s in which a vehicle that was heard answers for its layout: some 20 parameters."""
+"""s in which a vehicle, once received, replies with its layout: some 20 parameters."""
 _USUAL = 4
 """Rotors that are asked for until the vehicle says how many it has."""
 
@@ -89,7 +89,7 @@ def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airfram
 
 
 def _complete(autopilot: str, parameters: dict[str, float], waited: float) -> ReportedLayout | None:
-    """What is told, once its outputs are too, or have not come in time."""
+    """The reported layout, once its outputs are reported too or are overdue."""
     reported = reported_layout(autopilot, parameters)
     if (
         reported is not None

@@ -30,7 +30,7 @@ _STYLES = (
 )
 """The roomiest first."""
 _MOST_LISTED = 3
-"""Disturbances that are told one by one."""
+"""Disturbances that are listed one by one."""
 _LISTED = ("rotor_input", "senders")
 """Kinds of events beside changes of the vehicle that bear on what the numbers rest on."""
 

@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _airframe(options: argparse.Namespace, log: Path) -> Airframe | None:
-    """What is given of the vehicle; None: the result tells it."""
+    """What is given of the vehicle; None: taken from the result."""
     given = (options.arm, options.mass, options.k_t, options.t_max)
     if options.airframe == "auto":
         arguments.check_scale_given(options)

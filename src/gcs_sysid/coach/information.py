@@ -20,7 +20,7 @@ from gcs_sysid.estimation.priors import N_UNKNOWNS
 from gcs_sysid.model import rigid_body as rb
 
 _SLOWEST = 0.5
-"""Hz; what is slower than this tells no more than at this: biases and gusts wander."""
+"""Hz; lower frequencies carry no more information than this one: biases and gusts wander."""
 _QUIETEST = 1e-12
 """rad^2/s^3; no sensor is perfect, but an emulated one may be."""
 _EFFICIENCY = 0.75

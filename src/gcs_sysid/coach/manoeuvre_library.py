@@ -16,12 +16,12 @@ RAMP = 1.0
 _PACES = (0.7, 1.0, 1.4)
 """Hz, of roll and pitch: slow, usual and brisk by hand."""
 _CLIMB_LEAST, _CLIMB_MOST, _CLIMB_STEP = 0.2, 1.0, 0.05
-"""m up and down that can be seen, that are flown at most, and steps that are told."""
+"""m up and down: visible, flown at most, and steps of the call-outs."""
 _CLIMB_PACE = 0.5
 """Hz, of height."""
 _YAW_MOST = math.radians(45.0)
 _STEP = math.radians(5.0)
-"""Angles are told in steps of so much."""
+"""Steps of the angles in call-outs."""
 LEAST = math.radians(5.0)
 """A smaller swing cannot be flown by eye."""
 

@@ -28,7 +28,7 @@ from gcs_sysid.model.parameters import GRAVITY, REGISTRY
 _OF_AXIS = tuple(
     [i for i, name in enumerate(rb.THETA) if axis in REGISTRY[name].axes] for axis in range(3)
 )
-"""Of theta: what an axis' equation tells."""
+"""Of theta: parameters that an axis' equation determines."""
 _THRUST_SHARE = 1.2e-3
 """Relative standard deviation of k_T / m after MIN_MOMENTUM_SECONDS of flight: measured on flights
 of the emulator; it falls with the square root of time."""
@@ -175,7 +175,7 @@ def predicted_information(
 def _information_of(
     rotation: RotationFit, prior_vehicle: PriorVehicle, free: Array
 ) -> tuple[Array, Array]:
-    """(N_UNKNOWNS, N_UNKNOWNS) information and (N_UNKNOWNS,) freedom of what a flight told."""
+    """(N_UNKNOWNS, N_UNKNOWNS) information and (N_UNKNOWNS,) freedom of a flight."""
     freedom = np.full(N_UNKNOWNS, _FREEDOMS[-1])
     widening = np.ones(N_UNKNOWNS)
     if rotation.warm_start is not None:
@@ -198,7 +198,7 @@ def _information_of(
 
 
 def _even_freedom(seconds: float) -> float:
-    """Degrees of freedom that so many batches of one second have, if all tell as much."""
+    """Degrees of freedom of so many batches of one second, with equal information."""
     count = max(round(seconds), 1)
     weights = bartlett(count)
     shared = sum(w * w * (count - lag) for lag, w in enumerate(weights, 1))

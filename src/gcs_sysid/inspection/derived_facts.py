@@ -1,4 +1,4 @@
-"""When the vehicle flew, its rotor source, and what is assumed where nobody named an airframe."""
+"""When the vehicle flew, its rotor source, and assumptions without a given airframe."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -71,7 +71,7 @@ class FlightWatch:
             self._since = None
 
     def reboot(self, t: float) -> None:
-        """The autopilot began anew, not knowing of any flight; session time of the moment."""
+        """The autopilot rebooted, not knowing of any flight; session time of the moment."""
         self.turn(t, flying=False)
         self._in_air = self._armed = None
         self._turning.clear()
@@ -133,7 +133,7 @@ class RotorJudge:
 
 
 USUAL = 4
-"""Rotors of a vehicle whose type does not tell."""
+"""Rotors of a vehicle whose type does not give their number."""
 
 _ROTORS = {
     mavlink.MAV_TYPE_TRICOPTER: 3,
@@ -146,7 +146,7 @@ _ROTORS = {
 
 
 def rotor_count(vehicle: Vehicle | None) -> int | None:
-    """How many rotors a vehicle has by its type; None when that does not tell."""
+    """How many rotors a vehicle has by its type; None when unknown."""
     return None if vehicle is None else _ROTORS.get(vehicle.vehicle_type or -1)
 
 

@@ -84,7 +84,7 @@ def _faster(found: Inspection) -> str:
 
 
 def obtainable(found: Inspection) -> Obtainable:
-    """How much can be had: the most that `analyze`, and `health` beside it, would tell."""
+    """Obtainable results: the most that `analyze`, and `health` beside it, would give."""
     if found.verdict != "no":
         little = [axis for axis in found.motion if _is_little(found, axis)]
         if 0.0 < found.in_air < LIMITS.short:
@@ -128,7 +128,7 @@ def _rotors(found: Inspection) -> Iterator[Finding]:
         yield Finding("note", text, "give --rotors N, or --airframe")
     if chosen is None:
         if not found.rotor_input.judged and any(_is_quick(s) for s in found.rotor_sources):
-            return  # what flight would show; that there was none is told apart
+            return  # what flight would show; that there was none is reported separately
         why = "; ".join(found.rotor_input.reasons) or "; ".join(
             f"{source.message} comes at {source.rate or 0.0:.1f} Hz"
             for source in found.rotor_sources

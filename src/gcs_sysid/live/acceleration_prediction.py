@@ -149,8 +149,8 @@ class Predictor:
 class LivePrediction:
     """An observer of a chain: the last seconds, each row predicted before it was fitted.
 
-    Blocks are gathered while the fit stays as it is, or nobody looks: a prediction costs as much
-    for one block as for ten.
+    Blocks are gathered while the fit is unchanged, or not viewed: a prediction costs as much for
+    one block as for ten.
 
     Args:
         chain: to look at.

@@ -1,4 +1,4 @@
-"""What waits to be learnt from, and when that is too much."""
+"""Data waiting to be processed, and when they are too many."""
 
 from typing import Any
 
@@ -34,7 +34,7 @@ class Backlog:
         return not self.too_slow and self._source.waiting < BUSY
 
     def look(self, now: float) -> list[str]:
-        """See what waits; what there is to tell of it, one line each.
+        """Check the backlog; messages about it, one line each.
 
         Args:
             now: any steady clock, s.
@@ -63,7 +63,7 @@ class Backlog:
         return notes
 
     def last_words(self) -> list[str]:
-        """What there is to tell when nothing more comes."""
+        """Messages at the end of the data."""
         waiting = self._source.waiting
         if waiting < TOO_SLOW:
             return []

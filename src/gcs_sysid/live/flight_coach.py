@@ -25,15 +25,15 @@ from gcs_sysid.signals.sampling import SampleBlock
 _EVERY = 1.0
 """s of vehicle time between looks."""
 _STALE = 10.0
-"""s after which advice that nobody follows is thought over."""
+"""s after which advice that is not followed is reconsidered."""
 _AGAIN = 5.0
 """The same where no manoeuvre was found."""
 _BEGUN = 0.1
 """Progress from which advice is being followed."""
 _FLOWN = 0.9
-"""Progress at which it has been flown: nobody swings exactly as far as asked."""
+"""Progress at which it has been flown: swings never have exactly the size asked."""
 _LEAST_SECONDS = 3.0
-"""s of flight from which its residuals tell the noise, and hover has told the CG."""
+"""s of flight from which its residuals give the noise, and hover the CG."""
 _GROPING = 0.5
 """Share of an interval of Ixx or Iyy from which a fit is not gone on from."""
 _FIRST = 6.0
@@ -44,13 +44,14 @@ _MOST_GAINS = 4
 _WINDOW = 1.0
 """s of flight in which motion is compared with what was asked: a period and more."""
 _SWINGING = 0.02
-"""Share of the asked squared rates from which somebody is at it: a seventh of the swing."""
+"""Share of the asked squared rates from which the maneuver counts as begun: a seventh of the
+swing."""
 _TRIED_FOR = 4.0
 """s of that after which what comes is what the autopilot lets through."""
 _REACTS_WITHIN = 2.0
 """s in which a pilot reads the advice and goes over to it."""
 _DAMPED = 0.6
-"""Share of the asked swing below which another pace may tell more."""
+"""Share of the asked swing below which another pace may give more information."""
 _AXES = ("roll", "pitch", "yaw")
 
 
@@ -74,7 +75,7 @@ class Coach:
     nothing else to do. `advise` does both.
 
     Args:
-        chain: fed by somebody else; the coach observes its samples.
+        chain: fed elsewhere; the coach observes its samples.
         options: settings.
     """
 
@@ -95,7 +96,7 @@ class Coach:
         # (axis, Hz) -> share of the asked swing that came.
         self._swings: dict[tuple[str, float], float] = {}
         self._window = np.zeros(4)  # squared rates and s of the window that fills
-        self._tried = np.zeros(4)  # the same of those in which somebody swings
+        self._tried = np.zeros(4)  # the same of those in which it swings
         self._asked = np.zeros(3)  # squared rates, mean over what is advised
         self._damped = ""
         chain.observers.append(self.take)
@@ -114,7 +115,7 @@ class Coach:
             self._gathered[3] += float(np.mean(down * down)) * len(samples.gyro) * block.dt
 
     def _compare(self, squares: Array, seconds: float) -> None:
-        """Keep what motion there is while somebody flies what was advised."""
+        """Keep the motion while the advised maneuver is flown."""
         if self._chain.t - self._chosen_at < _REACTS_WITHIN:
             return  # what was advised before
         self._window += (*squares, seconds)
@@ -181,7 +182,9 @@ class Coach:
         self._seconds = fit.seconds
 
     def _is_damped(self) -> bool:
-        """Whether much less comes of the advised manoeuvre than was asked; then it is learnt."""
+        """Whether the advised manoeuvre comes out much smaller than asked; then that is
+        remembered.
+        """
         if self.choice is None or self._tried[3] < _TRIED_FOR:
             return False
         asked = self.choice.manoeuvre
@@ -201,7 +204,7 @@ class Coach:
         return found
 
     def _achieved(self, manoeuvre: Manoeuvre) -> Manoeuvre:
-        """What the vehicle makes of a manoeuvre: what is damped at a pace, is at a brisker one."""
+        """A manoeuvre as the vehicle flies it: damped at one pace, damped at a brisker one too."""
         shares = {}
         for axis in _AXES:
             pace = manoeuvre.yaw_pace if axis == "yaw" else manoeuvre.pace
@@ -238,7 +241,7 @@ class Coach:
             self.choice = replace(found, manoeuvre=found.manoeuvre.lasting(_FIRST))
             self._text = f"{motion_words(self.choice.manoeuvre)}: first estimates of all parameters"
         elif found is not None:
-            # What is told is against the intervals that the pilot sees.
+            # Gains are reported against the intervals that the pilot sees.
             self.choice = found = replace(found, now=now)
             self._gains = tuple(found.names[:_MOST_GAINS])
             self._text = sentence(found.manoeuvre, found.names, now, found.expected)

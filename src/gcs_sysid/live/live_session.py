@@ -68,10 +68,10 @@ class LiveSession:
             `PersistentLink` comes back instead.
         airframe: with a scale anchor.
         options: settings.
-        record_to: recording; None for none. An existing file is never overwritten. A source that
-            is no link has been told already, and goes on beside this one.
-        sender_gone: tells that whoever sends has ended (an emulator that exited); who can be
-            told of so connects once.
+        record_to: recording; None for none. An existing file is never overwritten. A source that is
+            no link has its own already, and continues beside this one.
+        sender_gone: whether the sender has ended (an emulator that exited); given only where it
+            connects once.
         on_result: called in the session's thread about once a second of vehicle time.
     """
 
@@ -123,7 +123,7 @@ class LiveSession:
         return LiveEstimate(self._airframe, url, options, wanted, self._meet)
 
     def _meet(self, defect: Exception | None) -> None:
-        """Keep the first defect for the main thread, which tells it."""
+        """Keep the first defect for the main thread, which reports it."""
         self.problem = self.problem or defect
 
     # -- what the user does, in threads of their own
@@ -157,7 +157,7 @@ class LiveSession:
         self._commands.ask(lambda: self._estimate.note(text[:_LONGEST_MARK]))
 
     def reset(self) -> None:
-        """Forget the estimate and start anew, as the analysis of the recording then does too."""
+        """Reset the estimate and restart, as the analysis of the recording then does too."""
         self._commands.ask(self._mark_reset)
 
     def toggle_recording(self) -> str:
@@ -202,10 +202,10 @@ class LiveSession:
         return f"scale from {kind} = {value:.6g} {ANCHORS[name]}"
 
     def choose_vehicle(self, address: tuple[int, int]) -> str:
-        """Start anew on another vehicle, into another recording.
+        """Restart on another vehicle, into another recording.
 
         Raises:
-            InputError: none of that system and component was heard.
+            InputError: none of that system and component was received.
         """
         heard = {v.address: v for v in (self._latest.link.vehicles if self._latest else ())}
         if address not in heard:
@@ -243,7 +243,7 @@ class LiveSession:
         self._estimate.drop()
 
     def _guarded(self, step: Callable[[], None]) -> None:
-        """Do a step; what goes wrong is handed to the main thread, which tells it."""
+        """Do a step; errors are handed to the main thread, which reports them."""
         try:
             step()
         except Exception as problem:  # noqa: BLE001 - the next step is done all the same
@@ -314,7 +314,7 @@ class LiveSession:
             self._estimate.relieve(on=not before)
 
     def _take_the_rest(self) -> None:
-        """Learn from all that is recorded; nobody asks for estimates on the way."""
+        """Process all that is recorded, without estimates on the way."""
         self._estimate.relieve(on=True)
         self._source.finish()
         self._estimate.note_all(self._backlog.last_words())
@@ -382,7 +382,7 @@ class LiveSession:
         self._source.cut_recording(path)
 
     def _begin_anew(self) -> None:
-        """Begin anew in every respect, so that the new recording's analysis ends the same."""
+        """Restart in every respect, so that the new recording's analysis ends the same."""
         vehicle, before = self._choice, self._estimate
         assert vehicle is not None
         self._choice = None

@@ -103,19 +103,19 @@ class ReceiverProcess:
 
     @property
     def gate(self) -> Requests:
-        """Tells the receiver what to ask for; its gate decides."""
+        """Passes requests to the receiver; its gate decides."""
         return self._gate
 
     @property
     def link_report(self) -> LinkReport:
-        """As it was told last."""
+        """By its latest report."""
         report = self._report.link
         # What came before the end is still to be taken.
         return replace(report, ended=report.ended and not self._messages)
 
     @property
     def recording_report(self) -> RecordingReport:
-        """As it was told last."""
+        """By its latest report."""
         return self._report.recording
 
     @property
@@ -218,7 +218,10 @@ class ReceiverProcess:
         self._send([name, *arguments])
 
     def _send(self, content: Any) -> None:
-        with self._ordering, contextlib.suppress(OSError, ValueError):  # it has died: `take` tells
+        with (
+            self._ordering,
+            contextlib.suppress(OSError, ValueError),
+        ):  # it has died: `take` reports that
             self._orders.write(json.dumps(content).encode() + b"\n")
             self._orders.flush()
 

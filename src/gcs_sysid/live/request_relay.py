@@ -1,4 +1,4 @@
-"""What a session asks of the vehicle, where link and gate are in another process."""
+"""Requests of a session to the vehicle, where link and gate are in another process."""
 
 from collections.abc import Callable
 
@@ -6,7 +6,7 @@ from gcs_sysid.telemetry.outgoing import Gate
 
 
 class RelayedRequests:
-    """Stands for the gate where that is in another process: tells it what to ask for.
+    """Proxy for the gate where that is in another process: forwards requests to it.
 
     Args:
         send: called with a method of `Gate`, the protocol version and the arguments.
@@ -55,7 +55,7 @@ class RelayedRequests:
 
 
 class RequestsDone:
-    """Does what `RelayedRequests` tells, through the gate alone, and can take it back.
+    """Executes the requests of `RelayedRequests`, through the gate alone, and can undo them.
 
     Args:
         gate: decides what is sent.
@@ -94,9 +94,9 @@ class RequestsDone:
         return self._gate.set_message_interval(target, message_id, interval_us)
 
     def restore(self) -> None:
-        """Give the vehicle its own rates back: nobody is there any more who would."""
+        """Restore the vehicle's own rates: the session is no longer there to do it."""
         changed, self._changed = self._changed, {}
-        for _ in range(2):  # nobody is there to say it again either
+        for _ in range(2):  # there is no later retry here either
             for (target, message_id), (version, own_us) in changed.items():
                 self._gate.version = version
                 self._gate.set_message_interval(target, message_id, own_us)
