@@ -62,7 +62,7 @@ class AnsweringAutopilot(ABC):
         self._jump_tick = self._tick_of(self._sensor_faults.clock_jump[0])
         self._reset_tick = self._tick_of(self._sensor_faults.rate_reset)
         self._silent_until = 0
-        # After the first heartbeats and samples: what comes before them is nobody's.
+        # After the first heartbeats and samples: what comes before them belongs to no vehicle.
         parameters_tick = round(0.5 / self._sim.step_size) if self._sensor_faults.parameters else -1
         self._parameters_tick = parameters_tick
         self._parser = mavlink.MAVLink(None)
@@ -234,7 +234,7 @@ class AnsweringAutopilot(ABC):
 
     def _timesync(self, message: Any) -> list[bytes]:
         if message.tc1 != 0:
-            return []  # an answer to somebody else's question
+            return []  # a reply to another station's request
         now = self.instruments.now_us * 1000
         return [self.writer.frame(mavlink.MAVLink_timesync_message, now, message.ts1)]
 

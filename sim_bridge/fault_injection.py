@@ -31,7 +31,7 @@ class FaultInjector:
 
     Attributes:
         sensor_faults: which are in force.
-        now: s since the start of the flight, as the owner tells.
+        now: s since the start of the flight, set by the owner.
     """
 
     def __init__(

@@ -112,7 +112,7 @@ class HighPass:
 
 
 class Bias:
-    """A constant of this size and random sign on every axis, walking if told to.
+    """A constant of this size and random sign on every axis, walking if `walk` is set.
 
     Attributes:
         size: in the sensor's unit.

@@ -116,7 +116,7 @@ def open_output(path: str, *, force: bool) -> TextIO:
     """A text file to be written line by line, or standard output for `-`.
 
     Raises:
-        InputError: the file cannot be written, or is there already and is not to be written over.
+        InputError: the file cannot be written, or is there already and must not be overwritten.
     """
     if path == "-":
         return sys.stdout
@@ -143,7 +143,7 @@ def write_json(path: str | None, document: object, *, force: bool) -> None:
     """Write a document whole or not at all: to a file, to standard output for `-`; not for None.
 
     Raises:
-        InputError: the file cannot be written, or is there already and is not to be written over.
+        InputError: the file cannot be written, or is there already and must not be overwritten.
     """
     if path is None:
         return

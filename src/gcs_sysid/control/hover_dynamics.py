@@ -128,18 +128,18 @@ def hover_dynamics(
         loop: of the autopilot, for its mixer and thrust curve.
         delay: s and standard deviation, the same for every rotor.
         seed: of the draws of the delay.
-        traded: whether the delay was identified together with the motors' lag. A flight tells their
-            sum far better than either, so that what is drawn more of one is less of the other.
+        traded: whether the delay was identified together with the motors' lag. A flight determines
+            their sum far better than either, so they are drawn with opposite errors.
 
     Raises:
-        MissingError: the result does not have what a loop rests on; says which flight would help.
+        MissingError: the result lacks what a loop depends on; names the flight that would help.
     """
     first = vehicles[0]
     check_needs(first)
     random = np.random.default_rng(seed)
     delays = np.maximum(delay[0] + delay[1] * random.standard_normal(len(vehicles)), 0.0)
     delays[0] = delay[0]
-    # What the flight does not tell of the rotors' inertia is drawn from all that is usual.
+    # Where the flight does not determine the rotors' inertia, it is drawn from the usual range.
     unknown = first.get("rotor_inertia") is None or first.get("k_T") is None
     reactions = random.uniform(*_USUAL_REACTION, len(vehicles))
     reactions[0] = np.mean(_USUAL_REACTION)

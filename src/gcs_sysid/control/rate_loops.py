@@ -124,7 +124,7 @@ class RateLoop:
         return out
 
     def controllers(self, omega: Array) -> tuple[Array, Array, Array]:
-        """What the loops make of the vehicle's motion and of set-points, at frequencies.
+        """Response of the loops to the vehicle's motion and to set-points, at frequencies.
 
         Args:
             omega: (w,) rad/s, below half the loop rate.

@@ -108,7 +108,7 @@ class ChangeDetector:
         self.dt = dt
         self.tuning = tuning = tuning or ChangeTuning()
         self.frames: list[Array] = []
-        """Means over closed frames, as `Frames` takes them, until somebody does."""
+        """Means over closed frames, as `Frames` makes them, until taken."""
         self._closed: list[tuple[Array, Array, Array]] = []
         """Frames whose means are still to be taken: of a block's all at once."""
         self._geometry = geometry

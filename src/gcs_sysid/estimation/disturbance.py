@@ -145,7 +145,7 @@ def curve_doubt(fit: RotationFit) -> Array:
 
 
 def axis_floor(fit: RotationFit, axis: int) -> Array:
-    """(N_THETA,) error of an axis whose motion is partly somebody else's."""
+    """(N_THETA,) error of an axis whose motion is partly not the rotors'."""
     error = np.zeros(rb.N_THETA)
     moved = (axis,) if axis < 2 else (axis, *_OF_YAW)
     share = RULES.floor * (1.0 - max(float(fit.r_squared[axis]), 0.0))

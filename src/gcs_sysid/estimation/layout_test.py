@@ -1,8 +1,8 @@
 """Is the airframe file's layout the vehicle's? Layouts that would explain the motion far better.
 
 An autopilot allocates within the span of its own mixer M: the rotors' O = Omega^2 are t pinv(M) for
-signals t = [roll, pitch, thrust, yaw]. Whoever takes rotors in another order mixes O with M' and
-sees t' = t pinv(M) M'. Under the hypothesis that M is another layout the true signals follow from
+signals t = [roll, pitch, thrust, yaw]. With the rotors in another order, O is mixed with M', which
+gives t' = t pinv(M) M'. Under the hypothesis that M is another layout the true signals follow from
 those seen, t = t' (pinv(M) M')^-1, and so do the moments of rows: no sample is needed again.
 """
 

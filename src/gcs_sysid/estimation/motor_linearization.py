@@ -12,11 +12,11 @@ about hover x_0. What lags, x, is one of (`LagPlace`)
     command   v = u                          T / T_max = (1 - c) x + c x^2
     thrust    v = (1 - c) u + c u^2          T / T_max = x
 
-All of these bend the way from command to thrust, so that whoever leaves e and p out finds their
-part in the thrust curve, and in every moment of inertia with it: on flights with sharp sticks the
-curve was 0.54 for 0.4. Here signals are made at one point (d, tau, c, e, p) as they are, to all
-orders, and once more with each parameter moved a little. Rows near that point are a linear map of
-these, and the five are unknowns of the fit; it starts again where it ends, until it stays.
+All of these bend the response of thrust to command, so that without e and p their part goes into
+the thrust curve, and into every moment of inertia with it: on flights with sharp sticks the curve
+was 0.54 for 0.4. Here signals are made at one point (d, tau, c, e, p) as they are, to all orders,
+and once more with each parameter moved a little. Rows near that point are a linear map of these,
+and the five are unknowns of the fit; it starts again where it ends, until it stays.
 """
 
 from collections.abc import Sequence

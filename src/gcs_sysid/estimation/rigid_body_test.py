@@ -20,7 +20,7 @@ _OTHERS = np.setdiff1d(np.arange(rb.N_SIGNALS), PRODUCTS)
 _OFF, _SURE = 0.3, 4.0
 """By how much, and how many standard deviations, a share must be off to count."""
 _NONE = 1e-8
-"""Share of an axis' acceleration below which there is no gyroscopic torque to speak of."""
+"""Share of an axis' acceleration below which gyroscopic torque is negligible."""
 _TINY = 1e-300
 _ROUNDING = 1e-30
 """Of the largest input, what the square of one must exceed."""

@@ -500,7 +500,7 @@ class Outcome:
         r_squared = self._explained()
         stuck = np.zeros(K, dtype=bool) if stuck is None else stuck
         if problem.basis.commands and CURVE in problem.free:
-            # Whoever explains an axis worse than nothing sits in a false minimum.
+            # A fit that explains an axis worse than nothing is in a false minimum.
             astray = stuck | (r_squared.min(axis=1) < _ABSURD)
             for i in np.flatnonzero(astray).tolist():
                 # There curve and lag are what they ordinarily are.

@@ -1,7 +1,7 @@
-"""The vehicle to be exported: what a flight told, and what was said beside it.
+"""The vehicle to be exported: identified parameters, completed by given ones.
 
-Nothing is invented here. A parameter is known because the flight told it, because somebody gave
-it, or because it follows from two that are.
+Nothing is invented here. A parameter is known because the flight determined it, because it was
+given, or because it follows from two that are.
 """
 
 import math
@@ -105,7 +105,7 @@ class Vehicle:
                 f"{target} needs {listed}: the result has no scale; weigh the vehicle and "
                 "analyze again with --mass KG"
             )
-        # k_T, T_max and rotor_speed_max: two tell the third.
+        # k_T, T_max and rotor_speed_max: two give the third.
         by_full_speed = [name for name in missing if name in _FULL_SPEED]
         if ("k_T" in self.known) == ("T_max" in self.known):
             by_full_speed = []
@@ -136,7 +136,7 @@ class Vehicle:
 
     @property
     def rotors_differ(self) -> bool:
-        """Whether the flight tells k_T and k_M of each rotor, and none was given by hand."""
+        """Whether the flight determines k_T and k_M of each rotor, and none was given by hand."""
         own = self.result.rotors
         return (
             len(own) == len(self.rotors)
@@ -171,7 +171,9 @@ class Vehicle:
 
     @property
     def cg_flu(self) -> Array:
-        """(3,) CG from the geometric centre, m, forward, left, up; no flight tells its height."""
+        """(3,) CG from the geometric centre, m, forward, left, up; its height is not observable in
+        flight.
+        """
         return np.array([self["cg_x"], -self["cg_y"], 0.0])
 
     @property
@@ -186,12 +188,12 @@ def assemble(
     given: Mapping[str, float] = MappingProxyType({}),
     name: str | None = None,
 ) -> Vehicle:
-    """Bring together what is known of a vehicle.
+    """Combine what is known of a vehicle.
 
     Args:
         result: of an identification.
-        airframe: its priors and anchor stand in for what the flight does not tell, its rotors
-            for a result that does not name its own.
+        airframe: its priors and anchor replace what the flight does not determine, its rotors those
+            of a result without them.
         given: values by name (of `UNITS`); they come before everything else.
         name: of the vehicle; the airframe's by default.
 

@@ -86,7 +86,7 @@ def _shifted(vehicle: Vehicle, shift: dict[str, float]) -> Vehicle | None:
             return None
         known[name] = replace(quantity, value=max(value, 0.0) if sign == "not negative" else value)
     if {"k_T", "k_M", "moment_ratio"} <= known.keys():
-        # Two tell the third.
+        # Two give the third.
         ratio = known["k_M"].value / known["k_T"].value
         known["moment_ratio"] = replace(known["moment_ratio"], value=ratio)
     if {"k_T", "T_max", "rotor_speed_max"} <= known.keys():

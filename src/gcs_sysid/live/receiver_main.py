@@ -1,4 +1,5 @@
-"""The receiver's process: reads, stamps and records what comes over a link, whoever is busy.
+"""The receiver's process: reads, stamps and records what comes over a link, however busy the
+session.
 
     python -m gcs_sysid.live.receiver_main
 

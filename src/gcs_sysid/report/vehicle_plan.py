@@ -14,7 +14,7 @@ _MARGIN = 46.0
 
 
 def plan_view(data: ReportData) -> Markup | None:
-    """Rotors in the autopilot's order and the CG; None where the CG is not told at all."""
+    """Rotors in the autopilot's order and the CG; None where the CG is not known at all."""
     cg = [data.result["parameters"].get(name) for name in ("cg_x", "cg_y")]
     if any(e is None or e["value"] is None or e["status"] == "unobservable" for e in cg):
         return None

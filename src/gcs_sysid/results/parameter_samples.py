@@ -23,7 +23,7 @@ _LEAST_ACCEPTED = 1e-3
 _FEW = 3
 """Missing parameters whose motions are named one by one."""
 _OPTIONAL = ("rotational_damping", *AXIS_DAMPINGS, "rotor_inertia", "linear_drag", "thrust_curve")
-"""Zero in a flight model where the flight does not tell them."""
+"""Zero in a flight model where the flight does not determine them."""
 
 
 @dataclass(frozen=True)
@@ -224,7 +224,7 @@ def _root(result: Result, names: tuple[str, ...], *, given: bool) -> Array:
 
 
 def _effects(result: Result, count: int) -> Array | None:
-    """(names, causes) what errors of what is given do to the parameters; None: not told."""
+    """(names, causes) effects of errors in given values on the parameters; None: unknown."""
     try:
         effects = np.asarray(result.covariance.get("given"), np.float64)
     except (TypeError, ValueError):
@@ -235,7 +235,7 @@ def _effects(result: Result, count: int) -> Array | None:
 
 
 def _shares(result: Result, name: str, rotors: int) -> Array:
-    """(rotors,) each rotor's coefficient over their mean; ones where they are not told apart."""
+    """(rotors,) each rotor's coefficient over their mean; ones where they are not separate."""
     each = [rotor[name].value for rotor in result.rotors if name in rotor]
     values = np.array([np.nan if value is None else value for value in each])
     if len(values) != rotors or not np.isfinite(values).all() or not (values > 0.0).all():

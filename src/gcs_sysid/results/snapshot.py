@@ -16,12 +16,12 @@ class LinkState(StrEnum):
     """What the link is doing, in words a pilot reads."""
 
     WAITING = "waiting"
-    """Open, but no vehicle has spoken yet."""
+    """Open, but no vehicle received yet."""
     CONNECTED = "connected"
     REPLAY = "replay"
     """No link: a recorded flight is played."""
     LOST = "lost"
-    """A vehicle spoke before and is silent now."""
+    """A vehicle received before is silent now."""
     ENDED = "ended"
     """The stream ended (log read, emulator done, connection closed)."""
 
@@ -70,11 +70,11 @@ class LinkStatus:
     """Path of the recording, empty when none is made."""
     bytes_per_second: float = 0.0
     waiting: float = 0.0
-    """s of data that are recorded and wait to be learnt from."""
+    """s of data that are recorded and wait to be processed."""
     too_slow: bool = False
     """Whether so much waits that advice and renewed estimates wait too."""
     dropped: int = 0
-    """Datagrams that the system dropped, because nobody read in time."""
+    """Datagrams that the system dropped, not read in time."""
 
 
 @dataclass(frozen=True)

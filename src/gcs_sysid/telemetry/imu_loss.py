@@ -86,7 +86,7 @@ class ImuLoss:
         return room if bool((times[1:] > times[:-1]).all()) else 0
 
     def begin_anew(self) -> None:
-        """The clock has gone back: what comes is not held against what came."""
+        """The clock has gone back: later samples are not compared with earlier ones."""
         self._settle(len(self._held))
         self._before, self._interval = np.empty(0), 0.0
 
@@ -136,7 +136,7 @@ class ImuLoss:
             calm[: len(runs)] = np.where(even, runs.mean(axis=1), np.nan)
         interval = self._interval or float(few[min(at, len(few) - 1)])
         missing, longest = counts.missing, counts.longest
-        # Those that are settled together are held against one interval.
+        # Those that are settled together are compared with one interval.
         settled = range(len(before) + _SETTLED - 1, end, _SETTLED) if count >= _HELD else ()
         for stop_at in (*settled, end):
             while at < stop_at:

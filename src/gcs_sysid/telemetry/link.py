@@ -2,7 +2,7 @@
 
 The transport is our own, thin, on `socket` and pyserial, not pymavlink's `mavutil`, which is
 unsound for this tool: it sets SO_REUSEADDR on UDP, so that a port in use is shared in silence
-and each program loses what the other gets; it answers to every address that ever spoke, so that
+and each program loses what the other gets; it answers to every address that ever sent, so that
 a stranger on the port receives the requests too; it keeps the small default receive buffer and
 reads a datagram a call; it prints to standard output; it sleeps while it connects; and to
 import it loads every message of every dialect. pymavlink packs and unpacks, here it ends.

@@ -213,7 +213,8 @@ class Gate:
     ) -> bool:
         """Ask for a message every `interval_us`; 0 restores the vehicle's default, -1 stops it.
 
-        `own_us` was its interval before: not sent, but known to whoever outlives the session.
+        `own_us` was its interval before: not sent, but known to the process that outlives the
+        session.
         """
         del own_us
         return self._command(target, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, interval_us)

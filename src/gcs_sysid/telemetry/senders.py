@@ -62,7 +62,7 @@ class Whereabouts:
         self._has_imu = False
 
     def follow(self, vehicle: tuple[int, int]) -> None:
-        """Follow this vehicle (sysid, compid) from now on, from where the last one spoke."""
+        """Follow this vehicle (sysid, compid) from now on, at the address of the last one."""
         if vehicle != self.vehicle:
             self.vehicle = vehicle
             self.rival = None

@@ -1,8 +1,8 @@
 """Recordings written so that they survive: a crash, a slow disk, a full one, one that is gone.
 
-Whoever records hands frames over and never waits. A thread writes them, whole records only, a
-few times a second: from then on they outlive this process. Another thread has them synced to
-the disk, which on an SD card may take longer than a second, and blocks neither.
+The recorder hands frames over and never waits. A thread writes them, whole records only, a few
+times a second: from then on they outlive this process. Another thread has them synced to the disk,
+which on an SD card may take longer than a second, and blocks neither.
 """
 
 import errno
@@ -261,7 +261,7 @@ class TlogWriter:
         self._begun += 1
 
     def _see_whether_there(self) -> None:
-        """A file that was removed takes all that is written, and nobody will ever read it."""
+        """A removed file takes all that is written, and is lost."""
         if self._file is None:
             return
         status = os.fstat(self._file.fileno())

@@ -108,7 +108,7 @@ class UdpLink(Link):
             except BlockingIOError:
                 break
             except ConnectionError:
-                continue  # the answer "nobody listens there" to something that we sent
+                continue  # ICMP port unreachable, in reply to something sent
         return chunks
 
     def _read(self, from_socket: socket.socket) -> Chunk:
@@ -153,7 +153,7 @@ class UdpLink(Link):
         both = (self._socket, apart)
         try:
             _prepare(apart)
-            # Two sockets on a port, for this one moment: nobody else can slip in afterwards.
+            # Two sockets on a port, for this one moment: no other can slip in afterwards.
             for each in both:
                 each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             apart.bind(self._socket.getsockname())

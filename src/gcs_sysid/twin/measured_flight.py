@@ -169,7 +169,7 @@ def _with_later_bias(
 ) -> tuple[Array, Array]:
     """Rates and attitude with the gyro's bias as it is known some time later (fixed-lag smoothing).
 
-    The complementary filter finds the bias b in the course of a flight. With the later one, b*, its
+    The complementary filter estimates the bias b during a flight. With the later one, b*, its
     attitude is turned, in world axes, by
 
         c' = -k_p c + R (b - b*)

@@ -95,7 +95,7 @@ def main() -> int:
     try:
         _say({"done": run(job, Progress().show)})
     except (GcsSysidError, OSError) as error:
-        # Where the log lies here is nobody's business.
+        # Paths on this machine are not disclosed.
         text = str(error).replace(str(job["log"]), str(job.get("name", "the log")))
         _say({"error": text})
         return 2
