@@ -25,7 +25,7 @@ class Vehicle:
 
     Attributes:
         name: of the airframe.
-        rotors: positions from the geometric centre and spins, in the autopilot's motor order.
+        rotors: positions from the geometric center and spins, in the autopilot's motor order.
         lag_of: what lags: "speed", the rotor's speed behind the one commanded (a motor that turns
             a propeller), "thrust", or "command", the command itself before the thrust curve
             (PX4's SIH).

@@ -27,7 +27,9 @@ DOCS = re.compile(
 PROSE = re.compile(
     r"\b(told|tells?|telling|untold|speaks?|spoke|yardsticks?|reckon\w*|makes of|where to:|"
     r"balance point|hears?|heard|footing|anew|learnt|held against|whoever|nobody|somebody|"
-    r"(?:write|writes|written) over|begins? anew|stands? in for|unlearnt)\b",
+    r"(?:write|writes|written) over|stands? in for|unlearnt|"
+    r"colour(?:s|ed|ing)?|neighbour(?:s|ing)?|behaviour|(?:un)?modelled|metres?|centres?|"
+    r"manoeuvres?|(?:normal|marginal|linear|minim)ise[drs]?|analysed?)\b",
     re.IGNORECASE,
 )
 SOURCES = sorted(

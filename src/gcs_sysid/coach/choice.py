@@ -1,4 +1,4 @@
-"""Which manoeuvre to fly next."""
+"""Which maneuver to fly next."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -17,7 +17,7 @@ Judge = Callable[[Fit], Mapping[str, float | None]]
 """Shares of a fit, see `targets.shares`."""
 
 USUAL = 10.0
-"""s that a manoeuvre lasts."""
+"""s that a maneuver lasts."""
 _LENGTHS = (*range(5, 16), 18, 20)
 _NARROWER = 0.97
 """Less of a gain is not worth a word."""
@@ -29,7 +29,7 @@ _CLOSE = 0.9
 
 @dataclass(frozen=True)
 class Choice:
-    """A manoeuvre and what it is expected to bring.
+    """A maneuver and what it is expected to bring.
 
     Attributes:
         manoeuvre: within the vehicle's reach, with its length.
@@ -66,7 +66,7 @@ def choose(
     target: float,
     achieved: Callable[[Manoeuvre], Manoeuvre] | None = None,
 ) -> Choice | None:
-    """The manoeuvre that brings the widest intervals nearest to the target; None: none can.
+    """The maneuver that brings the widest intervals nearest to the target; None: none can.
 
     Args:
         prospect: what is known.

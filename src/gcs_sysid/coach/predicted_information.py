@@ -1,4 +1,4 @@
-"""What is known now, and what would be known after a manoeuvre.
+"""What is known now, and what would be known after a maneuver.
 
 Both are given as a `Fit`, so that expected intervals pass through the very rules that intervals of
 a flight do: scale, Student's factor for few batches, and the factor of one who looks all the time.
@@ -44,7 +44,7 @@ class PredictedInformation:
     Attributes:
         fit: of the flight; without a rotation while that has no information.
         craft: the best guess: the fit, as far as it is one, else what is assumed.
-        noise: that manoeuvres are flown in.
+        noise: that maneuvers are flown in.
         information: (N_UNKNOWNS, N_UNKNOWNS) about theta and coordinates, of the flight and of
             what is assumed.
         freedom: (N_UNKNOWNS,) degrees of freedom of each one's standard deviation.
@@ -63,7 +63,7 @@ class PredictedInformation:
     kappa: float
 
     def after(self, added: Array | None = None, seconds: float = 0.0, full: float = 0.0) -> Fit:
-        """What is expected to be known after a manoeuvre; of now without one.
+        """What is expected to be known after a maneuver; of now without one.
 
         Args:
             added: (N_UNKNOWNS, N_UNKNOWNS) information of a second at full swing.
@@ -94,7 +94,7 @@ class PredictedInformation:
         )
 
     def then(self, added: Array, seconds: float, full: float) -> "PredictedInformation":
-        """What is known once a manoeuvre has been flown as expected; arguments as of `after`."""
+        """What is known once a maneuver has been flown as expected; arguments as of `after`."""
         after = self.after(added, seconds, full)
         fit = Fit(
             after.rotation,
@@ -114,7 +114,7 @@ class PredictedInformation:
         inverse = np.linalg.inv(total / np.outer(scale, scale)) / np.outer(scale, scale)
         covariance = np.zeros_like(self.information)
         covariance[np.ix_(free, free)] = inverse
-        # Satterthwaite again: of what is old, and of the manoeuvre's batches of a second.
+        # Satterthwaite again: of what is old, and of the maneuver's batches of a second.
         fresh = np.diag(covariance @ gained @ covariance)
         old = np.maximum(np.diag(covariance) - fresh, 0.0)
         spread = old**2 / self.freedom + fresh**2 / _even_freedom(full)
@@ -142,7 +142,7 @@ def predicted_information(
     Args:
         fit: so far; `Fit(None, None, 0.0)` before a flight.
         prior_vehicle: of the airframe.
-        noise: that manoeuvres are flown in.
+        noise: that maneuvers are flown in.
         free_coordinates: of `estimation.basis`, those that are estimated.
     """
     kappa = prior_vehicle.kappa

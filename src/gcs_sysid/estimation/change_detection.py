@@ -5,7 +5,7 @@ The fast one looks at every sample's jump from a short baseline (bias, trim and 
 with a large allowance: a mass step or payload shows within three samples, a spike of one or two
 does not. The slow one looks at means over a quarter of a second, less the slowly tracked mean, and
 detects smaller steps. Both divide by the scatter that just such values had in the flight so far, so
-that gusts and coloured noise raise the level, not the alarm rate.
+that gusts and colored noise raise the level, not the alarm rate.
 
 An alarm is not yet a change: `change_hypotheses` classifies it.
 
@@ -344,7 +344,7 @@ class ChangeDetector:
             mean -= self._levels.mean[:4]
         self._closed.append((self._y.copy(), self._x.copy(), self._air.copy()))
         self._move_floor()
-        # A frame's mean of white noise is this much quieter; colour keeps it louder.
+        # A frame's mean of white noise is this much quieter; color keeps it louder.
         floor = 0.5 * self._floor
         std = self._level_of_means.std(floor)
         ready = self._tested(self._level_of_means)

@@ -13,7 +13,7 @@ the rotors' O = Omega^2 within the span of roll, pitch, thrust and yaw, so that 
 combination of these four signals: the pseudo-inverse of the mixer (exact for four rotors).
 
 Deviations are nuisance parameters: of each kind the size is unknown, phi ~ N(0, sigma^2). With g
-and H the score and information of phi at phi = 0, the other unknowns marginalised, the evidence
+and H the score and information of phi at phi = 0, the other unknowns marginalized, the evidence
 for sigma is
 
     ln p(data | sigma) - ln p(data | 0) = (g' (H + sigma^-2)^-1 g - ln det(1 + sigma H sigma)) / 2
@@ -174,7 +174,7 @@ class DeviationChoice:
             every: of them.
             unknowns: (N_UNKNOWNS,) of a fit without them, or with some.
             score: (m + k,) gradient of the log likelihood by `every` at phi = 0, the others
-                marginalised; the last k are turns of the IMU that compete.
+                marginalized; the last k are turns of the IMU that compete.
             information: (m + k, m + k) of the same.
         """
         kinds, turns = self._kind, len(score) - len(self._kind)

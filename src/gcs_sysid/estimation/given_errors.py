@@ -17,7 +17,7 @@ estimate by S eps, S = H^-1 C, and is known by the part of it that theta cannot 
     I = sum D' W D - C' S,   g = sum D' W r - S' sum G' W r
     P = ((f I^-1 + F)^-1 + 1)^-1,   eps = P (1 + I F / f)^-1 g / f
 
-with eps in its prior's standard deviations, f the factor by which coloured residuals widen the
+with eps in its prior's standard deviations, f the factor by which colored residuals widen the
 covariance of theta, and F what air and unequal rotors imitate. All sums follow from the moments of
 the rows. An IMU that is turned by 1 degree makes Izz, Ixz and Iyz wrong by several percent; a
 minute of doublets determines it to 0.3 degrees.
@@ -48,7 +48,7 @@ _RIDGE = 1.0
 keeps unobservable directions from absorbing everything; for an entry known to 5 % it changes the
 result by a quarter of a percent."""
 _KNOWN_TO = 0.2
-"""Of the same: entries that are known better show how much coloured residuals widen intervals."""
+"""Of the same: entries that are known better show how much colored residuals widen intervals."""
 _IMITATED = math.radians(0.3)
 """rad, what air and unequal rotors may look like: rotorpy's vehicles, whose IMU is not turned at
 all, are read as if it were by 0.1 to 1 degree, where noise alone would leave 0.1."""

@@ -7,10 +7,10 @@ The rotation is a stochastic state-space model (`gcs_sysid.estimation.innovation
 with F the integral of w' = Q(theta) x over one sample (`gcs_sysid.estimation.propagation`).
 Where the process noise is nothing this is the output-error method, otherwise filter error
 (Maine and Iliff, NASA RP-1168; Jategaonkar, Flight Vehicle System Identification, ch. 4, 5);
-levels and colours of the noises are what the record itself makes likeliest. First rates and
+levels and colors of the noises are what the record itself makes likeliest. First rates and
 gyro biases are states with priors, so that they are integrated out exactly.
 
-The likelihood is maximised by Gauss-Newton. The model is linearised about smoothed rates, not
+The likelihood is maximised by Gauss-Newton. The model is linearized about smoothed rates, not
 about the noisy gyro; residuals and sensitivities pass one whitening filter; their products are
 gradient and Fisher information.
 
@@ -139,7 +139,7 @@ def maximise_likelihood(
     torque: Array | float = 0.0,
     progress: Callable[[float], None] | None = None,
 ) -> LikelihoodFit | None:
-    """Fit theta, noise levels and noise colours to a whole record.
+    """Fit theta, noise levels and noise colors to a whole record.
 
     Args:
         samples: on a uniform grid; NaN in gyro, rates or speeds marks gaps.
@@ -147,7 +147,7 @@ def maximise_likelihood(
         dt: s between samples.
         start: (N_THETA,) the online estimate (`RotationFit.theta`), physical.
         speed_std: rad/s, white noise of the rotor speeds, one value or (rotors,). None: what
-            of it shows is taken as unmodelled acceleration.
+            of it shows is taken as unmodeled acceleration.
         prior: on theta.
         delay: s, of the speeds' stamps behind the gyro's, as known from the online estimate; it is
             estimated too, within 3 DELAY_STD of that. None: there is none.
@@ -192,7 +192,7 @@ def cramer_rao_bound(
         samples: with true (or well smoothed) body rates in `rates`.
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
-        theta: (N_THETA,) where to linearise.
+        theta: (N_THETA,) where to linearize.
         noise: of the axes.
         speed_std: rad/s, white noise of the rotor speeds.
 

@@ -1,10 +1,10 @@
 """The recursive least squares memory: sums of products of rows, kept in batches.
 
-Every estimate here is the minimiser of a cost that is quadratic in the data, so the sum of
+Every estimate here is the minimizer of a cost that is quadratic in the data, so the sum of
 z z' over all rows z = [inputs, outputs] is a sufficient statistic: the information form of
 recursive least squares. Keeping that sum for each second or so of flight, instead of only the
 total, costs little and shows how much the score varies from batch to batch, which a valid
-covariance needs when residuals are coloured; and it lets a fit be checked on batches it has not
+covariance needs when residuals are colored; and it lets a fit be checked on batches it has not
 seen.
 """
 
@@ -24,7 +24,7 @@ _AT_ONCE = 2**18
 class NormalEquations:
     """Second moments of rows, in batches of equally many rows; bounded memory.
 
-    When `max_batches` are full, neighbours are merged and batches become twice as long.
+    When `max_batches` are full, neighbors are merged and batches become twice as long.
 
     Args:
         shape: leading shape of one moment matrix, then its width twice: (..., m, m).

@@ -75,7 +75,7 @@ def judge_rigid_body(batches: Array, P: Array, Q: Array) -> RigidBodyTest:
         if not power > _NONE**2 * total[n + axis, n + axis]:
             continue
         more = float(predicted @ total @ residual) / power
-        # Neighbouring batches share slow noise, as in the sandwich of the fit.
+        # Neighboring batches share slow noise, as in the sandwich of the fit.
         scores = (own @ ((residual - more * predicted) @ P)) @ (predicted @ P)
         meat = float(scores @ scores + 2.0 * (scores[1:] @ scores[:-1]))
         share[axis] = 1.0 + more

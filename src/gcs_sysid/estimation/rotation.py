@@ -1,7 +1,7 @@
 """Fit of the rotational parameters to the moments of the forward form.
 
 The cost  sum_rows (y - Q(theta) x)' W (y - Q(theta) x)  is an exact quadratic in Q, so it and
-its derivatives follow from the moments alone. It is minimised by Gauss-Newton with
+its derivatives follow from the moments alone. It is minimized by Gauss-Newton with
 Levenberg-Marquardt damping; W is the inverse of the residual covariance, which the same moments
 give (iterated to the maximum-likelihood point). See `gcs_sysid.model.rigid_body` for Q.
 
@@ -80,17 +80,17 @@ class RotationFit:
 
     Attributes:
         theta: (N_THETA,) estimate, see `rigid_body.THETA`.
-        covariance: (N_THETA, N_THETA), corrected for coloured residuals, delay included, and
+        covariance: (N_THETA, N_THETA), corrected for colored residuals, delay included, and
             widened so that 1.96 standard deviations are Student's 95 % interval.
         residual_covariance: (3, 3) of one row's residual.
         r_squared: (3,) share of each axis' angular acceleration that the model explains.
         rows: number of rows fitted.
-        converged: whether the minimiser was reached.
+        converged: whether the minimizer was reached.
         coordinates: (N_COORDINATES,) rotor delay (s), motor lag (s), thrust curve, and nuisances of
             the lag, see `estimation.actuator_dynamics`.
         leak: index of the leak that was taken, see `most_certain`.
         whiteners: of each axis, where rows were whitened; else empty.
-        disturbance: (3,) nats a second by which an unmodelled moment explains an axis better than
+        disturbance: (3,) nats a second by which an unmodeled moment explains an axis better than
             sensor noise alone, see `whitened_fit.Trial.detected`; NaN where rows were not whitened.
         data_std: (N_THETA,) standard deviations without the prior: huge where the flight alone does
             not determine a parameter.

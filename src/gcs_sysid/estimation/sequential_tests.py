@@ -1,4 +1,4 @@
-"""Sequential tests on normalised residuals, and the levels that normalise them."""
+"""Sequential tests on normalized residuals, and the levels that normalize them."""
 
 import numpy as np
 

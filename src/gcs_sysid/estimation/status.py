@@ -16,7 +16,7 @@ KNOWN: frozenset[Status] = frozenset({"identified", "given", "zero"})
 class StatusRules:
     """Where one status ends and the next begins.
 
-    Where gusts or unmodelled torques move the vehicle more than its rotors do, the controller's
+    Where gusts or unmodeled torques move the vehicle more than its rotors do, the controller's
     reaction to them is mistaken for the vehicle's response, and intervals are confidently wrong:
     hence the rules on R², the share of an axis' angular acceleration that is explained.
     """

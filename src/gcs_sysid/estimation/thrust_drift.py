@@ -48,7 +48,7 @@ class DriftTuning:
         noise: of an average, before the flight shows its own, and
         worth: how many averages that is worth.
         memory: averages over which the noise is estimated.
-        colour: by which neighbouring averages that err alike widen the variance.
+        colour: by which neighboring averages that err alike widen the variance.
         least_force: share of g below which the vehicle falls or tumbles, and is not watched.
         believed: standard deviations of D from which, and up to which, it begins to count.
     """

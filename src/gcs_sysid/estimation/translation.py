@@ -26,7 +26,7 @@ WIDTH = 4
 
 ACCELEROMETER_BIAS_STD = 0.2
 """m/s^2, what a MEMS accelerometer's bias may be in flight: temperature, a level calibration of a
-degree or two, and a sensor 5 cm off the centre of gravity with rates of 2 rad/s."""
+degree or two, and a sensor 5 cm off the center of gravity with rates of 2 rad/s."""
 
 CALM, _LIFT = 0.8, 0.25
 """m/s^2, and a share. Wind lifts rotors, which looks like a larger kappa: by 2 to 10 % where it
@@ -212,7 +212,7 @@ def fit_accelerometer(
     kappa = -float(balance.estimate[0, 0])
     std = float(np.sqrt(balance.covariance(balance.inflation(batches[:, None]))[0, 0, 0]))
     if gain is not None:
-        # A window's worth of neighbouring rows counts once: early on there are no batches to show
+        # A window's worth of neighboring rows counts once: early on there are no batches to show
         # it.
         share = float(np.hypot(_ROWS_IN_WINDOW * std / abs(kappa), gain.share))
         scaled = kappa * gain.value
@@ -318,7 +318,7 @@ class _Balance:
                 break
 
     def inflation(self, batches: Array) -> Array:
-        """(unknowns, unknowns) by how much coloured residuals widen the covariance.
+        """(unknowns, unknowns) by how much colored residuals widen the covariance.
 
         Args:
             batches: (k, axes, WIDTH, WIDTH) of the only instant.

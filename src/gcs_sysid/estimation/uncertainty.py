@@ -1,4 +1,4 @@
-"""Covariance that stays true when residuals are coloured."""
+"""Covariance that stays true when residuals are colored."""
 
 import numpy as np
 from scipy.special import stdtrit
@@ -27,7 +27,7 @@ def sandwich(bread: Array, scores: Array) -> Array:
 def meat(scores: Array, reach: int | None = None) -> Array:
     """(p, p) covariance of the whole score, from (k, p) scores of batches in time order.
 
-    Neighbouring batches correlate, the more so the slower the noise; more batches resolve more of
+    Neighboring batches correlate, the more so the slower the noise; more batches resolve more of
     that. Bartlett's weights over a reach that grows with their number (Newey and West 1987) keep it
     positive definite.
 
@@ -139,7 +139,7 @@ def student_factor(
 
     A variance estimated from the scatter of few batches is itself uncertain; the estimate over its
     standard deviation then follows Student's t, not the normal law. The degrees of freedom are
-    Satterthwaite's for the sum over batches and neighbours that `meat` forms,
+    Satterthwaite's for the sum over batches and neighbors that `meat` forms,
 
         nu = (sum w)^2 / (sum w^2 + 2 sum_l b_l^2 sum w w_l)
 

@@ -168,7 +168,7 @@ class WhitenedEstimator:
         ends = np.cumsum(data.counts) * self._white.time
         if not len(ends) or ends[-1] < _SHORTEST_VALIDATED:
             return None
-        # Held out now and then: manoeuvres come one after the other, and a part must have its own.
+        # Held out now and then: maneuvers come one after the other, and a part must have its own.
         stretch = (ends - 1e-9) // _HELD_OUT % 5
         folds = [(i,) for i in range(5)] if data.judges else [(1, 3)]
         found = [

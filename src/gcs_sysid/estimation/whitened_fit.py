@@ -48,7 +48,7 @@ _CHOSEN = 3
 _SCANNED = 64
 """Pairs of whitener and node that are looked at, about."""
 _REACH = 2
-"""Neighbours of a batch whose scores its own hang together with: innovations forget soon."""
+"""Neighbors of a batch whose scores its own hang together with: innovations forget soon."""
 _BLIND_STEP = 3.0
 """Standard deviations; a smaller step of a fit that follows is taken unseen."""
 _LEAST = 0.05

@@ -3,7 +3,7 @@
 The last quarter-minute is kept in batches of a quarter of a second, so that a shock can be
 separated from its surroundings and left out. When these batches fill up, the older half is judged
 by a fit to all of them, which no other fit of the flight influences, and what is sound joins longer
-batches. Their number is fixed; as they fill up, neighbours are merged.
+batches. Their number is fixed; as they fill up, neighbors are merged.
 """
 
 from collections.abc import Callable, Sequence

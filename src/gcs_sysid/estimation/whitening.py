@@ -45,7 +45,7 @@ BOTH = (
 )  # fmt: skip
 """Hz, of a disturbance and of torque noise beside it."""
 AVERAGED = (0.4, 0.9)
-"""b, of neighbouring samples of a gyro."""
+"""b, of neighboring samples of a gyro."""
 _AVERAGED = 5
 """Whiteners without disturbance that are tried with them too: leaks, and the slower torque
 noise."""
@@ -64,7 +64,7 @@ class Whitener:
         a: of the disturbance; 0: none is assumed.
         c1, c2: of the spectral factor 1 + c1 z^-1 + c2 z^-2.
         below: Hz, where the disturbance exceeds the gyro's noise.
-        b: of a gyro whose noise is averaged over neighbouring samples; 0: it is white.
+        b: of a gyro whose noise is averaged over neighboring samples; 0: it is white.
         quick: whether the disturbance's time constant is the shorter one.
     """
 
@@ -167,7 +167,7 @@ def leak(T: float, memory: float) -> Whitener:
 def averaged(whitener: Whitener, b: float) -> Whitener:
     """The same for a gyro whose noise is that of 1 + b z^-1.
 
-    Filters, means over the samples sent and interpolation to even steps all make neighbours alike.
+    Filters, means over the samples sent and interpolation to even steps all make neighbors alike.
     """
     return replace(whitener, name=f"{whitener.name}, averaged {b:g}", b=b)
 

@@ -63,7 +63,7 @@ class Vehicle:
 
     Attributes:
         name: for the file, made of letters, digits and underscores.
-        rotors: in the autopilot's motor order, seen from the geometric centre.
+        rotors: in the autopilot's motor order, seen from the geometric center.
         known: parameter name (of `UNITS`) -> value.
         result: that most of it comes from.
     """
@@ -171,14 +171,14 @@ class Vehicle:
 
     @property
     def cg_flu(self) -> Array:
-        """(3,) CG from the geometric centre, m, forward, left, up; its height is not observable in
+        """(3,) CG from the geometric center, m, forward, left, up; its height is not observable in
         flight.
         """
         return np.array([self["cg_x"], -self["cg_y"], 0.0])
 
     @property
     def rotors_flu(self) -> Array:
-        """(n, 3) rotors from the geometric centre, m, forward, left, up."""
+        """(n, 3) rotors from the geometric center, m, forward, left, up."""
         return np.array([[r.x, -r.y, 0.0] for r in self.rotors])
 
 

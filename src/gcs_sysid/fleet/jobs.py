@@ -25,7 +25,7 @@ Document = dict[str, Any]
 
 @dataclass(frozen=True)
 class Job:
-    """A log and how it is analysed.
+    """A log and how it is analyzed.
 
     Attributes:
         log: its path as it was found, for people.

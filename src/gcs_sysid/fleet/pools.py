@@ -1,4 +1,4 @@
-"""The processes that analyse: of this machine, or of a Dask cluster."""
+"""The processes that analyze: of this machine, or of a Dask cluster."""
 
 import contextlib
 import multiprocessing

@@ -22,7 +22,7 @@ _USUAL_ARM = 0.25
 _UNKNOWN_ARM = 0.5
 """Relative standard deviation of an arm that was not given."""
 _REAL = (0.02, 5.0)
-"""m: rotors of CA_ROTORn_P* in metres lie between; stock simulators have 1 for all."""
+"""m: rotors of CA_ROTORn_P* in meters lie between; stock simulators have 1 for all."""
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ class Tally:
 
     samples: int = 0
     steps: int = 0
-    """Between neighbouring samples, gaps apart."""
+    """Between neighboring samples, gaps apart."""
     seconds: float = 0.0
     """In these steps."""
     gaps: int = 0

@@ -27,7 +27,7 @@ _EVERY = 1.0
 _STALE = 10.0
 """s after which advice that is not followed is reconsidered."""
 _AGAIN = 5.0
-"""The same where no manoeuvre was found."""
+"""The same where no maneuver was found."""
 _BEGUN = 0.1
 """Progress from which advice is being followed."""
 _FLOWN = 0.9
@@ -37,9 +37,9 @@ _LEAST_SECONDS = 3.0
 _GROPING = 0.5
 """Share of an interval of Ixx or Iyy from which a fit is not gone on from."""
 _FIRST = 6.0
-"""s, of the first manoeuvre of a vehicle of which nothing is known."""
+"""s, of the first maneuver of a vehicle of which nothing is known."""
 _MATTERS = 0.1
-"""Share of a manoeuvre's motion from which an axis belongs to it."""
+"""Share of a maneuver's motion from which an axis belongs to it."""
 _MOST_GAINS = 4
 _WINDOW = 1.0
 """s of flight in which motion is compared with what was asked: a period and more."""
@@ -61,7 +61,7 @@ class CoachOptions:
 
     Attributes:
         target: half of a 95 % interval over the value, which every parameter is to reach.
-        limits: of the manoeuvres.
+        limits: of the maneuvers.
     """
 
     target: float = 0.02
@@ -71,7 +71,7 @@ class CoachOptions:
 class Coach:
     """Watches a chain and says what to fly next.
 
-    To weigh all manoeuvres takes a tenth of a second: `look` now and then, `think` when there is
+    To weigh all maneuvers takes a tenth of a second: `look` now and then, `think` when there is
     nothing else to do. `advise` does both.
 
     Args:
@@ -143,7 +143,7 @@ class Coach:
         return self._advice
 
     def think(self) -> None:
-        """Weigh all manoeuvres, if that is due."""
+        """Weigh all maneuvers, if that is due."""
         thought, self._thought = self._thought, None
         if thought is not None:
             self._weigh(*thought)
@@ -182,7 +182,7 @@ class Coach:
         self._seconds = fit.seconds
 
     def _is_damped(self) -> bool:
-        """Whether the advised manoeuvre comes out much smaller than asked; then that is
+        """Whether the advised maneuver comes out much smaller than asked; then that is
         remembered.
         """
         if self.choice is None or self._tried[3] < _TRIED_FOR:
@@ -204,7 +204,7 @@ class Coach:
         return found
 
     def _achieved(self, manoeuvre: Manoeuvre) -> Manoeuvre:
-        """A manoeuvre as the vehicle flies it: damped at one pace, damped at a brisker one too."""
+        """A maneuver as the vehicle flies it: damped at one pace, damped at a brisker one too."""
         shares = {}
         for axis in _AXES:
             pace = manoeuvre.yaw_pace if axis == "yaw" else manoeuvre.pace
@@ -237,7 +237,7 @@ class Coach:
         self.choice = found
         self._asked[:] = 0.0 if found is None else self._asked_squares(found)
         if found is not None and fit.rotation is None:
-            # A rule of thumb picks the manoeuvre, but promises nothing.
+            # A rule of thumb picks the maneuver, but promises nothing.
             self.choice = replace(found, manoeuvre=found.manoeuvre.lasting(_FIRST))
             self._text = f"{motion_words(self.choice.manoeuvre)}: first estimates of all parameters"
         elif found is not None:
@@ -250,7 +250,7 @@ class Coach:
         self._advice = self._advice_now(now, 0.0)
 
     def _asked_squares(self, choice: Choice) -> Array:
-        """(3,) squared body rates, mean over the manoeuvre as it is asked."""
+        """(3,) squared body rates, mean over the maneuver as it is asked."""
         came = self._achieved(choice.manoeuvre)
         squares = (choice.motion.rates**2).mean(axis=0)
         for k, axis in enumerate(_AXES):
@@ -314,7 +314,7 @@ class Coach:
 
 
 def _motion(choice: Choice) -> Array:
-    """(4,) integrals of squared body rates, and of climb rate, over the manoeuvre."""
+    """(4,) integrals of squared body rates, and of climb rate, over the maneuver."""
     manoeuvre = choice.manoeuvre
     climb = 0.5 * (2.0 * np.pi * manoeuvre.pace * manoeuvre.climb) ** 2
     squares = np.append((choice.motion.rates**2).mean(axis=0), climb)

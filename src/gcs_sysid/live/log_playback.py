@@ -28,7 +28,7 @@ class Recorded:
 
     Attributes:
         path: of the file.
-        airframe: that it was analysed with.
+        airframe: that it was analyzed with.
         wanted: system and perhaps component; None: the first autopilot in it.
         result: of all of it.
         duration: s from the first record to the last.
@@ -70,7 +70,7 @@ def survey(
     wanted: tuple[int, int | None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Recorded:
-    """Analyse a log that will be played.
+    """Analyze a log that will be played.
 
     Args:
         path: of the file.

@@ -1,4 +1,4 @@
-"""The vehicle from above, with its rotors and its centre of gravity."""
+"""The vehicle from above, with its rotors and its center of gravity."""
 
 from typing import Any
 
@@ -76,7 +76,7 @@ def plan_view(data: ReportData) -> Markup | None:
 
 
 def cg_text(cg: list[Any]) -> str:
-    """Where the centre of gravity is, in words."""
+    """Where the center of gravity is, in words."""
     forward, right = (1e3 * float(e["value"]) for e in cg)
     along = f"{PAGE.fixed(abs(forward), 1)} mm {'ahead' if forward >= 0.0 else 'behind'}"
     across = f"{PAGE.fixed(abs(right), 1)} mm {'right' if right >= 0.0 else 'left'}"

@@ -126,12 +126,12 @@ class Event:
 
 @dataclass(frozen=True)
 class Gain:
-    """What flying an advised manoeuvre does to one parameter.
+    """What flying an advised maneuver does to one parameter.
 
     Attributes:
         name: of the parameter.
         now: half its 95 % interval now, as a share of its value; None: not known at all.
-        expected: the same after the manoeuvre.
+        expected: the same after the maneuver.
     """
 
     name: str
@@ -146,7 +146,7 @@ class Advice:
     Attributes:
         manoeuvre: name in the library, empty when there is nothing left to fly.
         text: one sentence that says what to fly, how hard, how long and what for.
-        seconds: how long the manoeuvre takes.
+        seconds: how long the maneuver takes.
         progress: 0 to 1, how much of it was flown since it was advised.
         gains: the parameters that it is for, the widest first.
         enough: every interval meets the target.

@@ -17,7 +17,7 @@ from gcs_sysid.results.result import Estimate, Result, Verdict
 
 @dataclass(frozen=True)
 class Word:
-    """A state as people meet it: its sign, since colour is never the only one, and its meaning."""
+    """A state as people meet it: its sign, since color is never the only one, and its meaning."""
 
     sign: str
     meaning: str

@@ -27,7 +27,7 @@ LABEL_WIDTH = 13
 MUTED = "$foreground 65%"
 """Style of what is not the message: labels, times. (`$text-muted` has no effect inside a text.)"""
 
-# Colours beside the signs of `results.words`.
+# Colors beside the signs of `results.words`.
 STATUS_STYLE: dict[Status, str] = {
     "identified": "$text-success",
     "given": "$text-primary",

@@ -20,7 +20,7 @@ class FaultCounts:
     """What was wrong with the samples of the inertial sensor.
 
     Attributes:
-        spikes: samples with an outlier on a gyro axis, replaced by what their neighbours say.
+        spikes: samples with an outlier on a gyro axis, replaced by what their neighbors say.
         frozen: samples that repeat the one before in all six values, not used.
         missing: samples without a finite gyro, not used.
     """

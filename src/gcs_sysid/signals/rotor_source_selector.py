@@ -58,7 +58,7 @@ def family(source: str) -> str:
 
 @dataclass
 class _Group:
-    """What came for some neighbouring rotors."""
+    """What came for some neighboring rotors."""
 
     count: int = 0
     pieces: list[tuple[Array, Array]] = field(default_factory=list)

@@ -13,8 +13,8 @@ _NONE = np.zeros(0, np.int64)
 _REACH = 2
 """Samples on each side that one is compared with."""
 _WILD, _BESIDE = 0.2, 2.0
-"""A wild value is off the middle of its neighbours by this share of it, and by so many times what
-these differ by. No rotor speeds up and slows down by a fifth while its neighbours in time stand."""
+"""A wild value is off the middle of its neighbors by this share of it, and by so many times what
+these differ by. No rotor speeds up and slows down by a fifth while its neighbors in time stand."""
 _STANDS, _FEWEST = 0.15, 5
 """s, and repeats; speeds of all rotors that stay exactly the same for so long are old ones under
 new stamps, as from an autopilot that receives nothing from its ESCs."""
@@ -206,7 +206,7 @@ class RotorBuffer(StreamBuffer):
 
 
 def wild_rows(t: Array, v: Array, gap: float) -> Mask:
-    """Which samples have a value that none of their neighbours bears out.
+    """Which samples have a value that none of their neighbors bears out.
 
     Args:
         t: (n,) s, rising.

@@ -312,7 +312,7 @@ class StreamBuffer:
 
 
 def _alike(t: Array, gaps: Array, among: Array) -> list[slice]:
-    """Parts of (n,) gaps, s, and neighbours that are read alike between samples at (m,) times."""
+    """Parts of (n,) gaps, s, and neighbors that are read alike between samples at (m,) times."""
     if not len(gaps):
         return []
     low, high = gaps.min(), gaps.max()

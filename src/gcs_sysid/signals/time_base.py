@@ -315,7 +315,7 @@ class TimeBase:
         """(ticks,) s up to which samples to come change nothing.
 
         The grid stays two samples of the slowest signal behind the (ticks,) `newest` stamps of
-        the IMU, so that the cubic has both its right neighbours. Where a stream has lost samples
+        the IMU, so that the cubic has both its right neighbors. Where a stream has lost samples
         it waits for the next one, for a while.
         """
         signals = [b.intervals for b in self._buffers.values() if not b.hold]

@@ -37,7 +37,7 @@ class Stamp(Enum):
     US32 = auto()
     """`time_usec` in 32 bits: wraps too often to drive the vehicle's clock, and follows it."""
     NONE = auto()
-    """Nothing: it is of the time of its neighbours, all that is due in one step being sent with
+    """Nothing: it is of the time of its neighbors, all that is due in one step being sent with
     the same time. ArduPilot sends SERVO_OUTPUT_RAW just before ESC_TELEMETRY and HIGHRES_IMU
     after it: the IMU's last stamp is a step old, that of a `US32` message is not."""
 

@@ -40,16 +40,16 @@ MARGIN = 3 * (STAMP + LONGEST_FRAME)
 """Bytes that must follow a record before it is decided, unless the file ends: the record after
 it, and what may begin inside of either."""
 CLOCK_STEP = 60_000_000
-"""us. A record's time further than this from those of both neighbours, which agree with each
+"""us. A record's time further than this from those of both neighbors, which agree with each
 other, is damaged."""
 FAR_STEP = 86_400_000_000
-"""us. The same where there is only one neighbour."""
+"""us. The same where there is only one neighbor."""
 _TRIED = 4096
 """Bytes of a piece hunted through one by one, before all its good frames are found together."""
 _AT_ONCE = 2**19
 """Candidates judged together."""
 ALONE = 2**20
-"""Bytes of garbage after which no neighbour is waited for, however long it goes on."""
+"""Bytes of garbage after which no neighbor is waited for, however long it goes on."""
 
 _IDS = max(CRC_EXTRA) + 2
 _EXTRA = np.full(_IDS, -1, np.int16)
@@ -120,7 +120,7 @@ class Scanner:
                 self.counts.cut_short = rest
             self._hunting = hunting and not len(at)
         elif len(at) and limit - STAMP - behind < ALONE:
-            # The last frame comes again: its time is judged with its neighbour's.
+            # The last frame comes again: its time is judged with its neighbor's.
             kept, done, rest = len(at) - 1, int(start[-1]), 0
             self._hunting = hunting and done == 0
         else:
@@ -180,7 +180,7 @@ class Scanner:
         ahead[:-1][gaps[1:] >= ALONE] = np.nan
         spike = (abs(here - past) > CLOCK_STEP) & (abs(here - ahead) > CLOCK_STEP)
         spike &= abs(ahead - past) <= CLOCK_STEP
-        # The first and the last of a file have one neighbour, which must not be far away.
+        # The first and the last of a file have one neighbor, which must not be far away.
         spike |= np.isnan(past) & (abs(here - ahead) > FAR_STEP)
         spike |= np.isnan(ahead) & (abs(here - past) > FAR_STEP)
         damaged = (spike | ~stamped)[:kept]

@@ -209,7 +209,7 @@ def _upright(q: Array) -> Array:
 
 
 def believable_times(t: Array) -> Mask:
-    """(n,) whether each time agrees with its neighbours: a damaged stamp may be anything."""
+    """(n,) whether each time agrees with its neighbors: a damaged stamp may be anything."""
     if len(t) < 5:
         return np.isfinite(t)
     padded = np.pad(t, 2, mode="reflect")

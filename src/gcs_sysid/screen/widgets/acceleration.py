@@ -45,7 +45,7 @@ def overlay(
 ) -> list[str]:
     """The predicted curve as a dot in every second column, over the lines of the measured one.
 
-    In one colour: a hundred changes of colour a line took most of the screen's time, and the signs
+    In one color: a hundred changes of color a line took most of the screen's time, and the signs
     distinguish the two.
     """
     columns, high = len(lines[0]), len(lines)

@@ -132,7 +132,7 @@ def _line(name: Cell, cells: list[Cell]) -> Line:
 
 
 def _lit(line: Line, width: int) -> Line:
-    """A line on the colour of what is chosen, to the edge of the table."""
+    """A line on the color of what is chosen, to the edge of the table."""
     missing = width - sum(len(text) for text, _ in line)
     return [
         (text, style if " on " in style else f"{style} on $primary-muted")
