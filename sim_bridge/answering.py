@@ -288,7 +288,7 @@ class AnsweringAutopilot(ABC):
         return [self._parameter(index)]
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Give a parameter a value, and do what it stands for.
+        """Set a parameter and apply its effect.
 
         Raises:
             KeyError: there is no such parameter.

@@ -26,7 +26,7 @@ _POLL = 0.05
 _REPORTED_WITHIN = 8.0
 """s in which a vehicle, once received, replies with its layout: some 20 parameters."""
 _USUAL = 4
-"""Rotors that are asked for until the vehicle says how many it has."""
+"""Rotors that are requested until the vehicle reports their number."""
 
 
 def of_log(path: Path, options: argparse.Namespace) -> Airframe:
@@ -46,7 +46,7 @@ def of_log(path: Path, options: argparse.Namespace) -> Airframe:
 
 
 def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airframe:
-    """The airframe for a vehicle on a link, which is asked; what comes meanwhile is kept.
+    """The airframe for a vehicle on a link, by requests; what comes meanwhile is kept.
 
     Raises:
         InputError: the vehicle reports no layout; nothing sets the scale.

@@ -32,7 +32,7 @@ _STYLES = (
 _MOST_LISTED = 3
 """Disturbances that are listed one by one."""
 _LISTED = ("rotor_input", "senders")
-"""Kinds of events beside changes of the vehicle that bear on what the numbers rest on."""
+"""Kinds of events beside changes of the vehicle that affect the numbers."""
 
 
 def result_table(

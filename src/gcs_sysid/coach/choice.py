@@ -24,7 +24,7 @@ _NARROWER = 0.97
 _BOTH = 0.1
 """Of roll's and pitch's squared rates, what the lesser needs of the greater to start a fit."""
 _CLOSE = 0.9
-"""Expected intervals are aimed to be so much narrower than asked for: they are an estimate."""
+"""Factor by which expected intervals must be narrower than the target: they are an estimate."""
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ _FACTORS = stdtrit(_FREEDOMS, 0.975) / Z95
 
 @dataclass(frozen=True)
 class PredictedInformation:
-    """What is known of a vehicle at one instant of its flight, or before it.
+    """Information on a vehicle at one instant of its flight, or before it.
 
     Attributes:
         fit: of the flight; without a rotation while that has no information.

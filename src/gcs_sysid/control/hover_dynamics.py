@@ -166,7 +166,7 @@ def hover_dynamics(
 
 
 def check_needs(vehicle: Vehicle) -> None:
-    """Make sure that all that a loop rests on is known and identified.
+    """Check that all that a loop depends on is known and identified.
 
     Raises:
         MissingError: says what is not, why it matters, and which flight would help.

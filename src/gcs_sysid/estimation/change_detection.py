@@ -69,7 +69,7 @@ class Change:
     """A detected change. Times are s of samples fed, see `ChangeDetector.seconds`.
 
     Attributes:
-        detected: time of the newest sample that the detection rests on.
+        detected: time of the newest sample used by the detection.
         onset: estimated time of the change.
         channel: where it showed first.
         size: mean jump of the residual since the onset, m/s^2 or rad/s^2.

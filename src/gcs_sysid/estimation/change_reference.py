@@ -247,7 +247,7 @@ def form_rows(
 def reference_of(
     fit: Fit, geometry: Array, dt: float, *, commands: bool = False, moments: bool = True
 ) -> Reference:
-    """A fit as a reference, as far as it is good enough.
+    """A fit as a reference, on the axes where it is good enough.
 
     Args:
         fit: of the flight so far.

@@ -34,7 +34,7 @@ class Alarm:
     Attributes:
         change: as detected.
         onset: estimated.
-        detected: of the newest sample that it rests on.
+        detected: of the newest sample used.
         reference: in force then.
         looks: how often it was looked at.
     """

@@ -96,11 +96,11 @@ class Trial:
     def _contrast(self, fit: RotationFit) -> Array:
         """(N_THETA,) how far whiteners of faster disturbances lead away, beyond chance.
 
-        If the rows' model is right all of them estimate the same; those that weigh low
-        frequencies less are only less sure (specification test: Hausman 1978, Econometrica 46,
-        1251-1271). What a controller answers, and what moves with the vehicle (aerodynamics),
-        biases slow motion most. In calm air it is no disturbance by which they differ, but the
-        noise of rotors and gyro, to which the fastest are most sensitive; they do not count there.
+        If the rows' model is right all of them estimate the same; those that weigh low frequencies
+        less only have more variance (specification test: Hausman 1978, Econometrica 46, 1251-1271).
+        What a controller answers, and what moves with the vehicle (aerodynamics), biases slow
+        motion most. In calm air it is no disturbance by which they differ, but the noise of rotors
+        and gyro, to which the fastest are most sensitive; they do not count there.
         """
         pick, n = list(self.pick), rb.N_THETA
         slowest = min(self.whiteners[i].below for i in pick)

@@ -40,7 +40,7 @@ class EvidenceRules:
     """s between samples of speeds, above which what happened between them colors residuals. At 50
     and 100 Hz flights inside the model, whose intervals hold, have 1.5 to 4.6."""
     whiteness_p: float = 0.05
-    """Probability of so much by chance, below which it counts."""
+    """Significance level of the tests."""
     still: tuple[float, float, float] = (LEAST_RATE, LEAST_RATE, 0.05)
     """rad/s rms, below which an axis hardly turns: what it answers is then noise of rotors and
     gyro, or crosstalk. Hovers have 0.003 to 0.06, flights with input on an axis 0.25 and more, in
@@ -57,8 +57,8 @@ class Evidence:
     Attributes:
         capped: roll, pitch and yaw: whether nothing there is `identified`.
         reasons: in words; any of them keeps the verdict from being `identified`.
-        unmoved: axes that are capped because motion is not predicted, which what rests on the mean
-            torque (the CG, known best in hover) does not need.
+        unmoved: axes that are capped because motion is not predicted, which parameters known from
+            the mean torque (the CG, known best in hover) do not need.
     """
 
     capped: tuple[bool, bool, bool] = (False, False, False)

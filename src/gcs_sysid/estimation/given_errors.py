@@ -84,8 +84,8 @@ _SCALE, _LEVER, _ARM, _CANT, _CENTER = range(5)
 def given_effects(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[str, Array]:
     """What one standard deviation of each thing given does to the parameters.
 
-    One error moves all that rests on it: a mass 1 % too large makes k_T and inertia 1 % too large,
-    an arm inertia alone.
+    One error moves all that depends on it: a mass 1 % too large makes k_T and inertia 1 % too
+    large, an arm inertia alone.
 
     Args:
         values: parameters by name.

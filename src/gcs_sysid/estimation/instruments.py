@@ -1,6 +1,6 @@
 """Setpoints as instruments: Ixx and Iyy from what the pilot asked, a second opinion.
 
-A rate setpoint turns the vehicle and knows nothing of gusts. What it explains of torque is free of
+A rate setpoint turns the vehicle and is independent of gusts. What it explains of torque is free of
 what the rate loop answered to them, however the disturbance is colored. With rows of one axis
 whitened, e what a fit leaves, s = dQ/d(ln I) x how that changes with the moment of inertia, and Z
 the setpoint through a bank of Laguerre filters (0 to 0.7 s of its past), two-stage least squares is
@@ -12,9 +12,9 @@ Its variance follows from the scatter of s^'e over batches, and is at least that
 the whitener is not right, instruments must hold all the same.
 
 Instruments are weak where the first stage explains hardly more than chance (F below 10: Staiger and
-Stock 1997, Econometrica 65, 557-586). They are none where the setpoint itself answers what the
-vehicle did, as that of an attitude or position loop does: innovations then predict it, beyond what
-its own past does.
+Stock 1997, Econometrica 65, 557-586). They are invalid where the setpoint itself responds to the
+vehicle, as that of an attitude or position loop does: innovations then predict it, beyond what its
+own past does.
 """
 
 from collections.abc import Sequence

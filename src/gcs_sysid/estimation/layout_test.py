@@ -20,7 +20,7 @@ from gcs_sysid.model import rigid_body as rb
 SUSPECTED = 0.8
 """Share of roll and pitch that the given layout leaves unexplained where others are tried."""
 LEAST_RATE = 0.1
-"""rad/s rms of roll and pitch, below which nothing of the layout shows: a hover has noise and
+"""rad/s rms of roll and pitch, below which the layout is not observable: a hover has noise and
 vibration alone."""
 _CONVINCING = 0.15
 """By how much of the motion another layout must explain more, on the worse of roll and pitch."""

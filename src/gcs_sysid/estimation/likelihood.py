@@ -173,7 +173,7 @@ def maximise_likelihood(
 
 
 def most_passes(samples: int) -> int:
-    """How often a record is passed over at most; 0: it is too long."""
+    """Maximum number of passes over a record; 0: it is too long."""
     passes = min(_BUDGET // max(samples, 1), _MAX_ITERATIONS)
     return passes if passes >= _FEWEST else 0
 

@@ -197,7 +197,7 @@ def _speed_noise_terms(
 ) -> tuple[Array, Array]:
     """What noise of the rotor speeds adds to gradient and information, by expectation.
 
-    The response to one sample's noise, taken in the middle of the longest run, stands for all.
+    The response to one sample's noise, taken in the middle of the longest run, represents all.
     """
     longest = max(range(len(whiteners)), key=lambda i: len(point.rates[i]))
     n = len(point.rates[longest])

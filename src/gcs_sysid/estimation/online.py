@@ -76,7 +76,7 @@ class Fit:
     rotation: rotation.RotationFit | None
     translation: TranslationFit | None
     seconds: float
-    """Flight time that it rests on."""
+    """Flight time used."""
     validation: Validation | None = None
     """Of full fits; of running ones the latest, if any."""
     accelerometer: TranslationFit | None = None
@@ -179,7 +179,7 @@ class OnlineEstimator:
 
     @property
     def seconds(self) -> float:
-        """Flight time that the rotational estimate rests on."""
+        """Flight time used by the rotational estimate."""
         return self._record.seconds
 
     @property

@@ -231,7 +231,7 @@ def _cg_floor(translation: TranslationFit | None, arm: float, rotor_input: Rotor
 
 
 def _wind_shifts(translation: TranslationFit | None, arm: float) -> dict[str, float]:
-    """m, by which a steady wind may shift what rests on the mean torque."""
+    """m, by which a steady wind may shift the CG, known from the mean torque."""
     push = 0.0 if translation is None else translation.wind - ERRORS.still_air
     if push <= 0.0:
         return {}

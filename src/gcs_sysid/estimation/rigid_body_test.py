@@ -87,7 +87,7 @@ def _apart(total: Array, combination: Array) -> Array:
     """A combination of columns without what all the other inputs explain of it."""
     moments = total[np.ix_(_OTHERS, _OTHERS)]
     diagonal = np.diag(moments)
-    # What is next to nothing is left as it is: its share of anything is rounding.
+    # Negligible columns are left unchanged: their share of anything is rounding.
     d = np.sqrt(np.where(diagonal > _ROUNDING * diagonal.max(initial=0.0), diagonal, 1.0))
     scaled = np.linalg.pinv(moments / np.outer(d, d), rcond=1e-10, hermitian=True)
     out: Array = combination.copy()

@@ -50,9 +50,9 @@ _BLIND_STEP = 3.0
 _ALIKE = 0.1
 """Of standard deviations, relative: in a minute of flight chance makes them differ by 0.07."""
 _NEAR, _ROUNDS = 0.1, 4
-"""Standard deviations, squared, that a search may be from the minimum; how often it goes on."""
+"""Squared standard deviations that a search may be from the minimum; how often it continues."""
 _ABSURD = -0.5
-"""Share of an axis' acceleration explained: less is of a minimum that is none of the vehicle's."""
+"""Share of an axis' acceleration explained: less indicates a false minimum."""
 _HALVINGS = 20
 """A step that leads out of the physical inertias is shortened so often, then not taken."""
 

@@ -89,7 +89,7 @@ def _added_mass(anchor: ScaleReference, kappa: float, share: float) -> Scale:
 def _combined(
     value: float, share: float, given: float, prior: Known | None
 ) -> tuple[float | None, float, float]:
-    """A measured value and a prior on it, weighed by their variances.
+    """A measured value and a prior on it, weighted by their variances.
 
     Returns:
         The value, and its relative errors, as measured and from what was given.

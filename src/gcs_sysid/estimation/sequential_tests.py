@@ -125,8 +125,8 @@ class Baseline:
         self.last = np.full(channels, np.nan)
         self._keep = float(np.exp(-1.0 / memory))
         self._of: tuple[Array, Array] = np.empty((1, 0)), np.ones((1, 1))
-        """What (n, channels) values and the baseline before them make of it: (n + 1, n) weights and
-        (n + 1, 1), for the n that came last."""
+        """Baselines from (n, channels) values and the baseline before them: (n + 1, n) weights and
+        (n + 1, 1), for the latest n."""
 
     def update(self, values: Array, low: Array, high: Array) -> Array:
         """(n, channels) the baseline before each of the values; NaN values are passed over.

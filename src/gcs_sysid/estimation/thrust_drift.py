@@ -73,7 +73,7 @@ class DriftTuning:
 _TUNING = DriftTuning()
 _JUMP, _STAYED = 4.0, 5
 """Standard deviations that make an average a jump (a blow, a mass dropped), and how many of them
-in a row make a new level, from which the drift goes on."""
+in a row make a new level, from which the drift continues."""
 _SAG, _SAGS = 0.05, 0.02
 """By how much a battery's voltage under load bends the thrust curve, and the drift from which that
 counts: on five flights of the emulator whose battery drops by 3 % under hover power, curves were

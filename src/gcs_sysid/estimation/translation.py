@@ -41,8 +41,8 @@ GAIN_DRIFT = 5e-4
 _MIN_ROWS = 50
 _MIN_CALIBRATED_ROWS = 12
 _SLOPE_ERROR_SHARE = 3e-3
-"""Relative error of kappa where it rests on how thrust varies: noise of the rotor speeds draws it
-towards zero, and drag is not in it."""
+"""Relative error of kappa estimated from variations of thrust: noise of the rotor speeds biases it
+towards zero, and drag is neglected."""
 _MIN_BATCHES_FOR_BIAS = 10
 """Fewer do not determine the error of the bias itself."""
 _TINY = 1e-300
@@ -228,7 +228,7 @@ def fit_accelerometer(
 
 
 def _with_bias(batches: Array, rows: int, total: Array) -> tuple[float, float]:
-    """Kappa and its standard deviation with the bias as an unknown, known beforehand to so much.
+    """Kappa and its standard deviation with the bias as an unknown with a prior.
 
     The prior is weighed against the covariance that the scatter of the scores leaves: overlapping
     rows overstate what the data know.
@@ -247,8 +247,8 @@ def _layouts() -> tuple[Array, Array, Array]:
     """Of momentum balance, of the accelerometer's z axis, and of that with a bias."""
     # Unknowns: -kappa, -delta, -kappa of the horizontal axes, wind north, wind east. Wind is a
     # nuisance (a vertical one would be taken for thrust). So is horizontal thrust: the vertical
-    # axis rests on gravity, the horizontal ones on tilt alone, and what velocity and attitude lag
-    # behind each other makes them fall short by per cents.
+    # axis depends on gravity, the horizontal ones on tilt alone, and the lag between velocity and
+    # attitude makes them low by a few percent.
     momentum = np.zeros((3, 3, 5))
     momentum[2, 0, 0] = 1.0
     momentum[:, 1, 1] = 1.0

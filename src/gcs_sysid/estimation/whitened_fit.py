@@ -48,7 +48,7 @@ _CHOSEN = 3
 _SCANNED = 64
 """Pairs of whitener and node that are looked at, about."""
 _REACH = 2
-"""Neighbors of a batch whose scores its own hang together with: innovations forget soon."""
+"""Neighbors of a batch with correlated scores: innovations have little memory."""
 _BLIND_STEP = 3.0
 """Standard deviations; a smaller step of a fit that follows is taken unseen."""
 _LEAST = 0.05
@@ -160,7 +160,7 @@ def fit_whitened(
     spread = spread[None]
     widening = student_factor(outcome.shares(0, batches), _REACH, by_scatter)[None]
     if data.own:
-        # That innovations are white rests on all rows, not on how few batches scatter.
+        # Whiteness of innovations is based on all rows, not on the scatter of few batches.
         widening = np.ones_like(widening)
     if doubt:
         silent = np.zeros_like(noise)[None]

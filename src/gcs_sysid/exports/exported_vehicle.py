@@ -91,7 +91,7 @@ class Vehicle:
         return value
 
     def need(self, target: str, names: Iterable[str]) -> None:
-        """Make sure that these are known.
+        """Check that these are known.
 
         Raises:
             MissingError: names all that are not, and what to do.
@@ -121,7 +121,7 @@ class Vehicle:
         )
 
     def check_inertia(self) -> None:
-        """Make sure that a rigid body can have this inertia, as simulators do.
+        """Check that a rigid body can have this inertia, as simulators do.
 
         Raises:
             MissingError: none can.

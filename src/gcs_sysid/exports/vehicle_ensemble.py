@@ -15,7 +15,7 @@ _FOLLOWING = "from "
 
 
 def drawn_vehicles(vehicle: Vehicle, count: int, seed: int) -> list[Vehicle]:
-    """Vehicles drawn from what is known of one, each a possible rigid body.
+    """Vehicles drawn from the covariance of one, each a possible rigid body.
 
     Parameters with an entry in the covariance of the result are drawn together; others by their
     own standard deviation, where they have one. What must be positive is.
@@ -58,7 +58,7 @@ def _root(vehicle: Vehicle) -> tuple[list[str], np.ndarray]:
     matrix = np.array(table.get("matrix", []), float).reshape(-1, max(len(listed), 1))
     if len(matrix) != len(listed) or not np.isfinite(matrix).all():
         raise ValueError("the covariance of the result is not a square matrix of numbers")
-    # A value from elsewhere is not the flight's, and hangs together with nothing of it.
+    # A value from elsewhere is uncorrelated with the flight's.
     own = [n for n in names if n in listed and vehicle.known[n].origin in _OF_THE_FLIGHT]
     if own:
         here, there = [names.index(n) for n in own], [listed.index(n) for n in own]

@@ -92,7 +92,7 @@ def make_task(job: Job) -> Task:
 
 
 def analyze(task: Task) -> Document:
-    """The result of one log, or why it is none, as the file that is kept.
+    """The result of one log, or why there is none, as the file that is kept.
 
     Raises:
         InputError: the log cannot be opened just now, or memory does not suffice; that says

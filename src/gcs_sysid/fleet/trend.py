@@ -205,7 +205,7 @@ def _scale(entry: dict[str, Any] | None) -> Scale | None:
 
 
 def predicted(flights: Sequence[Result], scatter: Scatter) -> Result:
-    """What flights of a vehicle that stays as it is predict for one more.
+    """Prediction for the next flight of an unchanged vehicle.
 
     Args:
         flights: at least one.

@@ -27,7 +27,7 @@ _REAL = (0.02, 5.0)
 
 @dataclass(frozen=True)
 class GuessedAirframe:
-    """An airframe and what it rests on.
+    """An airframe and its origin.
 
     Attributes:
         airframe: with or without a scale.

@@ -71,7 +71,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Fit:
-    """A linear fit with standard deviations that hold for residuals that hang together.
+    """A linear fit with standard deviations valid for correlated residuals.
 
     Attributes:
         value: (p,) coefficients.

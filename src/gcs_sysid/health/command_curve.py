@@ -94,10 +94,10 @@ def _by_speeds(windows: Windows) -> tuple[float, float, str] | None:
 def _by_lift(windows: Windows) -> tuple[float, float, str] | None:
     """Thrust over mass in climbs and descents over the sum of commands, by two estimators.
 
-    A gust that the accelerometer feels makes the autopilot answer: commands and noise hang
-    together, and least squares finds too flat a curve, by about the gusts' share of the power. That
-    is its bias. Commands of seconds before know nothing of a gust: with them as instruments there
-    is none, but few flights climb enough for that. Both are merged by what they are off by. The
+    A gust that the accelerometer feels makes the autopilot answer: commands and noise correlate,
+    and least squares finds too flat a curve, by about the gusts' share of the power. That is its
+    bias. Commands of seconds before are independent of a gust: as instruments they have no such
+    bias, but few flights climb enough for that. Both are merged by what they are off by. The
     accelerometer gives the thrust, or the velocity does, whichever the commands explain better:
     some velocities are late, some accelerometers have a bias that their filter moves about.
     """
@@ -159,7 +159,7 @@ def _gentle(windows: Windows) -> Mask:
 def _with_gusts(fit: Fit, columns: Array, lift: Array, rotors: int) -> tuple[float, float]:
     """The curve of a fit, its deviation widened by the bias that gusts make.
 
-    White noise of the accelerometer makes none: what overlapping windows of it hang together by is
+    White noise of the accelerometer makes none: its correlation through overlapping windows is
     taken off the residuals' autocorrelation.
     """
     c, std = _ratio(fit)

@@ -1,8 +1,8 @@
 """Where the rotors are by how the vehicle turns, in logs without a layout.
 
 The moments of a layout's rotors must be what turns the vehicle: of all layouts that are flown, one
-explains the angular acceleration about roll and pitch and the others next to nothing of it. Over
-tenths of a second rotors turn a vehicle more than gusts do, which over seconds they only answer.
+explains the angular acceleration about roll and pitch and the others hardly any of it. Over tenths
+of a second rotors turn a vehicle more than gusts do, which over seconds they only answer.
 """
 
 import math

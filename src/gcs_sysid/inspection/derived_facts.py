@@ -78,7 +78,7 @@ class FlightWatch:
 
 
 class RotorJudge:
-    """Asks the chain's own selector, on the chain's own samples, which rotor stream to believe.
+    """Asks the chain's own selector, on the chain's own samples, which rotor stream to use.
 
     Args:
         airframe: whose rotors; its anchor is used where it has one.
@@ -108,7 +108,7 @@ class RotorJudge:
             self._note(self._sampler.take(part.tracks))
 
     def finish(self, sources: Sequence[RotorSource]) -> RotorInput:
-        """What identification rests on at the end, among the sources described."""
+        """The source that identification uses at the end."""
         self._take_waiting()
         self._note(self._sampler.finish())
         believed, rotor_selector = self._believed, self._rotor_selector

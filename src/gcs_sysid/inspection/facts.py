@@ -15,7 +15,7 @@ ONBOARD = ("ulog", "dataflash", "blackbox")
 
 Verdict = Literal["yes", "partly", "no"]
 Obtainable = Literal["everything", "all but Izz", "in part", "health", "nothing"]
-"""How much can be had; "all but Izz" where yaw was hardly flown."""
+"""Obtainable results; "all but Izz" where yaw was hardly flown."""
 
 
 @dataclass(frozen=True)

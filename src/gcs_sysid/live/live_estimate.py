@@ -102,7 +102,7 @@ class LiveEstimate:
         self.note(f"{in_words(defect)}: {lost}; what arrives is still recorded")
 
     def need(self) -> None:
-        """Make sure that there is an estimate to do something with.
+        """Check that there is an estimate to act on.
 
         Raises:
             InputError: it has ended.

@@ -79,7 +79,7 @@ class RequestsDone:
 
         Raises:
             NotAllowedError: that must never be sent.
-            KeyError: nothing of that name is ever asked.
+            KeyError: no request has that name.
         """
         self._gate.version = 1 if version == 1 else 2
         self._may[name](*(tuple(a) if isinstance(a, list) else a for a in arguments))

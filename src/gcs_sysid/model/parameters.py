@@ -95,10 +95,10 @@ class Parameter:
         section: of the result: "parameters" or "timing".
         sign: physical bound.
         prior: whether a value and standard deviation may be given before a flight.
-        axes: roll 0, pitch 1, yaw 2: whose fit it rests on.
+        axes: roll 0, pitch 1, yaw 2: whose fit determines it.
         mean_torque: whether the mean torque there determines it, however little else the fit
             explains.
-        rigid_body: whether it rests on the gyroscopic torque of a rigid body.
+        rigid_body: whether it depends on the gyroscopic torque of a rigid body.
         reference: of its status.
         clock: error by a wrong clock.
         usual: value and standard deviation to expect of a multirotor, relative ones over Ixx of

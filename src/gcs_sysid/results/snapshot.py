@@ -202,7 +202,7 @@ class Snapshot:
     t: float
     """Seconds since the first record, vehicle clock."""
     used_seconds: float
-    """Seconds of flight that the estimate rests on."""
+    """Seconds of flight used by the estimate."""
     flying: bool
     result: Result
     history: History

@@ -95,7 +95,7 @@ class SysidApp(ActingApp):
         return ending_with_its_terminal(super().get_driver_class())
 
     def _handle_exception(self, error: Exception) -> None:
-        """Leave; what there is to say of it is said by who has started this, in a line."""
+        """Leave; its message is printed by the caller, in a line."""
         super()._handle_exception(error)
         self.defect = self.defect or error
         if not os.environ.get("GCS_SYSID_DEBUG"):

@@ -129,7 +129,7 @@ class Chain:
         self.note("estimate reset")
 
     def check_anchor(self, kind: ScaleKind) -> None:
-        """Make sure that such a fact sets the scale with the rotors' input in use.
+        """Check that this sets the scale with the rotor input in use.
 
         Raises:
             InputError: it does not.
@@ -228,7 +228,7 @@ class Chain:
 
     @property
     def used_seconds(self) -> float:
-        """Flight time that the latest estimate rests on."""
+        """Flight time used by the latest estimate."""
         return self._learner.fit.seconds
 
     @property

@@ -215,7 +215,7 @@ class Pipeline:
                 "notes": [*remarks],
             }
             if wrong:
-                # Whatever was fitted rests on rotors that are elsewhere.
+                # All fits assumed rotors at other positions.
                 result, reasons = _without_numbers(result), (*wrong, *reasons)
         loss, serious = loss_reason(telemetry)
         if loss and result.verdict != "refused":

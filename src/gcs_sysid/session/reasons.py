@@ -26,7 +26,7 @@ def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[st
     Args:
         sampler: of the chain.
         learner: of the chain.
-        outdated: whether parameters came too late for what the estimate rests on.
+        outdated: whether parameters came too late to be used.
     """
     seen = sampler.seen
     if not seen:

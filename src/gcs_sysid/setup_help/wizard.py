@@ -41,7 +41,7 @@ T = TypeVar("T")
 
 _OWN = "own"
 _BACK = Rotor(math.nan, math.nan, 0)
-"""Stands for the wish to take the last motor back."""
+"""Signals that the last motor is to be taken back."""
 _SCALES: dict[str, AnchorName] = {"1": "mass", "2": "k_T", "3": "T_max"}
 
 

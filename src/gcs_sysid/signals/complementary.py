@@ -67,7 +67,7 @@ class ComplementaryFilter:
         self._until_bias = self._bias_samples
         self._last_reference: Array | None = None
         self._last_rates = np.zeros((2, 3))
-        # What is left of each sample's innovation after a while, and of the error before.
+        # Remainder of each sample's innovation after a while, and of the error before.
         age = np.arange(self._bias_samples)[:, None] - np.arange(self._bias_samples)
         self._memory = np.where(age >= 0, np.exp(-k_p * dt * np.maximum(age, 0)), 0.0)
         self._faded = np.exp(-k_p * dt * np.arange(1, self._bias_samples + 1))[:, None]

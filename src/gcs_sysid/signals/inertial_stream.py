@@ -33,7 +33,7 @@ class FaultCounts:
 class InertialBuffer(StreamBuffer):
     """Recent samples of gyro and accelerometer, (n, 6), given out without outliers, at the CG.
 
-    What it says of a time up to `settled` rests on the samples alone, not on when it is asked.
+    Its values up to `settled` depend on the samples alone, not on when they are requested.
 
     Args:
         faults: counts what is found.
@@ -59,7 +59,7 @@ class InertialBuffer(StreamBuffer):
 
     @property
     def _ahead(self) -> int:
-        """Samples after one that its value may rest on."""
+        """Samples after one that its value may use."""
         return outliers.AHEAD + self._among + _SLOPE
 
     def extend(self, t: Array, values: Array, marks: Array = _NONE) -> None:

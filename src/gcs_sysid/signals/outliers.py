@@ -49,7 +49,7 @@ def despiked(t: Array, x: Array, gap: float, least: float) -> tuple[Array, Mask]
     Args:
         t: (n,) s, rising.
         x: (n, width) samples.
-        gap: s; samples further apart have nothing to say of each other.
+        gap: s; samples further apart are not compared.
         least: unit of x; a smaller disagreement is no spike.
 
     Returns:
@@ -104,8 +104,8 @@ def _outside(x: Array) -> Array:
 def _disagreement(t: Array, x: Array, gap: float) -> tuple[Array, Array]:
     """(n, width) distance to the nearest of the two lines and the cubic; NaN: fewer than two.
 
-    And (n, width) to the nearest of these and of the lines that pass over a neighbor: what is
-    left of a sample's disagreement when its neighbors may be spikes.
+    And (n, width) to the nearest of these and of the lines that pass over a neighbor: remainder of
+    a sample's disagreement when its neighbors may be spikes.
     """
     step = np.diff(t)
     step[step > gap] = np.nan

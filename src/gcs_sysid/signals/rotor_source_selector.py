@@ -24,7 +24,7 @@ from gcs_sysid.signals.redundant_commands import say_the_same, twin_of
 from gcs_sysid.signals.rotor_units import PARAMETER_NAMES, Range, RotorSource, command_range
 
 STRETCH = 2.5
-"""s of flight that a judgement rests on."""
+"""s of flight used for a judgement."""
 MIN_RATE = 15.0
 """Hz. Slower streams do not follow the rotors."""
 _MOST = 2048

@@ -60,7 +60,7 @@ class _Stillness:
         return self.stands
 
     def follow(self, t: Array, values: Array) -> "_Followed":
-        """What `take` would say of (n,) times and (n, rotors) values, up to the first old ones."""
+        """As `take` for (n,) times and (n, rotors) values, up to the first old ones."""
         new = np.ones(len(t), dtype=bool)
         new[0] = not np.array_equal(values[0], self._last)
         new[1:] = (values[1:] != values[:-1]).any(axis=1)
@@ -211,7 +211,7 @@ def wild_rows(t: Array, v: Array, gap: float) -> Mask:
     Args:
         t: (n,) s, rising.
         v: (n, rotors) speeds.
-        gap: s; samples further apart say nothing of each other.
+        gap: s; samples further apart are not compared.
 
     Returns:
         (n,) never at the ends, nor beside a gap.

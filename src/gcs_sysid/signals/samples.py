@@ -7,7 +7,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 
 NEEDED_RATE = 50.0
-"""Hz of IMU and rotor data below which identification is not to be had from real flights."""
+"""Hz of IMU and rotor data below which identification from real flights is not possible."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Samples:
 
     @property
     def signals(self) -> tuple[Array, ...]:
-        """Those that estimates rest on as they come, in order: all but setpoints."""
+        """Those that estimates use as they arrive, in order: all but setpoints."""
         return (
             self.gyro, self.rates, self.speeds, self.attitude, self.force, self.velocity,
             self.apart, self.voltage,

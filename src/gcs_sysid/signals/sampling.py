@@ -95,14 +95,13 @@ class _Held:
 
 
 _Reading = tuple[RotorSource | None, str | None]
-"""The rotor stream that is believed, and its twin."""
+"""The selected rotor stream, and its twin."""
 
 
 class Sampler:
     """Aligns records, filters the attitude, takes the gyro's bias off, marks flight.
 
-    Until it is known which rotor stream to believe, blocks are held back, so that nothing of the
-    flight is lost.
+    Until a rotor stream is selected, blocks are held back, so that none of the flight is lost.
 
     Args:
         selector: of the rotor stream.
@@ -274,7 +273,7 @@ class Sampler:
         return sum(each.seconds for each in held) < _MOST_HELD and any(e.flies for e in held)
 
     def _release(self, newest_at: float) -> Iterator[SampleBlock]:
-        """The blocks held back, with the rotor stream that is believed now."""
+        """The blocks held back, with the rotor stream now selected."""
         held, self._held = self._held, []
         for each in held:
             yield self._read(each, self._reading, newest_at)
@@ -305,7 +304,7 @@ class Sampler:
     def _samples(self, block: Block) -> _Held:
         assert self._first is not None
         if block.fresh and block.t[0] - self._first < self.t:
-            # The vehicle's clock stepped back (a reboot); the session's time goes on.
+            # The vehicle's clock stepped back (a reboot); the session's time continues.
             self._first = float(block.t[0]) - self.t
         n, dt = len(block.t), self.time_base.dt
         t = block.t - self._first

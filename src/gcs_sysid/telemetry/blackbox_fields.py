@@ -308,7 +308,7 @@ class Layout:
         self.definition = definition
         self.fields = len(definition.names)
         self.longest = max(_SMALL_FRAME, _BYTES_A_FIELD * self.fields)
-        """Bytes of a frame that is believed, its letter not counted."""
+        """Longest plausible frame in bytes, its letter not counted."""
         self._parts = list(_parts(definition, version))
 
     def ends(self, window: ByteWindow, at: Array) -> Array:

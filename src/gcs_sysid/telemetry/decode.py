@@ -370,7 +370,7 @@ class RecordDecoder:
         timed = np.isfinite(t)
         finite = complete_rows(values)
         if stream is Stream.IMU and not finite.all():
-            # Nearly everything rests on the gyro: one without an accelerometer is of use.
+            # Nearly everything depends on the gyro: one without an accelerometer is of use.
             lame = timed & ~complete_rows(values[:, 3:])
             self._drop("accelerometer not finite", lame)
             values = values.copy()

@@ -3,7 +3,7 @@
 A tool that only listens can do no harm, and this one must not do more than ask: its heartbeat,
 requests for the rates of messages and groups of them, time synchronisation, and reading of
 parameters. Nothing that moves, arms, configures or restarts a vehicle can pass, and each field of
-what passes is held to what there is a use for: a caller's slip is refused as well.
+what passes is limited to useful values: a caller's slip is refused as well.
 """
 
 import math

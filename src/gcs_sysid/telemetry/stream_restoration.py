@@ -217,7 +217,7 @@ class StreamRestoration:
             )
 
     def _read(self) -> None:
-        """What a killed session left; a file that is none is passed over."""
+        """What a killed session left; an invalid file is skipped."""
         path = self._path
         if path is None or not path.is_file():
             return

@@ -196,7 +196,7 @@ class Scanner:
 
 
 class _Headers:
-    """What the frames at given positions say of themselves, and whether it is true."""
+    """Headers of the frames at given positions, and whether they are valid."""
 
     def __init__(self, data: Array, at: Array) -> None:
         head = rows_of(data, at, HEADER_2)

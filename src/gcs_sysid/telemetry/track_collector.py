@@ -144,7 +144,7 @@ class Recording:
         whole = np.isfinite(values)
         finite = whole.all(axis=1)
         if stream is Stream.IMU:
-            # Nearly everything rests on the gyro: one without an accelerometer is of use.
+            # Nearly everything depends on the gyro: one without an accelerometer is of use.
             finite = whole[:, :3].all(axis=1)
             values[finite & ~whole.all(axis=1), 3:] = np.nan
         self._drop("no time", ~believable)

@@ -1,4 +1,4 @@
-"""A link, whom it believes and what may be sent on it: all that touches a vehicle."""
+"""A link, the frames it accepts and what may be sent on it: all that touches a vehicle."""
 
 from dataclasses import dataclass
 from pathlib import Path

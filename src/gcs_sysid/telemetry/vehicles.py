@@ -163,7 +163,7 @@ class VehicleSelector:
         return chosen is not None and (frame.system, frame.component) == chosen.address
 
     def hear(self, heartbeat: Frame) -> None:
-        """Note what a heartbeat says of its sender."""
+        """Note a heartbeat's data on its sender."""
         vehicle_type, autopilot = _heartbeat(heartbeat.payload)
         who = (heartbeat.system, heartbeat.component)
         self._hear(Vehicle(*who, vehicle_type, autopilot, heartbeat.version))

@@ -299,7 +299,7 @@ def as_exact(airframe: Airframe) -> Airframe:
 
 
 def airframe_of_result(result: Result) -> Airframe:
-    """The airframe that a result rests on, with its scale, as far as the result holds it.
+    """The airframe of a result, with its scale, as far as the result holds it.
 
     Raises:
         InputError: it has no rotors or no scale.

@@ -121,7 +121,7 @@ class Access:
         return found
 
     def why_not(self, request: web.Request) -> str:
-        """Why a request is none of our own page's; empty where it is one."""
+        """Why a request is not from our own page; empty where it is one."""
         reached = ""
         if request.transport is not None:
             reached = str((request.transport.get_extra_info("sockname") or ("",))[0])
