@@ -32,7 +32,7 @@ _WIDE = 1.0
 _TENTHS = 10.0
 """`Reference.floors` are moments of a tenth of the arm."""
 _FEWEST_SCALES = 3
-"""Window means of the flight before, which give its noise free of the window's own."""
+"""Fewest scales of window means that determine a flight's noise without the window's own."""
 _VELOCITY_SENT = 0.5
 """Share of samples with a velocity."""
 

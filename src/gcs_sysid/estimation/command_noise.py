@@ -37,7 +37,7 @@ _FOLDS = 40
 _SETTLED = 12.0
 """Time constants after which a motor's response has ended."""
 _PLACES = 16
-"""Fraction of the interval between two streams' samples at which they count as separate."""
+"""Positions of one stream's samples between those of another that are distinguished."""
 
 
 def missed_and_seen(dt: float, loop_cutoff: float | None, apart: float | None = None) -> Array:

@@ -19,8 +19,8 @@ SURE = 0.01
 """How often two flights of one vehicle may be taken for those of two."""
 
 _COMPARED = range(rb.DAMPING)
-"""Of theta: inertia, CG, torque over thrust. Damping and rotor inertia are too weak for a
-decision."""
+"""Of theta: inertia, CG, torque over thrust. Damping and rotor inertia are too weakly
+observable."""
 _MODEL_ERROR = 0.01
 """Share by which fits of one vehicle may differ beyond their intervals: the model's own error,
 with wind, inflow and temperature."""

@@ -72,7 +72,8 @@ class ModelErrors:
     still_air: float = 0.1
     """m/s^2, of wind's push: flights without wind read 0.001 to 0.08."""
     not_rigid: float = 0.005
-    """Share of the model still trusted where the rigid-body test contradicts it."""
+    """Relative error of the remaining parameters where the rigid-body test contradicts the
+    model."""
 
 
 ERRORS = ModelErrors()

@@ -10,11 +10,11 @@ second,
 
 where eps, the inverse slope of the thrust curve, and k, its bend, are as unknown as the drift D and
 its rate b. Where the battery's voltage V is reported, w = ln(V_0 / V) explains most of it: beta is
-1 where thrust depends on their product, 2 where thrust is linear in the command and a motor's speed
-goes with the voltage, 0 where the autopilot or a speed controller compensates for it. A Kalman
-filter follows the six. Commands times exp(-D) make thrust as at V_0 (without a voltage, as at the
-start), whatever the curve: where it is a straight line full thrust has fallen by D, where it is a
-parabola by 2 D, and so do one command and its square.
+1 where thrust depends on the product of voltage and command, 2 where thrust is linear in the
+command and a motor's speed goes with the voltage, 0 where the autopilot or a speed controller
+compensates for it. A Kalman filter follows the six. Commands times exp(-D) make thrust as at V_0
+(without a voltage, as at the start), whatever the curve: where it is a straight line full thrust
+has fallen by D, where it is a parabola by 2 D, and so do one command and its square.
 
 Other effects may look like drift: gusts, drag in a climb, a rough accelerometer, a payload.
 Commands are scaled only by a loss of thrust (by a gain as far as the voltage has risen), and only

@@ -34,8 +34,8 @@ SHOCK = 6.0
 _JUDGED = 3
 """Rounds of judging them, each by the fit without those found before."""
 _JUDGED_ALIKE = 12
-"""Times that batches are judged by the whiteners found before, 5 s each: any of them shows a
-bump."""
+"""Times that batches are judged by the whiteners found before, 5 s each: a bump shows with any of
+them."""
 _JUDGES = 3
 """Iterations of a fit that judges, from the one before: the strongest are 6 times the median."""
 _MOST_SHOCKS = 0.25

@@ -73,7 +73,7 @@ class Learner:
         self.rotors: RotorSource | None = None
         """The stream in use."""
         self.cutoffs: Cutoffs = (None, None)
-        """Conditions that the estimate allows for."""
+        """Hz, gyro low-passes that the estimate allows for."""
         self.anchors = [anchor]
         """The scale of each segment, and that in force."""
         self.tracker: Tracker | None = None

@@ -256,9 +256,10 @@ class ClockDrift:
     LEAST_MOMENTS = 11
     """Fewest for `bounds`."""
     UNEVEN = 8.0
-    """Error of the slope, relative to the offsets' scatter about a line over the time received.
-    Jitter without memory makes slopes of up to 3 times that, a clock that is set 5 times, and
-    delays that wander like a random walk 5 times in one flight of ten, 9 in one of a hundred."""
+    """Bound on the slope's error, in units of the offsets' scatter about a line over the time
+    received. Jitter without memory makes slopes of up to 3 times that, a clock that is set 5 times,
+    and delays that wander like a random walk 5 times in one flight of ten, 9 in one of a
+    hundred."""
 
     def __init__(self) -> None:
         self._moments: list[tuple[float, float]] = []
