@@ -180,7 +180,7 @@ def _maximum(tracker: Tracker, online: Fit, on_progress: Progress) -> OfflineFit
         covariance=full[:n, :n],
         full_covariance=full,
         coordinates=np.array([found.delay, *rotation.coordinates[1:]]),
-        # Without a prior the information is the data's alone, and more than online.
+        # Without a prior the data determine all, and more than online.
         data_std=rotation.data_std if tracker.estimator.prior is not None else found.std,
     )
     bounding = replace(fit, covariance=np.diag(found.bound**2))

@@ -486,7 +486,7 @@ class OnlineEstimator:
         )
 
     def _moments(self, fit: RotationFit | None) -> FitMoments | None:
-        """State of the whole record, at a fit of it."""
+        """Moments of the whole record, at a fit of it."""
         if fit is None or self._record.article is not None:
             return None
         warm_start = _WarmStart(fit, None, self._record.batches, 0.0, self._left_out)

@@ -113,7 +113,7 @@ class WhitenedEstimator:
 
         Args:
             start: an earlier fit of it; None: from the data alone.
-            prior: prior knowledge.
+            prior: on the unknowns.
             rigid: whether the body has gyroscopic torque.
             calm: whether no steady wind blows.
 

@@ -96,7 +96,7 @@ class Coach:
         # (axis, Hz) -> share of the asked swing that came.
         self._swings: dict[tuple[str, float], float] = {}
         self._window = np.zeros(4)  # squared rates and s of the window that fills
-        self._tried = np.zeros(4)  # the same of those in which it swings
+        self._tried = np.zeros(4)  # the same over windows with motion
         self._asked = np.zeros(3)  # squared rates, mean over what is advised
         self._damped = ""
         chain.observers.append(self.take)
@@ -182,9 +182,7 @@ class Coach:
         self._seconds = fit.seconds
 
     def _is_damped(self) -> bool:
-        """Whether the advised maneuver comes out much smaller than asked; then that is
-        remembered.
-        """
+        """Whether the advised maneuver comes out much smaller than asked, which is then kept."""
         if self.choice is None or self._tried[3] < _TRIED_FOR:
             return False
         asked = self.choice.manoeuvre

@@ -215,7 +215,7 @@ class Pipeline:
                 "notes": [*remarks],
             }
             if wrong:
-                # All fits assumed rotors at other positions.
+                # All fits assumed other rotor positions.
                 result, reasons = _without_numbers(result), (*wrong, *reasons)
         loss, serious = loss_reason(telemetry)
         if loss and result.verdict != "refused":
