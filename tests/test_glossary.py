@@ -25,9 +25,9 @@ DOCS = re.compile(
     re.IGNORECASE,
 )
 PROSE = re.compile(
-    r"\b(told|tells?|telling|untold|speaks?|spoke|yardsticks?|reckon\w*|makes of|where to:|"
-    r"balance point|hears?|heard|footing|anew|learnt|held against|whoever|nobody|somebody|"
-    r"(?:write|writes|written) over|stands? in for|unlearnt|"
+    r"\b(told|tells?|telling|untold|speaks?|spoke|yardsticks?|reckon\w*|makes\s+of|where\s+to:|"
+    r"balance\s+point|hears?|heard|footing|anew|learnt|held\s+against|whoever|nobody|somebody|"
+    r"(?:write|writes|written)\s+over|stands?\s+in\s+for|unlearnt|"
     r"colour(?:s|ed|ing)?|neighbour(?:s|ing)?|behaviour|(?:un)?modelled|metres?|centres?|"
     r"manoeuvres?|(?:normal|marginal|linear|minim)ise[drs]?|analysed?)\b",
     re.IGNORECASE,
@@ -113,7 +113,7 @@ def test_messages_use_the_words_of_the_glossary(folder):
 
 
 def prose(source: str) -> Iterator[tuple[int, str]]:
-    """Docstrings and comments without what stands between backticks: first line and text."""
+    """Docstrings and comments: first line and text."""
     for node in ast.walk(ast.parse(source)):
         text = node.value if isinstance(node, ast.Expr) else None
         if isinstance(text, ast.Constant) and isinstance(text.value, str):

@@ -231,12 +231,12 @@ def _search(
     known = record.speed_process(start)
     weighed: Weighed | None = None
     damping, converged, refits = 0.0, False, 0
-    before, weighed_anew = 0.0, True
+    before, reweighted = 0.0, True
     passes = max(most_passes(record.rows), _FEWEST)
     for iteration in range(passes):
         progress(iteration / passes)
         if 0 < iteration < _NOISE_REFITS:
-            noise, weighed, weighed_anew = _fit_noise(record, point), None, True
+            noise, weighed, reweighted = _fit_noise(record, point), None, True
             known = record.speed_process(point.theta)
         if weighed is None:
             weighed = weigh(record, point, noise, known)
@@ -248,9 +248,9 @@ def _search(
         # Fast changes of the speeds, noise among them, make more of the delay's information than
         # there is: steps fall short by one share, which two of them show (Aitken).
         wanted = -float((_inverse(information) @ gradient)[DELAY])
-        short = 0.0 if not before or weighed_anew else wanted / before
+        short = 0.0 if not before or reweighted else wanted / before
         ahead = 1.0 / (1.0 - short) if 0.2 < short < 0.9 else 1.0
-        before, weighed_anew = (0.0 if ahead > 1.0 else wanted), False
+        before, reweighted = (0.0 if ahead > 1.0 else wanted), False
         found: Linearisation | None = None
         after: Weighed | None = None
         while found is None and damping < _MAX_DAMPING:
@@ -282,7 +282,7 @@ def _search(
             if _alike(noise, latest):
                 converged = True
                 break
-            noise, weighed, weighed_anew = latest, None, True
+            noise, weighed, reweighted = latest, None, True
             known = record.speed_process(point.theta)
         damping = 0.1 * damping if damping > 1e-6 else 0.0
     if weighed is None:

@@ -309,7 +309,7 @@ class Tracker:
             fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
             self._go_on_with(fresh, [])
             self.start = trial.start
-            self._watch_anew()
+            self._restart_detection()
         self.stopped = False
         for part in trial.parts:
             if part is None:
@@ -420,7 +420,7 @@ class Tracker:
         for part in kept:
             fresh.update(part)
         self._go_on_with(fresh, kept if self._keep else [])
-        self._watch_anew()
+        self._restart_detection()
         self._add(event)
 
     def _fresh(self, *, landed: bool) -> OnlineEstimator:
@@ -430,7 +430,7 @@ class Tracker:
             fresh.drift.go_on_from(before, landed=landed)
         return fresh
 
-    def _watch_anew(self) -> None:
+    def _restart_detection(self) -> None:
         """Another vehicle: residuals of the last one do not apply."""
         if len(self.segments) >= MOST_SEGMENTS:
             self._changes = None

@@ -283,7 +283,7 @@ class LiveSession:
             case ResetMark(time_us):
                 self._estimate.reset(time_us)
             case RecordingCut():
-                self._begin_anew()
+                self._restart()
             case Toggled(text):
                 self._toggling = False
                 self._estimate.note(text)
@@ -381,7 +381,7 @@ class LiveSession:
         self._choice = vehicle
         self._source.cut_recording(path)
 
-    def _begin_anew(self) -> None:
+    def _restart(self) -> None:
         """Restart in every respect, so that the new recording's analysis ends the same."""
         vehicle, before = self._choice, self._estimate
         assert vehicle is not None

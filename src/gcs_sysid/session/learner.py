@@ -169,8 +169,8 @@ class Learner:
                 return  # nothing flies: no reason to give up what is known
             if tracker is not None and tracker.start is not None:
                 old, new = 1.0 / tracker.dt, 1.0 / block.dt
-                anew = f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate restarts"
-                self.note(block.newest_at, anew)
+                text = f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate restarts"
+                self.note(block.newest_at, text)
             tracker = self.tracker = self._new_tracker(block.dt, known)
             tracker.reserve()
             # Rows are counted from the first sample in flight, however blocks fall.

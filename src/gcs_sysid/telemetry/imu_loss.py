@@ -85,7 +85,7 @@ class ImuLoss:
         times = np.concatenate([self._before[-1:], self._held, t[:room]])
         return room if bool((times[1:] > times[:-1]).all()) else 0
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """The clock has gone back: later samples are not compared with earlier ones."""
         self._settle(len(self._held))
         self._before, self._interval = np.empty(0), 0.0

@@ -172,7 +172,7 @@ class Intake:
             if beat:
                 self.selector.hear(frame)
             if before is not None and self.selector.go_over(frame):
-                self._begin_anew(before)
+                self._switch_vehicle(before)
                 self._take_chosen(one, out, counted=True)
             else:
                 self.fates["others"] += 1
@@ -292,12 +292,12 @@ class Intake:
         selector = self.selector
         return selector.chosen is not None and selector.wanted is None and self.clock is None
 
-    def _begin_anew(self, first: Vehicle) -> None:
+    def _switch_vehicle(self, first: Vehicle) -> None:
         """Another vehicle is the chosen one: of the first there were heartbeats alone."""
         self._others.add(first.address)  # reported here
         self.decoder = RecordDecoder()
         self._contradictions = Contradictions()
-        self.monitor.begin_anew()
+        self.monitor.restart()
         self._note(
             "vehicles",
             f"{first}, the first received, sends heartbeats only: "

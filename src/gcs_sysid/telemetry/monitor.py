@@ -162,7 +162,7 @@ class Monitor:
         self.unknown += counts.get(UNKNOWN, 0)
         self.bad_crc += counts.get(BAD_CRC, 0)
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """From now on another vehicle is the chosen one; totals over all senders continue."""
         self.heard = 0
         self._counts.clear()
@@ -235,7 +235,7 @@ class Monitor:
             self._first = None
             self._steps.clear()
             self._imu_last = None
-            self._imu_loss.begin_anew()
+            self._imu_loss.restart()
         if self._first is None:
             self._first = now
 
