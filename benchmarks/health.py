@@ -54,7 +54,7 @@ STEP_US = 4000
 ORDINARY = DoubletMission("ordinary", 0.4, 2.5, 0.2, 4.0, 1.5, 0.02)
 """What most flights are: gentle, with climbs of 1.5 m, in light turbulence."""
 HOVER = 30.0
-"""s of the flight that is learnt from."""
+"""s of the flight used as the baseline."""
 STRETCH = 10.0
 """s in which a weak rotor is to be named."""
 LOSS = 0.05

@@ -4,9 +4,9 @@
 
 `thinned`: recordings with known parameters at 25 Hz of IMU and 10 Hz of rotors. `repeated`: one
 real flight in three parts. `every`: all logs below the folder without an airframe file or an arm
-(tables with `--csv`), what each tells or why it tells nothing, and rotors called weak in a flight;
+(tables with `--csv`), the findings of each or why it has none, and rotors called weak in a flight;
 none has a known fault. `formats`: flights that there are as .BFL and as .tlog: do `health` and
-`analyze` tell the same of both, and is any rotor called weak against the flight before?
+`analyze` agree on both, and is any rotor called weak against the flight before?
 """
 
 import argparse
