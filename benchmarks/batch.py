@@ -50,7 +50,7 @@ def batch(logs: Path, out: Path, workers: int) -> tuple[float, float]:
 
 
 def main() -> int:
-    """Fly, analyse and tell; 1 when the bar is missed."""
+    """Fly, analyze and report; 1 when the bar is missed."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--logs", type=int, default=200, help="how many (default 200)")
     parser.add_argument("--seconds", type=float, default=30.0, help="length of each flight")

@@ -62,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
     parser.add_argument("--turns", type=int, default=3)
     options = parser.parse_args(argv)
-    logging.disable(logging.CRITICAL)  # orangebox tells of every header that it misses
+    logging.disable(logging.CRITICAL)  # orangebox warns of every header that it misses
     print(f"{'file':16}{'MB':>6}{'frames':>8}{'values':>11}{'orangebox':>11}{'all':>8}{'ratio':>7}"
           f"{'records':>9}{'ratio':>7}{'differ':>8}")  # fmt: skip
     wrong = 0

@@ -78,7 +78,7 @@ def _fits(values: Sequence[int], bits: Sequence[int]) -> bool:
 
 
 def tag2_3(values: Sequence[int], *, variable: bool) -> bytes:
-    """Two bits that tell the widths, and three values."""
+    """Two bits for the widths, and three values."""
     a, b, c = values
     if _fits(values, (2, 2, 2)):
         return bytes([(a & 3) << 4 | (b & 3) << 2 | c & 3])

@@ -10,7 +10,7 @@ saturation and aerodynamics, on speeds and on commands, and counts the changes c
 a fifth of the mass in flight, or takes 15 % of one rotor's thrust, and prints how many were found,
 when it was decided, and errors 15 s later. `battery` flies on commands while the battery loses a
 fifth of its voltage: evenly, with a resistance besides, and with a fifth of the mass taken on half
-way; its voltage is told every second, or not at all. `logs` lists what is found in recorded
+way; its voltage is reported every second, or not at all. `logs` lists what is found in recorded
 flights, and whether that is what it is to be (`benchmarks.recorded_changes`).
 
 Flights come from the emulator's ensemble, with noise of MEMS sensors at 250 Hz; times are of the

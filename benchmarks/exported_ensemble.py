@@ -4,8 +4,8 @@
 
 writes N vehicles drawn from the covariance of a result by `gcs-sysid export --to mjcf --ensemble
 N`, loads each with MuJoCo, and flies a step of the rotors' thrusts from rest. The spread of rates
-and climb over the ensemble is held against what the covariance gives to first order, G P G', with
-the derivatives G of rigid-body motion, and chi-square tells how likely such a difference is.
+and climb over the ensemble is compared with what the covariance gives to first order, G P G', with
+the derivatives G of rigid-body motion, and chi-square shows how likely such a difference is.
 Without a result that of `logs/sample.tlog` is taken.
 """
 

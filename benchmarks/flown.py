@@ -1,4 +1,4 @@
-"""What a minute of flying tells of the inertia, by what is flown: the table of docs/flying.md.
+"""Accuracy of the inertia from a minute of flying, by what is flown: the table of docs/flying.md.
 
     python -m benchmarks.flown
 

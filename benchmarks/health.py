@@ -54,7 +54,7 @@ STEP_US = 4000
 ORDINARY = DoubletMission("ordinary", 0.4, 2.5, 0.2, 4.0, 1.5, 0.02)
 """What most flights are: gentle, with climbs of 1.5 m, in light turbulence."""
 HOVER = 30.0
-"""s of the flight that is learnt from."""
+"""s of the flight used as the baseline."""
 STRETCH = 10.0
 """s in which a weak rotor is to be named."""
 LOSS = 0.05
@@ -244,7 +244,7 @@ def _scores(
         airframe = misplaced(drawn.airframe, random) if scatter else drawn.airframe
         airframe = replace(airframe, rotor_input="speed" if speeds else "command")
         told = health_of_log(log, Given(airframe)) if speeds else _by_commands(log, airframe)
-        if not told.told:
+        if not told.available:
             print(f"vehicle {number}: {told.reasons}")
             continue
         assert told.cg is not None

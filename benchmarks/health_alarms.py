@@ -177,9 +177,9 @@ def recorded(folders: Sequence[Path]) -> Iterator[str]:
                     health = health_of_log(file, Given(given))
                 except InputError:
                     continue
-                if health.told:
+                if health.available:
                     break
-            if health is None or not health.told:
+            if health is None or not health.available:
                 continue
             logs += 1
             hover += health.seconds

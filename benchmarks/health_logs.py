@@ -4,9 +4,9 @@
 
 `thinned`: recordings with known parameters at 25 Hz of IMU and 10 Hz of rotors. `repeated`: one
 real flight in three parts. `every`: all logs below the folder without an airframe file or an arm
-(tables with `--csv`), what each tells or why it tells nothing, and rotors called weak in a flight;
+(tables with `--csv`), the findings of each or why it has none, and rotors called weak in a flight;
 none has a known fault. `formats`: flights that there are as .BFL and as .tlog: do `health` and
-`analyze` tell the same of both, and is any rotor called weak against the flight before?
+`analyze` agree on both, and is any rotor called weak against the flight before?
 """
 
 import argparse
@@ -111,7 +111,7 @@ def every(folder: Path, mapping: Path | None = None) -> Iterator[str]:
         except InputError as error:
             yield f"| {name} | | | | | | {error} |"
             continue
-        if not health.told:
+        if not health.available:
             yield f"| {name} | | | | | | {'; '.join(health.reasons)} |"
             continue
         told += 1
@@ -151,7 +151,7 @@ def formats(folder: Path) -> Iterator[str]:
         one, other = (health_of_log(path, Given(airframe)) for path in both)
         a, b = (analyze_log(path, airframe) for path in both)
         flights.append(one)
-        if not (one.told and other.told and one.cg and other.cg):
+        if not (one.available and other.available and one.cg and other.cg):
             yield f"| {log.stem} | {'; '.join(one.reasons)} | {'; '.join(other.reasons)} | | |"
             continue
         cg = max(
@@ -174,7 +174,7 @@ def formats(folder: Path) -> Iterator[str]:
             f"| {widest} |"
         )
     called = []
-    for before, after in pairwise([flight for flight in flights if flight.told]):
+    for before, after in pairwise([flight for flight in flights if flight.available]):
         given = Given(airframe, baseline=as_baseline(before))
         condition = health_of_log(Path(after.source), given).condition
         if condition is not None:

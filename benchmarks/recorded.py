@@ -49,7 +49,7 @@ def truth_of(log: Path) -> dict[str, float]:
 
 
 def airframe_of(log: Path) -> Airframe:
-    """Where its rotors were: the .toml beside it, or as its truth tells."""
+    """Where its rotors were: the .toml beside it, or by its truth."""
     if (file := log.with_suffix(".toml")).exists():
         return load_airframe(str(file))
     table = json.loads(log.with_suffix(".truth.json").read_text())

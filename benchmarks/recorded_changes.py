@@ -1,7 +1,7 @@
 """Changes, landings and air time found in recorded flights, and what they are to be.
 
 Part of `benchmarks.changes logs`. Airframes are found as by `benchmarks.unchanged`. A .truth.json
-beside a log may tell of a true change: `mass_after` and, under `events`, the Unix time at which
+beside a log may list a true change: `mass_after` and, under `events`, the Unix time at which
 `mass_after` came into force. Other logs have none.
 """
 

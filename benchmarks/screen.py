@@ -1,11 +1,11 @@
-"""What the live screen costs, and how soon it answers, while a vehicle speaks at 250 Hz.
+"""Cost and latency of the live screen while a vehicle sends at 250 Hz.
 
     python -m benchmarks.screen
 
 Runs `gcs-sysid live` as it is, in a pseudo-terminal, with the emulator flying at the pace of the
 clock; presses a key at seeded moments and waits for the answer to be drawn. Linux alone.
 
-Wall time tells only on a machine that does nothing else. "Computed" is the processor time of all
+Wall time is meaningful only on an otherwise idle machine. "Computed" is the processor time of all
 the program's threads from the key to its answer: what the wait comes to where nothing else runs,
 whatever runs here.
 """

@@ -30,7 +30,7 @@ class Measured(NamedTuple):
     peak: float
     """Bytes of memory at most, interpreter and libraries included."""
     messages: int | None
-    """Messages of the four types; None where the reader does not tell."""
+    """Messages of the four types; None where the reader does not report them."""
     longest: float = 0.0
     """Processor time of the process that takes most, where there are two; else 0."""
 
@@ -196,7 +196,7 @@ def _of_children() -> float:
 def peak_memory() -> float:
     """Bytes of memory that this process has held at most."""
     try:
-        # Since the program was loaded; what getrusage tells includes the parent's.
+        # Since the program was loaded; getrusage includes the parent's.
         status = Path("/proc/self/status").read_text()
         return 1024.0 * int(status.split("VmHWM:")[1].split()[0])
     except OSError:

@@ -35,7 +35,7 @@ SHOWN = (
 )  # fmt: skip
 FIFTH = 5
 _BAND = (0.05, 20.0)
-"""Hz, in which the flight tells anything."""
+"""Hz, band in which the flight has information."""
 _MOTION = 12.0
 """Hz; the vehicle moves below, and what the gyro shows above is noise."""
 

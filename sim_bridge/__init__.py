@@ -1,1 +1,1 @@
-"""A software-in-the-loop multirotor that speaks MAVLink 2 as PX4 does."""
+"""A software-in-the-loop multirotor that sends MAVLink 2 as PX4 does."""

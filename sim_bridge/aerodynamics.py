@@ -13,7 +13,7 @@ vortex ring. The lumped coefficients k_D, k_z, k_h and k_f are those of Svacha, 
 "Improving quadrotor trajectory tracking by compensating for aerodynamic effects" (ICUAS 2017),
 who derive them from blade-element theory; H-force and flapping also in Mahony, Kumar and Corke,
 "Multirotor aerial vehicles" (IEEE RAM 2012), k_D and k_z as accelerations over speed in Faessler,
-Franchi and Scaramuzza (RA-L 2018). Of k_h, the vehicle's own speed stands for that of each hub.
+Franchi and Scaramuzza (RA-L 2018). For k_h, the vehicle's own speed approximates that of each hub.
 
 All but k_h and c are linear in Omega_i, so the rotors enter by six sums over them alone. Values
 are floats, or arrays of shape (N,) for an ensemble.

@@ -62,9 +62,9 @@ class AnsweringAutopilot(ABC):
         self._jump_tick = self._tick_of(self._sensor_faults.clock_jump[0])
         self._reset_tick = self._tick_of(self._sensor_faults.rate_reset)
         self._silent_until = 0
-        # After the first heartbeats and samples: what comes before them is nobody's.
-        tells = round(0.5 / self._sim.step_size) if self._sensor_faults.parameters else -1
-        self._tells_tick = tells
+        # After the first heartbeats and samples: what comes before them belongs to no vehicle.
+        parameters_tick = round(0.5 / self._sim.step_size) if self._sensor_faults.parameters else -1
+        self._parameters_tick = parameters_tick
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
         if writer.signer is not None:
@@ -109,8 +109,8 @@ class AnsweringAutopilot(ABC):
         frames: list[bytes] = []
         if tick < self._silent_until:
             return frames
-        if tick >= self._tells_tick >= 0:
-            self._tells_tick = -1
+        if tick >= self._parameters_tick >= 0:
+            self._parameters_tick = -1
             frames += self._parameter_list(None)
         for stream in self.schedule.take(tick):
             if self._is_sent(stream):
@@ -234,7 +234,7 @@ class AnsweringAutopilot(ABC):
 
     def _timesync(self, message: Any) -> list[bytes]:
         if message.tc1 != 0:
-            return []  # an answer to somebody else's question
+            return []  # a reply to another station's request
         now = self.instruments.now_us * 1000
         return [self.writer.frame(mavlink.MAVLink_timesync_message, now, message.ts1)]
 
@@ -288,7 +288,7 @@ class AnsweringAutopilot(ABC):
         return [self._parameter(index)]
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Give a parameter a value, and do what it stands for.
+        """Set a parameter and apply its effect.
 
         Raises:
             KeyError: there is no such parameter.

@@ -23,7 +23,7 @@ STEP_US = 1250
 """Step of the physics for this autopilot: half its loop."""
 
 LOOP_STEPS = 2
-"""Physics steps a turn of the main loop: 400 Hz. Messages leave, and rotors are told, then."""
+"""Physics steps a turn of the main loop: 400 Hz. Messages are sent, and rotors commanded, then."""
 
 LEAST_INTERVAL_MS = 3
 """No message more often: 0.8 times the loop's rate, in whole milliseconds."""
@@ -242,7 +242,7 @@ class ArduPilot(AnsweringAutopilot):
         return []
 
     def _set_group(self, group: int, rate: int, tick: int) -> None:
-        """Set the rates of a group's messages, whatever was asked of each before."""
+        """Set the rates of a group's messages, overriding earlier requests for each."""
         groups = _GROUPS if group == mavlink.MAV_DATA_STREAM_ALL else (group,)
         least = LEAST_INTERVAL_BEFORE_4_MS if self._sensor_faults.groups_only else LEAST_INTERVAL_MS
         interval = max(1000 // rate, least) if rate else 0

@@ -50,7 +50,7 @@ def spin_range(vehicle: Vehicle) -> tuple[float, float]:
 def ardupilot_parameters(vehicle: Vehicle, sysid: int) -> list[Parameter]:
     """The parameters, sorted by name.
 
-    None of them tells a true value: neither mass nor inertia nor thrust is in here, and
+    None of them reveals a true value: neither mass nor inertia nor thrust is in here, and
     MOT_THST_EXPO is its default, whatever the vehicle's curve.
     """
     n = len(vehicle.rotors)

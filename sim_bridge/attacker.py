@@ -44,7 +44,7 @@ class Attacker:
         return bytes((MAGIC,)) + data if self._random.random() < 0.5 else data
 
     def _heartbeat(self) -> bytes:
-        """The vehicle's, which says that it stands on the ground as somebody else; or another's."""
+        """The vehicle's, reporting it on the ground as another type; or another vehicle's."""
         system, component = VEHICLE
         if self._random.random() < 0.5:
             system, component = (int(n) for n in self._random.integers(1, 256, 2))
@@ -60,7 +60,7 @@ class Attacker:
         )
 
     def _flood(self) -> bytes:
-        """What would spoil an estimate, by systems that nobody asked."""
+        """Messages that would spoil an estimate, from systems that were not asked."""
         system = int(self._random.integers(2, 256))
         values = self._random.standard_normal(9).tolist()
         return self._writer(system, 1).frame(

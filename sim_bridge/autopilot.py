@@ -38,7 +38,7 @@ class VehicleClock:
         return self._start_us + true + round(true * self._drift)
 
     def restart(self, tick: int, start_us: int) -> None:
-        """The vehicle was switched on anew, `start_us` before this step."""
+        """The vehicle was rebooted `start_us` before this step."""
         self._start_tick = tick
         self._start_us = start_us
 

@@ -365,7 +365,7 @@ def _autopilot(
     sensor_faults: SensorFaults,
     seed: np.random.SeedSequence,
 ) -> AnsweringAutopilot:
-    """Who speaks, and in which version of MAVLink."""
+    """Autopilot and its version of MAVLink."""
     only_file = args.tlog is not None and args.connect is None
     signer = None
     if args.signing_key is not None:
@@ -379,7 +379,7 @@ def _autopilot(
         )
     writer = FrameWriter(1, 1, args.mavlink, signer)
     if args.autopilot == "ardupilot":
-        # Nobody can ask through a file, so what a recording needs has been asked for.
+        # A file carries no requests, so the messages that a recording needs are enabled beforehand.
         asked = ardupilot.recorder_rates(args.rate) if only_file else None
         return ArduPilot(simulation, args.noise, args.sigma, seed, sensor_faults, writer, asked)
     return Px4(simulation, args.noise, args.sigma, args.rate, seed, sensor_faults, writer)

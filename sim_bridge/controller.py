@@ -25,7 +25,7 @@ class Gains:
     """Gains and limits of the loops.
 
     Attributes:
-        position: 1/s^2, acceleration per metre. Low on purpose: the tilts of the excitation swing
+        position: 1/s^2, acceleration per meter. Low on purpose: the tilts of the excitation swing
             the vehicle to and fro, and a stiff position loop would take the excitation away.
         velocity: 1/s.
         height: 1/s^2.

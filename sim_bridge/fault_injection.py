@@ -31,7 +31,7 @@ class FaultInjector:
 
     Attributes:
         sensor_faults: which are in force.
-        now: s since the start of the flight, as the owner tells.
+        now: s since the start of the flight, set by the owner.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class FaultInjector:
         self._last_angles: Sample = []
 
     def rpm(self, speeds: Sample) -> list[int]:
-        """What the rpm field says of these rotor speeds in rad/s, motor by motor."""
+        """The rpm field for these rotor speeds in rad/s, motor by motor."""
         sensor_faults = self.sensor_faults
         if (
             sensor_faults.rpm_repeats

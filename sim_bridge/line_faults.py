@@ -45,7 +45,7 @@ class LineFaults:
 
     @property
     def intruders(self) -> bool:
-        """Whether somebody else sends on the same port."""
+        """Whether another sender uses the same port."""
         return bool(self.garbage or self.forged or self.flood)
 
 

@@ -48,7 +48,7 @@ class Link(Protocol):
 
 
 class _OneSender(ABC):
-    """A link on which whoever else sends cannot be told apart by an address."""
+    """A link on which other senders have no address of their own."""
 
     @abstractmethod
     def send(self, frames: list[bytes], time_us: int) -> None:
@@ -64,7 +64,7 @@ class UdpLink:
     """UDP, either way round.
 
     Attributes:
-        peer: where frames go; None until somebody has spoken on a listening link.
+        peer: where frames go; None until something was received on a listening link.
     """
 
     def __init__(self, host: str, port: int, listen: bool) -> None:
@@ -108,7 +108,7 @@ class UdpLink:
             with contextlib.suppress(OSError):
                 self._socket.sendto(data, self.peer)
         except OSError:
-            # Nobody listens there yet, or the network is away: a radio would not notice either.
+            # There is no listener yet, or no network: a radio would not notice either.
             return
 
     def intrude(self, datagrams: list[bytes], time_us: int) -> None:
@@ -226,7 +226,7 @@ class SerialLink(_OneSender):
             raise LinkError(f"cannot open serial port {device} at {baud} baud: {error}") from error
 
     def send(self, frames: list[bytes], time_us: int) -> None:
-        """Send frames; waits while the port is busy, but not for ever: nobody may read."""
+        """Send frames; waits while the port is busy, but not for ever: there may be no reader."""
         del time_us
         try:
             self._port.write(b"".join(frames))
@@ -271,7 +271,7 @@ class TlogLink:
         self._write(frames, time_us, 0)
 
     def intrude(self, datagrams: list[bytes], time_us: int) -> None:
-        """Write what a receiver makes out in somebody else's datagrams."""
+        """Write what a receiver finds in another sender's datagrams."""
         self._write(datagrams, time_us, 1)
 
     def _write(self, frames: list[bytes], time_us: int, sender: int) -> None:

@@ -88,7 +88,7 @@ class Swing:
         n'' = -|n'|^2 n - ((a - g) - n (n . (a - g))) / l,   T = m_L (l |n'|^2 - n . (a - g))
         F = T n + m_L (a - g),   M = r x R^T T n
 
-    F is on top of a payload fixed at the CG: in steady hover there is none.
+    F is on top of a payload fixed at the CG: in steady hover it is zero.
     """
 
     HOOK = 0.2

@@ -15,7 +15,7 @@ PERIOD = 0.02
 
 
 class OtherSystems:
-    """Makes the frames of whoever else is on the link, as the traps ask for.
+    """Makes the frames of other systems on the link, as the traps require.
 
     The second vehicle is a PX4 that sends what would spoil an estimate if it were taken for the
     first one's: rates, attitude and rotor speeds of random size.

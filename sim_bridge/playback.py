@@ -10,15 +10,15 @@ from sim_bridge.server import Pacing
 MOST_PAUSE = 60.0
 """s. Longer pauses in a recording are shortened to this: nothing flew, or a stamp is wrong."""
 _ANSWER = 0.05
-"""s between looks whether somebody has spoken to a link that must be spoken to first."""
+"""s between checks of a listening link for a first datagram."""
 
 
 def play(recording: Iterable[tuple[int, Frame]], link: Link, pace: Pacing) -> int:
-    """Send all frames of a recording, whoever sent them, broken and unknown ones too.
+    """Send all frames of a recording, of any sender, broken and unknown ones too.
 
     Args:
         recording: time in us and frame, as `read_tlog` gives them.
-        link: where to; what comes back is read, and nobody answers.
+        link: to send on; what comes back is read and ignored.
         pace: as recorded, faster, or by what the other side takes.
 
     Returns:
@@ -52,7 +52,7 @@ def moments(recording: Iterable[tuple[int, Frame]]) -> Iterator[tuple[float, lis
 
 
 def wait_for_somebody(link: Link) -> None:
-    """Wait until a link knows whom to send to: on udpin, until somebody has spoken."""
+    """Wait until a link has a peer: on udpin, until something was received."""
     while not link.connected:
         link.receive()
         time.sleep(_ANSWER)

@@ -9,7 +9,7 @@ from sim_bridge.vehicle_parameters import INT32, REAL32, Parameter
 def px4_parameters(vehicle: Vehicle, sysid: int) -> list[Parameter]:
     """The parameters, sorted by name as PX4 sends them.
 
-    None of them tells a true value: neither mass nor inertia nor thrust is in here.
+    None of them reveals a true value: neither mass nor inertia nor thrust is in here.
     """
     n = len(vehicle.rotors)
     types = {4: 2, 6: 13, 8: 14}

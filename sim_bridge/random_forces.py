@@ -1,4 +1,4 @@
-"""Force and moment that nobody models: Ornstein-Uhlenbeck noise on each axis.
+"""Unmodeled force and moment: Ornstein-Uhlenbeck noise on each axis.
 
     x' = -x / tau + sigma sqrt(2 / tau) n,   M = J x,   F = m x
 
@@ -18,7 +18,7 @@ _BLOCK = 1024
 
 
 class RandomForces:
-    """Angular (rad/s^2) and linear (m/s^2, body axes) acceleration that nobody models."""
+    """Angular (rad/s^2) and linear (m/s^2, body axes) acceleration, unmodeled."""
 
     def __init__(self, physics: Physics, period: float, seed: np.random.SeedSequence) -> None:
         self._random = np.random.default_rng(seed)

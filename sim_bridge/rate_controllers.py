@@ -98,10 +98,10 @@ class RateController(Controller, ABC):
         settings: parameters by name; the defaults of the autopilot fill up.
         delay_loops: periods from the gyro's sample to the rotors' command, beyond the loop's hold.
         gains: of the position loops.
-        injection: added to the normalised torques at a time in s, to measure the loop.
+        injection: added to the normalized torques at a time in s, to measure the loop.
 
     Attributes:
-        asked: normalised torques as the loops asked for them, last period.
+        asked: normalized torques as the loops asked for them, last period.
         sent: the same with what was injected.
     """
 

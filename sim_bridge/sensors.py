@@ -1,4 +1,4 @@
-"""Sensor noise: coloured, white and MEMS, one seeded generator a sensor.
+"""Sensor noise: colored, white and MEMS, one seeded generator a sensor.
 
 Noise is drawn in blocks by NumPy and SciPy and handed out sample by sample; how it is cut into
 blocks does not change a single value, so that the message path and an ensemble study draw the
@@ -112,7 +112,7 @@ class HighPass:
 
 
 class Bias:
-    """A constant of this size and random sign on every axis, walking if told to.
+    """A constant of this size and random sign on every axis, walking if `walk` is set.
 
     Attributes:
         size: in the sensor's unit.

@@ -80,7 +80,7 @@ class TruthFile:
         if events:
             content["events"] = events
         try:
-            # Whole or not at all: somebody may be waiting for the file.
+            # Whole or not at all: another program may be waiting for the file.
             part = self._path.with_name(self._path.name + ".part")
             part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
             os.replace(part, self._path)
@@ -88,9 +88,9 @@ class TruthFile:
             raise InputError(f"cannot write {self._path}: {error.strerror}") from error
 
     def _truth(self, vehicle: Vehicle) -> dict[str, Any]:
-        told = {**vehicle.truth(), "rotor_delay": self._autopilot.rotor_delay}
+        facts = {**vehicle.truth(), "rotor_delay": self._autopilot.rotor_delay}
         on = self._sim.physics.switched_on
-        return {**told, "physics": {k: plain(v) for k, v in on.items()}} if on else told
+        return {**facts, "physics": {k: plain(v) for k, v in on.items()}} if on else facts
 
 
 def fly(
@@ -105,8 +105,8 @@ def fly(
 
     Args:
         simulation: at its start.
-        autopilot: what speaks.
-        links: where to.
+        autopilot: that sends and answers.
+        links: to send on.
         duration: s.
         pace: of the flight.
         truth: kept up to date.
@@ -138,7 +138,7 @@ def fly(
 
 
 def _check_flies(simulation: Simulation) -> None:
-    """Stop a flight that no message could tell any more: speeds go up to 327 m/s in some."""
+    """Stop a flight that no message could represent any more: speeds go up to 327 m/s in some."""
     speed = math.hypot(*simulation.state.velocity)
     if not speed < FASTEST:
         raise InputError(

@@ -25,7 +25,7 @@ class Vehicle:
 
     Attributes:
         name: of the airframe.
-        rotors: positions from the geometric centre and spins, in the autopilot's motor order.
+        rotors: positions from the geometric center and spins, in the autopilot's motor order.
         lag_of: what lags: "speed", the rotor's speed behind the one commanded (a motor that turns
             a propeller), "thrust", or "command", the command itself before the thrust curve
             (PX4's SIH).
@@ -70,7 +70,7 @@ class Vehicle:
         The place of the IMU is in it where it is not at the CG, and each rotor's coefficients where
         they differ: `k_T` and `k_M` are then their means.
         """
-        told: dict[str, Any] = {
+        values: dict[str, Any] = {
             **{n: getattr(self, n) for n, p in REGISTRY.items() if p.of_vehicle and not p.optional},
             **{
                 name: getattr(self, name)
@@ -79,16 +79,16 @@ class Vehicle:
             },
         }
         if self.damping is not None:
-            told["damping"] = list(self.damping)
-            told |= dict(zip(AXIS_DAMPINGS, self.damping, strict=True))
-            told["rotational_damping"] = 0.5 * (self.damping[0] + self.damping[1])
+            values["damping"] = list(self.damping)
+            values |= dict(zip(AXIS_DAMPINGS, self.damping, strict=True))
+            values["rotational_damping"] = 0.5 * (self.damping[0] + self.damping[1])
         if self.traits is not None:
             for name, shares in (("k_T", self.traits.thrust), ("k_M", self.traits.torque)):
                 each = [e * getattr(self, name) for e in shares]
-                told[f"{name}_rotors"], told[name] = each, sum(each) / len(each)
-            told["moment_ratio"] = told["k_M"] / told["k_T"]
-            told["rotor_tilt"] = self.traits.tilt
-        return told
+                values[f"{name}_rotors"], values[name] = each, sum(each) / len(each)
+            values["moment_ratio"] = values["k_M"] / values["k_T"]
+            values["rotor_tilt"] = self.traits.tilt
+        return values
 
     @property
     def moment_ratio(self) -> Value:

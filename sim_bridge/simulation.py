@@ -45,7 +45,7 @@ def mass_step(time: float, factor: float) -> Change:
 
 
 class Turbulence:
-    """Gentle random forces and torques: first-order coloured noise, held over a control period.
+    """Gentle random forces and torques: first-order colored noise, held over a control period.
 
     Attributes:
         wobble: body rates it makes under the controller, rad/s rms, roughly.

@@ -1,4 +1,4 @@
-"""A mission made of manoeuvres, one after the other, as the flight coach's plan lists them.
+"""A mission made of maneuvers, one after the other, as the flight coach's plan lists them.
 
 The emulated pilot reads the plan's JSON (`gcs-sysid plan --json`) and swings roll, pitch, yaw and
 height as it says. Set-points of body rates and their derivatives follow from the attitude angles,
@@ -18,13 +18,13 @@ from sim_bridge.controller import multiply
 from sim_bridge.missions import HEIGHT, Reference, Triple, ramp
 
 LEAD = 2.0
-"""s of hover before the first manoeuvre."""
+"""s of hover before the first maneuver."""
 PAUSE = 1.0
 """s of hover after each."""
 LATEST = 3600
-"""s at which a manoeuvre may start."""
+"""s at which a maneuver may start."""
 _MOST_BYTES = 1_000_000
-"""Of a plan: some thousand manoeuvres."""
+"""Of a plan: some thousand maneuvers."""
 _RAMP = 1.0
 _STEP = 2e-3
 """s, of the differences that make derivatives of the body rates."""
@@ -33,7 +33,7 @@ _MOST = {"roll_deg": 60.0, "pitch_deg": 60.0, "yaw_deg": 180.0, "climb_m": 5.0}
 
 @dataclass(frozen=True)
 class Swings:
-    """One manoeuvre; see `gcs-sysid plan` for the keys.
+    """One maneuver; see `gcs-sysid plan` for the keys.
 
     Attributes:
         roll: rad to each side; so are pitch and yaw.
@@ -53,7 +53,7 @@ class Swings:
 
     @classmethod
     def from_json(cls, entry: Mapping[str, Any]) -> "Swings":
-        """Of an entry of a plan's list of manoeuvres.
+        """Of an entry of a plan's list of maneuvers.
 
         Raises:
             ValueError: a number is missing or cannot be flown.
@@ -82,7 +82,7 @@ class Swings:
         )
 
     def angles(self, t: float) -> tuple[float, float, float, float]:
-        """Roll, pitch, yaw (rad) and height (m) t seconds after the manoeuvre's start."""
+        """Roll, pitch, yaw (rad) and height (m) t seconds after the maneuver's start."""
         gain = ramp(t / _RAMP)[0] * ramp((self.seconds - t) / _RAMP)[0]
         if gain == 0.0:
             return 0.0, 0.0, 0.0, 0.0
@@ -98,7 +98,7 @@ class Swings:
 
 
 class ManoeuvreMission:
-    """Manoeuvres one after the other; more may be added while it is flown.
+    """Maneuvers one after the other; more may be added while it is flown.
 
     Attributes:
         name: as on the command line.
@@ -116,7 +116,7 @@ class ManoeuvreMission:
 
     @property
     def duration(self) -> float:
-        """Until a pause after the last manoeuvre, s."""
+        """Until a pause after the last maneuver, s."""
         return self._free
 
     def add(self, swings: Swings, start: float) -> None:
@@ -124,7 +124,7 @@ class ManoeuvreMission:
 
         Args:
             swings: what to fly.
-            start: s after the mission's start; later where another manoeuvre goes on until then.
+            start: s after the mission's start; later where another maneuver goes on until then.
         """
         start = max(start, self._free)
         self._parts.append((start, swings))

@@ -2,7 +2,7 @@
 
 Rotor i pushes with e_i k_T Omega_i^2 along its own axis, where e_i is its share of the vehicle's
 k_T, and turns the body by s_i e'_i k_M Omega_i^2 about that axis. Its axis is canted by delta in
-the direction of rotation about the centre that its drag torque has, as builders do for yaw
+the direction of rotation about the center that its drag torque has, as builders do for yaw
 authority: with c = cos delta, s = sin delta and t_i = (-y, x, 0) / |(x, y)|,
 
     a_i = s s_i t_i - c z ,   F = sum T_i a_i ,   M = sum r_i x T_i a_i - s_i Q_i a_i

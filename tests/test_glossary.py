@@ -1,7 +1,9 @@
-"""Words that the glossary replaced occur nowhere that users read."""
+"""Words that the glossary replaced: in nothing that users read, in no docstring or comment."""
 
 import ast
+import io
 import re
+import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,6 +22,14 @@ DOCS = re.compile(
     r"\b(told|tells?|speaks?|spoken|yardstick|reckon\w*|makes of|balance point|heard|written over|"
     r"roughly known|anew|learnt|metres?|centres?|colours?|neighbours?|analys(?:ed|es|ing)|"
     r"behaviour|modelled)\b",
+    re.IGNORECASE,
+)
+PROSE = re.compile(
+    r"\b(told|tells?|telling|untold|speaks?|spoke|yardsticks?|reckon\w*|makes\s+of|where\s+to:|"
+    r"balance\s+point|hears?|heard|footing|anew|learnt|held\s+against|whoever|nobody|somebody|"
+    r"(?:write|writes|written)\s+over|stands?\s+in\s+for|unlearnt|"
+    r"colour(?:s|ed|ing)?|neighbour(?:s|ing)?|behaviour|(?:un)?modelled|metres?|centres?|"
+    r"manoeuvres?|(?:normal|marginal|linear|minim)ise[drs]?|analysed?)\b",
     re.IGNORECASE,
 )
 SOURCES = sorted(
@@ -98,6 +108,42 @@ def test_messages_use_the_words_of_the_glossary(folder):
         if path.parts[-2] == folder
         for line, text in texts(path.read_text("utf-8"))
         if (match := REPLACED.search(text))
+    ]
+    assert found == []
+
+
+def prose(source: str) -> Iterator[tuple[int, str]]:
+    """Docstrings and comments: first line and text."""
+    for node in ast.walk(ast.parse(source)):
+        text = node.value if isinstance(node, ast.Expr) else None
+        if isinstance(text, ast.Constant) and isinstance(text.value, str):
+            yield node.lineno, text.value
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            yield token.start[0], token.string
+
+
+def replaced_in_prose(source: str) -> list[str]:
+    found = []
+    # Most files have none of these words at all, and tokenizing them takes most of the time.
+    if PROSE.search(source):
+        for line, text in prose(source):
+            # Names between backticks, and those of attributes at the head of their entry.
+            named = re.sub(r"`[^`]*`|^ +\w+: ", " ", text, flags=re.MULTILINE)
+            found += [f"{line}: {match[0]}" for match in PROSE.finditer(named)]
+    return found
+
+
+def test_docstrings_and_comments_use_the_words_of_the_glossary():
+    assert replaced_in_prose('"""What the data\ntell."""\nx = 1  # made anew\n') == [
+        "1: tell",
+        "3: anew",
+    ]
+    assert replaced_in_prose('y = "told"\ndef tell():\n    """As `tell` does."""\n') == []
+    found = [
+        f"{path.relative_to(ROOT)}:{each}"
+        for path in SOURCES
+        for each in replaced_in_prose(path.read_text("utf-8"))
     ]
     assert found == []
 

@@ -76,7 +76,7 @@ def kept(folder: Path = CACHE) -> dict[str, Any]:
 
 
 def say(text: str) -> None:
-    """Progress, where somebody looks on."""
+    """Progress, on a terminal."""
     if sys.stderr.isatty():
         print(f"\r{text}\033[K", end="", file=sys.stderr, flush=True)
 

@@ -56,11 +56,11 @@ class Case:
 
     Attributes:
         name: for --only and for the file of outcomes.
-        seeds: how many, unless told.
+        seeds: how many by default.
         run: seed to outcome.
         prepare: flies what all seeds share, before the work is divided among processes.
         together: seeds that one run takes, from the one given on.
-        once: there is no noise in it, and `seeds` is 1 whatever is told.
+        once: there is no noise in it, and `seeds` is always 1.
     """
 
     name: str

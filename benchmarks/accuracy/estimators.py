@@ -51,7 +51,7 @@ def offline(samples: Samples, dt: float, start: Fit, speed_std: float | None) ->
 
 
 def at_known_mass(fit: Fit) -> dict[str, Value]:
-    """The physical parameters at the scale of the known mass, as the program tells them."""
+    """The physical parameters at the scale of the known mass, as the program reports them."""
     return values_of(fit, ScaleReference("mass", VEHICLE.mass), ARM, {})
 
 

@@ -77,8 +77,8 @@ def nonlinear_least_squares(samples: Samples, dt: float, setting: float) -> tupl
 def recursive_least_squares(samples: Samples, dt: float, setting: float) -> tuple[Array, Array]:
     """Statsmodels RecursiveLS on the article's linear form.
 
-    In any order the recursion ends alike, but the hover at the start of a flight tells so little
-    that its diffuse start loses all digits there. Shuffled rows spare it that.
+    In any order the recursion ends alike, but the hover at the start of a flight has so little
+    information that its diffuse start loses all digits there. Shuffled rows spare it that.
     """
     phi, y = rb.direct_rows(*_smoothed(samples, dt, setting))
     order = np.random.default_rng(0).permutation(y.size)

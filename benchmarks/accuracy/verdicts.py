@@ -114,7 +114,7 @@ def number(value: float) -> str:
         return "–" if math.isnan(value) else "never"
     if abs(value) >= 100.0:
         return f"{value:.0f}"
-    # Plain decimals: nobody reads 3.6e-05 beside 0.12.
+    # Plain decimals: 3.6e-05 beside 0.12 is hard to read.
     return f"{value:.3g}" if abs(value) >= 1e-4 or value == 0.0 else f"{value:.5f}"
 
 

@@ -3,7 +3,7 @@
     python -m benchmarks.public [--logs FOLDER] [--estimator FILE.py:FUNCTION]
 
 Outcomes are kept as JSON under build/public, one file a flight, and not made again; --fresh makes
-them anew, --page writes the page from what is kept. With --estimator one more is entered, and the
+them again, --page writes the page from what is kept. With --estimator one more is entered, and the
 table is printed, not written.
 """
 

@@ -1,7 +1,7 @@
 """The estimators that are entered: what others would take, each as its own page shows it.
 
-All are told the thrust signals that speeds squared make (of commands, their squares) and the mass.
-They claim what the flight made more certain than it was before, by their own standard deviation.
+All are given the thrust signals of squared speeds (of commands, their squares) and the mass. They
+claim what the flight made more certain than it was before, by their own standard deviation.
 """
 
 import contextlib
@@ -35,7 +35,7 @@ def claims_of(flight: Flight, values: dict[str, float], stds: dict[str, float]) 
     found = {}
     for name, value in values.items():
         if flight.commands and name in ("k_T", "k_M"):
-            continue  # a thrust curve that nobody fitted is in them
+            continue  # an unfitted thrust curve is in them
         size = 0.1 * flight.arm if name.startswith("cg") else abs(value)
         if np.isfinite(stds[name]) and 0.0 < stds[name] < CLAIM * size:
             found[name] = (value, stds[name])

@@ -1,4 +1,4 @@
-"""Claims held against the truth, and docs/benchmark.md: no number comes from anywhere else."""
+"""Claims compared with the truth, and docs/benchmark.md: no number comes from anywhere else."""
 
 import math
 from collections.abc import Mapping

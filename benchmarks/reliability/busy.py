@@ -1,12 +1,12 @@
-"""A fast link on a busy computer: what was delivered is recorded, and slowness is told.
+"""A fast link on a busy computer: what was delivered is recorded, and slowness is reported.
 
     python -m benchmarks.reliability.busy [--seconds 60] [--busy 4] [--handicap 0]
 
 A flight at 1 kHz (the rates of `benchmarks.reliability.rate`) is played in real time over UDP to
 `gcs-sysid live --headless`, which records, on two cores, and beside it so many processes do nothing
-but count. The recording is held against what was sent, frame by frame, and against the system's own
-count of what it dropped on that port (/proc/net/udp and SO_RXQ_OVFL, Linux alone). The result is
-held against the analysis of the recording.
+but count. The recording is compared with what was sent, frame by frame, and against the system's
+own count of what it dropped on that port (/proc/net/udp and SO_RXQ_OVFL, Linux alone). The result
+is compared with the analysis of the recording.
 
 `--handicap N` runs the session's process at nice N, and its receiver not: a slower computer, which
 shows what happens when the estimate cannot keep up. The player runs ahead of the busy ones where
@@ -35,7 +35,7 @@ AGREES = 1e-9
 
 
 class Recorded(NamedTuple):
-    """A recording, held against what was sent."""
+    """A recording, compared with what was sent."""
 
     sent: int
     missing: int

@@ -146,7 +146,7 @@ class Replayer:
         self._last = {"us": 0, "ms": 0}
 
     def reboot(self) -> None:
-        """The clock begins anew."""
+        """The clock restarts."""
         self.clock = 2.0
         self._last = {"us": 0, "ms": 0}
 

@@ -75,7 +75,7 @@ class Outcome:
     Attributes:
         verdict: of the result.
         error: parameter -> estimate less truth.
-        std: parameter -> standard deviation told; those without one are left out.
+        std: parameter -> standard deviation reported; those without one are left out.
         identified: parameters so called.
         used: s of flight that the estimate rests on.
         told: kinds of what the result says happened, and first reason.
@@ -105,11 +105,11 @@ class Row:
         return [n for n in self.outcomes[0].std if all(n in o.std for o in self.outcomes)]
 
     def rms(self, name: str) -> float:
-        """Root of the mean squared error; infinite where a seed tells nothing."""
+        """Root of the mean squared error; infinite where a seed gives nothing."""
         return float(np.sqrt(np.mean([o.error.get(name, np.inf) ** 2 for o in self.outcomes])))
 
     def told(self, name: str) -> float:
-        """Root of the mean variance told."""
+        """Root of the mean variance reported."""
         return float(np.sqrt(np.mean([o.std.get(name, np.inf) ** 2 for o in self.outcomes])))
 
     def held(self, name: str) -> float:
@@ -231,7 +231,7 @@ def several(cases: Sequence[Case], flight: Flight, seed: int) -> list[Outcome]:
 
 
 def over_seeds(work: Callable[[int], T], seeds: int, processes: int, label: str) -> list[T]:
-    """Results of seeds 1 to n, with progress where somebody looks on."""
+    """Results of seeds 1 to n, with progress on a terminal."""
     out = []
     with ProcessPoolExecutor(processes) as pool:
         for result in pool.map(work, range(1, seeds + 1)):

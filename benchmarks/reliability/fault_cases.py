@@ -103,4 +103,4 @@ CASES = (
     case("loss=0.1 reboot=20 wrap-ms=10 reorder=0.05"),
     case("loss=0.1 rpm-spikes=0.005 rpm-repeats=0.05 imu-stuck=10:0.5:6 attitude-stuck=12:0.5:6"),
 )
-"""All but the first, which the others are held against."""
+"""All but the first, which the others are compared with."""

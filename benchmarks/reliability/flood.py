@@ -7,7 +7,7 @@ time, and another program sends datagrams of random bytes to the same port, from
 its own: a third of them begin like frames, a tenth are frames whose checksum is wrong. The rate
 that it reached is printed, not the one that was asked for.
 
-Lost is what was sent by the vehicle and is not in the tool's count; it is held against what the
+Lost is what was sent by the vehicle and is not in the tool's count; it is compared with what the
 vehicle sent while the flood lasted.
 """
 

@@ -161,7 +161,7 @@ def judge(
 
 
 def free_port() -> int:
-    """A UDP port that nobody has at this moment."""
+    """A UDP port that is free at this moment."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
@@ -298,7 +298,7 @@ def run(kills: int, seed: int, at_once: int, longest: float) -> list[Kill]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Kill and tell; 1 when a recording did not keep what was promised."""
+    """Kill and report; 1 when a recording did not keep what was promised."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.reliability.kills", description=(__doc__ or "").split("\n")[0]
     )

@@ -9,7 +9,7 @@ as it always does and runs on one core.
 
 Lost is what was sent and is not in the tool's count, by numbers sent and by sequence numbers. The
 times are those of `benchmarks.reliability.watched`: from the system's stamp on a datagram's arrival
-until all that was handed over with it is learnt from, and the estimate renewed where that is due
+until all that was handed over with it is processed, and the estimate renewed where that is due
 (each 0.5 s of the vehicle's clock); the latter are told apart too. The grid stays 0.04 s behind the
 newest stamp by design; that is no delay of the processor, and not counted.
 """
@@ -49,7 +49,7 @@ class Run(NamedTuple):
 
 
 def free_port() -> int:
-    """A UDP port of this machine that nobody has."""
+    """A free UDP port of this machine."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -139,7 +139,7 @@ def growth(memory: list[tuple[float, int]], settled: float = SETTLED_AFTER) -> t
     """MB at most in the last minute, and how many more than when it had settled.
 
     A fit takes some MB for a moment and gives them back, so it is the highest of each minute that
-    is held against the first of them after all had settled.
+    is compared with the first of them after all had settled.
 
     Args:
         memory: (s, bytes), rising in time.

@@ -215,7 +215,7 @@ def in_use() -> float:
 
 
 def reference(rounds: Sequence[Round]) -> Round:
-    """The round that memory and handles of the last are held against."""
+    """The round that memory and handles of the last are compared with."""
     return rounds[SETTLED - 1 if len(rounds) >= SETTLED else min(1, len(rounds) - 1)]
 
 

@@ -6,9 +6,9 @@ runs the words after `--` as `gcs-sysid` would, with the same code all the way. 
 each datagram as it comes in (SO_TIMESTAMPNS, Linux alone), long before Python sees it; the
 receiver's process (`benchmarks.reliability.stamped_receiver`) writes the stamps down.
 
-A datagram counts as taken when all that was handed over together with it is learnt from: decoded,
-on the grid of samples and, where it completes a block of samples (0.1 s of the vehicle's clock),
-rows made, changes looked for, and the estimate renewed where that is due.
+A datagram counts as taken when all that was handed over together with it is processed: decoded, on
+the grid of samples and, where it completes a block of samples (0.1 s of the vehicle's clock), rows
+made, changes looked for, and the estimate renewed where that is due.
 """
 
 import argparse
@@ -58,8 +58,8 @@ class Kept:
 class Times:
     """What was seen of the process.
 
-    Datagrams are told from each other by their bytes, counted from the first on: all that arrives
-    is frames, and all of it is handed over in order.
+    Datagrams are identified by their bytes, counted from the first on: all that arrives is frames,
+    and all of it is handed over in order.
 
     Attributes:
         memory: (s since the start, bytes) of resident memory.
@@ -78,7 +78,7 @@ class Times:
         self._ends.add([self._bytes])
 
     def take(self, size: int, ns: int, *, renewed: bool) -> None:
-        """So many bytes were learnt from by `ns`; whether that renewed the estimate."""
+        """So many bytes were processed by `ns`; whether that renewed the estimate."""
         self._taken_bytes += size
         self._taken_ends.add([self._taken_bytes])
         self._taken.add([ns])

@@ -65,7 +65,7 @@ def study(
 
 
 def say(text: str) -> None:
-    """Progress, where somebody looks on."""
+    """Progress, on a terminal."""
     if sys.stderr.isatty():
         print(f"\r{text}\033[K", end="", file=sys.stderr, flush=True)
 

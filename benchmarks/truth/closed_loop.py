@@ -1,12 +1,12 @@
-"""What a moment that nobody models does to the estimate of a vehicle under feedback.
+"""Effect of an unmodeled moment on the estimate of a vehicle under feedback.
 
     python -m benchmarks.truth.closed_loop --flights 12
     python -m benchmarks.truth.closed_loop --cells doublets:ou1 gentle:wind --smoothers window
     python -m benchmarks.truth.closed_loop --smoothers whitened offline setpoints
 
 A moment d that acts on the body from outside (gusts, blade flapping, a swinging battery) is
-answered by the rate loop, so that the rotors' torque is correlated with it. Whoever regresses
-acceleration on torque then takes some of the disturbance for inertia. Each cell flies the same
+answered by the rate loop, so that the rotors' torque is correlated with it. A regression of
+acceleration on torque then attributes some of the disturbance to inertia. Each cell flies the same
 vehicle under one kind of excitation and one kind of disturbance, hands the samples to
 `OnlineEstimator` as a flight's are, and prints bias, rms and coverage of the 95 % intervals.
 `offline` is the filter error estimate, `setpoints` the same with the rates asked for as

@@ -36,7 +36,7 @@ _JUDGED = (
 
 
 class Plant(Protocol):
-    """Somebody else's equations of motion, in our axes."""
+    """Equations of motion of an outside simulator, in our axes."""
 
     def advance(self, targets: list[Value], seconds: float) -> None:
         """Go on by a step with these rotor-speed targets, rad/s."""
@@ -53,7 +53,7 @@ class Plant(Protocol):
 
 
 class OtherSimulation(Simulation):
-    """The emulator's controller and messages around somebody else's physics."""
+    """The emulator's controller and messages around an outside simulator's physics."""
 
     def __init__(self, vehicle: Vehicle, mission: Mission, plant: Plant) -> None:
         super().__init__(

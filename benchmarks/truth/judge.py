@@ -1,4 +1,4 @@
-"""A flight analysed as a user would, and its result held against the truth."""
+"""A flight analyzed as by a user, and its result compared with the truth."""
 
 import math
 import traceback

@@ -2,8 +2,8 @@
 
 Savitzky-Golay filters of 0.1 s smooth the rates and differentiate them; thrust is k_T Omega^2 with
 one k_T from the accelerometer and the weighed mass (of commands, u^2 for Omega^2), at once, without
-lag; least squares on Euler's equations; intervals as if the residuals were white. It tells Ixx and
-Iyy: in yaw, with k_M unknown, the equation's right side is zero and noise pulls Izz there.
+lag; least squares on Euler's equations; intervals as if the residuals were white. It determines Ixx
+and Iyy: in yaw, with k_M unknown, the equation's right side is zero and noise pulls Izz there.
 """
 
 import numpy as np
@@ -28,7 +28,7 @@ class Onlooker:
         self.blocks: list[SampleBlock] = []
 
     def begin(self) -> None:
-        """Forget: the log is read anew."""
+        """Reset: the log is read again."""
         self.blocks = []
 
     def take(self, block: SampleBlock) -> None:

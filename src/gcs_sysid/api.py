@@ -261,16 +261,16 @@ def analyze(
 
 def _prediction(recorder: Recorder, result: Result, airframe: Airframe) -> Acceleration | None:
     """Angular acceleration of the part that the validation held out; None: none was."""
-    told = recorder.validation
-    if told is None or recorder.dt is None:
+    validated = recorder.validation
+    if validated is None or recorder.dt is None:
         return None
     source = result.telemetry["rotor_input"]
     model = Model(
-        told.theta, told.coordinates, airframe.geometry, result.rotor_input,
+        validated.theta, validated.coordinates, airframe.geometry, result.rotor_input,
         source.get("gyro_filter"), source.get("loop_filter"),
     )  # fmt: skip
     since = max((float(segment["end"]) for segment in result.segments), default=0.0)
-    rows = predict(recorder.samples(), recorder.dt, model, since, np.inf, told.fitted_share)
+    rows = predict(recorder.samples(), recorder.dt, model, since, np.inf, validated.fitted_share)
     part = rows.held_out
     return Acceleration(rows.t[part], rows.measured[part], rows.predicted[part])
 

@@ -105,7 +105,7 @@ _SIGMA = re.compile(r"(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*%?", re.IGNORECASE | re.AS
 
 
 def _plus_minus(text: str) -> tuple[str, str, str]:
-    """What stands before and behind ±, and that sign; empty where there is none."""
+    """The text before and after ±, and that sign; empty where there is none."""
     for sign in ("+/-", "+-"):
         text = text.replace(sign, "±")
     value, sign, std = text.partition("±")

@@ -18,7 +18,7 @@ _MOST_SQUARES = 10_000_000
 def check_regular(path: Path) -> None:
     """See that a path leads to a file, which is as long as it says and ends.
 
-    A pipe that nobody writes to would hold the program up for ever, a device has no end.
+    A pipe without a writer would block the program for ever, a device has no end.
 
     Raises:
         InputError: it leads to a pipe or a device.
@@ -75,7 +75,7 @@ def read_bytes(path: Path, most: int, what: str) -> bytes:
 
     Args:
         path: of it.
-        most: bytes that it may have; devices and pipes, which tell no size, are held to it too.
+        most: bytes that it may have; devices and pipes, which report no size, are held to it too.
         what: it is, for messages, such as "the airframe file".
 
     Raises:

@@ -11,7 +11,7 @@ def spare_what_stays() -> None:
 
     A full collection walks all that a program holds. With a screen that took 0.1 s every ten
     seconds, in which no datagram was read and no key answered; modules and style sheets are most
-    of it, and they stay. To be called by whoever owns the process, once things stand.
+    of it, and they stay. To be called by the owner of the process, once everything is loaded.
     """
     gc.collect()
     gc.freeze()

@@ -125,7 +125,7 @@ def test_flights_of_two_vehicles_are_not_held_against_each_other(flight, tmp_pat
     # One that nobody named is left out, and so is the flight from the trend.
     own = replace(read_baseline(written), asked=False)
     health = health_of_log(flight.tlog, Given(load_airframe("paper"), baseline=own))
-    assert health.told
+    assert health.available
     assert health.condition is None
     assert "another vehicle's" in health.apart
     assert "not held against" in health_text(health)
@@ -159,7 +159,7 @@ def test_slow_rotors_get_health_from_analyze_and_inspect(fly, tmp_path, capsys):
     assert (found.verdict, found.obtainable) == ("no", "health")
     assert found.hover > 20.0
     # Without an airframe PX4's own parameters or the vehicle's type tell it.
-    assert health_of_log(slow.tlog, Given(arm=0.25)).told
+    assert health_of_log(slow.tlog, Given(arm=0.25)).available
 
 
 @pytest.mark.slow
@@ -225,7 +225,7 @@ def test_swapped_rotors_are_refused(flight):
     first, second, *rest = airframe.rotors
     swapped = replace(airframe, rotors=(second, rest[0], first, *rest[1:]))
     health = health_of_log(flight.tlog, Given(swapped))
-    assert not health.told
+    assert not health.available
     assert "motor order" in health.reasons[0]
 
 

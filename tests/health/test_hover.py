@@ -200,7 +200,7 @@ def test_one_damaged_stamp_does_not_fill_the_memory(airframe):
         replace(track, t=np.append(track.t[:-1], 1e12)) if track.stream is Stream.IMU else track
         for track in block.tracks
     )
-    assert told([replace(block, tracks=tracks)], airframe).told
+    assert told([replace(block, tracks=tracks)], airframe).available
 
 
 def test_reasons_where_there_is_nothing(airframe):
@@ -211,7 +211,7 @@ def test_reasons_where_there_is_nothing(airframe):
     hexa = load_airframe("px4-hexa-x").with_anchor("mass", 2.0)
     assert told([block], hexa).reasons == ("ESC_STATUS covers 4 of 6 rotors",)
     health = told(flight(seconds=3.0), airframe)
-    assert not health.told
+    assert not health.available
     assert "hover" in health.reasons[0]
 
 

@@ -13,7 +13,7 @@ from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.model.rigid_body import mixer
 from gcs_sysid.report.health_picture import health_section
 from gcs_sysid.screen.widgets.health_panel import health_lines
-from gcs_sysid.session.told_layout import place_words, usual_layouts
+from gcs_sysid.session.reported_layout import place_words, usual_layouts
 from gcs_sysid.signals.columns import RecordBlock, Track
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.dialect import mavlink
@@ -146,7 +146,7 @@ def test_a_motor_order_that_the_motion_contradicts_tells_no_cg(name):
     rotors = usual_layouts(4)[name]
     found = health(rotors, moving=0.1)
     assert found.contradicted
-    assert not found.told
+    assert not found.available
     document = document_of(found)
     assert document["verdict"] == "refused"
     assert document["cg"] is None
@@ -162,7 +162,7 @@ def test_a_motor_order_that_the_motion_contradicts_tells_no_cg(name):
 def test_the_order_as_flown_keeps_its_cg_and_so_does_one_that_gusts_hide():
     for rotors in (BETAFLIGHT, usual_layouts(4)["quad bf-x-reversed"]):  # spins do not count
         found = health(rotors, moving=0.1)
-        assert found.told
+        assert found.available
         assert not found.contradicted
     assert why_no_health({"health": document_of(found)}) == []
     gusty = layout(flight(BETAFLIGHT, moving=0.01, gusts=1000.0), Airframe("mine", BETAFLIGHT))
@@ -174,7 +174,7 @@ def test_an_analysis_refused_by_its_rotors_withholds_the_hover():
     why = "the motion does not match these rotors: check motor order"
     withheld = beside_analysis(found, "refused", ("gyro spikes", why))
     assert withheld.contradicted
-    assert not withheld.told
+    assert not withheld.available
     assert why in withheld.reasons[0]
     assert document_of(withheld)["autopilot_parameters"] == {}
     # Any other refusal leaves it, and so does the same reason below a result.

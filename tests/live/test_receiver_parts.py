@@ -16,7 +16,7 @@ from gcs_sysid.live.reception import (
     ResetMark,
     Toggled,
 )
-from gcs_sysid.live.request_relay import RequestsDone, RequestsTold
+from gcs_sysid.live.request_relay import RelayedRequests, RequestsDone
 from gcs_sysid.telemetry.frames import read_frame
 from gcs_sysid.telemetry.messages import unpack
 from gcs_sysid.telemetry.outgoing import Gate, NotAllowedError
@@ -64,7 +64,7 @@ def relay():
     """A session's end, the vehicle's, and what was sent."""
     sent = []
     done = RequestsDone(Gate(sent.append))
-    return RequestsTold(done.ask), done, sent
+    return RelayedRequests(done.ask), done, sent
 
 
 def test_what_a_session_asks_goes_through_the_gate(relay):
@@ -100,7 +100,7 @@ def test_nothing_else_can_be_asked(relay, name):
 
 def test_who_only_listens_asks_for_nothing():
     asked = []
-    told = RequestsTold(lambda *what: asked.append(what), listen_only=True)
+    told = RelayedRequests(lambda *what: asked.append(what), listen_only=True)
     assert not told.heartbeat()
     assert not told.set_message_interval((1, 1), 105, 4000)
     assert asked == []

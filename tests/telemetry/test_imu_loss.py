@@ -67,7 +67,7 @@ def test_a_reboot_and_an_absence_are_no_loss():
     loss = ImuLoss()
     loss.take(even(250.0, 20.0))
     loss.take(even(250.0, 20.0, 60.0))
-    loss.begin_anew()
+    loss.restart()
     loss.take(even(250.0, 20.0, 1.0))
     assert loss.counts == (15_000, 0, 0.0)
 

@@ -48,7 +48,7 @@ def _run(harness: Harness, inputs: int, options: argparse.Namespace) -> dict[str
 
 
 def _figures(path: Path | None) -> dict[str, Any]:
-    """What a run has told of a harness; zeros where there was none."""
+    """Report of a run on a harness; zeros where there was none."""
     if path is None or not path.exists():
         return {"inputs": 0, "longest": 0.0, "findings": {}, "engine": ""}
     found: dict[str, Any] = json.loads(path.read_text())

@@ -10,7 +10,7 @@ from concurrent.futures import BrokenExecutor
 from dataclasses import replace
 from pathlib import Path
 
-from gcs_sysid.cli import arguments, output, told_airframe
+from gcs_sysid.cli import arguments, output, reported_airframe
 from gcs_sysid.cli.health_text import health_text
 from gcs_sysid.cli.result_table import result_table
 from gcs_sysid.errors import InputError
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"--end {options.end:g} must come after --start {options.start:g}")
     if arguments.is_auto(options):
         arguments.check_scale_given(options)
-        airframe = told_airframe.of_log(Path(options.logs[0]), options)
+        airframe = reported_airframe.of_log(Path(options.logs[0]), options)
     else:
         airframe = arguments.airframe_of(options)
     truth = output.read_truth(options.truth) if options.truth else None

@@ -188,7 +188,7 @@ def web_address(text: str) -> tuple[str, int]:
 
 
 LOCAL_PAGE = ("127.0.0.1", 8000)
-"""Where a page is served unless told otherwise."""
+"""Where a page is served by default."""
 
 
 def add_web(parser: argparse.ArgumentParser) -> None:
@@ -583,7 +583,7 @@ def add_health(parser: argparse.ArgumentParser) -> None:
     _add_force(parser)
 
 
-def layout_of(options: argparse.Namespace, told: "Airframe | None" = None) -> "Airframe":
+def layout_of(options: argparse.Namespace, reported: "Airframe | None" = None) -> "Airframe":
     """The airframe that is named, or the one reported, with the scale that is given, if any.
 
     Raises:
@@ -591,7 +591,7 @@ def layout_of(options: argparse.Namespace, told: "Airframe | None" = None) -> "A
     """
     from gcs_sysid.model.airframe import load_airframe
 
-    airframe = load_airframe(options.airframe) if told is None else told
+    airframe = load_airframe(options.airframe) if reported is None else reported
     if options.arm is not None:
         airframe = airframe.with_arm(options.arm)
     for name in SCALE_OPTIONS:
@@ -627,25 +627,25 @@ def check_scale_given(options: argparse.Namespace) -> None:
         )
 
 
-def airframe_of(options: argparse.Namespace, told: "Airframe | None" = None) -> "Airframe":
+def airframe_of(options: argparse.Namespace, reported: "Airframe | None" = None) -> "Airframe":
     """The airframe with its anchor, as the options say.
 
     Args:
         options: of the command line.
-        told: the layout that the vehicle reports, which stands for `--airframe`.
+        reported: the layout that the vehicle reports, which replaces `--airframe`.
 
     Raises:
         InputError: there is none, or nothing sets the scale.
     """
     from gcs_sysid.model.airframe import builtin_names
 
-    if told is None and is_auto(options):
+    if reported is None and is_auto(options):
         raise InputError(
             "which airframe? Give --airframe FILE.toml or one of "
             + ", ".join(builtin_names())
             + " (with --arm for its size)"
         )
-    airframe = layout_of(options, told)
+    airframe = layout_of(options, reported)
     given = (options.mass, options.k_t, options.t_max)
     if given.count(None) == len(given) and getattr(options, "added_mass", None) is not None:
         # Of the two flights; until they are compared any mass does.

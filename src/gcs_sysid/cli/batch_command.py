@@ -83,8 +83,8 @@ def _airframes(options: argparse.Namespace, logs: list[Path]) -> dict[Path, Airf
         try:
             known[file] = arguments.airframe_of(single)
         except InputError as error:
-            told = "" if options.airframe or str(file) in str(error) else f"{file}: "
-            raise InputError(f"{told}{error}") from error
+            prefix = "" if options.airframe or str(file) in str(error) else f"{file}: "
+            raise InputError(f"{prefix}{error}") from error
     return {log: known[file] for log, file in files.items()}
 
 
@@ -95,7 +95,7 @@ def _summary(tally: Tally) -> str:
 
 
 def _shower() -> Callable[[table.Row, Tally], None]:
-    """Tells of failures as they come and, on a terminal, of how far it is."""
+    """Reports failures as they come and, on a terminal, progress."""
     start, terminal = time.monotonic(), sys.stderr.isatty()
 
     def show(row: table.Row, tally: Tally) -> None:

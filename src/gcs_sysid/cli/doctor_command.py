@@ -25,7 +25,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         findings += _links(options)
     except ImportError as error:
-        # With a package missing, which is told above, links cannot be looked at.
+        # With a package missing, reported above, links cannot be checked.
         findings.append(Finding("links", Sign.PROBLEM, f"cannot be checked: {error}"))
     if options.json:
         report = {"findings": [finding.as_json() for finding in findings]}
@@ -46,7 +46,9 @@ def _summary(findings: list[Finding]) -> str:
 
 
 def _links(options: argparse.Namespace) -> list[Finding]:
-    """Serial devices, ports, and who is heard; its modules need the packages looked at before."""
+    """Serial devices, ports, and vehicles received; its modules need the packages checked
+    before.
+    """
     from gcs_sysid.setup_help import listening
     from gcs_sysid.setup_help.checks import check_serial
     from gcs_sysid.telemetry.link import serial_devices

@@ -41,12 +41,14 @@ def run(options: argparse.Namespace) -> int:
         if given.baseline is None:
             first = as_baseline(health)
             given = replace(given, baseline=first and replace(first, asked=False))
-        if not health.told:
+        if not health.available:
             why = "; ".join(health.reasons)
             print(f"gcs-sysid: {log}: no result: {why}", file=sys.stderr)
-    best = max((health for health in found if health.told), key=lambda h: h.seconds, default=None)
+    best = max(
+        (health for health in found if health.available), key=lambda h: h.seconds, default=None
+    )
     if options.json != "-":
-        texts = [health_text(health) for health in found if health.told]
+        texts = [health_text(health) for health in found if health.available]
         if trend := trend_text(found):
             texts.append("\n".join(trend))
         print("\n\n".join(texts), end="\n" if texts else "", flush=True)
@@ -54,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
     _write(options, found, best, form)
     if unreadable:
         return 2
-    return 0 if all(health.told for health in found) else 1
+    return 0 if all(health.available for health in found) else 1
 
 
 def _given(options: argparse.Namespace) -> Given:
@@ -89,7 +91,7 @@ def _write(
     if best is not None and options.picture is not None:
         from gcs_sysid.report.health_picture import health_picture  # only who asks waits for it
 
-        told = [health for health in found if health.told and not health.apart]
-        picture = health_picture(document_of(best), series_of(told) if len(told) > 1 else ())
+        usable = [health for health in found if health.available and not health.apart]
+        picture = health_picture(document_of(best), series_of(usable) if len(usable) > 1 else ())
         deliveries.give(lambda: output.save(Path(options.picture), picture, force=options.force))
     deliveries.check()

@@ -64,8 +64,8 @@ def _head(health: Health) -> Iterator[str]:
     if health.apart:
         yield from _wrapped(health.apart, f"{'rotors':<{_NAME}}")
     if health.weakened is not None:
-        told = condition_text(health.weakened.condition)
-        yield _line("in this flight", f"by {health.weakened.t:.0f} s {told}")
+        weak_rotor = condition_text(health.weakened.condition)
+        yield _line("in this flight", f"by {health.weakened.t:.0f} s {weak_rotor}")
 
 
 def _as_flown(moved: tuple[float, float]) -> str:

@@ -47,7 +47,7 @@ def _is_log(target: str) -> bool:
 
 
 def _airframe(options: argparse.Namespace) -> Airframe | None:
-    """As named, or with as many rotors as said; None: the vehicle's type tells."""
+    """As named, or with the given number of rotors; None: by the vehicle's type."""
     scale = [options.mass, options.k_t, options.t_max]
     if options.airframe is not None:
         if options.rotors is not None:

@@ -38,7 +38,7 @@ _STREAMS = {
     Stream.ROTOR_COMMAND: "commands",
     Stream.VELOCITY: "velocity",
 }
-_TOLD_BY = {
+_RECOGNIZED_BY = {
     "autopilot": "",
     "rotors": " (armed with rotors turning; not reported by the autopilot)",
     "arming": " (armed; flight is not reported by the autopilot)",
@@ -109,9 +109,9 @@ def _head(found: Inspection, width: int) -> list[str]:
         )
         count = "1 flight" if len(found.flights) == 1 else f"{len(found.flights)} flights"
         text = f"in the air {found.in_air:.1f} s, {count}: {', '.join(spans + more)}"
-        lines += textwrap.wrap(text + _TOLD_BY[found.flight_told_by], width)
+        lines += textwrap.wrap(text + _RECOGNIZED_BY[found.flight_told_by], width)
     elif found.flight_told_by:
-        lines.append("never in the air" + _TOLD_BY[found.flight_told_by])
+        lines.append("never in the air" + _RECOGNIZED_BY[found.flight_told_by])
     return lines
 
 
@@ -216,8 +216,8 @@ def _rotors(found: Inspection, width: int) -> list[str]:
     what = "measured speeds" if shown.kind == "speed" else "commands"
     text = f"{shown.message}, {what} at {_short(shown.rate or 0.0)} Hz"
     if chosen is None:
-        told = "none is usable" if found.rotor_input.judged else "chosen in flight"
-        text = f"{told}; {text}"
+        choice = "none is usable" if found.rotor_input.judged else "chosen in flight"
+        text = f"{choice}; {text}"
     lines = _entry("Rotor input", text, width)
     if shown.rotors:
         unit = "rpm" if shown.kind == "speed" else "output"

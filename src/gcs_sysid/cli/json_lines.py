@@ -1,4 +1,4 @@
-"""Results as lines of JSON, written so that nobody waits for who reads them."""
+"""Results as lines of JSON, written without waiting for the reader."""
 
 import threading
 from collections import deque
@@ -18,7 +18,7 @@ class JsonLines:
 
     Args:
         path: file, `-` for standard output, or None.
-        force: whether a file that is there may be written over.
+        force: whether a file that is there may be overwritten.
 
     Attributes:
         when_gone: is called, in that thread, when the reader of a pipe has gone away.

@@ -10,7 +10,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from gcs_sysid.cli import arguments, output, told_airframe
+from gcs_sysid.cli import arguments, output, reported_airframe
 from gcs_sysid.cli.json_lines import JsonLines
 from gcs_sysid.cli.option_groups import coach_options
 from gcs_sysid.cli.result_table import result_table
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
     )
     try:
         if airframe is None:
-            airframe = told_airframe.of_link(receiver, options)
+            airframe = reported_airframe.of_link(receiver, options)
         session = LiveSession(
             receiver,
             airframe,
@@ -274,7 +274,7 @@ def say_until_end(session: Session, announcer: "Announcer | None" = None) -> Non
     """One line a second on standard error, and one for each event; call-outs where wanted."""
     said = -_SAY_EVERY
     last = ""
-    told: Event | None = None
+    printed: Event | None = None
     advised = ""
     ended = False
     while not ended:
@@ -285,9 +285,9 @@ def say_until_end(session: Session, announcer: "Announcer | None" = None) -> Non
             continue
         if announcer is not None:
             announcer.see(snapshot)
-        for event in events_after(told, snapshot.events):
+        for event in events_after(printed, snapshot.events):
             output.say(f"{event.t:7.1f} s  {event.text}")
-            told = event
+            printed = event
         if ended:
             return
         if snapshot.advice is not None and snapshot.advice.text != advised:
@@ -314,7 +314,7 @@ def status_line(snapshot: Snapshot) -> str:
     link = snapshot.link
     if link.state is LinkState.WAITING:
         reasons = snapshot.result.reasons
-        if link.received or len(reasons) > 1:  # somebody speaks, but nobody to listen to
+        if link.received or len(reasons) > 1:  # something is received, but no vehicle
             return f"listening on {link.url}: {'; '.join(reasons)}"
         return f"listening on {link.url}: no vehicle yet"
     words = [f"{snapshot.t:7.1f} s", link.vehicle or link.url]

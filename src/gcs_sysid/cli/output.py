@@ -28,8 +28,8 @@ class Deliveries:
         try:
             part()
         except (OSError, InputError) as error:
-            told = InputError(f"cannot write: {error.strerror}") if is_full(error) else error
-            self._errors.append(told)
+            reported = InputError(f"cannot write: {error.strerror}") if is_full(error) else error
+            self._errors.append(reported)
             return False
         return True
 
@@ -39,7 +39,7 @@ class Deliveries:
         return all(isinstance(error, BrokenPipeError) for error in self._errors)
 
     def check(self) -> None:
-        """Tell what could not be delivered.
+        """Report output that could not be written.
 
         Raises:
             InputError: the first of them; others are lines on standard error, unless they are
@@ -116,7 +116,7 @@ def open_output(path: str, *, force: bool) -> TextIO:
     """A text file to be written line by line, or standard output for `-`.
 
     Raises:
-        InputError: the file cannot be written, or is there already and is not to be written over.
+        InputError: the file cannot be written, or is there already and must not be overwritten.
     """
     if path == "-":
         return sys.stdout
@@ -143,7 +143,7 @@ def write_json(path: str | None, document: object, *, force: bool) -> None:
     """Write a document whole or not at all: to a file, to standard output for `-`; not for None.
 
     Raises:
-        InputError: the file cannot be written, or is there already and is not to be written over.
+        InputError: the file cannot be written, or is there already and must not be overwritten.
     """
     if path is None:
         return
@@ -186,7 +186,7 @@ def save(path: Path, text: str, *, force: bool) -> None:
 
 
 def print_file(text: str) -> None:
-    """Print a file's text as the file has it, whatever a pipe on Windows would make of it."""
+    """Print a file's text as the file has it, whatever the encoding of a pipe on Windows."""
     if isinstance(sys.stdout, io.TextIOWrapper) and not sys.stdout.isatty():
         sys.stdout.reconfigure(encoding="utf-8", newline="\n")
     show(text.removesuffix("\n"))

@@ -203,7 +203,7 @@ def run(argv: Sequence[str]) -> int:
                 f"pip install {PROGRAM} brings it (--headless and notebooks need no screen)"
             )
             return USAGE
-        # A defect. The user gets one line; whoever mends it sets GCS_SYSID_DEBUG.
+        # A defect. The user gets one line; GCS_SYSID_DEBUG gives the traceback.
         if os.environ.get("GCS_SYSID_DEBUG"):
             raise
         if isinstance(error, OSError) and error.filename is not None:

@@ -1,4 +1,4 @@
-"""`analyze --report`: gathers what a report needs while a log is analysed, then writes it."""
+"""`analyze --report`: gathers what a report needs while a log is analyzed, then writes it."""
 
 import argparse
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ _LONGEST_TWIN = 1800.0
 
 
 class Reporter:
-    """Looks on while one log is analysed; as a context, the observer to hand over.
+    """Looks on while one log is analyzed; as a context, the observer to hand over.
 
     Args:
         options: of the command line.
@@ -70,7 +70,7 @@ class Reporter:
         self._recorder.close()
 
     def write(self, result: Result, health: Mapping[str, Any] | None = None) -> None:
-        """Write the report of the log analysed.
+        """Write the report of the log analyzed.
 
         Args:
             result: of the analysis.

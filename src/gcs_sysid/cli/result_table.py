@@ -29,10 +29,10 @@ _STYLES = (
     _Style(4, 1, frozenset({"%", _GIVEN, "bound 95 %"})),
 )
 """The roomiest first."""
-_MOST_TOLD = 3
-"""Disturbances that are told one by one."""
-_TOLD = ("rotor_input", "senders")
-"""Kinds of events beside changes of the vehicle that bear on what the numbers rest on."""
+_MOST_LISTED = 3
+"""Disturbances that are listed one by one."""
+_LISTED = ("rotor_input", "senders")
+"""Kinds of events beside changes of the vehicle that affect the numbers."""
 
 
 def result_table(
@@ -123,10 +123,10 @@ def _notes(result: Result) -> list[str]:
         if estimate.rests_on:
             leaning.setdefault(estimate.rests_on, []).append(name)
     notes = [f"{', '.join(names)}: mostly from {what}" for what, names in leaning.items()]
-    told = [e for e in result.events if "detected" in e or e["kind"] in _TOLD]
-    passed = [e for e in told if e["kind"] == "disturbance" and not e.get("undecided")]
-    many = passed if len(passed) > _MOST_TOLD else []
-    notes += [f"{e['t']:.2f} s: {event_text(e)}" for e in told if e not in many]
+    listed = [e for e in result.events if "detected" in e or e["kind"] in _LISTED]
+    passed = [e for e in listed if e["kind"] == "disturbance" and not e.get("undecided")]
+    many = passed if len(passed) > _MOST_LISTED else []
+    notes += [f"{e['t']:.2f} s: {event_text(e)}" for e in listed if e not in many]
     if many:
         notes.append(f"{len(many)} disturbances; the vehicle is unchanged")
     volts = result.telemetry.get("thrust_voltage")

@@ -118,8 +118,8 @@ def _command(
         words += ["--arm", f"{options.arm:.9g}" + _sigma(options.arm)]
     anchor = airframe.anchor()
     if anchor is not None:
-        told = "".join(map(_sigma, (options.mass, options.k_t, options.t_max)))
-        words += [_SCALE_OPTIONS[anchor[0]], f"{anchor[1]:.9g}{told}"]
+        sigmas = "".join(map(_sigma, (options.mass, options.k_t, options.t_max)))
+        words += [_SCALE_OPTIONS[anchor[0]], f"{anchor[1]:.9g}{sigmas}"]
     for name, value, std in options.prior:
         words += ["--prior", f"{name}={value:.9g}+-{std:.9g}"]
     if vehicle is not None:

@@ -9,8 +9,8 @@ from types import FrameType
 BY_SIGNAL = 128
 """Added to the signal's number: the exit status of a command that was ended at once."""
 _AGAIN = ("SIGINT", "SIGBREAK")
-"""Somebody at the keyboard insists. Other signals come twice by themselves: a terminal that
-closes, or a service that is stopped, may send several."""
+"""A user at the keyboard insists. Other signals come twice by themselves: a terminal that closes,
+or a service that is stopped, may send several."""
 
 
 @contextlib.contextmanager

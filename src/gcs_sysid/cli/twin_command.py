@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from gcs_sysid.cli import arguments, output, told_airframe
+from gcs_sysid.cli import arguments, output, reported_airframe
 from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.results.result import Result
@@ -40,11 +40,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _airframe(options: argparse.Namespace, log: Path) -> Airframe | None:
-    """What is given of the vehicle; None: the result tells it."""
+    """What is given of the vehicle; None: taken from the result."""
     given = (options.arm, options.mass, options.k_t, options.t_max)
     if options.airframe == "auto":
         arguments.check_scale_given(options)
-        return told_airframe.of_log(log, options)
+        return reported_airframe.of_log(log, options)
     if options.airframe is not None:
         return arguments.airframe_of(options)
     if options.prior or any(value is not None for value in given):

@@ -1,4 +1,4 @@
-"""Which manoeuvre to fly next."""
+"""Which maneuver to fly next."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -17,19 +17,19 @@ Judge = Callable[[Fit], Mapping[str, float | None]]
 """Shares of a fit, see `targets.shares`."""
 
 USUAL = 10.0
-"""s that a manoeuvre lasts."""
+"""s that a maneuver lasts."""
 _LENGTHS = (*range(5, 16), 18, 20)
 _NARROWER = 0.97
 """Less of a gain is not worth a word."""
 _BOTH = 0.1
 """Of roll's and pitch's squared rates, what the lesser needs of the greater to start a fit."""
 _CLOSE = 0.9
-"""Expected intervals are aimed to be so much narrower than asked for: they are an estimate."""
+"""Factor by which expected intervals must be narrower than the target: they are an estimate."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A manoeuvre and what it is expected to bring.
+    """A maneuver and what it is expected to bring.
 
     Attributes:
         manoeuvre: within the vehicle's reach, with its length.
@@ -37,7 +37,7 @@ class Choice:
         now: shares before.
         expected: shares after.
         after: the fit expected then.
-        told: (N_UNKNOWNS, N_UNKNOWNS) information from one second of it.
+        added: (N_UNKNOWNS, N_UNKNOWNS) information from one second of it.
     """
 
     manoeuvre: Manoeuvre
@@ -45,7 +45,7 @@ class Choice:
     now: Mapping[str, float | None]
     expected: Mapping[str, float | None]
     after: Fit
-    told: Array
+    added: Array
 
     @property
     def names(self) -> list[str]:
@@ -66,7 +66,7 @@ def choose(
     target: float,
     achieved: Callable[[Manoeuvre], Manoeuvre] | None = None,
 ) -> Choice | None:
-    """The manoeuvre that brings the widest intervals nearest to the target; None: none can.
+    """The maneuver that brings the widest intervals nearest to the target; None: none can.
 
     Args:
         prospect: what is known.
@@ -88,21 +88,23 @@ def choose(
             motion = motion_of(flown, prospect.craft)
         if prospect.fit.rotation is None and not _starts(motion):
             continue
-        told = information(motion, prospect.craft, prospect.noise, float(prospect.coordinates[LAG]))
+        added = information(
+            motion, prospect.craft, prospect.noise, float(prospect.coordinates[LAG])
+        )
         reached = reached.lasting(USUAL)
-        left = excess(judge(_after(prospect, told, reached)), _CLOSE * target)
+        left = excess(judge(_after(prospect, added, reached)), _CLOSE * target)
         if best is None or left < best[0]:
-            best = left, reached, motion, told
+            best = left, reached, motion, added
     if best is None or not best[0] < far:
         return None
-    _, chosen, motion, told = best
+    _, chosen, motion, added = best
     for seconds in _LENGTHS:
         tried = chosen.lasting(float(seconds))
-        if is_enough(judge(_after(prospect, told, tried)), _CLOSE * target):
+        if is_enough(judge(_after(prospect, added, tried)), _CLOSE * target):
             chosen = tried
             break
-    after = _after(prospect, told, chosen)
-    return Choice(chosen, motion, now, judge(after), after, told)
+    after = _after(prospect, added, chosen)
+    return Choice(chosen, motion, now, judge(after), after, added)
 
 
 def _starts(motion: Motion) -> bool:
@@ -111,5 +113,5 @@ def _starts(motion: Motion) -> bool:
     return bool(min(roll, pitch) > _BOTH * max(roll, pitch))
 
 
-def _after(prospect: PredictedInformation, told: Array, manoeuvre: Manoeuvre) -> Fit:
-    return prospect.after(told, manoeuvre.seconds, manoeuvre.effective_seconds)
+def _after(prospect: PredictedInformation, added: Array, manoeuvre: Manoeuvre) -> Fit:
+    return prospect.after(added, manoeuvre.seconds, manoeuvre.effective_seconds)

@@ -1,4 +1,4 @@
-"""A flight plan on paper: manoeuvres that should do, for a vehicle that has not flown yet."""
+"""A flight plan on paper: maneuvers that should do, for a vehicle that has not flown yet."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from gcs_sysid.estimation.online import Fit
 HOVER = 5.0
 """s of quiet hover at the start."""
 PAUSE = 3.0
-"""s of hover between manoeuvres."""
+"""s of hover between maneuvers."""
 MARGIN = 1.5
 """The plan aims at the target over this: the vehicle is a guess, and so are its sensors."""
 MOST = 300.0
@@ -25,7 +25,7 @@ MOST = 300.0
 
 @dataclass(frozen=True)
 class Step:
-    """One manoeuvre of a plan.
+    """One maneuver of a plan.
 
     Attributes:
         start: s after the plan's start.
@@ -52,7 +52,7 @@ class Plan:
         limits: of the pilot.
         steps: in order.
         expected: shares at the end.
-        seconds: from the first hover to the last manoeuvre's end.
+        seconds: from the first hover to the last maneuver's end.
         enough: whether every interval should meet the target.
     """
 
@@ -96,7 +96,7 @@ def make_plan(
         prior_vehicle: of it.
         judge: gives the shares of a fit.
         target: share to reach.
-        limits: of the manoeuvres.
+        limits: of the maneuvers.
     """
     free = (DELAY, LAG, CURVE) if prior_vehicle.craft.commands else (DELAY,)
     prospect = predicted_information(
@@ -112,7 +112,7 @@ def make_plan(
             break
         flown = found.manoeuvre
         steps.append(Step(seconds, flown, now, found.expected, tuple(found.names)))
-        prospect = prospect.then(found.told, flown.seconds, flown.effective_seconds)
+        prospect = prospect.then(found.added, flown.seconds, flown.effective_seconds)
         now = judge(prospect.after())
         seconds += flown.seconds + PAUSE
     total = seconds - PAUSE if steps else seconds

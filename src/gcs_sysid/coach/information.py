@@ -1,11 +1,11 @@
-"""The information that a manoeuvre adds about the parameters, before it is flown.
+"""The information that a maneuver adds about the parameters, before it is flown.
 
 What a swing adds is counted frequency by frequency (Whittle's likelihood): with s_j(f) what the
 j-th unknown changes of the angular acceleration and S(f) the spectral density of what disturbs it,
 
     information = seconds * sum_f Re s_j(f)^* S(f)^-1 s_k(f)
 
-A period has a few tens of frequencies, so that a library of manoeuvres costs milliseconds; no
+A period has a few tens of frequencies, so that a library of maneuvers costs milliseconds; no
 flight is simulated. The estimator's filters pass over both sides alike, so they are not in it.
 """
 
@@ -20,7 +20,7 @@ from gcs_sysid.estimation.priors import N_UNKNOWNS
 from gcs_sysid.model import rigid_body as rb
 
 _SLOWEST = 0.5
-"""Hz; what is slower than this tells no more than at this: biases and gusts wander."""
+"""Hz; lower frequencies carry no more information than this one: biases and gusts wander."""
 _QUIETEST = 1e-12
 """rad^2/s^3; no sensor is perfect, but an emulated one may be."""
 _EFFICIENCY = 0.75
@@ -68,7 +68,7 @@ def information(motion: Motion, craft: Craft, noise: Noise, lag: float = 0.0) ->
     """(N_UNKNOWNS, N_UNKNOWNS) that each second of a motion at full swing adds.
 
     Args:
-        motion: of the manoeuvre.
+        motion: of the maneuver.
         craft: it is flown with.
         noise: what disturbs.
         lag: s, of the motors, where commands are the input.

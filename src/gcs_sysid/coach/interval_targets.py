@@ -23,7 +23,7 @@ def shares(
     Parameters that are given do not count, nor do those that only a vehicle with something beside
     a rigid body and rotors has (damping, rotor inertia, drag).
     """
-    sizes = {name: told.value or 0.0 for name, told in values.items()} | {ARM: arm}
+    sizes = {name: entry.value or 0.0 for name, entry in values.items()} | {ARM: arm}
     out: dict[str, float | None] = {}
     for name in CORE_OF[rotor_input]:
         found = values[name]

@@ -1,4 +1,4 @@
-"""A small library of manoeuvres that a pilot can fly by hand.
+"""A small library of maneuvers that a pilot can fly by hand.
 
 All are swings to and fro: sine-like doublets of attitude angles and of height, about one place.
 """
@@ -12,16 +12,16 @@ import numpy as np
 from gcs_sysid.arrays import Array
 
 RAMP = 1.0
-"""s, over which a swing grows at the start of a manoeuvre and fades at its end."""
+"""s, over which a swing grows at the start of a maneuver and fades at its end."""
 _PACES = (0.7, 1.0, 1.4)
 """Hz, of roll and pitch: slow, usual and brisk by hand."""
 _CLIMB_LEAST, _CLIMB_MOST, _CLIMB_STEP = 0.2, 1.0, 0.05
-"""m up and down that can be seen, that are flown at most, and steps that are told."""
+"""m up and down: visible, flown at most, and steps of the call-outs."""
 _CLIMB_PACE = 0.5
 """Hz, of height."""
 _YAW_MOST = math.radians(45.0)
 _STEP = math.radians(5.0)
-"""Angles are told in steps of so much."""
+"""Steps of the angles in call-outs."""
 LEAST = math.radians(5.0)
 """A smaller swing cannot be flown by eye."""
 
@@ -33,7 +33,7 @@ class Limits:
     Attributes:
         tilt: rad, of roll and pitch.
         rate: rad/s, about each body axis.
-        height: m, up and down from where the manoeuvre begins.
+        height: m, up and down from where the maneuver begins.
     """
 
     tilt: float = math.radians(20.0)
@@ -109,7 +109,7 @@ class Manoeuvre:
 
 
 def library(limits: Limits) -> tuple[Manoeuvre, ...]:
-    """Every manoeuvre within the limits, as hard as they allow."""
+    """Every maneuver within the limits, as hard as they allow."""
     out: list[Manoeuvre] = []
     for pace in _PACES:
         tilt = _rounded(min(limits.tilt, limits.rate / (2.0 * math.pi * pace)))

@@ -1,4 +1,4 @@
-"""What a manoeuvre is called by a pilot."""
+"""What a maneuver is called by a pilot."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre
 from gcs_sysid.results.number_format import PLAIN
 
-_TOLD = 3
+_MOST_NAMES = 3
 """Parameters that a sentence names."""
 
 
@@ -49,7 +49,7 @@ def _angle(angle: float) -> str:
 
 
 def damped_words(manoeuvre: Manoeuvre, share: float) -> str:
-    """What came of a manoeuvre: "swing too small (±8° of ±20° at 1.4 Hz)"."""
+    """What came of a maneuver: "swing too small (±8° of ±20° at 1.4 Hz)"."""
     asked = max(manoeuvre.roll, manoeuvre.pitch, manoeuvre.yaw)
     pace = manoeuvre.pace if asked > manoeuvre.yaw else manoeuvre.yaw_pace
     return f"swing too small ({_angle(share * asked)} of {_angle(asked)} at {pace:g} Hz)"
@@ -71,7 +71,7 @@ def sentence(
     """All in one sentence, the widest intervals first."""
     gains = [
         gain_words(name, now.get(name), share)
-        for name in names[:_TOLD]
+        for name in names[:_MOST_NAMES]
         for share in (expected[name],)
         if share is not None
     ]

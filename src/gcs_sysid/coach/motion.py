@@ -1,4 +1,4 @@
-"""What a manoeuvre asks of a vehicle: the regression's signals over one period."""
+"""What a maneuver asks of a vehicle: the regression's signals over one period."""
 
 import math
 from dataclasses import dataclass, replace
@@ -48,7 +48,7 @@ class Craft:
 
 @dataclass(frozen=True)
 class Motion:
-    """One period of a manoeuvre at full swing.
+    """One period of a maneuver at full swing.
 
     Attributes:
         signals: (n, N_SIGNALS) of the forward form.
@@ -64,7 +64,7 @@ class Motion:
 
 
 def within_reach(manoeuvre: Manoeuvre, craft: Craft) -> tuple[Manoeuvre, Motion] | None:
-    """The manoeuvre with no more swing than the rotors can give, and its motion.
+    """The maneuver with no more swing than the rotors can give, and its motion.
 
     Yaw is given up first, as rotors have least to turn it with. None: not even a small one.
     """
@@ -98,7 +98,7 @@ def _is_within(shares: Array, craft: Craft) -> bool:
 
 
 def motion_of(manoeuvre: Manoeuvre, craft: Craft) -> Motion:
-    """The motion that the manoeuvre is, and the rotors' part in it."""
+    """The motion that the maneuver is, and the rotors' part in it."""
     paces = [manoeuvre.pace] if not manoeuvre.yaw else [manoeuvre.pace, manoeuvre.yaw_pace]
     period = 1.0 / min(paces)
     t = np.arange(_POINTS) * (period / _POINTS)

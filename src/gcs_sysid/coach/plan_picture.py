@@ -17,7 +17,7 @@ from gcs_sysid.results.number_format import PLAIN
 _BLOCKS, _PLAIN = "▁▂▃▄▅▆▇█", "_.,-~=*#"
 _COLUMNS = 32
 _SHOWN = 4.0
-"""s of a manoeuvre that its small picture shows."""
+"""s of a maneuver that its small picture shows."""
 _AXES = ("roll", "pitch", "yaw", "climb")
 _GAINS = 4
 _WIDTH = 79

@@ -1,4 +1,4 @@
-"""What is known now, and what would be known after a manoeuvre.
+"""What is known now, and what would be known after a maneuver.
 
 Both are given as a `Fit`, so that expected intervals pass through the very rules that intervals of
 a flight do: scale, Student's factor for few batches, and the factor of one who looks all the time.
@@ -28,7 +28,7 @@ from gcs_sysid.model.parameters import GRAVITY, REGISTRY
 _OF_AXIS = tuple(
     [i for i, name in enumerate(rb.THETA) if axis in REGISTRY[name].axes] for axis in range(3)
 )
-"""Of theta: what an axis' equation tells."""
+"""Of theta: parameters that an axis' equation determines."""
 _THRUST_SHARE = 1.2e-3
 """Relative standard deviation of k_T / m after MIN_MOMENTUM_SECONDS of flight: measured on flights
 of the emulator; it falls with the square root of time."""
@@ -39,12 +39,12 @@ _FACTORS = stdtrit(_FREEDOMS, 0.975) / Z95
 
 @dataclass(frozen=True)
 class PredictedInformation:
-    """What is known of a vehicle at one instant of its flight, or before it.
+    """Information on a vehicle at one instant of its flight, or before it.
 
     Attributes:
         fit: of the flight; without a rotation while that has no information.
         craft: the best guess: the fit, as far as it is one, else what is assumed.
-        noise: that manoeuvres are flown in.
+        noise: that maneuvers are flown in.
         information: (N_UNKNOWNS, N_UNKNOWNS) about theta and coordinates, of the flight and of
             what is assumed.
         freedom: (N_UNKNOWNS,) degrees of freedom of each one's standard deviation.
@@ -62,16 +62,16 @@ class PredictedInformation:
     free: Array
     kappa: float
 
-    def after(self, told: Array | None = None, seconds: float = 0.0, full: float = 0.0) -> Fit:
-        """What is expected to be known after a manoeuvre; of now without one.
+    def after(self, added: Array | None = None, seconds: float = 0.0, full: float = 0.0) -> Fit:
+        """What is expected to be known after a maneuver; of now without one.
 
         Args:
-            told: (N_UNKNOWNS, N_UNKNOWNS) information of a second at full swing.
+            added: (N_UNKNOWNS, N_UNKNOWNS) information of a second at full swing.
             seconds: from its start to its end.
             full: as many at full swing have as much information.
         """
         n = rb.N_THETA
-        covariance, freedom = self._spread(told, full)
+        covariance, freedom = self._spread(added, full)
         widening = np.interp(freedom, _FREEDOMS, _FACTORS)
         covariance *= np.outer(widening, widening)
         rotation = RotationFit(
@@ -93,28 +93,28 @@ class PredictedInformation:
             running=True,
         )
 
-    def then(self, told: Array, seconds: float, full: float) -> "PredictedInformation":
-        """What is known once a manoeuvre has been flown as expected; arguments as of `after`."""
-        after = self.after(told, seconds, full)
+    def then(self, added: Array, seconds: float, full: float) -> "PredictedInformation":
+        """What is known once a maneuver has been flown as expected; arguments as of `after`."""
+        after = self.after(added, seconds, full)
         fit = Fit(
             after.rotation,
             self.fit.translation,
             after.seconds,
             rigid_body_test=self.fit.rigid_body_test,
         )
-        _, freedom = self._spread(told, full)
-        return replace(self, fit=fit, information=self.information + full * told, freedom=freedom)
+        _, freedom = self._spread(added, full)
+        return replace(self, fit=fit, information=self.information + full * added, freedom=freedom)
 
-    def _spread(self, told: Array | None, full: float) -> tuple[Array, Array]:
+    def _spread(self, added: Array | None, full: float) -> tuple[Array, Array]:
         """(N_UNKNOWNS, N_UNKNOWNS) covariance without Student's factor, and its freedom."""
         free = self.free
-        gained = np.zeros((N_UNKNOWNS, N_UNKNOWNS)) if told is None else full * told
+        gained = np.zeros((N_UNKNOWNS, N_UNKNOWNS)) if added is None else full * added
         total = (self.information + gained)[np.ix_(free, free)]
         scale = np.sqrt(np.diag(total))
         inverse = np.linalg.inv(total / np.outer(scale, scale)) / np.outer(scale, scale)
         covariance = np.zeros_like(self.information)
         covariance[np.ix_(free, free)] = inverse
-        # Satterthwaite again: of what is old, and of the manoeuvre's batches of a second.
+        # Satterthwaite again: of what is old, and of the maneuver's batches of a second.
         fresh = np.diag(covariance @ gained @ covariance)
         old = np.maximum(np.diag(covariance) - fresh, 0.0)
         spread = old**2 / self.freedom + fresh**2 / _even_freedom(full)
@@ -142,7 +142,7 @@ def predicted_information(
     Args:
         fit: so far; `Fit(None, None, 0.0)` before a flight.
         prior_vehicle: of the airframe.
-        noise: that manoeuvres are flown in.
+        noise: that maneuvers are flown in.
         free_coordinates: of `estimation.basis`, those that are estimated.
     """
     kappa = prior_vehicle.kappa
@@ -156,9 +156,9 @@ def predicted_information(
     unknowns = mean.copy()
     rotation = fit.rotation
     if rotation is not None:
-        told, freedom = _told(rotation, prior_vehicle, free)
-        information += told
-        found = told @ rotation.unknowns + margin @ mean
+        added, freedom = _information_of(rotation, prior_vehicle, free)
+        information += added
+        found = added @ rotation.unknowns + margin @ mean
         d = np.sqrt(np.diag(information))
         unknowns = np.linalg.solve(information / np.outer(d, d), found / d) / d
     theta = unknowns[: rb.N_THETA]
@@ -172,8 +172,10 @@ def predicted_information(
     return PredictedInformation(fit, craft, noise, information, freedom, coordinates, free, kappa)
 
 
-def _told(rotation: RotationFit, prior_vehicle: PriorVehicle, free: Array) -> tuple[Array, Array]:
-    """(N_UNKNOWNS, N_UNKNOWNS) information and (N_UNKNOWNS,) freedom of what a flight told."""
+def _information_of(
+    rotation: RotationFit, prior_vehicle: PriorVehicle, free: Array
+) -> tuple[Array, Array]:
+    """(N_UNKNOWNS, N_UNKNOWNS) information and (N_UNKNOWNS,) freedom of a flight."""
     freedom = np.full(N_UNKNOWNS, _FREEDOMS[-1])
     widening = np.ones(N_UNKNOWNS)
     if rotation.warm_start is not None:
@@ -182,10 +184,10 @@ def _told(rotation: RotationFit, prior_vehicle: PriorVehicle, free: Array) -> tu
         widening[free] = np.delete(rotation.warm_start.widening, deviating)
         freedom[free] = np.interp(widening[free], _FACTORS[::-1], _FREEDOMS[::-1])
     covariance = rotation.full_covariance / np.outer(widening, widening)
-    for axis, told_by in enumerate(_OF_AXIS):
+    for axis, of_axis in enumerate(_OF_AXIS):
         if rotation.r_squared[axis] < RULES.explained(whitened=bool(rotation.whiteners))[1]:
             # Where gusts turn the vehicle more than its rotors do, the scatter is deceptive.
-            covariance[told_by, told_by] += (10.0 * prior_vehicle.std[told_by]) ** 2
+            covariance[of_axis, of_axis] += (10.0 * prior_vehicle.std[of_axis]) ** 2
     information = np.zeros_like(covariance)
     there = free[np.diag(covariance)[free] > 0.0]
     part = covariance[np.ix_(there, there)]
@@ -196,7 +198,7 @@ def _told(rotation: RotationFit, prior_vehicle: PriorVehicle, free: Array) -> tu
 
 
 def _even_freedom(seconds: float) -> float:
-    """Degrees of freedom that so many batches of one second have, if all tell as much."""
+    """Degrees of freedom of so many batches of one second, with equal information."""
     count = max(round(seconds), 1)
     weights = bartlett(count)
     shared = sum(w * w * (count - lag) for lag, w in enumerate(weights, 1))

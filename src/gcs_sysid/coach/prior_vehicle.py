@@ -28,14 +28,14 @@ SPEED_STD = 0.5
 RATE = 250.0
 """Hz, of IMU and rotors."""
 ACCELERATION_DENSITY = 3e-4
-"""rad^2/s^3: with commands, what motors do that their commands do not tell."""
+"""rad^2/s^3: with commands, motion of the motors that their commands do not explain."""
 
 
 class PriorVehicle(NamedTuple):
     """A vehicle of its size and mass, with wide margins.
 
     Attributes:
-        craft: to reckon with.
+        craft: for predictions.
         std: (N_UNKNOWNS,) of theta and of delay, lag and curve.
         kappa: thrust over mass, k_T / m or T_max / m.
     """

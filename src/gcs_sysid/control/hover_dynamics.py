@@ -1,4 +1,4 @@
-"""The vehicle in hover, linear from normalised torque commands to body rates.
+"""The vehicle in hover, linear from normalized torque commands to body rates.
 
     w' = -J^-1 diag(d) w + (B + s B_r) A(s) u,   A(s) = exp(-s delay) / (1 + s lag)
     B = J^-1 E diag(dT_i/dt_i) mixer,   E_i = (-(y_i - cg_y), x_i - cg_x, s_i k_M/k_T)
@@ -43,8 +43,8 @@ class HoverDynamics:
     """The linear model of N vehicles (draws from the covariance), the nominal one first.
 
     Attributes:
-        effectiveness: (N, 3, 3) B, rad/s^2 per normalised torque.
-        reaction: (N, 3, 3) B_r, rad/s per normalised torque.
+        effectiveness: (N, 3, 3) B, rad/s^2 per normalized torque.
+        reaction: (N, 3, 3) B_r, rad/s per normalized torque.
         damping: (N, 3, 3) J^-1 diag(d), 1/s.
         lag: (N,) s.
         delay: (N,) s, from the gyro's sample to the rotor's command, hold of the loop not included.
@@ -76,7 +76,7 @@ class HoverDynamics:
         )
 
     def response(self, omega: Array, period: float = 0.0) -> Array:
-        """(N, w, 3, 3) body rates over normalised torques.
+        """(N, w, 3, 3) body rates over normalized torques.
 
         Args:
             omega: (w,) rad/s.
@@ -95,7 +95,7 @@ class HoverDynamics:
     def as_control(self, axis: int, pade: int = 2) -> object:
         """The nominal transfer function of one axis, as a `control.TransferFunction`.
 
-        From normalised torque to body rate in rad/s, without the loop's hold; the delay is a Pade
+        From normalized torque to body rate in rad/s, without the loop's hold; the delay is a Pade
         approximation of the order given.
 
         Raises:
@@ -128,18 +128,18 @@ def hover_dynamics(
         loop: of the autopilot, for its mixer and thrust curve.
         delay: s and standard deviation, the same for every rotor.
         seed: of the draws of the delay.
-        traded: whether the delay was identified together with the motors' lag. A flight tells their
-            sum far better than either, so that what is drawn more of one is less of the other.
+        traded: whether the delay was identified together with the motors' lag. A flight determines
+            their sum far better than either, so they are drawn with opposite errors.
 
     Raises:
-        MissingError: the result does not have what a loop rests on; says which flight would help.
+        MissingError: the result lacks what a loop depends on; names the flight that would help.
     """
     first = vehicles[0]
     check_needs(first)
     random = np.random.default_rng(seed)
     delays = np.maximum(delay[0] + delay[1] * random.standard_normal(len(vehicles)), 0.0)
     delays[0] = delay[0]
-    # What the flight does not tell of the rotors' inertia is drawn from all that is usual.
+    # Where the flight does not determine the rotors' inertia, it is drawn from the usual range.
     unknown = first.get("rotor_inertia") is None or first.get("k_T") is None
     reactions = random.uniform(*_USUAL_REACTION, len(vehicles))
     reactions[0] = np.mean(_USUAL_REACTION)
@@ -166,7 +166,7 @@ def hover_dynamics(
 
 
 def check_needs(vehicle: Vehicle) -> None:
-    """Make sure that all that a loop rests on is known and identified.
+    """Check that all that a loop depends on is known and identified.
 
     Raises:
         MissingError: says what is not, why it matters, and which flight would help.

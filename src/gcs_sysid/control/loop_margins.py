@@ -1,7 +1,7 @@
 """Margins and step responses of the loops around a vehicle in hover.
 
 The loop of an axis is broken at its torque, with the loops of the other axes closed: what a sweep
-injected there measures. With H what the loops make of body rates and G the vehicle,
+injected there measures. With H the loops' response to body rates and G the vehicle,
 
     1 + l_i = 1 / [(1 + H G)^-1]_ii
 """

@@ -12,7 +12,7 @@ on the set-point, FLTE on the error and FLTD on the derivative of the filtered e
     torque = P e_f + I sum(e_f) dt + D (e_f)' + FF w_sp,   e = FLTT(w_sp) - w_f
 
 Both act on the gyro behind a second-order Butterworth low-pass (IMU_GYRO_CUTOFF, INS_GYRO_FILTER).
-Torques are normalised; a rotor's thrust command is the sum of its column of the mixer times them,
+Torques are normalized; a rotor's thrust command is the sum of its column of the mixer times them,
 and goes through the inverse of the thrust curve THR_MDL_FAC or MOT_THST_EXPO.
 """
 
@@ -43,10 +43,10 @@ class AxisGains:
     """Gains of one axis.
 
     Attributes:
-        P: normalised torque per rad/s.
+        P: normalized torque per rad/s.
         I: the same per rad.
         D: the same per rad/s^2.
-        FF: normalised torque per rad/s of the rate set-point.
+        FF: normalized torque per rad/s of the rate set-point.
         attitude: 1/s, rate set-point per attitude error.
     """
 
@@ -70,7 +70,7 @@ class RateLoop:
         target_cutoff: Hz on each axis, of the rate set-point (ArduPilot); 0: none.
         torque_cutoff: Hz on each axis, of the torque (PX4, yaw); 0: none.
         curve: c of T/T_max = (1 - c) u + c u^2 that the autopilot inverts.
-        mixer: (n, 3) thrust command of each rotor per normalised torque.
+        mixer: (n, 3) thrust command of each rotor per normalized torque.
         gains: of roll, pitch and yaw.
         assumed: parameters that were not given, and stand at the autopilot's defaults.
     """
@@ -124,13 +124,13 @@ class RateLoop:
         return out
 
     def controllers(self, omega: Array) -> tuple[Array, Array, Array]:
-        """What the loops make of the vehicle's motion and of set-points, at frequencies.
+        """Response of the loops to the vehicle's motion and to set-points, at frequencies.
 
         Args:
             omega: (w,) rad/s, below half the loop rate.
 
         Returns:
-            (w, 3) normalised torque per negative body rate by the rate loop alone; (w, 3) the same
+            (w, 3) normalized torque per negative body rate by the rate loop alone; (w, 3) the same
             per negative attitude error in rad, through the attitude loop; (w, 3) per rate
             set-point.
         """
@@ -289,7 +289,7 @@ def _px4_rotors(parameters: Mapping[str, float], rotors: tuple[Rotor, ...]) -> t
 
 
 def px4_mixer(places: Array, ratios: Array) -> Array:
-    """(n, 3) PX4's normalised mixer (`ControlAllocationPseudoInverse`).
+    """(n, 3) PX4's normalized mixer (`ControlAllocationPseudoInverse`).
 
     Args:
         places: (n, 2) CA_ROTORn_PX, PY.

@@ -172,7 +172,7 @@ def joined_vehicle(vehicle: Vehicle, other: Vehicle) -> Vehicle:
 
 
 def with_delay(vehicle: Vehicle) -> Vehicle:
-    """The vehicle with the delay from commands to rotors, where its result tells it."""
+    """The vehicle with the delay from commands to rotors, where its result has it."""
     found = vehicle.result.timing.get("rotor_delay")
     if (
         vehicle.result.rotor_input != "command"

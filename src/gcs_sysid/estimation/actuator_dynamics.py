@@ -1,30 +1,29 @@
-"""What is not known of the way from the rotors' stream to their thrust.
+"""The unknown actuator dynamics between the rotor stream and the thrust.
 
-Three numbers stand between what is telemetered of a rotor and the thrust that acts while the IMU
-measures:
+Three parameters relate the telemetered rotor signal to the thrust that acts when the IMU samples:
 
     rotor delay d   s, of the rotors' stamps behind the IMU's
     motor lag tau   s, of first order, where commands are the input; measured speeds have none
     thrust curve c  T / T_max = (1 - c) w + c w^2 of the lagged command w; speeds have none
 
-What lags behind the command decides on the second order. A motor turns a propeller, so speed does:
-sqrt(T) follows the root of the share of full thrust that is commanded; a simulator may let thrust
-lag, or the command itself. Around hover all three are
+What lags the command matters to second order. A motor turns a propeller, so speed does: sqrt(T)
+follows the root of the share of full thrust that is commanded; a simulator may let thrust lag, or
+the command itself. Around hover all three are
 
     T / T_max = (1 - c) w + c w^2 + k (L[u^2] - w^2),    w = L[u]
 
 with L the lag of command u. k is 0 where the command lags, c where thrust does, and below zero
 where speed does (`LagPlace`). The last term is largest where two axes turn together: what lags
-matters for Izz and k_M, which are told apart there.
+matters for Izz and k_M, which separate there.
 
-The rotors' signals are filtered with a few pairs of lag and delay, the elements of a basis. What
-any other pair would make of them, exp(i omega d) / (1 + i omega tau), is a sum of the elements
-with weights found by least squares over the frequencies that pass the window, to 2e-4 of the
-signal; sums with weights add up to one, so that a constant stays what it is. The curve mixes the
-signals of w and of w^2. So a row at any delay, lag and curve is a linear map of the row that
-holds all elements, its moments are that map of their moments, derivatives included, and the three
-are unknowns of the fit like any other. Moments made so are those of real rows: residuals have no
-negative power, however small they are.
+The rotors' signals are filtered with a few pairs of lag and delay, the elements of a basis. The
+response of any other pair, exp(i omega d) / (1 + i omega tau), is a sum of the elements with
+weights found by least squares over the frequencies that pass the window, to 2e-4 of the signal;
+sums with weights add up to one, so that constants pass unchanged. The curve mixes the signals of w
+and of w^2. So a row at any delay, lag and curve is a linear map of the row that holds all elements,
+its moments are that map of their moments, derivatives included, and the three are unknowns of the
+fit like any other. Moments made so are those of real rows: residual power is never negative,
+however small.
 """
 
 from collections.abc import Sequence
@@ -68,8 +67,8 @@ _RIDGE = 1e-12
 def motor_filter(dt: float, lag: float) -> tuple[float, float, float]:
     """(a, b0, b1) of w_k = a w_{k-1} + b0 u_k + b1 u_{k-1} for a motor of first order.
 
-    Exact for commands that run straight from stamp to stamp, which has no phase of its own;
-    that a command is held until the next one comes is then part of the delay.
+    Exact for commands interpolated linearly between stamps, which adds no phase; the zero-order
+    hold of the commands is then part of the delay.
     """
     if lag == 0.0:
         return 0.0, 1.0, 0.0
@@ -144,7 +143,7 @@ def _second_order(passed: Array, change: Array | None = None) -> Array:
 
 
 class _Span:
-    """Weights of some filters that make up another one.
+    """Weights with which some filters approximate another one.
 
     Args:
         half_width: s, of the window that all pass afterwards; None: rows are of one step.
@@ -284,8 +283,8 @@ class ActuatorDynamics:
 
     Products q H and p H are no filtered signals: H must have its lag and delay before it is
     multiplied. Rotors that speed up turn the body against them, J_r H is most of what Izz r is, and
-    q J_r H as large as the gyroscopic torque that tells Izz. So the products are formed with H at
-    several lags (commands), or with present and past H (speeds), and mixed as H would be. Those
+    q J_r H as large as the gyroscopic torque that determines Izz. So the products are formed with H
+    at several lags (commands), or with present and past H (speeds), and mixed as H would be. Those
     with the first form of H are among the BODY columns, the others are the further products.
 
     Args:

@@ -96,7 +96,7 @@ class ArticleEstimator:
         self._samples = 0
 
     def restart(self) -> None:
-        """A gap: the differentiator starts anew."""
+        """A gap: the differentiator is reset."""
         self._last = None
         self._held = None
 

@@ -22,7 +22,7 @@ from gcs_sysid.estimation.priors import N_UNKNOWNS, Prior
 from gcs_sysid.estimation.search import N_X, Problem, residual_maker, scales
 from gcs_sysid.model import rigid_body as rb
 
-TOLD = 0.97
+NOISE_SHARE = 0.97
 """Share of the inputs' known noise that is taken out. How strong it is, is known to one or two
 percent, and where inputs are hardly more than noise, information must not become negative."""
 _LEAST = 0.05
@@ -40,12 +40,12 @@ _DIAGONAL = np.arange(WIDTH)
 
 @dataclass(frozen=True)
 class AxisPoint:
-    """Where the search stands, for K hypotheses.
+    """State of the search, for K hypotheses.
 
     Attributes:
         unknowns: (K, N_UNKNOWNS).
         variance: (K, 3) power of the innovations.
-        told: (K, 3) of the same, times n, without the inputs' known noise; may be negative.
+        motion_power: (K, 3) of the same, times n, without the inputs' known noise; may be negative.
         weak: (K,) what coordinates and prior add to twice the cost.
         gradient: (K, p) downhill, of half the cost, at the weights of this point.
         hessian: (K, p, p) of the same, Gauss-Newton.
@@ -56,7 +56,7 @@ class AxisPoint:
 
     unknowns: Array
     variance: Array
-    told: Array
+    motion_power: Array
     weak: Array
     gradient: Array
     hessian: Array
@@ -116,10 +116,10 @@ class AxisProblem(Problem):
         self.without = moments
         """As `moments`, without the known noise."""
         if not self._silent:
-            self.without = moments - (TOLD * self.rows)[:, None, None, None] * noise
+            self.without = moments - (NOISE_SHARE * self.rows)[:, None, None, None] * noise
         self._noise_of_all = self.rows[:, None, None, None] * noise
         usual = noise if basis is PLAIN else basis.moments_at(noise, basis.nodes[basis.middle])
-        self._usual = TOLD * usual
+        self._usual = NOISE_SHARE * usual
         """(K, 3 or 1, WIDTH, WIDTH) known noise at coordinates that are always the same."""
 
     def prior_information(self) -> Array:
@@ -154,16 +154,16 @@ class AxisProblem(Problem):
         unknowns = np.broadcast_to(unknowns, (K, unknowns.shape[1]))
         phi = unknowns[:, N_UNKNOWNS:]
         rows = self.rows[:, None]
-        moments, told = self.bank, self.without
+        moments, corrected = self.bank, self.without
         if self.basis is not PLAIN:
             P = self.maps(unknowns)
             first, turned = P[:, :1], np.swapaxes(P[:, :1], -1, -2)
             moments = first @ moments @ turned
-            told = moments if self._silent else first @ told @ turned
+            corrected = moments if self._silent else first @ corrected @ turned
         Q, G = self._model(unknowns[:, : rb.N_THETA], phi)
         T = residual_maker(Q)
         sizes = moments[..., _DIAGONAL, _DIAGONAL]
-        own = _power(T, told)
+        own = _power(T, corrected)
         all_ = own if self._silent else _power(T, moments)
         # Signals between two of the basis' delays are means of both, and have less noise: a weight
         # that followed that would make every delay look for the middle between two.
@@ -174,8 +174,8 @@ class AxisProblem(Problem):
         G = np.swapaxes(G, 1, 2)  # (K, 3, n, N_X)
         WG = W[:, :, None, None] * G
         hessian, gradient = np.empty((K, self.p, self.p)), np.empty((K, self.p))
-        hessian[:, :n, :n] = (WG @ told[..., :N_X, :N_X] @ np.swapaxes(G, -1, -2)).sum(axis=1)
-        downhill = WG @ (told[..., :N_X, :] @ T[..., None])
+        hessian[:, :n, :n] = (WG @ corrected[..., :N_X, :N_X] @ np.swapaxes(G, -1, -2)).sum(axis=1)
+        downhill = WG @ (corrected[..., :N_X, :] @ T[..., None])
         gradient[:, :n] = downhill.sum(axis=1)[..., 0]
         weak = np.zeros(K)
         if phi.shape[1]:
@@ -189,11 +189,11 @@ class AxisProblem(Problem):
             TP = T[:, None] @ P[:, 1:]
             TPM = _per_axis(TP, self.without)
             left = T @ P[:, 0]
-            told_of = TPM
+            corrected_TPM = TPM
             if not self._silent:
                 # What a delay does to the noise itself is no information: all of it is taken out.
-                told_of = TPM - (1.0 - TOLD) * _per_axis(TP, self._noise_of_all)
-            slopes = (W[:, None, :, None] * told_of * left[:, None]).sum(axis=(2, 3))
+                corrected_TPM = TPM - (1.0 - NOISE_SHARE) * _per_axis(TP, self._noise_of_all)
+            slopes = (W[:, None, :, None] * corrected_TPM * left[:, None]).sum(axis=(2, 3))
             bends = (W[:, None, :, None] * TPM).reshape(K, f, -1) @ np.swapaxes(
                 TP.reshape(K, f, -1), 1, 2
             )
@@ -252,7 +252,9 @@ def minimise_axes(problem: AxisProblem, unknowns: Array, limit: int) -> tuple[Ax
         physical = rb.are_physical(candidate)
         candidate = np.where(physical[:, None], candidate, point.unknowns)
         tried = problem.evaluate(candidate)
-        before, after = ((at.told / point.variance).sum(axis=1) + at.weak for at in (point, tried))
+        before, after = (
+            (at.motion_power / point.variance).sum(axis=1) + at.weak for at in (point, tried)
+        )
         small = gain < _CONVERGED**2
         better = physical & ((after <= before) | small) & ~converged
         point = point.where(better, tried)

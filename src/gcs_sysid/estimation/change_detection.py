@@ -3,11 +3,11 @@
 Two-sided CUSUM tests run on the four residuals of a reference (`change_reference`), on two scales.
 The fast one looks at every sample's jump from a short baseline (bias, trim and gusts are in both)
 with a large allowance: a mass step or payload shows within three samples, a spike of one or two
-does not. The slow one looks at means over a quarter of a second, freed of the slowly tracked mean:
-smaller steps. Both divide by the scatter that just such values had in the flight so far, so that
-gusts and coloured noise raise the level, not the alarm rate.
+does not. The slow one looks at means over a quarter of a second, less the slowly tracked mean, and
+detects smaller steps. Both divide by the scatter that just such values had in the flight so far, so
+that gusts and colored noise raise the level, not the alarm rate.
 
-An alarm is no change: `change_hypotheses` tells what it was.
+An alarm is not yet a change: `change_hypotheses` classifies it.
 
 Mean and level move at frame borders only, and from whole frames: how samples are grouped into
 blocks changes nothing.
@@ -69,7 +69,7 @@ class Change:
     """A detected change. Times are s of samples fed, see `ChangeDetector.seconds`.
 
     Attributes:
-        detected: time of the newest sample that the detection rests on.
+        detected: time of the newest sample used by the detection.
         onset: estimated time of the change.
         channel: where it showed first.
         size: mean jump of the residual since the onset, m/s^2 or rad/s^2.
@@ -108,7 +108,7 @@ class ChangeDetector:
         self.dt = dt
         self.tuning = tuning = tuning or ChangeTuning()
         self.frames: list[Array] = []
-        """Means over closed frames, as `Frames` takes them, until somebody does."""
+        """Means over closed frames, as `Frames` makes them, until taken."""
         self._closed: list[tuple[Array, Array, Array]] = []
         """Frames whose means are still to be taken: of a block's all at once."""
         self._geometry = geometry
@@ -164,15 +164,15 @@ class ChangeDetector:
         self._slow.clear()
 
     def disarm(self) -> None:
-        """Forget the reference and what was learnt with it."""
+        """Drop the reference and the levels found with it."""
         self._use(Reference(self._geometry, np.full((4, N_X), np.nan)))
         self._forget()
 
     def arm(self, fit: Fit) -> bool:
-        """Put a fit in force, as far as it is good enough; levels learnt so far are kept.
+        """Use a fit as the reference where it is good enough; noise levels are kept.
 
         Returns:
-            Whether anything is watched now.
+            Whether anything is monitored now.
         """
         found = reference_of(
             fit, self._geometry, self.dt, commands=self._commands, moments=self._moments
@@ -344,7 +344,7 @@ class ChangeDetector:
             mean -= self._levels.mean[:4]
         self._closed.append((self._y.copy(), self._x.copy(), self._air.copy()))
         self._move_floor()
-        # A frame's mean of white noise is this much quieter; colour keeps it louder.
+        # A frame's mean of white noise is this much quieter; color keeps it louder.
         floor = 0.5 * self._floor
         std = self._level_of_means.std(floor)
         ready = self._tested(self._level_of_means)
@@ -360,9 +360,9 @@ class ChangeDetector:
                 sigmas=float(z[c]),
                 scale="slow",
             )
-        # While a deviation builds up in a sum, it is not learnt: it alarms, or decays.
+        # While a deviation builds up in a sum, level and mean are frozen: it alarms, or decays.
         learn = ~self._slow.rising
-        # The mean of the means is zero by the tracking: only their scatter is learnt.
+        # The mean of the means is zero by the tracking: only their scatter is estimated.
         usable = learn & (self._levels.frames[:4] >= 2)
         self._level_of_means.update(np.where(usable, mean, np.nan)[None], floor)
         self._level_of_means.mean[:] = 0.0

@@ -45,7 +45,7 @@ Verdict = Literal["changed", "disturbance", "undecided"]
 
 @dataclass(frozen=True)
 class Judgement:
-    """Of one alarm at one time.
+    """Classification of one alarm at one time.
 
     Attributes:
         verdict: "undecided" until more has been seen.
@@ -98,8 +98,8 @@ def judge(
     if sure and decide:
         return Judgement("changed", onset, cause)
     over = trial.is_over() and not sure
-    told = trial.disturbance(cause, force=force)
-    return Judgement("disturbance" if over or last else "undecided", onset, told, not over)
+    probability = trial.disturbance(cause, force=force)
+    return Judgement("disturbance" if over or last else "undecided", onset, probability, not over)
 
 
 class _Trial:
@@ -172,12 +172,12 @@ class _Trial:
         share, std = float(mass.value[0]), float(mass.std[0])
         least = np.maximum(_SURE * moved.std, _MIN_CG)
         moves = bool(moved.std.any()) and bool((np.abs(moved.value) > least).any())
-        # Thrust alone cannot tell a heavier vehicle from a weaker rotor.
+        # Thrust alone cannot distinguish a heavier vehicle from a weaker rotor.
         kind = kind_of(True, moves, False) if self._watched[1:3].all() else "change"
         shift = (float(moved.value[0]), float(moved.value[1])) if moved.std.any() else (0.0, 0.0)
         ratio = 1.0 / max(1.0 - share, 0.1)
-        told = (mass.likelihood + moved.likelihood) / whole
-        cause = Cause(kind, None, 0.0, 0.0, ratio, shift, told)
+        probability = (mass.likelihood + moved.likelihood) / whole
+        cause = Cause(kind, None, 0.0, 0.0, ratio, shift, probability)
         holds = (
             abs(share) >= max(tuning.least_mass, sure * std, self._strange())
             and self._stays(lambda since: {0: self._mass(since)}, share)
@@ -195,7 +195,7 @@ class _Trial:
         return bool(abs(fit.value[0]) < _SURE * fit.std[0])
 
     def disturbance(self, cause: Cause, *, force: bool) -> Cause:
-        """The name of what is no change."""
+        """Name of a disturbance that is not a change."""
         name = self._name() if force and self._watched[0] else "moment"
         return Cause("passing", None, 0.0, 0.0, 1.0, (0.0, 0.0), cause.explained, disturbance=name)
 

@@ -1,7 +1,7 @@
 """What a detected change was: a rotor that lost thrust, or the body (mass, CG, inertia).
 
-Two looks. Shortly after an alarm, competing hypotheses (`change_hypotheses`) tell a failing rotor
-from a changed body, and both from a disturbance. Later, the fits before and after say what
+Two looks. Shortly after an alarm, competing hypotheses (`change_hypotheses`) separate a failing
+rotor from a changed body, and both from a disturbance. Later, the fits before and after give what
 changed, by how much, and how certainly.
 """
 
@@ -63,7 +63,7 @@ def describe(
         before: value and standard deviation by parameter name; None where there is none.
         after: the same of the estimate that began after the change, at the scale of unchanged
             rotors (k_T given).
-        cause: what the detector said of it; a failing rotor is taken from there.
+        cause: from the detector; names a failing rotor.
 
     Returns:
         {"kind": ..., "parameters": {name: {before, after, difference, ci95}}}, the parameters

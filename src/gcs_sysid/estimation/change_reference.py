@@ -1,7 +1,6 @@
-"""The fit that a flight is held against: what it says of thrust and angular acceleration.
+"""The reference fit for change detection: its predicted thrust and angular acceleration.
 
-Four residuals a sample, each a measured quantity less what the reference says of it, without a
-window that would add lag:
+Four residuals per sample, measured less predicted, without a window that would add lag:
 
     thrust:            f_z + kappa sum O             (m/s^2)
     roll, pitch, yaw:  gyro increment / dt - Q x     (rad/s^2, x by the trapezoid)
@@ -198,7 +197,7 @@ class Reference:
 
 
 def body_velocity(samples: Samples) -> Array:
-    """(n, 3) velocity along the body axes, m/s; NaN where none is told."""
+    """(n, 3) velocity along the body axes, m/s; NaN where none is reported."""
     velocity = samples.velocity
     if not np.isfinite(velocity).any():
         return velocity
@@ -248,7 +247,7 @@ def form_rows(
 def reference_of(
     fit: Fit, geometry: Array, dt: float, *, commands: bool = False, moments: bool = True
 ) -> Reference:
-    """A fit as a reference, as far as it is good enough.
+    """A fit as a reference, on the axes where it is good enough.
 
     Args:
         fit: of the flight so far.
@@ -286,6 +285,6 @@ def reference_of(
 
 
 def _axes_known(rot: RotationFit) -> Array:
-    """(3,) the axes on which a fit is good enough to be held against the flight."""
+    """(3,) the axes on which a fit is good enough as a reference."""
     sharp = rot.std[:3] < MAX_INERTIA_SHARE * rot.theta[:3]
     return np.asarray(sharp & (rot.r_squared > MIN_R_SQUARED))

@@ -34,7 +34,7 @@ class Alarm:
     Attributes:
         change: as detected.
         onset: estimated.
-        detected: of the newest sample that it rests on.
+        detected: of the newest sample used.
         reference: in force then.
         looks: how often it was looked at.
     """
@@ -124,7 +124,7 @@ class ChangeWatch:
         return True
 
     def _suspect(self, change: Change, now: float) -> None:
-        """Take note of an alarm; what it was is told later."""
+        """Record an alarm; it is classified later."""
         start = now - self._detector.seconds
         onset, detected = start + change.onset, start + change.detected
         if any(abs(onset - alarm.onset) < TUNING.search for alarm in self._alarms):

@@ -20,7 +20,7 @@ from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.samples import Samples
 
 _REGRESSED = 40
-"""Means of a flight from which it is told how the air moves its residuals."""
+"""Window means from which the effect of the air on the residuals is estimated."""
 _OU_TIMES = (0.15, 0.5, 1.5, 5.0)
 """s, correlation times of disturbances."""
 _FLOOR_TIME = 1.5
@@ -32,7 +32,7 @@ _WIDE = 1.0
 _TENTHS = 10.0
 """`Reference.floors` are moments of a tenth of the arm."""
 _FEWEST_SCALES = 3
-"""Of a flight, that tell its noise without the window's own."""
+"""Fewest scales of window means that determine a flight's noise without the window's own."""
 _VELOCITY_SENT = 0.5
 """Share of samples with a velocity."""
 
@@ -73,7 +73,7 @@ class HypothesisTuning:
     lag_error: float = 0.006
     inertia_error: float = 0.1
     flapping: float = 0.02
-    # Far from hover no line through the flight so far tells what thrust does.
+    # Far from hover a line through the flight so far does not predict thrust.
     by_climb: float = 0.06
     by_thrust: float = 0.1
     far: tuple[float, float] = (2.0, 0.8)
@@ -271,8 +271,8 @@ class Frames:
 def strengths(window: Window, history: History, c: int) -> Array:
     """(2 + k,) strengths of white noise (/Hz), of differentiated noise, and variances of the OUs.
 
-    Those of the flight before; where differences of the window's means before the alarm exceed
-    what these make of them, the rest is white and differentiated noise.
+    Those of the flight before; where differences of the window's means before the alarm exceed what
+    they predict, the excess is white and differentiated noise.
     """
     before = window.e[: window.at, c], window.index[: window.at]
     flight = history.left[:, c], np.arange(len(history.left))

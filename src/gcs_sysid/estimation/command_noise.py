@@ -1,15 +1,14 @@
-"""What slow streams of commands miss, and what that adds to the moments.
+"""Noise on commands sampled too slowly, and what it adds to the moments.
 
-Commands are known as they are, but where they come more slowly than the autopilot's loop runs, what
-was commanded in between is not. The gyro's noise comes back in the commands, faster than the stream
-can show; sampled, it folds down to the frequencies of the motion, and is there like white noise on
-the inputs (errors in variables). The commands of a hovering vehicle may hold more of it than of
-anything else.
+Commands are exact, but where they are sent more slowly than the autopilot's loop runs, those in
+between are missing. Gyro noise feeds through to the commands at frequencies above the stream's;
+sampled, it aliases to the frequencies of the motion and acts as white noise on the inputs (errors
+in variables). In hover it may be most of the command signal.
 
-How the commands scatter around a quarter of their rate, where the motion has ended, tells its size,
-and the low-pass that gyro noise passes on its way into them tells how much of what is seen there,
-once folded, never acted. Roll and pitch, which have derivative terms, are several times noisier
-than yaw: what matters is the covariance of all rotors.
+The scatter of commands around a quarter of their rate, above the motion's band, gives its size; the
+low-pass on the gyro gives how much of what is seen there is aliased and never acted. Roll and
+pitch, which have derivative terms, are several times noisier than yaw: what matters is the
+covariance of all rotors.
 """
 
 import numpy as np
@@ -28,8 +27,8 @@ from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 from gcs_sysid.signals.smoothers import Smoother, leaky
 
 _DOUBT = 0.3
-"""Relative, of what is missed, one standard deviation: loops are not all alike, interpolation to
-the IMU's times takes some noise away, and messages are lost."""
+"""Relative standard deviation of the aliased noise: loops differ, interpolation to the IMU's times
+takes some noise away, and messages are lost."""
 _SPACING = 2
 """Samples between those of a difference: it sees most at a quarter of the sample rate."""
 _ENOUGH = 100
@@ -38,15 +37,16 @@ _FOLDS = 40
 _SETTLED = 12.0
 """Time constants after which a motor's response has ended."""
 _PLACES = 16
-"""Of one stream's samples between those of another, which are told apart."""
+"""Positions of one stream's samples between those of another that are distinguished."""
 
 
 def missed_and_seen(dt: float, loop_cutoff: float | None, apart: float | None = None) -> Array:
-    """(2,) of noise of density one: what never acted of it, and what `CommandNoise` sees.
+    """(2,) for noise of unit density: the part that never acted, and the part that `CommandNoise`
+    sees.
 
     Noise S(f) behind a second-order Butterworth low-pass, sampled, is sum_k S(f + k / dt). At low
-    frequencies S(0) of it is there in truth, the rest is folded down. What is folded by k comes
-    out of a second stream turned by 2 pi k a / dt: the mean of both has cos^2(pi k a / dt) of it.
+    frequencies S(0) is real, the rest is aliased. The alias of order k appears in a second stream
+    with its phase turned by 2 pi k a / dt: the mean of both keeps cos^2(pi k a / dt) of it.
 
     Args:
         dt: s between samples.
@@ -120,12 +120,12 @@ class CommandNoise(InputNoise):
 
     @property
     def doubt(self) -> float:
-        """One standard deviation of the covariance told, relative."""
+        """Relative standard deviation of the covariance."""
         return _DOUBT
 
     @property
     def covariance(self) -> Array:
-        """(rotors, rotors) of white noise on the commands that stands for what is missed."""
+        """(rotors, rotors) of white noise on the commands equivalent to the aliased part."""
         if self._differences < _ENOUGH:
             return np.zeros_like(self._products)
         missed, seen = self._places @ self._folding
@@ -195,7 +195,7 @@ class CommandNoise(InputNoise):
 
 
 def _overlaps(basis: ActuatorDynamics, smoother: Smoother, dt: float, memory: float) -> Array:
-    """(elements, elements) covariances of what a basis' filters make of white noise."""
+    """(elements, elements) covariances of white noise after the basis' filters."""
     taps = smoother.late_taps
     room = int(np.ceil(_SETTLED * basis.lags[-1] / dt))
     responses = np.zeros((len(basis.elements), taps.shape[1] + room))

@@ -1,10 +1,10 @@
-"""What a flight on commands leaves behind: rows linearized about motors that the flight tells.
+"""The record of a flight on commands: rows linearized about motor parameters identified in flight.
 
-The way from command to thrust is known well enough for rows of one step only once a few seconds
-have been flown. The first two minutes of samples are therefore kept. As a flight goes on its rows
-are made again about the motors found by then, whitened and summed up (`whitened_record`). After
-that the motors are known, rows go on as they are, and what was kept is dropped. When this happens
-the samples decide, not who looks.
+The actuator dynamics are known well enough for rows of one step only after a few seconds of flight,
+so the first two minutes of samples are kept. As the flight continues, its rows are formed again
+about the motor parameters found by then, whitened and summed (`whitened_record`). Once the motors
+are known, rows are formed once and the samples are dropped. The samples alone decide when, not when
+estimates are requested.
 """
 
 from collections.abc import Iterator, Sequence
@@ -57,7 +57,7 @@ class _Tuned:
         maker: of the rows.
         white: their moments.
         fit: to these, when they were made.
-        away: (N_UNKNOWNS,) what it may still be off by, where the motors did not stay.
+        away: (N_UNKNOWNS,) remaining error where the motors moved away.
     """
 
     basis: LocalDynamics
@@ -98,7 +98,7 @@ class CommandRecord:
         """s, by which delay and lag differ from those that the symmetric window finds."""
         self._settled: tuple[int, _Tuned, Array] | None = None
         self.doubt = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
-        """What an estimate may be off by, as it is not known what lags."""
+        """Error of an estimate from not knowing what lags."""
 
     @property
     def white(self) -> WhitenedRecord | None:
@@ -137,7 +137,7 @@ class CommandRecord:
             _restart(self._now)
 
     def forget_last(self, seconds: float) -> None:
-        """Leave out at least the last `seconds` of what was learnt."""
+        """Leave out at least the last `seconds` of the record."""
         self._settled = None
         if self._kept is None:
             if self._now is not None:
@@ -194,7 +194,7 @@ class CommandRecord:
 
     @contextmanager
     def settled(self) -> Iterator[None]:
-        """With rows about the motors that the flight so far tells best; a function of it alone."""
+        """With rows about the best motor parameters so far; a function of the flight alone."""
         before, doubt = self._now, self.doubt
         if before is not None and self._kept is not None:
             if self._settled is None or self._settled[0] != self._samples:
@@ -227,7 +227,7 @@ class CommandRecord:
                 tuned = self._converged(start, other, hover, _ROUNDS_OF_OTHERS)
                 if tuned is not None:
                     found.append(tuned)
-        # Where motors are not those that rows are made about, what is left of these tells nothing.
+        # Far from the motors that rows are linearized about, their residuals carry no information.
         found = [tuned for tuned in found if tuned.trusted] or found[:1]
         cost = np.array([_cost(tuned) for tuned in found])
         weight = np.exp(cost.min() - cost)

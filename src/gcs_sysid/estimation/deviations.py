@@ -1,4 +1,4 @@
-"""What vehicles have and the model has not: damping per axis, rotors that differ.
+"""Deviations from the model: damping per axis, unequal rotors.
 
     J w' + w x (J w + h) + h' = M + sum_k phi_k B_k x
 
@@ -13,19 +13,19 @@ the rotors' O = Omega^2 within the span of roll, pitch, thrust and yaw, so that 
 combination of these four signals: the pseudo-inverse of the mixer (exact for four rotors).
 
 Deviations are nuisance parameters: of each kind the size is unknown, phi ~ N(0, sigma^2). With g
-and H the score and information of phi at phi = 0, the other unknowns marginalised, the evidence
+and H the score and information of phi at phi = 0, the other unknowns marginalized, the evidence
 for sigma is
 
     ln p(data | sigma) - ln p(data | 0) = (g' (H + sigma^-2)^-1 g - ln det(1 + sigma H sigma)) / 2
 
 (empirical Bayes). A kind without evidence stays out: undisturbed flights of equal rotors lose
-nothing by it. By commands yaw tells little of its damping, and of k_M only what is slow, which
-damping bends: there damping by axis is always among the unknowns, with what air does to multirotors
-as its size, as left out it made moment_ratio up to 9 % too large without any evidence of it.
+nothing by it. On commands, yaw carries little information on its damping, and on k_M only at low
+frequency, where damping matters: there damping by axis is always an unknown, with a size typical of
+multirotors, since without it moment_ratio was up to 9 % too large with no evidence of it.
 
-An IMU turned by a degree looks much like rotors of unequal torque: what roll and pitch do is then
-seen in yaw. It is no deviation of the vehicle (`estimation.given_errors` looks for it), but it
-competes: its evidence comes first.
+An IMU turned by a degree looks much like rotors of unequal torque: roll and pitch motion then shows
+in yaw. It is no deviation of the vehicle (`estimation.given_errors` looks for it), but it competes:
+its evidence comes first.
 """
 
 import math
@@ -50,9 +50,9 @@ AXIS_DAMPING = 0.3
 """1/s, of an axis' damping about the mean, in moments of inertia: inflow and flapping damp roll and
 pitch of multirotors by 0.1 to 0.5, and hardly yaw."""
 SURE = 3.0
-"""Nats of evidence from which a kind of deviation is believed."""
+"""Nats of evidence from which a kind of deviation is included."""
 TURN = math.radians(1.0)
-"""rad, standard deviation of how an IMU is turned, whatever is said of it."""
+"""rad, standard deviation of the IMU's rotation, whatever is given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +174,7 @@ class DeviationChoice:
             every: of them.
             unknowns: (N_UNKNOWNS,) of a fit without them, or with some.
             score: (m + k,) gradient of the log likelihood by `every` at phi = 0, the others
-                marginalised; the last k are turns of the IMU that compete.
+                marginalized; the last k are turns of the IMU that compete.
             information: (m + k, m + k) of the same.
         """
         kinds, turns = self._kind, len(score) - len(self._kind)

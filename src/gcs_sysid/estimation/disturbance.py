@@ -1,9 +1,9 @@
-"""What a moment that nobody models leaves in an estimate, and how it is noticed.
+"""How an unmodeled moment biases an estimate, and how it is detected.
 
-Whiteners of a bank see the same data in different lights (`estimation.whitening`). The power of
-their innovations tells whether there is a disturbance; the distance between their estimates,
-whether it biased the one that is taken; the share of the whitened acceleration that rotors
-explain, how much of the motion is somebody else's.
+The whiteners of a bank weigh the same data differently (`estimation.whitening`). The power of their
+innovations shows whether there is a disturbance; the distance between their estimates, whether it
+biased the one chosen; the share of the whitened acceleration that rotors explain, how much of the
+motion is not theirs.
 """
 
 from collections.abc import Sequence
@@ -96,11 +96,11 @@ class Trial:
     def _contrast(self, fit: RotationFit) -> Array:
         """(N_THETA,) how far whiteners of faster disturbances lead away, beyond chance.
 
-        If the rows' model is right all of them estimate the same; those that weigh low
-        frequencies less are only less sure (specification test: Hausman 1978, Econometrica 46,
-        1251-1271). What a controller answers, and what moves with the vehicle (aerodynamics),
-        biases slow motion most. In calm air it is no disturbance by which they differ, but the
-        noise of rotors and gyro, to which the fastest are most sensitive; they do not count there.
+        If the rows' model is right all of them estimate the same; those that weigh low frequencies
+        less only have more variance (specification test: Hausman 1978, Econometrica 46, 1251-1271).
+        What a controller answers, and what moves with the vehicle (aerodynamics), biases slow
+        motion most. In calm air it is no disturbance by which they differ, but the noise of rotors
+        and gyro, to which the fastest are most sensitive; they do not count there.
         """
         pick, n = list(self.pick), rb.N_THETA
         slowest = min(self.whiteners[i].below for i in pick)
@@ -145,7 +145,7 @@ def curve_doubt(fit: RotationFit) -> Array:
 
 
 def axis_floor(fit: RotationFit, axis: int) -> Array:
-    """(N_THETA,) error of an axis whose motion is partly somebody else's."""
+    """(N_THETA,) error of an axis whose motion is partly not the rotors'."""
     error = np.zeros(rb.N_THETA)
     moved = (axis,) if axis < 2 else (axis, *_OF_YAW)
     share = RULES.floor * (1.0 - max(float(fit.r_squared[axis]), 0.0))
@@ -154,7 +154,7 @@ def axis_floor(fit: RotationFit, axis: int) -> Array:
 
 
 _OF_YAW = (rb.MOMENT_RATIO, rb.ROTOR_INERTIA)
-"""What scales with Izz: the yaw equation tells their ratios to it."""
+"""Parameters that scale with Izz: the yaw equation determines their ratios to it."""
 
 
 def _stds(information: Array) -> Array:

@@ -1,8 +1,8 @@
-"""What speaks against a fit that looks good by itself: the last part of the flight, predicted.
+"""Checks of a fit beyond its own statistics: prediction of the last part of the flight.
 
 A standard deviation is the fit's own opinion. Where the held-out part of a flight is predicted
-badly, where what is left of it is no noise, or where nothing could be held out, no parameter of
-that axis is `identified`, however small its standard deviation is.
+badly, where its residuals are not noise, or where nothing could be held out, no parameter of that
+axis is `identified`, however small its standard deviation is.
 """
 
 from dataclasses import dataclass, replace
@@ -40,7 +40,7 @@ class EvidenceRules:
     """s between samples of speeds, above which what happened between them colors residuals. At 50
     and 100 Hz flights inside the model, whose intervals hold, have 1.5 to 4.6."""
     whiteness_p: float = 0.05
-    """Probability of so much by chance, below which it counts."""
+    """Significance level of the tests."""
     still: tuple[float, float, float] = (LEAST_RATE, LEAST_RATE, 0.05)
     """rad/s rms, below which an axis hardly turns: what it answers is then noise of rotors and
     gyro, or crosstalk. Hovers have 0.003 to 0.06, flights with input on an axis 0.25 and more, in
@@ -57,8 +57,8 @@ class Evidence:
     Attributes:
         capped: roll, pitch and yaw: whether nothing there is `identified`.
         reasons: in words; any of them keeps the verdict from being `identified`.
-        unmoved: axes that are capped because motion is not predicted, which what rests on the mean
-            torque (the CG, known best in hover) does not need.
+        unmoved: axes that are capped because motion is not predicted, which parameters known from
+            the mean torque (the CG, known best in hover) do not need.
     """
 
     capped: tuple[bool, bool, bool] = (False, False, False)
@@ -80,7 +80,7 @@ def evidence_of(
 
     Args:
         fit: with a validation, or without while a flight goes on.
-        rotor_input: what it rests on.
+        rotor_input: that it was fitted to.
         dt: s between samples.
         filtered: whether the gyro comes through a low-pass, which colors its noise: whiteness then
             says nothing.

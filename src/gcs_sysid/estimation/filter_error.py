@@ -1,4 +1,4 @@
-"""Filter error in innovations form: of each axis the noise that makes the whole record likeliest.
+"""Filter error in innovations form: maximum-likelihood noise for each axis of the whole record.
 
 Online a bank of whiteners is given, each with an Ornstein-Uhlenbeck moment and torque noise of a
 strength of its own (`estimation.whitening`). Once the flight is over there is time to look for
@@ -83,13 +83,13 @@ class AxisModel:
 
 @dataclass(frozen=True)
 class ResidualRun:
-    """What a fit leaves of rows of one step without a gap.
+    """Residuals of a fit over rows of one step without a gap.
 
     Attributes:
         residual: (n, 3) rad/s^2.
         slope: (n, 2) by how much the predicted roll and pitch acceleration changes with ln Ixx and
             ln Iyy, rad/s^2.
-        setpoint: (n, 3) rad/s, NaN where none is told.
+        setpoint: (n, 3) rad/s, NaN where none is reported.
         sound: (n,) which rows belong to no shock, see `whitened_fit`.
     """
 

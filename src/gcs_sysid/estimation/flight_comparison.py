@@ -1,7 +1,7 @@
 """Several flights in one record: whether the vehicle that takes off is the one that landed.
 
-On the ground anything may be done to it: another battery, a payload, other propellers. So the
-first seconds of each further flight are estimated apart, and held against what was known.
+On the ground anything may change: battery, payload, propellers. So the first seconds of each
+further flight are estimated separately and compared with the earlier estimate.
 """
 
 import numpy as np
@@ -14,17 +14,18 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 
 ENOUGH = 10.0
-"""s of a flight from which it is told whether the vehicle is the same."""
+"""s of a flight used to decide whether the vehicle is the same."""
 SURE = 0.01
 """How often two flights of one vehicle may be taken for those of two."""
 
 _COMPARED = range(rb.DAMPING)
-"""Of theta: inertia, CG, torque over thrust. Damping and rotor inertia are too faint to tell."""
+"""Of theta: inertia, CG, torque over thrust. Damping and rotor inertia are too weakly
+observable."""
 _MODEL_ERROR = 0.01
 """Share by which fits of one vehicle may differ beyond their intervals: the model's own error,
 with wind, inflow and temperature."""
 _KNOWN_TO = 0.25
-"""A parameter known less well than this share of its size says nothing."""
+"""A parameter known less well than this share of its size is not compared."""
 
 
 class Trial:
@@ -80,10 +81,10 @@ class Trial:
         self.parts = kept
 
     def fit(self, before: Fit) -> Fit:
-        """The fit of this flight alone, but for thrust by the rotors' dynamics of one before.
+        """The fit of this flight alone, with thrust by the actuator dynamics of an earlier one.
 
         Rotors are the same, or no scale would carry over: with commands T_max / m goes with the
-        thrust curve, of which the first seconds of a flight tell next to nothing.
+        thrust curve, which the first seconds of a flight hardly determine.
         """
         return self._estimator.with_thrust_by(before.rotation, self._estimator.fit())
 
@@ -119,8 +120,8 @@ def is_another(before: Fit, now: Fit, arm: float, battery: float = 0.0) -> bool:
 def _color(fit: Fit) -> float:
     """By how much power at low frequency exceeds what the residuals' noise allows; 1 if unknown.
 
-    Slow moments that nobody models draw the fits of two flights apart by more than either's
-    interval, which rests on how residuals scatter.
+    Slow unmodeled moments move the fits of two flights apart by more than either's interval, which
+    follows from the scatter of residuals.
     """
     if fit.validation is None:
         return 1.0

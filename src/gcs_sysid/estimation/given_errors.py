@@ -1,12 +1,12 @@
-"""What errors of the given rotor positions, scale and IMU pose do to an estimate.
+"""Effect of errors in the given rotor positions, scale and IMU pose on an estimate.
 
-**What no flight tells** is the scale reference, the scale common to all arms, the middle of the
-rotors, and with the accelerometer as source of thrust over mass the IMU's place. A share e of the
-scale reference moves mass, k_T (T_max), inertia, k_M, damping and drag by e. A share e of all arms
-moves theta as a whole by e: inertia, CG, moment ratio, damping and rotor inertia, all over k_T. The
-CG is counted from the middle. These errors are the same in all flights of a vehicle.
+**Not observable in any flight** are the scale reference, the scale common to all arms, the middle
+of the rotors, and with the accelerometer as source of thrust over mass the IMU's place. A share e
+of the scale reference moves mass, k_T (T_max), inertia, k_M, damping and drag by e. A share e of
+all arms moves theta as a whole by e: inertia, CG, moment ratio, damping and rotor inertia, all over
+k_T. The CG is counted from the middle. These errors are the same in all flights of a vehicle.
 
-**What flights do tell** is how rotors lie to each other and how the IMU is turned, as unknowns eps
+**Observable in flight** are the rotors' relative positions and the IMU's rotation, as unknowns eps
 with the given standard deviations as a prior. An error is one of the known signals,
 
     x = (1 + eps L) x_true,  w' = (1 + eps E) w'_true    =>    residual = eps D x,  D = E Q - Q L
@@ -17,10 +17,10 @@ estimate by S eps, S = H^-1 C, and is known by the part of it that theta cannot 
     I = sum D' W D - C' S,   g = sum D' W r - S' sum G' W r
     P = ((f I^-1 + F)^-1 + 1)^-1,   eps = P (1 + I F / f)^-1 g / f
 
-with eps in its prior's standard deviations, f the factor by which coloured residuals widen the
+with eps in its prior's standard deviations, f the factor by which colored residuals widen the
 covariance of theta, and F what air and unequal rotors imitate. All sums follow from the moments of
 the rows. An IMU that is turned by 1 degree makes Izz, Ixz and Iyz wrong by several percent; a
-minute of doublets tells it to 0.3 degrees.
+minute of doublets determines it to 0.3 degrees.
 """
 
 import math
@@ -44,11 +44,11 @@ from gcs_sysid.model.parameters import ARM, PARAMETERS, RotorInput
 from gcs_sysid.model.scale_reference import Known, ScaleReference
 
 _RIDGE = 1.0
-"""Of what an entry of theta matters to: an error of what is given is not taken to move it by more.
-It keeps directions that a flight does not tell from taking up everything; of an entry known to 5 %
-it changes the outcome by a quarter of a percent."""
+"""Bound on how far a given error may move an entry of theta, relative to its reference value. It
+keeps unobservable directions from absorbing everything; for an entry known to 5 % it changes the
+result by a quarter of a percent."""
 _KNOWN_TO = 0.2
-"""Of the same: entries that are known better show how much coloured residuals widen intervals."""
+"""Of the same: entries that are known better show how much colored residuals widen intervals."""
 _IMITATED = math.radians(0.3)
 """rad, what air and unequal rotors may look like: rotorpy's vehicles, whose IMU is not turned at
 all, are read as if it were by 0.1 to 1 degree, where noise alone would leave 0.1."""
@@ -84,8 +84,8 @@ _SCALE, _LEVER, _ARM, _CANT, _CENTER = range(5)
 def given_effects(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[str, Array]:
     """What one standard deviation of each thing given does to the parameters.
 
-    One error moves all that rests on it: a mass 1 % too large makes k_T and inertia 1 % too large,
-    an arm inertia alone.
+    One error moves all that depends on it: a mass 1 % too large makes k_T and inertia 1 % too
+    large, an arm inertia alone.
 
     Args:
         values: parameters by name.
@@ -114,14 +114,14 @@ def given_effects(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[s
         std, by_data = fit.rotation.std, np.maximum(fit.rotation.data_std, 1e-300)
         weight = np.minimum((std / by_data) ** 2, 1.0)
     out = {}
-    for name, told in values.items():
+    for name, entry in values.items():
         p = PARAMETERS.get(name)
-        if p is None or told.value is None:
+        if p is None or entry.value is None:
             continue
         if p.theta:
             by_thrust = p.scale == "thrust"
-            effect = told.value * of_thrust if by_thrust else np.zeros(len(CAUSES))
-            effect[_ARM] = arm * told.value
+            effect = entry.value * of_thrust if by_thrust else np.zeros(len(CAUSES))
+            effect[_ARM] = arm * entry.value
             at = rb.THETA.index(p.theta)
             if p.mean_torque:
                 effect[_CENTER + (at == rb.CG_Y)] = middle
@@ -129,7 +129,7 @@ def given_effects(values: Mapping[str, Value], fit: Fit, given: Given) -> dict[s
                 effect[_CANT] = arm * airframe.cant * (scale.thrust or 0.0 if by_thrust else 1.0)
             out[name] = float(weight[at]) * effect
         elif p.fit in ("scale", "translation"):
-            out[name] = told.value * (of_mass if p.scale == "mass" else of_thrust)
+            out[name] = entry.value * (of_mass if p.scale == "mass" else of_thrust)
     return out
 
 
@@ -173,19 +173,19 @@ def with_given(
     sizes = {n: v.value for n, v in values.items() if v.value is not None} | {ARM: arm}
     out = dict(values)
     for name, own in stds.items():
-        told = values[name]
-        if not own or told.value is None or told.std is None:
+        entry = values[name]
+        if not own or entry.value is None or entry.std is None:
             continue
-        std = math.hypot(told.std, own)
-        wide = std >= RULES.identified_below * PARAMETERS[name].reference.size(told.value, sizes)
-        status = "weak" if told.status == "identified" and wide else told.status
-        out[name] = replace(told, std=std, status=status)
+        std = math.hypot(entry.std, own)
+        wide = std >= RULES.identified_below * PARAMETERS[name].reference.size(entry.value, sizes)
+        status = "weak" if entry.status == "identified" and wide else entry.status
+        out[name] = replace(entry, std=std, status=status)
     return out
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """Where rotors and IMU are, as a flight tells, and what that does to its estimate.
+    """Rotor and IMU poses identified from a flight, and their effect on its estimate.
 
     Attributes:
         shift: (N_THETA + m,) to be added to theta and to the m deviations of the fit.
@@ -201,7 +201,7 @@ class Alignment:
 
 
 def alignment_of(fit: Fit, airframe: Airframe) -> Alignment | None:
-    """Find rotors and IMU from the moments of a fit; None where they are exact or nothing tells.
+    """Find rotors and IMU from the moments of a fit; None where they are exact or not identifiable.
 
     Args:
         fit: with moments.
@@ -216,9 +216,9 @@ def alignment_of(fit: Fit, airframe: Airframe) -> Alignment | None:
     # Rotors that differ imitate an IMU that is turned: what is free in the fit is free here.
     free, eps = np.concatenate([rotation.theta, rotation.deviations]), np.zeros(len(errors))
     now = first = _Normal.at(free, moments.rows, W, errors, size, rotation.deviating)
-    told = rotation.data_std < _KNOWN_TO * size
-    told[[rb.CG_X, rb.CG_Y, rb.DAMPING]] = False  # of slow errors of their own
-    f = float((rotation.data_std**2 / first.variance[:n])[told].max()) if told.any() else np.inf
+    entry = rotation.data_std < _KNOWN_TO * size
+    entry[[rb.CG_X, rb.CG_Y, rb.DAMPING]] = False  # of slow errors of their own
+    f = float((rotation.data_std**2 / first.variance[:n])[entry].max()) if entry.any() else np.inf
     turn = math.radians(airframe.uncertainty.imu_rotation.amount)
     imitated = np.zeros(len(errors))
     imitated[-_AXES:] = (_IMITATED / turn) ** 2 if turn else 0.0
@@ -253,7 +253,7 @@ def _weighed(information: Array, imitated: Array) -> tuple[Array, Array]:
 
 
 def aligned(fit: Fit, alignment: Alignment | None) -> Fit:
-    """The fit with rotors and IMU where the flight tells that they are."""
+    """The fit with rotors and IMU at their identified poses."""
     rotation, n = fit.rotation, rb.N_THETA
     if rotation is None or alignment is None:
         return fit
@@ -342,7 +342,7 @@ class _Normal:
 
 
 def _not_negative(information: Array) -> Array:
-    """(p, p) without what is negative: where inputs are hardly more than the noise taken out."""
+    """(p, p) with negative eigenvalues removed: inputs there hardly exceed the noise removed."""
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
     positive: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return positive

@@ -41,7 +41,7 @@ _DIFFUSE = 100.0
 MIN_STD = 1e-6
 """rad/s, of gyro noise; keeps everything definite where there is none."""
 _TAPER_LOSS = 35.0 / 18.0
-"""Independent values that a Hann taper costs: neighbours in the spectrum are correlated."""
+"""Independent values that a Hann taper costs: neighbors in the spectrum are correlated."""
 _MAX_SCORING = 50
 _SCORING_GAIN = 1e-4
 """Of log likelihood; less ends the search."""
@@ -55,9 +55,9 @@ class AxisNoise:
 
     Attributes:
         white_std: rad/s, of g, the driving noise of one sample.
-        corner: rad/s, corner of the colouring; None for white noise.
+        corner: rad/s, corner of the coloring; None for white noise.
         zero: c, between a and 1; 1 for a high-pass.
-        process_std: rad/s^2, of the unmodelled angular acceleration of one sample.
+        process_std: rad/s^2, of the unmodeled angular acceleration of one sample.
         moment_std: rad/s^2, of the Ornstein-Uhlenbeck moment over inertia; 0: there is none.
         moment_tau: s, its time constant.
     """
@@ -70,7 +70,7 @@ class AxisNoise:
     moment_tau: float = 1.0
 
     def pole(self, dt: float) -> float:
-        """a; without colour both zero and pole are 0."""
+        """a; without color both zero and pole are 0."""
         return 0.0 if self.corner is None else float(np.exp(-self.corner * dt))
 
     def scaled(self, factor: float) -> "AxisNoise":
@@ -119,7 +119,7 @@ def rough_noise(defects: list[Array], dt: float) -> Noise:
 
 
 def _periodogram(defects: Array) -> tuple[Array, Array]:
-    """(3, k) frequencies of each bin and its neighbours in rad a sample, and (k, 3) power.
+    """(3, k) frequencies of each bin and its neighbors in rad a sample, and (k, 3) power.
 
     White noise has its variance as power. The Hann taper keeps power from leaking to where a
     high-pass leaves none.
@@ -132,7 +132,7 @@ def _periodogram(defects: Array) -> tuple[Array, Array]:
 
 
 _HANN = np.array([1.0, 4.0, 1.0]) / 6.0
-"""What a Hann taper mixes into a bin's expected power from its neighbours and itself."""
+"""What a Hann taper mixes into a bin's expected power from its neighbors and itself."""
 
 
 def _fit_axis(frequency: Array, power: Array, known: float, floor: float, dt: float) -> AxisNoise:
@@ -162,9 +162,9 @@ def _fit_axis(frequency: Array, power: Array, known: float, floor: float, dt: fl
 
 @dataclass(frozen=True)
 class _Spectrum:
-    """A family of spectra of gyro increments, over (3, k) frequencies: bins with neighbours.
+    """A family of spectra of gyro increments, over (3, k) frequencies: bins with neighbors.
 
-    Unknowns, in this order: log white_std; from colour 1 on log corner; with colour 2 the logit
+    Unknowns, in this order: log white_std; from color 1 on log corner; with color 2 the logit
     of where c lies between a and 1; with process noise log of process_std dt; with a moment log of
     moment_std dt and log of tau.
     """
@@ -409,7 +409,7 @@ def make_whitener(
 
 
 def initial_std(noise: Noise, known: Array, dt: float) -> Array:
-    """(3,) a prior of the first rate that says next to nothing, rad/s."""
+    """(3,) a nearly uninformative prior of the first rate, rad/s."""
     white = np.array([axis.white_std for axis in noise])
     std: Array = _DIFFUSE * np.hypot(white, dt * np.sqrt(np.diag(known)))
     return std

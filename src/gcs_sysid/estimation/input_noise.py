@@ -24,7 +24,7 @@ class InputNoise(ABC):
     @property
     @abstractmethod
     def doubt(self) -> float:
-        """One standard deviation of the variance told, relative."""
+        """Relative standard deviation of the variance."""
 
     @property
     @abstractmethod

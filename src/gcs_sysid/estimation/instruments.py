@@ -1,6 +1,6 @@
 """Setpoints as instruments: Ixx and Iyy from what the pilot asked, a second opinion.
 
-A rate setpoint turns the vehicle and knows nothing of gusts. What it explains of torque is free of
+A rate setpoint turns the vehicle and is independent of gusts. What it explains of torque is free of
 what the rate loop answered to them, however the disturbance is colored. With rows of one axis
 whitened, e what a fit leaves, s = dQ/d(ln I) x how that changes with the moment of inertia, and Z
 the setpoint through a bank of Laguerre filters (0 to 0.7 s of its past), two-stage least squares is
@@ -12,9 +12,9 @@ Its variance follows from the scatter of s^'e over batches, and is at least that
 the whitener is not right, instruments must hold all the same.
 
 Instruments are weak where the first stage explains hardly more than chance (F below 10: Staiger and
-Stock 1997, Econometrica 65, 557-586). They are none where the setpoint itself answers what the
-vehicle did, as that of an attitude or position loop does: innovations then predict it, beyond what
-its own past does.
+Stock 1997, Econometrica 65, 557-586). They are invalid where the setpoint itself responds to the
+vehicle, as that of an attitude or position loop does: innovations then predict it, beyond what its
+own past does.
 """
 
 from collections.abc import Sequence
@@ -43,7 +43,7 @@ _BATCH = 1.0
 
 @dataclass(frozen=True)
 class InstrumentRules:
-    """When setpoints are believed."""
+    """When setpoints are usable."""
 
     least_f: float = 10.0
     """F of the first stage."""
@@ -57,7 +57,7 @@ RULES = InstrumentRules()
 
 @dataclass(frozen=True)
 class InstrumentFit:
-    """What setpoints say of one axis.
+    """Estimate of one axis with setpoints as instruments.
 
     Attributes:
         delta: by which ln I differs from the fit's.
@@ -153,7 +153,7 @@ def _fit_axis(
     power = float(predicted @ predicted)
     delta = float(predicted @ e) / max(power, 1e-300)
     left = e - delta * s
-    # What the setpoint's own past tells is no answer (Granger 1969, Econometrica 37).
+    # What the setpoint's own past predicts is not feedback (Granger 1969, Econometrica 37).
     left_of_z = z - _projected(z, Z)
     left_of_answers = answers - _projected(answers, Z)
     scores = np.add.reduceat(predicted * left, np.arange(0, rows, max(round(_BATCH / T), 1)))

@@ -62,7 +62,7 @@ def fit_lag_places(
 
 
 def with_lag_doubt(fit: RotationFit, place: LagPlace, doubt: Array) -> RotationFit:
-    """A fit with its place of the lag, and (N_UNKNOWNS, N_UNKNOWNS) what that may be off by."""
+    """A fit with its place of the lag, and the (N_UNKNOWNS, N_UNKNOWNS) covariance of its error."""
     n = rb.N_THETA
     extended = fit.extended_covariance.copy()
     extended[:N_UNKNOWNS, :N_UNKNOWNS] += doubt

@@ -1,8 +1,8 @@
 """Is the airframe file's layout the vehicle's? Layouts that would explain the motion far better.
 
 An autopilot allocates within the span of its own mixer M: the rotors' O = Omega^2 are t pinv(M) for
-signals t = [roll, pitch, thrust, yaw]. Whoever takes rotors in another order mixes O with M' and
-sees t' = t pinv(M) M'. Under the hypothesis that M is another layout the true signals follow from
+signals t = [roll, pitch, thrust, yaw]. With the rotors in another order, O is mixed with M', which
+gives t' = t pinv(M) M'. Under the hypothesis that M is another layout the true signals follow from
 those seen, t = t' (pinv(M) M')^-1, and so do the moments of rows: no sample is needed again.
 """
 
@@ -20,7 +20,7 @@ from gcs_sysid.model import rigid_body as rb
 SUSPECTED = 0.8
 """Share of roll and pitch that the given layout leaves unexplained where others are tried."""
 LEAST_RATE = 0.1
-"""rad/s rms of roll and pitch, below which nothing of the layout shows: a hover has noise and
+"""rad/s rms of roll and pitch, below which the layout is not observable: a hover has noise and
 vibration alone."""
 _CONVINCING = 0.15
 """By how much of the motion another layout must explain more, on the worse of roll and pitch."""
@@ -32,7 +32,7 @@ class OtherLayout:
     """A layout that explains the motion better than the one given.
 
     Attributes:
-        says: what is wrong with the given one, in words.
+        says: what is wrong with the given layout, as text.
         explained: the lesser share of roll and pitch that it explains.
     """
 

@@ -7,10 +7,10 @@ The rotation is a stochastic state-space model (`gcs_sysid.estimation.innovation
 with F the integral of w' = Q(theta) x over one sample (`gcs_sysid.estimation.propagation`).
 Where the process noise is nothing this is the output-error method, otherwise filter error
 (Maine and Iliff, NASA RP-1168; Jategaonkar, Flight Vehicle System Identification, ch. 4, 5);
-levels and colours of the noises are what the record itself makes likeliest. First rates and
+levels and colors of the noises are what the record itself makes likeliest. First rates and
 gyro biases are states with priors, so that they are integrated out exactly.
 
-The likelihood is maximised by Gauss-Newton. The model is linearised about smoothed rates, not
+The likelihood is maximised by Gauss-Newton. The model is linearized about smoothed rates, not
 about the noisy gyro; residuals and sensitivities pass one whitening filter; their products are
 gradient and Fisher information.
 
@@ -58,7 +58,7 @@ only _FEWEST passes are left."""
 _FEWEST = 12
 """Passes; most searches settle in fewer."""
 _NOISE_REFITS = 3
-"""The noise model is fitted anew in so many first iterations, then where the search settles."""
+"""The noise model is refitted in this many first iterations, then where the search settles."""
 _MAX_REFITS = 6
 _ALIKE = 0.05
 """Relative change of the noise's levels that moves no estimate."""
@@ -70,8 +70,8 @@ _SMALL = 0.3
 _SETTLED = 0.02
 """Standard deviations; a smaller step ends the search."""
 DELAY_STD = 0.003
-"""s, prior of the delay around the online estimate's: that leans on the window, and is off by
-1.5 ms where moments that nobody models act."""
+"""s, prior of the delay around the online estimate's: that depends on the window, and is off by 1.5
+ms under unmodeled moments."""
 _WHITE = 0.01
 """Residuals whiter than this p-value pass as white."""
 _LAGS = 20
@@ -139,7 +139,7 @@ def maximise_likelihood(
     torque: Array | float = 0.0,
     progress: Callable[[float], None] | None = None,
 ) -> LikelihoodFit | None:
-    """Fit theta, noise levels and noise colours to a whole record.
+    """Fit theta, noise levels and noise colors to a whole record.
 
     Args:
         samples: on a uniform grid; NaN in gyro, rates or speeds marks gaps.
@@ -147,12 +147,12 @@ def maximise_likelihood(
         dt: s between samples.
         start: (N_THETA,) the online estimate (`RotationFit.theta`), physical.
         speed_std: rad/s, white noise of the rotor speeds, one value or (rotors,). None: what
-            of it shows is taken as unmodelled acceleration.
+            of it shows is taken as unmodeled acceleration.
         prior: on theta.
         delay: s, of the speeds' stamps behind the gyro's, as known from the online estimate; it is
             estimated too, within 3 DELAY_STD of that. None: there is none.
         torque: (3, N_SIGNALS) of deviations from the model, as the online estimate has them.
-        progress: is told the share of the most passes that is done.
+        progress: called with the share of the maximum number of passes that is done.
 
     Returns:
         The fit, or None if there is no piece of MIN_RUN samples without a gap, or fewer samples
@@ -173,7 +173,7 @@ def maximise_likelihood(
 
 
 def most_passes(samples: int) -> int:
-    """How often a record is passed over at most; 0: it is too long."""
+    """Maximum number of passes over a record; 0: it is too long."""
     passes = min(_BUDGET // max(samples, 1), _MAX_ITERATIONS)
     return passes if passes >= _FEWEST else 0
 
@@ -192,7 +192,7 @@ def cramer_rao_bound(
         samples: with true (or well smoothed) body rates in `rates`.
         geometry: (3, rotors) of the airframe.
         dt: s between samples.
-        theta: (N_THETA,) where to linearise.
+        theta: (N_THETA,) where to linearize.
         noise: of the axes.
         speed_std: rad/s, white noise of the rotor speeds.
 
@@ -231,12 +231,12 @@ def _search(
     known = record.speed_process(start)
     weighed: Weighed | None = None
     damping, converged, refits = 0.0, False, 0
-    before, weighed_anew = 0.0, True
+    before, reweighted = 0.0, True
     passes = max(most_passes(record.rows), _FEWEST)
     for iteration in range(passes):
         progress(iteration / passes)
         if 0 < iteration < _NOISE_REFITS:
-            noise, weighed, weighed_anew = _fit_noise(record, point), None, True
+            noise, weighed, reweighted = _fit_noise(record, point), None, True
             known = record.speed_process(point.theta)
         if weighed is None:
             weighed = weigh(record, point, noise, known)
@@ -248,9 +248,9 @@ def _search(
         # Fast changes of the speeds, noise among them, make more of the delay's information than
         # there is: steps fall short by one share, which two of them show (Aitken).
         wanted = -float((_inverse(information) @ gradient)[DELAY])
-        short = 0.0 if not before or weighed_anew else wanted / before
+        short = 0.0 if not before or reweighted else wanted / before
         ahead = 1.0 / (1.0 - short) if 0.2 < short < 0.9 else 1.0
-        before, weighed_anew = (0.0 if ahead > 1.0 else wanted), False
+        before, reweighted = (0.0 if ahead > 1.0 else wanted), False
         found: Linearisation | None = None
         after: Weighed | None = None
         while found is None and damping < _MAX_DAMPING:
@@ -282,7 +282,7 @@ def _search(
             if _alike(noise, latest):
                 converged = True
                 break
-            noise, weighed, weighed_anew = latest, None, True
+            noise, weighed, reweighted = latest, None, True
             known = record.speed_process(point.theta)
         damping = 0.1 * damping if damping > 1e-6 else 0.0
     if weighed is None:

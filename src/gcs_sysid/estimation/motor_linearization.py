@@ -12,11 +12,11 @@ about hover x_0. What lags, x, is one of (`LagPlace`)
     command   v = u                          T / T_max = (1 - c) x + c x^2
     thrust    v = (1 - c) u + c u^2          T / T_max = x
 
-All of these bend the way from command to thrust, so that whoever leaves e and p out finds their
-part in the thrust curve, and in every moment of inertia with it: on flights with sharp sticks the
-curve was 0.54 for 0.4. Here signals are made at one point (d, tau, c, e, p) as they are, to all
-orders, and once more with each parameter moved a little. Rows near that point are a linear map of
-these, and the five are unknowns of the fit; it starts again where it ends, until it stays.
+All of these bend the response of thrust to command, so that without e and p their part goes into
+the thrust curve, and into every moment of inertia with it: on flights with sharp sticks the curve
+was 0.54 for 0.4. Here signals are made at one point (d, tau, c, e, p) as they are, to all orders,
+and once more with each parameter moved a little. Rows near that point are a linear map of these,
+and the five are unknowns of the fit; it starts again where it ends, until it stays.
 """
 
 from collections.abc import Sequence
@@ -51,8 +51,8 @@ _MOVED = np.array([0.0, 0.0, 0.05, 0.05, 0.1])
 _SPACING = 0.004
 """s between the delays that a parabola is laid through."""
 _STEP = 0.012
-"""s of a row. Between commands 4 ms apart nothing tells what motors did; beyond 30 Hz they are not
-of first order, and electronic speed controllers have lags of their own."""
+"""s of a row. Between commands 4 ms apart the motors' response is not observable; beyond 30 Hz they
+are not of first order, and electronic speed controllers have lags of their own."""
 _SETTLED = 6.0
 """Time constants after which a motor's past is forgotten."""
 _LEAST = 1e-3

@@ -1,11 +1,11 @@
 """The recursive least squares memory: sums of products of rows, kept in batches.
 
-Every estimate here is the minimiser of a cost that is quadratic in the data, so the sum of
+Every estimate here is the minimizer of a cost that is quadratic in the data, so the sum of
 z z' over all rows z = [inputs, outputs] is a sufficient statistic: the information form of
 recursive least squares. Keeping that sum for each second or so of flight, instead of only the
-total, costs little and tells how much the score varies from batch to batch, which is what an
-honest covariance needs when residuals are coloured; and it lets a fit be checked on batches it
-has not seen.
+total, costs little and shows how much the score varies from batch to batch, which a valid
+covariance needs when residuals are colored; and it lets a fit be checked on batches it has not
+seen.
 """
 
 from collections.abc import Sequence
@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from gcs_sysid.arrays import Array
 
 _AT_ONCE = 2**18
-"""Bytes that are had from the system in a step; page by page that takes up to 10 ms a MB."""
+"""Bytes allocated from the system in a step; page by page that takes up to 10 ms a MB."""
 
 
 class NormalEquations:
     """Second moments of rows, in batches of equally many rows; bounded memory.
 
-    When `max_batches` are full, neighbours are merged and batches become twice as long.
+    When `max_batches` are full, neighbors are merged and batches become twice as long.
 
     Args:
         shape: leading shape of one moment matrix, then its width twice: (..., m, m).
@@ -43,7 +43,7 @@ class NormalEquations:
         """Rows added so far."""
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        # Most of what is allocated is zero yet, and takes no memory as long as nobody writes it.
+        # Most of the allocation is still zero and takes no memory until it is written.
         other, begun = copy(self), self._begun
         other._batches = np.zeros(self._batches.shape)
         other._batches[:begun] = self._batches[:begun]

@@ -1,8 +1,8 @@
 """The offline estimate of a flight, started from the online fit.
 
-Where a moment that nobody models acts (gusts, propeller wash), the samples are looked at a second
-time with the noise that makes the record likeliest (`estimation.filter_error`). In calm air, and
-at slow rates, the likelihood of the whole record is maximized (`estimation.likelihood`).
+Under an unmodeled moment (gusts, propeller wash), the samples are processed a second time with the
+maximum-likelihood noise model (`estimation.filter_error`). In calm air, and at slow rates, the
+likelihood of the whole record is maximized (`estimation.likelihood`).
 """
 
 from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ _CHANCE = 1.959963984540054
 """Standard deviations by which two estimates may differ by chance."""
 
 Progress = Callable[[str, float], None]
-"""Is told what is being done, and the share of it that is, 0 to 1 at most."""
+"""Called with the current step and the share of it that is done, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -59,16 +59,16 @@ def fit_offline(
     Args:
         tracker: with `keep`.
         online: its last fit.
-        progress: called with what is being done and the share of it that is done.
+        progress: called with the current step and the share of it that is done.
 
     Returns:
         The fit, or why there is none.
     """
     if online.rotation is None or not tracker.kept:
         return "no online estimate to start from"
-    tell = progress or (lambda what, share: None)
+    on_progress = progress or (lambda what, share: None)
     if online.rotation.whiteners:
-        found = _second_look(tracker, online, tell)
+        found = _second_look(tracker, online, on_progress)
         if found is not None:
             assert found.fit.rotation is not None
             if found.fit.rotation.disturbance.max() > RULES.detected:
@@ -76,10 +76,10 @@ def fit_offline(
         elif online.rotation.disturbance.max() > RULES.detected:
             # White process noise is no model of disturbed air.
             return "the fit by the likeliest noise did not converge"
-    return _maximum(tracker, online, tell)
+    return _maximum(tracker, online, on_progress)
 
 
-def _second_look(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | None:
+def _second_look(tracker: Tracker, online: Fit, on_progress: Progress) -> OfflineFit | None:
     """By the likeliest noise of each axis; None where the record is too short for that."""
     assert online.rotation is not None
     dt, T = tracker.dt, step_for(tracker.dt).time
@@ -88,7 +88,7 @@ def _second_look(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | 
     chosen = False
     what = f"filter error over {sum(len(part.gyro) for part in tracker.kept)} samples"
     for look in range(_LOOKS):
-        tell(what, look / _LOOKS)
+        on_progress(what, look / _LOOKS)
         left = residual_runs(tracker.kept, tracker.geometry, dt, rotation)
         if not left:
             break
@@ -111,7 +111,7 @@ def _second_look(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | 
         found, rotation, chosen = (fit, estimator.bound), fit.rotation, chosen or likelier
         if moved.max() < _SETTLED:
             break
-    tell(what, 1.0)
+    on_progress(what, 1.0)
     if found is None:
         return None
     fit, bound = found
@@ -127,7 +127,7 @@ def _second_look(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | 
 
 
 def _widened(fit: RotationFit, online: RotationFit) -> RotationFit:
-    """What is more than chance between two estimates of one flight is an error of either.
+    """Disagreement beyond chance between two estimates of one flight counts as error of either.
 
     The online one weighs the same rows less well, so that by chance they differ by the difference
     of their variances (Hausman 1978, Econometrica 46, 1251-1271).
@@ -144,7 +144,7 @@ def _widened(fit: RotationFit, online: RotationFit) -> RotationFit:
     return replace(fit, covariance=full[:n, :n], full_covariance=full)
 
 
-def _maximum(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | str:
+def _maximum(tracker: Tracker, online: Fit, on_progress: Progress) -> OfflineFit | str:
     """By the maximum of the whole record's likelihood."""
     rotation = online.rotation
     assert rotation is not None
@@ -162,7 +162,7 @@ def _maximum(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | str:
         prior=_on_theta(tracker.estimator.prior),
         delay=rotation.delay,
         torque=rotation.deviating.torque(rotation.deviations),
-        progress=lambda done: tell(f"{what}, at most {passes} passes", done),
+        progress=lambda done: on_progress(f"{what}, at most {passes} passes", done),
     )
     if found is None:
         return "no gap-free stretch of flight is long enough"
@@ -180,7 +180,7 @@ def _maximum(tracker: Tracker, online: Fit, tell: Progress) -> OfflineFit | str:
         covariance=full[:n, :n],
         full_covariance=full,
         coordinates=np.array([found.delay, *rotation.coordinates[1:]]),
-        # Without a prior the data tell all there is, and more than they told online.
+        # Without a prior the data determine all, and more than online.
         data_std=rotation.data_std if tracker.estimator.prior is not None else found.std,
     )
     bounding = replace(fit, covariance=np.diag(found.bound**2))

@@ -1,4 +1,4 @@
-"""A recorded flight as the offline estimator takes it: linearised, whitened and weighed."""
+"""A recorded flight as the offline estimator takes it: linearized, whitened and weighed."""
 
 import math
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.signals.samples import Samples
 
 MIN_RUN = 24
-"""Samples; shorter pieces between gaps say little and are left out."""
+"""Samples; shorter pieces between gaps carry little information and are left out."""
 DELAY = rb.N_THETA
 """Place of the rotor speeds' delay among the unknowns, behind theta."""
 N_UNKNOWNS = rb.N_THETA + 1
@@ -101,7 +101,7 @@ class OfflineRecord:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """Where the model is linearised."""
+    """Where the model is linearized."""
 
     theta: Array
     rates: list[Array]
@@ -118,7 +118,7 @@ def linearise(record: OfflineRecord, theta: Array, rates: list[Array]) -> Linear
 
 @dataclass(frozen=True)
 class Weighed:
-    """A linearised model, weighed by a noise model.
+    """A linearized model, weighed by a noise model.
 
     Attributes:
         whiteners: of each run.
@@ -146,11 +146,11 @@ class Weighed:
 
 
 def weigh(record: OfflineRecord, point: Linearisation, noise: Noise, known: Array) -> Weighed:
-    """Weigh a linearised model.
+    """Weigh a linearized model.
 
     Args:
         record: of the flight.
-        point: where it is linearised.
+        point: where it is linearized.
         noise: of the axes.
         known: (3, 3) covariance of what noise of the speeds does. Held while theta is searched
             for: the gradient is that of the squares at fixed weights.
@@ -197,7 +197,7 @@ def _speed_noise_terms(
 ) -> tuple[Array, Array]:
     """What noise of the rotor speeds adds to gradient and information, by expectation.
 
-    The response to one sample's noise, taken in the middle of the longest run, stands for all.
+    The response to one sample's noise, taken in the middle of the longest run, represents all.
     """
     longest = max(range(len(whiteners)), key=lambda i: len(point.rates[i]))
     n = len(point.rates[longest])

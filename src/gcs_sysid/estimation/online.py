@@ -2,8 +2,9 @@
 
 A running flight is followed by quick fits: a step from an earlier fit of the same record, its
 warm start, with the moments of that instant. The warm start is renewed whenever a batch of
-moments has begun, about once a second; now and then a full fit chooses leak and delay anew. Quick
-fits of one warm start do not depend on one another, so that a block with many of them is one call.
+moments has begun, about once a second; now and then a full fit chooses leak and delay again. Quick
+fits of one warm start are independent of one another, so that a block with many of them is one
+call.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -34,7 +35,7 @@ from gcs_sysid.signals.samples import Samples
 
 _SETTLE_GROWTH = 1.5
 _MIN_BATCHES = 10
-"""From which their scatter tells how sure a number is."""
+"""Batches from which their scatter gives a standard deviation."""
 _WELL_KNOWN = 10.0
 """s of flight from which the search for a warm start starts from the one before."""
 MIN_MOMENTUM_SECONDS = 5.0
@@ -44,7 +45,7 @@ _LEAST_OWN = 0.02
 """Of a residual's power, what is the gyro's at least: the rotors' noise is known to so much."""
 
 PriorSource = Callable[[TranslationFit | None], Prior | None]
-"""What is known beforehand, given k_T / m as far as it is known."""
+"""Prior knowledge, given k_T / m as far as it is known."""
 
 
 class FitMoments(NamedTuple):
@@ -75,26 +76,26 @@ class Fit:
     rotation: rotation.RotationFit | None
     translation: TranslationFit | None
     seconds: float
-    """Flight time that it rests on."""
+    """Flight time used."""
     validation: Validation | None = None
     """Of full fits; of running ones the latest, if any."""
     accelerometer: TranslationFit | None = None
     """The second source of k_T / m, whichever `translation` is; of full fits, for certain."""
     rigid_body_test: RigidBodyTest | None = None
-    """Whether it moves like a rigid body; None while that cannot be told."""
+    """Whether it moves like a rigid body; None while undecided."""
     other_layout: str | None = None
     """What is wrong with the airframe's layout, where another explains the motion far better."""
     running: bool = False
     """Whether it is one of many looks at a running flight, see `uncertainty.watched_factor`."""
     moments: FitMoments | None = None
-    """What tells where the IMU and the rotors are, see `given_errors`."""
+    """Moments that determine where the IMU and the rotors are, see `given_errors`."""
     aligned_by: RotationFit | None = None
     """The fit that the moments are of, where `rotation` is another estimator's."""
 
 
 @dataclass(frozen=True)
 class _WarmStart:
-    """What a series of quick fits goes on from.
+    """Starting point of a series of quick fits.
 
     Attributes:
         rotation: fit that is followed.
@@ -178,7 +179,7 @@ class OnlineEstimator:
 
     @property
     def seconds(self) -> float:
-        """Flight time that the rotational estimate rests on."""
+        """Flight time used by the rotational estimate."""
         return self._record.seconds
 
     @property
@@ -271,7 +272,7 @@ class OnlineEstimator:
         validation = self._validate()
         rigid_body_test = self._rigid_body_test_of(rot)
         if rigid_body_test is not None and rigid_body_test.contradicted:
-            # What rotors turn against remains to be told: inertia in roll and pitch.
+            # Inertia in roll and pitch is left to determine.
             rot = self._fit_without_products()
         return Fit(
             rot,
@@ -305,7 +306,7 @@ class OnlineEstimator:
 
         Args:
             rotors: of them; None: the fit as it is.
-            fit: of all that was learnt.
+            fit: of the whole record.
         """
         if rotors is None or CURVE not in self._basis.free:
             return fit
@@ -313,7 +314,7 @@ class OnlineEstimator:
         return replace(fit, translation=thrust, accelerometer=accelerometer)
 
     def forget_last(self, seconds: float) -> None:
-        """Leave out at least the last `seconds` of what was learnt (whole batches)."""
+        """Leave out at least the last `seconds` of the record (whole batches)."""
         self._record.forget_last(seconds)
         self._warm_starts.clear()
 
@@ -485,7 +486,7 @@ class OnlineEstimator:
         )
 
     def _moments(self, fit: RotationFit | None) -> FitMoments | None:
-        """Of all that was learnt, at a fit of it."""
+        """Moments of the whole record, at a fit of it."""
         if fit is None or self._record.article is not None:
             return None
         warm_start = _WarmStart(fit, None, self._record.batches, 0.0, self._left_out)
@@ -642,7 +643,7 @@ class OnlineEstimator:
         )
 
     def _rigid_body_test_of(self, fit: RotationFit | None) -> RigidBodyTest | None:
-        """Whether the body is rigid; None while that cannot be told."""
+        """Whether the body is rigid; None while undecided."""
         moments = self._record.rotation
         if fit is None or self._record.article or len(moments.batches) < _MIN_BATCHES:
             return None

@@ -1,9 +1,8 @@
-"""Covariance of physical parameters: how what is estimated hangs together.
+"""Covariance of the physical parameters.
 
-Values of theta hang together as the fit has them; all that is multiplied with thrust shares the
-error of the scale, and all that rests on given arms or masses shares theirs. Standard deviations
-are those of the result, with all that widens them; the correlations are of the fit and of these
-common causes.
+Entries of theta correlate as in the fit; parameters scaled by thrust share the error of the scale,
+and those that depend on given arms or masses share theirs. Standard deviations are those of the
+result, with all that widens them; the correlations are of the fit and of these common causes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -60,7 +59,7 @@ def parameter_covariance(
     shared = (common**2).sum(axis=1)
     common *= np.minimum(1.0, stds / np.sqrt(np.maximum(shared, 1e-300)))[:, None]
     # What else widens a parameter (systematic errors, the IMU's alignment) has the correlations of
-    # the fit: Izz and k_M, which it can hardly tell apart, are not told apart by more error.
+    # the fit: Izz and k_M, which it can hardly separate, do not separate by adding error.
     rest = np.maximum(stds**2 - shared, 0.0)
     own = np.diag(fit)
     widening = np.sqrt(np.divide(rest, own, out=np.zeros_like(own), where=own > 0.0))

@@ -39,7 +39,7 @@ Raw = dict[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class ModelErrors:
-    """What a model that fits well may still be off by; no scatter within one flight tells.
+    """Systematic errors of a model that fits well; scatter within one flight does not show them.
 
     Relative where no unit is given.
     """
@@ -72,7 +72,8 @@ class ModelErrors:
     still_air: float = 0.1
     """m/s^2, of wind's push: flights without wind read 0.001 to 0.08."""
     not_rigid: float = 0.005
-    """Of what the model still tells where the rigid-body test contradicts it."""
+    """Relative error of the remaining parameters where the rigid-body test contradicts the
+    model."""
 
 
 ERRORS = ModelErrors()
@@ -92,7 +93,7 @@ def physical_parameters(
     """Physical parameters of the fits, at the anchor's scale.
 
     With commands T_max and the thrust curve take the places of k_T and k_M, and a rotor's inertia
-    cannot be told.
+    is unobservable.
 
     Args:
         anchor: the known value that sets the scale.
@@ -106,7 +107,7 @@ def physical_parameters(
         cant: m, what canted rotors add to the moment ratio.
     """
     scale = resolve_scale(anchor, translation, known or {})
-    # What a wrong thrust curve would do to thrust over mass, as a share of it.
+    # Relative effect of a wrong thrust curve on thrust over mass.
     bend = 0.0
     if translation is not None and translation.kappa > 0.0:
         bend = translation.curve_slope / translation.kappa
@@ -181,7 +182,7 @@ def _rotation_values(
     doubt: float,
     cant: float,
 ) -> Raw:
-    """What is read off theta: lengths as they are, the rest times thrust where that is known.
+    """Parameters read off theta: lengths directly, the rest times thrust where that is known.
 
     Args:
         rotation: the fit.
@@ -189,7 +190,7 @@ def _rotation_values(
         cg_floor: m, least standard deviation of the CG.
         rotor_input: what theta is relative to.
         bend: relative change of thrust with the thrust curve.
-        doubt: relative error of what rests on commands.
+        doubt: relative error of parameters identified from commands.
         cant: m, of canted rotors.
     """
     out: Raw = {}
@@ -231,7 +232,7 @@ def _cg_floor(translation: TranslationFit | None, arm: float, rotor_input: Rotor
 
 
 def _wind_shifts(translation: TranslationFit | None, arm: float) -> dict[str, float]:
-    """m, by which a steady wind may shift what rests on the mean torque."""
+    """m, by which a steady wind may shift the CG, known from the mean torque."""
     push = 0.0 if translation is None else translation.wind - ERRORS.still_air
     if push <= 0.0:
         return {}
@@ -286,31 +287,31 @@ def rotor_values(
 def _not_rigid(values: Mapping[str, Value]) -> dict[str, Value]:
     """Values where the vehicle does not move like a rigid body: the rest is doubted, too."""
     out = dict(values)
-    for name, told in values.items():
+    for name, entry in values.items():
         p = REGISTRY[name]
         if p.rigid_body:
-            out[name] = replace(told, status="unobservable")
-        elif p.theta and p.scale == "thrust" and told.value is not None and told.std is not None:
-            out[name] = replace(told, std=math.hypot(told.std, ERRORS.not_rigid * told.value))
+            out[name] = replace(entry, status="unobservable")
+        elif p.theta and p.scale == "thrust" and entry.value is not None and entry.std is not None:
+            out[name] = replace(entry, std=math.hypot(entry.std, ERRORS.not_rigid * entry.value))
     return out
 
 
 def with_clock_error(values: Mapping[str, Value], share: float) -> dict[str, Value]:
-    """Values with what they may be off by, were the vehicle's clock wrong.
+    """Values with the error of the vehicle's clock included.
 
     Args:
         values: parameters or timing, by name.
-        share: by which it may run fast or slow.
+        share: relative error of its rate.
     """
 
-    def widened(name: str, told: Value) -> Value:
+    def widened(name: str, entry: Value) -> Value:
         clock = REGISTRY[name].clock
         size = values.get(clock.of or name, NOTHING).value
-        if size is None or not (clock.power and told.std) or told.status == "given":
-            return told
-        return replace(told, std=math.hypot(told.std, share * clock.power * abs(size)))
+        if size is None or not (clock.power and entry.std) or entry.status == "given":
+            return entry
+        return replace(entry, std=math.hypot(entry.std, share * clock.power * abs(size)))
 
-    return {name: widened(name, told) if share else told for name, told in values.items()}
+    return {name: widened(name, entry) if share else entry for name, entry in values.items()}
 
 
 def rests_on_prior(rotation: RotationFit) -> frozenset[str]:
@@ -343,7 +344,7 @@ def _slowness(rotation: RotationFit | None) -> float:
 
 
 def _coordinate(rotation: RotationFit, name: str, doubt: float = 0.0) -> Value:
-    """One of the actuator's coordinates; given where it was not estimated.
+    """One of the actuator's coordinates; `given` where it was not estimated.
 
     Args:
         rotation: the fit.

@@ -44,7 +44,7 @@ class Prior:
 
     @property
     def thrust_curve(self) -> tuple[float, float]:
-        """Mean and standard deviation; NaN and infinity where nothing is known of it."""
+        """Mean and standard deviation; NaN and infinity where nothing is known."""
         known = np.flatnonzero(self.known)
         place = np.flatnonzero(known == CURVE)
         if not len(place):
@@ -56,7 +56,7 @@ class Prior:
 
     @property
     def known(self) -> Mask:
-        """(N_UNKNOWNS,) which unknowns it says anything about."""
+        """(N_UNKNOWNS,) which unknowns it covers."""
         known: Mask = np.diag(self.information) > 0.0
         return known
 

@@ -51,8 +51,8 @@ class FlightRecord:
         rotation: (leaks, width, width) moments of the rotation.
         momentum: (3, thrusts + 3, ...) of the momentum balance.
         accelerometer: (thrusts + 3, ...) of its z axis.
-        article: the article's estimator, where that is asked for.
-        commands: what makes whitened rows of commands; None where none are asked for.
+        article: the article's estimator, where requested.
+        commands: maker of whitened rows of commands; None where not requested.
         input_noise: of the rotors' stream.
         half_width: s, of the window.
     """
@@ -170,7 +170,7 @@ class FlightRecord:
             yield from self._take(pieces, ends)
 
     def flush(self) -> None:
-        """Take what is held back for want of a whole piece."""
+        """Take the samples held back as an incomplete piece."""
         rest = self._held.rest()
         if rest is not None:
             for _ in self._take(rest, ()):
@@ -233,7 +233,7 @@ class FlightRecord:
         return was
 
     def settled(self) -> AbstractContextManager[None]:
-        """With whitened rows of commands about the motors that the flight so far tells."""
+        """With whitened rows of commands about the motor parameters identified so far."""
         return nullcontext() if self.commands is None else self.commands.settled()
 
     def places(self, first: LagOf = LAGS_OF[0]) -> list[LagPlace]:
@@ -278,7 +278,7 @@ class FlightRecord:
 
     @property
     def noise_doubt(self) -> float:
-        """One standard deviation of what `noise` tells, relative."""
+        """Relative standard deviation of `noise`."""
         return self.input_noise.doubt
 
     def noise(self, leak: int) -> Array:
@@ -324,7 +324,7 @@ class FlightRecord:
         return np.array([self._smoother.noise_gains(m)[1] for m in self.memories])
 
     def forget_last(self, seconds: float) -> None:
-        """Leave out at least the last `seconds` of what was learnt (whole batches)."""
+        """Leave out at least the last `seconds` of the record (whole batches)."""
         self.flush()
         rows = int(np.ceil(seconds / self.row_time))
         for moments in (self.rotation, self.momentum, self.accelerometer):
@@ -430,7 +430,7 @@ class _Held:
         return pieces
 
     def rest(self) -> Samples | None:
-        """What is held, if anything."""
+        """The samples held back, if any."""
         count, self._count = self._count, 0
         if not count:
             return None

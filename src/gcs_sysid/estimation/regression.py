@@ -44,14 +44,14 @@ class Rows:
 
 
 class RowMaker:
-    """Makes rows of samples, block by block, as if all samples had come at once.
+    """Makes rows from samples, block by block, with the same result as in one pass.
 
     Args:
         path: makes the rotors' signals.
         basis: that they are for.
         smoother: the filter on both sides.
-        one_step: makes rows of one step beside them, and the basis of these; None: nobody asks.
-        drift: of thrust at a given command, which commands are rid of; None: they are as they are.
+        one_step: makes rows of one step beside them, and their basis; None: not needed.
+        drift: of thrust at a given command, for which commands are corrected; None: no correction.
     """
 
     def __init__(

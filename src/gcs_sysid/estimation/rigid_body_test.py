@@ -1,11 +1,10 @@
-"""Is the vehicle a rigid body? What the flight says of its gyroscopic torque.
+"""Is the vehicle a rigid body? A test of its gyroscopic torque.
 
-Izz and the rotors' torque share one scale, which only the gyroscopic torque w x J w tells, and
-products of inertia rest on it too. Where a vehicle (or its simulator) does not have that torque,
-the fit bends Izz until there is none, explains nearly all of the motion, and is confidently
-wrong. So the torque that the fit predicts is put to the test: how many times of it is there,
-axis by axis, when everything that rotors and damping could do is left free? A rigid body
-answers 1.
+Izz and the rotors' torque share one scale, which only the gyroscopic torque w x J w determines;
+products of inertia depend on it too. Where a vehicle (or its simulator) does not have that torque,
+the fit bends Izz until there is none, explains nearly all of the motion, and is confidently wrong.
+So the predicted torque is tested: what multiple of it is present, axis by axis, with everything
+that rotors and damping could do left free? A rigid body gives 1.
 """
 
 from dataclasses import dataclass
@@ -19,9 +18,9 @@ PRODUCTS = [rb.SIGNALS.index(name) for name in ("qr", "rp", "pq", "pp", "qq", "r
 """Columns of the products of rates, which the gyroscopic torque is made of."""
 _OTHERS = np.setdiff1d(np.arange(rb.N_SIGNALS), PRODUCTS)
 _OFF, _SURE = 0.3, 4.0
-"""By how much, and how many standard deviations, a share must be off before it is believed."""
+"""By how much, and how many standard deviations, a share must be off to count."""
 _NONE = 1e-8
-"""Share of an axis' acceleration below which there is no gyroscopic torque to speak of."""
+"""Share of an axis' acceleration below which gyroscopic torque is negligible."""
 _TINY = 1e-300
 _ROUNDING = 1e-30
 """Of the largest input, what the square of one must exceed."""
@@ -76,7 +75,7 @@ def judge_rigid_body(batches: Array, P: Array, Q: Array) -> RigidBodyTest:
         if not power > _NONE**2 * total[n + axis, n + axis]:
             continue
         more = float(predicted @ total @ residual) / power
-        # Neighbouring batches share slow noise, as in the sandwich of the fit.
+        # Neighboring batches share slow noise, as in the sandwich of the fit.
         scores = (own @ ((residual - more * predicted) @ P)) @ (predicted @ P)
         meat = float(scores @ scores + 2.0 * (scores[1:] @ scores[:-1]))
         share[axis] = 1.0 + more
@@ -88,7 +87,7 @@ def _apart(total: Array, combination: Array) -> Array:
     """A combination of columns without what all the other inputs explain of it."""
     moments = total[np.ix_(_OTHERS, _OTHERS)]
     diagonal = np.diag(moments)
-    # What is next to nothing is left as it is: its share of anything is rounding.
+    # Negligible columns are left unchanged: their share of anything is rounding.
     d = np.sqrt(np.where(diagonal > _ROUNDING * diagonal.max(initial=0.0), diagonal, 1.0))
     scaled = np.linalg.pinv(moments / np.outer(d, d), rcond=1e-10, hermitian=True)
     out: Array = combination.copy()

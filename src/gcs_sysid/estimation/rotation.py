@@ -1,7 +1,7 @@
 """Fit of the rotational parameters to the moments of the forward form.
 
 The cost  sum_rows (y - Q(theta) x)' W (y - Q(theta) x)  is an exact quadratic in Q, so it and
-its derivatives follow from the moments alone. It is minimised by Gauss-Newton with
+its derivatives follow from the moments alone. It is minimized by Gauss-Newton with
 Levenberg-Marquardt damping; W is the inverse of the residual covariance, which the same moments
 give (iterated to the maximum-likelihood point). See `gcs_sysid.model.rigid_body` for Q.
 
@@ -50,16 +50,16 @@ _BLIND_STEP = 3.0
 _ALIKE = 0.1
 """Of standard deviations, relative: in a minute of flight chance makes them differ by 0.07."""
 _NEAR, _ROUNDS = 0.1, 4
-"""Standard deviations, squared, that a search may be from the minimum; how often it goes on."""
+"""Squared standard deviations that a search may be from the minimum; how often it continues."""
 _ABSURD = -0.5
-"""Share of an axis' acceleration explained: less is of a minimum that is none of the vehicle's."""
+"""Share of an axis' acceleration explained: less indicates a false minimum."""
 _HALVINGS = 20
 """A step that leads out of the physical inertias is shortened so often, then not taken."""
 
 
 @dataclass(frozen=True)
 class WarmStart:
-    """From where a later fit of the same, longer record goes on.
+    """Warm start for a later fit of the same, longer record.
 
     Attributes:
         unknowns: (N_UNKNOWNS,) at the minimum of the cost.
@@ -80,20 +80,20 @@ class RotationFit:
 
     Attributes:
         theta: (N_THETA,) estimate, see `rigid_body.THETA`.
-        covariance: (N_THETA, N_THETA), corrected for coloured residuals, delay included, and
+        covariance: (N_THETA, N_THETA), corrected for colored residuals, delay included, and
             widened so that 1.96 standard deviations are Student's 95 % interval.
         residual_covariance: (3, 3) of one row's residual.
         r_squared: (3,) share of each axis' angular acceleration that the model explains.
-        rows: how many rows it rests on.
-        converged: whether the minimiser was reached.
+        rows: number of rows fitted.
+        converged: whether the minimizer was reached.
         coordinates: (N_COORDINATES,) rotor delay (s), motor lag (s), thrust curve, and nuisances of
             the lag, see `estimation.actuator_dynamics`.
         leak: index of the leak that was taken, see `most_certain`.
         whiteners: of each axis, where rows were whitened; else empty.
-        disturbance: (3,) nats a second by which an unmodelled moment explains an axis better than
+        disturbance: (3,) nats a second by which an unmodeled moment explains an axis better than
             sensor noise alone, see `whitened_fit.Trial.detected`; NaN where rows were not whitened.
-        data_std: (N_THETA,) standard deviations without the prior: huge where the flight alone
-            does not tell a parameter.
+        data_std: (N_THETA,) standard deviations without the prior: huge where the flight alone does
+            not determine a parameter.
         full_covariance: (N_UNKNOWNS, N_UNKNOWNS) of theta and the coordinates; zeros where one
             was not estimated.
         warm start: what `follow_rotation` starts from.
@@ -310,8 +310,8 @@ def follow_rotation(
 def most_certain(fits: Sequence[RotationFit]) -> RotationFit:
     """The first that is nearly as certain as any, so the one with the shortest memory.
 
-    How certain each is, scatter tells with an error of its own. The least of several such numbers
-    is too small, and long memories, which sum up slow errors, gain most by chance.
+    How certain each is, is itself estimated from scatter, with error. The least of several such
+    numbers is too small, and long memories, which sum up slow errors, gain most by chance.
     """
     uncertain = np.array([uncertainty(fit) for fit in fits])
     return fits[int(np.argmax(uncertain <= uncertain.min() + _ALIKE))]
@@ -487,8 +487,8 @@ class Outcome:
                 + problem.prior_information() / self._scales
                 + 1e-15 * np.eye(p)
             )
-            told = _times(held, _times(inverse_root, pull / (d * widening)))
-            step = _times(covariance, told + problem.prior_pull(self._unknowns) / d)
+            from_data = _times(held, _times(inverse_root, pull / (d * widening)))
+            step = _times(covariance, from_data + problem.prior_pull(self._unknowns) / d)
         unknowns = self._moved(step / d)
         every = np.zeros((K, unknowns.shape[1], unknowns.shape[1]))
         every[:, problem.free[:, None], problem.free] = covariance / self._scales
@@ -500,7 +500,7 @@ class Outcome:
         r_squared = self._explained()
         stuck = np.zeros(K, dtype=bool) if stuck is None else stuck
         if problem.basis.commands and CURVE in problem.free:
-            # Whoever explains an axis worse than nothing sits in a false minimum.
+            # A fit that explains an axis worse than nothing is in a false minimum.
             astray = stuck | (r_squared.min(axis=1) < _ABSURD)
             for i in np.flatnonzero(astray).tolist():
                 # There curve and lag are what they ordinarily are.

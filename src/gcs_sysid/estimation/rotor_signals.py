@@ -1,4 +1,4 @@
-"""From what is telemetered of the rotors to what may act on the body.
+"""From telemetered rotor signals to the inputs that may act on the body.
 
 Measured speeds need no more than their squares. Commands pass a first-order motor lag and a
 thrust curve that are not known: their signals are formed for some lags, of the lagged commands

@@ -1,7 +1,7 @@
-"""What sets the scale, and what else was known before the flight.
+"""The scale reference, and other knowledge from before the flight.
 
-IMU and rotor speeds tell everything divided by k_T, and k_T / m; with commands the thrust at full
-command, T_max, takes the place of k_T throughout. One more fact makes that absolute: the mass,
+IMU and rotor speeds determine everything divided by k_T, and k_T / m; with commands the thrust at
+full command, T_max, takes the place of k_T throughout. One more fact makes that absolute: the mass,
 k_T or T_max, or a second flight with a known mass added:
 
     kappa_1 = k_T / m,  kappa_2 = k_T / (m + added)  =>  m = added kappa_2 / (kappa_1 - kappa_2)
@@ -89,10 +89,10 @@ def _added_mass(anchor: ScaleReference, kappa: float, share: float) -> Scale:
 def _combined(
     value: float, share: float, given: float, prior: Known | None
 ) -> tuple[float | None, float, float]:
-    """A measured value and a prior on it, weighed by their variances.
+    """A measured value and a prior on it, weighted by their variances.
 
     Returns:
-        The value, and the shares that it may be off by as measured, and by what was given.
+        The value, and its relative errors, as measured and from what was given.
     """
     if prior is None:
         return (value, share, given) if math.isfinite(value) else (None, math.inf, 0.0)

@@ -19,8 +19,9 @@ N_X = rb.N_SIGNALS
 
 COORDINATE_MEAN = np.array([0.0, 0.05, 0.5, 0.0, 0.0])
 COORDINATE_STD = np.array([0.03, 0.05, 0.5, 0.4, 0.5])
-"""s, s, 1, 1 and 1; keep delay, lag, curve, asymmetry and exponent of the lag in the ordinary while
-the flight does not tell them. Simulators and motors on the bench have an asymmetry of 0 to 0.7."""
+"""s, s, 1, 1 and 1; keep delay, lag, curve, asymmetry and exponent of the lag at usual values while
+the flight does not determine them. Simulators and motors on the bench have an asymmetry of 0 to
+0.7."""
 
 MAX_ITERATIONS = 40
 _SCAN_ITERATIONS, _STARTS = 8, 4
@@ -345,7 +346,7 @@ def without_noise(problem: Problem, point: Point, noise: Array) -> tuple[Problem
     Returns:
         The problem, its solution, and (K, p) what the noise adds to the gradient there.
     """
-    told = Problem(problem.bank, problem.rows, problem.basis, problem.prior, noise)
+    corrected = Problem(problem.bank, problem.rows, problem.basis, problem.prior, noise)
     unknowns, d = point.unknowns, scales(point.hessian)
     # The curvature with noise is the larger: steps with it are short, and sure to come nearer.
     hessian = point.hessian
@@ -353,15 +354,15 @@ def without_noise(problem: Problem, point: Point, noise: Array) -> tuple[Problem
         hessian = hessian + problem.prior_information()
     H = hessian / (d[:, :, None] * d[:, None, :]) + _DAMPING * np.eye(problem.p)
     for _ in range(_NOISE_STEPS):
-        gradient = told.evaluate(unknowns).gradient
+        gradient = corrected.evaluate(unknowns).gradient
         if problem.prior is not None:
             gradient = gradient + problem.prior_pull(unknowns)
         step = np.linalg.solve(H, (gradient / d)[..., None])[..., 0]
         moved = problem.moved(unknowns, step / d)
         physical = rb.are_physical(moved)
         unknowns = np.where(physical[:, None], moved, unknowns)
-    found = told.evaluate(unknowns)
-    return told, found, problem.evaluate(unknowns).gradient - found.gradient
+    found = corrected.evaluate(unknowns)
+    return corrected, found, problem.evaluate(unknowns).gradient - found.gradient
 
 
 def residual_maker(Q: Array) -> Array:
@@ -373,7 +374,7 @@ def residual_maker(Q: Array) -> Array:
 
 
 def first_guess(total: Array, rows: int, at: Array, prior: Prior | None) -> Array | None:
-    """(N_UNKNOWNS,) to start from: a rough fit, or what the prior says where it fits better."""
+    """(N_UNKNOWNS,) to start from: a rough fit, or the prior's mean where that fits better."""
     rough = _starting_point(total)
     if rough is not None:
         rough = np.concatenate([rough, at])

@@ -1,4 +1,4 @@
-"""Sequential tests on normalised residuals, and the levels that normalise them."""
+"""Sequential tests on normalized residuals, and the levels that normalize them."""
 
 import numpy as np
 
@@ -77,7 +77,7 @@ class Level:
         self._least_gain = least_gain
 
     def forget(self, which: Mask) -> None:
-        """Start anew on some channels."""
+        """Restart on some channels."""
         self.frames[which] = 0
 
     def update(self, frame: Array, floor: Array) -> None:
@@ -125,8 +125,8 @@ class Baseline:
         self.last = np.full(channels, np.nan)
         self._keep = float(np.exp(-1.0 / memory))
         self._of: tuple[Array, Array] = np.empty((1, 0)), np.ones((1, 1))
-        """What (n, channels) values and the baseline before them make of it: (n + 1, n) weights and
-        (n + 1, 1), for the n that came last."""
+        """Baselines from (n, channels) values and the baseline before them: (n + 1, n) weights and
+        (n + 1, 1), for the latest n."""
 
     def update(self, values: Array, low: Array, high: Array) -> Array:
         """(n, channels) the baseline before each of the values; NaN values are passed over.

@@ -3,9 +3,9 @@
 Noise on an input makes least squares underrate what that input does (errors in variables).
 Where the noise is known, its part of the moments is known too and is taken out again.
 
-Speeds that come slowly miss what the rotors did in between: the gyro's noise comes back in the
-commands, less of it in the rotors, and folds down to the frequencies of the motion (see
-`estimation.command_noise`); where a message was lost, interpolation does not find it either.
+Slowly sampled speeds miss what the rotors did in between: gyro noise feeds through to the commands,
+in part to the rotors, and aliases to the frequencies of the motion (see
+`estimation.command_noise`); where a message was lost, interpolation does not restore it.
 """
 
 import numpy as np
@@ -19,13 +19,13 @@ from gcs_sysid.signals.smoothers import Smoother
 ROUNDING_STD = 2.0 * np.pi / 60.0 / np.sqrt(12.0)
 """rad/s, of a speed sent as a whole number of revolutions a minute."""
 _FAST_ENOUGH, _SLOWEST = 0.012, 0.025
-"""s. Below the one sample time a rotor hardly moves within four samples, so that what is left of
-them after a parabola is taken out is noise; above the other, motion and noise cannot be told
-apart. Between them the vehicle hardly moves, but the rotors do."""
+"""s. Below the one sample time a rotor hardly moves within four samples, so that their residual
+from a parabola is noise; above the other, motion and noise cannot be separated. Between them the
+vehicle hardly moves, but the rotors do."""
 _MISSED, _DOUBT = 0.25, 0.5
-"""Of what is left of four samples between those times, what is missed, and how well that is known:
-with motors of 40 ms, 0.08 where no message is lost and samples are taken as they come, 0.2 with
-5 % lost, three times as much where interpolation to the IMU's times smooths them."""
+"""Share missed of the residuals of four samples between those times, and its standard deviation:
+with motors of 40 ms, 0.08 where no message is lost and samples are taken as they come, 0.2 with 5 %
+lost, three times as much where interpolation to the IMU's times smooths them."""
 _ENOUGH = 100
 
 _DH = rigid_body.SIGNALS.index("dH")
@@ -61,7 +61,7 @@ class SpeedNoise(InputNoise):
 
     @property
     def doubt(self) -> float:
-        """One standard deviation of the covariance told, relative."""
+        """Relative standard deviation of the covariance."""
         return _DOUBT if _FAST_ENOUGH < self._dt <= _SLOWEST else 0.0
 
     @property

@@ -16,7 +16,7 @@ KNOWN: frozenset[Status] = frozenset({"identified", "given", "zero"})
 class StatusRules:
     """Where one status ends and the next begins.
 
-    Where gusts or unmodelled torques move the vehicle more than its rotors do, the controller's
+    Where gusts or unmodeled torques move the vehicle more than its rotors do, the controller's
     reaction to them is mistaken for the vehicle's response, and intervals are confidently wrong:
     hence the rules on R², the share of an axis' angular acceleration that is explained.
     """
@@ -24,7 +24,7 @@ class StatusRules:
     identified_below: float = 0.05
     """Standard deviation over the reference value."""
     unobservable_above: float = 0.5
-    """The same, above which the data say nothing useful."""
+    """The same, above which the data carry no useful information."""
     weak_below_r2: float = 0.8
     """R² below which nothing on that axis is identified."""
     unobservable_below_r2: float = 0.5

@@ -1,22 +1,22 @@
 """Thrust at a given command that falls slowly, as the battery's voltage does.
 
 A motor at a duty cycle turns in proportion to its supply, so that thrust at full command falls with
-its square: by a tenth in a flight. The accelerometer tells: thrust over mass is the specific force,
-and the command that makes one g of it rises. With u the mean command of the rotors, F the specific
+its square: by a tenth in a flight. The accelerometer shows it: thrust over mass is the specific
+force, and the command that makes 1 g rises. With u the mean command of the rotors, F the specific
 force along the thrust and v the commands' variance over the square of their mean, averaged over a
 second,
 
     ln u = l + D + eps ln(F / g) - k v,    D = E + beta w,  E(0) = 0,  E' = b
 
 where eps, the inverse slope of the thrust curve, and k, its bend, are as unknown as the drift D and
-its rate b. Where the battery's voltage V is told, w = ln(V_0 / V) explains most of it: beta is 1
-where voltage and command act as one, 2 where thrust is linear in the command and a motor's speed
-goes with the voltage, 0 where the autopilot or a speed controller makes up for it. A Kalman filter
-follows the six. Commands times exp(-D) make thrust as at V_0 (without a voltage, as at the start),
-whatever the curve: where it is a straight line full thrust has fallen by D, where it is a parabola
-by 2 D, and so do one command and its square.
+its rate b. Where the battery's voltage V is reported, w = ln(V_0 / V) explains most of it: beta is
+1 where thrust depends on the product of voltage and command, 2 where thrust is linear in the
+command and a motor's speed goes with the voltage, 0 where the autopilot or a speed controller
+compensates for it. A Kalman filter follows the six. Commands times exp(-D) make thrust as at V_0
+(without a voltage, as at the start), whatever the curve: where it is a straight line full thrust
+has fallen by D, where it is a parabola by 2 D, and so do one command and its square.
 
-What is not drift may look like it: gusts, drag in a climb, a rough accelerometer, a payload.
+Other effects may look like drift: gusts, drag in a climb, a rough accelerometer, a payload.
 Commands are scaled only by a loss of thrust (by a gain as far as the voltage has risen), and only
 as far as it stands out of what these can do; a jump is none.
 """
@@ -31,15 +31,15 @@ from gcs_sysid.model.parameters import GRAVITY
 
 @dataclass(frozen=True)
 class DriftTuning:
-    """What is known before the flight, and when a drift is believed.
+    """Priors on the drift, and when it counts.
 
     Attributes:
         period: s of samples in an average: several time constants of motors.
         rate: 1/s, one standard deviation of b: 10 % in a minute are usual.
-        told_rate: of it, what is left where the voltage is told: temperature and its errors.
+        measured_rate: share of it left where the voltage is reported: temperature and its errors.
         effect: mean and standard deviation of beta.
-        settled: averages of flight after which V_0 is taken: before, it may be that of a battery
-            without its load, told at rest.
+        settled: averages of flight after which V_0 is taken: an earlier one may have been reported
+            at rest, without load.
         wander: 1/s per root second, by which b changes: as much as it is, in half an hour.
         slope: mean and standard deviation of eps, 1 of a straight line and 0.5 of a parabola.
         bend: the same of k, 0 and 0.5.
@@ -47,15 +47,15 @@ class DriftTuning:
             the curve is far from hover.
         noise: of an average, before the flight shows its own, and
         worth: how many averages that is worth.
-        memory: averages over which it is told.
-        colour: by which neighbouring averages that err alike widen the variance.
+        memory: averages over which the noise is estimated.
+        colour: by which neighboring averages that err alike widen the variance.
         least_force: share of g below which the vehicle falls or tumbles, and is not watched.
         believed: standard deviations of D from which, and up to which, it begins to count.
     """
 
     period: float = 1.0
     rate: float = 2e-3
-    told_rate: float = 0.1
+    measured_rate: float = 0.1
     effect: tuple[float, float] = (1.2, 0.6)
     settled: int = 3
     wander: float = 4e-5
@@ -73,16 +73,16 @@ class DriftTuning:
 _TUNING = DriftTuning()
 _JUMP, _STAYED = 4.0, 5
 """Standard deviations that make an average a jump (a blow, a mass dropped), and how many of them
-in a row make a new level, from which the drift goes on."""
+in a row make a new level, from which the drift continues."""
 _SAG, _SAGS = 0.05, 0.02
-"""By how much a battery's voltage under load bends the thrust curve, and from which drift on it is
-reckoned with: on five flights of the emulator whose battery drops by 3 % under hover power, curves
-were off by 0.003 to 0.067, the drift being known exactly."""
+"""By how much a battery's voltage under load bends the thrust curve, and the drift from which that
+counts: on five flights of the emulator whose battery drops by 3 % under hover power, curves were
+off by 0.003 to 0.067, the drift being known exactly."""
 _D, _RATE, _EFFECT = 3, 4, 5
 _LEAST_VOLTAGE = 1.0
-"""V, below which there is no battery, or nobody measures it."""
-_UNTOLD_BATTERY = 0.05
-"""One standard deviation of D between flights where no voltage is told: 4.2 to 3.6 V a cell under
+"""V, below which there is no battery or no measurement."""
+_UNMEASURED_BATTERY = 0.05
+"""Standard deviation of D between flights without a voltage reported: 4.2 to 3.6 V a cell under
 load are 0.15."""
 _MOST_EFFECT = 2.0
 
@@ -104,8 +104,8 @@ class ThrustDrift:
         self._volts = np.zeros(2)
         """Samples with a voltage, and their sum."""
         self.voltage: float | None = None
-        """V_0, the battery's to which thrust is referred; None: not told, or not yet."""
-        self._told = 0
+        """V_0, the battery voltage that thrust is referred to; None: not reported, or not yet."""
+        self._measured = 0
         self._fallen = 0.0  # w
         self._started = False
         self._mean = np.array([0.0, tuning.slope[0], tuning.bend[0], 0.0, 0.0, tuning.effect[0]])
@@ -119,7 +119,7 @@ class ThrustDrift:
 
     @property
     def drift(self) -> float:
-        """D as far as it is believed."""
+        """D as far as it is significant."""
         return self._target
 
     @property
@@ -132,7 +132,7 @@ class ThrustDrift:
         """One standard deviation of what the battery may do to thrust unseen, relative."""
         slope = max(float(self._mean[1]), 0.25)
         if self.voltage is None:
-            return _UNTOLD_BATTERY / slope
+            return _UNMEASURED_BATTERY / slope
         drift, std = self._drift_and_std()
         return float(np.hypot(drift - self._target, std)) / slope
 
@@ -143,16 +143,16 @@ class ThrustDrift:
             before: that has followed the same rotors.
             landed: whether the battery may be another.
         """
-        told = before.voltage is not None
-        self.voltage, self._told = before.voltage, before._told
+        measured = before.voltage is not None
+        self.voltage, self._measured = before.voltage, before._measured
         self._fallen = before._fallen
         self._mean, self._covariance = before._mean.copy(), before._covariance.copy()
         self._set(0, 10.0)
         self._noise, self._worth = before._noise, before._worth
-        if landed and not told:
+        if landed and not measured:
             self._set(_D, 0.0)
             self._set(_RATE, self._tuning.rate)
-        elif not landed or told:
+        elif not landed or measured:
             self._target = self._now = before._target
 
     def update(self, commands: Array, force: Array, voltage: Array | None = None) -> Array:
@@ -161,7 +161,7 @@ class ThrustDrift:
         Args:
             commands: (n, rotors) of 0 to 1; NaN where missing.
             force: (n,) m/s^2, specific force along the body z axis, down.
-            voltage: (n,) V; NaN where it is not told.
+            voltage: (n,) V; NaN where not reported.
 
         Returns:
             (n,) factors on the commands.
@@ -172,8 +172,8 @@ class ThrustDrift:
         terms = np.column_stack([whole, kept.mean(axis=1), (kept * kept).mean(axis=1), up, up * up])
         volts = np.full(len(out), np.nan) if voltage is None else voltage
         with np.errstate(invalid="ignore"):
-            told = whole & (volts > _LEAST_VOLTAGE)
-        volts = np.column_stack([told, np.where(told, volts, 0.0)])
+            measured = whole & (volts > _LEAST_VOLTAGE)
+        volts = np.column_stack([measured, np.where(measured, volts, 0.0)])
         counted = np.cumsum(whole) + self._sums[0]
         start = 0
         while start < len(out):
@@ -204,7 +204,7 @@ class ThrustDrift:
         if self._started:
             self._mean = self._step @ self._mean
             self._covariance = self._step @ self._covariance @ self._step.T
-            wander = t.wander * (1.0 if self.voltage is None else t.told_rate)
+            wander = t.wander * (1.0 if self.voltage is None else t.measured_rate)
             self._covariance[_RATE, _RATE] += wander**2 * self._time
         self._started = True
         innovation = float(np.log(u) - row @ self._mean)
@@ -213,7 +213,7 @@ class ThrustDrift:
         rough = max(power / force**2 - 1.0, 0.0) / self._count
         noise = t.colour * (self._noise + rough + (t.far * float(row[1])) ** 2)
         variance = float(row @ spread) + noise
-        # Over its own variance an innovation has unit power; a jump tells of more noise, too.
+        # Over its own variance an innovation has unit power; a jump also indicates more noise.
         self._worth = min(self._worth + 1.0, t.memory)
         surplus = min(t.colour * innovation**2 / variance, _JUMP**2) - 1.0
         self._noise *= 1.0 + surplus / self._worth
@@ -234,20 +234,20 @@ class ThrustDrift:
         self._covariance[i, i] = std**2
 
     def _take_voltage(self) -> None:
-        """Take the average of the voltage, if enough of it was told."""
+        """Take the average of the voltage, if enough of it was reported."""
         count, total = self._volts.tolist()
         if 2.0 * count < self._count:
             return
         volts = total / count
-        self._told += 1
+        self._measured += 1
         if self.voltage is None:
-            if self._told < self._tuning.settled:
+            if self._measured < self._tuning.settled:
                 return
             self.voltage = volts
-            # What the voltage explains, the drift of its own need not; none of it is before V_0.
+            # What the voltage explains need not be drift; none of it is before V_0.
             self._mean[0] += self._mean[_D]
             self._set(_D, 0.0)
-            self._set(_RATE, self._tuning.told_rate * self._tuning.rate)
+            self._set(_RATE, self._tuning.measured_rate * self._tuning.rate)
         self._fallen = float(np.log(self.voltage / volts))
 
     def _drift_and_std(self) -> tuple[float, float]:

@@ -1,17 +1,17 @@
 """The estimator over a flight in which the vehicle may change.
 
-An online estimator learns; a change detector watches what its fits leave unexplained. What it
-raises an alarm for is looked at for up to six seconds (`change_hypotheses`) while the estimate goes
-on. A disturbance is told, and no more. When the vehicle changed, what was learnt since is taken
-back, what was learnt before closes as a segment, and a fresh estimator starts. The rotors are
-still the same, so it starts with what is theirs: torque over thrust, damping, rotor inertia, delay,
-and how the accelerometer reads against gravity. Inertia and CG start from what they were, but
-loosely. All is relative to k_T, which stays. What is undecided at the end is left out: the result
-is that of the flight before.
+An online estimator runs; a change detector monitors the residuals of its fits. An alarm is examined
+for up to six seconds (`change_hypotheses`) while the estimate continues. A disturbance is only
+reported. When the vehicle changed, samples since the onset are removed from the record, the record
+before closes as a segment, and a fresh estimator starts. The rotors are still the same, so it
+starts with their parameters: torque over thrust, damping, rotor inertia, delay, and how the
+accelerometer reads against gravity. Inertia and CG start from what they were, but loosely. All is
+relative to k_T, which stays. What is undecided at the end is left out: the result is that of the
+flight before.
 
-A landing ends a flight. The next is estimated apart until it can be told whether the vehicle is
-the same (`estimation.flight_comparison`): if so, the estimate goes on with both; else a segment has
-ended.
+A landing ends a flight. The next is estimated separately until it is decided whether the vehicle is
+the same (`estimation.flight_comparison`): if so, the estimate continues with both; else a segment
+has ended.
 """
 
 from collections.abc import Sequence
@@ -45,8 +45,8 @@ _CONTAMINATED = 0.3
 _INERTIA_MOVES, _CG_MOVES = 0.25, 0.2
 """How far a change may take inertia (share of it) and CG (share of the arm), one std."""
 _STAY = 3.0
-"""s of no flight after which the next is another one: two on the ground and one of taking off.
-Less is a hop, or a state told wrongly."""
+"""s without flight that separate two flights: two on the ground and one of takeoff. Less is a hop,
+or a state reported wrongly."""
 _AWAY = 10.0
 """s of silence in which the vehicle may have landed and been changed."""
 MOST_SEGMENTS = 100
@@ -54,9 +54,9 @@ MOST_SEGMENTS = 100
 MOST_PASSING = 200
 """Events kept that ended no segment, the latest: a day of gusts may bring many."""
 _TOUCHDOWN = 1.0
-"""s before the autopilot tells of a landing that are left out: it tells late."""
+"""s before a reported landing that are left out: autopilots report it late."""
 _SAME = 10.0
-"""s within which a disturbance is told once."""
+"""s within which a disturbance is reported once."""
 
 
 @dataclass(frozen=True)
@@ -80,13 +80,13 @@ class Event:
 
     Attributes:
         onset: estimated time of the change.
-        detected: time of the newest sample that the alarm rests on.
+        detected: time of the newest sample behind the alarm.
         change: as detected; None where two flights differ: then the onset is the landing between.
-        cause: what the residuals say of it; None when they say nothing.
+        cause: by the residuals; None when they show none.
         segment: index of the segment that it ended; None where the estimate goes on (a passing
             disturbance) or stops (a failing rotor).
-        decided: time at which it was told what it was; None between flights, and where the end
-            came before: then the estimate is that of the flight until the onset.
+        decided: time at which it was classified; None between flights, and where the end came
+            before: then the estimate is that of the flight until the onset.
     """
 
     onset: float
@@ -164,7 +164,9 @@ class Tracker:
 
     @property
     def voltage(self) -> float | None:
-        """V, the battery's that thrust at full command is of; None: speeds, or it is not told."""
+        """V, battery voltage that thrust at full command refers to; None: speeds, or not
+        reported.
+        """
         drift = self._estimator.drift
         return None if drift is None else drift.voltage
 
@@ -216,7 +218,7 @@ class Tracker:
         return points
 
     def finish(self) -> None:
-        """Decide what is undecided, because nothing more will come."""
+        """Decide what is undecided, as the data have ended."""
         self._end_trial()
         self._leave_undecided()
 
@@ -247,7 +249,7 @@ class Tracker:
             self.kept.append(gap(self.kept[-1]))
 
     def _forget_last(self, seconds: float) -> None:
-        """Leave out the last seconds, of what was learnt and of what is kept."""
+        """Leave out the last seconds, of the record and of the samples kept."""
         # A multiple of the rows' time, give or take rounding, is no more than that.
         self._estimator.forget_last((round(seconds / self.dt) - 0.01) * self.dt)
         left = round(seconds / self.dt)
@@ -282,14 +284,14 @@ class Tracker:
         return points
 
     def _idle(self, count: int) -> list[Point]:
-        """What stops show while nothing is learnt."""
+        """Fits at stops while nothing is estimated."""
         if not count:
             return []
         fit = self.fit(quick=True)
         return [Point(fit, len(self.segments))] * count
 
     def _end_trial(self) -> None:
-        """Tell whether the vehicle is the same, and go on with what the trial has seen."""
+        """Decide whether the vehicle is the same, and continue with the trial's samples."""
         trial, self._trial = self._trial, None
         if trial is None:
             return
@@ -307,7 +309,7 @@ class Tracker:
             fresh.accelerometer_gain = accelerometer_gain(before.translation, before.accelerometer)
             self._go_on_with(fresh, [])
             self.start = trial.start
-            self._watch_anew()
+            self._restart_detection()
         self.stopped = False
         for part in trial.parts:
             if part is None:
@@ -320,7 +322,7 @@ class Tracker:
         points: list[Point] = []
         done = 0
         while done < len(t) and not self.stopped:
-            # What is decided, is decided after a fixed number of samples.
+            # Decisions fall after a fixed number of samples.
             stop = min(done + self._quiet_samples(), len(t))
             part = slice(done, stop)
             here = [s - done for s in stops[len(points) :] if s <= stop]
@@ -388,7 +390,7 @@ class Tracker:
     def _pass(self, alarm: Alarm, found: Judgement, now: float) -> None:
         """It was a disturbance: the vehicle is what it was."""
         if found.cause.disturbance == "contact":
-            # What holds the vehicle is no part of it.
+            # What holds the vehicle down is not part of it.
             self._forget_last(now - found.onset + _CONTAMINATED)
             self._break()
         event = Event(found.onset, alarm.detected, alarm.change, found.cause, None, decided=now)
@@ -418,7 +420,7 @@ class Tracker:
         for part in kept:
             fresh.update(part)
         self._go_on_with(fresh, kept if self._keep else [])
-        self._watch_anew()
+        self._restart_detection()
         self._add(event)
 
     def _fresh(self, *, landed: bool) -> OnlineEstimator:
@@ -428,8 +430,8 @@ class Tracker:
             fresh.drift.go_on_from(before, landed=landed)
         return fresh
 
-    def _watch_anew(self) -> None:
-        """Another vehicle: residuals of the last one tell nothing of it."""
+    def _restart_detection(self) -> None:
+        """Another vehicle: residuals of the last one do not apply."""
         if len(self.segments) >= MOST_SEGMENTS:
             self._changes = None
         self._watch = self._new_watch()
@@ -439,7 +441,7 @@ class Tracker:
         return self._estimator.reserve()
 
     def _go_on_with(self, estimator: OnlineEstimator, kept: list[Samples]) -> None:
-        """Another vehicle from now on: what is known of the last one is in its segment."""
+        """Another vehicle from now on: the last one is in its segment."""
         self._estimator, self.kept = estimator, kept
         self.reserve()
 
@@ -452,9 +454,9 @@ class Tracker:
 
 
 def _after_change(before: Fit, geometry: Array) -> Prior | None:
-    """What a fit still tells of the vehicle after its body changed.
+    """Prior from a fit for the vehicle after its body changed.
 
-    The rotors' own are as before. Inertia and CG may have moved, by a quarter or so.
+    Rotor parameters are as before. Inertia and CG may have moved, by a quarter or so.
     """
     if before.rotation is None:
         return None
@@ -468,7 +470,7 @@ def _after_change(before: Fit, geometry: Array) -> Prior | None:
 
 
 def _of_rotors(before: Fit) -> Prior | None:
-    """What a fit on commands says of delay, lag and thrust curve, for other flights."""
+    """Prior on delay, lag and thrust curve for other flights, from a fit on commands."""
     rotation = before.rotation
     if rotation is None or not rotation.coordinates_std[CURVE]:
         return None

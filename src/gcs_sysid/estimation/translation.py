@@ -7,7 +7,7 @@ Momentum balance in world axes, averaged with the same window on both sides:
 Gravity is the reference: over a flight the mean vertical acceleration is nearly nothing, so
 kappa does not suffer from an accelerometer's bias. Where the vehicle sends no velocity, the
 accelerometer itself, f = -kappa sum O z + bias, serves as second source; its bias is then an
-unknown, which the flight tells as far as thrust varies.
+unknown, observable as far as thrust varies.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ WIDTH = 4
 
 ACCELEROMETER_BIAS_STD = 0.2
 """m/s^2, what a MEMS accelerometer's bias may be in flight: temperature, a level calibration of a
-degree or two, and a sensor 5 cm off the centre of gravity with rates of 2 rad/s."""
+degree or two, and a sensor 5 cm off the center of gravity with rates of 2 rad/s."""
 
 CALM, _LIFT = 0.8, 0.25
 """m/s^2, and a share. Wind lifts rotors, which looks like a larger kappa: by 2 to 10 % where it
@@ -41,10 +41,10 @@ GAIN_DRIFT = 5e-4
 _MIN_ROWS = 50
 _MIN_CALIBRATED_ROWS = 12
 _SLOPE_ERROR_SHARE = 3e-3
-"""Relative error of kappa where it rests on how thrust varies: noise of the rotor speeds draws it
-towards zero, and drag is not in it."""
+"""Relative error of kappa estimated from variations of thrust: noise of the rotor speeds biases it
+towards zero, and drag is neglected."""
 _MIN_BATCHES_FOR_BIAS = 10
-"""Fewer do not tell how far the bias itself may be off."""
+"""Fewer do not determine the error of the bias itself."""
 _TINY = 1e-300
 _ROWS_IN_WINDOW = 3.0
 """Square root of the rows that share a window's noise."""
@@ -60,7 +60,7 @@ class Gain:
 
 @dataclass(frozen=True)
 class WarmStart:
-    """From where a later fit of the same, longer record goes on.
+    """Warm start for a later fit of the same, longer record.
 
     Attributes:
         weights: (axes,) inverse residual variances.
@@ -212,7 +212,8 @@ def fit_accelerometer(
     kappa = -float(balance.estimate[0, 0])
     std = float(np.sqrt(balance.covariance(balance.inflation(batches[:, None]))[0, 0, 0]))
     if gain is not None:
-        # A window's worth of neighbouring rows counts once: early on no batches tell that.
+        # A window's worth of neighboring rows counts once: early on there are no batches to show
+        # it.
         share = float(np.hypot(_ROWS_IN_WINDOW * std / abs(kappa), gain.share))
         scaled = kappa * gain.value
         return TranslationFit(
@@ -227,7 +228,7 @@ def fit_accelerometer(
 
 
 def _with_bias(batches: Array, rows: int, total: Array) -> tuple[float, float]:
-    """Kappa and its standard deviation with the bias as an unknown, known beforehand to so much.
+    """Kappa and its standard deviation with the bias as an unknown with a prior.
 
     The prior is weighed against the covariance that the scatter of the scores leaves: overlapping
     rows overstate what the data know.
@@ -246,8 +247,8 @@ def _layouts() -> tuple[Array, Array, Array]:
     """Of momentum balance, of the accelerometer's z axis, and of that with a bias."""
     # Unknowns: -kappa, -delta, -kappa of the horizontal axes, wind north, wind east. Wind is a
     # nuisance (a vertical one would be taken for thrust). So is horizontal thrust: the vertical
-    # axis rests on gravity, the horizontal ones on tilt alone, and what velocity and attitude lag
-    # behind each other makes them fall short by per cents.
+    # axis depends on gravity, the horizontal ones on tilt alone, and the lag between velocity and
+    # attitude makes them low by a few percent.
     momentum = np.zeros((3, 3, 5))
     momentum[2, 0, 0] = 1.0
     momentum[:, 1, 1] = 1.0
@@ -317,7 +318,7 @@ class _Balance:
                 break
 
     def inflation(self, batches: Array) -> Array:
-        """(unknowns, unknowns) by how much coloured residuals widen the covariance.
+        """(unknowns, unknowns) by how much colored residuals widen the covariance.
 
         Args:
             batches: (k, axes, WIDTH, WIDTH) of the only instant.

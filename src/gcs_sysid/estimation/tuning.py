@@ -79,7 +79,7 @@ COMMANDS = Tuning(
 def tuning_for_commands(dt: float) -> Tuning:
     """Tuning for commands that come every `dt` s.
 
-    What slow ones miss is noise of all frequencies, the motion is slow: a leak weighs what is
-    sure most, and errors in how much is missed least.
+    Aliased noise has all frequencies, the motion is slow: a leak weighs most what is certain, and
+    least the error of the aliased part.
     """
     return COMMANDS if dt < SLOW_COMMANDS else replace(COMMANDS, leaks=(0.15,))

@@ -1,4 +1,4 @@
-"""Covariance that stays true when residuals are coloured."""
+"""Covariance that stays true when residuals are colored."""
 
 import numpy as np
 from scipy.special import stdtrit
@@ -27,13 +27,13 @@ def sandwich(bread: Array, scores: Array) -> Array:
 def meat(scores: Array, reach: int | None = None) -> Array:
     """(p, p) covariance of the whole score, from (k, p) scores of batches in time order.
 
-    Neighbouring batches hang together, the more so the slower the noise; with more batches, more
-    of that can be told. Bartlett's weights over a reach that grows with their number (Newey and
-    West 1987) keep it positive definite.
+    Neighboring batches correlate, the more so the slower the noise; more batches resolve more of
+    that. Bartlett's weights over a reach that grows with their number (Newey and West 1987) keep it
+    positive definite.
 
     Args:
         scores: (k, p).
-        reach: batches that hang together, where that is known; None: as many as can be told.
+        reach: batches that correlate, where that is known; None: as many as can be resolved.
     """
     k, p = scores.shape
     weights = bartlett(k, reach)
@@ -56,7 +56,7 @@ def bartlett(k: int, reach: int | None = None) -> Array:
 
 
 def inflation(inverse_root: Array, scatter: Array) -> Array:
-    """By how much the score scatters more than the information says, at least once.
+    """Ratio of the score's scatter to the information, at least 1.
 
     Args:
         inverse_root: (p, p) symmetric root of the inverse information.
@@ -75,10 +75,11 @@ def shrunk_inflation(
 ) -> tuple[Array, Array]:
     """The same, as far as the scatter of so many batches can prove it.
 
-    Eigenvalues lambda of a scatter told by few batches spread widely about their mean even where
-    they are all alike (Marchenko and Pastur 1967): of white innovations 57 batches show 15 unknowns
-    scatters from 0.01 to 3, and to take all that exceeds 1 makes every interval 1.2 times too wide.
-    So the scatter S is shrunk towards its mean mu, by the weight of least expected square error,
+    Eigenvalues lambda of a scatter estimated from few batches spread widely about their mean even
+    where they are all alike (Marchenko and Pastur 1967): of white innovations 57 batches show 15
+    unknowns scatters from 0.01 to 3, and to take all that exceeds 1 makes every interval 1.2 times
+    too wide. So the scatter S is shrunk towards its mean mu, by the weight of least expected square
+    error,
 
         (1 - w) S + w mu,    w = mu^2 (p + 1) / (nu d^2),    d^2 = mean (lambda - mu)^2
 
@@ -86,8 +87,8 @@ def shrunk_inflation(
     count by themselves. A direction beyond the edge of that spread, mu (1 + sqrt(g))^2 with
     g = p / nu, keeps at least the l that shows as lambda = l (1 + g mu / (l - mu)) (spiked model:
     Donoho, Gavish and Johnstone 2018, Annals of Statistics 46, 1742-1778). The mean, where it is
-    below 1, is the least: innovations may be weaker where the parameters act than elsewhere. Fewer
-    than 2 p batches prove the less the fewer they are.
+    below 1, is the least: innovations may be weaker where the parameters act than elsewhere. Below
+    2 p batches the weight falls with their number.
 
     Args:
         inverse_root: as of `inflation`.
@@ -95,7 +96,7 @@ def shrunk_inflation(
         reach: as of `meat`.
 
     Returns:
-        (p, p) inflation, and (p,) share of each unknown's variance that the scatter alone tells.
+        (p, p) inflation, and (p,) share of each unknown's variance known from scatter alone.
     """
     k, p = scores.shape
     values, vectors = np.linalg.eigh(inverse_root @ meat(scores, reach) @ inverse_root)
@@ -115,8 +116,8 @@ def shrunk_inflation(
     spread = (vectors * np.maximum(shrunk, floor)) @ vectors.T
     whole = np.einsum("ij,jk,ki->i", inverse_root, spread, inverse_root)
     known = floor * np.einsum("ij,ji->i", inverse_root, inverse_root)
-    told = np.maximum(1.0 - known / np.maximum(whole, 1e-300), 1.0 - trust)
-    return spread, told
+    by_scatter = np.maximum(1.0 - known / np.maximum(whole, 1e-300), 1.0 - trust)
+    return spread, by_scatter
 
 
 _LEAST_SCATTER = 0.5
@@ -131,24 +132,26 @@ def symmetric_roots(matrix: Array, ridge: float = _RIDGE) -> tuple[Array, Array]
     return (vectors * roots) @ turned, (vectors / roots) @ turned
 
 
-def student_factor(shares: Array, reach: int | None = None, told: Array | float = 1.0) -> Array:
+def student_factor(
+    shares: Array, reach: int | None = None, by_scatter: Array | float = 1.0
+) -> Array:
     """What makes 1.96 standard deviations a 95 % interval when batches are few.
 
-    A variance told by the scatter of few batches is uncertain itself; the estimate over its
+    A variance estimated from the scatter of few batches is itself uncertain; the estimate over its
     standard deviation then follows Student's t, not the normal law. The degrees of freedom are
-    Satterthwaite's for the sum over batches and neighbours that `meat` forms,
+    Satterthwaite's for the sum over batches and neighbors that `meat` forms,
 
         nu = (sum w)^2 / (sum w^2 + 2 sum_l b_l^2 sum w w_l)
 
     with w the variance that each batch is expected to add (as in the small-sample theory of
     cluster-robust covariances by Bell and McCaffrey), w_l that of the l-th batch after it, and b
-    Bartlett's weights. Where the scatter tells only a share s of the variance and the rest is
+    Bartlett's weights. Where scatter determines only a share s of the variance and the rest is
     known, they are nu / s^2.
 
     Args:
         shares: (k, p) expected share of each batch in the variance of each unknown, any scale.
         reach: as of `meat`.
-        told: (p,) share of the variance that is told by scatter, see `shrunk_inflation`.
+        by_scatter: (p,) share of the variance that scatter determines, see `shrunk_inflation`.
 
     Returns:
         (p,) factors on the standard deviations: quantile of t over quantile of the normal.
@@ -159,13 +162,13 @@ def student_factor(shares: Array, reach: int | None = None, told: Array | float 
         spread = spread + 2.0 * weight**2 * (w[lag:] * w[:-lag]).sum(axis=0)
     total = w.sum(axis=0)
     freedom = np.where(spread > 0.0, total * total / np.where(spread > 0.0, spread, 1.0), 1.0)
-    freedom = np.maximum(freedom, 1.0) / np.maximum(told, _LEAST_TOLD) ** 2
+    freedom = np.maximum(freedom, 1.0) / np.maximum(by_scatter, _LEAST_SHARE) ** 2
     factor: Array = stdtrit(freedom, 0.975) / _NORMAL
     return factor
 
 
 def watched_factor(seconds: float) -> float:
-    """What makes 1.96 standard deviations a 95 % interval for one who looks all the time.
+    """Factor that makes 1.96 standard deviations a 95 % interval under continuous monitoring.
 
     An interval that holds at 95 % of instants is left at some instant by every third estimate:
     it drifts as the record grows. The normal mixture of Robbins (1970, Annals of Mathematical
@@ -188,6 +191,6 @@ def watched_factor(seconds: float) -> float:
 
 
 _NORMAL = 1.959963984540054
-_LEAST_TOLD = 1e-3
+_LEAST_SHARE = 1e-3
 _FIRST_LOOK = 1.0
-"""s; the first estimates rest on hardly more. What is more would be wider later."""
+"""s; the first estimates have hardly more. A larger value widens later intervals."""

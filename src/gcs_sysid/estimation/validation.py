@@ -1,15 +1,15 @@
-"""Does a fit predict what it has not seen?
+"""Does a fit predict held-out data?
 
 The parameters are fitted on the first part of the flight and predict the angular acceleration of
 the rest. Both parts are sums of moments, so no sample is needed again.
 
-**Whiteness.** Neighbouring rows share samples, so their residuals are coloured by the window
-itself, and a test of the rows for whiteness would always fail. What can be asked is whether the
-residual has the colour that white noise on the sensors gets from the filters: white gyro noise
-is differentiated by the window, white noise of the rotor speeds is averaged. Two filters on the
-same residual tell: the rows as they are, and their leaky sums, which weigh low frequencies more.
-Given the residual's power in the one, white sensor noise fixes its power in the other. Both are
-in the moments already.
+**Whiteness.** Neighboring rows share samples, so their residuals are colored by the window
+itself, and a test of the rows for whiteness would always fail. What can be tested is whether the
+residual has the color that white noise on the sensors gets from the filters: white gyro noise is
+differentiated by the window, white noise of the rotor speeds is averaged. Two filters on the same
+residual decide: the rows as they are, and their leaky sums, which weigh low frequencies more. Given
+the residual's power in the one, white sensor noise fixes its power in the other. Both are in the
+moments already.
 """
 
 from dataclasses import dataclass
@@ -154,12 +154,10 @@ def _whiteness(
     ratio = gains[1] / gains[0]
     # Of the plain power, what the speeds' noise does not explain is the gyro's.
     expected = ratio * plain + counts[:, None] * (of_speeds[1] - ratio * of_speeds[0])
-    return told_whiteness(summed, expected, counts)
+    return whiteness_of(summed, expected, counts)
 
 
-def told_whiteness(
-    summed: Array, expected: Array, counts: NDArray[np.int64]
-) -> tuple[Array, Array]:
+def whiteness_of(summed: Array, expected: Array, counts: NDArray[np.int64]) -> tuple[Array, Array]:
     """Whiteness and its p-value, per axis, from batches of residual power.
 
     Args:
@@ -171,7 +169,7 @@ def told_whiteness(
     total = surplus.sum(axis=0)
     apart = surplus - counts[:, None] * (total / counts.sum())
     k = len(counts)
-    # Leaky sums reach over the ends of batches: neighbours count, as in the sandwich.
+    # Leaky sums reach over the ends of batches: neighbors count, as in the sandwich.
     lagged = (apart[1:] * apart[:-1]).sum(axis=0)
     variance = np.maximum((apart * apart).sum(axis=0) + lagged, 1e-300) * k / (k - 1)
     freedom = (k - 1) / 1.5

@@ -1,8 +1,8 @@
 """The rotation of a record from its whitened rows; how it is judged from those of the window.
 
-Of a single step, noise is most of what there is. How much of the motion a fit explains is therefore
-told on the rows of the symmetric window, which pass what is slower than some 5 Hz: the same numbers
-that fits to the window give, and that verdicts rest on.
+A single step is mostly noise. How much of the motion a fit explains is therefore computed on the
+rows of the symmetric window, which passes about 5 Hz: the same numbers as of fits to the window, on
+which verdicts are based.
 """
 
 import math
@@ -25,7 +25,7 @@ from gcs_sysid.estimation.translation import TranslationFit
 from gcs_sysid.estimation.validation import (
     Validation,
     judge_prediction,
-    told_whiteness,
+    whiteness_of,
 )
 from gcs_sysid.estimation.whitened_fit import find_shocks, fit_whitened, follow_whitened
 from gcs_sysid.estimation.whitened_moments import WhitenedMoments, grouped
@@ -113,7 +113,7 @@ class WhitenedEstimator:
 
         Args:
             start: an earlier fit of it; None: from the data alone.
-            prior: what else is known.
+            prior: on the unknowns.
             rigid: whether the body has gyroscopic torque.
             calm: whether no steady wind blows.
 
@@ -168,7 +168,7 @@ class WhitenedEstimator:
         ends = np.cumsum(data.counts) * self._white.time
         if not len(ends) or ends[-1] < _SHORTEST_VALIDATED:
             return None
-        # Held out now and then: manoeuvres come one after the other, and a part must have its own.
+        # Held out now and then: maneuvers come one after the other, and a part must have its own.
         stretch = (ends - 1e-9) // _HELD_OUT % 5
         folds = [(i,) for i in range(5)] if data.judges else [(1, 3)]
         found = [
@@ -178,7 +178,7 @@ class WhitenedEstimator:
         ]
         if not found:
             return None
-        whiteness = told_whiteness(
+        whiteness = whiteness_of(
             *(np.concatenate(part) for part in zip(*(f.power for f in found), strict=True))
         )
         if len(found) == 1:
@@ -265,11 +265,11 @@ class WhitenedEstimator:
         """
         T, pick = self._white.time, self._white.places(fit.whiteners)
         own = np.diag(fit.residual_covariance)
-        told = self._record.whitened_noise(pick)
+        input_noise = self._record.whitened_noise(pick)
         TP = residual_maker(rb.forward_matrix(theta)) @ self.basis.map_at(fit.coordinates)
-        rotors = np.einsum("ai,aij,aj->a", TP, told, TP)
+        rotors = np.einsum("ai,aij,aj->a", TP, input_noise, TP)
         left = np.maximum(own - rotors, _LEAST_OWN * own)
-        # Without any whitener nothing tells what is the gyro's: half of a change, at most.
+        # Without a whitener the gyro's part is unknown: half of a change, at most.
         shares = np.array([whitener.gyro_share or 0.5 for whitener in fit.whiteners])
         density: Array = np.diag(left * shares) * T**3
         return density
@@ -303,7 +303,7 @@ class WhitenedEstimator:
     def _slow_power(
         self, data: WhitenedMoments, kept: Mask, fit: RotationFit
     ) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Of the innovations that were not fitted, as `told_whiteness` takes it.
+        """Of the innovations that were not fitted, as `whiteness_of` takes it.
 
         Were they white, another whitener would make of them
 
@@ -337,12 +337,12 @@ class WhitenedEstimator:
 
 @dataclass(frozen=True)
 class _Fold:
-    """A part of a flight that was predicted.
+    """A held-out part of a flight, predicted.
 
     Attributes:
         validation: of it, without whiteness.
         measured: (3,) power of its acceleration.
-        power: what its whiteness follows from, see `told_whiteness`.
+        power: for its whiteness, see `whiteness_of`.
     """
 
     validation: Validation

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
-from gcs_sysid.estimation.axis_problem import TOLD, AxisPoint, AxisProblem, minimise_axes
+from gcs_sysid.estimation.axis_problem import NOISE_SHARE, AxisPoint, AxisProblem, minimise_axes
 from gcs_sysid.estimation.deviations import NO_DEVIATIONS, DeviationChoice, Deviations
 from gcs_sysid.estimation.disturbance import RULES, Trial
 from gcs_sysid.estimation.priors import COORDINATES, N_UNKNOWNS, Prior
@@ -34,8 +34,8 @@ SHOCK = 6.0
 _JUDGED = 3
 """Rounds of judging them, each by the fit without those found before."""
 _JUDGED_ALIKE = 12
-"""Times that batches are judged by the whiteners found before, 5 s each: whoever is bumped, is by
-any."""
+"""Times that batches are judged by the whiteners found before, 5 s each: a bump shows with any of
+them."""
 _JUDGES = 3
 """Iterations of a fit that judges, from the one before: the strongest are 6 times the median."""
 _MOST_SHOCKS = 0.25
@@ -44,11 +44,11 @@ _SCAN, _TRY, _AGAIN, _FIT, _FOLLOW = 5, 8, 4, 30, 3
 """Iterations: at a node; with a whitener, from there and from a fit; with those of the axes; of a
 fit that follows."""
 _CHOSEN = 3
-"""Times that deviations from the model are chosen anew."""
+"""Times that deviations from the model are chosen again."""
 _SCANNED = 64
 """Pairs of whitener and node that are looked at, about."""
 _REACH = 2
-"""Neighbours of a batch whose scores its own hang together with: innovations forget soon."""
+"""Neighbors of a batch with correlated scores: innovations have little memory."""
 _BLIND_STEP = 3.0
 """Standard deviations; a smaller step of a fit that follows is taken unseen."""
 _LEAST = 0.05
@@ -147,7 +147,7 @@ def fit_whitened(
         batches = data.of_axes(solved.pick)
     noise = data.noise[list(solved.pick)]
     batches, counts = grouped(batches[kept], data.counts[kept], data.grouped)
-    batches -= TOLD * counts[:, None, None, None] * noise
+    batches -= NOISE_SHARE * counts[:, None, None, None] * noise
     outcome = WhitenedOutcome(solved.problem, solved.point)
     scores = outcome.scores(0, batches, counts)
     inverse_root = outcome.roots[1][0]
@@ -160,27 +160,29 @@ def fit_whitened(
     spread = spread[None]
     widening = student_factor(outcome.shares(0, batches), _REACH, by_scatter)[None]
     if data.own:
-        # That innovations are white rests on all rows, not on how few batches scatter.
+        # Whiteness of innovations is based on all rows, not on the scatter of few batches.
         widening = np.ones_like(widening)
     if doubt:
         silent = np.zeros_like(noise)[None]
         raw = AxisProblem(solved.problem.bank, rows, basis, prior, silent, deviations)
         pull = raw.evaluate(solved.point.unknowns).gradient - solved.point.gradient
         spread = spread + outcome.spread_of(doubt * pull)
-    # First as the scatter has it: how sure the contrasts are, it tells too.
-    told = outcome.fits(spread, widening, [solved.converged], [0])[0]
+    # First from scatter, which also gives the contrasts' standard deviations.
+    improved = outcome.fits(spread, widening, [solved.converged], [0])[0]
     if data.judges:
-        told = replace(told, r_squared=_explained(solved, given.total(kept), data.judges, basis))
-    r_squared = told.r_squared
-    errors = solved.trial.systematic(told, hover)
+        improved = replace(
+            improved, r_squared=_explained(solved, given.total(kept), data.judges, basis)
+        )
+    r_squared = improved.r_squared
+    errors = solved.trial.systematic(improved, hover)
     for error in errors:
         way = np.zeros(solved.problem.p)
         way[: rb.N_THETA] = error / widening[0, : rb.N_THETA]
         spread = spread + outcome.spread_of(way[None] @ solved.point.hessian[0])
     if len(errors):
-        told = outcome.fits(spread, widening, [solved.converged], [0])[0]
+        improved = outcome.fits(spread, widening, [solved.converged], [0])[0]
     fit = replace(
-        told,
+        improved,
         r_squared=r_squared,
         whiteners=tuple(data.whiteners[i] for i in solved.pick),
         disturbance=solved.trial.detected,
@@ -382,10 +384,10 @@ def _chosen(
     every = choice.every(point.unknowns[0])
     competing = choice.with_turns(every, point.unknowns[0])
     n, m = rb.N_THETA, len(competing.std)
-    noise = (before.bank - before.without) / (TOLD * rows)
+    noise = (before.bank - before.without) / (NOISE_SHARE * rows)
     problem = AxisProblem(before.bank, rows, basis, prior, noise, competing)
     unknowns = problem.extended(point.unknowns[:, :N_UNKNOWNS])
-    # Where the fit stands in terms of all deviations: the same torque.
+    # The fit in terms of all deviations: the same torque.
     flat = every.torques.reshape(len(every.std), -1)
     torque = before.deviations.torque(point.unknowns[:, N_UNKNOWNS:]).reshape(-1)
     phi = np.zeros(m)
@@ -414,10 +416,10 @@ def _alike(
 ) -> Array:
     """(K, 3) power of the innovations as it would be if all had the same share of known noise.
 
-    Noise of the inputs pulls the least power towards a vehicle that answers them less. Whoever
-    errs that way, by chance, would look better than the truth. What is compared is therefore the
-    power without the known noise, which is stationary at the truth, and that noise as one and the
-    same vehicle answers it.
+    Input noise biases the minimum of the power towards a vehicle with less response. An estimate
+    that errs that way by chance would look better than the truth. The power compared is therefore
+    that without the known noise, which is stationary at the truth, plus that noise with one and the
+    same response.
 
     Args:
         point: K solutions.
@@ -429,7 +431,9 @@ def _alike(
     torque = deviations.torque(known[N_UNKNOWNS:])
     T = residual_maker(rb.forward_matrix(known[: rb.N_THETA], torque))
     of_noise = ((T @ noise) * T).sum(axis=-1)
-    alike: Array = np.maximum(point.told / rows + TOLD * of_noise, _LEAST * point.variance)
+    alike: Array = np.maximum(
+        point.motion_power / rows + NOISE_SHARE * of_noise, _LEAST * point.variance
+    )
     return alike
 
 
@@ -445,7 +449,7 @@ def _scanned(
     every = max(len(total) * len(nodes) // _SCANNED, 1)
     some, some_noise = total[::every], data.noise[::every]
     middle = nodes[basis.middle]
-    at_middle = basis.moments_at(some - TOLD * rows * some_noise, middle)
+    at_middle = basis.moments_at(some - NOISE_SHARE * rows * some_noise, middle)
     guesses = [first_guess(moments, rows, middle, prior) for moments in at_middle]
     known = [guess for guess in guesses if guess is not None]
     if not known:

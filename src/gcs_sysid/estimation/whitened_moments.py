@@ -21,8 +21,8 @@ class OfflineBank:
         whiteners: all of them, those without disturbance first.
         own: the likeliest of the whole record, of each axis. Their innovations are as white as they
             can be, and rows count by how strong these are in their batch.
-        judges: of each axis, those of the online estimate, by which it is told how much of the
-            motion is explained and predicted: bounds on that were found with them.
+        judges: of each axis, those of the online estimate, used for how much of the motion is
+            explained and predicted: its bounds were found with them.
     """
 
     whiteners: tuple[Whitener, ...]

@@ -1,9 +1,9 @@
-"""What a flight leaves behind for the fit of whitened rows, in bounded memory.
+"""The record of whitened rows of a flight, in bounded memory.
 
-The last quarter-minute is kept in batches of a quarter of a second, so that a shock can be told
-from what surrounds it and left out. When these batches fill up, the older half is judged by a fit
-to all of them, which no other look at the flight can influence, and what is sound joins longer
-batches. There are so many of those, and as they fill up neighbours are merged.
+The last quarter-minute is kept in batches of a quarter of a second, so that a shock can be
+separated from its surroundings and left out. When these batches fill up, the older half is judged
+by a fit to all of them, which no other fit of the flight influences, and what is sound joins longer
+batches. Their number is fixed; as they fill up, neighbors are merged.
 """
 
 from collections.abc import Callable, Sequence
@@ -102,7 +102,7 @@ class WhitenedRecord:
 
         Args:
             rows: as `OneStep` makes them, of elements.
-            noise: tells that of the inputs in one row, (bank, width, width), as known by now.
+            noise: gives the input noise in one row, (bank, width, width), as known by now.
         """
         for start in range(0, len(rows), _AT_ONCE):
             some = rows[start : start + _AT_ONCE]
@@ -161,7 +161,7 @@ class WhitenedRecord:
         return self.rows // self._per_long
 
     def forget_last(self, seconds: float) -> None:
-        """Leave out at least the last `seconds` of what was learnt (whole batches)."""
+        """Leave out at least the last `seconds` of the record (whole batches)."""
         rows = int(np.ceil(seconds / self.time))
         dropped = 0
         while dropped < rows and self._begun:

@@ -1,22 +1,22 @@
-"""Whiteners of what a row leaves unexplained: recursive, causal, monic.
+"""Whiteners of row residuals: recursive, causal, monic.
 
 A row of one step T = h dt relates the change of a rate to what acted in the step,
 
     D_k = g_k - g_(k-1) = Q(theta) xbar_k + v_k
 
-and what is left, v, is a moment d that nobody models (gusts, blade flapping), white torque noise
-(that of the rotors), and the gyro's noise, which differencing makes grow with frequency:
+and the residual v is an unmodeled moment d (gusts, blade flapping), white torque noise (that of the
+rotors), and the gyro's noise, which differencing makes grow with frequency:
 
     S_v = q_d / |1 - a z^-1|^2 + q_u + r |1 - z^-1|^2 ,    a = exp(-T / tau)
 
 with d of Ornstein-Uhlenbeck form. The rate loop answers d, so that torque and d are correlated,
-and least squares takes d for inertia. A strictly causal loop answers only what is past, though:
+and least squares attributes d to inertia. A strictly causal loop responds only to the past, though:
 torque is uncorrelated with the *innovation* of v. Filtered by the inverse of its spectral factor,
-all columns alike, rows have innovations for residuals and least squares is unbiased, however
-strong the feedback (prediction-error identification in closed loop: Forssell and Ljung 1999,
-Automatica 35, 1215-1241). Filters that look both ways, and windows, lose that.
+all columns alike, rows have innovations for residuals and least squares is unbiased, however strong
+the feedback (prediction-error identification in closed loop: Forssell and Ljung 1999, Automatica
+35, 1215-1241). Filters that look both ways, and windows, lose that.
 
-How strong d is, nobody knows beforehand. So a bank of whiteners runs side by side. All of them are
+The strength of d is not known beforehand, so a bank of whiteners runs in parallel. All of them are
 monic and causal, so that the log likelihood of n rows is -(n / 2) ln sigma^2 up to a constant,
 sigma^2 the power of the innovations: every axis takes the whitener of least innovation power.
 """
@@ -45,7 +45,7 @@ BOTH = (
 )  # fmt: skip
 """Hz, of a disturbance and of torque noise beside it."""
 AVERAGED = (0.4, 0.9)
-"""b, of neighbouring samples of a gyro."""
+"""b, of neighboring samples of a gyro."""
 _AVERAGED = 5
 """Whiteners without disturbance that are tried with them too: leaks, and the slower torque
 noise."""
@@ -64,7 +64,7 @@ class Whitener:
         a: of the disturbance; 0: none is assumed.
         c1, c2: of the spectral factor 1 + c1 z^-1 + c2 z^-2.
         below: Hz, where the disturbance exceeds the gyro's noise.
-        b: of a gyro whose noise is averaged over neighbouring samples; 0: it is white.
+        b: of a gyro whose noise is averaged over neighboring samples; 0: it is white.
         quick: whether the disturbance's time constant is the shorter one.
     """
 
@@ -167,7 +167,7 @@ def leak(T: float, memory: float) -> Whitener:
 def averaged(whitener: Whitener, b: float) -> Whitener:
     """The same for a gyro whose noise is that of 1 + b z^-1.
 
-    Filters, means over the samples sent and interpolation to even steps all make neighbours alike.
+    Filters, means over the samples sent and interpolation to even steps all make neighbors alike.
     """
     return replace(whitener, name=f"{whitener.name}, averaged {b:g}", b=b)
 

@@ -1,7 +1,7 @@
 """ArduPilot SITL's frame as the JSON that `Frame::load_frame_params` reads (`SIM_Frame.cpp`).
 
-Flown by `sim_vehicle.py --model quad:FILE.json`. Its parser drops what stands behind a #, and what
-stands before the first brace. With u the command between MOT_SPIN_MIN and MOT_SPIN_MAX
+Flown by `sim_vehicle.py --model quad:FILE.json`. Its parser drops the text after a #, and that
+before the first brace. With u the command between MOT_SPIN_MIN and MOT_SPIN_MAX
 
     thrust = m g / (n hoverThrOut) ((1 - propExpo) u + propExpo u^2)
     moment = motorN_position x thrust, and about z: motorN_yaw u thrust 0.05 diagonal_size

@@ -1,7 +1,7 @@
-"""The vehicle to be exported: what a flight told, and what was said beside it.
+"""The vehicle to be exported: identified parameters, completed by given ones.
 
-Nothing is invented here. A parameter is known because the flight told it, because somebody gave
-it, or because it follows from two that are.
+Nothing is invented here. A parameter is known because the flight determined it, because it was
+given, or because it follows from two that are.
 """
 
 import math
@@ -63,7 +63,7 @@ class Vehicle:
 
     Attributes:
         name: for the file, made of letters, digits and underscores.
-        rotors: in the autopilot's motor order, seen from the geometric centre.
+        rotors: in the autopilot's motor order, seen from the geometric center.
         known: parameter name (of `UNITS`) -> value.
         result: that most of it comes from.
     """
@@ -91,7 +91,7 @@ class Vehicle:
         return value
 
     def need(self, target: str, names: Iterable[str]) -> None:
-        """Make sure that these are known.
+        """Check that these are known.
 
         Raises:
             MissingError: names all that are not, and what to do.
@@ -105,7 +105,7 @@ class Vehicle:
                 f"{target} needs {listed}: the result has no scale; weigh the vehicle and "
                 "analyze again with --mass KG"
             )
-        # k_T, T_max and rotor_speed_max: two tell the third.
+        # k_T, T_max and rotor_speed_max: two give the third.
         by_full_speed = [name for name in missing if name in _FULL_SPEED]
         if ("k_T" in self.known) == ("T_max" in self.known):
             by_full_speed = []
@@ -121,7 +121,7 @@ class Vehicle:
         )
 
     def check_inertia(self) -> None:
-        """Make sure that a rigid body can have this inertia, as simulators do.
+        """Check that a rigid body can have this inertia, as simulators do.
 
         Raises:
             MissingError: none can.
@@ -136,7 +136,7 @@ class Vehicle:
 
     @property
     def rotors_differ(self) -> bool:
-        """Whether the flight tells k_T and k_M of each rotor, and none was given by hand."""
+        """Whether the flight determines k_T and k_M of each rotor, and none was given by hand."""
         own = self.result.rotors
         return (
             len(own) == len(self.rotors)
@@ -171,12 +171,14 @@ class Vehicle:
 
     @property
     def cg_flu(self) -> Array:
-        """(3,) CG from the geometric centre, m, forward, left, up; no flight tells its height."""
+        """(3,) CG from the geometric center, m, forward, left, up; its height is not observable in
+        flight.
+        """
         return np.array([self["cg_x"], -self["cg_y"], 0.0])
 
     @property
     def rotors_flu(self) -> Array:
-        """(n, 3) rotors from the geometric centre, m, forward, left, up."""
+        """(n, 3) rotors from the geometric center, m, forward, left, up."""
         return np.array([[r.x, -r.y, 0.0] for r in self.rotors])
 
 
@@ -186,12 +188,12 @@ def assemble(
     given: Mapping[str, float] = MappingProxyType({}),
     name: str | None = None,
 ) -> Vehicle:
-    """Bring together what is known of a vehicle.
+    """Combine what is known of a vehicle.
 
     Args:
         result: of an identification.
-        airframe: its priors and anchor stand in for what the flight does not tell, its rotors
-            for a result that does not name its own.
+        airframe: its priors and anchor replace what the flight does not determine, its rotors those
+            of a result without them.
         given: values by name (of `UNITS`); they come before everything else.
         name: of the vehicle; the airframe's by default.
 
@@ -199,7 +201,7 @@ def assemble(
         InputError: a value makes no sense, the rotors are not known, or they contradict.
     """
     rotors, label = _rotors(result, airframe)
-    known = {n: q for n, e in (result.parameters | result.timing).items() if (q := _told(e))}
+    known = {n: q for n, e in (result.parameters | result.timing).items() if (q := _quantity_of(e))}
     known.pop("rotor_delay", None)
     if airframe is not None:
         for n, quantity in _of_airframe(airframe).items():
@@ -214,7 +216,7 @@ def assemble(
     return Vehicle(_identifier(name or label), rotors, known, result)
 
 
-def _told(estimate: Estimate) -> Quantity | None:
+def _quantity_of(estimate: Estimate) -> Quantity | None:
     if estimate.value is None or estimate.status == "unobservable":
         return None
     return Quantity(estimate.value, estimate.std, estimate.status)

@@ -46,7 +46,7 @@ def notes(vehicle: Vehicle) -> list[str]:
 
 
 def write(vehicle: Vehicle) -> str:
-    """The vehicle as an SDF model, frame of `base_link` at the geometric centre.
+    """The vehicle as an SDF model, frame of `base_link` at the geometric center.
 
     Raises:
         MissingError: a parameter that the motor model cannot do without is not known.

@@ -1,4 +1,4 @@
-"""What an exported file says of itself: where it comes from, how certain, what it leaves out."""
+"""Header of an exported file: its origin, uncertainty and omissions."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class Format:
     lacks: tuple[str, ...] = ()
 
     def check(self, vehicle: Vehicle) -> None:
-        """Make sure that all it needs is known.
+        """Check that all it needs is known.
 
         Raises:
             MissingError: it is not, or no body has this inertia.

@@ -36,7 +36,7 @@ def notes(vehicle: Vehicle) -> list[str]:
 
 
 def write(vehicle: Vehicle) -> str:
-    """The vehicle as an MJCF model, body `base` with its frame at the geometric centre.
+    """The vehicle as an MJCF model, body `base` with its frame at the geometric center.
 
     Raises:
         MissingError: a parameter that MuJoCo cannot do without is not known.
@@ -90,5 +90,5 @@ def _damping(value: float | None) -> str:
 
 
 def _lengths(vehicle: Vehicle) -> list[float]:
-    """Distances of the rotors from the geometric centre."""
+    """Distances of the rotors from the geometric center."""
     return [float((place @ place) ** 0.5) for place in vehicle.rotors_flu]

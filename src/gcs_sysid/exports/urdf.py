@@ -28,7 +28,7 @@ def notes(vehicle: Vehicle) -> list[str]:
 
 
 def write(vehicle: Vehicle) -> str:
-    """The vehicle as URDF, frame `base_link` at the geometric centre.
+    """The vehicle as URDF, frame `base_link` at the geometric center.
 
     Raises:
         MissingError: a parameter that URDF cannot do without is not known.

@@ -15,7 +15,7 @@ _FOLLOWING = "from "
 
 
 def drawn_vehicles(vehicle: Vehicle, count: int, seed: int) -> list[Vehicle]:
-    """Vehicles drawn from what is known of one, each a possible rigid body.
+    """Vehicles drawn from the covariance of one, each a possible rigid body.
 
     Parameters with an entry in the covariance of the result are drawn together; others by their
     own standard deviation, where they have one. What must be positive is.
@@ -58,7 +58,7 @@ def _root(vehicle: Vehicle) -> tuple[list[str], np.ndarray]:
     matrix = np.array(table.get("matrix", []), float).reshape(-1, max(len(listed), 1))
     if len(matrix) != len(listed) or not np.isfinite(matrix).all():
         raise ValueError("the covariance of the result is not a square matrix of numbers")
-    # A value from elsewhere is not the flight's, and hangs together with nothing of it.
+    # A value from elsewhere is uncorrelated with the flight's.
     own = [n for n in names if n in listed and vehicle.known[n].origin in _OF_THE_FLIGHT]
     if own:
         here, there = [names.index(n) for n in own], [listed.index(n) for n in own]
@@ -86,7 +86,7 @@ def _shifted(vehicle: Vehicle, shift: dict[str, float]) -> Vehicle | None:
             return None
         known[name] = replace(quantity, value=max(value, 0.0) if sign == "not negative" else value)
     if {"k_T", "k_M", "moment_ratio"} <= known.keys():
-        # Two tell the third.
+        # Two give the third.
         ratio = known["k_M"].value / known["k_T"].value
         known["moment_ratio"] = replace(known["moment_ratio"], value=ratio)
     if {"k_T", "T_max", "rotor_speed_max"} <= known.keys():

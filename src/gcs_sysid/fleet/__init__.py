@@ -1,4 +1,4 @@
-"""Many logs: found, analysed side by side, kept, put in one table, looked at over time.
+"""Many logs: found, analyzed side by side, kept, put in one table, looked at over time.
 
 `logs` finds them, `jobs` analyses one in whatever process, `pools` are the processes, `store` the
 folder of results, `batch` ties these together; `table` is the Parquet file of all, `trend` and

@@ -97,7 +97,7 @@ def row(
 
 
 def _health(document: Document | None) -> dict[str, float | None] | None:
-    """What hover told; None where nothing hovered, or not as the airframe has it."""
+    """Findings of the hover; None where nothing hovered, or not as the airframe has it."""
     if document is None or document["verdict"] == "refused":
         return None
     out: dict[str, float | None] = {}

@@ -25,7 +25,7 @@ Document = dict[str, Any]
 
 @dataclass(frozen=True)
 class Job:
-    """A log and how it is analysed.
+    """A log and how it is analyzed.
 
     Attributes:
         log: its path as it was found, for people.
@@ -92,7 +92,7 @@ def make_task(job: Job) -> Task:
 
 
 def analyze(task: Task) -> Document:
-    """The result of one log, or why it is none, as the file that is kept.
+    """The result of one log, or why there is none, as the file that is kept.
 
     Raises:
         InputError: the log cannot be opened just now, or memory does not suffice; that says

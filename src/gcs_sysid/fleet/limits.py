@@ -1,4 +1,4 @@
-"""Limits of time and memory within which one log of a batch is analysed.
+"""Limits of time and memory within which one log of a batch is analyzed.
 
 Over the time limit, an exception ends the analysis at its next step, and the process goes on with
 other logs. Where one step does not end, as a loop in a library, the process is ended from a
@@ -89,7 +89,7 @@ def _within_time(seconds: float) -> Iterator[None]:
     timer.daemon = True
     alone = threading.current_thread() is threading.main_thread()
     with contextlib.ExitStack() as stack:
-        if alone:  # else other logs are analysed in this process, as by Dask
+        if alone:  # else other logs are analyzed in this process, as by Dask
             nowhere = stack.enter_context(open(os.devnull, "w"))
             faulthandler.dump_traceback_later(seconds + _GRACE, exit=True, file=nowhere)
             stack.callback(faulthandler.cancel_dump_traceback_later)

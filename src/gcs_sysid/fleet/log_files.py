@@ -29,7 +29,7 @@ def find_logs(paths: Iterable[Path], mapping: Path | None = None) -> list[Path]:
 
     A file that is named counts as a log whatever it is. In a folder and the folders in it, a log
     is what its content or its name says is one; a log that is damaged from the beginning is found
-    by its name. What begins with a dot is passed over. A blackbox log of several sessions counts
+    by its name. Names that begin with a dot are skipped. A blackbox log of several sessions counts
     once for each that holds frames, as `LOG.bbl#2`. A table of signals is a log where a mapping
     says what its columns are.
 

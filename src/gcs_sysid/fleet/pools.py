@@ -1,4 +1,4 @@
-"""The processes that analyse: of this machine, or of a Dask cluster."""
+"""The processes that analyze: of this machine, or of a Dask cluster."""
 
 import contextlib
 import multiprocessing
@@ -163,7 +163,7 @@ class ClusterPool:
         return max(2 * threads, 2)
 
     def submit(self, task: Task) -> Future[Document]:
-        """As `Pool` says; Dask itself tries anew where a worker dies.
+        """As `Pool` says; Dask itself tries again where a worker dies.
 
         Raises:
             InputError: the scheduler is gone.
@@ -189,8 +189,8 @@ Done = tuple[Task, Document | BaseException]
 def complete(pool: Pool, tasks: Iterator[Task], stopped: Callable[[], bool]) -> Iterator[Done]:
     """Do tasks side by side.
 
-    When a process dies, all that is under way in the pool is lost, and which task killed it is
-    not told. Each of them is tried again, alone: who dies twice was to blame.
+    When a process dies, all tasks under way in the pool are lost, and which one killed it is
+    unknown. Each of them is tried again, alone: one that dies twice was the cause.
 
     Args:
         pool: does them.

@@ -24,7 +24,7 @@ class Store:
 
     Args:
         folder: of the batch; made if need be.
-        force: whether nothing that is there counts, and all of it may be written over.
+        force: whether nothing that is there counts, and all of it may be overwritten.
 
     Raises:
         InputError: it cannot be made, or holds something else than a batch.

@@ -1,9 +1,9 @@
 """A fleet's vehicles over their flights, and where one changed from its earlier flights.
 
 Flights of one vehicle differ by more than each flight's own uncertainty: air, battery, wind. That
-scatter is learnt from the differences of neighbouring flights, by their median, which single
-changes do not move: the moving range of control charts for single values (Shewhart's charts). A
-flight is then compared with what the earlier ones predict for it.
+scatter is estimated from the differences of neighboring flights, by their median, which single
+changes do not affect: the moving range of control charts for single values (Shewhart's charts). A
+flight is then compared with the prediction from the earlier ones.
 """
 
 import math
@@ -22,7 +22,7 @@ from gcs_sysid.results.comparison import LEVEL, Comparison, Difference, compare
 from gcs_sysid.results.result import Estimate, Result, Scale
 
 FEWEST = 4
-"""Flights from which their scatter can be told."""
+"""Fewest flights for an estimate of their scatter."""
 _MEDIAN = 0.45493642311957283
 """Of chi squared with one degree of freedom."""
 _FREEDOM = 0.55
@@ -40,7 +40,7 @@ class Change:
         first: number of the first flight compared with, from 1.
         last: of the last.
         comparison: of what these predict (A) with the flight (B).
-        differences: those that count, reckoning with all flights and parameters looked at.
+        differences: the significant ones, corrected for all flights and parameters tested.
     """
 
     first: int
@@ -56,7 +56,7 @@ class Flight:
     Attributes:
         number: from 1, in the order of time.
         row: of the table.
-        result: what the row tells of the vehicle.
+        result: the row's values of the vehicle.
         change: from the flights before, if there was one.
     """
 
@@ -89,11 +89,11 @@ class Vehicle:
 def vehicles_of(rows: Iterable[Row]) -> tuple[list[Vehicle], list[Row]]:
     """Sort a table's rows into vehicles and their flights.
 
-    Flights come in the order in which they were recorded; those that do not tell come last, by
-    path. A log that is there twice counts once.
+    Flights come in the order in which they were recorded; those without a time come last, by path.
+    A log that is there twice counts once.
 
     Returns:
-        Vehicles by name, and the rows of logs that tell nothing of any.
+        Vehicles by name, and the rows of logs without results.
     """
     flights: dict[str, dict[str, Row]] = {}
     unused = []
@@ -138,7 +138,8 @@ def scatter_of(results: Sequence[Result], level: float) -> Scatter:
     Args:
         results: of a vehicle's flights, in the order of time.
         level: probability of a false alarm at one flight. The variances are larger than the
-            likeliest, by Student's t, so that this holds though few flights tell them.
+            likeliest, by Student's t, so that this holds though they are estimated from few
+            flights.
 
     Returns:
         Variances; zero with fewer than `FEWEST` flights.
@@ -204,7 +205,7 @@ def _scale(entry: dict[str, Any] | None) -> Scale | None:
 
 
 def predicted(flights: Sequence[Result], scatter: Scatter) -> Result:
-    """What flights of a vehicle that stays as it is predict for one more.
+    """Prediction for the next flight of an unchanged vehicle.
 
     Args:
         flights: at least one.
@@ -239,7 +240,7 @@ def _estimates(result: Result) -> dict[str, Estimate]:
 
 
 def is_sound(estimate: Estimate) -> bool:
-    """Whether a flight itself tells the parameter well."""
+    """Whether a flight alone determines the parameter well."""
     return (
         estimate.status in ("identified", "zero")
         and estimate.value is not None

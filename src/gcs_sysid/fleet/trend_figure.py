@@ -16,7 +16,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 56, WIDTH - 10, 18, HEIGHT - 28
 
 
 def shown_names(vehicle: Vehicle) -> list[str]:
-    """Parameters that at least one flight tells, and that were not given."""
+    """Parameters that at least one flight determines, and that were not given."""
     return [
         name
         for name in PARAMETERS

@@ -195,8 +195,8 @@ def _value(estimate: Estimate | None) -> str:
 
 
 def _interval(value: float, std: float, unit: str) -> str:
-    told, half, power, _ = PAGE.value_and_half(value, Z95 * std)
-    return f"({told} ± {half}){power} {PAGE.unit(unit)}".rstrip()
+    shown, half, power, _ = PAGE.value_and_half(value, Z95 * std)
+    return f"({shown} ± {half}){power} {PAGE.unit(unit)}".rstrip()
 
 
 def _flights(vehicle: Vehicle) -> Markup:

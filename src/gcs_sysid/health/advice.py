@@ -26,14 +26,14 @@ def advice_of(health: Health, given: Given, guess: GuessedAirframe) -> tuple[str
     out += _weak_motor(health)
     out += _cg(health, given)
     out += _margins(health)
-    if health.condition is None and health.told and len(health.rotors) == 4:
+    if health.condition is None and health.available and len(health.rotors) == 4:
         out.append(
             "a weak propeller looks like a CG shift on four rotors in one flight: pass an earlier "
             "flight as --baseline, or fly once more with the load moved"
         )
     if guess.arm_std:
         out.append("give --arm: the CG in mm scales with it")
-    if health.scale is None and health.told:
+    if health.scale is None and health.available:
         name = "T_max" if health.rotor_input == "command" else "k_T"
         out.append(f"weigh the vehicle and give --mass KG for {name}")
     if health.rotor_input == "command":

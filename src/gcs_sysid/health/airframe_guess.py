@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
-from gcs_sysid.session.told_layout import told_layout
+from gcs_sysid.session.reported_layout import reported_layout
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.vehicles import Vehicle
 
@@ -18,16 +18,16 @@ _ROTORS = {
 ASSUMED = "assumed"
 """In the words of an origin, after the order of motors."""
 _USUAL_ARM = 0.25
-"""m, where nothing tells."""
+"""m, where unknown."""
 _UNKNOWN_ARM = 0.5
-"""Relative standard deviation of an arm that nobody told."""
+"""Relative standard deviation of an arm that was not given."""
 _REAL = (0.02, 5.0)
-"""m: rotors of CA_ROTORn_P* in metres lie between; stock simulators have 1 for all."""
+"""m: rotors of CA_ROTORn_P* in meters lie between; stock simulators have 1 for all."""
 
 
 @dataclass(frozen=True)
 class GuessedAirframe:
-    """An airframe and what it rests on.
+    """An airframe and its origin.
 
     Attributes:
         airframe: with or without a scale.
@@ -107,10 +107,10 @@ def _of_px4(parameters: Mapping[str, float]) -> GuessedAirframe | None:
 def _by_type(vehicle: Vehicle, parameters: Mapping[str, float]) -> GuessedAirframe:
     size = f"its arm of {_USUAL_ARM:g} m assumed: give --arm"
     shape = _ROTORS.get(vehicle.vehicle_type or 0)
-    told = told_layout(vehicle.key, parameters)
-    if told is not None:
-        airframe = Airframe("told", told.rotors).with_arm(_USUAL_ARM)
-        return GuessedAirframe(airframe, f"{told.by}, {size}", _UNKNOWN_ARM)
+    reported = reported_layout(vehicle.key, parameters)
+    if reported is not None:
+        airframe = Airframe("reported", reported.rotors).with_arm(_USUAL_ARM)
+        return GuessedAirframe(airframe, f"{reported.by}, {size}", _UNKNOWN_ARM)
     if vehicle.key == "ardupilot" and {"FRAME_CLASS", "FRAME_TYPE"} <= set(parameters):
         raise InputError(
             f"where are the rotors? FRAME_CLASS {parameters['FRAME_CLASS']:.0f} and FRAME_TYPE "

@@ -197,7 +197,7 @@ def beside_analysis(health: Health, verdict: str, reasons: Sequence[str]) -> Hea
         reasons: for it.
     """
     refused = verdict == "refused" and next(filter(blames_rotors, reasons), None)
-    if not refused or health.contradicted or not health.told:
+    if not refused or health.contradicted or not health.available:
         return health
     assert health.airframe is not None
     return replace(

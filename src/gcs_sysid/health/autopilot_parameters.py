@@ -51,7 +51,7 @@ class Suggestion:
 
 def suggested(health: Health) -> tuple[Suggestion, ...]:
     """All parameters that the flight determines well enough to change them."""
-    if not health.told:
+    if not health.available:
         return ()
     of = {"px4": _px4, "ardupilot": _ardupilot}.get(health.autopilot)
     return () if of is None else tuple(of(health))
@@ -68,8 +68,8 @@ def _make(health: Health, name: str, quantity: Quantity | None, note: str) -> It
 def _curve(health: Health) -> Quantity | None:
     if health.curve is None or health.curve.c.std is None:
         return None
-    # A curve that the flight does not tell is no suggestion.
-    return health.curve.c if 0.0 < health.curve.c.std < TUNING.told_curve else None
+    # A curve that the flight does not determine is not suggested.
+    return health.curve.c if 0.0 < health.curve.c.std < TUNING.usable_curve else None
 
 
 def _px4(health: Health) -> Iterator[Suggestion]:
@@ -150,7 +150,7 @@ def _spin_min(health: Health) -> Quantity | None:
     if health.idle is None or now is None:
         return None
     share = (health.idle - low) / (high - low)
-    # In flight nothing goes below MOT_SPIN_MIN itself: only an idle on the ground tells.
+    # In flight no output is below MOT_SPIN_MIN: only an idle on the ground shows it.
     if not 0.0 < share < now - TUNING.idle_std:
         return None
     return Quantity(share + TUNING.above_idle, TUNING.idle_std, "1", TUNING.idle_std)
@@ -199,7 +199,7 @@ def parameter_file(health: Health, form: str) -> str:
     if not found:
         raise InputError(
             f"{health.source}: this flight suggests no parameters of its autopilot"
-            + ("" if health.told else ": nothing hovers in it")
+            + ("" if health.available else ": nothing hovers in it")
         )
     system = int(health.vehicle.get("sysid") or 1)
     component = int(health.vehicle.get("compid") or 1)

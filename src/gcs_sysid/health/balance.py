@@ -71,7 +71,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Fit:
-    """A linear fit with standard deviations that hold for residuals that hang together.
+    """A linear fit with standard deviations valid for correlated residuals.
 
     Attributes:
         value: (p,) coefficients.
@@ -94,7 +94,7 @@ def robust_fit(
     """Least squares with Huber's weights and Newey-West's covariance.
 
     The windows overlap by half, and gusts last for seconds: the score's autocovariance counts over
-    the lags that a sample of this length can tell (Andrews' rate), with Student's t for as many
+    the lags that a sample of this length resolves (Andrews' rate), with Student's t for as many
     independent stretches as those leave.
 
     Args:
@@ -109,14 +109,14 @@ def robust_fit(
         ValueError: fewer rows than columns.
     """
     n, p = columns.shape
-    told = columns if projected is None else projected
+    regressors = columns if projected is None else projected
     if n <= p:
         raise ValueError(f"{n} windows do not show {p} coefficients")
-    huber = _huber_fit(columns, y, ridge, jitter, told)
+    huber = _huber_fit(columns, y, ridge, jitter, regressors)
     value, residual, weight, scale, penalty = huber
-    normal = _products(told, jitter, weight) + scale**2 * np.diag(penalty)
+    normal = _products(regressors, jitter, weight) + scale**2 * np.diag(penalty)
     bread = _inverse(normal)
-    score = told * (weight * residual)[:, None]
+    score = regressors * (weight * residual)[:, None]
     lags = min(max(2, round(2.5 * n ** (1.0 / 3.0))), n - 1)
     meat = score.T @ score
     for lag in range(1, lags + 1):
@@ -162,7 +162,7 @@ def robust_values(columns: Array, targets: Array, ridge: Array) -> Array:
 
 
 def _huber_fit(
-    columns: Array, y: Array, ridge: Array | None, jitter: Array | None, told: Array
+    columns: Array, y: Array, ridge: Array | None, jitter: Array | None, regressors: Array
 ) -> tuple[Array, Array, Array, float, Array]:
     """Coefficients (p,), residuals (n,), weights (n,), robust scale and penalty (p,)."""
     p = columns.shape[1]
@@ -172,8 +172,8 @@ def _huber_fit(
     value = np.zeros(p)
     residual = y
     for _ in range(_ROUNDS):
-        weighted = told * weight[:, None]
-        normal = _products(told, jitter, weight, weighted) + scale**2 * np.diag(penalty)
+        weighted = regressors * weight[:, None]
+        normal = _products(regressors, jitter, weight, weighted) + scale**2 * np.diag(penalty)
         value = _inverse(normal) @ (weighted.T @ y)
         residual = y - columns @ value
         scale = max(1.4826 * median_of(np.abs(residual - median_of(residual))), 1e-15)
@@ -229,8 +229,8 @@ class Center:
     Attributes:
         cg: (2,) m, forward and right of the geometric center.
         covariance: (2, 2) by the flight's own scatter.
-        by_wind: (2,) m by which drag has moved the center of thrust from the CG, as far as the
-            flight tells; it is in `cg`.
+        by_wind: (2,) m by which drag has moved the center of thrust from the CG, as far as
+            observable; it is in `cg`.
     """
 
     cg: Array
@@ -243,9 +243,9 @@ def cg_of(windows: Windows, airframe: Airframe, thrust: Array) -> Center:
 
     Wind drags at rotors and body above the CG and flaps the blades: a moment in proportion to the
     specific force in the rotors' plane, which the accelerometer measures. On a real 18 kg quad it
-    moved the center of thrust by 64 mm per m/s^2, 15 mm in a breeze. What is left of it at the mean
-    force is told apart: an accelerometer off level by a degree looks like wind, so it stays in the
-    CG and in its interval.
+    moved the center of thrust by 64 mm per m/s^2, 15 mm in a breeze. The remainder at the mean
+    force is reported separately: an accelerometer off level by a degree looks like wind, so it
+    stays in the CG and in its interval.
 
     Args:
         windows: of hover, with all of thrust.

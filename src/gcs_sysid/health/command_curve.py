@@ -48,10 +48,10 @@ def curve_of(
     if own is not None and 0.0 < own <= 1.0:
         # Half of the fleet never touched it: it says little more than the usual.
         guess, origin = own, f"{autopilot_name} of the vehicle, assumed to be near"
-    told = _by_speeds(windows) if np.isfinite(windows.speeds).any() else _by_lift(windows)
-    if told is None:
+    found = _by_speeds(windows) if np.isfinite(windows.speeds).any() else _by_lift(windows)
+    if found is None:
         return Curve(Quantity(guess, sigma, "1", sigma), origin)
-    c, std, by = told
+    c, std, by = found
     gain = sigma**2 / (sigma**2 + std**2)
     merged = float(np.clip(guess + gain * (c - guess), 0.0, 1.0))
     return Curve(Quantity(merged, math.sqrt(gain) * std, "1"), by if gain > 0.5 else origin)
@@ -94,18 +94,18 @@ def _by_speeds(windows: Windows) -> tuple[float, float, str] | None:
 def _by_lift(windows: Windows) -> tuple[float, float, str] | None:
     """Thrust over mass in climbs and descents over the sum of commands, by two estimators.
 
-    A gust that the accelerometer feels makes the autopilot answer: commands and noise hang
-    together, and least squares finds too flat a curve, by about the gusts' share of the power. That
-    is its bias. Commands of seconds before know nothing of a gust: with them as instruments there
-    is none, but few flights climb enough for that. Both are merged by what they are off by. The
+    A gust that the accelerometer feels makes the autopilot answer: commands and noise correlate,
+    and least squares finds too flat a curve, by about the gusts' share of the power. That is its
+    bias. Commands of seconds before are independent of a gust: as instruments they have no such
+    bias, but few flights climb enough for that. Both are merged by what they are off by. The
     accelerometer gives the thrust, or the velocity does, whichever the commands explain better:
     some velocities are late, some accelerometers have a bias that their filter moves about.
     """
-    told = [
+    found = [
         _by_one_lift(windows, lift)
         for lift in (variations_of_lift(windows.lift, windows.force), windows.lift)
     ]
-    answers = [answer for answer in told if answer is not None]
+    answers = [answer for answer in found if answer is not None]
     if not answers:
         return None
     _, c, std = min(answers)
@@ -139,7 +139,7 @@ def _by_one_lift(windows: Windows, lift: Array) -> tuple[float, float, float] | 
         explained = instruments @ np.linalg.lstsq(instruments, columns[there], rcond=None)[0]
         fit = robust_fit(columns[there], lift[there], projected=explained)
         other = _ratio(fit)
-        if other[1] < TUNING.told_by_instruments:
+        if other[1] < TUNING.instruments_std:
             answers.append(other)
     values, weights = np.array([(c, 1.0 / std**2) for c, std in answers]).T
     merged = float(values @ weights / weights.sum())
@@ -159,7 +159,7 @@ def _gentle(windows: Windows) -> Mask:
 def _with_gusts(fit: Fit, columns: Array, lift: Array, rotors: int) -> tuple[float, float]:
     """The curve of a fit, its deviation widened by the bias that gusts make.
 
-    White noise of the accelerometer makes none: what overlapping windows of it hang together by is
+    White noise of the accelerometer makes none: its correlation through overlapping windows is
     taken off the residuals' autocorrelation.
     """
     c, std = _ratio(fit)

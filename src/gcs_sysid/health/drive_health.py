@@ -28,15 +28,15 @@ def motor_gains(
         return tuple([None] * n)
     # All rotors by the same curve; it matters by the difference of their commands alone.
     c = 0.5 if curve is None or curve.c.value is None else curve.c.value
-    told = curve_of(hover, None, None, "") if curve is None else curve
-    c = c if told.c.value is None else told.c.value
+    curve_found = curve_of(hover, None, None, "") if curve is None else curve
+    c = c if curve_found.c.value is None else curve_found.c.value
     ratio = hover.speeds / thrust_of(hover, c)
     ratio = ratio / ratio.mean(axis=1, keepdims=True)
     by_curve = np.zeros(n)
-    if told.c.std:
+    if curve_found.c.std:
         other = hover.speeds / thrust_of(hover, min(c + 0.05, 1.0))
         other = other / other.mean(axis=1, keepdims=True)
-        by_curve = (other - ratio).mean(axis=0) / 0.05 * told.c.std
+        by_curve = (other - ratio).mean(axis=0) / 0.05 * curve_found.c.std
     out = []
     for column, extra in zip(ratio.T, by_curve, strict=True):
         fit = balance.robust_fit(np.ones((len(column), 1)), column)

@@ -26,7 +26,7 @@ def document_of(health: Health) -> dict[str, Any]:
         "schema": SCHEMA,
         "source": health.source,
         "vehicle": dict(health.vehicle),
-        "verdict": "available" if health.told else "refused",
+        "verdict": "available" if health.available else "refused",
         "reasons": list(health.reasons),
         "seconds_of_hover": health.seconds,
         "rotor_input": health.rotor_input or None,

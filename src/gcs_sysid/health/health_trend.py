@@ -82,34 +82,34 @@ class Series:
 
 
 def series_of(flights: Sequence[Health]) -> list[Series]:
-    """All that flights of one vehicle told, in their order; those that hovered alone count."""
-    told = [health for health in flights if health.told]
-    if not told:
+    """Results of one vehicle's flights, in their order; only those that hovered count."""
+    usable = [health for health in flights if health.available]
+    if not usable:
         return []
     places = [
-        _series(f"CG {way}", "mm", 1e3, [h.cg[axis] if h.cg else None for h in told])
+        _series(f"CG {way}", "mm", 1e3, [h.cg[axis] if h.cg else None for h in usable])
         for axis, way in ((0, "forward"), (1, "right"))
     ]
-    names = {h.scale[0] for h in told if h.scale is not None}
+    names = {h.scale[0] for h in usable if h.scale is not None}
     scales = [
-        _series(name, next(h.scale[1].unit for h in told if h.scale and h.scale[0] == name), 1.0,
-                [h.scale[1] if h.scale and h.scale[0] == name else None for h in told])
+        _series(name, next(h.scale[1].unit for h in usable if h.scale and h.scale[0] == name), 1.0,
+                [h.scale[1] if h.scale and h.scale[0] == name else None for h in usable])
         for name in sorted(names)
     ]  # fmt: skip
-    throttle = _series("hover throttle", "%", 100.0, [h.hover_throttle for h in told])
-    yaw = _series("yaw imbalance", "%", 100.0, [h.yaw_imbalance for h in told])
-    count = max(len(h.rotors) for h in told)
+    throttle = _series("hover throttle", "%", 100.0, [h.hover_throttle for h in usable])
+    yaw = _series("yaw imbalance", "%", 100.0, [h.yaw_imbalance for h in usable])
+    count = max(len(h.rotors) for h in usable)
     shares = [
         _series(f"{_SHARE}{i + 1}", "%", 100.0,
-                [h.rotors[i].thrust_share if i < len(h.rotors) else None for h in told])
+                [h.rotors[i].thrust_share if i < len(h.rotors) else None for h in usable])
         for i in range(count)
     ]  # fmt: skip
     return [one for one in (*places, throttle, yaw, *scales, *shares) if one.known]
 
 
-def _series(name: str, unit: str, factor: float, told: Sequence[Quantity | None]) -> Series:
+def _series(name: str, unit: str, factor: float, usable: Sequence[Quantity | None]) -> Series:
     values, stds = [], []
-    for quantity in told:
+    for quantity in usable:
         if quantity is None or quantity.value is None or quantity.std is None:
             values.append(math.nan)
             stds.append(math.nan)
@@ -126,13 +126,13 @@ def trend_text(flights: Sequence[Health]) -> list[str]:
     Flights of other vehicles are left out.
     """
     # What is surely another vehicle is not one of its flights.
-    told = [health for health in flights if health.told and not health.apart]
-    if len(told) < 2:
+    usable = [health for health in flights if health.available and not health.apart]
+    if len(usable) < 2:
         return []
-    series = series_of(told)
+    series = series_of(usable)
     lines = ["Over the flights (95 %, each by its own scatter)", ""]
-    names = [_short(health.source) for health in told]
-    for number, (name, health) in enumerate(zip(names, told, strict=True), 1):
+    names = [_short(health.source) for health in usable]
+    for number, (name, health) in enumerate(zip(names, usable, strict=True), 1):
         lines.append(f"  {number:>2}  {name}, {health.seconds:.0f} s of hover")
     lines.append("")
     shares = [one for one in series if one.name.startswith(_SHARE)]
@@ -143,7 +143,7 @@ def trend_text(flights: Sequence[Health]) -> list[str]:
         *(text for one in series for text in _change(one)),
         *(
             f"{name}: {condition_text(health.condition)}"
-            for health, name in zip(told[1:], names[1:], strict=True)
+            for health, name in zip(usable[1:], names[1:], strict=True)
             if health.condition is not None and health.condition.verdict != "unchanged"
         ),
     ]

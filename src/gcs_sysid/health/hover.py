@@ -25,7 +25,7 @@ from gcs_sysid.signals.records import Stream
 _GRID = 0.1
 """s between the instants at which flight is judged."""
 _HELD = 3.0
-"""s for which a state (armed, in the air) is believed after it was told."""
+"""s for which a state (armed, in the air) holds after it was reported."""
 
 
 class _Integrals:
@@ -305,7 +305,7 @@ def _lag_of(
         return 0.0
     rotors = speeds.shape[1]
     measured = bool(np.isfinite(speeds).any())
-    told = speeds if measured else lift[:, None]
+    reported = speeds if measured else lift[:, None]
     drift = (t - t.mean()) / max(float(np.ptp(t)), 1.0)
     climbing = np.nan_to_num(sink)[:, None]
     lags = np.arange(0.0, TUNING.longest_lag + 1e-9, TUNING.lag_step)
@@ -319,7 +319,7 @@ def _lag_of(
         if not measured:
             u, uu = u.sum(axis=1, keepdims=True), uu.sum(axis=1, keepdims=True)
         cost = 0.0
-        for a, b, y in zip(u.T, uu.T, told.T, strict=True):
+        for a, b, y in zip(u.T, uu.T, reported.T, strict=True):
             columns = np.column_stack([a, b, a * drift, climbing])
             there = np.isfinite(columns).all(axis=1) & np.isfinite(y)
             if there.sum() < 2 * TUNING.fewest_windows:
@@ -347,8 +347,8 @@ def _vertical(streams: Streams, t: Array, half: float) -> tuple[Array, Array, Ar
     falling = windowed_means(velocity_t, v[:, 2], t, half, slope=True)[:, 0]
     flown = windowed_means(velocity_t, v[:, :3], t, half)
     speed = np.linalg.norm(flown, axis=1)
-    told = np.where(np.isfinite(falling), falling, 0.0)
-    return (GRAVITY - told) / cosine, flown[:, 2] / np.maximum(cosine, 0.5), speed
+    reported = np.where(np.isfinite(falling), falling, 0.0)
+    return (GRAVITY - reported) / cosine, flown[:, 2] / np.maximum(cosine, 0.5), speed
 
 
 def _hovering(rates: Array, turning: Array, lift: Array, force: Array, speed: Array) -> Mask:
@@ -379,21 +379,21 @@ def flight_of(streams: Streams, rotors: int) -> tuple[Array, Mask]:
     if Stream.VELOCITY in streams.tracks:
         times, values = streams.tracks[Stream.VELOCITY]
         position = np.column_stack([_held(times, column, grid) for column in values[:, 3:6].T])
-    told = held(Stream.IN_AIR)
+    reported = held(Stream.IN_AIR)
     armed = held(Stream.ARMED)
-    flying = FlightDetector().update(grid, told, armed, speeds, position)
+    flying = FlightDetector().update(grid, reported, armed, speeds, position)
     effort = np.nan_to_num(speeds**2).sum(axis=1)
     carrying = effort > TUNING.carrying * float(np.percentile(effort, 99.0))
     seen = np.count_nonzero(flying & carrying) >= TUNING.least_seen * np.count_nonzero(carrying)
-    if not (seen and flying.any()) and not np.isfinite(told).any():
+    if not (seen and flying.any()) and not np.isfinite(reported).any():
         # Thrown by hand, or landed lower than it took off: rotors that carry must do.
         nowhere = np.full_like(position, np.nan)
-        flying = FlightDetector().update(grid, told, armed, speeds, nowhere) & carrying
+        flying = FlightDetector().update(grid, reported, armed, speeds, nowhere) & carrying
     return grid, flying
 
 
 def _held(times: Array, values: Array, grid: Array) -> Array:
-    """(n,) the last value told, for a while; NaN after that and before the first."""
+    """(n,) the last value reported, for a while; NaN after that and before the first."""
     i = np.searchsorted(times, grid, side="right") - 1
     known = (i >= 0) & (grid - times[np.maximum(i, 0)] < _HELD)
     out: Array = np.where(known, values[np.maximum(i, 0)], np.nan)

@@ -1,8 +1,8 @@
 """Where the rotors are by how the vehicle turns, in logs without a layout.
 
 The moments of a layout's rotors must be what turns the vehicle: of all layouts that are flown, one
-explains the angular acceleration about roll and pitch and the others next to nothing of it. Over
-tenths of a second rotors turn a vehicle more than gusts do, which over seconds they only answer.
+explains the angular acceleration about roll and pitch and the others hardly any of it. Over tenths
+of a second rotors turn a vehicle more than gusts do, which over seconds they only answer.
 """
 
 import math
@@ -18,7 +18,7 @@ from gcs_sysid.health.hover import flight_of, windowed_means
 from gcs_sysid.health.log_streams import RotorStream, Streams, rate_of, streams_of
 from gcs_sysid.health.tuning import TUNING
 from gcs_sysid.model.airframe import Airframe, Rotor
-from gcs_sysid.session.told_layout import place_words, usual_layouts
+from gcs_sysid.session.reported_layout import place_words, usual_layouts
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
 
@@ -44,7 +44,7 @@ def layout_by_motion(
 
     Returns:
         The guess, or where it was assumed the layout that the flight shows instead, and the
-        streams of its rotors. A layout that was given or logged stays, and `as_flown` tells the one
+        streams of its rotors. A layout that was given or logged stays, and `as_flown` is the one
         that contradicts it.
     """
     if guess.assumed:

@@ -287,8 +287,8 @@ def compare_loads(
 def _pooled(before: Load, now: Load) -> tuple[Array, Array]:
     """(rotors, rotors) covariances of both loads, by the noise of both stretches of hover.
 
-    Ten seconds hold too few gusts to tell their own power: taken alone, a calm stretch claims to
-    know too much, and a windy one hides a weak rotor. One that is far windier keeps its own.
+    Ten seconds hold too few gusts to estimate their power: alone, a calm stretch gives intervals
+    that are too narrow, and a windy one hides a weak rotor. One that is far windier keeps its own.
     """
     own = [load.covariance * load.seconds for load in (before, now)]
     total = before.seconds + now.seconds

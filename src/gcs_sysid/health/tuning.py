@@ -63,7 +63,7 @@ class Tuning:
             yaw and sum gusts hide, was never named (`benchmarks.health --weak`).
         same_vehicle: factor of all loads within which two flights may be of one vehicle: payload,
             other propellers.
-        learnt_from: s of hover at the begin of a flight that later ones in it are held against.
+        learnt_from: s of hover at the start of a flight that later ones in it are compared with.
         judged_by: s of hover in a stretch that is.
         least_change: of a rotor's load over another's in a stretch, relative, that is looked into:
             5 % less of one rotor of eight makes 2.5 %.
@@ -77,25 +77,25 @@ class Tuning:
         windier: times the noise power of both stretches together, from which on one keeps its own.
         shortest_drift: s of flight from which a drift is reported.
         full_command: command from which a rotor counts as saturated.
-        told_curve: standard deviation of c from which on it is no suggestion.
+        usable_curve: standard deviation of c from which on it is no suggestion.
         above_idle: of the range of outputs, MOT_SPIN_MIN above what turns all rotors (ArduPilot's
             manual).
         idle_std: of the range of outputs, by which an idle is known.
-        voltage_std: relative, of what sag and air density make of a throttle.
+        voltage_std: relative, effect of sag and air density on a throttle.
         worth_moving: m over meter of arm, CG offset that is worth a hand's move.
         motor_scatter: of motors' gains, relative, that is usual.
         sure: standard deviations beyond that.
         least_thrust_to_weight: usual advice of the autopilots' manuals is 2.
         much_saturated: share of the flight at full command.
         shaking: times the others' vibration.
-        least_shaking: m/s^2, amplitude below which nobody minds.
+        least_shaking: m/s^2, amplitude below which it is no concern.
         instrument_lags: windows before, of the commands that are instruments: beyond the windows'
             overlap and the memory of gusts (0.3 s).
         curve_floor: standard deviation of c that no flight goes below (motor's lag, battery).
         drag_lever: arms, prior standard deviation of the height that drag acts at.
         wind_share: of what wind seems to move the center of thrust by, that may be real: the rest
             is an accelerometer off level.
-        told_by_instruments: standard deviation of c up to which the instruments are strong enough.
+        instruments_std: standard deviation of c up to which the instruments are strong enough.
         gust_bias: relative error of the thrust's slope, over the share of gusts in its power
             (measured over nine flights of `benchmarks.health`).
         white_neighbors: autocorrelation of neighboring windows, of white noise and of gusts.
@@ -152,7 +152,7 @@ class Tuning:
     windier: float = 3.0
     shortest_drift: float = 20.0
     full_command: float = 0.99
-    told_curve: float = 0.15
+    usable_curve: float = 0.15
     above_idle: float = 0.03
     idle_std: float = 0.01
     voltage_std: float = 0.05
@@ -167,7 +167,7 @@ class Tuning:
     curve_floor: float = 0.004
     drag_lever: float = 1.0
     wind_share: float = 0.5
-    told_by_instruments: float = 0.05
+    instruments_std: float = 0.05
     gust_bias: float = 0.8
     white_neighbors: tuple[float, float] = (0.25, 0.5)
     cg_floor: float = 0.0005

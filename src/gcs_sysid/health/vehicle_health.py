@@ -1,4 +1,4 @@
-"""The health of a vehicle: what the hover of one flight told, as plain facts."""
+"""The health of a vehicle, from the hover of one flight, as plain facts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -71,14 +71,14 @@ class RotorHealth:
 
     def as_json(self) -> dict[str, Any]:
         """As health files write it."""
-        told = {
+        quantities = {
             "thrust_share": self.thrust_share,
             "efficiency": self.efficiency,
             "motor_gain": self.motor_gain,
             "headroom": self.headroom,
             "vibration": self.vibration,
         }
-        out: dict[str, Any] = {n: None if q is None else q.as_json() for n, q in told.items()}
+        out: dict[str, Any] = {n: None if q is None else q.as_json() for n, q in quantities.items()}
         return {**out, "saturated": self.saturated}
 
 
@@ -92,8 +92,8 @@ class Health:
         autopilot: "px4", "ardupilot" or another key; "" when not known.
         reasons: why there is no answer; empty when there is one.
         contradicted: whether the motion contradicts the airframe: then nothing that depends on its
-            motor order is told, and `reasons` say so even where an analysis has its own.
-        airframe: that the balances rest on.
+            motor order is given, and `reasons` say so even where an analysis has its own.
+        airframe: used for the balances.
         rotor_input: "speed" or "command".
         seconds: of hover.
         cg: x and y from the geometric center, m.
@@ -112,13 +112,13 @@ class Health:
         battery: V, highest, lowest and median; None where not logged.
         motor_lag: s that rotors or thrust follow the commands by; None without commands.
         condition: of the rotors against a baseline; None without one.
-        apart: why it was not held against the first of several logs; empty where it was.
+        apart: why it was not compared with the first of several logs; empty where it was.
         weakened: a rotor that became weak in this flight; None where none did, or the hover is
             too short to judge.
-        watched: stretches of hover that were held against the begin of the flight for that.
+        watched: stretches of hover that were compared with the start of the flight for that.
         explained: as of `GuessedAirframe`.
         load: for later flights.
-        assumptions: what the intervals rest on, in words.
+        assumptions: behind the intervals, as text.
         advice: what to do.
         parameters: of the autopilot as they were in the log.
     """
@@ -170,14 +170,14 @@ class Health:
         return None if self.mass is None else self.mass.value
 
     @property
-    def told(self) -> bool:
+    def available(self) -> bool:
         """Whether anything hovered."""
         return self.cg is not None
 
     @property
     def reported(self) -> bool:
         """Whether it belongs beside an analysis: something hovered, or the motion contradicts."""
-        return self.told or self.contradicted
+        return self.available or self.contradicted
 
 
 def as_baseline(health: Health) -> Baseline | None:

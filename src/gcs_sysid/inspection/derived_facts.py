@@ -1,4 +1,4 @@
-"""When the vehicle flew, its rotor source, and what is assumed where nobody named an airframe."""
+"""When the vehicle flew, its rotor source, and assumptions without a given airframe."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -32,7 +32,7 @@ class FlightWatch:
         self._since: float | None = None
 
     @property
-    def told_by(self) -> str:
+    def recognized_by(self) -> str:
         """As `Inspection.flight_told_by` says."""
         if self._in_air is not None:
             return "autopilot"
@@ -71,14 +71,14 @@ class FlightWatch:
             self._since = None
 
     def reboot(self, t: float) -> None:
-        """The autopilot began anew, not knowing of any flight; session time of the moment."""
+        """The autopilot rebooted, not knowing of any flight; session time of the moment."""
         self.turn(t, flying=False)
         self._in_air = self._armed = None
         self._turning.clear()
 
 
 class RotorJudge:
-    """Asks the chain's own selector, on the chain's own samples, which rotor stream to believe.
+    """Asks the chain's own selector, on the chain's own samples, which rotor stream to use.
 
     Args:
         airframe: whose rotors; its anchor is used where it has one.
@@ -103,12 +103,12 @@ class RotorJudge:
         block = RecordBlock.of(self._waiting)
         self._waiting.clear()
         for part in block.windows():
-            for _, told in part.parameters:
-                self._rotor_selector.learn(told.source, told.values[0])
+            for _, record_of in part.parameters:
+                self._rotor_selector.learn(record_of.source, record_of.values[0])
             self._note(self._sampler.take(part.tracks))
 
     def finish(self, sources: Sequence[RotorSource]) -> RotorInput:
-        """What identification rests on at the end, among the sources described."""
+        """The source that identification uses at the end."""
         self._take_waiting()
         self._note(self._sampler.finish())
         believed, rotor_selector = self._believed, self._rotor_selector
@@ -133,7 +133,7 @@ class RotorJudge:
 
 
 USUAL = 4
-"""Rotors of a vehicle whose type does not tell."""
+"""Rotors of a vehicle whose type does not give their number."""
 
 _ROTORS = {
     mavlink.MAV_TYPE_TRICOPTER: 3,
@@ -146,7 +146,7 @@ _ROTORS = {
 
 
 def rotor_count(vehicle: Vehicle | None) -> int | None:
-    """How many rotors a vehicle has by its type; None when that does not tell."""
+    """How many rotors a vehicle has by its type; None when unknown."""
     return None if vehicle is None else _ROTORS.get(vehicle.vehicle_type or -1)
 
 

@@ -15,7 +15,7 @@ ONBOARD = ("ulog", "dataflash", "blackbox")
 
 Verdict = Literal["yes", "partly", "no"]
 Obtainable = Literal["everything", "all but Izz", "in part", "health", "nothing"]
-"""How much can be had; "all but Izz" where yaw was hardly flown."""
+"""Obtainable results; "all but Izz" where yaw was hardly flown."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class RotorFacts:
 
 @dataclass(frozen=True)
 class RotorSource:
-    """All rotors that one message tells of."""
+    """All rotors in one message."""
 
     message: str
     kind: Literal["speed", "command"]
@@ -60,11 +60,11 @@ class RotorSource:
     """Hz of the slowest of its streams."""
     repeats_percent: float
     rotors: tuple[RotorFacts, ...]
-    """In the autopilot's motor order; as many as the vehicle has, where its type tells."""
+    """In the autopilot's motor order; as many as the vehicle has, where its type gives that."""
 
     @property
     def dead(self) -> tuple[int, ...]:
-        """Motors, from 1, that tell nothing: zero nearly always, or not a change in flight."""
+        """Motors, from 1, without data: zero nearly always, or no change in flight."""
         return tuple(
             motor
             for motor, rotor in enumerate(self.rotors, 1)
@@ -141,12 +141,12 @@ class Inspection:
     rotors: int
     """How many the airframe has, by its name, by the vehicle's type or as assumed."""
     rotors_assumed: bool
-    """Whether nothing tells how many."""
+    """Whether their number is unknown."""
     telemetry: Mapping[str, Any]
     """As in a result: counts, losses, messages."""
     rotor_input: RotorInput = field(default_factory=lambda: RotorInput(None))
     problems: tuple[str, ...] = ()
-    """Why a link brings too little, as far as the link itself tells."""
+    """Why a link brings too little, as far as the link itself shows."""
     hover: float | None = None
     """Seconds of hover that `health` uses; None: not looked for."""
     explained: float | None = None

@@ -68,8 +68,8 @@ class Inspector:
     """Takes the records of one vehicle, in the order in which they came.
 
     Args:
-        telemetry: what the log or link tells beside its records.
-        airframe: of the vehicle; None: its type tells how many rotors it has.
+        telemetry: of the log or link, beside its records.
+        airframe: of the vehicle; None: its type gives the number of rotors.
     """
 
     def __init__(self, telemetry: Telemetry, airframe: Airframe | None = None) -> None:
@@ -170,7 +170,7 @@ class Inspector:
             problems: that a link has.
         """
         self._look_at_all()
-        told_by = self._flight.told_by
+        recognized_by = self._flight.recognized_by
         self._flight.turn(self.duration, flying=False)
         self._count_wraps()
         telemetry = self._telemetry
@@ -187,7 +187,7 @@ class Inspector:
             vehicle=telemetry.vehicle,
             systems=tuple(telemetry.systems),
             flights=tuple(self._flight.spans),
-            flight_told_by=told_by,  # type: ignore[arg-type]
+            flight_told_by=recognized_by,  # type: ignore[arg-type]
             streams=tuple(
                 _stream_facts(key, watch, messages)
                 for key, watch in sorted(self._streams.items(), key=_in_table_order)
@@ -235,7 +235,7 @@ class Inspector:
 
 
 def _used(rotor: RotorFacts) -> bool:
-    """Whether an output drives something, where the vehicle's type does not tell how many."""
+    """Whether an output drives something, where the vehicle's type does not give the number."""
     return rotor.low != rotor.high
 
 
@@ -276,8 +276,8 @@ def inspect_log(
         path: a .tlog, .ulg, .bin or .bbl file.
         wanted: system and perhaps component; None: the first autopilot in it.
         progress: called with the share of the log done, 0 to 1, now and then.
-        airframe: of the vehicle; its rotors and its anchor, if any, count. None: the vehicle's
-            type tells how many rotors it has.
+        airframe: of the vehicle; its rotors and its anchor, if any, count. None: the vehicle's type
+            gives the number of rotors.
 
     Raises:
         InputError: the file cannot be read as a log.
@@ -308,7 +308,7 @@ def _hover(
 ) -> tuple[float | None, float | None]:
     """Seconds of hover that `health` uses, and the share of the motion that the rotors explain.
 
-    None where nothing tells where the rotors are.
+    None where the rotors' positions are unknown.
     """
     try:
         health = health_of_log(path, Given(airframe), wanted)
@@ -334,9 +334,9 @@ def inspect_link(
 
     Args:
         link: open; it is closed at the end.
-        duration: s to listen once the vehicle has spoken, and to wait for it to speak.
+        duration: s to listen after the vehicle's first frame, and to wait for that.
         rate: Hz to ask for, for IMU and rotors.
-        airframe: as of `inspect_log`; None: what four rotors need is asked for.
+        airframe: as of `inspect_log`; None: as for four rotors.
         listen_only: send nothing at all.
         wanted: as of `inspect_log`.
         signing_key: file with the key of MAVLink 2 signing.

@@ -15,7 +15,7 @@ from gcs_sysid.inspection.thresholds import THRESHOLDS as LIMITS
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import MIN_RATE
 
-_TOLD_BY_AXIS = {"roll": "Ixx", "pitch": "Iyy", "yaw": "Izz and k_M"}
+_IDENTIFIED_BY_AXIS = {"roll": "Ixx", "pitch": "Iyy", "yaw": "Izz and k_M"}
 _SYSTEM_IDENTIFICATION = 1 + 8 + 16
 """SDLOG_PROFILE: default set, system identification, high rate."""
 _FAST_ATTITUDE, _FAST_IMU = 1 << 0, 1 << 18
@@ -84,7 +84,7 @@ def _faster(found: Inspection) -> str:
 
 
 def obtainable(found: Inspection) -> Obtainable:
-    """How much can be had: the most that `analyze`, and `health` beside it, would tell."""
+    """Obtainable results: the most that `analyze`, and `health` beside it, would give."""
     if found.verdict != "no":
         little = [axis for axis in found.motion if _is_little(found, axis)]
         if 0.0 < found.in_air < LIMITS.short:
@@ -128,7 +128,7 @@ def _rotors(found: Inspection) -> Iterator[Finding]:
         yield Finding("note", text, "give --rotors N, or --airframe")
     if chosen is None:
         if not found.rotor_input.judged and any(_is_quick(s) for s in found.rotor_sources):
-            return  # what flight would show; that there was none is told apart
+            return  # what flight would show; that there was none is reported separately
         why = "; ".join(found.rotor_input.reasons) or "; ".join(
             f"{source.message} comes at {source.rate or 0.0:.1f} Hz"
             for source in found.rotor_sources
@@ -196,12 +196,12 @@ def _motion(found: Inspection) -> Iterator[Finding]:
     little = [a for a in AXES if a in found.motion and _is_little(found, a)]
     if not little:
         return
-    told = ", ".join(_TOLD_BY_AXIS[axis] for axis in little)
+    identified = ", ".join(_IDENTIFIED_BY_AXIS[axis] for axis in little)
     axes = " and ".join(filter(None, [", ".join(little[:-1]), little[-1]]))
     now = "right now " if found.kind == "link" else ""
     yield Finding(
         "limits",
-        f"too little {axes} motion {now}to identify {told}",
+        f"too little {axes} motion {now}to identify {identified}",
         f"fly fast {axes} inputs both ways (doublets) for 10 s an axis, in calm air",
     )
 

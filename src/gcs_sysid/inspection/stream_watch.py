@@ -42,7 +42,7 @@ class Tally:
 
     samples: int = 0
     steps: int = 0
-    """Between neighbouring samples, gaps apart."""
+    """Between neighboring samples, gaps apart."""
     seconds: float = 0.0
     """In these steps."""
     gaps: int = 0
@@ -160,7 +160,7 @@ def _table(rows: Sequence[tuple[float, ...]]) -> Array:
 
 
 class RotorWatch:
-    """Range of every rotor that one stream tells of, while flying."""
+    """Range of every rotor in one stream, while flying."""
 
     def __init__(self) -> None:
         self._count = np.zeros(0)

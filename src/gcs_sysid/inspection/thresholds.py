@@ -14,7 +14,7 @@ class Thresholds:
         command_rate: Hz. Commands sampled slower than the autopilot's loop are aliased.
         attitude_rate: Hz.
         nearly: share of a nominal rate that does; autopilots send a little slower than asked.
-        short: s of flight, below which little can be had.
+        short: s of flight, below which little is obtainable.
         too_short: s of flight, below which nothing can.
         acceleration: rad/s^2 rms of each axis, five times what a hover in light wind shows.
         loss_named: percent of the IMU's samples, or of all messages, from which losses are named.
@@ -24,7 +24,7 @@ class Thresholds:
         explained: share of roll or pitch acceleration that rotors explain over tenths of a second,
             below which nothing is identified: 0.48 to 0.99 in logs that can be, 0.001 and 0.14 in
             two that `analyze` refuses (`benchmarks.health_logs`).
-        hover_imu: Hz from which averages over hover can be had, of the IMU.
+        hover_imu: Hz of the IMU from which averages over hover are obtainable.
         hover_rotors: the same of speeds or commands.
         slow_gyro_filter: Hz; a filter below it delays the gyro by more than 5 ms.
     """

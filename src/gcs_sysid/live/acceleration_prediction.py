@@ -73,7 +73,7 @@ class Rows:
     """Rows of the forward form, NaN where a window held a missing sample.
 
     Attributes:
-        t: (n,) s, centres of the windows.
+        t: (n,) s, centers of the windows.
         rates: (n, 3) averaged, rad/s.
         measured: (n, 3) angular acceleration, rad/s^2.
         predicted: (n, 3) the same of the model; NaN without one.
@@ -86,7 +86,7 @@ class Rows:
 
 
 def half_window(dt: float, rotor_input: RotorInput) -> int:
-    """Samples on either side of a row's centre, as the estimator takes them."""
+    """Samples on either side of a row's center, as the estimator takes them."""
     tuning = COMMANDS if rotor_input == "command" else Tuning()
     return max(tuning.min_half_samples, round(tuning.half_width / dt))
 
@@ -149,8 +149,8 @@ class Predictor:
 class LivePrediction:
     """An observer of a chain: the last seconds, each row predicted before it was fitted.
 
-    Blocks are gathered while the fit stays as it is, or nobody looks: a prediction costs as much
-    for one block as for ten.
+    Blocks are gathered while the fit is unchanged, or not viewed: a prediction costs as much for
+    one block as for ten.
 
     Args:
         chain: to look at.

@@ -1,4 +1,4 @@
-"""What waits to be learnt from, and when that is too much."""
+"""Data waiting to be processed, and when they are too many."""
 
 from typing import Any
 
@@ -34,24 +34,24 @@ class Backlog:
         return not self.too_slow and self._source.waiting < BUSY
 
     def look(self, now: float) -> list[str]:
-        """See what waits; what there is to tell of it, one line each.
+        """Check the backlog; messages about it, one line each.
 
         Args:
             now: any steady clock, s.
         """
-        told, waiting = [], self._source.waiting
+        notes, waiting = [], self._source.waiting
         self.longest = max(self.longest, waiting)
         self._longest_now = max(self._longest_now, waiting)
         if not self.too_slow and waiting > TOO_SLOW:
             self.too_slow, self._since = True, now
-            told.append(
+            notes.append(
                 f"the computer is too slow: {waiting:.1f} s of data waiting, none lost; advice and "
                 "new estimates wait until it has caught up"
             )
         elif self.too_slow and waiting < CAUGHT_UP:
             self.too_slow = False
             self._seconds += now - self._since
-            told.append(
+            notes.append(
                 f"caught up after {now - self._since:.1f} s, {self._longest_now:.1f} s behind "
                 "at most"
             )
@@ -59,11 +59,11 @@ class Backlog:
             self._longest_now = 0.0
         if self._source.unlearnt and not self._unlearnt:
             self._unlearnt = True
-            told.append("the backlog is too large: some data are not used for the estimate")
-        return told
+            notes.append("the backlog is too large: some data are not used for the estimate")
+        return notes
 
     def last_words(self) -> list[str]:
-        """What there is to tell when nothing more comes."""
+        """Messages at the end of the data."""
         waiting = self._source.waiting
         if waiting < TOO_SLOW:
             return []

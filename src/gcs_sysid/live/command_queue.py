@@ -27,10 +27,10 @@ class CommandQueue:
             raise InputError("the session is busy: try again") from None
 
     def grant(self, note: Callable[[str], None]) -> Exception | None:
-        """Do what was asked for. It may fail: that is told, and the flight goes on.
+        """Carry out the requests. One that fails is reported, and the session continues.
 
         Args:
-            note: is told what could not be done.
+            note: called with what could not be done.
 
         Returns:
             The first defect, if one was met.
@@ -48,5 +48,5 @@ class CommandQueue:
 
 
 def in_words(defect: Exception) -> str:
-    """One line about what nobody has foreseen."""
+    """One line about an unforeseen error."""
     return f"internal error ({type(defect).__name__}: {defect})"

@@ -25,32 +25,33 @@ from gcs_sysid.signals.sampling import SampleBlock
 _EVERY = 1.0
 """s of vehicle time between looks."""
 _STALE = 10.0
-"""s after which advice that nobody follows is thought over."""
+"""s after which advice that is not followed is reconsidered."""
 _AGAIN = 5.0
-"""The same where no manoeuvre was found."""
+"""The same where no maneuver was found."""
 _BEGUN = 0.1
 """Progress from which advice is being followed."""
 _FLOWN = 0.9
-"""Progress at which it has been flown: nobody swings exactly as far as asked."""
+"""Progress at which it has been flown: swings never have exactly the size asked."""
 _LEAST_SECONDS = 3.0
-"""s of flight from which its residuals tell the noise, and hover has told the CG."""
+"""s of flight from which its residuals give the noise, and hover the CG."""
 _GROPING = 0.5
 """Share of an interval of Ixx or Iyy from which a fit is not gone on from."""
 _FIRST = 6.0
-"""s, of the first manoeuvre of a vehicle of which nothing is known."""
+"""s, of the first maneuver of a vehicle of which nothing is known."""
 _MATTERS = 0.1
-"""Share of a manoeuvre's motion from which an axis belongs to it."""
+"""Share of a maneuver's motion from which an axis belongs to it."""
 _MOST_GAINS = 4
 _WINDOW = 1.0
 """s of flight in which motion is compared with what was asked: a period and more."""
 _SWINGING = 0.02
-"""Share of the asked squared rates from which somebody is at it: a seventh of the swing."""
+"""Share of the asked squared rates from which the maneuver counts as begun: a seventh of the
+swing."""
 _TRIED_FOR = 4.0
 """s of that after which what comes is what the autopilot lets through."""
 _REACTS_WITHIN = 2.0
 """s in which a pilot reads the advice and goes over to it."""
 _DAMPED = 0.6
-"""Share of the asked swing below which another pace may tell more."""
+"""Share of the asked swing below which another pace may give more information."""
 _AXES = ("roll", "pitch", "yaw")
 
 
@@ -60,7 +61,7 @@ class CoachOptions:
 
     Attributes:
         target: half of a 95 % interval over the value, which every parameter is to reach.
-        limits: of the manoeuvres.
+        limits: of the maneuvers.
     """
 
     target: float = 0.02
@@ -70,11 +71,11 @@ class CoachOptions:
 class Coach:
     """Watches a chain and says what to fly next.
 
-    To weigh all manoeuvres takes a tenth of a second: `look` now and then, `think` when there is
+    To weigh all maneuvers takes a tenth of a second: `look` now and then, `think` when there is
     nothing else to do. `advise` does both.
 
     Args:
-        chain: fed by somebody else; the coach observes its samples.
+        chain: fed elsewhere; the coach observes its samples.
         options: settings.
     """
 
@@ -95,7 +96,7 @@ class Coach:
         # (axis, Hz) -> share of the asked swing that came.
         self._swings: dict[tuple[str, float], float] = {}
         self._window = np.zeros(4)  # squared rates and s of the window that fills
-        self._tried = np.zeros(4)  # the same of those in which somebody swings
+        self._tried = np.zeros(4)  # the same over windows with motion
         self._asked = np.zeros(3)  # squared rates, mean over what is advised
         self._damped = ""
         chain.observers.append(self.take)
@@ -114,7 +115,7 @@ class Coach:
             self._gathered[3] += float(np.mean(down * down)) * len(samples.gyro) * block.dt
 
     def _compare(self, squares: Array, seconds: float) -> None:
-        """Keep what motion there is while somebody flies what was advised."""
+        """Keep the motion while the advised maneuver is flown."""
         if self._chain.t - self._chosen_at < _REACTS_WITHIN:
             return  # what was advised before
         self._window += (*squares, seconds)
@@ -142,7 +143,7 @@ class Coach:
         return self._advice
 
     def think(self) -> None:
-        """Weigh all manoeuvres, if that is due."""
+        """Weigh all maneuvers, if that is due."""
         thought, self._thought = self._thought, None
         if thought is not None:
             self._weigh(*thought)
@@ -177,11 +178,11 @@ class Coach:
         ):
             self._begin(fit, now)
         else:
-            self._advice = self._told(now, progress)
+            self._advice = self._advice_now(now, progress)
         self._seconds = fit.seconds
 
     def _is_damped(self) -> bool:
-        """Whether much less comes of the advised manoeuvre than was asked; then it is learnt."""
+        """Whether the advised maneuver comes out much smaller than asked, which is then kept."""
         if self.choice is None or self._tried[3] < _TRIED_FOR:
             return False
         asked = self.choice.manoeuvre
@@ -201,7 +202,7 @@ class Coach:
         return found
 
     def _achieved(self, manoeuvre: Manoeuvre) -> Manoeuvre:
-        """What the vehicle makes of a manoeuvre: what is damped at a pace, is at a brisker one."""
+        """A maneuver as the vehicle flies it: damped at one pace, damped at a brisker one too."""
         shares = {}
         for axis in _AXES:
             pace = manoeuvre.yaw_pace if axis == "yaw" else manoeuvre.pace
@@ -234,20 +235,20 @@ class Coach:
         self.choice = found
         self._asked[:] = 0.0 if found is None else self._asked_squares(found)
         if found is not None and fit.rotation is None:
-            # A rule of thumb picks the manoeuvre, but promises nothing.
+            # A rule of thumb picks the maneuver, but promises nothing.
             self.choice = replace(found, manoeuvre=found.manoeuvre.lasting(_FIRST))
             self._text = f"{motion_words(self.choice.manoeuvre)}: first estimates of all parameters"
         elif found is not None:
-            # What is told is against the intervals that the pilot sees.
+            # Gains are reported against the intervals that the pilot sees.
             self.choice = found = replace(found, now=now)
             self._gains = tuple(found.names[:_MOST_GAINS])
             self._text = sentence(found.manoeuvre, found.names, now, found.expected)
         if self._damped and self.choice is not None:
             self._text, self._damped = f"{self._damped}; {self._text}", ""
-        self._advice = self._told(now, 0.0)
+        self._advice = self._advice_now(now, 0.0)
 
     def _asked_squares(self, choice: Choice) -> Array:
-        """(3,) squared body rates, mean over the manoeuvre as it is asked."""
+        """(3,) squared body rates, mean over the maneuver as it is asked."""
         came = self._achieved(choice.manoeuvre)
         squares = (choice.motion.rates**2).mean(axis=0)
         for k, axis in enumerate(_AXES):
@@ -256,7 +257,7 @@ class Coach:
         asked: Array = squares
         return asked
 
-    def _told(self, now: Mapping[str, float | None], progress: float) -> Advice | None:
+    def _advice_now(self, now: Mapping[str, float | None], progress: float) -> Advice | None:
         choice = self.choice
         if choice is None:
             return None
@@ -311,7 +312,7 @@ class Coach:
 
 
 def _motion(choice: Choice) -> Array:
-    """(4,) integrals of squared body rates, and of climb rate, over the manoeuvre."""
+    """(4,) integrals of squared body rates, and of climb rate, over the maneuver."""
     manoeuvre = choice.manoeuvre
     climb = 0.5 * (2.0 * np.pi * manoeuvre.pace * manoeuvre.climb) ** 2
     squares = np.append((choice.motion.rates**2).mean(axis=0), climb)

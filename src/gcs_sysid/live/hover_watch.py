@@ -16,18 +16,18 @@ from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.logs import Telemetry
 
 _KEPT = 90.0
-"""s of the vehicle's clock that are averaged: a baseline of 30 s and what is held against it."""
+"""s of the vehicle's clock that are averaged: a baseline of 30 s and what is compared with it."""
 _EVERY = 10.0
 """s of the vehicle's clock between looks: at 250 Hz each takes 0.2 s of a processor."""
 _MOST_WAITING = 2000
-"""Tracks that may wait to be joined, where nobody looks."""
+"""Tracks that may wait to be joined, while not viewed."""
 _ANEW = ("reboot", "reset", "vehicle")
 """Events after which what was flown before is another flight's."""
 
 
 @dataclass(frozen=True)
 class HoverNews:
-    """What a look at the hover told.
+    """Findings of a look at the hover.
 
     Attributes:
         document: a health file's content; its `verdict` is "refused" where nothing hovers.
@@ -39,10 +39,10 @@ class HoverNews:
 
 
 class HoverWatch:
-    """Keeps the last minutes of records, and tells the vehicle's health by their hover.
+    """Keeps the last minutes of records, and assesses the vehicle's health by their hover.
 
     Args:
-        telemetry: who flies, and its parameters.
+        telemetry: the vehicle, and its parameters.
         source: what health names as its source.
     """
 
@@ -71,11 +71,11 @@ class HoverWatch:
     def look(
         self, airframe: Airframe, result: Callable[[], Result] | None = None
     ) -> HoverNews | None:
-        """What the hover tells now; None where it is not time for another look.
+        """Findings of the hover now; None where it is not time for another look.
 
         Args:
             airframe: with the scale in force.
-            result: the latest of the identification; asked for where it is time to look.
+            result: the latest of the identification; called where it is time to look.
         """
         if self._now - self._looked < _EVERY:
             return None

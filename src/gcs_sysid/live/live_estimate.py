@@ -34,7 +34,7 @@ class Duty(IntEnum):
 
 
 class LiveEstimate:
-    """A pipeline that knows nothing yet, its prediction and its coach.
+    """A fresh pipeline, its prediction and its coach.
 
     A defect in what identifies costs the estimate, which stays what it was; a defect in what
     watches the link, that as well.
@@ -43,8 +43,8 @@ class LiveEstimate:
         airframe: with a scale anchor.
         source: what the result names as its source.
         options: settings.
-        wanted: system and perhaps component; None: the first autopilot heard.
-        on_defect: is told of each.
+        wanted: system and perhaps component; None: the first autopilot received.
+        on_defect: called with each.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class LiveEstimate:
         self.note(f"{in_words(defect)}: {lost}; what arrives is still recorded")
 
     def need(self) -> None:
-        """Make sure that there is an estimate to do something with.
+        """Check that there is an estimate to act on.
 
         Raises:
             InputError: it has ended.
@@ -126,7 +126,7 @@ class LiveEstimate:
         if text:
             self.chain.note(text)
 
-    def tell(self, texts: Sequence[str]) -> None:
+    def note_all(self, texts: Sequence[str]) -> None:
         """Add lines to the event log."""
         for text in texts:
             self.note(text)
@@ -137,7 +137,9 @@ class LiveEstimate:
         self.chain.renew_every(None if on else self._options.refit_interval)
 
     def think(self) -> None:
-        """Let the coach think, and look at the hover; a defect is told once, costs no flight."""
+        """Let the coach think, and look at the hover; a defect is reported once, costs no
+        flight.
+        """
         self._look_at_hover()
         if self._coach is None:
             return
@@ -178,7 +180,7 @@ class LiveEstimate:
             try:
                 self._look_at_hover()
                 return replace(complete(self.pipeline.finish()), health=self._health)
-            except Exception as defect:  # noqa: BLE001 - handed to the main thread, which tells it
+            except Exception as defect:  # noqa: BLE001 - handed to the main thread, which reports it
                 self.retreat(defect)
                 problem = problem or defect
         why = "" if problem is None else f"{in_words(problem)}: "
@@ -195,7 +197,7 @@ class LiveEstimate:
         self.pipeline.check_airframe()
         acceleration = self._prediction.acceleration()
         target = (self._options.coach or CoachOptions()).target
-        # Nobody is told to fly what nobody sees.
+        # No advice to fly what is not received.
         advised = self._advised if link.state is LinkState.CONNECTED else None
         seen = picture(self.chain, result, link, acceleration, target, advised)
         return replace(seen, health=self._health)

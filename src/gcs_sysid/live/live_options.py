@@ -13,7 +13,7 @@ class LiveOptions:
     Attributes:
         rate: Hz to ask for, for IMU and rotors.
         listen_only: send nothing at all.
-        wanted: system and perhaps component; None: the first autopilot heard.
+        wanted: system and perhaps component; None: the first autopilot received.
         duration: s of wall clock after which the session ends; None: never.
         refit_interval: s of vehicle time between estimates.
         signing_key: file with the key of MAVLink 2 signing; None: nothing is signed or checked.

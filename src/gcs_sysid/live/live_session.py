@@ -68,10 +68,10 @@ class LiveSession:
             `PersistentLink` comes back instead.
         airframe: with a scale anchor.
         options: settings.
-        record_to: recording; None for none. An existing file is never overwritten. A source that
-            is no link has been told already, and goes on beside this one.
-        sender_gone: tells that whoever sends has ended (an emulator that exited); who can be
-            told of so connects once.
+        record_to: recording; None for none. An existing file is never overwritten. A source that is
+            no link has its own already, and continues beside this one.
+        sender_gone: whether the sender has ended (an emulator that exited); given only where it
+            connects once.
         on_result: called in the session's thread about once a second of vehicle time.
     """
 
@@ -114,7 +114,7 @@ class LiveSession:
         self._stop = threading.Event()
         self._all_taken = False
         self._latest: Snapshot | None = None
-        self._told_result_at = 0.0
+        self._result_reported_at = 0.0
         self._asked = self._published = -float("inf")
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
 
@@ -123,7 +123,7 @@ class LiveSession:
         return LiveEstimate(self._airframe, url, options, wanted, self._meet)
 
     def _meet(self, defect: Exception | None) -> None:
-        """Keep the first defect for the main thread, which tells it."""
+        """Keep the first defect for the main thread, which reports it."""
         self.problem = self.problem or defect
 
     # -- what the user does, in threads of their own
@@ -157,7 +157,7 @@ class LiveSession:
         self._commands.ask(lambda: self._estimate.note(text[:_LONGEST_MARK]))
 
     def reset(self) -> None:
-        """Forget the estimate and start anew, as the analysis of the recording then does too."""
+        """Reset the estimate and restart, as the analysis of the recording then does too."""
         self._commands.ask(self._mark_reset)
 
     def toggle_recording(self) -> str:
@@ -202,10 +202,10 @@ class LiveSession:
         return f"scale from {kind} = {value:.6g} {ANCHORS[name]}"
 
     def choose_vehicle(self, address: tuple[int, int]) -> str:
-        """Start anew on another vehicle, into another recording.
+        """Restart on another vehicle, into another recording.
 
         Raises:
-            InputError: none of that system and component was heard.
+            InputError: none of that system and component was received.
         """
         heard = {v.address: v for v in (self._latest.link.vehicles if self._latest else ())}
         if address not in heard:
@@ -235,7 +235,7 @@ class LiveSession:
         self._guarded(self._station.leave)
         self._guarded(self._take_the_rest)
         self._guarded(self._source.close)
-        self._estimate.tell(self._source.take_events())
+        self._estimate.note_all(self._source.take_events())
         assert self._latest is not None
         last = self._latest.result
         self.final = self._estimate.final(self._complete, last, self.problem)
@@ -243,7 +243,7 @@ class LiveSession:
         self._estimate.drop()
 
     def _guarded(self, step: Callable[[], None]) -> None:
-        """Do a step; what goes wrong is handed to the main thread, which tells it."""
+        """Do a step; errors are handed to the main thread, which reports them."""
         try:
             step()
         except Exception as problem:  # noqa: BLE001 - the next step is done all the same
@@ -267,7 +267,7 @@ class LiveSession:
         self._attend(now)
         self._see_backlog(now)
         self._meet(self._commands.grant(self._estimate.note))
-        self._estimate.tell(self._source.take_events())
+        self._estimate.note_all(self._source.take_events())
         if self._backlog.is_idle:
             self._estimate.think()
         every = _PUBLISH_LATE if self._backlog.too_slow else _PUBLISH_EVERY
@@ -279,11 +279,11 @@ class LiveSession:
         match item:
             case Batch():
                 self._estimate.learn(item, self._source.link_report.garbage_bytes)
-                self._tell_result()
+                self._report_result()
             case ResetMark(time_us):
                 self._estimate.reset(time_us)
             case RecordingCut():
-                self._begin_anew()
+                self._restart()
             case Toggled(text):
                 self._toggling = False
                 self._estimate.note(text)
@@ -305,19 +305,19 @@ class LiveSession:
                 station.tick(now, intake)
         except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
             self._estimate.retreat(defect)
-        self._estimate.tell(station.take_events())
+        self._estimate.note_all(station.take_events())
 
     def _see_backlog(self, now: float) -> None:
         before = self._backlog.too_slow
-        self._estimate.tell(self._backlog.look(now))
+        self._estimate.note_all(self._backlog.look(now))
         if self._backlog.too_slow is not before:
             self._estimate.relieve(on=not before)
 
     def _take_the_rest(self) -> None:
-        """Learn from all that is recorded; nobody asks for estimates on the way."""
+        """Process all that is recorded, without estimates on the way."""
         self._estimate.relieve(on=True)
         self._source.finish()
-        self._estimate.tell(self._backlog.last_words())
+        self._estimate.note_all(self._backlog.last_words())
         while not self._all_taken:
             for item in self._source.take(_POLL):
                 self._take(item)
@@ -343,13 +343,13 @@ class LiveSession:
     def _complete(self, result: Result) -> Result:
         return with_link(result, self._source, self._station, self._backlog, time.monotonic())
 
-    def _tell_result(self) -> None:
+    def _report_result(self) -> None:
         estimate, t = self._estimate, self._estimate.chain.t
         if estimate.relieved or estimate.duty is not Duty.IDENTIFY:
             return
-        if self._on_result is None or t - self._told_result_at < _RESULT_EVERY:
+        if self._on_result is None or t - self._result_reported_at < _RESULT_EVERY:
             return
-        self._told_result_at = t
+        self._result_reported_at = t
         try:
             result = estimate.advised(self._complete(estimate.pipeline.result()))
         except Exception as defect:  # noqa: BLE001 - what arrives is recorded all the same
@@ -381,8 +381,8 @@ class LiveSession:
         self._choice = vehicle
         self._source.cut_recording(path)
 
-    def _begin_anew(self) -> None:
-        """Begin anew in every respect, so that the new recording's analysis ends the same."""
+    def _restart(self) -> None:
+        """Restart in every respect, so that the new recording's analysis ends the same."""
         vehicle, before = self._choice, self._estimate
         assert vehicle is not None
         self._choice = None
@@ -390,7 +390,7 @@ class LiveSession:
         self._estimate.relieve(on=before.relieved)
         before.drop()
         self._estimate.know(before.pipeline.intake.selector.autopilots)
-        self._told_result_at = 0.0
+        self._result_reported_at = 0.0
         self._estimate.note(f"chosen: {vehicle.name}; the session restarts")
         path = self._source.recording_report.path
         if path:

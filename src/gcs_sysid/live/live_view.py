@@ -79,7 +79,7 @@ def picture(
     target: float,
     advice: Advice | None,
 ) -> Snapshot:
-    """How things stand with a chain, with what others say of it."""
+    """State of a chain, with the link's and the recorder's."""
     sampler = chain.sampler
     return Snapshot(
         t=chain.t,

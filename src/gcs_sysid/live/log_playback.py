@@ -17,7 +17,7 @@ from gcs_sysid.session.pipeline import Pipeline
 from gcs_sysid.signals.sampling import SampleBlock
 
 _CHECKPOINTS = 6
-"""States kept at most. Each is a chain with all that it has learnt: 55 MB after some minutes."""
+"""States kept at most. Each is a chain with its whole record: 55 MB after some minutes."""
 _APART = 10.0
 """s of the flight between them, at least."""
 
@@ -28,7 +28,7 @@ class Recorded:
 
     Attributes:
         path: of the file.
-        airframe: that it was analysed with.
+        airframe: that it was analyzed with.
         wanted: system and perhaps component; None: the first autopilot in it.
         result: of all of it.
         duration: s from the first record to the last.
@@ -46,7 +46,7 @@ class Recorded:
 
 
 class _Survey:
-    """An observer that takes down what a result does not tell."""
+    """An observer that records what a result does not hold."""
 
     def __init__(self) -> None:
         self.duration = 0.0
@@ -70,7 +70,7 @@ def survey(
     wanted: tuple[int, int | None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Recorded:
-    """Analyse a log that will be played.
+    """Analyze a log that will be played.
 
     Args:
         path: of the file.

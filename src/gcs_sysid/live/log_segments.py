@@ -17,12 +17,12 @@ _WINDOW = 2048
 
 
 class LogSegments:
-    """The windows of a log, cut finer where somebody wants to stop in them.
+    """The windows of a log, cut finer where playback stops in them.
 
     Args:
         path: of the log.
         wanted: system and perhaps component; None: the first autopilot in it.
-        pipeline: that will take the parts; it is told of the log.
+        pipeline: that will take the parts; it is given the log.
 
     Raises:
         InputError: the file cannot be read as a log.
@@ -31,7 +31,7 @@ class LogSegments:
         position: s of the vehicle's clock from the first record to the newest one taken. Goes on
             over a reboot.
         windows_taken: how many of the log's windows were taken up to now, or have been begun.
-        telemetry: what the log tells beside its records.
+        telemetry: of the log, beside its records.
     """
 
     def __init__(self, path: Path, wanted: tuple[int, int | None] | None, pipeline: Pipeline):

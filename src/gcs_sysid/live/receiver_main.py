@@ -1,12 +1,13 @@
-"""The receiver's process: reads, stamps and records what comes over a link, whoever is busy.
+"""The receiver's process: reads, stamps and records what comes over a link, however busy the
+session.
 
     python -m gcs_sysid.live.receiver_main
 
 is started by `receiver_process.ReceiverProcess`, which talks to it through its standard input and
-output. It ends when it is told to, or when nobody is left to tell it: when its input closes,
-because the session's process has ended in whatever way. Then it gives the vehicle its own rates
-back, takes what the system still holds, and closes a whole recording. Signals that end the session
-are not for it: a terminal sends Ctrl-C to all processes that it knows.
+output. It ends on request, or when its input closes, because the session's process has ended in
+whatever way. Then it gives the vehicle its own rates back, takes what the system still holds, and
+closes a whole recording. Signals that end the session are not for it: a terminal sends Ctrl-C to
+all processes that it knows.
 """
 
 import json
@@ -47,7 +48,7 @@ DRAIN = 1.0
 
 
 class Outbox:
-    """Hands messages to the session, whenever it takes them; nobody waits for it but `close`.
+    """Hands messages to the session, whenever it takes them; only `close` waits for that.
 
     Attributes:
         unlearnt: frames for which there was no room.
@@ -81,7 +82,7 @@ class Outbox:
                 self.put(data)
 
     def close(self) -> None:
-        """Wait until all is handed over, or nobody is there who would take it."""
+        """Wait until all is handed over, or the reader has gone."""
         with self._wake:
             self._closing = True
             self._wake.notify()
@@ -98,7 +99,7 @@ class Outbox:
             try:
                 self._pipe.write(data)
                 self._pipe.flush()
-            except (OSError, ValueError):  # nobody reads any more
+            except (OSError, ValueError):  # the reader has gone
                 with self._wake:
                     self._broken = True
                     self._waiting.clear()
@@ -111,7 +112,7 @@ class ReceiverMain:
 
     Args:
         reception: to drive.
-        requests: does what is asked of the vehicle.
+        requests: sends requests to the vehicle.
         outbox: to the session.
         orders: names and arguments; None at their end.
     """
@@ -136,7 +137,7 @@ class ReceiverMain:
         while not self._finished:
             self._obey()
             items = self._taken(0.0 if self._finished else POLL)
-            self._tell()
+            self._send_report()
             self._outbox.put_items(items)
             if 0 < sum(len(i.frames) for i in items if isinstance(i, Batch)) < FEW:
                 time.sleep(GATHER)
@@ -144,7 +145,7 @@ class ReceiverMain:
     def _taken(self, timeout: float) -> list[Item]:
         try:
             return self._reception.take(timeout)
-        except Exception as defect:  # noqa: BLE001 - told, and the next bytes may be others
+        except Exception as defect:  # noqa: BLE001 - reported, and the next bytes may differ
             time.sleep(POLL)
             return [Failure(f"{type(defect).__name__}: {defect}")]
 
@@ -177,7 +178,7 @@ class ReceiverMain:
             case "cut_recording":
                 reception.cut_recording(Path(arguments[0]))
             case "flush":
-                # A disk that does not answer holds up nobody but who asked.
+                # A disk that does not respond blocks only the caller.
                 threading.Thread(target=self._flush, args=arguments, daemon=True).start()
             case "finish":
                 self._finish()
@@ -196,7 +197,7 @@ class ReceiverMain:
             self._outbox.put_items(items)
         self._reception.finish()
 
-    def _tell(self) -> None:
+    def _send_report(self) -> None:
         """Report what has changed."""
         now = time.monotonic()
         if now - self._reported < REPORT_EVERY and not self._finished:
@@ -255,8 +256,8 @@ def main() -> int:
         settings = json.loads(sys.stdin.buffer.readline())
         reception, requests = open_reception(settings)
     except (GcsSysidError, ValueError) as error:
-        told = [type(error).__name__, str(error)]
-        outbox.put(wire.json_message(wire.REFUSED, told))
+        refusal = [type(error).__name__, str(error)]
+        outbox.put(wire.json_message(wire.REFUSED, refusal))
         outbox.close()
         return 2
     url = reception.url

@@ -15,7 +15,7 @@ from typing import Any, BinaryIO, cast
 from gcs_sysid.errors import GcsSysidError, InputError, LinkError
 from gcs_sysid.live import receiver_wire as wire
 from gcs_sysid.live.reception import Item, RecordingReport
-from gcs_sysid.live.request_relay import RequestsTold
+from gcs_sysid.live.request_relay import RelayedRequests
 from gcs_sysid.telemetry.transceiver import LinkReport, Requests
 from gcs_sysid.telemetry.urls import LinkUrl
 
@@ -75,7 +75,7 @@ class ReceiverProcess:
         )
         self._orders = cast(BinaryIO, self._process.stdin)
         self._answers = cast(BinaryIO, self._process.stdout)
-        self._tell(
+        self._send(
             {
                 "url": asdict(url),
                 "listen_only": listen_only,
@@ -84,8 +84,8 @@ class ReceiverProcess:
             }
         )
         self.url = self._opened(url)
-        told = {"listen_only": listen_only, "signing": signing_key is not None}
-        self._gate = RequestsTold(lambda *what: self._order("ask", *what), **told)
+        settings = {"listen_only": listen_only, "signing": signing_key is not None}
+        self._gate = RelayedRequests(lambda *what: self._order("ask", *what), **settings)
         self._reader = threading.Thread(target=self._read, name="receiver", daemon=True)
         self._reader.start()
 
@@ -103,19 +103,19 @@ class ReceiverProcess:
 
     @property
     def gate(self) -> Requests:
-        """Tells the receiver what to ask for; its gate decides."""
+        """Passes requests to the receiver; its gate decides."""
         return self._gate
 
     @property
     def link_report(self) -> LinkReport:
-        """As it was told last."""
+        """By its latest report."""
         report = self._report.link
         # What came before the end is still to be taken.
         return replace(report, ended=report.ended and not self._messages)
 
     @property
     def recording_report(self) -> RecordingReport:
-        """As it was told last."""
+        """By its latest report."""
         return self._report.recording
 
     @property
@@ -215,10 +215,13 @@ class ReceiverProcess:
             self._reader.join()
 
     def _order(self, name: str, *arguments: object) -> None:
-        self._tell([name, *arguments])
+        self._send([name, *arguments])
 
-    def _tell(self, content: Any) -> None:
-        with self._ordering, contextlib.suppress(OSError, ValueError):  # it has died: `take` tells
+    def _send(self, content: Any) -> None:
+        with (
+            self._ordering,
+            contextlib.suppress(OSError, ValueError),
+        ):  # it has died: `take` reports that
             self._orders.write(json.dumps(content).encode() + b"\n")
             self._orders.flush()
 

@@ -119,13 +119,13 @@ def report_message(report: Report) -> bytes:
 
 def read_report(body: bytes) -> Report:
     """The figures in a message."""
-    told = json.loads(body)
-    link, recording = told["link"], told["recording"]
+    table = json.loads(body)
+    link, recording = table["link"], table["recording"]
     if link["rival"] is not None:
         link["rival"] = Rival(*map(tuple, link["rival"]))
     if link["refused"] is not None:
         link["refused"] = {Refusal(reason): n for reason, n in link["refused"].items()}
     recording["lines"] = tuple(recording["lines"])
     return Report(
-        LinkReport(**link), RecordingReport(**recording), told["unlearnt"], tuple(told["events"])
+        LinkReport(**link), RecordingReport(**recording), table["unlearnt"], tuple(table["events"])
     )

@@ -1,7 +1,7 @@
 """Reading, time-stamping and recording: what a live session does before anything else.
 
-It depends on nothing that can be slow or fail. A session drives it in its own thread, where whoever
-sends can wait (an emulator at full speed) or the link is one of memory; else it has a process of
+It depends on nothing that can be slow or fail. A session drives it in its own thread, where the
+sender can wait (an emulator at full speed) or the link is one of memory; else it has a process of
 its own (`receiver_process`), and hands over the same items in the same order.
 """
 
@@ -19,13 +19,13 @@ from gcs_sysid.telemetry.urls import LinkUrl
 
 
 class ResetMark(NamedTuple):
-    """Here the user had the estimate begin anew; the recording says so too."""
+    """The user reset the estimate here; the recording is marked too."""
 
     time_us: int
 
 
 class RecordingCut(NamedTuple):
-    """Here another recording begins, of what is to be learnt from anew."""
+    """Another recording begins here, and with it another estimate."""
 
 
 class Toggled(NamedTuple):
@@ -49,7 +49,7 @@ Item = Batch | ResetMark | RecordingCut | Toggled | Failure | Ended
 
 @dataclass(frozen=True)
 class RecordingReport:
-    """What there is to tell of the recording.
+    """State of the recording.
 
     Attributes:
         active: whether frames are to be recorded, be the disk willing or not.
@@ -89,10 +89,10 @@ class Source(Port, Protocol):
         """Have a `ResetMark` recorded and handed over."""
 
     def start_recording(self, path: Path) -> None:
-        """Record into another file from now on, `Toggled` tells."""
+        """Record into another file from now on; `Toggled` reports it."""
 
     def stop_recording(self) -> None:
-        """End the recording, `Toggled` tells."""
+        """End the recording; `Toggled` reports it."""
 
     def cut_recording(self, path: Path) -> None:
         """Go on in another file, if it is recorded at all; hand over a `RecordingCut`."""
@@ -114,7 +114,7 @@ class Reception:
 
     unlearnt = 0
     waiting = 0.0
-    """Whoever takes, waits for nobody; the rest is in the system's buffer."""
+    """Taking never waits; the rest is in the system's buffer."""
 
     def __init__(self, transceiver: Transceiver, recording: Recording) -> None:
         self._transceiver = transceiver
@@ -169,7 +169,7 @@ class Reception:
         return self._recording.take_events()
 
     def mark_reset(self) -> None:
-        """Record that the user had the estimate begin anew."""
+        """Record that the user reset the estimate."""
         now = time.time_ns() // 1000
         self._recording.write(now, [reset_mark()])
         self._items.append(ResetMark(now))

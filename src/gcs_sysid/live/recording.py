@@ -9,7 +9,7 @@ from gcs_sysid.telemetry.frames import Frame
 from gcs_sysid.telemetry.tlog_writer import PATIENCE, TlogWriter
 
 _MOST_LINES = 100
-"""Recordings that are told of at the end, the latest."""
+"""Recordings that are listed at the end, the latest."""
 
 
 class Recording:

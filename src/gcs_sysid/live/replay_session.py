@@ -1,8 +1,8 @@
 """The replay: a recorded flight once more, paced by the vehicle's clock, as snapshots.
 
-A log is analysed first: that tells how long it is, which of the autopilot's parameters hold, and
-its final numbers. Then the same windows of it are taken at the pace wanted. How they are cut
-moves the numbers by rounding alone; where the log ends, those of the analysis are shown.
+A log is analyzed first: that gives its length, the autopilot's parameters in force, and its final
+numbers. Then the same windows of it are taken at the pace wanted. How they are cut moves the
+numbers by rounding alone; where the log ends, those of the analysis are shown.
 """
 
 import math
@@ -40,7 +40,7 @@ _LONGEST_SILENCE = 3.0
 _SEEN = KEPT + 5.0
 """s of the flight before where it stops that are seen there, filters' settling included."""
 _LEAST_WAIT = 1e-3
-"""s; rounding would ask for less than any clock tells."""
+"""s; rounding would ask for less than any clock resolves."""
 _IDLE = 1.0
 """s to wait where nothing is due; an action wakes."""
 
@@ -82,7 +82,7 @@ class ReplaySession:
         self._stay = stay
         self._clock = clock
         self._on_result = on_result
-        self._told_result_at = 0.0
+        self._result_reported_at = 0.0
         self._speed = speed
         self._paused = self._ended = False
         self._asked_speed, self._asked_paused = speed, False
@@ -136,7 +136,7 @@ class ReplaySession:
     # -- what a user may do; each returns what happens, in words
 
     def toggle_pause(self) -> str:
-        """Pause, or go on; from the end, begin anew."""
+        """Pause, or continue; from the end, restart."""
         if self._ended and self._goal is None:
             self._asked_paused = False
             self._do(lambda: self._seek(0.0, paused=False))
@@ -176,7 +176,7 @@ class ReplaySession:
                 if wait > 0.0:
                     self._wake.wait(wait)
                     self._wake.clear()
-        except Exception as problem:  # noqa: BLE001 - handed to the main thread, which tells it
+        except Exception as problem:  # noqa: BLE001 - handed to the main thread, which reports it
             self.problem = problem
         finally:
             try:
@@ -211,7 +211,7 @@ class ReplaySession:
             return self._wait(playback.log_segments, end, until)
         playback.take()
         self._changed = True
-        self._tell_result()
+        self._report_result()
         return 0.0
 
     def _wait(self, log_segments: LogSegments, end: float, until: float) -> float:
@@ -257,11 +257,11 @@ class ReplaySession:
         self._ended = False
         self._prediction = LivePrediction(self._pipeline.chain)
         self._pipeline.chain.observers[:] = [self._look]
-        self._told_result_at = self._position
+        self._result_reported_at = self._position
         self._anchor = (self._clock(), self._position)
 
     def _look(self, block: SampleBlock) -> None:
-        """Predict what will be seen; on the way elsewhere nobody looks, and it costs as much."""
+        """Predict what will be shown; while seeking nothing is shown, and it costs as much."""
         until = self._goal if self._goal is not None else self._due()
         if min(until, self._duration) - block.t[-1] < _SEEN:
             self._prediction.take(block)
@@ -285,9 +285,9 @@ class ReplaySession:
 
     # -- what others see
 
-    def _tell_result(self) -> None:
-        if self._on_result is not None and self._position - self._told_result_at >= 1.0:
-            self._told_result_at = self._position
+    def _report_result(self) -> None:
+        if self._on_result is not None and self._position - self._result_reported_at >= 1.0:
+            self._result_reported_at = self._position
             self._on_result(self._pipeline.result())
 
     def _is_publishing_due(self) -> bool:

@@ -1,24 +1,24 @@
-"""What a session asks of the vehicle, where link and gate are in another process."""
+"""Requests of a session to the vehicle, where link and gate are in another process."""
 
 from collections.abc import Callable
 
 from gcs_sysid.telemetry.outgoing import Gate
 
 
-class RequestsTold:
-    """Stands for the gate where that is in another process: tells it what to ask for.
+class RelayedRequests:
+    """Proxy for the gate where that is in another process: forwards requests to it.
 
     Args:
-        tell: name of a method of `Gate`, the version to speak, arguments.
+        send: called with a method of `Gate`, the protocol version and the arguments.
         listen_only: as of `Gate`.
         signing: as of `Gate`.
     """
 
     def __init__(
-        self, tell: Callable[..., None], *, listen_only: bool = False, signing: bool = False
+        self, send: Callable[..., None], *, listen_only: bool = False, signing: bool = False
     ) -> None:
         self.version = 2
-        self._tell = tell
+        self._send = send
         self.listen_only = listen_only
         self.signing = signing
 
@@ -50,12 +50,12 @@ class RequestsTold:
 
     def _ask(self, name: str, *arguments: object) -> bool:
         if not self.listen_only:
-            self._tell(name, self.version, *arguments)
+            self._send(name, self.version, *arguments)
         return not self.listen_only
 
 
 class RequestsDone:
-    """Does what `RequestsTold` tells, through the gate alone, and can take it back.
+    """Executes the requests of `RelayedRequests`, through the gate alone, and can undo them.
 
     Args:
         gate: decides what is sent.
@@ -79,7 +79,7 @@ class RequestsDone:
 
         Raises:
             NotAllowedError: that must never be sent.
-            KeyError: nothing of that name is ever asked.
+            KeyError: no request has that name.
         """
         self._gate.version = 1 if version == 1 else 2
         self._may[name](*(tuple(a) if isinstance(a, list) else a for a in arguments))
@@ -94,9 +94,9 @@ class RequestsDone:
         return self._gate.set_message_interval(target, message_id, interval_us)
 
     def restore(self) -> None:
-        """Give the vehicle its own rates back: nobody is there any more who would."""
+        """Restore the vehicle's own rates: the session is no longer there to do it."""
         changed, self._changed = self._changed, {}
-        for _ in range(2):  # nobody is there to say it again either
+        for _ in range(2):  # there is no later retry here either
             for (target, message_id), (version, own_us) in changed.items():
                 self._gate.version = version
                 self._gate.set_message_interval(target, message_id, own_us)

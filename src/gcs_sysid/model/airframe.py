@@ -228,7 +228,7 @@ class Airframe:
             >>> load_airframe("paper").with_uncertainty({"mass": 0.01}, "here").uncertainty.mass
             Sigma(amount=0.01, relative=False)
         """
-        # Whoever says how well the arm is known has measured it.
+        # An arm given with its uncertainty has been measured.
         placeholder = () if "arm" in entries else self.placeholder
         uncertainty = self.uncertainty.altered(entries, where)
         return replace(self, uncertainty=uncertainty, placeholder=placeholder)

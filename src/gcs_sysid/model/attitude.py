@@ -108,7 +108,7 @@ def to_euler(q: Array) -> Array:
 
 
 def align_signs(q: Array) -> Array:
-    """(n, 4) the same rotations with signs such that neighbours are close."""
+    """(n, 4) the same rotations with signs such that neighbors are close."""
     if len(q) < 2:
         return q
     flips = np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0.0, -1.0, 1.0)

@@ -8,7 +8,7 @@
                                                         with commands u_c
 
 Body axes are forward, right, down, world axes north, east, down. These are the terms that
-`model.rigid_body` identifies; a_d and f_d are accelerations that nobody models.
+`model.rigid_body` identifies; a_d and f_d are unmodeled accelerations.
 """
 
 from dataclasses import dataclass, field, fields, replace

@@ -2,7 +2,7 @@
 
 The rows of the fits, the status and the verdict, results, screen, report, coach, comparison, fleet
 table, exports and the emulator's files all go through `REGISTRY`. The order here is that of theta,
-tables, screens and files. What a coefficient does to the motion stands in `model.rigid_body`.
+tables, screens and files. The effect of each coefficient on the motion is in `model.rigid_body`.
 """
 
 import math
@@ -17,7 +17,7 @@ RotorInput = Literal["speed", "command"]
 INPUTS: tuple[RotorInput, ...] = ("speed", "command")
 Sign = Literal["positive", "not negative", "any"]
 ARM = "arm"
-"""Stands in reference values for the mean distance of the rotors from the geometric center, m."""
+"""In reference values, the mean distance of the rotors from the geometric center, m."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,13 @@ class ReferenceValue:
 
 @dataclass(frozen=True)
 class ClockError:
-    """What a parameter is off by for each share by which the vehicle's clock is fast.
+    """Error of a parameter per relative error of the vehicle's clock.
 
     Rates and thrust need no clock, angular acceleration does: inertia in roll and pitch, where
-    torque is known, is off by all of it. Gyroscopic torques do not scale, and keep Izz (0.6 to
-    1.2), products (0.6 to 1.2) and k_M (-0.5 to 0.2) from following. Thrust is held against
-    gravity, and no clock tells its mean (0.01 to 0.04). Damping takes up a part of what does not
-    fit: 0.1/s times Ixx. Drag: 0.3 to 0.6 /s times the mass.
+    torque is known, has all of the error. Gyroscopic torques do not scale, and keep Izz (0.6 to
+    1.2), products (0.6 to 1.2) and k_M (-0.5 to 0.2) from following. Thrust is compared with
+    gravity, whose mean needs no clock (0.01 to 0.04). Damping absorbs a part of the misfit: 0.1/s
+    times Ixx. Drag: 0.3 to 0.6 /s times the mass.
 
     Attributes:
         power: relative error per share; 1/s where it is of another parameter.
@@ -82,7 +82,7 @@ class Parameter:
         symbol: in text, as in docs/method.md.
         unit: SI.
         meaning: in words.
-        told_by: the motion or signal that makes it observable.
+        excited_by: the motion or signal that makes it observable.
         label: for columns of thirteen letters; empty: the name.
         group: words shared with the parameters that are reported together.
         fit: "scale": mass or thrust, of which one fact must be known; "rotation": read off theta;
@@ -95,10 +95,10 @@ class Parameter:
         section: of the result: "parameters" or "timing".
         sign: physical bound.
         prior: whether a value and standard deviation may be given before a flight.
-        axes: roll 0, pitch 1, yaw 2: whose fit it rests on.
+        axes: roll 0, pitch 1, yaw 2: whose fit determines it.
         mean_torque: whether the mean torque there determines it, however little else the fit
             explains.
-        rigid_body: whether it rests on the gyroscopic torque of a rigid body.
+        rigid_body: whether it depends on the gyroscopic torque of a rigid body.
         reference: of its status.
         clock: error by a wrong clock.
         usual: value and standard deviation to expect of a multirotor, relative ones over Ixx of
@@ -112,7 +112,7 @@ class Parameter:
     symbol: str
     unit: str
     meaning: str
-    told_by: str
+    excited_by: str
     label: str = ""
     group: str = ""
     fit: Literal["scale", "rotation", "translation", "actuator"] = "rotation"
@@ -151,11 +151,11 @@ def _axis_damping(axis: int) -> Parameter:
     )  # fmt: skip
 
 
-def _moment(axis: int, told_by: str, usual: float) -> Parameter:
+def _moment(axis: int, excited_by: str, usual: float) -> Parameter:
     letter = "xyz"[axis]
     name = f"I{letter}{letter}"
     return Parameter(
-        name, name, "kg m^2", f"moment of inertia about the body {letter} axis", told_by,
+        name, name, "kg m^2", f"moment of inertia about the body {letter} axis", excited_by,
         group="moments of inertia", theta=name, core=INPUTS, sign="positive", prior=True,
         axes=(axis,), rigid_body=axis == 2, clock=_FULL, usual=(usual, usual),
     )  # fmt: skip

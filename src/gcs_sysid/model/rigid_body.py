@@ -85,7 +85,7 @@ def _input_basis() -> tuple[Array, Array]:
     put("Iyz", 2, "rp", -1.0)
     put("Ixy", 2, "pp", -1.0)
     put("Ixy", 2, "qq", 1.0)
-    # Thrust acts at the geometric centre, the CG is (cg_x, cg_y) from it.
+    # Thrust acts at the geometric center, the CG is (cg_x, cg_y) from it.
     put("cg_y", 0, "thrust", 1.0)
     put("cg_x", 1, "thrust", -1.0)
     put("moment_ratio", 2, "yaw", 1.0)

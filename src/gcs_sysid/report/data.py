@@ -56,7 +56,7 @@ def provenance_of(command: tuple[str, ...], log: Path) -> Provenance:
 
 @dataclass(frozen=True)
 class ReportData:
-    """What the pages' sections and figures take.
+    """Input of the pages' sections and figures.
 
     Attributes:
         result: as `Result.as_json`.
@@ -67,7 +67,7 @@ class ReportData:
         prediction: None where nothing flew.
         spectrum: of the residual; None where too little of the flight was kept apart.
         truth: true parameters of an emulated vehicle.
-        notes: of the analysis, such as which rotor stream it took, and when it began anew.
+        notes: of the analysis, such as which rotor stream it took, and when it restarted.
         health: a health file's content; empty where nothing hovers.
         twin: a twin file's content; empty where nothing was held out.
         twin_picture: the growth of its errors, as SVG.

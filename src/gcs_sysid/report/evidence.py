@@ -1,4 +1,4 @@
-"""The sections that tell how far the findings can be trusted."""
+"""The sections on how far the findings can be trusted."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence

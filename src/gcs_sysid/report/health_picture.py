@@ -193,15 +193,15 @@ def _facts(document: Mapping[str, Any]) -> Iterator[Markup]:
         ("thrust_curve", "thrust curve", 1.0, ""),
         ("drift_per_minute", "thrust drift", 100.0, "% a minute"),
     ):
-        told = document.get(key)
-        if told is None or told["value"] is None:
+        entry = document.get(key)
+        if entry is None or entry["value"] is None:
             continue
-        half = factor * Z95 * (told["std"] or 0.0)
+        half = factor * Z95 * (entry["std"] or 0.0)
         if half:
-            value, around, power, _ = PAGE.value_and_half(factor * told["value"], half)
+            value, around, power, _ = PAGE.value_and_half(factor * entry["value"], half)
             text = f"({value} ± {around}){power} {unit}" if power else f"{value} ± {around} {unit}"
         else:
-            text = f"{PAGE.number(factor * told['value'])} {unit}"
+            text = f"{PAGE.number(factor * entry['value'])} {unit}"
         lines.append((name, text))
     for i, (name, text) in enumerate(lines):
         y = _TEXT_TOP + 20.0 + _LINE * i

@@ -23,7 +23,7 @@ def trend_panels(series: Sequence[Series], top: float) -> list[Markup]:
     """A panel each, in rows of three, with 95 % intervals.
 
     Args:
-        series: numbers over flights, each told by one flight at least.
+        series: numbers over flights, each from at least one flight.
         top: of the first row in the picture.
     """
     parts = []

@@ -30,7 +30,7 @@ def table(
 ) -> Markup:
     """A table whose first column names the rows.
 
-    Roles are told expressly, because a table that is laid out as something else loses them.
+    Roles are explicit, because a table with another layout loses them.
 
     Args:
         caption: what it shows.

@@ -23,7 +23,7 @@ class Prediction:
     """Rows of the forward form over a flight, NaN where a window held a missing sample.
 
     Attributes:
-        t: (n,) s, centres of the windows.
+        t: (n,) s, centers of the windows.
         rates: (n, 3) averaged, rad/s.
         measured: (n, 3) angular acceleration, rad/s^2.
         predicted: (n, 3) the same of the model.

@@ -39,7 +39,7 @@ class Recorder:
     def begin(self) -> None:
         """A reading of the log begins; one before it does not count."""
         self.history, self.validation, self.notes = NO_COURSE, None, ()
-        self._start_anew(None, None)
+        self._restart(None, None)
 
     def take(self, block: SampleBlock) -> None:
         """The next block of samples."""
@@ -49,7 +49,7 @@ class Recorder:
             if not np.isfinite(block.samples.gyro).any():
                 return  # nothing flies: the estimate keeps what it has
             # The estimate does so too.
-            self._start_anew(block.dt, block.rotors)
+            self._restart(block.dt, block.rotors)
         s = block.samples
         gap = int(block.fresh)
         rows = np.full(len(block.t) + gap, np.nan, self._row)
@@ -75,7 +75,7 @@ class Recorder:
         """Drop the samples."""
         self._file.close()
 
-    def _start_anew(self, dt: float | None, rotors: object) -> None:
+    def _restart(self, dt: float | None, rotors: object) -> None:
         self._file.seek(0)
         self._file.truncate()
         self.dt, self._input = dt, rotors

@@ -1,4 +1,4 @@
-"""The sections that tell what was found: verdict, parameters, convergence."""
+"""The sections on the findings: verdict, parameters, convergence."""
 
 import math
 from collections.abc import Mapping

@@ -10,7 +10,7 @@ from gcs_sysid.arrays import Array
 def thinned(t: Array, values: Array, most: int) -> tuple[Array, Array]:
     """At most about `most` instants that keep every peak of every column.
 
-    Of each bucket of neighbours a column keeps its least and its greatest value, in the order in
+    Of each bucket of neighbors a column keeps its least and its greatest value, in the order in
     which they came; a bucket with something missing keeps that as a break.
 
     Args:

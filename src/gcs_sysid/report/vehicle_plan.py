@@ -1,4 +1,4 @@
-"""The vehicle from above, with its rotors and its centre of gravity."""
+"""The vehicle from above, with its rotors and its center of gravity."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ _MARGIN = 46.0
 
 
 def plan_view(data: ReportData) -> Markup | None:
-    """Rotors in the autopilot's order and the CG; None where the CG is not told at all."""
+    """Rotors in the autopilot's order and the CG; None where the CG is not known at all."""
     cg = [data.result["parameters"].get(name) for name in ("cg_x", "cg_y")]
     if any(e is None or e["value"] is None or e["status"] == "unobservable" for e in cg):
         return None
@@ -76,7 +76,7 @@ def plan_view(data: ReportData) -> Markup | None:
 
 
 def cg_text(cg: list[Any]) -> str:
-    """Where the centre of gravity is, in words."""
+    """Where the center of gravity is, in words."""
     forward, right = (1e3 * float(e["value"]) for e in cg)
     along = f"{PAGE.fixed(abs(forward), 1)} mm {'ahead' if forward >= 0.0 else 'behind'}"
     across = f"{PAGE.fixed(abs(right), 1)} mm {'right' if right >= 0.0 else 'left'}"

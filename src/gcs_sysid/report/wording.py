@@ -56,11 +56,11 @@ def _how_well(parameters: Mapping[str, Any], core: Sequence[str]) -> list[str]:
     out = []
     for group in dict.fromkeys(REGISTRY[name].group for name in core):
         names = [name for name in core if REGISTRY[name].group == group]
-        told = {n: parameters[n] for n in names if parameters[n]["status"] in _KNOWN}
-        if not told:
+        entries = {n: parameters[n] for n in names if parameters[n]["status"] in _KNOWN}
+        if not entries:
             continue
-        halves = [(half_of(e) or 0.0, abs(e["value"] or 0.0)) for e in told.values()]
-        subject = group if len(told) == len(names) else names_text(list(told))
+        halves = [(half_of(e) or 0.0, abs(e["value"] or 0.0)) for e in entries.values()]
+        subject = group if len(entries) == len(names) else names_text(list(entries))
         if REGISTRY[names[0]].unit == "m" and REGISTRY[names[0]].sign == "any":
             millimetres = max(1e3 * max(half for half, _ in halves), 0.01)
             length = PAGE.fixed(millimetres, decimals_for(millimetres))

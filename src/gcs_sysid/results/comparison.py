@@ -38,7 +38,7 @@ class Difference:
         value: after - before; None where either has no value.
         std: of the difference.
         p: probability of a difference as large by chance; None where it is unknown.
-        p_holm: the same, reckoning with the number of parameters looked at.
+        p_holm: the same, corrected for the number of parameters tested (Holm).
         verdict: in one word.
         why: the verdict is no better.
     """

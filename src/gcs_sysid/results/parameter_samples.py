@@ -23,7 +23,7 @@ _LEAST_ACCEPTED = 1e-3
 _FEW = 3
 """Missing parameters whose motions are named one by one."""
 _OPTIONAL = ("rotational_damping", *AXIS_DAMPINGS, "rotor_inertia", "linear_drag", "thrust_curve")
-"""Zero in a flight model where the flight does not tell them."""
+"""Zero in a flight model where the flight does not determine them."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def flight_model(result: Result, samples: ParameterSamples | None = None) -> Fli
             + (
                 "roll, pitch and yaw, several at once: gcs-sysid plan"
                 if len(missing) > _FEW
-                else "; ".join(sorted({REGISTRY[name].told_by for name in missing}))
+                else "; ".join(sorted({REGISTRY[name].excited_by for name in missing}))
             )
         )
     zero = np.zeros(np.shape(values["mass"]))
@@ -195,18 +195,20 @@ def _estimates(result: Result) -> dict[str, Estimate]:
 
 def _root(result: Result, names: tuple[str, ...], *, given: bool) -> Array:
     """(names, names) A with A A' the covariance; what it does not name varies by itself."""
-    told, matrix = covariance_of(result)
+    names_known, matrix = covariance_of(result)
     estimates = [_estimates(result)[name] for name in names]
     whole = np.diag([(e.std or 0.0) ** 2 for e in estimates])
-    at = [i for i, name in enumerate(told) if name in names]
-    to = [names.index(told[i]) for i in at]
+    at = [i for i, name in enumerate(names_known) if name in names]
+    to = [names.index(names_known[i]) for i in at]
     whole[np.ix_(to, to)] = matrix[np.ix_(at, at)]
     if not given:
         # As `parameter_covariance` adds it: all that rests on one thing given shares its error.
-        effects = _effects(result, len(told))
+        effects = _effects(result, len(names_known))
         if effects is None:  # an earlier version's file: as if all were one error
             shared = [np.copysign(e.std_given, e.value or 0.0) for e in estimates]
-            effects = np.array(shared)[[names.index(n) if n in names else 0 for n in told], None]
+            effects = np.array(shared)[
+                [names.index(n) if n in names else 0 for n in names_known], None
+            ]
         whole[np.ix_(to, to)] -= effects[at] @ effects[at].T
         whole[np.diag_indices(len(names))] = [(e.std_data or 0.0) ** 2 for e in estimates]
     scale = np.sqrt(np.diag(whole))
@@ -222,7 +224,7 @@ def _root(result: Result, names: tuple[str, ...], *, given: bool) -> Array:
 
 
 def _effects(result: Result, count: int) -> Array | None:
-    """(names, causes) what errors of what is given do to the parameters; None: not told."""
+    """(names, causes) effects of errors in given values on the parameters; None: unknown."""
     try:
         effects = np.asarray(result.covariance.get("given"), np.float64)
     except (TypeError, ValueError):
@@ -233,7 +235,7 @@ def _effects(result: Result, count: int) -> Array | None:
 
 
 def _shares(result: Result, name: str, rotors: int) -> Array:
-    """(rotors,) each rotor's coefficient over their mean; ones where they are not told apart."""
+    """(rotors,) each rotor's coefficient over their mean; ones where they are not separate."""
     each = [rotor[name].value for rotor in result.rotors if name in rotor]
     values = np.array([np.nan if value is None else value for value in each])
     if len(values) != rotors or not np.isfinite(values).all() or not (values > 0.0).all():

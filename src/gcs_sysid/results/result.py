@@ -205,8 +205,8 @@ class Result:
     """Name and rotors that the identification rests on, as in airframe files."""
 
     disturbance: dict[str, float] = field(default_factory=dict)
-    """Axis -> nats a second by which a moment that nobody models explains it better; above 1 there
-    is one. Empty where rows were not whitened."""
+    """Axis -> nats a second by which an unmodeled moment explains it better; above 1 there is one.
+    Empty where rows were not whitened."""
     rotors: tuple[dict[str, Estimate], ...] = ()
     """k_T and k_M of each rotor in motor order, with measured rotor speeds."""
     covariance: dict[str, Any] = field(default_factory=dict)

@@ -16,12 +16,12 @@ class LinkState(StrEnum):
     """What the link is doing, in words a pilot reads."""
 
     WAITING = "waiting"
-    """Open, but no vehicle has spoken yet."""
+    """Open, but no vehicle received yet."""
     CONNECTED = "connected"
     REPLAY = "replay"
     """No link: a recorded flight is played."""
     LOST = "lost"
-    """A vehicle spoke before and is silent now."""
+    """A vehicle received before is silent now."""
     ENDED = "ended"
     """The stream ended (log read, emulator done, connection closed)."""
 
@@ -70,11 +70,11 @@ class LinkStatus:
     """Path of the recording, empty when none is made."""
     bytes_per_second: float = 0.0
     waiting: float = 0.0
-    """s of data that are recorded and wait to be learnt from."""
+    """s of data that are recorded and wait to be processed."""
     too_slow: bool = False
     """Whether so much waits that advice and renewed estimates wait too."""
     dropped: int = 0
-    """Datagrams that the system dropped, because nobody read in time."""
+    """Datagrams that the system dropped, not read in time."""
 
 
 @dataclass(frozen=True)
@@ -126,12 +126,12 @@ class Event:
 
 @dataclass(frozen=True)
 class Gain:
-    """What flying an advised manoeuvre does to one parameter.
+    """What flying an advised maneuver does to one parameter.
 
     Attributes:
         name: of the parameter.
         now: half its 95 % interval now, as a share of its value; None: not known at all.
-        expected: the same after the manoeuvre.
+        expected: the same after the maneuver.
     """
 
     name: str
@@ -146,7 +146,7 @@ class Advice:
     Attributes:
         manoeuvre: name in the library, empty when there is nothing left to fly.
         text: one sentence that says what to fly, how hard, how long and what for.
-        seconds: how long the manoeuvre takes.
+        seconds: how long the maneuver takes.
         progress: 0 to 1, how much of it was flown since it was advised.
         gains: the parameters that it is for, the widest first.
         enough: every interval meets the target.
@@ -202,7 +202,7 @@ class Snapshot:
     t: float
     """Seconds since the first record, vehicle clock."""
     used_seconds: float
-    """Seconds of flight that the estimate rests on."""
+    """Seconds of flight used by the estimate."""
     flying: bool
     result: Result
     history: History

@@ -22,7 +22,8 @@ from gcs_sysid.results.words import disturbance_text
 
 _AXES = ("roll", "pitch", "yaw")
 MIN_SECONDS = 3.0
-"""Flight time in s below which nothing is claimed, unless an earlier segment tells most of it."""
+"""Flight time in s below which nothing is claimed, unless an earlier segment determines most of
+it."""
 
 _WORDS = {
     "mass_change": "the mass changed",
@@ -51,8 +52,8 @@ def values_of(
 ) -> dict[str, Value]:
     """Physical parameters of a fit, or nothing but the anchor while it is too early.
 
-    While the flight goes on, somebody looks at every estimate and believes the one that says
-    `identified`: intervals are then wide enough to hold at all times.
+    While the flight continues, every estimate is seen and may be taken once `identified`: intervals
+    are then wide enough to hold at all times.
     """
     if fit.running:
         fit = _widened(fit, watched_factor(fit.seconds))
@@ -201,13 +202,13 @@ def event_of(
             "ci95": [event.cause.loss - half, event.cause.loss + half],
         }
     if after is not None:
-        told = describe(
+        description = describe(
             {n: (v.value, v.std) for n, v in before.items()},
             {n: (v.value, v.std) for n, v in after.items()},
         )
-        if told["kind"] != "change":
-            out["kind"] = told["kind"]
-        out["parameters"] = told["parameters"]
+        if description["kind"] != "change":
+            out["kind"] = description["kind"]
+        out["parameters"] = description["parameters"]
     return out
 
 

@@ -17,7 +17,7 @@ from gcs_sysid.results.result import Estimate, Result, Verdict
 
 @dataclass(frozen=True)
 class Word:
-    """A state as people meet it: its sign, since colour is never the only one, and its meaning."""
+    """A state as people meet it: its sign, since color is never the only one, and its meaning."""
 
     sign: str
     meaning: str
@@ -108,10 +108,10 @@ def source_of(name: str, estimate: Mapping[str, Any], scale: Mapping[str, Any] |
     if estimate.get("rests_on"):
         return f"mostly from {estimate['rests_on']}"
     if estimate["status"] == "unobservable":
-        return f"needs {PARAMETERS[name].told_by}"
+        return f"needs {PARAMETERS[name].excited_by}"
     if scale and name == scale["anchor"] and scale.get("from"):
         return f"from {scale['from']}"
-    return PARAMETERS[name].told_by
+    return PARAMETERS[name].excited_by
 
 
 _DISTURBANCES = {
@@ -143,12 +143,12 @@ def event_text(event: Mapping[str, Any], notation: Notation = PLAIN) -> str:
     if "loss" in event:
         low, high = (100.0 * v for v in event["loss"]["ci95"])
         return f"{text}: rotor {event['rotor'] + 1} lost {low:.0f} to {high:.0f} % of its thrust"
-    told = []
+    differences = []
     for name, change in event.get("parameters", {}).items():
         before, after, ci95 = (change.get(key) for key in ("before", "after", "ci95"))
         if before is None or after is None or ci95 is None or ci95[0] <= 0.0 <= ci95[1]:
             continue
         unit = notation.unit(PARAMETERS[name].unit) if name in PARAMETERS else ""
         first, second = (notation.number(value, 4) for value in (before, after))
-        told.append(f"{name} {first} {notation.arrow} {second} {unit}".rstrip())
-    return f"{text}: {', '.join(told)}" if told else text
+        differences.append(f"{name} {first} {notation.arrow} {second} {unit}".rstrip())
+    return f"{text}: {', '.join(differences)}" if differences else text

@@ -75,7 +75,7 @@ class ActingApp(App[None]):
             if self.is_running:  # else the user has left meanwhile
                 self.call_from_thread(self.say, answer)
 
-        # A defect in there is told as well, and must not end a session in flight.
+        # A defect in there is reported too, and must not end a session in flight.
         self.run_worker(work, name=what, thread=True, exit_on_error=False)
 
     def on_worker_state_changed(self, event: Worker.StateChanged) -> None:

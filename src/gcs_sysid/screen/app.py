@@ -37,7 +37,7 @@ class SysidApp(ActingApp):
 
     Args:
         source: the session.
-        truth: true values by parameter name, where the vehicle is an emulator that tells them.
+        truth: true values by parameter name, where the vehicle is an emulator that reports them.
         actions: what can be done with the source.
         baseline: an earlier result to compare with.
         title: shown until the vehicle has a name.
@@ -73,7 +73,7 @@ class SysidApp(ActingApp):
         self._last_event: Event | None = None
         self._compared: Comparison | None = None
         self.announcer = Announcer(now=time_source)
-        """Calls out what is new; whoever makes the application may put another here."""
+        """Calls out what is new; the creator of the application may replace it."""
         self._large: PilotScreen | None = None
         """The pilot view, while it covers the main screen."""
         self.begins_large = False
@@ -95,7 +95,7 @@ class SysidApp(ActingApp):
         return ending_with_its_terminal(super().get_driver_class())
 
     def _handle_exception(self, error: Exception) -> None:
-        """Leave; what there is to say of it is said by who has started this, in a line."""
+        """Leave; its message is printed by the caller, in a line."""
         super()._handle_exception(error)
         self.defect = self.defect or error
         if not os.environ.get("GCS_SYSID_DEBUG"):
@@ -170,7 +170,7 @@ class SysidApp(ActingApp):
             self._large.picture.show(view)
 
     def _compare(self) -> Comparison | None:
-        """The present result with the baseline; anew only where either is."""
+        """The present result with the baseline; built again only where either is new."""
         if self._snapshot is None or self.baseline is None:
             return None
         before, after = self.baseline.result, self._snapshot.result

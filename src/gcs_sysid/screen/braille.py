@@ -61,7 +61,7 @@ def curve(
     size: tuple[int, int],
     bridge: int,
 ) -> list[str]:
-    """A curve with its extremes in each dot column, neighbours joined.
+    """A curve with its extremes in each dot column, neighbors joined.
 
     Args:
         x: (k,) distinct dot columns, rising.
@@ -69,14 +69,14 @@ def curve(
         high: (k,) greatest.
         bounds: value at the lower and the upper edge; what lies outside is not drawn.
         size: columns and lines of characters.
-        bridge: dot columns over which two neighbours are still joined.
+        bridge: dot columns over which two neighbors are still joined.
     """
     columns, lines = size
     wide, tall = columns * DOTS_WIDE, lines * DOTS_HIGH
     scale = (tall - 1) / (bounds[1] - bounds[0])
     top = np.rint((bounds[1] - filled(x, high, wide, bridge)) * scale)
     bottom = np.rint((bounds[1] - filled(x, low, wide, bridge)) * scale)
-    # A column reaches up or down to where its neighbour on the left ends.
+    # A column reaches up or down to where its neighbor on the left ends.
     above, below = bottom[:-1] + 1.0, top[:-1] - 1.0
     top[1:] = np.where(above < top[1:], above, top[1:])
     bottom[1:] = np.where(below > bottom[1:], below, bottom[1:])

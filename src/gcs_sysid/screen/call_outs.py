@@ -1,7 +1,7 @@
-"""Call-outs: what is said aloud about a session, because a pilot's eyes are on the vehicle.
+"""Spoken call-outs about a session, because a pilot's eyes are on the vehicle.
 
-The words are made here for the terminal and for the page, which speaks them itself. In the terminal
-the system's speech program says them, or the bell rings.
+Their texts are made here for the terminal and for the page, which has its own speech synthesis. In
+the terminal the system's speech program says them, or the bell rings.
 """
 
 import contextlib

@@ -1,7 +1,7 @@
 """Numbers, units and signs as the screen writes them. Pure functions, no Textual.
 
 All parameters of one unit share one power of ten (Ixx and Ixy both in 10⁻³ kg m²), so that they
-compare at a glance and their decimal points stand in one column. The power follows the largest of
+compare at a glance and their decimal points are in one column. The power follows the largest of
 them and is held while it reads well, so that numbers do not jump as they converge.
 """
 
@@ -27,7 +27,7 @@ LABEL_WIDTH = 13
 MUTED = "$foreground 65%"
 """Style of what is not the message: labels, times. (`$text-muted` has no effect inside a text.)"""
 
-# Colours beside the signs of `results.words`.
+# Colors beside the signs of `results.words`.
 STATUS_STYLE: dict[Status, str] = {
     "identified": "$text-success",
     "given": "$text-primary",

@@ -16,7 +16,7 @@ class Scene:
     """All that an application is made of but its source.
 
     Attributes:
-        truth: true values by parameter name, where somebody knows them.
+        truth: true values by parameter name, where known.
         actions: what can be done with the source.
         transport: what moves it, where it is a replay.
         baseline: an earlier result to compare with.

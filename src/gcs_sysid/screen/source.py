@@ -29,20 +29,20 @@ class SnapshotSource(Protocol):
 
 @dataclass(frozen=True)
 class Actions:
-    """What can be done beside looking. None: not with this source, and the screen says `absent`.
+    """Actions of the screen. None: not with this source, and the screen shows `absent`.
 
     Each is called from the screen's thread and returns at once, but `export` and `report`, which
     are called in a thread of their own. What an action changed is the session's to report: it
     adds an `Event` to its next snapshots, so that the event log, the recording and the headless
-    output tell the same story. An action that fails raises a `GcsSysidError` or an `OSError`; the
-    screen shows its one line and goes on. A text returned says what happened, in one line.
+    output agree. An action that fails raises a `GcsSysidError` or an `OSError`; the screen shows
+    its one line and goes on. A text returned says what happened, in one line.
 
     Attributes:
         mark: write a mark into the event log at the present instant.
-        reset: forget all information gathered so far and start the estimate anew.
+        reset: forget all information gathered so far and restart the estimate.
         toggle_recording: start or stop recording; such as "recording to flight.tlog".
-        set_anchor: let another fact set the scale: "mass", "k_T" or "T_max", and its value in SI.
-        choose_vehicle: start anew on another vehicle: its system and component.
+        set_anchor: change the scale reference: "mass", "k_T" or "T_max", and its value in SI.
+        choose_vehicle: restart on another vehicle: its system and component.
         export: write a result for a simulator: one of `export_targets`; never over another file.
         export_targets: names of the formats.
         report: write a report of the flight so far; never over another file.

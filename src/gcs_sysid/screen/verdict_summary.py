@@ -19,14 +19,14 @@ Known = tuple[str, float | None]
 
 def shares(result: Result) -> dict[str, float | None]:
     """Half of each 95 % interval over what it is measured against, see `coach.targets`."""
-    told = result.parameters
+    estimates = result.parameters
     # Flying on makes no interval narrower by what was given.
-    values = {name: Value(e.value, e.std_data, e.status) for name, e in told.items()}
+    values = {name: Value(e.value, e.std_data, e.status) for name, e in estimates.items()}
     complete = dict.fromkeys(CORE_OF[result.rotor_input], NOTHING) | values
     places = [(rotor["x"], rotor["y"]) for rotor in result.airframe.get("rotors", ())]
     arm = sum(math.hypot(x, y) for x, y in places) / max(len(places), 1)
     found = targets.shares(complete, arm, result.rotor_input)
-    return {name: share for name, share in found.items() if name in told}
+    return {name: share for name, share in found.items() if name in estimates}
 
 
 @dataclass(frozen=True)

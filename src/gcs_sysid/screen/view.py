@@ -29,7 +29,7 @@ class View:
     snapshot: Snapshot | None
     """None until the source has its first one."""
     truth: Mapping[str, float]
-    """The true values by name, empty where nobody knows them."""
+    """The true values by name, empty where unknown."""
     selected: str
     """Name of the parameter in the convergence plot."""
     exponents: Mapping[str, int]

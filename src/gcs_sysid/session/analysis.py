@@ -18,7 +18,7 @@ from gcs_sysid.telemetry.logs import Log, open_log
 
 
 class Observer(Protocol):
-    """Looks on while a log is analysed."""
+    """Looks on while a log is analyzed."""
 
     def begin(self) -> None:
         """A reading of the log begins; one before it does not count."""
@@ -34,7 +34,7 @@ class Observer(Protocol):
 
 
 class RecordKeeper(Protocol):
-    """Keeps records of a log while it is analysed, so that it is read once."""
+    """Keeps records of a log while it is analyzed, so that it is read once."""
 
     def begin(self, log: Log) -> None:
         """A reading of the log begins; one before it does not count."""

@@ -75,7 +75,8 @@ class Chain:
             airframe.imu_arm,
         )
         self.clock_error = 0.0
-        """Share by which the vehicle's clock may be wrong, as the owner tells; of results alone."""
+        """Share by which the vehicle's clock may be wrong, set by the owner; affects results
+        alone."""
         self._offline: OfflineFit | str | None = None
 
     def take(self, block: RecordBlock) -> bool:
@@ -86,8 +87,8 @@ class Chain:
         """
         before = self.renewals
         for part in block.windows():
-            for _, told in part.parameters:
-                self.rotor_selector.learn(told.source, told.values[0])
+            for _, parameter in part.parameters:
+                self.rotor_selector.learn(parameter.source, parameter.values[0])
             for samples in self.sampler.take(part.tracks):
                 self._learn(samples)
         return self.renewals > before
@@ -128,7 +129,7 @@ class Chain:
         self.note("estimate reset")
 
     def check_anchor(self, kind: ScaleKind) -> None:
-        """Make sure that such a fact sets the scale with the rotors' input in use.
+        """Check that this sets the scale with the rotor input in use.
 
         Raises:
             InputError: it does not.
@@ -139,7 +140,7 @@ class Chain:
             raise InputError(f"{kind} cannot set the scale with {used}s as the rotors' input")
 
     def set_anchor(self, anchor: ScaleReference) -> None:
-        """Let another fact set the scale, from the start on; the estimate's history begins anew.
+        """Change the scale reference, from the start on; the estimate's history restarts.
 
         Raises:
             InputError: see `check_anchor`.
@@ -151,7 +152,7 @@ class Chain:
         self.note(f"scale: {scale.anchor} = {scale.value:.6g} {scale.unit}")
 
     def renew_every(self, interval: float | None) -> None:
-        """As of `Learner`; what is learnt does not depend on it."""
+        """As of `Learner`; the fits do not depend on it."""
         self._learner.renew_every(interval)
 
     def note(self, text: str) -> None:
@@ -222,12 +223,12 @@ class Chain:
 
     @property
     def gyro_cutoff(self) -> float | None:
-        """Hz, low-pass of the autopilot on its gyro that the estimate reckons with."""
+        """Hz, low-pass of the autopilot on its gyro that the estimate allows for."""
         return self._learner.cutoffs[0]
 
     @property
     def used_seconds(self) -> float:
-        """Flight time that the latest estimate rests on."""
+        """Flight time used by the latest estimate."""
         return self._learner.fit.seconds
 
     @property

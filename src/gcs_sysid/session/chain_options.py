@@ -19,7 +19,7 @@ class ChainOptions:
         start: s after the first record; earlier records are not used.
         end: s after the first record; later ones are not used.
         offline: whether the final estimate is the offline one.
-        progress: is told what the offline estimator does, and the share of it that is done.
+        progress: called with the offline estimator's current step and the share of it that is done.
         parameters: of the autopilot, as far as they are known beforehand.
     """
 

@@ -145,7 +145,7 @@ class Findings:
 
     @property
     def _aligned_rotation(self) -> RotationFit | None:
-        """As values are: with rotors and IMU where the flight tells that they are."""
+        """As values are: with rotors and IMU at their identified poses."""
         return aligned(self.learner.fit, self._alignment).rotation
 
     @cached_property
@@ -161,8 +161,8 @@ class Findings:
             for name, e in (parameters | self._timing()).items()
             if e.value is not None and e.std is not None
         }
-        told = {name: Value(e.value, e.std, e.status) for name, e in parameters.items()}
-        given = given_effects(told, self.learner.fit, self._given(self._anchor))
+        entries = {name: Value(e.value, e.std, e.status) for name, e in parameters.items()}
+        given = given_effects(entries, self.learner.fit, self._given(self._anchor))
         names, matrix, effects = parameter_covariance(rotation, self._scale, values, given)
         if not np.isfinite(matrix).all():
             return {}
@@ -284,7 +284,9 @@ class Findings:
         }
 
     def _imu_rotation(self) -> dict[str, Any] | None:
-        """How the IMU is turned, in degrees; None where that is given as exact or not told."""
+        """How the IMU is turned, in degrees; None where that is given as exact or not
+        identifiable.
+        """
         found = self._alignment
         if found is None or not found.turned_std.any():
             return None

@@ -1,9 +1,9 @@
-"""Whether the vehicle's clock may be a wrong one.
+"""Whether the vehicle's clock may be wrong.
 
-All is reckoned on it: angular acceleration, and with that inertia, is off by as much as it is. The
-only other clock there is belongs to the computer that received, and where the two drift apart
-nobody knows which is right. Good clocks hardly do. A simulator that does not keep real time does
-without being wrong: its clock is that of its physics.
+Everything depends on it: angular acceleration, and with it inertia, has its relative error. The
+only other clock is the receiving computer's, and where the two drift apart either may be wrong.
+Good clocks hardly drift. A simulator that does not keep real time does so without being wrong: its
+clock is that of its physics.
 """
 
 from collections.abc import Mapping

@@ -17,9 +17,9 @@ from gcs_sysid.telemetry.outgoing import OWN_SYSTEM
 MOST = 1024
 """Frames that wait: those of a tenth of a second on the fastest link."""
 LONGEST = 0.2
-"""s of the receiving computer's clock that they wait where the vehicle's does not tell the time."""
+"""s of the receiving computer's clock that they wait where the vehicle's gives no time."""
 _AWAITED = frozenset(MESSAGE_IDS[name] for name in ("HEARTBEAT", "PARAM_VALUE", "MESSAGE_INTERVAL"))
-"""Messages that somebody waits for: who speaks, and what was asked for."""
+"""Messages that are waited for: heartbeats and replies to requests."""
 _ROUNDING = 2e-6
 """s, of stamps and ticks."""
 _Sender = tuple[int, int, int]

@@ -1,6 +1,6 @@
-"""From blocks of samples to fits: which estimator learns from them, and what is told of it.
+"""From blocks of samples to fits: selects the estimator and reports its events.
 
-What it learns depends on the blocks, and on what was known when each came, alone.
+The fits depend only on the blocks, and on what was known when each came.
 """
 
 from collections import deque
@@ -71,9 +71,9 @@ class Learner:
         self.observers: list[Callable[[SampleBlock], None]] = []
         """Are shown every block of samples before the estimator takes it."""
         self.rotors: RotorSource | None = None
-        """The stream that is learnt from."""
+        """The stream in use."""
         self.cutoffs: Cutoffs = (None, None)
-        """What the estimate reckons with."""
+        """Hz, gyro low-passes that the estimate allows for."""
         self.anchors = [anchor]
         """The scale of each segment, and that in force."""
         self.tracker: Tracker | None = None
@@ -89,7 +89,7 @@ class Learner:
         self.input_events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
         """Of rotor streams that died, came again or were replaced, as in a result."""
         self._rotors_lost = False
-        self._told = 0
+        self._events_reported = 0
         self._usable = True
         self._spiked = self._stood_still = False
         self._history_number = 0.0
@@ -126,7 +126,7 @@ class Learner:
         return {} if anchor.origin else summary.priors_for(self._airframe.priors, self.rotor_input)
 
     def evidence(self, fit: Fit) -> Evidence:
-        """What speaks against a fit; nothing against the article's, which are for study."""
+        """Objections to a fit; none to the article's, which are for study."""
         if self._options.tuning.method != "forward" or self.tracker is None:
             return Evidence()
         filtered = self.cutoffs[0] is not None
@@ -136,12 +136,12 @@ class Learner:
         """Forget the estimate; go on with the next samples."""
         self.tracker = None
         self.anchors = self.anchors[:1]
-        self._told = 0
+        self._events_reported = 0
         self.fit = Fit(None, None, 0.0)
         self.history.clear()
 
     def set_anchor(self, anchor: ScaleReference) -> None:
-        """Let another fact set the scale, from the start on; the history begins anew."""
+        """Change the scale reference, from the start on; the history restarts."""
         self.anchors = [anchor]
         for segment in () if self.tracker is None else self.tracker.segments:
             self._go_on_after(segment)
@@ -151,14 +151,14 @@ class Learner:
         """Decide what is undecided, because nothing more will come."""
         if self.tracker is not None:
             self.tracker.finish()
-            self._tell_events(self.tracker, t)
+            self._report_events(self.tracker, t)
 
     def learn(self, block: SampleBlock, known: Known) -> None:
         """Learn from the next block."""
         if block.rotors is not None and block.rotors is not self.rotors:
-            self._use(block.rotors, block.told_at)
+            self._use(block.rotors, block.newest_at)
         elif block.rotors is None and self.rotors is not None and not self._rotors_lost:
-            self._tell_loss(self.rotors.name, known, block.told_at)
+            self._report_loss(self.rotors.name, known, block.newest_at)
         for observer in self.observers:
             observer(block)
         if self.rotors is None:
@@ -169,20 +169,20 @@ class Learner:
                 return  # nothing flies: no reason to give up what is known
             if tracker is not None and tracker.start is not None:
                 old, new = 1.0 / tracker.dt, 1.0 / block.dt
-                anew = f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate restarts"
-                self.note(block.told_at, anew)
+                text = f"IMU rate changed from {old:.0f} to {new:.0f} Hz: estimate restarts"
+                self.note(block.newest_at, text)
             tracker = self.tracker = self._new_tracker(block.dt, known)
             tracker.reserve()
             # Rows are counted from the first sample in flight, however blocks fall.
             block = block.since(int(np.isfinite(block.samples.gyro).all(axis=1).argmax()))
         elif block.fresh:
             tracker.restart()
-        now = max(block.told_at, float(block.t[-1]))
-        self._tell_rate(known, now)
-        self._tell_outliers(known, now)
+        now = max(block.newest_at, float(block.t[-1]))
+        self._report_rate(known, now)
+        self._report_outliers(known, now)
         stops = self._stops(block.t)
         points = tracker.update(block.t, block.samples, block.flying, stops)
-        self._tell_events(tracker, now)
+        self._report_events(tracker, now)
         for stop, point in zip(stops, points, strict=True):
             self.fit = point.fit
             values = self.values(point.fit, self.anchors[point.segment])
@@ -199,7 +199,7 @@ class Learner:
         self._history_number = max(float(number[-1]), self._history_number)
         return [int(i) + 1 for i in np.flatnonzero(renewed)]
 
-    def _tell_outliers(self, known: Known, t: float) -> None:
+    def _report_outliers(self, known: Known, t: float) -> None:
         """Say when the first gyro spike was replaced, and when rotor speeds first stood still.
 
         How many there were is in the result.
@@ -211,14 +211,14 @@ class Learner:
             self._stood_still = True
             self.note(t, "rotor speeds frozen under new timestamps: not used")
 
-    def _tell_rate(self, known: Known, t: float) -> None:
+    def _report_rate(self, known: Known, t: float) -> None:
         """Say when the IMU becomes too slow for the grid, and when it no longer is."""
         if known.is_usable == self._usable:
             return
         self._usable = known.is_usable
-        told = "the estimate continues" if self._usable else "too slow for the estimate"
+        consequence = "the estimate continues" if self._usable else "too slow for the estimate"
         rate = f"at {1.0 / known.imu_interval:.0f} Hz" if known.imu_interval else "again"
-        self.note(t, f"IMU data {rate}: {told}")
+        self.note(t, f"IMU data {rate}: {consequence}")
 
     def _use(self, rotors: RotorSource, t: float) -> None:
         """Take the rotors' input from this stream from now on."""
@@ -228,24 +228,24 @@ class Learner:
         if before is None:
             self.note(t, text)
         elif lost and rotors.reads_as(before):
-            self._tell_input(t, f"{rotors.name} is usable again: the estimate continues")
+            self._report_input(t, f"{rotors.name} is usable again: the estimate continues")
             return
         else:
-            self._tell_input(t, f"{text}: estimate restarts")
+            self._report_input(t, f"{text}: estimate restarts")
         self.tracker = None
         self.fit = Fit(None, None, 0.0)
         self.history.clear()
 
-    def _tell_loss(self, name: str, known: Known, t: float) -> None:
+    def _report_loss(self, name: str, known: Known, t: float) -> None:
         """Say that the rotors' input is not sound any more, and nothing else is."""
         self._rotors_lost = True
         why = known.refused.get(name, "stopped")
-        self._tell_input(
+        self._report_input(
             t,
             f"{name} {why}, and no other input is usable: the estimate is that of earlier data",
         )
 
-    def _tell_input(self, t: float, text: str) -> None:
+    def _report_input(self, t: float, text: str) -> None:
         self.note(t, text)
         self.input_events.append({"t": t, "kind": "rotor_input", "text": text})
 
@@ -257,7 +257,7 @@ class Learner:
     def _new_tracker(self, dt: float, known: Known) -> Tracker:
         assert self.rotors is not None
         self.anchors = self.anchors[:1]
-        self._told = 0
+        self._events_reported = 0
         own, changes = self._options.tuning, self._options.changes
         self.cutoffs = gyro, loop = self.used_of(known.cutoffs)
         tuning = replace(own, gyro_cutoff=gyro)
@@ -280,9 +280,12 @@ class Learner:
             keep=self._options.offline,
         )
 
-    def _tell_events(self, tracker: Tracker, t: float) -> None:
-        told, self._told = self._told, tracker.forgotten + len(tracker.events)
-        for event in tracker.events[max(told - tracker.forgotten, 0) :]:
+    def _report_events(self, tracker: Tracker, t: float) -> None:
+        reported, self._events_reported = (
+            self._events_reported,
+            tracker.forgotten + len(tracker.events),
+        )
+        for event in tracker.events[max(reported - tracker.forgotten, 0) :]:
             self.note(t, summary.note_of(event, self.rotor_input))
             if event.segment is not None:
                 self._go_on_after(tracker.segments[event.segment])

@@ -17,7 +17,7 @@ from gcs_sysid.results.result import Estimate, Result
 from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
 from gcs_sysid.session.clock_check import clock_doubt
 from gcs_sysid.session.frame_gathering import FrameGathering
-from gcs_sysid.session.told_layout import ToldLayout, differences, notes, told_layout
+from gcs_sysid.session.reported_layout import ReportedLayout, differences, notes, reported_layout
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.frames import Frame
@@ -36,7 +36,7 @@ class Pipeline:
     Args:
         airframe: with a scale anchor.
         source: what the result names as its source.
-        wanted: system and perhaps component to listen to; None: the first autopilot heard.
+        wanted: system and perhaps component to listen to; None: the first autopilot received.
         options: of the chain.
         anchor: sets the scale instead of the airframe's.
     """
@@ -62,19 +62,19 @@ class Pipeline:
         """Called with each block of a log or link as it is read, before the chain takes it."""
 
     @property
-    def told(self) -> ToldLayout | None:
-        """The layout that the vehicle tells by its parameters, as far as they have come."""
+    def vehicle_layout(self) -> ReportedLayout | None:
+        """The layout that the vehicle reports by its parameters, as far as received."""
         vehicle = self._telemetry.vehicle
-        return None if vehicle is None else told_layout(vehicle.key, self._telemetry.parameters)
+        return None if vehicle is None else reported_layout(vehicle.key, self._telemetry.parameters)
 
     @property
     def airframe_problems(self) -> tuple[str, ...]:
         """What the airframe says otherwise than the vehicle; empty where they agree."""
-        told = self.told
-        return () if told is None else differences(self.chain.airframe, told)
+        reported = self.vehicle_layout
+        return () if reported is None else differences(self.chain.airframe, reported)
 
     def check_airframe(self) -> tuple[str, ...]:
-        """`airframe_problems`, told in the event log as soon as there are any."""
+        """`airframe_problems`, entered in the event log as soon as there are any."""
         found = self.airframe_problems
         if found != self._contradicted:
             self._contradicted = found
@@ -129,10 +129,10 @@ class Pipeline:
             progress(1.0)
 
     def windows(self, log: Log, samples: int = WINDOW) -> Iterator[RecordBlock]:
-        """What `take_log` takes, window by window, for those who do it at their own pace.
+        """As `take_log`, window by window, for callers that set their own pace.
 
         Args:
-            log: as of `take_log`; what it tells is told in results from now on.
+            log: as of `take_log`; its telemetry is in results from now on.
             samples: of the IMU in a window.
         """
         self._telemetry = log
@@ -205,13 +205,17 @@ class Pipeline:
         elif result.verdict != "identified":
             reasons = (*reasons, *self._telemetry.problems)
         telemetry = {**self._telemetry.as_dict(), **result.telemetry}
-        told = self.told
-        if told is not None:
-            wrong = differences(self.chain.airframe, told)
-            remarks = notes(self.chain.airframe, told)
-            telemetry["layout"] = {**told.as_json(), "differences": [*wrong], "notes": [*remarks]}
+        reported = self.vehicle_layout
+        if reported is not None:
+            wrong = differences(self.chain.airframe, reported)
+            remarks = notes(self.chain.airframe, reported)
+            telemetry["layout"] = {
+                **reported.as_json(),
+                "differences": [*wrong],
+                "notes": [*remarks],
+            }
             if wrong:
-                # Whatever was fitted rests on rotors that are elsewhere.
+                # All fits assumed other rotor positions.
                 result, reasons = _without_numbers(result), (*wrong, *reasons)
         loss, serious = loss_reason(telemetry)
         if loss and result.verdict != "refused":

@@ -26,7 +26,7 @@ def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[st
     Args:
         sampler: of the chain.
         learner: of the chain.
-        outdated: whether parameters came too late for what the estimate rests on.
+        outdated: whether parameters came too late to be used.
     """
     seen = sampler.seen
     if not seen:
@@ -71,7 +71,7 @@ def data_reasons(sampler: Sampler, learner: Learner, outdated: bool) -> tuple[st
 
 
 def limit_by_given(by_flight: Mapping[str, Value], whole: Mapping[str, Value]) -> tuple[str, ...]:
-    """What the flight tells well enough, and what was given does not.
+    """Parameters that the flight determines well enough, but the given values do not.
 
     Args:
         by_flight: values with the uncertainty of the flight alone.

@@ -43,7 +43,7 @@ class AirframeAnswers:
         origin: where the rotors come from, in words, for a comment; may be empty.
         scale: what sets it, with its SI value; None: to be given on the command line.
         rotor_input: which telemetry carries the rotors' inputs.
-        imu_position: m, forward, right and down from the centre; None: not known.
+        imu_position: m, forward, right and down from the center; None: not known.
         priors: parameter -> value and standard deviation, SI.
     """
 
@@ -147,7 +147,7 @@ _SLIPS = {
 
 
 def arm_doubt(meters: float) -> str | None:
-    """Why a distance from the centre to a motor looks wrong; None: it does not."""
+    """Why a distance from the center to a motor looks wrong; None: it does not."""
     low, high = _USUAL_ARM
     if low <= meters <= high:
         return None

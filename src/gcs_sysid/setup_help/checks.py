@@ -320,7 +320,7 @@ def _permission_lines(group: str | None) -> list[str]:
 
 
 def _owning_group(device: str) -> str | None:
-    """The group whose members may open a device; None where that is nobody to join."""
+    """The group whose members may open a device; None where there is none to join."""
     try:
         import grp
 

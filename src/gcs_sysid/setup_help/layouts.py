@@ -46,7 +46,7 @@ def layout_rotors(name: str, arm: float | tuple[float, float]) -> tuple[Rotor, .
 
     Args:
         name: one of `LAYOUTS`.
-        arm: m from the centre to each motor; for `TWO_LENGTHS` also m forward and m sideways.
+        arm: m from the center to each motor; for `TWO_LENGTHS` also m forward and m sideways.
     """
     shape = name.partition("-")[2]
     lengths = arm if isinstance(arm, tuple) else (1.0, 1.0)
@@ -138,7 +138,7 @@ UNICODE_SIGNS = "".join((UNICODE.ccw, UNICODE.cw, UNICODE.arm, UNICODE.centre, U
 """What a terminal must be able to show for `UNICODE`."""
 
 _HALF_HEIGHT, _HALF_WIDTH = 6, 18
-"""Lines and columns from the centre to the outermost rotor, at most."""
+"""Lines and columns from the center to the outermost rotor, at most."""
 _ASPECT = 2.0
 """A character is about so much taller than wide."""
 _MARGIN = 7
@@ -186,7 +186,7 @@ def _line(canvas: list[list[str]], start: tuple[int, int], end: tuple[int, int],
 
 
 def _write(canvas: list[list[str]], row: int, column: int, label: str, taken: set[int]) -> None:
-    """Centre a label on a point; coaxial rotors stand one under the other."""
+    """Center a label on a point; coaxial rotors stand one under the other."""
     wide = len(canvas[0])
     left = min(max(column - len(label) // 2, 0), wide - len(label))
     while any(row * wide + left + i in taken for i in range(-1, len(label) + 1)):

@@ -77,7 +77,7 @@ def _not_open(topic: str, url: LinkUrl, error: LinkError) -> Finding:
 
 
 def _who_has(port: int, system: str = platform.system()) -> str:
-    """The command that tells who has a UDP port."""
+    """The command that shows which program has a UDP port."""
     if system == "Windows":
         return (
             f"who? Get-Process -Id (Get-NetUDPEndpoint -LocalPort {port}).OwningProcess"
@@ -140,10 +140,10 @@ def heard(ears: Sequence[Ear], seconds: float) -> list[Finding]:
 
 def start_command(vehicle: Vehicle, url: str, several: bool = False) -> str:
     """What to type to identify a vehicle; the size and the mass are for the user to fill in."""
-    # The type in its heartbeat tells no order of motors, and of many a hexa not even the number;
-    # its parameters do, once it may be asked.
-    told = vehicle.key in ("px4", "ardupilot") and rotor_count(vehicle) != _TRICOPTER
-    frame = "--airframe auto --arm M" if told else "--airframe FILE.toml"
+    # The type in its heartbeat gives no order of motors, and for many a hexa not even the number;
+    # its parameters do, once they may be requested.
+    reported = vehicle.key in ("px4", "ardupilot") and rotor_count(vehicle) != _TRICOPTER
+    frame = "--airframe auto --arm M" if reported else "--airframe FILE.toml"
     which = f" --vehicle {vehicle.system}:{vehicle.component}" if several else ""
     return f"gcs-sysid live {quoted(url)} {frame} --mass KG{which}"
 
@@ -156,7 +156,7 @@ def usual_urls() -> list[LinkUrl]:
 def holder_of_udp_port(port: int, proc: Path = Path("/proc")) -> str | None:
     """Which program listens on a UDP port: "name (process N)"; None where that is unknown.
 
-    Linux tells in /proc, of one's own programs.
+    From /proc on Linux, for the user's own programs.
     """
     inodes = set()
     for table in ("udp", "udp6"):

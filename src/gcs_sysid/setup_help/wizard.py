@@ -41,7 +41,7 @@ T = TypeVar("T")
 
 _OWN = "own"
 _BACK = Rotor(math.nan, math.nan, 0)
-"""Stands for the wish to take the last motor back."""
+"""Signals that the last motor is to be taken back."""
 _SCALES: dict[str, AnchorName] = {"1": "mass", "2": "k_T", "3": "T_max"}
 
 
@@ -77,7 +77,7 @@ def given_answers(given: Given) -> AirframeAnswers:
     stem = given.output.stem if given.output and str(given.output) != "-" else ""
     name = given.name or stem or given.layout or "airframe"
     return AirframeAnswers(
-        name, rotors, _told(origin, rotors == usual), given.scale,
+        name, rotors, _origin_of(origin, rotors == usual), given.scale,
         imu_position=given.imu_position, priors=given.priors,
     )  # fmt: skip
 
@@ -98,7 +98,7 @@ def _of_layout(layout: str, arm: float | tuple[float, float]) -> tuple[Rotor, ..
     return layout_rotors(layout, arm)
 
 
-def _told(origin: str, as_usual: bool) -> str:
+def _origin_of(origin: str, as_usual: bool) -> str:
     return origin if as_usual else f"{origin} Spins as given."
 
 
@@ -159,7 +159,7 @@ class Wizard:
         else:
             rotors, origin = self._rotors(given)
         usual, rotors = rotors, self._spins(rotors, given.spin)
-        origin = _told(origin, rotors == usual)
+        origin = _origin_of(origin, rotors == usual)
         scale = given.scale or self._scale()
         imu = given.imu_position or self._imu()
         priors = given.priors or self._priors()
@@ -297,7 +297,7 @@ class Wizard:
         if given is not None:
             return rotors
 
-        def told(text: str) -> tuple[Rotor, ...]:
+        def parsed(text: str) -> tuple[Rotor, ...]:
             word = "usual" if text.lower() in ("", "y", "yes") else text
             return _can_fly(with_spins(rotors, word))
 
@@ -305,7 +305,7 @@ class Wizard:
             "Do the propellers spin this way? If not: reversed, if all spin the other way, or\n"
             "the spin of each motor, such as ccw ccw cw cw."
         )
-        turned = self._until("Spins (Enter: as drawn)", told)
+        turned = self._until("Spins (Enter: as drawn)", parsed)
         if turned != rotors:
             self.show(turned)
         return turned
@@ -347,8 +347,8 @@ class Wizard:
         found: dict[str, tuple[float, float]] = {}
         self._say("Is a parameter known from a bench test or CAD? Such as k_M=6.1e-6+-1e-7.")
         question = "NAME=VALUE+-STD"
-        while (told := self._optional(question, _known_prior)) is not None:
-            name, value, std = told
+        while (parsed := self._optional(question, _known_prior)) is not None:
+            name, value, std = parsed
             found[name] = (value, std)
             question = "Another one"
         return found

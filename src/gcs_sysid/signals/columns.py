@@ -12,7 +12,7 @@ from gcs_sysid.signals.records import Record, Stream
 _ROWS_AT_ONCE = 4096
 
 Key = tuple[Stream, str, int]
-"""What tells streams apart: stream, source, first rotor."""
+"""Key of a stream: stream, source, first rotor."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ class IntakeEvent:
     t: float
     """Vehicle time, s; after a reboot in the new count."""
     kind: str
-    """"vehicle" (chosen), "vehicles" (another one that could be meant), "reboot" or "reset" (the
-    user had the estimate begin anew)."""
+    """"vehicle" (chosen), "vehicles" (another one that could be meant), "reboot" or "reset" (of the
+    estimate, by the user)."""
     text: str
 
 
@@ -82,8 +82,8 @@ class RecordBlock:
 
     Attributes:
         tracks: the samples, one track for each stream, source, offset and width; their `order`
-            tells how they follow each other. A frame makes at most one sample.
-        parameters: (order, record) of those that were told, rising.
+            gives the sequence. A frame makes at most one sample.
+        parameters: (order, record) of those reported, rising.
         events: (order, event), rising; each was known before the sample of the same order.
     """
 
@@ -96,8 +96,8 @@ class RecordBlock:
 
     def records(self) -> Iterator[tuple[int, Record]]:
         """(order, record) one by one, in order, without holding them all."""
-        told = np.array([number for number, _ in self.parameters], np.int64)
-        orders = [told, *(track.order for track in self.tracks)]
+        orders_of_parameters = np.array([number for number, _ in self.parameters], np.int64)
+        orders = [orders_of_parameters, *(track.order for track in self.tracks)]
         rows = [(r for _, r in self.parameters), *(track.records() for track in self.tracks)]
         order = np.concatenate(orders)
         sorting = np.argsort(order, kind="stable")
@@ -156,7 +156,7 @@ class RecordBlock:
             tracks = (track.between(first, stop) for track in self.tracks)
             window = RecordBlock(
                 tuple(track for track in tracks if len(track.t)),
-                tuple(told for told in self.parameters if first <= told[0] < stop),
+                tuple(entry for entry in self.parameters if first <= entry[0] < stop),
                 tuple(event for event in self.events if first <= event[0] < stop),
             )
             if len(window) or window.events:

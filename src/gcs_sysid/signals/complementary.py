@@ -22,7 +22,7 @@ way costs is measured in benchmarks/filter_claims.py."""
 BIAS_INTERVAL = 0.1
 """s between renewals of the bias."""
 DEFAULT_K_I = 0.05
-"""1/s^2 for the gyro bias: settles in about 15 s (until then bias / k_p stands in the attitude).
+"""1/s^2 for the gyro bias: settles in about 15 s (until then the attitude is off by bias / k_p).
 With 0.1 the bias's own noise, which goes into the rates, already spoils estimates in hover."""
 
 
@@ -67,7 +67,7 @@ class ComplementaryFilter:
         self._until_bias = self._bias_samples
         self._last_reference: Array | None = None
         self._last_rates = np.zeros((2, 3))
-        # What is left of each sample's innovation after a while, and of the error before.
+        # Remainder of each sample's innovation after a while, and of the error before.
         age = np.arange(self._bias_samples)[:, None] - np.arange(self._bias_samples)
         self._memory = np.where(age >= 0, np.exp(-k_p * dt * np.maximum(age, 0)), 0.0)
         self._faded = np.exp(-k_p * dt * np.arange(1, self._bias_samples + 1))[:, None]

@@ -167,6 +167,6 @@ def backward_difference(v: Array, dt: float) -> Array:
 
 
 def central_difference(v: Array, dt: float) -> Array:
-    """(n, m) v' by the neighbours on either side."""
+    """(n, m) v' by the neighbors on either side."""
     out: Array = np.gradient(v, dt, axis=0)
     return out

@@ -17,7 +17,7 @@ from gcs_sysid.signals.recursions import lfilter
 TAKE_OFF = 1.0
 """s after leaving the ground that do not count yet: ground effect, and feet that slip."""
 _HEIGHT = 0.3
-"""m above where it stood, from which a vehicle that does not tell is believed to fly."""
+"""m above the ground, from which a vehicle that does not report its state counts as flying."""
 _G = 9.81
 _REST, _REST_FOR = (2.5, 0.35), 0.25
 """m/s^2 from 1 g and rad/s within which it rests, and s of it. Idling rotors shake it by 0.7 m/s^2
@@ -29,7 +29,7 @@ quietly, so it counts as flight until thrust has grown several times, and the gr
 _FALL, _FALL_FOR = 4.0, 0.1
 """m/s^2 below which it falls, and s of it."""
 _ONE_G = (7.0, 13.0)
-"""m/s^2 that an accelerometer must have read before it is believed to tell a fall."""
+"""m/s^2 that an accelerometer must have read before it may indicate a fall."""
 _CARRIED = np.log([5.0, 2.5])
 """Logarithms of specific force over squared speeds and over commands, against their least in
 flight, from which the ground carries it. Over squared speeds: 9 to 10 with idling rotors, at most
@@ -42,9 +42,9 @@ _FORGETS = 60.0
 _SMOOTH = 0.1
 """s."""
 _PLACED_FOR = 2.0
-"""s that a height stays the last one told."""
+"""s for which the last height reported holds."""
 _UNHEARD = 1.0
-"""s without any rotor after which nothing tells that it flies."""
+"""s without any rotor after which nothing shows that it flies."""
 
 
 class FlightDetector:
@@ -80,14 +80,14 @@ class FlightDetector:
 
         Args:
             t: (n,) s, session times.
-            in_air: (n,) 1 where the autopilot says that it flies, 0 where not, NaN: not told.
+            in_air: (n,) 1 where the autopilot reports flight, 0 where not, NaN: not reported.
             armed: (n,) the same for arming.
-            speeds: (n, rotors) speeds or commands, zero where a rotor stands; NaN: not told.
-            position: (n, 3) north, east, down in m; NaN: not told.
-            force: (n, 3) specific force in m/s^2; NaN: not told.
-            rates: (n, 3) body rates in rad/s; NaN: not told.
+            speeds: (n, rotors) speeds or commands, zero where a rotor stands; NaN: not reported.
+            position: (n, 3) north, east, down in m; NaN: not reported.
+            force: (n, 3) specific force in m/s^2; NaN: not reported.
+            rates: (n, 3) body rates in rad/s; NaN: not reported.
             thrust: (n, 2) mean of squared speeds, and of commands from that of no thrust on, both
-                in any unit; NaN: not told.
+                in any unit; NaN: not reported.
 
         Returns:
             (n,) whether it flies.
@@ -117,7 +117,8 @@ class FlightDetector:
         # An IMU that is mounted or read upside down has never shown its weight the right way.
         overturned = self._since(t, ~overturned, "_upright_at") >= _REST_FOR
         overturned &= self._once_weighed(-along, "_weighed_upright")
-        # Whoever says disarmed of a vehicle that says it flies, with all rotors turning, is not it.
+        # A report of disarmed, of a vehicle that reports flight with all rotors turning, is another
+        # sender's.
         disarmed = (armed < 0.5) & ~(turn & (in_air > 0.5))
         stands = disarmed | (zero & (rests | ~had_imu)) | (idles & had_imu) | overturned
         down = self._lately(t, position[:, 2])
@@ -128,9 +129,9 @@ class FlightDetector:
         low = ground - down < _HEIGHT
         heard: Mask = np.logical_or.reduce(np.isfinite(speeds), axis=1)
         silent = self._since(t, heard, "_rotors_at") >= _UNHEARD
-        told = np.isfinite(in_air)
+        reported = np.isfinite(in_air)
         change = np.select(
-            [stands, told, falls, low | silent, turn],
+            [stands, reported, falls, low | silent, turn],
             [-1.0, np.where(in_air > 0.5, 1.0, -1.0), 1.0, -1.0, 1.0],
             0.0,
         )
@@ -202,7 +203,7 @@ class FlightDetector:
         return grown
 
     def _lately(self, t: Array, down: Array) -> Array:
-        """(n,) down in m, for a while after it was told last."""
+        """(n,) down in m, for a while after the last report."""
         held = _held(down, self._down)
         self._down = float(held[-1])
         age = self._since(t, np.isfinite(down), "_placed_at")

@@ -20,7 +20,7 @@ class FaultCounts:
     """What was wrong with the samples of the inertial sensor.
 
     Attributes:
-        spikes: samples with an outlier on a gyro axis, replaced by what their neighbours say.
+        spikes: samples with an outlier on a gyro axis, replaced by what their neighbors say.
         frozen: samples that repeat the one before in all six values, not used.
         missing: samples without a finite gyro, not used.
     """
@@ -33,7 +33,7 @@ class FaultCounts:
 class InertialBuffer(StreamBuffer):
     """Recent samples of gyro and accelerometer, (n, 6), given out without outliers, at the CG.
 
-    What it says of a time up to `settled` rests on the samples alone, not on when it is asked.
+    Its values up to `settled` depend on the samples alone, not on when they are requested.
 
     Args:
         faults: counts what is found.
@@ -45,7 +45,7 @@ class InertialBuffer(StreamBuffer):
         self._arm = arm
         self.faults = faults
         self.step = 0.0
-        """Usual time between samples, s, as the owner tells once it is known."""
+        """Usual time between samples, s, set by the owner once known."""
         self._counted = -np.inf
 
     @property
@@ -59,7 +59,7 @@ class InertialBuffer(StreamBuffer):
 
     @property
     def _ahead(self) -> int:
-        """Samples after one that its value may rest on."""
+        """Samples after one that its value may use."""
         return outliers.AHEAD + self._among + _SLOPE
 
     def extend(self, t: Array, values: Array, marks: Array = _NONE) -> None:
@@ -92,10 +92,10 @@ class InertialBuffer(StreamBuffer):
             t, v = t[~frozen], v[~frozen]
         settled = (known == len(t)) | (known - np.searchsorted(t, grid) > self._ahead)
 
-        def tell(count: int, grid: Array) -> Array:
+        def values_at(count: int, grid: Array) -> Array:
             return self._sound_values(t[:count], v[:count], grid)
 
-        return as_known(tell, grid, known, settled, len(t))
+        return as_known(values_at, grid, known, settled, len(t))
 
     def _sound_values(self, t: Array, v: Array, grid: Array) -> Array:
         gap = self.gap
@@ -123,7 +123,7 @@ def at_cg(
         rates: (n, 3) rad/s.
         force: (n, 3) m/s^2.
         arm: r, the sensor from the CG in m.
-        gap: s; samples further apart tell no angular acceleration.
+        gap: s; samples further apart give no angular acceleration.
 
     Returns:
         (n, 3) m/s^2, NaN beside gaps.

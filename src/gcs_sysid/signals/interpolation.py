@@ -18,7 +18,7 @@ FAR = 4
 """Samples on each side of a point among which interpolation looks for its two, where there may be
 long gaps. Elsewhere these are the nearest."""
 _WIDE = 3.5
-"""Times the distance to its outer neighbours that a gap may have. A cubic across a longer one would
+"""Times the distance to its outer neighbors that a gap may have. A cubic across a longer one would
 multiply their noise, by 3 for ten lost samples."""
 
 
@@ -103,11 +103,11 @@ def interpolate(
         grid: (n,) times wanted.
         gap: samples further apart than this have nothing between them.
         among: how many samples on each side the outer ones may be looked for.
-        known: (n,) how many of the samples each time may be told from; None: all.
+        known: (n,) how many of the samples each time may use; None: all.
 
     Returns:
         (n, width), NaN outside the samples and inside gaps. Next to a gap or an end the two
-        neighbours alone are used.
+        neighbors alone are used.
 
     Example:
         >>> t = np.array([0.0, 1.0, 2.0, 3.0, 9.0])
@@ -148,7 +148,7 @@ def interpolate(
     cubic &= (width_before > 0.0) & (width_before <= gap) & (width_after > 0.0)
     cubic &= width_after <= gap
     if cubic.any():
-        # All points, those without four neighbours too: few enough, and cheaper than picking.
+        # All points, those without four neighbors too: few enough, and cheaper than picking.
         index = np.stack([first, left, right, last])
         d = grid - t[index]
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -22,7 +22,7 @@ from gcs_sysid.signals.smoothers import Smoothed
 _TRAPEZOID = np.array([1.0, 1.0]) / 2.0
 _CUBIC = np.array([-1.0, 13.0, 13.0, -1.0]) / 24.0
 _SHORTEST = 0.002
-"""s, of a step: faster samples tell no more of rigid-body motion."""
+"""s, of a step: faster samples add nothing on rigid-body motion."""
 _SPACING = 0.009
 """s between the delays at which the rotors' signals are taken, about."""
 _EARLIEST, _LATEST = 0.018, 0.05

@@ -1,11 +1,11 @@
 """Outliers: samples that agree with nothing around them, and samples that were never taken.
 
-A Hampel test asks how far a sample lies from the median of its neighbours, in units of their
+A Hampel test asks how far a sample lies from the median of its neighbors, in units of their
 scatter. On a moving signal (a doublet at 20 Hz) that median is not where the sample should be, so
-the sample is asked instead whether it agrees with any one of four readings of its neighbours: it
+the sample is asked instead whether it agrees with any one of four readings of its neighbors: it
 lies between the two sides, on the line through the two before it or the two after it, or on
 the cubic through all four. Motion agrees with one of them, however hard; a spike with none, and
-its neighbours still agree with the side that has no spike. Those between two spikes do not, but
+its neighbors still agree with the side that has no spike. Those between two spikes do not, but
 with a line that passes over them. The unit is the median disagreement before, and what three of
 the samples around exceed, so that vibration and noise raise the bar, and so does the start of
 either, but two spikes do not.
@@ -19,13 +19,13 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 
 _REACH = 2
-"""Neighbours on each side that a sample is compared with."""
+"""Neighbors on each side that a sample is compared with."""
 _AROUND = 3
 """Samples on each side for the usual disagreement around."""
 _NOISE = 3
 """So many of them that disagree are no spikes, but noise that begins."""
 _OVER = ((-2, 1), (-1, 2), (-2, 2))
-"""Neighbours whose lines pass over one that may be a spike."""
+"""Neighbors whose lines pass over one that may be a spike."""
 _PAST = 64
 """Samples before those, for the usual disagreement."""
 _LEAST_PAST = 24
@@ -36,24 +36,24 @@ JOLT = 25.0
 """rad/s^2; what a sample of a gyro may disagree by in any case, over the time between samples."""
 
 _FILL = 3
-"""Samples on each side among which a spike's sound neighbours are looked for."""
+"""Samples on each side among which a spike's sound neighbors are looked for."""
 AHEAD = _FILL + _REACH + _AROUND
-"""Samples after one that `despiked` needs for it: its neighbours' verdicts need theirs."""
+"""Samples after one that `despiked` needs for it: its neighbors' verdicts need theirs."""
 BEHIND = AHEAD + _PAST
 """The same before it."""
 
 
 def despiked(t: Array, x: Array, gap: float, least: float) -> tuple[Array, Mask]:
-    """Replace spikes by what their neighbours say, each column for itself.
+    """Replace spikes by what their neighbors say, each column for itself.
 
     Args:
         t: (n,) s, rising.
         x: (n, width) samples.
-        gap: s; samples further apart have nothing to say of each other.
+        gap: s; samples further apart are not compared.
         least: unit of x; a smaller disagreement is no spike.
 
     Returns:
-        (n, width), NaN where a spike has no sound neighbour on a side, x itself where there is
+        (n, width), NaN where a spike has no sound neighbor on a side, x itself where there is
         no spike; and (n, width) where spikes were.
     """
     if len(t) < 2 * _REACH + 1 or not _may_spike(x, least):
@@ -73,7 +73,7 @@ def frozen(x: Array) -> Mask:
     Values of noisy sensors never do: nothing was measured.
     """
     out: Mask = np.zeros(len(x), dtype=bool)
-    # One column tells nearly always, at a fraction of the cost.
+    # One column nearly always suffices, at a fraction of the cost.
     out[1:] = x[1:, 0] == x[:-1, 0]
     if out.any():
         now, before = x[1:], x[:-1]
@@ -82,7 +82,7 @@ def frozen(x: Array) -> Mask:
 
 
 def _may_spike(x: Array, least: float) -> bool:
-    """Whether any sample is `least` off the middle of its neighbours: cheap, and never missed."""
+    """Whether any sample is `least` off the middle of its neighbors: cheap, and never missed."""
     bend = x[1:-1] - 0.5 * (x[:-2] + x[2:])
     return bool(max(bend.max(), -bend.min()) > least)
 
@@ -104,8 +104,8 @@ def _outside(x: Array) -> Array:
 def _disagreement(t: Array, x: Array, gap: float) -> tuple[Array, Array]:
     """(n, width) distance to the nearest of the two lines and the cubic; NaN: fewer than two.
 
-    And (n, width) to the nearest of these and of the lines that pass over a neighbour: what is
-    left of a sample's disagreement when its neighbours may be spikes.
+    And (n, width) to the nearest of these and of the lines that pass over a neighbor: remainder of
+    a sample's disagreement when its neighbors may be spikes.
     """
     step = np.diff(t)
     step[step > gap] = np.nan
@@ -159,7 +159,7 @@ def _sorted(off: Array, rows: Array, columns: Array) -> tuple[Array, Array]:
 
 
 def _filled(t: Array, x: Array, spikes: Mask, gap: float) -> Array:
-    """Spikes replaced by the cubic through four neighbours, or the line where it must be."""
+    """Spikes replaced by the cubic through four neighbors, or the line where it must be."""
     out: Array = x.copy()
     for row, column in zip(*np.nonzero(spikes), strict=True):
         near = np.arange(max(row - _FILL, 0), min(row + _FILL + 1, len(t)))

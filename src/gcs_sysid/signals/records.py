@@ -27,12 +27,12 @@ class Stream(StrEnum):
     IN_AIR = "in_air"
     """1.0 while the autopilot says that it flies, else 0.0."""
     ARMED = "armed"
-    """1.0 while armed, else 0.0 (from HEARTBEAT, stamped with the last time heard)."""
+    """1.0 while armed, else 0.0 (from HEARTBEAT, stamped with the last time received)."""
     VOLTAGE = "voltage"
     """of the battery under load (V)."""
     PARAMETER = "parameter"
-    """value of the autopilot's parameter that `source` names; a fact, not a sample: its time
-    only tells when it was heard (0.0 before any clock), and it has no place on a time base."""
+    """value of the autopilot's parameter that `source` names; a fact, not a sample: its time is
+    that of reception (0.0 before any clock), and it is not put on a time base."""
 
 
 class Record(NamedTuple):

@@ -1,10 +1,10 @@
-"""Which rotor stream is believed: the soundest of those that come, judged in flight.
+"""Selects the rotor stream: the soundest of those received, judged in flight.
 
-A stretch of flight tells. What each source sent in it is kept, then judged: does it cover all
-rotors, often enough, do its numbers live, are measured speeds more than the command repeated, is
-rpm really rpm. Measured speeds are preferred, because they know nothing of batteries and motors.
-The decision depends on the records and their order alone. It is looked after in every further
-stretch: a source that dies is replaced by what is sound then.
+Each source's samples over a stretch of flight are kept, then judged: does it cover all rotors,
+often enough, do its values change, are measured speeds more than the command repeated, is rpm
+really rpm. Measured speeds are preferred, because they do not depend on batteries and motors. The
+decision depends on the records and their order alone. It is reviewed in every further stretch: a
+source that dies is replaced by a sound one.
 """
 
 import math
@@ -24,7 +24,7 @@ from gcs_sysid.signals.redundant_commands import say_the_same, twin_of
 from gcs_sysid.signals.rotor_units import PARAMETER_NAMES, Range, RotorSource, command_range
 
 STRETCH = 2.5
-"""s of flight that a judgement rests on."""
+"""s of flight used for a judgement."""
 MIN_RATE = 15.0
 """Hz. Slower streams do not follow the rotors."""
 _MOST = 2048
@@ -58,13 +58,13 @@ def family(source: str) -> str:
 
 @dataclass
 class _Group:
-    """What came for some neighbouring rotors."""
+    """What came for some neighboring rotors."""
 
     count: int = 0
     pieces: list[tuple[Array, Array]] = field(default_factory=list)
 
     def whole(self) -> tuple[Array, Array]:
-        """(n,) times and (n, rotors) values; rotors that all messages told."""
+        """(n,) times and (n, rotors) values; rotors that are in all messages."""
         width = min(values.shape[1] for _, values in self.pieces)
         t = np.concatenate([t for t, _ in self.pieces])
         return t, np.concatenate([values[:, :width] for _, values in self.pieces])
@@ -114,7 +114,7 @@ class Repeats:
         last_t, last = self._last.get(track.offset, (t[:0], values[:0]))
         if last.shape[1:] == values.shape[1:]:
             t, values = np.concatenate([last_t, t]), np.concatenate([last, values])
-        elif len(last) and t[0] > last_t[0]:  # it told of more or fewer rotors
+        elif len(last) and t[0] > last_t[0]:  # it had more or fewer rotors
             self.compared += 1
         later = np.diff(t) > 0.0
         self.compared += int(np.count_nonzero(later))
@@ -136,7 +136,7 @@ class RotorSourceSelector:
     Args:
         airframe: that flies.
         anchor: of the scale; may be replaced. With k_T or T_max only one kind of input makes sense;
-            None while it is not known, and then nobody can tell whether the speeds could carry the
+            None while unknown: then it cannot be checked whether the speeds could carry the
             vehicle.
     """
 
@@ -182,7 +182,7 @@ class RotorSourceSelector:
         return now is not None and (now.low, now.high) != (used.low, used.high)
 
     def gap(self) -> None:
-        """The clock or the stream started anew: the stretch does too."""
+        """The clock or the stream restarted: so does the stretch."""
         self._restart()
 
     def is_due(self, seconds: float) -> bool:
@@ -242,7 +242,7 @@ class RotorSourceSelector:
         values = [v for _, v in rotors]
         if not any(v.any() for v in values):
             return "reads 0 in flight"
-        # Mostly the first rotor tells; to count them all costs time.
+        # Mostly the first rotor decides; to count them all costs time.
         stale = (_readings(v) < MIN_RATE * seconds for v in values)
         if stretch.stream is Stream.ROTOR_SPEED and all(stale):
             fresh = max(map(_readings, values)) / seconds
@@ -365,7 +365,7 @@ def _saturates(rotor: int, values: Sequence[Array]) -> bool:
 def _until_landing(
     rotors: list[tuple[Array, Array]], seconds: float
 ) -> tuple[list[tuple[Array, Array]], float]:
-    """A stretch without the end in which all rotors stand: a landing is told a little late."""
+    """A stretch without the end in which all rotors stand: a landing is reported a little late."""
     share = max(_moving(v) / len(v) for _, v in rotors) or 1.0
     kept = [math.ceil(share * len(t)) for t, _ in rotors]
     return [(t[:n], v[:n]) for (t, v), n in zip(rotors, kept, strict=True)], share * seconds
@@ -380,8 +380,7 @@ def _moving(values: Array) -> int:
 def _is_function(t: Array, speeds: Array, command_t: Array, commands: Array) -> bool:
     """Whether speeds follow from the commands nearest in time, without lag or noise.
 
-    What rounding to whole numbers leaves is allowed for; where nothing but rounding moves,
-    nothing is told.
+    Rounding to whole numbers is allowed for; where nothing but rounding moves, there is no answer.
     """
     right = np.clip(np.searchsorted(command_t, t), 1, len(command_t) - 1)
     nearest = np.where(command_t[right] - t < t - command_t[right - 1], right, right - 1)

@@ -13,11 +13,11 @@ _NONE = np.zeros(0, np.int64)
 _REACH = 2
 """Samples on each side that one is compared with."""
 _WILD, _BESIDE = 0.2, 2.0
-"""A wild value is off the middle of its neighbours by this share of it, and by so many times what
-these differ by. No rotor speeds up and slows down by a fifth while its neighbours in time stand."""
+"""A wild value is off the middle of its neighbors by this share of it, and by so many times what
+these differ by. No rotor speeds up and slows down by a fifth while its neighbors in time stand."""
 _STANDS, _FEWEST = 0.15, 5
 """s, and repeats; speeds of all rotors that stay exactly the same for so long are old ones under
-new stamps, as an autopilot sends them that hears nothing of its ESCs."""
+new stamps, as from an autopilot that receives nothing from its ESCs."""
 _RARELY = 0.15
 """Share of messages that repeat the one before, from which that is how this stream is: readings
 slower than messages, coarse ones, or a simulation without noise."""
@@ -60,7 +60,7 @@ class _Stillness:
         return self.stands
 
     def follow(self, t: Array, values: Array) -> "_Followed":
-        """What `take` would say of (n,) times and (n, rotors) values, up to the first old ones."""
+        """As `take` for (n,) times and (n, rotors) values, up to the first old ones."""
         new = np.ones(len(t), dtype=bool)
         new[0] = not np.array_equal(values[0], self._last)
         new[1:] = (values[1:] != values[:-1]).any(axis=1)
@@ -195,23 +195,23 @@ class RotorBuffer(StreamBuffer):
         left_out = spoilt[known] - spoilt[np.minimum(right, known)]
         settled = (known == len(t)) | (known - right - left_out > among + _REACH)
 
-        def tell(count: int, grid: Array) -> Array:
+        def values_at(count: int, grid: Array) -> Array:
             sound = ~wild_rows(t[:count], v[:count], gap)
             times = t[:count][~sound]
             self.wild += int(np.count_nonzero((times > self._counted) & (times <= grid[-1])))
             self._counted = float(grid[-1])
             return interpolate(t[:count][sound], v[:count][sound], grid, gap, among)
 
-        return as_known(tell, grid, known, settled, len(t))
+        return as_known(values_at, grid, known, settled, len(t))
 
 
 def wild_rows(t: Array, v: Array, gap: float) -> Mask:
-    """Which samples have a value that none of their neighbours bears out.
+    """Which samples have a value that none of their neighbors bears out.
 
     Args:
         t: (n,) s, rising.
         v: (n, rotors) speeds.
-        gap: s; samples further apart say nothing of each other.
+        gap: s; samples further apart are not compared.
 
     Returns:
         (n,) never at the ends, nor beside a gap.

@@ -32,9 +32,9 @@ _DSHOT = (48.0, 2047.0)
 _STOPPED = -0.05
 """Commands below are none; curves between samples do not reach so far."""
 ARDUPILOT_GYRO_FILTER = 20.0
-"""Hz, INS_GYRO_FILTER of a multirotor that nobody changed."""
+"""Hz, default of INS_GYRO_FILTER for multirotors."""
 PX4_LOOP_FILTER = 40.0
-"""Hz, IMU_GYRO_CUTOFF that nobody changed."""
+"""Hz, default of IMU_GYRO_CUTOFF."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +83,12 @@ def _of_ardupilot(parameters: Parameters) -> Range:
         low, high = 1000.0, 2000.0
     start = parameters.get("MOT_SPIN_MIN", 0.15)
     full = parameters.get("MOT_SPIN_MAX", 0.95)
-    told = "MOT_SPIN_MIN" in parameters and "MOT_SPIN_MAX" in parameters
+    reported = "MOT_SPIN_MIN" in parameters and "MOT_SPIN_MAX" in parameters
     if not 0.0 <= start < full <= 1.0:
-        start, full, told = 0.15, 0.95, False
-    origin = "MOT_PWM_* and MOT_SPIN_*" if told else "MOT_SPIN_MIN 0.15, MOT_SPIN_MAX 0.95 assumed"
+        start, full, reported = 0.15, 0.95, False
+    origin = (
+        "MOT_PWM_* and MOT_SPIN_*" if reported else "MOT_SPIN_MIN 0.15, MOT_SPIN_MAX 0.95 assumed"
+    )
     return Range(low + start * (high - low), low + full * (high - low), origin)
 
 
@@ -102,7 +104,7 @@ def _of_blackbox(parameters: Parameters) -> Range:
 
 
 def _of_px4(parameters: Parameters) -> Range | None:
-    """Of the driver whose output is motor 1, where its parameters tell a range."""
+    """Of the driver whose output is motor 1, where its parameters give a range."""
     for driver in _PX4_DRIVERS:
         for output in range(1, 17):
             if parameters.get(f"{driver}_FUNC{output}") == _FIRST_MOTOR:
@@ -147,10 +149,10 @@ def loop_cutoff(autopilot: str, parameters: Parameters) -> float | None:
 
 @dataclass(frozen=True)
 class RotorSource:
-    """The rotor stream that is believed, and how to read it.
+    """The selected rotor stream, and how to read it.
 
     Attributes:
-        kind: what it tells.
+        kind: of its values.
         name: of the message or topic; messages of one kind for several groups share it.
         why: in words.
         range: of commands.

@@ -7,7 +7,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 
 NEEDED_RATE = 50.0
-"""Hz of IMU and rotor data below which identification is not to be had from real flights."""
+"""Hz of IMU and rotor data below which identification from real flights is not possible."""
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,9 @@ class Samples:
         force: (n, 3) specific force, m/s^2.
         velocity: (n, 3) north, east, down, m/s.
         apart: (n, 1) s between the samples of two streams of commands whose mean `speeds` holds;
-            NaN where there is one, as it is unless told.
-        voltage: (n, 1) of the battery, V; NaN where it is not told, as it is unless told.
-        setpoint: (n, 3) rad/s, body rates that the autopilot asked for; NaN unless told.
+            NaN where there is one, the default.
+        voltage: (n, 1) of the battery, V; NaN where not reported, the default.
+        setpoint: (n, 3) rad/s, commanded body rates; NaN where not reported.
     """
 
     gyro: Array
@@ -45,7 +45,7 @@ class Samples:
 
     @property
     def signals(self) -> tuple[Array, ...]:
-        """Those that estimates rest on as they come, in order: all but setpoints."""
+        """Those that estimates use as they arrive, in order: all but setpoints."""
         return (
             self.gyro, self.rates, self.speeds, self.attitude, self.force, self.velocity,
             self.apart, self.voltage,

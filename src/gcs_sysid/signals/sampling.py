@@ -34,7 +34,7 @@ class SampleBlock:
         dt: s, the grid's step.
         fresh: whether nothing before joins on to this block.
         rotors: the stream that `samples.speeds` come from; None: none is believed.
-        told_at: s, the newest sample there was when the block was given out.
+        newest_at: s, the newest sample there was when the block was given out.
     """
 
     t: Array
@@ -43,7 +43,7 @@ class SampleBlock:
     dt: float
     fresh: bool
     rotors: RotorSource | None = None
-    told_at: float = 0.0
+    newest_at: float = 0.0
 
     def since(self, first: int) -> "SampleBlock":
         """The block without the samples before `first`."""
@@ -95,14 +95,13 @@ class _Held:
 
 
 _Reading = tuple[RotorSource | None, str | None]
-"""The rotor stream that is believed, and its twin."""
+"""The selected rotor stream, and its twin."""
 
 
 class Sampler:
     """Aligns records, filters the attitude, takes the gyro's bias off, marks flight.
 
-    Until it is known which rotor stream to believe, blocks are held back, so that nothing of the
-    flight is lost.
+    Until a rotor stream is selected, blocks are held back, so that none of the flight is lost.
 
     Args:
         selector: of the rotor stream.
@@ -226,7 +225,7 @@ class Sampler:
         flown = dt * np.diff(np.array([0, *there])[[0, *block.ends]])
         waits = bool(self._held)
         ready = first = 0  # points given out or held; points before the tick
-        told_at = t[0]
+        newest_at = t[0]
         for stop, order, seconds in zip(
             block.ends.tolist(), block.orders.tolist(), flown.tolist(), strict=True
         ):
@@ -240,25 +239,25 @@ class Sampler:
             if flew:  # else the selector has not seen what came in that time
                 selector.fly(seconds)
             if flew and not flies and selector.choice is not None:
-                selector.gap()  # what came since it landed tells nothing of the next flight
+                selector.gap()  # samples since landing do not bear on the next flight
             waited = waits
             # Once there was a judgement nothing waits any more.
             waits = not self._is_judged and self._waits(held.part(ready if waits else first, stop))
             if not waited and first > ready and (waits or self._reading != before):
                 # What was ready at earlier ticks is read as was believed then.
-                yield self._read(held.part(ready, first), before, told_at)
+                yield self._read(held.part(ready, first), before, newest_at)
                 ready = first
             if waited and not waits:
                 self._held.append(held.part(ready, stop))
                 yield from self._release(t[stop - 1])
                 ready = stop
             if ready >= first:
-                told_at = t[stop - 1]
+                newest_at = t[stop - 1]
             first = stop
         if waits:
             self._held.append(held.part(ready, first))
         elif first > ready:
-            yield self._read(held.part(ready, first), self._reading, told_at)
+            yield self._read(held.part(ready, first), self._reading, newest_at)
 
     @property
     def _reading(self) -> _Reading:
@@ -273,13 +272,13 @@ class Sampler:
         held = [*self._held, newest]
         return sum(each.seconds for each in held) < _MOST_HELD and any(e.flies for e in held)
 
-    def _release(self, told_at: float) -> Iterator[SampleBlock]:
-        """The blocks held back, with the rotor stream that is believed now."""
+    def _release(self, newest_at: float) -> Iterator[SampleBlock]:
+        """The blocks held back, with the rotor stream now selected."""
         held, self._held = self._held, []
         for each in held:
-            yield self._read(each, self._reading, told_at)
+            yield self._read(each, self._reading, newest_at)
 
-    def _read(self, held: _Held, reading: _Reading, told_at: float) -> SampleBlock:
+    def _read(self, held: _Held, reading: _Reading, newest_at: float) -> SampleBlock:
         """A block with the rotor stream that was believed when it was ready."""
         choice, twin = reading
         samples = held.block.samples
@@ -288,7 +287,7 @@ class Sampler:
             samples = replace(samples, speeds=choice.read(rotors), apart=apart)
         if np.isfinite(samples.speeds[-1]).all():
             self.rotor_speeds = tuple(samples.speeds[-1].tolist())
-        return replace(held.block, samples=samples, rotors=choice, told_at=told_at)
+        return replace(held.block, samples=samples, rotors=choice, newest_at=newest_at)
 
     @staticmethod
     def _joined(held: _Held, name: str, second: str | None) -> tuple[Array, Array]:
@@ -305,7 +304,7 @@ class Sampler:
     def _samples(self, block: Block) -> _Held:
         assert self._first is not None
         if block.fresh and block.t[0] - self._first < self.t:
-            # The vehicle's clock stepped back (a reboot); the session's time goes on.
+            # The vehicle's clock stepped back (a reboot); the session's time continues.
             self._first = float(block.t[0]) - self.t
         n, dt = len(block.t), self.time_base.dt
         t = block.t - self._first
@@ -378,7 +377,7 @@ class Sampler:
         return out
 
     def _turning(self, block: Block, n: int) -> Array:
-        """(n, rotors) above zero where a rotor turns, as far as any stream tells."""
+        """(n, rotors) above zero where a rotor turns, as far as any stream shows."""
         turning = np.full((n, self._rotors), np.nan)
         for (stream, _, offset), values in block.values.items():
             if stream in (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND) and offset < self._rotors:

@@ -73,7 +73,7 @@ class WindowSmoother:
 
     Args:
         dt: s between samples.
-        half: samples on either side of the centre.
+        half: samples on either side of the center.
         delays: s, equally spaced.
     """
 

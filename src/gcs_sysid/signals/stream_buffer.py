@@ -1,8 +1,8 @@
 """The recent samples of one stream: put in order, kept as arrays, given out between samples.
 
-Samples come in pieces of any length. What is told of a time depends on the samples that had come
-when the grid passed it, at a tick; where one piece holds several ticks, the buffer remembers how
-many of its samples each of them knows (`extend`).
+Samples come in pieces of any length. The value at a time depends on the samples received when the
+grid passed it, at a tick; where one piece holds several ticks, the buffer remembers how many of its
+samples each of them may use (`extend`).
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from gcs_sysid.signals.interpolation import (
 )
 
 _RENEW = 16
-"""Samples after which the usual interval is taken anew, and by which a change of it is told."""
+"""Samples after which the usual interval is updated, and by which a change of it is detected."""
 BREAK = 1.0
 """s; a longer silence is no interval."""
 _KEEP = 8
@@ -146,7 +146,7 @@ class StreamBuffer:
         return rows, late, counted, step[counted]
 
     def _renewals(self, step: Array) -> tuple[Array, Array]:
-        """After which of (n,) steps, s, the usual interval is taken anew, and what it is then."""
+        """After which of (n,) steps, s, the usual interval is updated, and its new value."""
         if not len(step) or (self._count >= _RENEW and self._count % _RENEW + len(step) < _RENEW):
             return _NONE, np.empty(0)
         count = self._count + np.arange(1, len(step) + 1)
@@ -213,7 +213,7 @@ class StreamBuffer:
 
         Args:
             grid: (n,) s, rising.
-            tick: (n,) number of the tick at which each of these times is told.
+            tick: (n,) number of the tick at which each of these times is given out.
 
         Returns:
             (n, width), NaN where the stream has a gap, as that tick knows it.
@@ -312,7 +312,7 @@ class StreamBuffer:
 
 
 def _alike(t: Array, gaps: Array, among: Array) -> list[slice]:
-    """Parts of (n,) gaps, s, and neighbours that are read alike between samples at (m,) times."""
+    """Parts of (n,) gaps, s, and neighbors that are read alike between samples at (m,) times."""
     if not len(gaps):
         return []
     low, high = gaps.min(), gaps.max()
@@ -326,12 +326,12 @@ def _alike(t: Array, gaps: Array, among: Array) -> list[slice]:
 
 
 def as_known(
-    tell: Callable[[int, Array], Array], grid: Array, known: Array, settled: Array, count: int
+    evaluate: Callable[[int, Array], Array], grid: Array, known: Array, settled: Array, count: int
 ) -> Array:
-    """Values of which some must not be told from samples that came later.
+    """Values, of which some must not use samples that came later.
 
     Args:
-        tell: gives the (n, width) values from so many samples, at (n,) s; asked in order.
+        evaluate: (n, width) values from so many samples, at (n,) s; called in order.
         grid: (n,) s.
         known: (n,) how many samples were known of each.
         settled: (n,) whether samples to come changed nothing any more.
@@ -339,5 +339,5 @@ def as_known(
     """
     from_ = np.where(settled, count, known)
     edges = [0, *(np.flatnonzero(np.diff(from_)) + 1).tolist(), len(grid)]
-    parts = [tell(int(from_[a]), grid[a:b]) for a, b in pairwise(edges)]
+    parts = [evaluate(int(from_[a]), grid[a:b]) for a, b in pairwise(edges)]
     return parts[0] if len(parts) == 1 else np.concatenate(parts)

@@ -1,8 +1,8 @@
 """One time base: streams with their own stamps and rates, brought to one uniform grid.
 
 The grid runs on the vehicle's clock at the IMU's own rate. At each tick of that clock (0.1 s) the
-points are given out that samples to come change no more, a lag behind the newest IMU stamp. What
-is told at a tick rests on the samples that had come before it: how they are cut into pieces on the
+points are given out that samples to come change no more, a lag behind the newest IMU stamp. Values
+given out at a tick depend on the samples received before it: how they are cut into pieces on the
 way here, a frame or a whole log at once, changes no number. Between samples a cubic through four of
 them is taken; where a stream has a gap its values are marked as missing.
 """
@@ -30,9 +30,9 @@ million samples."""
 _LEAST_LAG, _MOST_LAG = 0.04, 0.3
 """s, of the grid behind the newest sample."""
 _CARRIED = 0.15
-"""s between velocities that still tell what moved the vehicle in between. A velocity is a sum
-already: across lost samples its change is the whole impulse, which the momentum balance would
-lose, and begin anew with what the velocity is off at that moment."""
+"""s between velocities that still show the impulse in between. A velocity is a sum already: across
+lost samples its change is the whole impulse, which the momentum balance would lose, and restart
+with the velocity's error at that moment."""
 _ROUNDING = 1e-6
 """s, of sums of ticks."""
 _SAME_RATE = (0.7, 1.4)
@@ -41,7 +41,7 @@ _MOST_POINTS = 16384
 """Of the grid in a block, but for a single tick: stamps that jump on by most of a second each would
 make a block of any size."""
 _WORTH_KEEPING = 10.0
-"""s. What is learnt on a grid is given up for a rate that brings as many samples in this time."""
+"""s. The estimate on a grid is given up for a rate that brings as many samples in this time."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Block:
         stamps: stream key of commands -> (n,) s, times of the samples at or before the points.
         ends: (ticks,) rising, how many of the points had been given out after each tick.
         orders: (ticks,) order of the IMU sample that completed each tick.
-        fresh: whether the grid started anew: nothing before this block joins on to it.
+        fresh: whether the grid restarted: nothing before is continuous with this block.
     """
 
     t: Array
@@ -116,9 +116,9 @@ class TimeBase:
         self.late = 0
         """Samples that came after the grid had passed them."""
         self.restarts = 0
-        """How often the grid started anew (silence, reboot, changed rate)."""
+        """How often the grid restarted (silence, reboot, changed rate)."""
         self.flown = 0.0
-        """s of flight on a grid of this step, as the owner tells; what is learnt rests on it."""
+        """s of flight on a grid of this step, set by the owner; the estimate depends on it."""
         self.faults = FaultCounts()
         """Outliers of the IMU, found so far."""
         self._buffers: dict[Key, StreamBuffer] = {}
@@ -166,8 +166,8 @@ class TimeBase:
     def take(self, tracks: Sequence[Track]) -> Iterator[Block]:
         """Take samples, with their orders; gives the blocks that they complete, one by one.
 
-        Each block is made before samples after it are looked at: what its receiver tells
-        (`flown`) counts from then on.
+        Each block is made before samples after it are looked at: what its receiver sets (`flown`)
+        counts from then on.
         """
         arrivals = _Arrivals(tracks)
         t, orders = arrivals.imu()
@@ -245,10 +245,10 @@ class TimeBase:
         return last + 1, self._emit(self._horizon(newest[rows]), orders[rows], arrived)
 
     def _regular(self, arrivals: _Arrivals, ticks: Array) -> int:
-        """How many of the next ticks, of these orders, can be told from one look at the samples.
+        """How many of the next ticks, of these orders, one pass over the samples can serve.
 
-        That is where none of them changes what an earlier tick has told (samples that come late
-        or stand still), or the grid itself. One tick always can.
+        That is where none of them changes the values of an earlier tick (samples that come late or
+        stand still), or the grid itself. One tick always can.
         """
         count = len(ticks)
         if count == 1:
@@ -315,7 +315,7 @@ class TimeBase:
         """(ticks,) s up to which samples to come change nothing.
 
         The grid stays two samples of the slowest signal behind the (ticks,) `newest` stamps of
-        the IMU, so that the cubic has both its right neighbours. Where a stream has lost samples
+        the IMU, so that the cubic has both its right neighbors. Where a stream has lost samples
         it waits for the next one, for a while.
         """
         signals = [b.intervals for b in self._buffers.values() if not b.hold]
@@ -354,8 +354,8 @@ class TimeBase:
         for buffer in self._buffers.values():
             buffer.forget_before(t[-1])
         fresh, self._fresh = self._fresh, False
-        told = np.diff(ends, prepend=first) > 0
-        yield Block(t, values, stamps, ends[told] - first, orders[told], fresh)
+        lasting = np.diff(ends, prepend=first) > 0
+        yield Block(t, values, stamps, ends[lasting] - first, orders[lasting], fresh)
 
     def _end_grid(self, order: int, *, clear: bool) -> Iterator[Block]:
         yield from self.finish(order)
@@ -376,7 +376,7 @@ class TimeBase:
             if stream is Stream.ROTOR_SPEED:
                 buffer = RotorBuffer(width)
             else:
-                # A setpoint or a voltage holds until the next one, and nobody waits for that.
+                # A setpoint or a voltage holds until the next one, without waiting for that.
                 hold = stream in (
                     *(Stream.IN_AIR, Stream.ARMED),
                     *(Stream.RATE_SETPOINT, Stream.VOLTAGE),
@@ -413,8 +413,8 @@ class TimeBase:
     def _is_outgrown(self) -> bool:
         """Whether the IMU's rate has changed and the grid shall follow.
 
-        It need not: what is learnt holds for one step alone. A faster stream is taken at the
-        grid's times, and so is a slower one as long as it can be interpolated.
+        It need not: the estimate holds for one step alone. A faster stream is taken at the grid's
+        times, and so is a slower one as long as it can be interpolated.
         """
         imu = self._imu_buffer()
         low, high = _SAME_RATE

@@ -21,7 +21,7 @@ class Window:
     """A sampled cos^4 window and its derivative.
 
     Attributes:
-        half: samples on either side of the centre.
+        half: samples on either side of the center.
         average: (2 half + 1,) weights that sum to one.
         derivative: (2 half + 1,) weights in 1/s.
     """

@@ -1,1 +1,1 @@
-"""Everything that speaks MAVLink: dialect, frames, links, recordings, and records."""
+"""Everything that uses MAVLink: dialect, frames, links, recordings, and records."""

@@ -66,7 +66,7 @@ _WANTED = {f"{name}[{i}]" for name, count in _ARRAYS.items() for i in range(coun
 
 
 class _Position(NamedTuple):
-    """Fields that tell velocity and position, and what turns them into m/s, m and NED."""
+    """Fields with velocity and position, and their conversion to m/s, m and NED."""
 
     velocity: str
     position: str
@@ -126,8 +126,8 @@ def _listed(path: Path, data: bytes, starts: list[int]) -> str:
     for number, (start, stop) in enumerate(pairwise(starts[: _SESSIONS_NAMED + 1]), 1):
         at = data.find(_DATETIME, start, min(stop, start + 2**16)) + len(_DATETIME)
         text = data[at : at + 16].decode("ascii", "replace").replace("T", " ")
-        told = f", {text}" if at >= len(_DATETIME) and not text.startswith("0000") else ""
-        words.append(f"{path.name}#{number} ({(stop - start) / 1e3:,.0f} kB{told})")
+        dated = f", {text}" if at >= len(_DATETIME) and not text.startswith("0000") else ""
+        words.append(f"{path.name}#{number} ({(stop - start) / 1e3:,.0f} kB{dated})")
     more = len(starts) - 1 - len(words)
     return f"it holds {', '.join([*words, *([f'{more} more'] if more > 0 else [])]) or 'none'}"
 
@@ -198,13 +198,13 @@ class _Reader:
 
     def _parameters(self) -> list[tuple[float, str, float]]:
         """The numbers of the header: `motorOutput[1]` is the second one of a line."""
-        told = []
+        dated = []
         for line in self._header.values:
             numbers = self._header.numbers(line) if line.isascii() and " " not in line else []
             for i, value in enumerate(numbers[:_MOST_NUMBERS]):
                 name = line if len(numbers) == 1 else f"{line}[{i}]"
-                told.append((float(self._t[0]), name, value))
-        return told
+                dated.append((float(self._t[0]), name, value))
+        return dated
 
     def _add_imu(self, recording: Recording) -> None:
         gyro = self._first_of("gyroADCafterRpm", "gyroADC", "gyroData")

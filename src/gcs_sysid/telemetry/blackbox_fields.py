@@ -163,7 +163,7 @@ def _negative_14_bits(values: Array) -> Array:
 
 
 class _TaggedNumbers:
-    """TAG8_8SVB: a byte that tells which of up to eight numbers are there, the others being 0."""
+    """TAG8_8SVB: a byte that marks which of up to eight numbers are there, the others being 0."""
 
     def __init__(self, first: int, count: int) -> None:
         self.first, self.count = first, count
@@ -181,7 +181,7 @@ class _TaggedNumbers:
 
 
 class _Packed:
-    """Groups whose tag, a byte, tells the width of each field.
+    """Groups whose tag, a byte, gives the width of each field.
 
     Args:
         first: index of its first field.
@@ -219,7 +219,7 @@ def _signed(words: Array, bits: Array) -> Array:
 
 
 class _Tag2:
-    """TAG2_3S32 and TAG2_3SVARIABLE: three fields, whose widths the tag's highest bits tell.
+    """TAG2_3S32 and TAG2_3SVARIABLE: three fields, with their widths in the tag's highest bits.
 
     Args:
         first: index of its first field.
@@ -284,7 +284,7 @@ def _table(places: Callable[[int], list[tuple[int, int]]]) -> tuple[Array, Array
 
 _TAG2_SIZES = np.array([_tag2_size(tag) for tag in range(256)])
 # Where the fields begin in the first three bytes, from the highest bit on, and their bits; the
-# fourth width is told apart.
+# fourth width is separate.
 _FIXED = (
     np.array([(2, 4, 6), (4, 8, 12), (2, 10, 18), (0, 0, 0)]),
     np.array([(2, 2, 2), (4, 4, 4), (6, 6, 6), (0, 0, 0)]),
@@ -308,7 +308,7 @@ class Layout:
         self.definition = definition
         self.fields = len(definition.names)
         self.longest = max(_SMALL_FRAME, _BYTES_A_FIELD * self.fields)
-        """Bytes of a frame that is believed, its letter not counted."""
+        """Longest plausible frame in bytes, its letter not counted."""
         self._parts = list(_parts(definition, version))
 
     def ends(self, window: ByteWindow, at: Array) -> Array:

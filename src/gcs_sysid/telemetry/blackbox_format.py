@@ -81,7 +81,7 @@ class Definition:
 
 @dataclass(frozen=True)
 class Header:
-    """What a session says of itself.
+    """Header of a session.
 
     Attributes:
         values: of the lines that define no fields, as written; the last of each name.

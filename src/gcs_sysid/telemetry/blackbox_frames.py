@@ -1,9 +1,9 @@
 """Finds the frames of a blackbox session, and computes their values.
 
-Nothing tells where a frame begins but that the one before has ended. Every byte that could begin
-one is tried, all of them at once; then the chain is followed from end to beginning. As in the
-reference decoder a frame counts when another follows it; else it is damaged, the search goes on
-behind its first byte, and P frames count again after the next I frame.
+Only the end of a frame marks where the next one begins. Every byte that could begin one is tried,
+all of them at once; then the chain is followed from end to beginning. As in the reference decoder a
+frame counts when another follows it; else it is damaged, the search continues after its first byte,
+and P frames count again after the next I frame.
 """
 
 from collections.abc import Iterator, Sequence
@@ -131,8 +131,8 @@ def read_frames(
         )
         for letter, layout in layouts.items()
     }
-    told = np.column_stack([order[E], np.concatenate(events)])
-    resumed = told[told[:, 1] == RESUME][:, [0, 2, 3]]
+    all_events = np.column_stack([order[E], np.concatenate(events)])
+    resumed = all_events[all_events[:, 1] == RESUME][:, [0, 2, 3]]
     broken = ~every.whole | every.gap
     broken[resumed[:, 0]] = True
     main, time_us = main_frames(header, written[I], written[P], broken, resumed)
@@ -142,7 +142,7 @@ def read_frames(
     )
     end = every.ends[-1] if every.over[-1:].any() else stop
     return Frames(
-        main=main, time_us=time_us, slow=slow, gps=gps, home=home, events=told,
+        main=main, time_us=time_us, slow=slow, gps=gps, home=home, events=all_events,
         counts={chr(k): len(places) for k, places in order.items()},
         damaged=int((~every.whole).sum()),
         lost=len(order[I]) + len(order[P]) - len(time_us),

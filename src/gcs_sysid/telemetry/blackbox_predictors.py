@@ -1,4 +1,4 @@
-"""Blackbox frames from differences to values, and which of them are believed.
+"""Decodes blackbox frames from differences to values, and checks their plausibility.
 
 Between two I frames the differences add up: one sum over all frames for the predictor "as before",
 two for "in a straight line". "The mean of the last two" is rounded at every step, so it is taken
@@ -62,7 +62,7 @@ def main_frames(
         keys: the I frames as written.
         deltas: the P frames as written, with the same columns.
         broken: (all frames,) where P frames lose what they build on.
-        resumed: (k, 3) order, loop and us of events that tell of a pause.
+        resumed: (k, 3) order, loop and us of events that mark a pause.
     """
     order = np.concatenate([keys.order, deltas.order])
     sorting = np.argsort(order, kind="stable")
@@ -237,8 +237,8 @@ def _believed(chains: Array, passed: Array, resumed: Array) -> Array:
     """(k,) us at which the I frames begin, without wraps; -1 for those not believed.
 
     As in the reference decoder an I frame must come soon after the last main frame, or after an
-    event that tells of a pause. There all that follows a wrong clock is lost; here two chains that
-    agree with each other are believed against one that does not.
+    event that marks a pause. The reference decoder loses all that follows a wrong clock; here two
+    chains that agree overrule one that does not.
 
     Args:
         chains: (k, 5) place, loop and us of the I frame, loop and us of the last frame that counts.

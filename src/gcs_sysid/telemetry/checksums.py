@@ -43,7 +43,7 @@ _COLUMNS = 512
 
 
 def _advance_tables() -> Array:
-    """(_COLUMNS + 1, 2, 256) what n bytes of zero make of the low and the high byte of a state."""
+    """(_COLUMNS + 1, 2, 256) the low and the high byte of a state after n bytes of zero."""
     tables = np.empty((_COLUMNS + 1, 2, 256), np.uint16)
     tables[0] = np.arange(256), np.arange(256) << 8
     for n in range(_COLUMNS):

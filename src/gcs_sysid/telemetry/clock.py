@@ -2,8 +2,8 @@
 
 Three kinds of stamp come: 64-bit microseconds, 32-bit milliseconds (wrap after 49.7 days) and
 32-bit microseconds (SERVO_OUTPUT_RAW: wrap after 71.6 minutes). All are put on one axis,
-seconds since the vehicle's boot. The wall clock has no part in it: how far the two drift apart
-is told, and doubted where no clock would (`session.clock_doubt`).
+seconds since the vehicle's boot. The wall clock is not used: its drift from the vehicle's is
+reported, and rejected where implausible for a clock (`session.clock_doubt`).
 """
 
 from dataclasses import dataclass
@@ -45,8 +45,8 @@ class VehicleClock:
     """Follows one vehicle's clock.
 
     Attributes:
-        now: the latest time heard, s; None before the first stamp.
-        started: the first time heard since boot or since listening, s.
+        now: the latest time received, s; None before the first stamp.
+        started: the first time received since boot or since listening, s.
         reboots: how often the clock was set back for good.
         doubted: stamps refused because they jumped and nothing confirmed them.
     """
@@ -75,7 +75,7 @@ class VehicleClock:
         return self._follow(self._unwrap(time_boot_ms * 1e-3, WRAP_MS))
 
     def stamp_us32(self, time_usec: int) -> float | None:
-        """Time of a 32-bit stamp in us, s; None while no other stamp tells the wraps.
+        """Time of a 32-bit stamp in us, s; None while no other stamp resolves the wraps.
 
         Such stamps wrap too often to drive the clock, so they only follow it.
         """
@@ -94,8 +94,8 @@ class VehicleClock:
             return self.stamp_us32(time_usec)
         return self.stamp_us64(time_usec)
 
-    def tells_unix_time(self, time_unix_usec: int, time_boot_ms: int) -> bool:
-        """Whether a SYSTEM_TIME says how Unix time and time since boot hang together, and is new.
+    def gives_unix_time(self, time_unix_usec: int, time_boot_ms: int) -> bool:
+        """Whether a SYSTEM_TIME relates Unix time to time since boot, and is new.
 
         That is kept once known: GPS corrects Unix time in flight, and the axis must not jump.
         """
@@ -103,8 +103,8 @@ class VehicleClock:
         return new and time_unix_usec * 1e-6 > UNIX_FROM and time_boot_ms > 0
 
     def system_time(self, time_unix_usec: int, time_boot_ms: int) -> None:
-        """Learn how Unix time and time since boot hang together, from SYSTEM_TIME."""
-        if self.tells_unix_time(time_unix_usec, time_boot_ms):
+        """Set the offset of Unix time from time since boot by SYSTEM_TIME."""
+        if self.gives_unix_time(time_unix_usec, time_boot_ms):
             self._unix_minus_boot = time_unix_usec * 1e-6 - time_boot_ms * 1e-3
 
     @property
@@ -215,7 +215,7 @@ class ClockTimes:
     """The vehicle's clock over a block of frames.
 
     Attributes:
-        order: (m,) rising numbers of the frames that tell the time.
+        order: (m,) rising numbers of the frames with stamps.
         now: (m + 1,) s, the clock before the first of them, and after each; NaN: not known yet.
     """
 
@@ -244,7 +244,7 @@ class ClockDrift:
     """How fast the vehicle's clock runs against the wall clock.
 
     Needs no regular or exact times: the figure is the median over pairs of moments that lie
-    half of what was heard apart, so that late frames and wrong stamps do not matter.
+    half of the time received apart, so that late frames and wrong stamps do not matter.
     """
 
     STEP = 1.0
@@ -254,11 +254,12 @@ class ClockDrift:
     """s. Over less time, the jitter of the link is larger than the drift of a clock."""
 
     LEAST_MOMENTS = 11
-    """From which on `bounds` can be told."""
+    """Fewest for `bounds`."""
     UNEVEN = 8.0
-    """Of the offsets' scatter about a line, over the time heard: what the slope may be off by.
-    Jitter without memory makes slopes of up to 3 times that, a clock that is set 5 times, and
-    delays that wander like a random walk 5 times in one flight of ten, 9 in one of a hundred."""
+    """Bound on the slope's error, in units of the offsets' scatter about a line over the time
+    received. Jitter without memory makes slopes of up to 3 times that, a clock that is set 5 times,
+    and delays that wander like a random walk 5 times in one flight of ten, 9 in one of a
+    hundred."""
 
     def __init__(self) -> None:
         self._moments: list[tuple[float, float]] = []

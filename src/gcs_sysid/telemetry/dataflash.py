@@ -84,7 +84,7 @@ class _Reader:
 
     def __init__(self, log: DataflashLog) -> None:
         self._log = log
-        # The most frequent entry tells the time for those that have none.
+        # Entries without a time take that of the most frequent one.
         timed = [name for name in ("IMU", "ATT", "RCOU") if name in log.counts]
         name = timed[0] if timed else ""
         self._known_places, self._known_t = log.places(name), self._own_times(name)
@@ -186,7 +186,7 @@ class _Reader:
         return other if self._latest.get("AHRS_EKF_TYPE") == _EKF_2 else row.rank
 
     def _channels(self) -> list[int]:
-        """Output channel of each motor, from 0; empty when the parameters do not tell."""
+        """Output channel of each motor, from 0; empty when the parameters do not define it."""
         channels = {
             int(self._latest.get(f"SERVO{channel}_FUNCTION", 0.0)): channel - 1
             for channel in range(16, 0, -1)

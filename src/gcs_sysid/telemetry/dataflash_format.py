@@ -1,9 +1,9 @@
 """The format of ArduPilot's own logs (.bin): rows of numbers, described by the log itself.
 
-Each entry begins with A3 95 and the number of its type; FMT entries tell the length, the field
-types and the names of every type. Entries are found first and decoded later, a whole message
-type at once with NumPy: a log of 20 MB takes half a second where a decoder that makes an object
-of every entry takes twelve.
+Each entry begins with A3 95 and the number of its type; FMT entries define the length, the field
+types and the names of every type. Entries are found first and decoded later, a whole message type
+at once with NumPy: a log of 20 MB takes half a second where a decoder that makes an object of every
+entry takes twelve.
 """
 
 from array import array

@@ -94,8 +94,8 @@ class RecordDecoder:
     def take(self, frames: FrameBlock, mine: Mask, out: TrackCollector) -> Taken:
         """Read the messages of the table, up to a stamp that sets the clock back, or one frame.
 
-        Those that tell states are not read; the caller gives them to `take_state` one by one,
-        with the clock that `ClockTimes` tells.
+        State messages are not read; the caller gives them to `take_state` one by one, with the
+        clock of `ClockTimes`.
 
         Args:
             frames: the next frames.
@@ -133,13 +133,13 @@ class RecordDecoder:
         return self.states.take(frame, now if now == now else None)
 
     def _forget_times(self) -> None:
-        """What was heard at times of another boot says nothing of the present."""
+        """Stamps of another boot do not apply."""
         self._preferences: defaultdict[Stream, Preference] = defaultdict(Preference)
         self.states.forget_times()
         self._sent_last = -np.inf
 
     def _leave_out(self, messages: dict[str, Array], frames: FrameBlock, mine: Mask) -> None:
-        """Leave out what the table says is not meant."""
+        """Leave out what the table excludes."""
         for name, rows in messages.items():
             message, kept = self._table[name], np.ones(len(rows), bool)
             if message.sensor:
@@ -159,19 +159,21 @@ class RecordDecoder:
         known = -1 if self.states.autopilot is None else self.states.autopilot
         if beats is None:
             return np.full(len(order), known)
-        told = np.concatenate([[known], beats["autopilot"].astype(int)])
-        before: Array = told[np.searchsorted(beats["_frame"], order)]
+        reported = np.concatenate([[known], beats["autopilot"].astype(int)])
+        before: Array = reported[np.searchsorted(beats["_frame"], order)]
         return before
 
     def _learn_unix_time(self, frames: FrameBlock, mine: Mask) -> int:
-        """Take a SYSTEM_TIME that stands first; the next from which others are read anew."""
+        """Take a SYSTEM_TIME that comes first; number of the next one, from which frames are read
+        again.
+        """
         end = frames.number + len(frames)
         if self.clock.unix_minus_boot is not None:
             return end
         times = message_arrays(frames, ("SYSTEM_TIME",), mine).get("SYSTEM_TIME", ())
         for row in times:
             if int(row["_frame"]) > frames.number:
-                if self.clock.tells_unix_time(*self._system_time(row)):
+                if self.clock.gives_unix_time(*self._system_time(row)):
                     return int(row["_frame"])
             else:
                 self.clock.system_time(*self._system_time(row))
@@ -186,7 +188,7 @@ class RecordDecoder:
     def _stamps(
         self, messages: dict[str, Array], first: int, stop: int
     ) -> tuple[dict[str, Array], ClockTimes, int]:
-        """Times of the messages with stamps that drive the clock, NaN where they tell none.
+        """Times of the messages with stamps that drive the clock, NaN where they have none.
 
         Args:
             messages: by name.
@@ -280,7 +282,7 @@ class RecordDecoder:
         stamps: dict[str, Array],
         out: TrackCollector,
     ) -> None:
-        """Pass on what is best of messages that tell the same, in the order of their ranks."""
+        """Pass on the best of messages with the same content, in the order of their ranks."""
         there = []
         for message in some:
             rows, t = messages[message.name], stamps[message.name]
@@ -292,8 +294,8 @@ class RecordDecoder:
             there.append((message.rank, rows["_frame"], t, values))
         allowed = self._preferences[stream].allows([part[:3] for part in there])
         parts = [
-            tuple(_kept(part, mask) for part in told[1:])
-            for told, mask in zip(there, allowed, strict=True)
+            tuple(_kept(part, mask) for part in reported[1:])
+            for reported, mask in zip(there, allowed, strict=True)
         ]
         order, t, values = (
             parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
@@ -321,7 +323,7 @@ class RecordDecoder:
         return order, t, q
 
     def _give(self, message: Message, rows: Array, t: Array, out: TrackCollector) -> None:
-        """Pass on messages that tell of rotors, those of one offset and width together."""
+        """Pass on rotor messages, those of one offset and width together."""
         order, values = rows["_frame"], self._values(message, rows)
         whole = values.shape[1]
         if message.used is None and isinstance(message.offset, int):
@@ -334,8 +336,8 @@ class RecordDecoder:
             first, size = divmod(kind, whole + 1)
             if size:
                 some = kinds == kind
-                at, times, told = (_kept(part, some) for part in (order, t, values[:, :size]))
-                self._add(out, message.stream, at, times, told, first, message.source)
+                at, times, reported = (_kept(part, some) for part in (order, t, values[:, :size]))
+                self._add(out, message.stream, at, times, reported, first, message.source)
 
     @staticmethod
     def _values(message: Message, rows: Array) -> Array:
@@ -345,8 +347,8 @@ class RecordDecoder:
             values = fields[0].astype(float)
         else:
             values = np.empty((len(rows), len(fields)))
-            for column, told in enumerate(fields):
-                values[:, column] = told
+            for column, reported in enumerate(fields):
+                values[:, column] = reported
         if message.convert is not None:
             whole = complete_rows(values)
             if not whole.all():
@@ -368,7 +370,7 @@ class RecordDecoder:
         timed = np.isfinite(t)
         finite = complete_rows(values)
         if stream is Stream.IMU and not finite.all():
-            # Nearly everything rests on the gyro: one without an accelerometer is of use.
+            # Nearly everything depends on the gyro: one without an accelerometer is of use.
             lame = timed & ~complete_rows(values[:, 3:])
             self._drop("accelerometer not finite", lame)
             values = values.copy()

@@ -1,13 +1,13 @@
 """Bytes in, MAVLink frames out, whatever the bytes are.
 
 One rule decides everything: a frame counts as good only when its checksum, taken with the
-CRC_EXTRA of its message type, is right. What fails is told apart:
+CRC_EXTRA of its message type, is right. Failures are distinguished:
 
 - the checksum of a known type fails but the chain goes on where its length says: the sender
   has another definition of that message. The frame is reported as `BAD_CRC` and skipped;
-- a type that nobody here knows is skipped by its length in the same way (`UNKNOWN`);
-- otherwise the sync is lost, and the scanner hunts for the next frame whose checksum is right.
-  What lies between is counted as garbage.
+- an unknown type is skipped by its length in the same way (`UNKNOWN`); - otherwise the sync is
+lost, and the scanner hunts for the next frame whose checksum is right. What lies between is counted
+as garbage.
 
 The answer depends on the bytes alone, never on how they were cut into pieces.
 """
@@ -40,7 +40,7 @@ CRC_EXTRA: dict[int, bytes] = {
 
 
 class Validity(StrEnum):
-    """What is known of a frame's content."""
+    """Validity of a frame."""
 
     OK = "ok"
     """The checksum is right."""

@@ -1,7 +1,7 @@
-"""A ground station on a link: what it says to a vehicle, and whom it believes.
+"""A ground station on a link: what it sends to a vehicle, and which frames it accepts.
 
-Everything here depends on when things happen. Nothing of it reaches the estimate but the frames
-that are believed, which is why the analysis of a recording ends with the live session's numbers.
+Everything here depends on when things happen. Only accepted frames reach the estimate, which is why
+the analysis of a recording ends with the live session's numbers.
 """
 
 from collections import deque
@@ -20,7 +20,7 @@ from gcs_sysid.telemetry.transceiver import Port
 LOST_AFTER = 3.0
 """s of silence after which the link counts as lost."""
 _MOST_EVENTS = 100
-"""Kept while nobody asks."""
+"""Events kept until taken."""
 
 _REFUSED = {
     Refusal.UNSIGNED: "unsigned frames are rejected, because a signing key is set",
@@ -41,7 +41,7 @@ class GroundStation:
         state_folder: where the rates to restore are kept, see `stream_restoration`; None: nowhere.
 
     Attributes:
-        lost: whether a vehicle that spoke before is silent now, or the link is gone.
+        lost: whether a vehicle received before is silent now, or the link is gone.
         heard_at: when the vehicle last sent; None before.
     """
 
@@ -62,7 +62,7 @@ class GroundStation:
         self._streams = StreamRequests(port.gate, rate, rotors, port.url.line_rate, restoration)
         self._parameters = ParameterRequests(port.gate, rotors)
         self._events: deque[str] = deque(maxlen=_MOST_EVENTS)
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._followed: tuple[int, int] | None = None
         self._reboots = 0
         self._heard = 0
@@ -131,17 +131,17 @@ class GroundStation:
         self._events += self._streams.take_events()
         report = self._port.link_report
         if report.marks:
-            self._tell_once("ignored a reset received over the link: only the user may reset")
+            self._report_once("ignored a reset received over the link: only the user may reset")
         if report.rival is not None:
-            self._tell_once(_told(report.rival))
+            self._report_once(_rival_text(report.rival))
         for refusal in report.refused or ():
-            self._tell_once(f"signing: {_REFUSED[refusal]}")
+            self._report_once(f"signing: {_REFUSED[refusal]}")
         if report.signing_problem:
-            self._tell_once(report.signing_problem)
+            self._report_once(report.signing_problem)
 
-    def _tell_once(self, text: str) -> None:
-        if text not in self._told:
-            self._told.add(text)
+    def _report_once(self, text: str) -> None:
+        if text not in self._reported:
+            self._reported.add(text)
             self._events.append(text)
 
     def take_events(self) -> list[str]:
@@ -159,23 +159,23 @@ class GroundStation:
             reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(report.refused.items()))
             lines.append(f"no frame is signed with this key; rejected: {reasons}")
         if report.rival is not None:
-            lines.append(_told(report.rival))
+            lines.append(_rival_text(report.rival))
         return tuple(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """For the result's `telemetry`: who was refused; empty when all was believed."""
+        """For the result's `telemetry`: senders refused; empty when all were accepted."""
         report = self._port.link_report
-        told: dict[str, Any] = {}
+        out: dict[str, Any] = {}
         if report.refused is not None:
             refused = {reason.value: report.refused.get(reason, 0) for reason in Refusal}
-            told["signing"] = {"accepted": report.accepted, "refused": refused}
+            out["signing"] = {"accepted": report.accepted, "refused": refused}
         if report.rival is not None:
-            told["two_senders"] = {
+            out["two_senders"] = {
                 "believed": _words(report.rival.address),
                 "other": _words(report.rival.other),
                 "passed_over": report.passed_over,
             }
-        return told
+        return out
 
     def leave(self) -> None:
         """Give the vehicle its own rates back: another one will be followed."""
@@ -187,8 +187,8 @@ class GroundStation:
         self._port.close()
 
 
-def _told(rival: Rival) -> str:
-    """Who else speaks in the vehicle's name, in words."""
+def _rival_text(rival: Rival) -> str:
+    """Another sender with the vehicle's address, as text."""
     system, component = rival.vehicle
     return (
         f"two senders use the address {system}:{component}: {_words(rival.address)}, taken as the "

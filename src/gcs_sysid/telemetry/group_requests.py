@@ -80,7 +80,7 @@ class GroupRequests:
         return self._gate.request_group(self._vehicle.address, number, round(hertz))
 
     def again(self) -> None:
-        """Ask anew: the vehicle may have forgotten."""
+        """Request again: the vehicle may have forgotten."""
         self._asked_at.clear()
         self._asks.clear()
 

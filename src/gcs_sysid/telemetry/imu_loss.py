@@ -1,8 +1,8 @@
-"""Samples of the IMU that did not come, by the vehicle's own stamps.
+"""Missing IMU samples, by the vehicle's own stamps.
 
-Sequence numbers count modulo 256, so that a burst of any length looks like a short one, and they
-say nothing of what the autopilot never sent: PX4 leaves out 0.4 to 2 % of its samples, while no
-packet is lost. The stamps tell both: steps of several usual intervals have samples missing in them.
+Sequence numbers count modulo 256, so that a burst of any length looks like a short one, and they do
+not show what the autopilot never sent: PX4 skips 0.4 to 2 % of its samples with no packet lost.
+Stamps show both: steps of several usual intervals have samples missing in them.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from gcs_sysid.arrays import Array
 PAUSE = 10.0
 """s. A longer step is no loss: the link was away, or the vehicle's clock was set."""
 SERIOUS = 0.1
-"""Share missing from which it is told: five times what PX4 leaves out."""
+"""Share missing from which it is reported: five times what PX4 leaves out."""
 TOO_MUCH = 0.6
 """Share missing from which the verdict is at most `partial`: no study goes beyond a half."""
 _HELD, _SETTLED = 512, 256
@@ -50,7 +50,7 @@ class Counts(NamedTuple):
 class ImuLoss:
     """Counts samples by their stamps.
 
-    Steps are held against the shortest interval that some samples in a row have kept. A stream
+    Steps are compared with the shortest interval that some samples in a row have kept. A stream
     that comes evenly at another rate has another one. The counts depend on the order of samples
     alone, however they are cut into blocks; what is late by less than half of `_HELD` is not lost.
     """
@@ -85,8 +85,8 @@ class ImuLoss:
         times = np.concatenate([self._before[-1:], self._held, t[:room]])
         return room if bool((times[1:] > times[:-1]).all()) else 0
 
-    def begin_anew(self) -> None:
-        """The clock has gone back: what comes is not held against what came."""
+    def restart(self) -> None:
+        """The clock has gone back: later samples are not compared with earlier ones."""
         self._settle(len(self._held))
         self._before, self._interval = np.empty(0), 0.0
 
@@ -136,7 +136,7 @@ class ImuLoss:
             calm[: len(runs)] = np.where(even, runs.mean(axis=1), np.nan)
         interval = self._interval or float(few[min(at, len(few) - 1)])
         missing, longest = counts.missing, counts.longest
-        # Those that are settled together are held against one interval.
+        # Those that are settled together are compared with one interval.
         settled = range(len(before) + _SETTLED - 1, end, _SETTLED) if count >= _HELD else ()
         for stop_at in (*settled, end):
             while at < stop_at:
@@ -163,12 +163,12 @@ def loss_reason(telemetry: Mapping[str, Any]) -> tuple[str, bool]:
     Returns:
         One line, empty where little is missing, and whether the verdict is at most `partial`.
     """
-    told = telemetry.get("imu_loss", {})
-    share = 0.01 * told.get("missing_percent", 0.0)
+    loss = telemetry.get("imu_loss", {})
+    share = 0.01 * loss.get("missing_percent", 0.0)
     if share < SERIOUS:
         return "", False
     words = (
         f"{100.0 * share:.0f} % of the IMU's samples are missing by their timestamps, for "
-        f"{told['longest']:.2f} s at most: the estimate uses the rest"
+        f"{loss['longest']:.2f} s at most: the estimate uses the rest"
     )
     return words, share >= TOO_MUCH

@@ -28,10 +28,10 @@ _HEARTBEAT = MESSAGE_IDS["HEARTBEAT"]
 _STATUSTEXT = MESSAGE_IDS["STATUSTEXT"]
 _heartbeat = picker("HEARTBEAT", "type", "autopilot", "base_mode")
 _STATES = sorted(STATE_IDS)
-_MOST_OTHERS_TOLD = 4
-"""Vehicles that are told of one by one; a hostile sender can make up hundreds."""
+_MOST_OTHERS_LISTED = 4
+"""Vehicles listed one by one; a hostile sender can make up hundreds."""
 _MORE = 3
-"""Times the messages of the chosen vehicle, from which another is told of when all is not well."""
+"""Ratio of messages to the chosen vehicle's from which another vehicle is reported as a problem."""
 
 
 class Intake:
@@ -43,12 +43,12 @@ class Intake:
         selector: vehicles found, and the one chosen.
         decoder: makes the records; its `dropped` and `clock` are worth showing.
         monitor: counts and rates.
-        drift: of the vehicle's clock, by the times at which frames came, as far as they are told.
-        turning: names of the messages that have told of all their rotors turning.
+        drift: of the vehicle's clock, by the times of reception, where known.
+        turning: names of the messages that have shown all their rotors turning.
         fates: what became of the frames whose checksum is right, all of them: "used" (made a
-            record), "not needed" (of a type that tells nothing for identification), "passed over"
-            (a better message tells the same, or nothing new), "dropped" (see the decoder's),
-            "others" (not the vehicle's, or before its first heartbeat).
+            record), "not needed" (of a type of no use for identification), "passed over" (a better
+            message has the same content, or nothing new), "dropped" (see the decoder's), "others"
+            (not the vehicle's, or before its first heartbeat).
         garbage_bytes: set by the caller, from `Receiver` or `TlogReader`.
     """
 
@@ -81,7 +81,7 @@ class Intake:
 
     @property
     def intervals(self) -> dict[int, tuple[int, int]]:
-        """What MESSAGE_INTERVAL told, see `VehicleStates`."""
+        """Intervals from MESSAGE_INTERVAL, see `VehicleStates`."""
         return self.decoder.states.intervals
 
     @property
@@ -106,8 +106,7 @@ class Intake:
         """Take frames, few or many: how they are cut into blocks does not matter.
 
         Returns:
-            The records they make, and what happened on the way: that is told here, and not by
-            `take_events` again.
+            Their records and the events; `take_events` does not return these again.
         """
         out = TrackCollector()
         at = 0
@@ -125,7 +124,7 @@ class Intake:
         stop = self._next_mark(frames, good)
         if stop == 0:
             self._note("reset", "estimate reset by the user")
-            self._tell(frames.number, out)
+            self._add_events(frames.number, out)
             return 1
         beats = good & (frames.message_id == _HEARTBEAT)
         chosen = self.selector.chosen
@@ -173,13 +172,13 @@ class Intake:
             if beat:
                 self.selector.hear(frame)
             if before is not None and self.selector.go_over(frame):
-                self._begin_anew(before)
+                self._switch_vehicle(before)
                 self._take_chosen(one, out, counted=True)
             else:
                 self.fates["others"] += 1
                 if beat:
                     self._hear(frame)
-        self._tell(one.number, out)
+        self._add_events(one.number, out)
         return 1
 
     def _take_chosen(
@@ -198,7 +197,7 @@ class Intake:
             self._count(frames)
         if clock.reboots != reboots:
             self._note("reboot", f"the vehicle's clock went back from {before:.1f} s: reboot")
-            self._tell(frames.number, out)
+            self._add_events(frames.number, out)
         now = taken.moments.after(frames.number + np.arange(len(frames)))
         self.monitor.take_chosen(
             frames.message_id[chosens],
@@ -212,7 +211,7 @@ class Intake:
         rows = np.flatnonzero(good & states & (chosens | (frames.message_id == _HEARTBEAT)))
         end = clock.now
         for row in rows.tolist():
-            # What is noted of it, is noted at its own time.
+            # Notes on it are at its own time.
             clock.now = None if np.isnan(now[row]) else float(now[row])
             self._take_state(frames.number + row, frames.frame(row), float(now[row]), out)
         clock.now = end
@@ -256,7 +255,7 @@ class Intake:
         self.selector.take(frames.system[good], frames.component[good])
 
     def _take_state(self, order: int, frame: Frame, now: float, out: TrackCollector) -> None:
-        """Take a message that tells a state, or any heartbeat."""
+        """Take a state message, or any heartbeat."""
         if frame.message_id == _HEARTBEAT:
             self.selector.hear(frame)
             self._hear(frame)
@@ -264,9 +263,9 @@ class Intake:
             record = self.decoder.take_state(frame, now)
             if record is not None:
                 out.add_record(order, record)
-        self._tell(order, out)
+        self._add_events(order, out)
 
-    def _tell(self, order: int, out: TrackCollector) -> None:
+    def _add_events(self, order: int, out: TrackCollector) -> None:
         out.events += [(order, event) for event in self.take_events()]
 
     def take_events(self) -> list[IntakeEvent]:
@@ -289,16 +288,16 @@ class Intake:
 
     @property
     def _may_go_over(self) -> bool:
-        """Whether the chosen vehicle, chosen by nobody, has told nothing but heartbeats yet."""
+        """Whether the vehicle, chosen automatically, has sent only heartbeats so far."""
         selector = self.selector
         return selector.chosen is not None and selector.wanted is None and self.clock is None
 
-    def _begin_anew(self, first: Vehicle) -> None:
+    def _switch_vehicle(self, first: Vehicle) -> None:
         """Another vehicle is the chosen one: of the first there were heartbeats alone."""
-        self._others.add(first.address)  # told of here
+        self._others.add(first.address)  # reported here
         self.decoder = RecordDecoder()
         self._contradictions = Contradictions()
-        self.monitor.begin_anew()
+        self.monitor.restart()
         self._note(
             "vehicles",
             f"{first}, the first received, sends heartbeats only: "
@@ -308,10 +307,10 @@ class Intake:
     @property
     def problems(self) -> tuple[str, ...]:
         """Why what comes may not be the vehicle's, one line each."""
-        return (*self._contradicting, *self._others_told_more)
+        return (*self._contradicting, *self._others_sending_more)
 
     @property
-    def _others_told_more(self) -> tuple[str, ...]:
+    def _others_sending_more(self) -> tuple[str, ...]:
         chosen, frames = self.selector.chosen, self.selector.frames
         if chosen is None or self.selector.wanted is not None:
             return ()
@@ -335,7 +334,7 @@ class Intake:
         )
 
     def _hear(self, heartbeat: Frame) -> None:
-        """See whether a heartbeat is of another vehicle, or of somebody who poses as this one."""
+        """See whether a heartbeat is of another vehicle, or of a sender that poses as this one."""
         chosen, who = self.selector.chosen, (heartbeat.system, heartbeat.component)
         if chosen is None:
             return
@@ -348,17 +347,17 @@ class Intake:
             self._note("senders", *self._contradicting)
 
     def _note_other(self, chosen: Vehicle, who: tuple[int, int]) -> None:
-        """Tell of a vehicle that could be meant as well, when the user chose none."""
+        """Report another vehicle that could be meant, when the user chose none."""
         other = self.selector.systems.get(who)
         if other is None or not other.is_autopilot or self.selector.wanted is not None:
             return
-        if who in self._others or len(self._others) > _MOST_OTHERS_TOLD:
+        if who in self._others or len(self._others) > _MOST_OTHERS_LISTED:
             return
         self._others.add(who)
-        if len(self._others) > _MOST_OTHERS_TOLD:
+        if len(self._others) > _MOST_OTHERS_LISTED:
             self._note(
                 "vehicles",
-                f"more than {_MOST_OTHERS_TOLD} other vehicles: further ones are not listed",
+                f"more than {_MOST_OTHERS_LISTED} other vehicles: further ones are not listed",
             )
         else:
             self._note(
@@ -375,4 +374,4 @@ class Intake:
 
     def _note(self, kind: str, text: str) -> None:
         self._events.append(IntakeEvent(self.clock or 0.0, kind, text))
-        del self._events[:-1000]  # nobody asks: keep it bounded
+        del self._events[:-1000]  # not taken: keep it bounded

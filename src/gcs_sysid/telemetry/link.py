@@ -2,7 +2,7 @@
 
 The transport is our own, thin, on `socket` and pyserial, not pymavlink's `mavutil`, which is
 unsound for this tool: it sets SO_REUSEADDR on UDP, so that a port in use is shared in silence
-and each program loses what the other gets; it answers to every address that ever spoke, so that
+and each program loses what the other gets; it answers to every address that ever sent, so that
 a stranger on the port receives the requests too; it keeps the small default receive buffer and
 reads a datagram a call; it prints to standard output; it sleeps while it connects; and to
 import it loads every message of every dialect. pymavlink packs and unpacks, here it ends.
@@ -59,7 +59,7 @@ class Link(ABC):
         ended: the other side closed it, or the device is gone.
         breaks: how often a stream of bytes ended, to be followed by another one or not.
         floods: how often others were found to flood it.
-        dropped: datagrams that the system dropped, because nobody read in time.
+        dropped: datagrams that the system dropped, not read in time.
         unsent: messages that could not be sent.
     """
 

@@ -82,7 +82,7 @@ class Log(Telemetry, Protocol):
     def blocks(self) -> Iterator[RecordBlock]:
         """The records of the chosen vehicle, once, as columns; blocks follow each other.
 
-        What happened on the way is told in the blocks, and not by `take_events`.
+        Events are in the blocks, not in `take_events`.
         """
 
     def records(self) -> Iterator[Record]:
@@ -165,8 +165,8 @@ class TlogLog:
         """As `Telemetry` says."""
         self.intake.garbage_bytes = self._reader.garbage_bytes
         torn = self._reader.counts.cut_short
-        told = {"clock_drift_ppm": self.drift_ppm} | ({"cut_short": torn} if torn else {})
-        return {**self.intake.as_dict(), **told}
+        facts = {"clock_drift_ppm": self.drift_ppm} | ({"cut_short": torn} if torn else {})
+        return {**self.intake.as_dict(), **facts}
 
 
 class OnboardLog:
@@ -175,7 +175,7 @@ class OnboardLog:
     drift_ppm: float | None = None
     recorded: float | None = None
     problems: tuple[str, ...] = ()
-    """An autopilot's own log holds nobody else's messages."""
+    """An autopilot's own log holds no others' messages."""
 
     def __init__(
         self, kind: str, recording: Recording, wanted: tuple[int, int | None] | None = None
@@ -194,13 +194,13 @@ class OnboardLog:
         self._total = max(sum(len(track.t) for track in recording.tracks), 1)
         start, _ = self._span()
         heard = IntakeEvent(start, "vehicle", f"{own} found")
-        self._told = ((0, heard),) if fits else ()
+        self._notes = ((0, heard),) if fits else ()
         self._events: list[IntakeEvent] = []
 
     def blocks(self) -> Iterator[RecordBlock]:
         """As `Log` says: one block."""
         if self.vehicle is not None:
-            yield replace(self._recording.block(), events=self._told)
+            yield replace(self._recording.block(), events=self._notes)
             self._given = self._total
 
     def records(self) -> Iterator[Record]:
@@ -276,15 +276,15 @@ class OnboardLog:
         return {"count": 0, "last": []}
 
 
-def _one_by_one(blocks: Iterable[RecordBlock], told: list[IntakeEvent]) -> Iterator[Record]:
-    """The records of blocks; events are put into `told` before the records that follow them."""
+def _one_by_one(blocks: Iterable[RecordBlock], noted: list[IntakeEvent]) -> Iterator[Record]:
+    """The records of blocks; events are put into `noted` before the records after them."""
     for block in blocks:
         events = deque(block.events)
         for order, record in block.records():
             while events and events[0][0] <= order:
-                told.append(events.popleft()[1])
+                noted.append(events.popleft()[1])
             yield record
-        told += (event for _, event in events)
+        noted += (event for _, event in events)
 
 
 def open_log(path: Path, wanted: tuple[int, int | None] | None = None) -> Log:

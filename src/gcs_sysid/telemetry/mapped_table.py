@@ -121,7 +121,7 @@ def read_mapping(path: Path) -> TableMapping:
     """A mapping file.
 
     Raises:
-        InputError: it cannot be read, or says what cannot be.
+        InputError: it cannot be read, or is inconsistent.
     """
     text = read_text(path, _MOST_BYTES, "the mapping file")
     table = parse_toml(text, str(path), "a mapping file")

@@ -16,7 +16,7 @@ _text = picker("STATUSTEXT", "text")
 
 
 def reset_mark() -> Frame:
-    """The frame that says: here the user had the estimate begin anew."""
+    """The frame that marks where the user reset the estimate."""
     packer = mavlink.MAVLink(None, srcSystem=OWN_SYSTEM, srcComponent=OWN_COMPONENT)
     message = mavlink.MAVLink_statustext_message(
         mavlink.MAV_SEVERITY_NOTICE, RESET_TEXT.encode("ascii")
@@ -27,7 +27,7 @@ def reset_mark() -> Frame:
 
 
 def is_reset_mark(frame: Frame) -> bool:
-    """Whether a frame whose checksum is right says so."""
+    """Whether a frame with a right checksum is that mark."""
     if frame.message_id != mavlink.MAVLINK_MSG_ID_STATUSTEXT:
         return False
     if (frame.system, frame.component) != (OWN_SYSTEM, OWN_COMPONENT):

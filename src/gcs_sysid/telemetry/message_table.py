@@ -1,11 +1,11 @@
 """Which messages make records, and how: one row a message.
 
 A link and a .tlog are read by this table alone. To take up another message that the dialect has,
-add its row; what the fields of a row mean is told in `Message`.
+add its row; `Message` documents the fields of a row.
 
-Where several messages tell the same (IMU, attitude, velocity), the best that comes is taken: the
-one of the lowest rank. Rotor messages are all passed on under their own names: which of them can be
-believed shows only in the flight.
+Where several messages have the same content (IMU, attitude, velocity), the best that arrives is
+taken: the one of the lowest rank. Rotor messages are all passed on under their own names: which of
+them is usable shows only in flight.
 """
 
 import math
@@ -26,7 +26,7 @@ _MILLI_G = 9.80665e-3
 
 
 class Stamp(Enum):
-    """What a message says of its time."""
+    """Kind of time stamp of a message."""
 
     US64 = auto()
     """`time_usec`, since boot or 1970."""
@@ -37,7 +37,7 @@ class Stamp(Enum):
     US32 = auto()
     """`time_usec` in 32 bits: wraps too often to drive the vehicle's clock, and follows it."""
     NONE = auto()
-    """Nothing: it is of the time of its neighbours, all that is due in one step being sent with
+    """Nothing: it is of the time of its neighbors, all that is due in one step being sent with
     the same time. ArduPilot sends SERVO_OUTPUT_RAW just before ESC_TELEMETRY and HIGHRES_IMU
     after it: the IMU's last stamp is a step old, that of a `US32` message is not."""
 
@@ -57,13 +57,13 @@ class Message:
     Attributes:
         name: in the dialect.
         stream: what it measures.
-        stamp: what it says of its time.
+        stamp: kind of its time stamp.
         fields: that make up the record's values, arrays with all their elements; "": zero, for
             what the message does not hold.
         scale: SI unit per unit of the fields, one for all or one for each value.
         rank: among the messages of a stream, 0 the best; of rotors all are passed on.
-        offset: index of the first rotor, or the field that tells it.
-        sensor: field that numbers sensors: the first heard counts, a second one is another
+        offset: index of the first rotor, or the field with it.
+        sensor: field that numbers sensors: the first received counts, a second one is another
             stream and not more samples.
         only: field -> value of those that are read.
         autopilot: MAV_AUTOPILOT that alone is believed to mean this by it.
@@ -109,9 +109,9 @@ def _from_euler(angles: Array) -> Array:
 
 
 def _sum_of_cells(volts: Array) -> Array:
-    """(n, 1) of (n, cells), 0 where none is told."""
-    told: Array = np.where(volts >= _NO_CELL, 0.0, volts).sum(axis=1, keepdims=True)
-    return told
+    """(n, 1) of (n, cells), 0 where none is reported."""
+    total: Array = np.where(volts >= _NO_CELL, 0.0, volts).sum(axis=1, keepdims=True)
+    return total
 
 
 _NO_CELL = 65535.0
@@ -138,7 +138,7 @@ MESSAGES: tuple[Message, ...] = (
     Message(
         "LOCAL_POSITION_NED", Stream.VELOCITY, Stamp.MS32, ("vx", "vy", "vz", "x", "y", "z")
     ),
-    # North and east would need an origin, and nobody uses them.
+    # North and east would need an origin, and are not used.
     Message(
         "GLOBAL_POSITION_INT", Stream.VELOCITY, Stamp.MS32,
         ("vx", "vy", "vz", "", "", "relative_alt"),
@@ -149,7 +149,7 @@ MESSAGES: tuple[Message, ...] = (
         "ATTITUDE_TARGET", Stream.RATE_SETPOINT, Stamp.NONE,
         ("body_roll_rate", "body_pitch_rate", "body_yaw_rate"),
     ),
-    # The sign only tells the sense of rotation, which the airframe gives.
+    # The sign is only the sense of rotation, which the airframe gives.
     Message(
         "ESC_STATUS", Stream.ROTOR_SPEED, Stamp.US64, ("rpm",), RPM, offset="index",
         convert=np.abs,
@@ -179,8 +179,8 @@ MESSAGES: tuple[Message, ...] = (
         only={"id": 0}, convert=_sum_of_cells,
     ),
 )  # fmt: skip
-"""HEARTBEAT, EXTENDED_SYS_STATE, PARAM_VALUE and SYSTEM_TIME are rare, and tell states: they are
+"""HEARTBEAT, EXTENDED_SYS_STATE, PARAM_VALUE and SYSTEM_TIME are rare and carry states: they are
 read in `vehicle_states`, and by the clock."""
 
 INERTIAL = frozenset(message.name for message in MESSAGES if message.stream is Stream.IMU)
-"""Messages that tell of the IMU."""
+"""Messages with IMU data."""

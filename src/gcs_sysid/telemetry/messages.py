@@ -53,11 +53,11 @@ _NAMES: dict[int, str] = {i: known[0] for i, known in KNOWN_MESSAGES.items()} | 
 NAMED_IDS = np.array(sorted(_NAMES))
 """Ids of all message types that have a name, rising."""
 OTHER_TYPES = 2**24
-"""Stands for types without a name that are not told apart; no message has such an id."""
+"""Id for types without a name that are counted together; no message has it."""
 
 
 def message_name(message_id: int) -> str:
-    """Name of a message type; `UNKNOWN_<id>` when nobody here knows it."""
+    """Name of a message type; `UNKNOWN_<id>` when unknown."""
     if message_id == OTHER_TYPES:
         return "UNKNOWN"
     return _NAMES.get(message_id) or f"UNKNOWN_{message_id}"

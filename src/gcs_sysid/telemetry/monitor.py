@@ -27,8 +27,8 @@ GAP = 0.1
 """s. A pause of the IMU longer than this, and than five of its usual steps, is a gap."""
 GAPS_KEPT = 100
 MOST_UNNAMED = 64
-"""Message types without a name that are counted one by one, the first heard; a hostile sender can
-make up 16 million."""
+"""Message types without a name that are counted one by one, the first received; a hostile sender
+can make up 16 million."""
 _NEW_SHARE = 0.02
 """Of each step of the IMU in what its usual step is believed to be."""
 _REMEMBERED = 2048
@@ -128,7 +128,7 @@ class Monitor:
         received: frames whose checksum is right, of all systems.
         heard: frames of the chosen vehicle, repeated ones too.
         bad_crc: frames whose checksum is wrong.
-        unknown: frames of types that nobody here knows.
+        unknown: frames of unknown types.
         gaps: (t, length) in s of pauses in the IMU stream, the latest ones.
         gap_count: how many there were.
     """
@@ -162,8 +162,8 @@ class Monitor:
         self.unknown += counts.get(UNKNOWN, 0)
         self.bad_crc += counts.get(BAD_CRC, 0)
 
-    def begin_anew(self) -> None:
-        """From now on another vehicle is the chosen one; what came of all goes on."""
+    def restart(self) -> None:
+        """From now on another vehicle is the chosen one; totals over all senders continue."""
         self.heard = 0
         self._counts.clear()
         self._sequence = SequenceCount()
@@ -225,8 +225,8 @@ class Monitor:
         ids, first = np.unique(message_id[unnamed], return_index=True)
         for new in ids[np.argsort(first)][: MOST_UNNAMED + 1].tolist():
             self._type(new)
-        told = np.isin(message_id, np.array(sorted(self._known)))
-        return np.where(told, message_id, OTHER_TYPES)
+        counted = np.isin(message_id, np.array(sorted(self._known)))
+        return np.where(counted, message_id, OTHER_TYPES)
 
     def _go_on(self, now: float) -> None:
         """See whether the clock went back."""
@@ -235,7 +235,7 @@ class Monitor:
             self._first = None
             self._steps.clear()
             self._imu_last = None
-            self._imu_loss.begin_anew()
+            self._imu_loss.restart()
         if self._first is None:
             self._first = now
 
@@ -301,7 +301,9 @@ class Monitor:
 
     @property
     def sent(self) -> int:
-        """Messages that the chosen vehicle has sent since it was first heard, `lost` included."""
+        """Messages that the chosen vehicle has sent since it was first received, `lost`
+        included.
+        """
         return self._sequence.expected
 
     @property

@@ -20,7 +20,7 @@ class OnboardMessage:
         rank: among those of a stream of which one is read, 0 the best; the others are read
             where it is missing.
         is_equal_to: value of a state's only field at which it is true; None: not a state.
-        offset: topic and fields that are taken off, as told last before.
+        offset: topic and fields that are subtracted, by their latest values.
         sensors: which of several: "first" (another one is another stream, not more samples),
             "primary" (of the estimator that the autopilot flies by), or "all".
         convert: (n, fields) numbers as they are logged to (n, width) values, before the scale.

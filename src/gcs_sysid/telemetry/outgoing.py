@@ -3,7 +3,7 @@
 A tool that only listens can do no harm, and this one must not do more than ask: its heartbeat,
 requests for the rates of messages and groups of them, time synchronisation, and reading of
 parameters. Nothing that moves, arms, configures or restarts a vehicle can pass, and each field of
-what passes is held to what there is a use for: a caller's slip is refused as well.
+what passes is limited to useful values: a caller's slip is refused as well.
 """
 
 import math
@@ -31,11 +31,11 @@ _GROUPS = frozenset(
     }
 )
 MOST_OF_GROUP = 50
-"""Hz. ArduPilot before 4.0 sends no group faster, and nobody else is asked for groups."""
+"""Hz. ArduPilot before 4.0 sends no group faster, and no other autopilot is sent group requests."""
 SHORTEST_INTERVAL = 500
 """us. No autopilot sends faster, and one that tried would have no time left to fly."""
 LONGEST_INTERVAL = 60_000_000
-"""us. Nobody needs a stream slower than one a minute."""
+"""us. No use for a stream slower than one a minute."""
 _MAY_BE_STOPPED = frozenset(
     getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
     for name in (
@@ -83,7 +83,7 @@ def _is_harmless_command(message: Any) -> bool:
             return wanted in _MAY_BE_STOPPED
         return bool(value == 0 or SHORTEST_INTERVAL <= value <= LONGEST_INTERVAL)
     if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
-        # Of all messages only the one that tells an interval.
+        # Only the message with an interval.
         return bool(
             wanted == mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL and value in mavlink.mavlink_map
         )
@@ -91,7 +91,7 @@ def _is_harmless_command(message: Any) -> bool:
 
 
 def _is_of_one_vehicle(message: Any) -> bool:
-    """Not to all that hear it, and to numbers that there are."""
+    """No broadcast, and only to valid ids."""
     return bool(0 < message.target_system <= 255 and 0 <= message.target_component <= 255)
 
 
@@ -106,7 +106,7 @@ def _is_harmless_group(message: Any) -> bool:
 
 
 def _is_harmless_timesync(message: Any) -> bool:
-    """A question: an answer could set the clock of somebody who asked."""
+    """A request only: a reply could set another station's clock."""
     return bool(message.tc1 == 0 and 0 <= message.ts1 < 2**63)
 
 
@@ -143,7 +143,7 @@ class Gate:
     Attributes:
         listen_only: when set, nothing at all is sent.
         sent: messages sent so far.
-        version: the MAVLink version spoken, 1 or 2: as the vehicle speaks.
+        version: of MAVLink, 1 or 2: as the vehicle's.
 
     Args:
         send_bytes: takes each frame.
@@ -213,7 +213,8 @@ class Gate:
     ) -> bool:
         """Ask for a message every `interval_us`; 0 restores the vehicle's default, -1 stops it.
 
-        `own_us` was its interval before: not sent, but known to whoever outlives the session.
+        `own_us` was its interval before: not sent, but known to the process that outlives the
+        session.
         """
         del own_us
         return self._command(target, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, interval_us)
@@ -224,8 +225,8 @@ class Gate:
 
     def request_message_interval(self, target: tuple[int, int], message_id: int) -> bool:
         """Ask the same by REQUEST_MESSAGE, which supersedes the command for it."""
-        told = mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL
-        return self._command(target, mavlink.MAV_CMD_REQUEST_MESSAGE, told, message_id)
+        interval_message = mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL
+        return self._command(target, mavlink.MAV_CMD_REQUEST_MESSAGE, interval_message, message_id)
 
     def request_group(self, target: tuple[int, int], group: int, hertz: int) -> bool:
         """Ask for a group of messages (REQUEST_DATA_STREAM) at a rate; 0 Hz stops it."""

@@ -1,9 +1,8 @@
-"""Reads the parameters that tell what the vehicle and its filters are, a few a second.
+"""Reads the parameters that describe the vehicle and its filters, a few a second.
 
-Those that tell the layout come first and faster: what is wrong with an airframe is to be said
-before take-off. They are read by name, never written. What arrives is recorded like everything
-else, so that a recording holds them too. There is no clock in here: the caller says what time it
-is.
+Those of the layout come first and faster: a wrong airframe is to be reported before take-off. They
+are read by name, never written. What arrives is recorded like everything else, so that a recording
+holds them too. There is no clock in here: the caller says what time it is.
 """
 
 from collections import deque
@@ -15,7 +14,7 @@ from gcs_sysid.telemetry.vehicles import Vehicle
 ASK_EVERY = 0.25
 """s between two requests: a slow radio carries that beside the streams."""
 LAYOUT_AT_ONCE = 3
-"""Requests at a time while the layout is not told."""
+"""Requests at a time while the layout is unknown."""
 ROUNDS = 5
 """Requests for a parameter that is not answered; the vehicle may not have it."""
 ROUND_EVERY = 3.0
@@ -80,7 +79,7 @@ FOLLOW_UPS = {"SIH_MASS": _SIH}
 
 
 def wanted_parameters(autopilot: str, rotors: int) -> tuple[str, ...]:
-    """Names of the parameters to read; none of an autopilot that nobody here knows.
+    """Names of the parameters to read; none of an unknown autopilot.
 
     Args:
         autopilot: "px4", "ardupilot", ...

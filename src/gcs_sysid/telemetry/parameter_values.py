@@ -1,7 +1,7 @@
 """The autopilot's parameters as PARAM_VALUE carries them.
 
 The message has one float for values of every type. PX4 puts an integer's bytes there as they
-are, ArduPilot converts the number: the autopilot decides, the message does not tell.
+are, ArduPilot converts the number: that depends on the autopilot, the message does not say.
 """
 
 import struct

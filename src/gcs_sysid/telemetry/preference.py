@@ -1,4 +1,4 @@
-"""Of messages that tell the same, the best that comes."""
+"""Of messages with the same content, the best that arrives."""
 
 from collections.abc import Sequence
 

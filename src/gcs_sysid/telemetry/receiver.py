@@ -1,4 +1,4 @@
-"""From the bytes of a link to frames that are believed."""
+"""From the bytes of a link to accepted frames."""
 
 import time
 from collections.abc import Callable
@@ -31,15 +31,15 @@ class Receiver:
 
     Args:
         link: open.
-        check: believes only what is signed; None: there is no key, and nearly all is believed.
+        check: accepts only signed frames; None: there is no key, and nearly all are accepted.
         clock: steady, s.
 
     Attributes:
         received_bytes: all bytes that arrived.
         check: see above.
         whereabouts: of the vehicle.
-        marks: frames that would have passed for the user's reset, and were not believed: only
-            what is recorded has such, and nothing that comes over a link is one.
+        marks: frames that pose as the user's reset, rejected: only recordings have such frames,
+            none over a link is valid.
     """
 
     MOST_SENDERS = 64
@@ -69,7 +69,7 @@ class Receiver:
         return [frame for batch in self.receive(timeout) for frame in batch.frames]
 
     def receive(self, timeout: float) -> list[Batch]:
-        """Wait up to `timeout` s for bytes; the frames that they complete and that are believed."""
+        """Wait up to `timeout` s for bytes; the accepted frames that they complete."""
         chunks = self._link.receive(timeout)
         now = time.time_ns() // 1000
         batches: list[Batch] = []
@@ -97,7 +97,7 @@ class Receiver:
         return batches
 
     def _believed(self, found: list[Frame], source: Address | None) -> list[Frame]:
-        """The frames that are believed; answers go where the vehicle's come from."""
+        """The accepted frames; replies go to the vehicle's address."""
         if self.check is None:
             before = self.whereabouts.address
             believed = self.whereabouts.take(found, source, self._clock())

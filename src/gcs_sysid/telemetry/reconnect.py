@@ -15,13 +15,13 @@ PATIENCE = 1.0
 
 
 class PersistentLink(Link):
-    """Stands before a link and replaces it when it has ended. It never ends itself.
+    """Wraps a link and reopens it when it has ended. It never ends itself.
 
     UDP needs nothing of this: its socket outlives any silence.
 
     Args:
         link: open.
-        reopen: opens the link anew, or raises `LinkError`.
+        reopen: opens the link again, or raises `LinkError`.
         clock: any steady clock, s.
         sleep: waits for s.
     """

@@ -1,4 +1,4 @@
-"""Asks a vehicle for the streams that identification needs, and sees to it that they come.
+"""Requests the streams that identification needs, and checks that they arrive.
 
 An ACK proves nothing (PX4 acknowledges streams that never arrive), and another ground station
 may reset the rates at any time, so only what arrives counts. There is no clock in here: the
@@ -29,8 +29,8 @@ from gcs_sysid.telemetry.wanted_streams import (
 HEARTBEAT_EVERY = 1.0
 """s."""
 INTRODUCTIONS = 3
-"""Heartbeats in version 2 to a vehicle that speaks version 1: PX4 speaks 1 until it hears 2, and
-what only knows 1 passes over them."""
+"""Heartbeats in version 2 to a vehicle that sends version 1: PX4 sends 1 until it receives 2, and
+systems limited to 1 ignore them."""
 ASK_AGAIN_AFTER = 5.0
 """s between two requests for the same message: time for it to arrive and be judged."""
 ENOUGH = 0.7
@@ -38,8 +38,8 @@ ENOUGH = 0.7
 ASKS_AT_MOST = 60
 """Unanswered requests a message; five minutes. A stream that the vehicle has not got (ESC_STATUS
 without telemetry, say) need not be asked for during a whole flight."""
-TELL_AFTER = 3
-"""Requests after which a stream that does not come is told, and takes no room on the link."""
+REPORT_AFTER = 3
+"""Requests after which a missing stream is reported, and gets no share of the link."""
 LOSS_JUDGED_EVERY = 10.0
 """s."""
 TOO_MUCH_LOSS = 0.1
@@ -49,7 +49,7 @@ HELPED = 0.7
 """A cut has helped when the share lost came below this part of what it was."""
 CUTS_AT_MOST = 3
 _LEAST_MESSAGES = 200
-"""Fewer sent in `LOSS_JUDGED_EVERY` tell no share of loss."""
+"""Fewer sent in `LOSS_JUDGED_EVERY` give no loss rate."""
 
 
 class StreamRequests:
@@ -92,7 +92,7 @@ class StreamRequests:
         self._came: set[str] = set()
         self._turning: set[str] = set()
         self._planned: object = None
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._events: list[str] = []
         self._loss = _LossCut()
         self._groups: GroupRequests | None = None
@@ -115,7 +115,7 @@ class StreamRequests:
             now: any steady clock, s. Call it a few times a second.
             vehicle: the chosen vehicle, None while there is none.
             arriving: message name -> Hz observed, as `Monitor.rates` gives it.
-            turning: messages that have told of all their rotors turning.
+            turning: messages that have shown all their rotors turning.
             lost_of: messages of the vehicle lost and sent so far.
             intervals: as of `StreamRestoration.tick`.
             loop_rate: ArduPilot's SCHED_LOOP_RATE, Hz; None: not known.
@@ -149,7 +149,7 @@ class StreamRequests:
             return
         self._plan(vehicle)
         if share is not None:
-            self._tell_loss(share)
+            self._report_loss(share)
         for name, hz in self._rates.items():
             self._see_to(name, hz, arriving.get(name, 0.0), now)
 
@@ -197,14 +197,14 @@ class StreamRequests:
             self._restoration.remember({n: self._interval(hz) for n, hz in rates.items()})
         before, self._rates = self._rates, rates
         if self._baud is not None and not self._loss.capacity:
-            self._tell_line(before.get("HIGHRES_IMU"), rates["HIGHRES_IMU"])
+            self._report_line(before.get("HIGHRES_IMU"), rates["HIGHRES_IMU"])
 
     def _even(self, rates: Mapping[str, float]) -> dict[str, float]:
         """The rates that ArduPilot's loop sends evenly."""
         even = {name: 1e6 / self._interval(hz) for name, hz in rates.items()}
         hertz, wished = even["HIGHRES_IMU"], rates["HIGHRES_IMU"]
         if hertz < ENOUGH * wished or (hertz < wished and wished == self._rate):
-            self._tell(
+            self._report(
                 f"asking for {hertz:.0f} Hz instead of {wished:.0f} Hz: the autopilot's loop of "
                 f"{self._loop_rate or ARDUPILOT_LOOP_RATE:.0f} Hz would send that unevenly"
             )
@@ -229,13 +229,13 @@ class StreamRequests:
         _, commands = rotor_streams(vehicle.key, self._rotors, vehicle.version)
         if arriving.get(commands, 0.0) > 1.1 * MOST_OF_GROUP:
             return False
-        return all(self._asks.get(name, 0) >= TELL_AFTER for name in ("HIGHRES_IMU", commands))
+        return all(self._asks.get(name, 0) >= REPORT_AFTER for name in ("HIGHRES_IMU", commands))
 
     def _turn_to_groups(self, vehicle: Vehicle, arriving: Mapping[str, float]) -> None:
         for name in list(self.asked):
             self._restore(name)
         self._groups = GroupRequests(self._gate, vehicle, arriving)
-        self._tell(
+        self._report(
             "this ArduPilot lacks SET_MESSAGE_INTERVAL: requesting stream groups, "
             f"which it sends at {MOST_OF_GROUP} Hz at most"
         )
@@ -256,9 +256,9 @@ class StreamRequests:
         elif hertz < self._needed:
             what = "such losses leave" if self._baud is None else f"{self._baud} baud carries"
             self.problem = too_slow(what, hertz, self._needed)
-        if self.problem and "RAW_IMU" not in self._told:
-            self._told.add("RAW_IMU")
-            self._tell(self.problem)
+        if self.problem and "RAW_IMU" not in self._reported:
+            self._reported.add("RAW_IMU")
+            self._report(self.problem)
 
     @property
     def _capacity(self) -> float | None:
@@ -266,43 +266,43 @@ class StreamRequests:
         return min(limits, default=None)
 
     def _is_absent(self, name: str) -> bool:
-        return name not in self._came and self._asks.get(name, 0) >= TELL_AFTER
+        return name not in self._came and self._asks.get(name, 0) >= REPORT_AFTER
 
     @property
     def _needed(self) -> float:
         return min(NEEDED_RATE, self._rate)
 
-    def _tell_line(self, before: float | None, hertz: float) -> None:
+    def _report_line(self, before: float | None, hertz: float) -> None:
         if hertz < self._needed:
             self.problem = too_slow(f"{self._baud} baud carries", hertz, self._needed)
-            self._tell(self.problem)
+            self._report(self.problem)
         else:
             self.problem = ""
             if before is None and hertz < self._rate:
-                self._tell(
+                self._report(
                     f"{self._baud} baud carries about {hertz:.0f} Hz of IMU and rotor data: "
                     f"requesting that instead of {self._rate:.0f} Hz"
                 )
 
-    def _tell_loss(self, share: float) -> None:
+    def _report_loss(self, share: float) -> None:
         hertz = self._rates["HIGHRES_IMU"]
-        self._tell(f"{100.0 * share:.0f} % of the messages are lost: requesting {hertz:.0f} Hz")
+        self._report(f"{100.0 * share:.0f} % of the messages are lost: requesting {hertz:.0f} Hz")
         if hertz < self._needed:
             self.problem = too_slow("without such loss the link carries", hertz, self._needed)
-            self._tell(self.problem)
+            self._report(self.problem)
 
     def _see_to(self, name: str, hz: float, got: float, now: float) -> None:
-        """Ask for a stream where it is due, and tell of what does not come."""
+        """Request a stream where due, and report those that do not arrive."""
         enough = got >= ENOUGH * hz
         if enough:
             self._asks[name] = min(self._asks.get(name, 0), 1)
-            self._told.discard(name)
+            self._reported.discard(name)
             if name in IMU and hz >= self._needed:
                 self.problem = ""
         asks = self._asks.get(name, 0)
-        if not enough and asks >= TELL_AFTER and name not in self._told:
-            self._told.add(name)
-            self._tell_shortage(name, hz, got)
+        if not enough and asks >= REPORT_AFTER and name not in self._reported:
+            self._reported.add(name)
+            self._report_shortage(name, hz, got)
         if name not in self._asked_at:
             self._asks[name] = max(asks, 1)
             self._ask(name, hz, now)
@@ -310,14 +310,14 @@ class StreamRequests:
             self._asks[name] = asks + 1
             self._ask(name, hz, now)
 
-    def _tell_shortage(self, name: str, hz: float, got: float) -> None:
+    def _report_shortage(self, name: str, hz: float, got: float) -> None:
         if got == 0.0:
-            self._tell(f"{name} does not arrive after {TELL_AFTER} requests")
+            self._report(f"{name} does not arrive after {REPORT_AFTER} requests")
         elif name in IMU and got < self._needed:
             self.problem = too_slow(f"requested {hz:.0f} Hz, this link carries", got, self._needed)
-            self._tell(self.problem)
+            self._report(self.problem)
         else:
-            self._tell(f"{name} arrives at {got:.0f} Hz instead of {hz:.0f} Hz")
+            self._report(f"{name} arrives at {got:.0f} Hz instead of {hz:.0f} Hz")
 
     def _ask(self, name: str, hz: float, now: float) -> None:
         assert self._vehicle is not None
@@ -336,7 +336,7 @@ class StreamRequests:
             if self._restoration is not None:
                 self._restoration.restored(name)
 
-    def _tell(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         if text not in self._events:
             self._events.append(text)
 
@@ -348,18 +348,18 @@ class StreamRequests:
         return events
 
     def reboot(self) -> None:
-        """Ask anew: the vehicle has forgotten, or may have while it was not heard."""
+        """Request again: the vehicle has forgotten, or may have while out of contact."""
         if self._groups is not None:
             self._groups.again()
         if self._restoration is not None:
             self._restoration.again()
         self._asked_at.clear()
         self._asks.clear()
-        self._told.clear()
+        self._reported.clear()
         self._introductions = 0
 
     def close(self) -> None:
-        """Give the vehicle back the rates it had. Said twice: nobody is there to say it again."""
+        """Restore the vehicle's rates. Sent twice, as there is no later retry."""
         asked = dict(self.asked)
         for _ in range(2):
             if self._groups is not None:

@@ -9,16 +9,16 @@ from gcs_sysid.arrays import Array, Mask
 RPM = 2.0 * math.pi / 60.0
 """rad/s per revolution a minute."""
 MOST_ROTORS = 64
-"""As many as the definition of ESC_STATUS allows; its index could tell of more."""
+"""As many as the definition of ESC_STATUS allows; its index could be higher."""
 
 
 def used_sensors(_messages: Array, rpm: Array) -> Array:
-    """(n,) how many sensors n messages RPM tell of; those that are not there say -1."""
+    """(n,) how many sensors n messages RPM report; absent ones are -1."""
     return np.where(rpm[:, 0] < 0.0, 0, np.where(rpm[:, 1] >= 0.0, 2, 1))
 
 
 def used_outputs(messages: Array, outputs: Array) -> Array:
-    """(n,) how many outputs n messages ACTUATOR_OUTPUT_STATUS tell of, at least four.
+    """(n,) how many outputs n messages ACTUATOR_OUTPUT_STATUS report, at least four.
 
     `active` is by the definition a mask, from PX4 a count; either way outputs beyond it are unused.
     """
@@ -33,7 +33,7 @@ def used_outputs(messages: Array, outputs: Array) -> Array:
 
 
 def used_servos(_messages: Array, servos: Array) -> Array:
-    """(n,) how many servos n messages SERVO_OUTPUT_RAW tell of, at least four; 0: not there."""
+    """(n,) how many servos n messages SERVO_OUTPUT_RAW report, at least four; 0: not there."""
     used: Array = np.maximum(_to_last(servos != 0.0), 4)
     return used
 

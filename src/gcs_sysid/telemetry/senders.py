@@ -1,7 +1,8 @@
-"""Who speaks in the vehicle's name. Without signatures nothing proves it; some things tell.
+"""Detects senders that use the vehicle's address. Without signatures there is no proof, only
+evidence.
 
 `Whereabouts` knows addresses, and acts before anything is recorded, so that live sessions and the
-analysis of their recordings see the same frames. `Contradictions` knows only what is said, on any
+analysis of their recordings see the same frames. `Contradictions` uses message content only, on any
 link and in any recording.
 """
 
@@ -13,7 +14,7 @@ from gcs_sysid.telemetry.link import Address
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
 
 _STATES = frozenset(MESSAGE_IDS[name] for name in ("HEARTBEAT", "EXTENDED_SYS_STATE"))
-"""Messages that tell what the vehicle is, and whether it is armed and flies."""
+"""Messages with the vehicle's type, and whether it is armed and flies."""
 _IMU = frozenset(MESSAGE_IDS[name] for name in ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU"))
 
 
@@ -22,22 +23,22 @@ class Rival(NamedTuple):
 
     vehicle: tuple[int, int]
     address: Address
-    """Where the vehicle is believed to speak from."""
+    """The vehicle's address, as taken."""
     other: Address
 
 
 class Whereabouts:
     """Follows the address that the vehicle sends from.
 
-    Once an address brings IMU data, what the vehicle's state is is believed from there alone, as
-    far as it is told from there: who forges heartbeats must not disarm the vehicle. Everything
-    else is believed from anywhere, because a vehicle may have several links.
+    Once an address sends IMU data, the vehicle's state is accepted from there alone, as far as it
+    is reported there: forged heartbeats must not disarm the vehicle. Everything else is accepted
+    from anywhere, because a vehicle may have several links.
 
     Attributes:
         vehicle: (sysid, compid); None while any sender may be it.
-        address: that is answered; None on links with one sender, and before anybody has spoken.
-        rival: who else speaks in its name, the first found; None while nobody does.
-        passed_over: frames of others that told its state.
+        address: that is answered; None on links with one sender, and before the first frame.
+        rival: another sender with its address, the first found; None while there is none.
+        passed_over: frames of others with its state.
     """
 
     MOVED_AFTER = 3
@@ -46,7 +47,7 @@ class Whereabouts:
     SILENT_FOR = 2.0
     """s that an address with IMU data must have been silent before the vehicle has moved."""
     TURNS = 5
-    """That two addresses take before it is told: one that has moved takes two at most."""
+    """Changes between two addresses before it is reported: a moved sender makes two at most."""
 
     def __init__(self) -> None:
         self.vehicle: tuple[int, int] | None = None
@@ -61,7 +62,7 @@ class Whereabouts:
         self._has_imu = False
 
     def follow(self, vehicle: tuple[int, int]) -> None:
-        """Follow this vehicle (sysid, compid) from now on, from where the last one spoke."""
+        """Follow this vehicle (sysid, compid) from now on, at the address of the last one."""
         if vehicle != self.vehicle:
             self.vehicle = vehicle
             self.rival = None
@@ -76,7 +77,7 @@ class Whereabouts:
             now: any steady clock, s.
 
         Returns:
-            Those that are believed.
+            Those accepted.
         """
         mine = [frame for frame in found if self.is_vehicles(frame)]
         if not mine:
@@ -100,7 +101,7 @@ class Whereabouts:
         self._elsewhere = 0
 
     def is_vehicles(self, frame: Frame) -> bool:
-        """Whether a frame speaks in the vehicle's name."""
+        """Whether a frame has the vehicle's address."""
         if self.vehicle is None:
             return True
         return (frame.system, frame.component) == self.vehicle and frame.valid is Validity.OK
@@ -136,17 +137,17 @@ class Whereabouts:
         return silent and self._elsewhere >= self.MOVED_AFTER
 
     def _without_state(self, found: list[Frame]) -> list[Frame]:
-        """Those of another address that tell nothing which the vehicle's own tells."""
+        """Those of another address without content that the vehicle's own sends."""
         left = [f for f in found if f.message_id not in self._states or not self.is_vehicles(f)]
         self.passed_over += len(found) - len(left)
         return left
 
 
 class Contradictions:
-    """Notices when heartbeats of one vehicle say this and that by turns.
+    """Detects heartbeats of one vehicle that contradict each other by turns.
 
     No vehicle arms and disarms, or is one autopilot and then another, every few heartbeats:
-    somebody else sends some of them.
+    another sender is behind some of them.
 
     Attributes:
         found: whether they did, once.

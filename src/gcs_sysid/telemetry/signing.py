@@ -1,8 +1,8 @@
 """MAVLink 2 signing: the key, signatures on what is sent, checks of what comes.
 
 A signature is a link number, a time in units of 10 us since 2015, and the first 6 bytes of
-SHA-256 over key, frame, link number and time. The time of a sender never goes back, which is
-what tells a repeated frame from a new one.
+SHA-256 over key, frame, link number and time. The time of a sender never goes back, which
+distinguishes a repeated frame from a new one.
 
 The key itself is never sent: SETUP_SIGNING cannot pass `outgoing.Gate`.
 """
@@ -33,7 +33,7 @@ RESERVED = 60 * UNITS
 """How far ahead of the last frame the state file is written, so that even a kill -9 cannot let
 the time go back."""
 OLDEST_START = 60 * UNITS
-"""A sender not heard before may be this far behind our own time, as the protocol says."""
+"""A sender not received before may be this far behind our own time, as the protocol says."""
 LINK_ID = 0
 _MOST_BYTES = 4096
 """Of a key file."""
@@ -115,13 +115,13 @@ class SigningClock:
         return self.time
 
     def heard(self, stamp: int) -> None:
-        """Take the time of a frame that is believed: never be behind it."""
+        """Take the time of an accepted frame: never be behind it."""
         self._heard = max(self._heard, stamp)
         self.time = max(self.time, stamp)
 
     @property
     def oldest_start(self) -> int:
-        """The earliest time believed of a sender that was not heard before."""
+        """The earliest time accepted of a sender not received before."""
         return max(self._now(), self._heard) - OLDEST_START
 
     def close(self) -> None:
@@ -185,13 +185,13 @@ class Refusal(StrEnum):
     WRONG_KEY = "wrong key"
     """The signature is not right: made with another key, or the frame was changed."""
     REPLAYED = "replayed"
-    """The signature is right, its time is not later than one heard before."""
+    """The signature is right, its time is not later than one received before."""
     TOO_OLD = "too old"
-    """The signature is right; the first time heard of its sender is long gone."""
+    """The signature is right; the first time received of its sender is long past."""
 
 
 class SignatureCheck:
-    """Decides which frames are believed once there is a key.
+    """Decides which frames are accepted once there is a key.
 
     Args:
         key: 32 bytes.
@@ -210,10 +210,10 @@ class SignatureCheck:
         self._latest: dict[tuple[int, int, int], int] = {}
 
     def take(self, frame: Frame) -> Refusal | None:
-        """Judge one frame; None when it is to be believed.
+        """Judge one frame; None when it is accepted.
 
-        Damaged frames pass: nobody believes them in any case, and they are counted elsewhere.
-        RADIO_STATUS passes unsigned, because radios have no key.
+        Damaged frames pass: they are rejected and counted elsewhere. RADIO_STATUS passes unsigned,
+        because radios have no key.
         """
         if frame.valid is Validity.BAD_CRC:
             return None

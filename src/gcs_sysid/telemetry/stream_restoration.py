@@ -81,7 +81,7 @@ class StreamRestoration:
         self.again()
 
     def again(self) -> None:
-        """Ask anew: the vehicle has forgotten, or may have while it was not heard."""
+        """Request again: the vehicle has forgotten, or may have while out of contact."""
         self._began = None
         self._known = False
 
@@ -96,7 +96,7 @@ class StreamRestoration:
         Args:
             now: any steady clock, s.
             arriving: message name -> Hz observed.
-            intervals: message number -> us that MESSAGE_INTERVAL told, and how many had come.
+            intervals: message number -> us from MESSAGE_INTERVAL, and how many had come.
         """
         if self._known or self._vehicle is None:
             return self._known
@@ -141,13 +141,13 @@ class StreamRestoration:
 
     @staticmethod
     def _meaning(autopilot: str, answer: int | None, hertz: float) -> int:
-        """The interval to put back, by what the vehicle told and what arrived."""
+        """The interval to restore, by the vehicle's reply and the arrival rate."""
         if answer is not None and answer > 0:
             return min(max(answer, SHORTEST_INTERVAL), LONGEST_INTERVAL)
         if hertz > 0.0:
-            # Not told, or sent as fast as it comes (-1 of PX4's).
+            # Not reported, or sent as fast as available (-1 of PX4's).
             return min(max(round(1e6 / hertz), SHORTEST_INTERVAL), LONGEST_INTERVAL)
-        # PX4 says 0 of a message that it does not send, others of one that they do not have.
+        # PX4 reports 0 for a message that it does not send, others for one that they do not have.
         if answer == OFF or (answer == 0 and autopilot == "px4"):
             return OFF
         return VEHICLE_DEFAULT
@@ -217,7 +217,7 @@ class StreamRestoration:
             )
 
     def _read(self) -> None:
-        """What a killed session left; a file that is none is passed over."""
+        """What a killed session left; an invalid file is skipped."""
         path = self._path
         if path is None or not path.is_file():
             return

@@ -1,10 +1,10 @@
 """From the bytes of a .tlog to its frames, a piece at a time.
 
-What counts as a frame is what `frames` says; here the same is decided for arrays. A record is
-8 bytes of time and a frame, so each frame's length tells where the next one's magic byte must
-be. Every byte that could be a magic byte and leads to another one is a candidate; runs of
-candidates that lead to each other are the chain, and only where a run ends is anything decided
-one by one. Then the checksums of all frames in the chain are taken together.
+The rules for a frame are those of `frames`, here applied to arrays. A record is 8 bytes of time and
+a frame, so each frame's length gives the position of the next one's magic byte. Every byte that
+could be a magic byte and leads to another one is a candidate; runs of candidates that lead to each
+other are the chain, and only where a run ends is anything decided one by one. Then the checksums of
+all frames in the chain are taken together.
 
 - A frame whose checksum is right is good, whatever follows.
 - One that is wrong, or of an unknown type, keeps its place when a record follows it and no good
@@ -40,16 +40,16 @@ MARGIN = 3 * (STAMP + LONGEST_FRAME)
 """Bytes that must follow a record before it is decided, unless the file ends: the record after
 it, and what may begin inside of either."""
 CLOCK_STEP = 60_000_000
-"""us. A record's time further than this from those of both neighbours, which agree with each
+"""us. A record's time further than this from those of both neighbors, which agree with each
 other, is damaged."""
 FAR_STEP = 86_400_000_000
-"""us. The same where there is only one neighbour."""
+"""us. The same where there is only one neighbor."""
 _TRIED = 4096
 """Bytes of a piece hunted through one by one, before all its good frames are found together."""
 _AT_ONCE = 2**19
 """Candidates judged together."""
 ALONE = 2**20
-"""Bytes of garbage after which no neighbour is waited for, however long it goes on."""
+"""Bytes of garbage after which no neighbor is waited for, however long it goes on."""
 
 _IDS = max(CRC_EXTRA) + 2
 _EXTRA = np.full(_IDS, -1, np.int16)
@@ -65,7 +65,7 @@ class ScanCounts:
     Attributes:
         frames: frames of any validity.
         bad_crc: those of them with a wrong checksum: another definition, or damaged.
-        unknown: those of types that nobody here knows.
+        unknown: those of unknown types.
         garbage_bytes: bytes that belong to no record.
         resyncs: how often the chain of records was broken and found again.
         repaired_times: record times that were damaged.
@@ -120,7 +120,7 @@ class Scanner:
                 self.counts.cut_short = rest
             self._hunting = hunting and not len(at)
         elif len(at) and limit - STAMP - behind < ALONE:
-            # The last frame comes again: its time is judged with its neighbour's.
+            # The last frame comes again: its time is judged with its neighbor's.
             kept, done, rest = len(at) - 1, int(start[-1]), 0
             self._hunting = hunting and done == 0
         else:
@@ -180,7 +180,7 @@ class Scanner:
         ahead[:-1][gaps[1:] >= ALONE] = np.nan
         spike = (abs(here - past) > CLOCK_STEP) & (abs(here - ahead) > CLOCK_STEP)
         spike &= abs(ahead - past) <= CLOCK_STEP
-        # The first and the last of a file have one neighbour, which must not be far away.
+        # The first and the last of a file have one neighbor, which must not be far away.
         spike |= np.isnan(past) & (abs(here - ahead) > FAR_STEP)
         spike |= np.isnan(ahead) & (abs(here - past) > FAR_STEP)
         damaged = (spike | ~stamped)[:kept]
@@ -196,7 +196,7 @@ class Scanner:
 
 
 class _Headers:
-    """What the frames at given positions say of themselves, and whether it is true."""
+    """Headers of the frames at given positions, and whether they are valid."""
 
     def __init__(self, data: Array, at: Array) -> None:
         head = rows_of(data, at, HEADER_2)
@@ -291,7 +291,7 @@ class _Chain:
         return chain[: np.searchsorted(chain, self._limit, side="right")]
 
     def _by_length(self, *, hunting: bool) -> Array:
-        """The chain as the lengths tell it, checksums aside."""
+        """The chain by frame lengths, checksums aside."""
         linked, follows = self._linked, self._follows
         # Runs of candidates that lead to each other, and where the last of each leads.
         ends = np.append(follows[:-1] != linked[1:], [True] * min(len(linked), 1))

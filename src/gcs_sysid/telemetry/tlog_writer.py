@@ -1,8 +1,8 @@
 """Recordings written so that they survive: a crash, a slow disk, a full one, one that is gone.
 
-Whoever records hands frames over and never waits. A thread writes them, whole records only, a
-few times a second: from then on they outlive this process. Another thread has them synced to
-the disk, which on an SD card may take longer than a second and holds up nobody either.
+The recorder hands frames over and never waits. A thread writes them, whole records only, a few
+times a second: from then on they outlive this process. Another thread has them synced to the disk,
+which on an SD card may take longer than a second, and blocks neither.
 """
 
 import errno
@@ -36,7 +36,7 @@ PATIENCE = 5.0
 STALLED_AFTER = 3.0
 """s in one write from which a disk is said not to answer."""
 _MOST_EVENTS = 20
-"""Kept while nobody asks."""
+"""Events kept until taken."""
 _NO_ROOM = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
 
 _stamp = struct.Struct(">Q")
@@ -217,7 +217,7 @@ class TlogWriter:
             self._open()
         file = self._file
         assert file is not None
-        if self.problem and chunks:  # it may hold a part of a record: write over that
+        if self.problem and chunks:  # it may hold a part of a record: overwrite that
             file.seek(self._size)
         view = memoryview(b"".join(data for data, _ in chunks))
         done = 0
@@ -261,7 +261,7 @@ class TlogWriter:
         self._begun += 1
 
     def _see_whether_there(self) -> None:
-        """A file that was removed takes all that is written, and nobody will ever read it."""
+        """A removed file takes all that is written, and is lost."""
         if self._file is None:
             return
         status = os.fstat(self._file.fileno())

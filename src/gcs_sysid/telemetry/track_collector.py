@@ -19,7 +19,7 @@ from gcs_sysid.telemetry.clock import JUMP_AHEAD
 STATE_EVERY = 1.0
 """s between two reports of a state that is only logged when it changes."""
 STATE_FOR = 86400.0
-"""s for which it is told: what ends later has a damaged time."""
+"""s of log accepted: a later time is damaged."""
 
 
 class TrackCollector:
@@ -91,7 +91,7 @@ _Key = tuple[Stream, str, int, int]
 
 @dataclass
 class Recording:
-    """What a reader makes of an onboard log.
+    """Content of an onboard log as read.
 
     Attributes:
         tracks: the streams.
@@ -144,7 +144,7 @@ class Recording:
         whole = np.isfinite(values)
         finite = whole.all(axis=1)
         if stream is Stream.IMU:
-            # Nearly everything rests on the gyro: one without an accelerometer is of use.
+            # Nearly everything depends on the gyro: one without an accelerometer is of use.
             finite = whole[:, :3].all(axis=1)
             values[finite & ~whole.all(axis=1), 3:] = np.nan
         self._drop("no time", ~believable)
@@ -156,7 +156,7 @@ class Recording:
             self.tracks.append(Track(stream, t[order], values[order], offset, source))
 
     def add_state(self, stream: Stream, changes: Mapping[float, bool], end: float) -> None:
-        """Add a state by the times at which it changed, told every second like on a link."""
+        """Add a state by the times at which it changed, repeated every second as on a link."""
         if not changes:
             return
         at = np.array(sorted(changes))
@@ -168,8 +168,8 @@ class Recording:
     def add_voltage(self, t: Array, volts: Array) -> None:
         """Add the battery's, as an extra too: (n,) s and (n,) or (n, 1) V."""
         self.extras["battery voltage"] = t, volts
-        told = np.isfinite(volts).reshape(len(t), -1).all(axis=1)
-        self.add(Stream.VOLTAGE, t[told], volts[told])
+        reported = np.isfinite(volts).reshape(len(t), -1).all(axis=1)
+        self.add(Stream.VOLTAGE, t[reported], volts[reported])
 
     def _drop(self, reason: str, rows: Mask) -> None:
         if rows.any():
@@ -177,15 +177,15 @@ class Recording:
 
     def block(self) -> RecordBlock:
         """Everything in the order of time; at the same time, parameters first, then tracks."""
-        told = np.array([t for t, _, _ in self.parameters])
-        times = np.concatenate([told, *(track.t for track in self.tracks)])
+        reported = np.array([t for t, _, _ in self.parameters])
+        times = np.concatenate([reported, *(track.t for track in self.tracks)])
         order = np.empty(len(times), np.int64)
         order[np.argsort(times, kind="stable")] = np.arange(len(times))
-        ends = np.cumsum([len(told), *(len(track.t) for track in self.tracks)])
+        ends = np.cumsum([len(reported), *(len(track.t) for track in self.tracks)])
         parameters = [
             (number, Record(Stream.PARAMETER, t, (value,), source=name))
             for number, (t, name, value) in zip(
-                order[: len(told)].tolist(), self.parameters, strict=True
+                order[: len(reported)].tolist(), self.parameters, strict=True
             )
         ]
         return RecordBlock(
@@ -209,7 +209,7 @@ def _upright(q: Array) -> Array:
 
 
 def believable_times(t: Array) -> Mask:
-    """(n,) whether each time agrees with its neighbours: a damaged stamp may be anything."""
+    """(n,) whether each time agrees with its neighbors: a damaged stamp may be anything."""
     if len(t) < 5:
         return np.isfinite(t)
     padded = np.pad(t, 2, mode="reflect")

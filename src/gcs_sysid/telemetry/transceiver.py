@@ -1,4 +1,4 @@
-"""A link, whom it believes and what may be sent on it: all that touches a vehicle."""
+"""A link, the frames it accepts and what may be sent on it: all that touches a vehicle."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,8 +23,8 @@ class LinkReport:
         ended: as of `Link`, as are `breaks`, `floods` and `dropped`.
         garbage_bytes: that were part of no frame.
         marks: as of `Receiver`.
-        rival: who else speaks in the vehicle's name.
-        passed_over: frames of others that told the vehicle's state.
+        rival: another sender with the vehicle's address.
+        passed_over: frames of others with the vehicle's state.
         accepted: frames that are signed with the key; None: there is no key.
         refused: reason -> frames that are not.
         signing_problem: one line about the file of the signatures' time, else "".
@@ -78,7 +78,7 @@ class Requests(Protocol):
 
 
 class Port(Protocol):
-    """What a ground station speaks through, here or in another process."""
+    """The port of a ground station, here or in another process."""
 
     @property
     def url(self) -> LinkUrl:
@@ -131,11 +131,11 @@ class Transceiver:
         return self._link.url
 
     def receive(self, timeout: float) -> list[Batch]:
-        """Wait up to `timeout` s for bytes; the frames that are believed."""
+        """Wait up to `timeout` s for bytes; the accepted frames."""
         return self._receiver.receive(timeout)
 
     def follow(self, vehicle: tuple[int, int]) -> None:
-        """Answer from now on to the address that the vehicle (sysid, compid) speaks from."""
+        """Reply from now on to the address that the vehicle (sysid, compid) sends from."""
         self._receiver.follow(vehicle)
 
     @property

@@ -13,7 +13,7 @@ from gcs_sysid.telemetry.urls import LinkUrl
 
 RECEIVE_BUFFER = 16 * 2**20
 """Bytes asked of the system, which gives what its limit allows (Linux: net.core.rmem_max, 4 MB on
-many; root may ask for more): 4 MB hold a vehicle at 1 kHz for 4 s in which nobody reads."""
+many; root may ask for more): 4 MB hold 4 s of a vehicle at 1 kHz, unread."""
 LARGEST_DATAGRAM = 65536
 DATAGRAMS_AT_ONCE = 512
 FLOOD = 5000
@@ -38,12 +38,12 @@ _ROOM = (
 
 
 class UdpLink(Link):
-    """Datagrams, listening (`udpin`) or speaking first (`udpout`).
+    """Datagrams, listening (`udpin`) or sending first (`udpout`).
 
-    Whoever floods the port fills the system's buffer, and what finds no room there is lost before
-    anybody has read it. So, once others send more than the vehicle ever would, its datagrams get
-    a socket and a buffer of their own: one bound to the same port and connected to the vehicle's
-    address, which Linux prefers for what comes from there. The others are read a few at a time.
+    A flood on the port fills the system's buffer, and further datagrams are lost unread. So, once
+    others send more than the vehicle ever would, its datagrams get a socket and a buffer of their
+    own: one bound to the same port and connected to the vehicle's address, which Linux prefers for
+    what comes from there. The others are read a few at a time.
 
     Args:
         url: what to open.
@@ -95,7 +95,7 @@ class UdpLink(Link):
         if chunks:
             self._apart_spoke, self._apart_heard = True, self._clock()
         elif self._clock() - self._apart_heard > SILENT_FOR:
-            # It is gone, or speaks from another address now: whoever comes is as good.
+            # It is gone, or sends from another address now: accept any sender again.
             self._unreachable = None if self._apart_spoke else self._to
             self._mix_again()
         return chunks + self._drain(self._socket, STRANGERS_AT_ONCE)
@@ -108,16 +108,16 @@ class UdpLink(Link):
             except BlockingIOError:
                 break
             except ConnectionError:
-                continue  # the answer "nobody listens there" to something that we sent
+                continue  # ICMP port unreachable, in reply to something sent
         return chunks
 
     def _read(self, from_socket: socket.socket) -> Chunk:
         if not _ROOM:
             data, source = from_socket.recvfrom(LARGEST_DATAGRAM)
             return Chunk(data, source[:2])
-        data, told, _, source = from_socket.recvmsg(LARGEST_DATAGRAM, _ROOM)
+        data, ancillary, _, source = from_socket.recvmsg(LARGEST_DATAGRAM, _ROOM)
         time_us = None
-        for level, kind, content in told:
+        for level, kind, content in ancillary:
             if level != socket.SOL_SOCKET:
                 continue
             if kind == SO_TIMESTAMPNS and len(content) == _STAMP.size:
@@ -148,12 +148,12 @@ class UdpLink(Link):
 
     def _set_apart(self) -> list[Chunk]:
         """Give the vehicle a socket of its own; what had come to the other one before."""
-        assert self._to is not None  # nobody is a stranger without it
+        assert self._to is not None  # without it no sender is foreign
         apart = socket.socket(self._family, socket.SOCK_DGRAM)
         both = (self._socket, apart)
         try:
             _prepare(apart)
-            # Two sockets on a port, for this one moment: nobody else can slip in afterwards.
+            # Two sockets on a port, for this one moment: no other can slip in afterwards.
             for each in both:
                 each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             apart.bind(self._socket.getsockname())

@@ -126,14 +126,14 @@ def _add_topic(
 def _values(
     row: OnboardMessage, t: Array, topic: Topic, topics: dict[tuple[str, int], Topic]
 ) -> Array:
-    """(n, fields) of a row's fields, less what it says is taken off."""
+    """(n, fields) of a row's fields, less its offsets."""
     values = np.hstack([_columns(topic, field) for field in row.fields])
     if row.offset is not None:
         name, fields = row.offset
-        told = topics.get((name, 0))
-        if told is not None:
-            offsets = np.hstack([_columns(told, field) for field in fields])
-            last = np.searchsorted(told["timestamp"] * 1e-6, t, side="right") - 1
+        size = topics.get((name, 0))
+        if size is not None:
+            offsets = np.hstack([_columns(size, field) for field in fields])
+            last = np.searchsorted(size["timestamp"] * 1e-6, t, side="right") - 1
             values -= np.where(last[:, None] >= 0, offsets[np.maximum(last, 0)], 0.0)
     return values
 
@@ -144,11 +144,11 @@ def _constant(topic: Topic, field: str) -> int | None:
 
 def _columns(topic: Topic, field: str) -> Array:
     """(n, count) of a field, see `OnboardMessage.fields`; KeyError when not all of it is there."""
-    name, _, told = field.rstrip("]").partition("[")
+    name, _, size = field.rstrip("]").partition("[")
     with np.errstate(invalid="ignore"):  # damaged values may be NaN
-        if not told:
+        if not size:
             return topic[name].astype(float)[:, None]
-        count = int(told) if told.isdigit() else int(topic[told].max())
+        count = int(size) if size.isdigit() else int(topic[size].max())
         if not count:
             raise KeyError(name)
         return np.column_stack([topic[f"{name}[{i}]"] for i in range(count)]).astype(float)
@@ -172,7 +172,7 @@ def _motors(topic: Topic, thrust_factor: float) -> Array:
 
 
 def _speeds(topic: Topic) -> Array:
-    """(n, motors) rad/s without sign, in motor order where the ESCs tell their motors."""
+    """(n, motors) rad/s without sign, in motor order where the ESCs report their motors."""
     count = sum(1 for field in topic if field.endswith(".esc_rpm"))
     count = min(int(topic["esc_count"].max()), count) or count
     if not count:

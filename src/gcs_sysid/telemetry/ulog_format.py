@@ -1,4 +1,4 @@
-"""What a .ulg says of its topics: formats with fields, which may be other formats or arrays.
+"""Topics of a .ulg: formats with fields, which may be other formats or arrays.
 
 Definitions are a file's own word, and nothing is allocated on it before it is bounded: a row is
 no longer than an entry can be, and how long it is follows from the formats without laying them

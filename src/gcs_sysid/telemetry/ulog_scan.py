@@ -33,7 +33,7 @@ _LONGEST_UNKNOWN = 2048
 """Bytes of the rows of a topic whose subscription is missing."""
 _MOST_FAULTS = 100
 _MOST_NEW_KINDS = 1000
-"""Entries of kinds that nobody here knows."""
+"""Entries of unknown kinds."""
 _OTHERS, _BYTES_AN_OTHER = 2**16, 64
 """Entries that are no rows: so many, and one for so many bytes. More of them are garbage."""
 _LONG = 300
@@ -376,17 +376,19 @@ class UlogFile:
         places, times = joined[:, np.argsort(joined[0])]
         latest = np.maximum.accumulate(np.concatenate([[self._last_us], times]))
 
-        def told(entries: list[Any]) -> list[float]:
+        def times_of(entries: list[Any]) -> list[float]:
             at = np.searchsorted(places, [entry[0] for entry in entries])
             seconds: list[float] = (latest[at] * 1e-6).tolist()
             return seconds
 
         self.changed += [
             (t, name, value)
-            for t, (_, name, value) in zip(told(self._parameters), self._parameters, strict=True)
+            for t, (_, name, value) in zip(
+                times_of(self._parameters), self._parameters, strict=True
+            )
         ]
         self.dropouts += [
-            (t, length) for t, (_, length) in zip(told(self._pauses), self._pauses, strict=True)
+            (t, length) for t, (_, length) in zip(times_of(self._pauses), self._pauses, strict=True)
         ]
         self._parameters.clear()
         self._pauses.clear()

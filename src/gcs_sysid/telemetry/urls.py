@@ -45,7 +45,9 @@ class LinkUrl:
 
     @property
     def speaks_first(self) -> bool:
-        """Whether the vehicle is silent until it hears us, so that listening alone is in vain."""
+        """Whether the vehicle is silent until it receives something, so that listening alone is in
+        vain.
+        """
         return self.kind == "udpout"
 
     def __str__(self) -> str:

@@ -1,4 +1,4 @@
-"""Messages that tell states, not samples: heartbeats, whether it flies, parameters.
+"""Messages with states, not samples: heartbeats, flight state, parameters.
 
 They come once or twice a second, and what they mean depends on those before: they are taken one
 by one.
@@ -13,8 +13,8 @@ from gcs_sysid.telemetry.messages import MESSAGE_IDS, picker
 from gcs_sysid.telemetry.parameter_values import read_parameter
 
 LANDED_STATE_FOR = 5.0
-"""s. ArduPilot's heartbeat tells flight only when no EXTENDED_SYS_STATE, which comes once or twice
-a second, came for this long."""
+"""s. ArduPilot's heartbeat gives the flight state only when no EXTENDED_SYS_STATE, which comes once
+or twice a second, came for this long."""
 MOST_PARAMETERS = 4096
 """Names kept: a hostile sender can make up more than any autopilot has."""
 STATE_IDS = frozenset(
@@ -24,7 +24,7 @@ STATE_IDS = frozenset(
 """Ids of the messages that are read here."""
 
 KNOWN_IDS = frozenset(MESSAGE_IDS.values())
-"""A hostile sender can tell of 65 536 messages."""
+"""A hostile sender can name 65 536 messages."""
 _ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 _landed = picker("EXTENDED_SYS_STATE", "landed_state")
 _interval = picker("MESSAGE_INTERVAL", "message_id", "interval_us")
@@ -32,14 +32,14 @@ _heartbeat = picker("HEARTBEAT", "autopilot", "base_mode", "system_status")
 
 
 class VehicleStates:
-    """Makes records from one vehicle's messages that tell states.
+    """Makes records from one vehicle's state messages.
 
     Attributes:
         autopilot: MAV_AUTOPILOT of the latest heartbeat; None before the first.
-        parameters: name -> value of the autopilot's parameters heard so far.
-        intervals: message number -> us between two of them as MESSAGE_INTERVAL told last, and how
+        parameters: name -> value of the autopilot's parameters received so far.
+        intervals: message number -> us between two of them by the latest MESSAGE_INTERVAL, and how
             many of these had come by then.
-        untimed: messages that gave no record because no stamp had been heard.
+        untimed: messages that gave no record because no stamp had been received.
     """
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ class VehicleStates:
         self._landed_heard = -math.inf
 
     def forget_times(self) -> None:
-        """What was heard at times of another boot says nothing of the present."""
+        """Stamps of another boot do not apply."""
         self._landed_heard = -math.inf
 
     def take(self, frame: Frame, now: float | None) -> Record | None:
@@ -94,8 +94,8 @@ class VehicleStates:
         if now is None:  # usual at the start: no reason to count it
             return None
         armed = bool(base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-        # ArduPilot's status tells flight too. One message makes one record, so the arming is
-        # told when it changes and the flight in between.
+        # ArduPilot's status gives the flight state too. One message makes one record, so arming is
+        # recorded when it changes and flight in between.
         if (
             armed == self._armed
             and self.autopilot == _ARDUPILOT

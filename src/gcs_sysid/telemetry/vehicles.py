@@ -20,10 +20,10 @@ MOST_SYSTEMS = 256
 RADIO = (51, 68)
 """(sysid, compid) of SiK telemetry radios: they add RADIO_STATUS to what they carry."""
 INERTIAL_IDS = frozenset(MESSAGE_IDS[name] for name in INERTIAL)
-"""Ids of the messages that tell of the IMU."""
+"""Ids of the messages with IMU data."""
 _BEATS, _SAMPLES = 3, 20
-"""Heartbeats and inertial messages of one that speaks, after which one that told nothing in all
-that time is not the vehicle. Autopilots send a heartbeat a second, and answer a request in less."""
+"""Heartbeats and inertial messages of an active system, after which one silent in all that time is
+not the vehicle. Autopilots send a heartbeat a second, and answer a request in less."""
 _EVERYBODY = 0
 """The system that every vehicle is meant by; none has that number."""
 
@@ -121,7 +121,7 @@ class VehicleSelector:
 
     Attributes:
         chosen: the vehicle, None until it has sent a heartbeat.
-        systems: (sysid, compid) -> all that was heard, in the order heard.
+        systems: (sysid, compid) -> all systems received, in that order.
         frames: (sysid, compid) -> valid frames of each.
         wanted: system and perhaps component that the user chose; None: the first autopilot.
     """
@@ -163,16 +163,16 @@ class VehicleSelector:
         return chosen is not None and (frame.system, frame.component) == chosen.address
 
     def hear(self, heartbeat: Frame) -> None:
-        """Note what a heartbeat says of its sender."""
+        """Note a heartbeat's data on its sender."""
         vehicle_type, autopilot = _heartbeat(heartbeat.payload)
         who = (heartbeat.system, heartbeat.component)
         self._hear(Vehicle(*who, vehicle_type, autopilot, heartbeat.version))
 
     def go_over(self, frame: Frame) -> bool:
-        """Choose the sender of a frame instead of a vehicle that tells nothing.
+        """Choose the sender of a frame instead of a vehicle without data.
 
-        Call it, while the chosen one has told nothing but heartbeats, for heartbeats and inertial
-        messages of others.
+        Call it, while the chosen one has sent only heartbeats, for heartbeats and inertial messages
+        of others.
 
         Returns:
             Whether the frame was what the decision took.

@@ -25,7 +25,7 @@ COMMANDS = {"px4": "ACTUATOR_OUTPUT_STATUS", "ardupilot": "SERVO_OUTPUT_RAW"}
 """Autopilot -> the message with its actuator outputs."""
 
 IMU = ("HIGHRES_IMU", "RAW_IMU")
-"""Messages that the IMU is asked for by; the second of ArduPilot before 4.6, which has no first."""
+"""Messages requested for IMU data; the second for ArduPilot before 4.6, which lacks the first."""
 
 
 class Group(NamedTuple):
@@ -53,7 +53,7 @@ _LAST_ID_OF_VERSION_1 = 255
 _ARDUPILOT_SHARE = 0.8
 """Of its loop rate: ArduPilot sends nothing faster."""
 ARDUPILOT_LOOP_RATE = 400.0
-"""Hz: SCHED_LOOP_RATE of a copter, unless it tells another."""
+"""Hz: SCHED_LOOP_RATE of a copter, unless it reports another."""
 _LONGEST_STEP = 20
 """ms. A loop whose turns fit into no fewer whole ones has no even rate of use."""
 _ATTITUDE, _POSITION = 100.0, 50.0
@@ -148,7 +148,7 @@ def fitting_rates(
 
 
 def fitting_groups(speeds: str | None, rate: float, capacity: float | None) -> dict[str, float]:
-    """Whole Hz to ask ArduPilot's groups for, by the message that each is asked for.
+    """Whole Hz to request ArduPilot's groups at, by the message that each is requested for.
 
     Args:
         speeds: the message with rotor speeds, where the vehicle has any.

@@ -1,7 +1,7 @@
-"""Moments that nobody models, known up to the start of a stretch and carried on from there.
+"""Unmodeled moments, known up to the start of a stretch and extrapolated from there.
 
-Wind, a CG that the whiteners cannot tell from it, and rotors that differ leave an angular
-acceleration that lasts. What one step of the model leaves, averaged over the past with a memory m,
+Wind, a CG that the whiteners cannot distinguish from it, and unequal rotors leave a lasting angular
+acceleration. The residual of one step of the model, averaged over the past with a memory m,
 
     d_k = (1 - a) sum_i a^i (w - w_model)_(k-i) / dt ,   a = exp(-dt / m),
 

@@ -1,8 +1,8 @@
 """`gcs-sysid twin`: a result, flown along a log where the result has not seen it.
 
 A result of another flight has seen none of the log: all of it is judged, but for the seconds in
-which the attitude filter settles, and each half of it tells the noise that the other half's errors
-are held against. Of a result of the same flight nothing is held out; the model is then fitted
+which the attitude filter settles, and each half of it gives the noise that the other half's errors
+are compared with. Of a result of the same flight nothing is held out; the model is then fitted
 again, to the first part of the flight as in the validation, and judged on the rest.
 """
 
@@ -149,10 +149,10 @@ def fly_held_out(
         )
     # The other kind of input would need other coefficients.
     vehicle = replace(vehicle, rotor_input=result.rotor_input)
-    told = progress or (lambda _: None)
+    on_progress = progress or (lambda _: None)
     recorder = FlightRecorder()
     whole = analyze_log(
-        log, vehicle, wanted, None, lambda share: told(0.5 * share), observer=recorder
+        log, vehicle, wanted, None, lambda share: on_progress(0.5 * share), observer=recorder
     )
     if whole.rotor_input != result.rotor_input:
         raise InputError(
@@ -160,7 +160,7 @@ def fly_held_out(
             "from: analyze this log by itself"
         )
     same = is_same_flight(result, whole, log)
-    return _flown(result, whole, recorder, log, (vehicle, wanted), told, seed, same=same)
+    return _flown(result, whole, recorder, log, (vehicle, wanted), on_progress, seed, same=same)
 
 
 def fly_own_flight(
@@ -199,7 +199,7 @@ def _flown(
     recorder: FlightRecorder,
     log: Path,
     of: tuple[Airframe, tuple[int, int | None] | None],
-    told: Callable[[float], None],
+    on_progress: Callable[[float], None],
     seed: int,
     *,
     same: bool,
@@ -220,7 +220,7 @@ def _flown(
         cut = float(times[round(FITTED_SHARE * (len(times) - 1))])
         options = ChainOptions(history_interval=None, start=max(since, start), end=cut)
         flown = analyze_log(
-            log, as_exact(vehicle), wanted, options, lambda share: told(0.5 + 0.5 * share)
+            log, as_exact(vehicle), wanted, options, lambda share: on_progress(0.5 + 0.5 * share)
         )
         before, rest = _settled(times, since, cut), Part(cut, np.inf)
         judged = [(rest, before)]
@@ -299,7 +299,7 @@ def as_exact(airframe: Airframe) -> Airframe:
 
 
 def airframe_of_result(result: Result) -> Airframe:
-    """The airframe that a result rests on, with its scale, as far as the result holds it.
+    """The airframe of a result, with its scale, as far as the result holds it.
 
     Raises:
         InputError: it has no rotors or no scale.

@@ -169,7 +169,7 @@ def _with_later_bias(
 ) -> tuple[Array, Array]:
     """Rates and attitude with the gyro's bias as it is known some time later (fixed-lag smoothing).
 
-    The complementary filter finds the bias b in the course of a flight. With the later one, b*, its
+    The complementary filter estimates the bias b during a flight. With the later one, b*, its
     attitude is turned, in world axes, by
 
         c' = -k_p c + R (b - b*)
@@ -207,13 +207,13 @@ def _acting(t: Array, rotors: Array, dt: float, delay: float, cutoff: float | No
         if not there:
             continue
         now = t[part]
-        told = np.stack(
+        stacked = np.stack(
             [np.interp(now + delay, now, column, np.nan, np.nan) for column in rotors[part].T], 1
         )
-        out[part] = told
+        out[part] = stacked
         if cutoff is not None and cutoff < 0.45 / dt:
-            inside = complete_rows(told)
-            out[part][inside] = _low_passed(told[inside], cutoff * dt)
+            inside = complete_rows(stacked)
+            out[part][inside] = _low_passed(stacked[inside], cutoff * dt)
     return out
 
 

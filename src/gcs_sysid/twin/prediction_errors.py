@@ -1,12 +1,12 @@
 """How far the identified model flies from the vehicle, and how far it may.
 
 From the measured state at the start of every stretch the model is flown with the log's inputs, and
-its error at the end is held against a 95 % band:
+its error at the end is compared with a 95 % band:
 
     sigma^2 = var(ensemble drawn from the covariance) + s^2
 
 with s the error that the twin had over stretches of the same length in a part of the flight that is
-not judged. It holds what no parameter covers: noise of the sensors in the state at the start and
+not judged. It contains what no parameter covers: noise of the sensors in the state at the start and
 the end, noise of the rotors' stream, and whatever disturbs the vehicle.
 """
 
@@ -32,7 +32,7 @@ _MOST_AVERAGED = 0.1
 _JUDGED_AT = 0.1
 """s ahead at which an average is chosen."""
 _OVERLAP = 4
-"""Stretches of the part that tells the noise begin this often in a length."""
+"""Stretches of the part that gives the noise begin this often in a length."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Growth:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a flight: what is judged, or what tells the noise.
+    """A part of a flight: to be judged, or to estimate the noise.
 
     Attributes:
         since: s.
@@ -177,7 +177,7 @@ class Twin:
         return np.concatenate([np.empty(0, np.int64), *found]).astype(np.int64), steps
 
     def errors(self, part: Part, seconds: float, overlap: int = 1) -> _Errors:
-        """Fly every stretch of a length; of those that tell the noise no ensemble is flown."""
+        """Fly every stretch of a length; of those for the noise no ensemble is flown."""
         record = self._record
         starts, steps = self.starts(part, seconds, overlap)
         rows = starts[:, None] + np.arange(steps + 1)
@@ -282,11 +282,11 @@ def basic_model(model: FlightModel) -> FlightModel:
 def judge(
     twin: Twin, judged: Sequence[tuple[Part, Part]], has_velocity: bool
 ) -> tuple[dict[float, dict[str, Accuracy]], Growth | None]:
-    """Hold the twin's errors against their bands.
+    """Compare the twin's errors with their bands.
 
     Args:
         twin: to fly.
-        judged: parts to judge, each with the part that tells its noise.
+        judged: parts to judge, each with the part that gives its noise.
         has_velocity: whether it was measured.
 
     Returns:
@@ -302,9 +302,9 @@ def judge(
             twin.choose_average(noise)
             twin.choose_carried(noise)
             errors = twin.errors(part, seconds)
-            told = twin.errors(noise, seconds, _OVERLAP)
-            if errors.count and told.count:
-                found.append((errors, told))
+            predicted = twin.errors(noise, seconds, _OVERLAP)
+            if errors.count and predicted.count:
+                found.append((errors, predicted))
         if not found:
             continue
         out[seconds] = {name: _accuracy(name, found) for name in names}
@@ -324,8 +324,8 @@ def judge(
 
 def _accuracy(name: str, found: Sequence[tuple[_Errors, _Errors]]) -> Accuracy:
     ends, bands, own, guesses, basics = [], [], [], [], []
-    for errors, told in found:
-        end, noise = errors.error[name][:, -1], told.error[name][:, -1]
+    for errors, predicted in found:
+        end, noise = errors.error[name][:, -1], predicted.error[name][:, -1]
         noise = noise[np.isfinite(noise).all(axis=1)]
         independent = max(2.0, len(noise) / _OVERLAP)
         spread = errors.parameters[name]

@@ -45,7 +45,7 @@ HEADERS = {
 
 
 def present_role() -> Role:
-    """Of whoever sent the request that is being answered."""
+    """Role of the sender of the request in progress."""
     return _ROLE.get()
 
 
@@ -112,16 +112,16 @@ class Access:
         return frozenset(out | names if self.port == 80 else out)
 
     def role_of(self, request: web.Request) -> Role | None:
-        """Whose token comes with a request; None: nobody's."""
+        """Role by the token of a request; None: no valid one."""
         given = request.query.get("token") or request.cookies.get(self.cookie, "")
         found: Role | None = None
-        for role, token in self._tokens.items():  # both, whichever it is: the time tells nothing
+        for role, token in self._tokens.items():  # both, always: timing reveals nothing
             if hmac.compare_digest(given.encode("utf-8", "replace"), token.encode()):
                 found = role
         return found
 
     def why_not(self, request: web.Request) -> str:
-        """Why a request is none of our own page's; empty where it is one."""
+        """Why a request is not from our own page; empty where it is one."""
         reached = ""
         if request.transport is not None:
             reached = str((request.transport.get_extra_info("sockname") or ("",))[0])
@@ -176,7 +176,7 @@ def authority(host: str, port: int) -> str:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether nobody from other machines reaches what listens there."""
+    """Whether what listens there is unreachable from other machines."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -184,7 +184,7 @@ def is_loopback(host: str) -> bool:
 
 
 def outward_address(wildcard: str) -> str | None:
-    """Address of the machine on its network, for who is told where to look; nothing is sent."""
+    """Address of the machine on its network, for the printed URL; nothing is sent."""
     family, far = (
         (socket.AF_INET6, "2001:db8::1") if ":" in wildcard else (socket.AF_INET, "192.0.2.1")
     )

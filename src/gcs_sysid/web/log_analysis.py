@@ -22,14 +22,14 @@ from gcs_sysid.report.page import render
 from gcs_sysid.report.recorder import Recorder
 from gcs_sysid.session.analysis import analyze_log
 from gcs_sysid.session.chain import ChainOptions
-from gcs_sysid.session.told_layout import airframe_told, told_layout
+from gcs_sysid.session.reported_layout import airframe_of_layout, reported_layout
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.web.log_request import PICTURE, REPORT, RESULT, AnalysisRequest
 
 HISTORY_INTERVAL = 0.5
 """s between the instants of the estimates' history in the report."""
 
-Tell = Callable[[str, float], None]
+OnProgress = Callable[[str, float], None]
 
 
 @contextlib.contextmanager
@@ -50,7 +50,9 @@ def limited() -> Iterator[None]:
         raise InputError(f"needs more than {most:g} GB of memory") from None
 
 
-def analyze(log: Path, name: str, request: AnalysisRequest, folder: Path, tell: Tell) -> Any:
+def analyze(
+    log: Path, name: str, request: AnalysisRequest, folder: Path, on_progress: OnProgress
+) -> Any:
     """Identify, and leave result, report and health picture in a folder.
 
     Args:
@@ -58,7 +60,7 @@ def analyze(log: Path, name: str, request: AnalysisRequest, folder: Path, tell: 
         name: that it had where it came from.
         request: airframe and scale.
         folder: for the files.
-        tell: called with the step and the share of the work done.
+        on_progress: called with the step and the share of the work done.
 
     Raises:
         InputError: the log cannot be read, or the request makes no sense.
@@ -71,24 +73,24 @@ def analyze(log: Path, name: str, request: AnalysisRequest, folder: Path, tell: 
             log,
             airframe,
             options=options,
-            progress=lambda share: tell("identifying", 0.6 * share),
+            progress=lambda share: on_progress("identifying", 0.6 * share),
             observer=recorder,
         )
         result = replace(found, source=name)
         inspection = inspect_log(
-            log, None, lambda share: tell("inspecting telemetry", 0.6 + 0.3 * share)
+            log, None, lambda share: on_progress("inspecting telemetry", 0.6 + 0.3 * share)
         ).as_json()
-        tell("writing the report", 0.9)
+        on_progress("writing the report", 0.9)
         data = gather(
             result, recorder, inspection, airframe, provenance_of(_command(request, name), log)
         )
         (folder / REPORT).write_text(render(data), encoding="utf-8")
     finally:
         recorder.close()
-    tell("analyzing the hover", 0.95)
+    on_progress("analyzing the hover", 0.95)
     document = result.as_json()
     hover = beside_analysis(_health(log, name, airframe), result.verdict, result.reasons)
-    if hover.told:
+    if hover.available:
         picture = health_picture(document_of(hover))
         (folder / PICTURE).write_text(picture, encoding="utf-8")
     if hover.reported:
@@ -96,10 +98,12 @@ def analyze(log: Path, name: str, request: AnalysisRequest, folder: Path, tell: 
     (folder / RESULT).write_text(
         json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8"
     )
-    return {"verdict": result.verdict, "reasons": list(result.reasons), "health": hover.told}
+    return {"verdict": result.verdict, "reasons": list(result.reasons), "health": hover.available}
 
 
-def health(log: Path, name: str, table: Mapping[str, Any], folder: Path, tell: Tell) -> Any:
+def health(
+    log: Path, name: str, table: Mapping[str, Any], folder: Path, on_progress: OnProgress
+) -> Any:
     """The health picture of a recording that may still be growing.
 
     Raises:
@@ -109,14 +113,14 @@ def health(log: Path, name: str, table: Mapping[str, Any], folder: Path, tell: T
     # What is recorded meanwhile must not come in between.
     copy = folder / "recording.tlog"
     shutil.copyfile(log, copy)
-    tell("analyzing the hover", 0.3)
+    on_progress("analyzing the hover", 0.3)
     try:
         found = _health(copy, name, airframe)
     finally:
         copy.unlink()
     if found.contradicted:
         raise InputError("; ".join(found.reasons))
-    if not found.told:
+    if not found.available:
         raise InputError("no health yet: the vehicle has not hovered long enough in this recording")
     (folder / PICTURE).write_text(health_picture(document_of(found)), encoding="utf-8")
     return {"advice": list(found.advice), "seconds": found.seconds}
@@ -133,7 +137,7 @@ def airframe_of(request: AnalysisRequest, log: Path) -> Airframe:
         InputError: the log has no layout, or something given makes no sense.
     """
     if request.kind == "log":
-        airframe = _told_airframe(log, request.arm)
+        airframe = _reported_airframe(log, request.arm)
     elif request.kind == "builtin":
         airframe = load_airframe(request.name)
     elif request.kind == "file":
@@ -165,20 +169,20 @@ def _with_std(airframe: Airframe, key: str, value: Measured) -> Airframe:
     return airframe.with_uncertainty({key: value.sigma}, key)
 
 
-def _told_airframe(log: Path, arm: float | None) -> Airframe:
+def _reported_airframe(log: Path, arm: float | None) -> Airframe:
     opened = open_log(log)
     for _ in opened.blocks():
         pass
     vehicle = opened.vehicle
-    told = None if vehicle is None else told_layout(vehicle.key, opened.parameters)
-    if told is None:
+    of_vehicle = None if vehicle is None else reported_layout(vehicle.key, opened.parameters)
+    if of_vehicle is None:
         raise InputError("the log does not hold the vehicle's layout: choose or draw the airframe")
-    if arm is None and not told.sized:
+    if arm is None and not of_vehicle.sized:
         raise InputError(
-            f"the log gives the layout ({told.by}) but no lengths: enter the arm, from the center "
-            "to each motor"
+            f"the log gives the layout ({of_vehicle.by}) but no lengths: enter the arm, from the "
+            "center to each motor"
         )
-    return airframe_told(told, arm)
+    return airframe_of_layout(of_vehicle, arm)
 
 
 def _command(request: AnalysisRequest, name: str) -> tuple[str, ...]:

@@ -16,17 +16,17 @@ from typing import Any
 
 from gcs_sysid.errors import GcsSysidError
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.session.told_layout import proposal, told_layout
+from gcs_sysid.session.reported_layout import proposal, reported_layout
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.web.log_request import parse_request
 
 _LEAST_STEP = 0.01
 """Of progress that is worth a line."""
 
-Tell = Callable[[str, float], None]
+OnProgress = Callable[[str, float], None]
 
 
-def look(log: Path, tell: Tell) -> dict[str, Any]:
+def look(log: Path, on_progress: OnProgress) -> dict[str, Any]:
     """Who flew, for how long, and the layout by the log's parameters.
 
     Raises:
@@ -35,22 +35,22 @@ def look(log: Path, tell: Tell) -> dict[str, Any]:
     opened = open_log(log)
     first, last = float("inf"), float("-inf")
     for block in opened.blocks():
-        tell("reading", opened.share_read)
+        on_progress("reading", opened.share_read)
         for track in block.tracks:
             if len(track.t):
                 first, last = min(first, float(track.t[0])), max(last, float(track.t[-1]))
     vehicle = opened.vehicle
-    told = None if vehicle is None else told_layout(vehicle.key, opened.parameters)
+    layout = None if vehicle is None else reported_layout(vehicle.key, opened.parameters)
     return {
         "vehicle": None if vehicle is None else str(vehicle),
         "duration": max(last - first, 0.0) if last > first else 0.0,
         "airframe": None
-        if told is None
+        if layout is None
         else {
-            "rotors": Airframe("log", told.by_output).as_json()["rotors"],
-            "arm": Airframe("log", told.by_output).arm if told.sized else None,
-            "by": told.by,
-            "words": proposal(told),
+            "rotors": Airframe("log", layout.by_output).as_json()["rotors"],
+            "arm": Airframe("log", layout.by_output).arm if layout.sized else None,
+            "by": layout.by,
+            "words": proposal(layout),
         },
     }
 
@@ -61,14 +61,14 @@ class Progress:
     def __init__(self) -> None:
         self._stage, self._share = "", 0.0
 
-    def tell(self, stage: str, share: float) -> None:
+    def show(self, stage: str, share: float) -> None:
         """Say it, if it has changed."""
         if stage != self._stage or abs(share - self._share) >= _LEAST_STEP:
             self._stage, self._share = stage, share
             _say({"progress": round(min(share, 1.0), 3), "stage": stage})
 
 
-def run(job: Mapping[str, Any], tell: Tell) -> Any:
+def run(job: Mapping[str, Any], on_progress: OnProgress) -> Any:
     """Do a job.
 
     Raises:
@@ -76,15 +76,15 @@ def run(job: Mapping[str, Any], tell: Tell) -> Any:
     """
     log = Path(job["log"])
     if job["do"] == "look":
-        return look(log, tell)
+        return look(log, on_progress)
     from gcs_sysid.web import log_analysis  # looking does not wait for it
 
     folder = Path(job["folder"])
     with log_analysis.limited():
         if job["do"] == "health":
-            return log_analysis.health(log, job["name"], job["airframe"], folder, tell)
+            return log_analysis.health(log, job["name"], job["airframe"], folder, on_progress)
         request = parse_request(job["request"])
-        return log_analysis.analyze(log, job["name"], request, folder, tell)
+        return log_analysis.analyze(log, job["name"], request, folder, on_progress)
 
 
 def main() -> int:
@@ -93,9 +93,9 @@ def main() -> int:
     threading.Thread(target=_end_with_input, daemon=True).start()
     job = json.loads(line)
     try:
-        _say({"done": run(job, Progress().tell)})
+        _say({"done": run(job, Progress().show)})
     except (GcsSysidError, OSError) as error:
-        # Where the log lies here is nobody's business.
+        # Paths on this machine are not disclosed.
         text = str(error).replace(str(job["log"]), str(job.get("name", "the log")))
         _say({"error": text})
         return 2

@@ -25,7 +25,7 @@ def verdict_view(result: Result) -> dict[str, Any]:
 
 
 def why_no_health(document: Mapping[str, Any]) -> list[str]:
-    """Why a result's hover tells nothing; empty where it does, or nothing hovers.
+    """Why a result's hover has no findings; empty where it has, or nothing hovers.
 
     Args:
         document: of a result's file.

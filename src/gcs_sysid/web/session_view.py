@@ -35,7 +35,7 @@ def session_view(
 
     Args:
         snapshot: to show.
-        truth: true values by parameter name, where somebody knows them.
+        truth: true values by parameter name, where known.
         baseline: an earlier result to compare with.
     """
     waiting = View(snapshot, truth, "", {}).waiting

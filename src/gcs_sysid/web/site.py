@@ -74,7 +74,7 @@ class Site:
         return self.access.address(role)
 
     def stop(self) -> None:
-        """End it; whoever looks is sent away, their processes are ended."""
+        """End it; viewers are disconnected, their processes ended."""
         if self._loop is not None and self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._stopped.set)
         self._thread.join()
@@ -89,7 +89,7 @@ class Site:
 
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
-        # Who leaves ends what was done for them; aiohttp's log would be lines for nobody.
+        # A viewer that leaves ends its work; aiohttp's log of that has no reader.
         runner = web.AppRunner(
             self._application(),
             access_log=None,

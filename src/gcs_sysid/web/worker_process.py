@@ -1,4 +1,4 @@
-"""Starts a worker, passes on what it tells, and ends it when nobody wants it any more."""
+"""Starts a worker, passes on its messages, and ends it when it is no longer needed."""
 
 import asyncio
 import contextlib
@@ -16,7 +16,7 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class WorkerPool:
-    """A few processes at once; whoever comes later waits.
+    """A few processes at once; later jobs wait.
 
     Args:
         most: processes at once.
@@ -27,7 +27,7 @@ class WorkerPool:
         self._users: set[asyncio.Task[Any]] = set()
 
     async def ended(self) -> None:
-        """Wait until whoever was cancelled has ended their process."""
+        """Wait until cancelled jobs have ended their processes."""
         if self._users:
             await asyncio.wait(self._users)
 

@@ -45,8 +45,8 @@ def overlay(
 ) -> list[str]:
     """The predicted curve as a dot in every second column, over the lines of the measured one.
 
-    In one colour: a hundred changes of colour a line took most of the screen's time, and the
-    signs tell the two apart.
+    In one color: a hundred changes of color a line took most of the screen's time, and the signs
+    distinguish the two.
     """
     columns, high = len(lines[0]), len(lines)
     marks: dict[int, int] = {}
@@ -110,12 +110,12 @@ class AccelerationPanel(RationedPlot):
             for row, text in enumerate(drawn):
                 head = heads[row] if row < len(heads) else ""
                 lines.append([(f"{head:<{MARGIN}}", fmt.MUTED if row else "bold"), (text, "")])
-        told = "  ".join(
+        readings = "  ".join(
             f"{name} {'?' if np.isnan(share) else f'{100.0 * max(share, 0.0):.1f} %'}"
             for name, share in zip(AXES, shares, strict=True)
         )
         legend = f"⠒ measured  {PREDICTED} predicted"
-        explained = f"   explained: {told}"
+        explained = f"   explained: {readings}"
         fits = len(legend) + len(explained) <= width
         lines.append([(legend, fmt.MUTED), (explained if fits else "", "bold")])
         return lines

@@ -54,7 +54,7 @@ def deflection(value: float, limit: float, width: int) -> str:
 
 
 class AttitudePanel(Lines):
-    """How the vehicle stands in the air and what its rotors do."""
+    """Attitude of the vehicle and its rotor signals."""
 
     BORDER_TITLE = "Attitude and rotors"
 

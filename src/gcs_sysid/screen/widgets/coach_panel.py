@@ -15,7 +15,7 @@ BAR = 20
 
 
 def gain_text(gain: Gain) -> str:
-    """What a manoeuvre does to one parameter: `Izz 12 % → 3 %`."""
+    """What a maneuver does to one parameter: `Izz 12 % → 3 %`."""
     now = "?" if gain.now is None else PLAIN.percent(gain.now, 1)
     return f"{words.label(gain.name)} {now} → {PLAIN.percent(gain.expected, 1)}"
 

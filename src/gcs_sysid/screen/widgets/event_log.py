@@ -49,6 +49,6 @@ class EventLog(VerticalScroll, can_focus=False):
             self.scroll_end(animate=False)
 
     def on_resize(self) -> None:
-        """Wrap the texts anew."""
+        """Wrap the texts again."""
         if self._view is not None:
             self.show(self._view)

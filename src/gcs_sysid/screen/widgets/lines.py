@@ -1,6 +1,6 @@
 """A widget of styled lines, of which only those that have changed are drawn again.
 
-Textual's own widgets format all their text anew for any change of it. On a large screen whose
+Textual's own widgets format all their text again for any change of it. On a large screen whose
 numbers change several times a second that was most of what the whole program cost.
 """
 

@@ -80,12 +80,13 @@ class LinkPanel(VerticalScroll, can_focus=False):
         """Bring the panel up to date."""
         self._view = view
         lines = self._lines(view)
-        # Messages come and go; a panel that shrinks each time would have the screen laid out anew.
+        # Messages come and go; a panel that shrinks each time would force a new layout of the
+        # screen.
         lines += [[]] * (len(self._text.lines) - len(lines))
         self._text.put(lines)
 
     def on_resize(self) -> None:
-        """Lay the columns out anew."""
+        """Lay out the columns again."""
         if self._view is not None:
             self.show(self._view)
 

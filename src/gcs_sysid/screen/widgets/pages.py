@@ -41,7 +41,7 @@ class PageBar(Widget):
         return [(name, f" {n} {title} ") for n, (name, title) in enumerate(PAGES.items(), start=1)]
 
     def render(self) -> Content:
-        """The titles; brackets as well as colour say which page it is."""
+        """The titles; brackets as well as color say which page it is."""
         parts: list[tuple[str, str]] = []
         for name, title in self._titles():
             on = name == self.page

@@ -66,7 +66,7 @@ def _converged(view: View, parameter: Parameter, estimate: Estimate) -> Cell:
     elif parameter.name in view.shares and view.snapshot is not None:
         done = fmt.converged(view.shares[parameter.name], view.snapshot.target)
     else:
-        return " " * BAR, ""  # nobody asks for it
+        return " " * BAR, ""  # not requested
     return fmt.bar(done, BAR), f"{fmt.STATUS_STYLE[estimate.status]} on $panel"
 
 
@@ -132,7 +132,7 @@ def _line(name: Cell, cells: list[Cell]) -> Line:
 
 
 def _lit(line: Line, width: int) -> Line:
-    """A line on the colour of what is chosen, to the edge of the table."""
+    """A line on the color of what is chosen, to the edge of the table."""
     missing = width - sum(len(text) for text, _ in line)
     return [
         (text, style if " on " in style else f"{style} on $primary-muted")
@@ -157,7 +157,7 @@ class ParameterRows(Lines):
         self._pointed: Parameter | None = None
 
     def show(self, view: View, columns: list[Column]) -> None:
-        """Write the cells anew."""
+        """Write the cells again."""
         found = [] if view.snapshot is None else words.rows(view.snapshot.result)
         self.parameters = [parameter for parameter, _ in found]
         lines = [self._row(view, columns, *pair) for pair in found]
@@ -208,7 +208,7 @@ class ParameterTable(Widget):
         yield self._why
 
     def on_resize(self, event: events.Resize) -> None:
-        """Choose the columns anew."""
+        """Choose the columns again."""
         if self._view is not None:
             self.show(self._view)
 

@@ -31,7 +31,7 @@ class StatusLine(Static):
             return [(self.title_text, "bold"), ("○ opening", "$text-warning")]
         link, result = snapshot.link, snapshot.result
         state = (f"{fmt.LINK_SIGN[link.state]} {link.state}", fmt.LINK_STYLE[link.state])
-        if link.state is LinkState.WAITING:  # no flight and no verdict to speak of
+        if link.state is LinkState.WAITING:  # no flight and no verdict yet
             return [(self.title_text, "bold"), state]
         flight = "flying" if snapshot.flying else "on ground"
         parts = [

@@ -49,7 +49,7 @@ class VerdictPanel(Static):
             self.update(Content("\n").join(text_lines), layout=grown)
 
     def on_resize(self) -> None:
-        """Lay the lines out anew."""
+        """Lay out the lines again."""
         if self._view is not None:
             self.show(self._view)
 

@@ -1,8 +1,8 @@
-"""The layout that a vehicle reports by its parameters, and what an airframe says otherwise.
+"""The layout that a vehicle reports by its parameters, and an airframe's differences from it.
 
-PX4 tells each rotor's place and spin (CA_ROTORn_*), ArduPilot the name of a frame (FRAME_CLASS,
-FRAME_TYPE); both tell which output drives which motor. A vehicle flies by what it tells, so an
-airframe that contradicts it is wrong, and that can be said while it stands.
+PX4 reports each rotor's position and spin (CA_ROTORn_*), ArduPilot the name of a frame
+(FRAME_CLASS, FRAME_TYPE); both report which output drives which motor. A vehicle flies by these, so
+an airframe that contradicts them is wrong, which can be reported before take-off.
 """
 
 import math
@@ -23,7 +23,7 @@ from gcs_sysid.model.airframe import (
 
 _MOST_ROTORS = 12
 _UNIT = 1e-3
-"""Of a mean distance of 1 or sqrt(2): what simulators and mixers tell, who need no lengths."""
+"""Of a mean distance of 1 or sqrt(2): as simulators and mixers report, which need no lengths."""
 _SAME_ARM = 0.1
 """Share by which arms may differ before it is worth a word."""
 _LEAST_UPRIGHT = math.cos(math.radians(30.0))
@@ -69,13 +69,13 @@ _PX4_MOTOR_1, _MOTOR_1, _MOTOR_9 = 101, 33, 82
 
 
 @dataclass(frozen=True)
-class ToldLayout:
-    """What a vehicle tells of its rotors.
+class ReportedLayout:
+    """The rotors as a vehicle reports them.
 
     Attributes:
-        rotors: in motor order; of mean distance 1 where no size is told.
+        rotors: in motor order; of mean distance 1 where no size is reported.
         sized: whether the distances are meters.
-        by: the parameters that tell it.
+        by: the parameters that define it.
         outputs: motor that each output drives, from 0, as far as outputs drive motors.
     """
 
@@ -91,45 +91,45 @@ class ToldLayout:
 
     @property
     def by_output(self) -> tuple[Rotor, ...]:
-        """The rotors in the order of outputs, where they are told; else in motor order."""
+        """The rotors in the order of outputs, where reported; else in motor order."""
         whole = sorted(self.outputs) == list(range(len(self.rotors)))
         return tuple(self.rotors[i] for i in self.outputs) if whole else self.rotors
 
     def as_json(self) -> dict[str, object]:
         """For the result's `telemetry`."""
-        rotors = Airframe("told", self.rotors).as_json()["rotors"]
-        told: dict[str, object] = {"by": self.by, "sized": self.sized, "rotors": rotors}
+        rotors = Airframe("reported", self.rotors).as_json()["rotors"]
+        reported: dict[str, object] = {"by": self.by, "sized": self.sized, "rotors": rotors}
         if self.outputs:
-            told["outputs"] = [motor + 1 for motor in self.outputs]
-        return told
+            reported["outputs"] = [motor + 1 for motor in self.outputs]
+        return reported
 
 
-def told_layout(autopilot: str, parameters: Mapping[str, float]) -> ToldLayout | None:
-    """What the parameters that have come tell; None: not enough of them, or no usual frame.
+def reported_layout(autopilot: str, parameters: Mapping[str, float]) -> ReportedLayout | None:
+    """The layout by the parameters so far; None: not enough of them, or no usual frame.
 
     Args:
         autopilot: "px4", "ardupilot", ...
         parameters: name -> value.
     """
     if autopilot == "px4":
-        told = _px4(parameters)
+        reported = _px4(parameters)
     elif autopilot == "ardupilot":
-        told = _ardupilot(parameters)
+        reported = _ardupilot(parameters)
     else:
         return None
-    if told is None:
+    if reported is None:
         return None
-    return replace(told, outputs=_outputs(autopilot, parameters, len(told.rotors)))
+    return replace(reported, outputs=_outputs(autopilot, parameters, len(reported.rotors)))
 
 
-def _px4(parameters: Mapping[str, float]) -> ToldLayout | None:
+def _px4(parameters: Mapping[str, float]) -> ReportedLayout | None:
     if parameters.get("CA_AIRFRAME", _MULTIROTOR) != _MULTIROTOR:
         return None
     count = parameters.get("CA_ROTOR_COUNT", 0.0)
     if count == 0.0:  # before 1.13, or a mixer file
         shape = _AUTOSTART.get(round(parameters.get("SYS_AUTOSTART", 0.0)))
         name = f"SYS_AUTOSTART {parameters.get('SYS_AUTOSTART', 0.0):.0f}"
-        return None if shape is None else ToldLayout(_circle(shape), False, name)
+        return None if shape is None else ReportedLayout(_circle(shape), False, name)
     if not 4 <= count <= _MOST_ROTORS:
         return None
     rotors = []
@@ -140,17 +140,17 @@ def _px4(parameters: Mapping[str, float]) -> ToldLayout | None:
         rotors.append(Rotor(x, y, 1 if ratio > 0.0 else -1, _axis(parameters, i)))
     if not is_evenly_canted(rotors):
         rotors = [Rotor(r.x, r.y, r.spin) for r in rotors]
-    arm = Airframe("told", tuple(rotors)).arm
+    arm = Airframe("reported", tuple(rotors)).arm
     if arm == 0.0:
         return None
     sized = min(abs(arm - 1.0), abs(arm - math.sqrt(2.0))) > _UNIT
     scale = 1.0 if sized else 1.0 / arm
     placed = tuple(replace(r, x=r.x * scale, y=r.y * scale) for r in rotors)
-    return ToldLayout(placed, sized, "CA_ROTORn_PX, _PY and _KM")
+    return ReportedLayout(placed, sized, "CA_ROTORn_PX, _PY and _KM")
 
 
 def _axis(parameters: Mapping[str, float], i: int) -> tuple[float, float, float]:
-    """Of thrust, upright where it is not told."""
+    """Of thrust, upright where not reported."""
     x, y, z = (parameters.get(f"CA_ROTOR{i}_A{axis}", -(axis == "Z")) for axis in "XYZ")
     length = math.hypot(x, y, z)
     if not 0.0 < length < math.inf or -z < _LEAST_UPRIGHT * length:
@@ -158,7 +158,7 @@ def _axis(parameters: Mapping[str, float], i: int) -> tuple[float, float, float]
     return x / length, y / length, z / length
 
 
-def _ardupilot(parameters: Mapping[str, float]) -> ToldLayout | None:
+def _ardupilot(parameters: Mapping[str, float]) -> ReportedLayout | None:
     numbers = parameters.get("FRAME_CLASS"), parameters.get("FRAME_TYPE")
     if None in numbers:
         return None
@@ -168,7 +168,7 @@ def _ardupilot(parameters: Mapping[str, float]) -> ToldLayout | None:
     if shape is None:
         return None
     rotors = _circle(f"{name}-{shape}")
-    return ToldLayout(rotors, False, f"FRAME_CLASS {kind} and FRAME_TYPE {form}")
+    return ReportedLayout(rotors, False, f"FRAME_CLASS {kind} and FRAME_TYPE {form}")
 
 
 def _circle(shape: str) -> tuple[Rotor, ...]:
@@ -203,66 +203,68 @@ def _outputs(autopilot: str, parameters: Mapping[str, float], count: int) -> tup
 # --- the airframe for it
 
 
-def airframe_told(told: ToldLayout, arm: float | None) -> Airframe:
+def airframe_of_layout(reported: ReportedLayout, arm: float | None) -> Airframe:
     """The airframe that a vehicle's own layout proposes.
 
     Args:
-        told: of it.
-        arm: m, mean distance of the rotors from the center; None: as it is told.
+        reported: the layout.
+        arm: m, mean distance of the rotors from the center; None: as reported.
 
     Raises:
-        InputError: neither tells its size.
+        InputError: neither gives its size.
     """
-    airframe = Airframe("auto", told.by_output)
+    airframe = Airframe("auto", reported.by_output)
     if arm is not None:
         return airframe.with_arm(arm)
-    if not told.sized:
+    if not reported.sized:
         raise InputError(
-            f"--airframe auto: the vehicle reports its layout ({told.by}) but no lengths: "
+            f"--airframe auto: the vehicle reports its layout ({reported.by}) but no lengths: "
             "give --arm M, from the center to each motor"
         )
     return airframe
 
 
-def proposal(told: ToldLayout) -> str:
+def proposal(reported: ReportedLayout) -> str:
     """The layout in words, for who takes it."""
     spins = ", ".join(
         f"{i} {place_words(r)} {'ccw' if r.spin > 0 else 'cw'}"
-        for i, r in enumerate(told.rotors, 1)
+        for i, r in enumerate(reported.rotors, 1)
     )
-    size = f", arm {_arm(told.rotors):.3g} m" if told.sized else ""
-    return f"{len(told.rotors)} rotors by {told.by}: {spins}{size}"
+    size = f", arm {_arm(reported.rotors):.3g} m" if reported.sized else ""
+    return f"{len(reported.rotors)} rotors by {reported.by}: {spins}{size}"
 
 
-def differences(airframe: Airframe, told: ToldLayout) -> tuple[str, ...]:
+def differences(airframe: Airframe, reported: ReportedLayout) -> tuple[str, ...]:
     """What an airframe says otherwise than the vehicle, in words; empty where they agree.
 
     Rotors may be listed in the order of motors or in that of outputs.
     """
-    found = [_differences(airframe.rotors, rotors) for rotors in (told.rotors, told.by_output)]
+    found = [
+        _differences(airframe.rotors, rotors) for rotors in (reported.rotors, reported.by_output)
+    ]
     least = min(found, key=len)
     if not least:
         return ()
-    first = _differences(airframe.rotors, told.rotors)
+    first = _differences(airframe.rotors, reported.rotors)
     return tuple(
-        f"wrong airframe {airframe.name}: {what} (the vehicle: {told.by})" for what in first
+        f"wrong airframe {airframe.name}: {what} (the vehicle: {reported.by})" for what in first
     )
 
 
-def notes(airframe: Airframe, told: ToldLayout) -> tuple[str, ...]:
+def notes(airframe: Airframe, reported: ReportedLayout) -> tuple[str, ...]:
     """What is worth knowing where they agree in kind."""
     out = []
-    ours, theirs = airframe.arm, _arm(told.rotors)
-    if told.sized and abs(ours / theirs - 1.0) > _SAME_ARM:
+    ours, theirs = airframe.arm, _arm(reported.rotors)
+    if reported.sized and abs(ours / theirs - 1.0) > _SAME_ARM:
         out.append(
-            f"arms of {ours:.3g} m, where the vehicle's {told.by} say {theirs:.3g} m: inertia "
+            f"arms of {ours:.3g} m, where the vehicle's {reported.by} say {theirs:.3g} m: inertia "
             "is proportional to the arm, so measure it"
         )
-    if told.reordered and not _differences(airframe.rotors, told.rotors):
-        order = ", ".join(str(motor + 1) for motor in told.outputs)
+    if reported.reordered and not _differences(airframe.rotors, reported.rotors):
+        order = ", ".join(str(motor + 1) for motor in reported.outputs)
         out.append(
-            f"outputs 1 to {len(told.outputs)} drive motors {order}: where commands are the input, "
-            "list the rotors in the order of outputs (--airframe auto does)"
+            f"outputs 1 to {len(reported.outputs)} drive motors {order}: where commands are "
+            "the input, list the rotors in the order of outputs (--airframe auto does)"
         )
     return tuple(out)
 

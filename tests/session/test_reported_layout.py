@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gcs_sysid.cli import told_airframe
+from gcs_sysid.cli import reported_airframe
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
 from gcs_sysid.session.analysis import analyze_log
-from gcs_sysid.session.told_layout import (
-    airframe_told,
+from gcs_sysid.session.reported_layout import (
+    airframe_of_layout,
     differences,
     notes,
     proposal,
-    told_layout,
+    reported_layout,
 )
 from gcs_sysid.setup_help.layouts import layout_rotors
 from sim_bridge.ardupilot_parameters import ardupilot_parameters
@@ -37,7 +37,7 @@ def parameters_of(rotors, **more):
 
 
 def px4(rotors=QUAD.rotors, **more):
-    return told_layout("px4", parameters_of(rotors, **more))
+    return reported_layout("px4", parameters_of(rotors, **more))
 
 
 def turned(rotors, degrees):
@@ -61,34 +61,34 @@ def test_px4_proposes_what_it_flies_by(name):
     rotors = load_airframe(name).rotors
     told = px4(rotors)
     assert told.sized
-    assert airframe_told(told, None).rotors == rotors
-    assert airframe_told(told, 0.4).arm == pytest.approx(0.4)
+    assert airframe_of_layout(told, None).rotors == rotors
+    assert airframe_of_layout(told, 0.4).arm == pytest.approx(0.4)
     assert differences(load_airframe(name), told) == ()
 
 
 @pytest.mark.parametrize("layout", ["quad-x", "hexa-x", "octo-x"])
 def test_ardupilot_proposes_its_frame(layout):
     kind = {"quad": 1.0, "hexa": 2.0, "octo": 3.0}[layout.split("-")[0]]
-    told = told_layout("ardupilot", {"FRAME_CLASS": kind, "FRAME_TYPE": 1.0})
+    told = reported_layout("ardupilot", {"FRAME_CLASS": kind, "FRAME_TYPE": 1.0})
     assert not told.sized
     assert differences(load_airframe(f"ardupilot-{layout}"), told) == ()
     with pytest.raises(InputError, match="give --arm M"):
-        airframe_told(told, None)
-    assert airframe_told(told, 0.3).arm == pytest.approx(0.3)
+        airframe_of_layout(told, None)
+    assert airframe_of_layout(told, 0.3).arm == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize("shape", ["quad-plus", "hexa-plus", "octo-plus"])
 def test_both_have_the_plus_frames_of_the_wizard(shape):
     kind = {"quad": 1.0, "hexa": 2.0, "octo": 3.0}[shape.split("-")[0]]
     usual = airframe(layout_rotors(f"ardupilot-{shape}", 0.25))
-    told = told_layout("ardupilot", {"FRAME_CLASS": kind, "FRAME_TYPE": 0.0})
+    told = reported_layout("ardupilot", {"FRAME_CLASS": kind, "FRAME_TYPE": 0.0})
     assert differences(usual, told) == ()
     autostart = {"quad-plus": 5001, "hexa-plus": 7001, "octo-plus": 9001}[shape]
-    assert differences(usual, told_layout("px4", {"SYS_AUTOSTART": float(autostart)})) == ()
+    assert differences(usual, reported_layout("px4", {"SYS_AUTOSTART": float(autostart)})) == ()
 
 
 def test_betaflights_order_is_another_one():
-    told = told_layout("ardupilot", {"FRAME_CLASS": 1.0, "FRAME_TYPE": 12.0})
+    told = reported_layout("ardupilot", {"FRAME_CLASS": 1.0, "FRAME_TYPE": 12.0})
     (line,) = differences(load_airframe("ardupilot-quad-x"), told)
     assert "motor order: motor 1 is front right, on the vehicle rear right" in line
 
@@ -97,9 +97,9 @@ def test_what_the_emulators_tell_is_what_they_fly():
     for name in ("px4-quad-x", "px4-hexa-x", "px4-octo-x", "paper"):
         vehicle = load_vehicle(name, None)
         found = {p.name: float(p.value) for p in px4_parameters(vehicle, 1)}
-        assert differences(load_airframe(name), told_layout("px4", found)) == ()
+        assert differences(load_airframe(name), reported_layout("px4", found)) == ()
         found = {p.name: float(p.value) for p in ardupilot_parameters(vehicle, 1)}
-        told = told_layout("ardupilot", found)
+        told = reported_layout("ardupilot", found)
         assert told is None or differences(load_airframe(name), told) == ()
 
 
@@ -160,13 +160,13 @@ def test_outputs_in_another_order_are_followed():
     told = px4(**functions)
     assert told.outputs == (2, 0, 3, 1)
     by_output = tuple(QUAD.rotors[i] for i in told.outputs)
-    assert airframe_told(told, None).rotors == by_output
+    assert airframe_of_layout(told, None).rotors == by_output
     assert differences(airframe(by_output), told) == ()
     assert differences(QUAD, told) == ()
     (line,) = notes(QUAD, told)
     assert "outputs 1 to 4 drive motors 3, 1, 4, 2" in line
     servos = {f"SERVO{i}_FUNCTION": f for i, f in enumerate((34.0, 33.0, 35.0, 36.0, 0.0), 1)}
-    told = told_layout("ardupilot", {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0, **servos})
+    told = reported_layout("ardupilot", {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0, **servos})
     assert told.outputs == (1, 0, 2, 3)
 
 
@@ -188,7 +188,7 @@ def test_outputs_in_another_order_are_followed():
     ],
 )
 def test_nothing_is_made_up(autopilot, parameters):
-    assert told_layout(autopilot, parameters) is None
+    assert reported_layout(autopilot, parameters) is None
 
 
 def test_a_proposal_in_words():
@@ -231,7 +231,7 @@ def test_the_airframe_of_a_log_that_tells_it(flight, capsys):
     options = argparse.Namespace(
         airframe=None, arm=None, mass=1.5, k_t=None, t_max=None, prior=[], vehicle=None
     )
-    found = told_airframe.of_log(flight, options)
+    found = reported_airframe.of_log(flight, options)
     assert differences(found, px4(load_airframe("px4-hexa-x").rotors)) == ()
     assert found.anchor() == ("mass", 1.5)
     assert "6 rotors by CA_ROTORn_PX" in capsys.readouterr().err
@@ -241,9 +241,9 @@ def test_the_airframe_of_a_log_that_tells_it(flight, capsys):
 def test_canted_rotors_of_px4_are_taken_over():
     canted = replace(load_vehicle("px4-hexa-x"), traits=replace(even(6), tilt=0.07))
     table = {p.name: float(p.value) for p in px4_parameters(canted, 1)}
-    rotors = told_layout("px4", table).rotors
-    told = Airframe("told", rotors)
+    rotors = reported_layout("px4", table).rotors
+    told = Airframe("reported", rotors)
     assert told.cant == pytest.approx(told.arm * np.tan(0.07))
     # One alone is no way to cant rotors: it is left out.
     table["CA_ROTOR0_AX"] = 0.2
-    assert Airframe("told", told_layout("px4", table).rotors).cant == 0.0
+    assert Airframe("reported", reported_layout("px4", table).rotors).cant == 0.0

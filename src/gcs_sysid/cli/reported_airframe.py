@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING
 from gcs_sysid.cli import arguments, output
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe
-from gcs_sysid.session.told_layout import ToldLayout, airframe_told, proposal, told_layout
+from gcs_sysid.session.reported_layout import (
+    ReportedLayout,
+    airframe_of_layout,
+    proposal,
+    reported_layout,
+)
 from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.requests import HEARTBEAT_EVERY
 
@@ -18,10 +23,10 @@ if TYPE_CHECKING:  # a log needs no receiver, which takes a while to load
 
 _POLL = 0.05
 """s."""
-_TELLS_WITHIN = 8.0
-"""s in which a vehicle that was heard answers for its layout: some 20 parameters."""
+_REPORTED_WITHIN = 8.0
+"""s in which a vehicle, once received, replies with its layout: some 20 parameters."""
 _USUAL = 4
-"""Rotors that are asked for until the vehicle says how many it has."""
+"""Rotors that are requested until the vehicle reports their number."""
 
 
 def of_log(path: Path, options: argparse.Namespace) -> Airframe:
@@ -33,15 +38,15 @@ def of_log(path: Path, options: argparse.Namespace) -> Airframe:
     log = open_log(path, options.vehicle)
     for _ in log.blocks():
         pass
-    told = None if log.vehicle is None else told_layout(log.vehicle.key, log.parameters)
+    reported = None if log.vehicle is None else reported_layout(log.vehicle.key, log.parameters)
     problem = f"{path} does not hold the vehicle's layout"
     if log.kind == "blackbox":
         problem += "; Betaflight's usual one is --airframe betaflight-quad-x with --arm M"
-    return _airframe(told, options, problem)
+    return _airframe(reported, options, problem)
 
 
 def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airframe:
-    """The airframe for a vehicle on a link, which is asked; what comes meanwhile is kept.
+    """The airframe for a vehicle on a link, by requests; what comes meanwhile is kept.
 
     Raises:
         InputError: the vehicle reports no layout; nothing sets the scale.
@@ -55,8 +60,8 @@ def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airfram
     intake = Intake(options.vehicle)
     requests = ParameterRequests(receiver.gate, _USUAL)
     taken: list[Item] = []
-    began, heard, beat_at, told = time.monotonic(), None, -HEARTBEAT_EVERY, None
-    while told is None:
+    began, heard, beat_at, reported = time.monotonic(), None, -HEARTBEAT_EVERY, None
+    while reported is None:
         items = receiver.take(_POLL)
         taken += items
         for item in items:
@@ -71,34 +76,40 @@ def of_link(receiver: "ReceiverProcess", options: argparse.Namespace) -> Airfram
                 heard = now
                 receiver.follow(vehicle.address)
             requests.tick(now, vehicle, intake.parameters)
-            told = _complete(vehicle.key, intake.parameters, now - heard)
+            reported = _complete(vehicle.key, intake.parameters, now - heard)
         waited = now - (began if heard is None else heard)
-        limit = options.duration if heard is None else _TELLS_WITHIN
+        limit = options.duration if heard is None else _REPORTED_WITHIN
         if receiver.link_report.ended or (limit is not None and waited >= limit):
             break
     receiver.put_back(taken)
     who = (
         "no vehicle was found" if intake.vehicle is None else f"{intake.vehicle} does not report it"
     )
-    return _airframe(told, options, f"{who}: its layout is not known")
+    return _airframe(reported, options, f"{who}: its layout is not known")
 
 
-def _complete(autopilot: str, parameters: dict[str, float], waited: float) -> ToldLayout | None:
-    """What is told, once its outputs are too, or have not come in time."""
-    told = told_layout(autopilot, parameters)
-    if told is not None and len(told.outputs) < len(told.rotors) and waited < 0.5 * _TELLS_WITHIN:
+def _complete(autopilot: str, parameters: dict[str, float], waited: float) -> ReportedLayout | None:
+    """The reported layout, once its outputs are reported too or are overdue."""
+    reported = reported_layout(autopilot, parameters)
+    if (
+        reported is not None
+        and len(reported.outputs) < len(reported.rotors)
+        and waited < 0.5 * _REPORTED_WITHIN
+    ):
         return None
-    return told
+    return reported
 
 
-def _airframe(told: ToldLayout | None, options: argparse.Namespace, problem: str) -> Airframe:
-    if told is None:
+def _airframe(
+    reported: ReportedLayout | None, options: argparse.Namespace, problem: str
+) -> Airframe:
+    if reported is None:
         # Says which airframes there are.
         try:
             arguments.airframe_of(options)
         except InputError as error:
             raise InputError(f"{problem}. {str(error)[:1].upper()}{str(error)[1:]}") from None
-    assert told is not None
-    airframe = arguments.airframe_of(options, airframe_told(told, options.arm))
-    output.say(f"airframe: {proposal(told)}")
+    assert reported is not None
+    airframe = arguments.airframe_of(options, airframe_of_layout(reported, options.arm))
+    output.say(f"airframe: {proposal(reported)}")
     return airframe
