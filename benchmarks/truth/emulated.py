@@ -1,5 +1,6 @@
 """Flights of drawn vehicles on the project's own emulator, as recordings."""
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -8,12 +9,14 @@ import numpy as np
 
 from benchmarks.truth.scenarios import Scenario
 from benchmarks.truth.vehicles import Drawn, draw
-from gcs_sysid.model.airframe import Airframe
+from gcs_sysid.model.airframe import Airframe, Rotor
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.autopilot import BOOT_US
 from sim_bridge.ground_cycle import GroundCycle
 from sim_bridge.links import TlogLink
+from sim_bridge.loads import SLOSH_DEPTH
 from sim_bridge.missions import Mission
+from sim_bridge.physics import Physics
 from sim_bridge.px4 import Px4
 from sim_bridge.sensor_faults import SensorFaults
 from sim_bridge.simulation import Simulation
@@ -74,6 +77,8 @@ def record(
     log = folder / f"{scenario.name}_{number}.tlog"
     write(simulation, log, number, rate, seconds, commands=scenario.commands, esc=scenario.esc)
     truth = simulation.vehicle.truth() if simulation.done else _start_truth(simulation)
+    if simulation.physics.slosh[0]:
+        truth = _sloshing(truth, simulation.physics, drawn.vehicle.rotors)
     for name in scenario.unjudged:
         truth.pop(name, None)
     airframe = scenario.known(drawn.airframe)
@@ -88,6 +93,13 @@ def _start_truth(simulation: Simulation) -> Truth:
         truth["moment_ratio"] = [k_M / k_T for k_M, k_T in each]
         truth["k_T"], truth["k_M"] = truth["k_T_rotors"], truth["k_M_rotors"]
     return truth
+
+
+def _sloshing(truth: Truth, physics: Physics, rotors: tuple[Rotor, ...]) -> Truth:
+    """With the inertia that a liquid has between slow motion and fast, which leaves it behind."""
+    arm = float(np.mean([math.hypot(r.x, r.y) for r in rotors]))
+    left_behind = physics.slosh[0] * truth["mass"] * (SLOSH_DEPTH * arm) ** 2
+    return truth | {name: [truth[name] - left_behind, truth[name]] for name in ("Ixx", "Iyy")}
 
 
 def describe(drawn: Drawn) -> str:

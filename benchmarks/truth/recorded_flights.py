@@ -53,6 +53,8 @@ def truth_of(path: Path) -> tuple[Truth, bool]:
         # ArduPilot's simulator has drag and damping of its own kind.
         truth = {n: v for n, v in truth.items() if "drag" not in n and "damping" not in n}
     changes = any("mass_after" in event for event in table.get("events", []))
+    if changes and "mass_after" in table:
+        truth["mass"] = table["mass_after"]  # a result is of the vehicle as it was last
     return truth, changes
 
 

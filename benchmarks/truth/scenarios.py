@@ -146,7 +146,12 @@ SCENARIOS = (
         imu=(50.0, 100.0),
         esc=50.0,
     ),
-    Scenario("k", "15 % of the mass sloshes", lambda _: Physics(slosh=(0.15, 1.2))),
+    Scenario(
+        "k",
+        "15 % of the mass sloshes",
+        lambda _: Physics(slosh=(0.15, 1.2)),
+        unjudged=("rotational_damping",),
+    ),
     Scenario(
         "l",
         "hexa, rotors canted by 4 degrees",

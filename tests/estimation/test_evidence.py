@@ -52,6 +52,19 @@ def test_nothing_speaks_against_a_flight_that_is_predicted():
     assert capped(found(GOOD)) == set()
 
 
+def test_yaw_against_itself_is_a_swap_where_there_are_six_rotors_or_more():
+    def of(rotors, r_squared):
+        fit = Fit(replace(ROTATION, r_squared=np.array(r_squared)), None, 30.0, GOOD)
+        return evidence_of(fit, "speed", 0.004, rotors=rotors)
+
+    swapped = of(8, [0.99, 0.99, 0.24])
+    assert "24 % of yaw" in swapped.reasons[0]
+    assert capped(swapped) == set(CLAIMS)
+    assert of(4, [0.99, 0.99, 0.24]) == Evidence()  # two of four are seen in roll and pitch
+    assert of(8, [0.9, 0.9, 0.24]) == Evidence()  # wind
+    assert of(8, [0.99, 0.99, 0.9]) == Evidence()
+
+
 @pytest.mark.parametrize("axis", range(3))
 def test_an_axis_that_hardly_turns_identifies_nothing_but_the_cg(axis):
     def moving(rms):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gcs_sysid.estimation.actuator_dynamics import CURVE
 from gcs_sysid.estimation.deviations import DeviationChoice
 from gcs_sysid.estimation.individual_values import axis_dampings, mean_damping, rotor_coefficients
 from gcs_sysid.estimation.parameter_covariance import parameter_covariance
@@ -61,6 +62,21 @@ def test_values_and_deviations_are_those_of_drawn_unknowns():
     np.testing.assert_allclose(k_T_std, (phi @ fit.deviating.thrusts).std(axis=0), rtol=0.03)
     ratios = drawn[:, [rb.MOMENT_RATIO]] + phi @ fit.deviating.ratios
     np.testing.assert_allclose(ratio_std, ratios.std(axis=0), rtol=0.03)
+
+
+def test_stds_include_what_the_thrust_curve_does_to_thrust():
+    """Against a Monte Carlo in which T_max follows the curve: ln T_max = bend c."""
+    fit, bend = a_fit(), 0.8
+    random = np.random.default_rng(3)
+    mean = np.concatenate([fit.unknowns, fit.deviations])
+    curve = rb.N_THETA + CURVE
+    drawn = random.multivariate_normal(mean, fit.extended_covariance, 40_000)
+    damping = drawn[:, [rb.DAMPING]] + drawn[:, N_UNKNOWNS:] @ fit.deviating.dampings
+    thrust = 1.0 + bend * (drawn[:, [curve]] - mean[curve])
+    values, stds = axis_dampings(fit, bend)
+    np.testing.assert_allclose(values, axis_dampings(fit)[0])
+    np.testing.assert_allclose(stds, (damping * thrust).std(axis=0), rtol=0.03)
+    assert (stds > 1.02 * axis_dampings(fit)[1]).any()
 
 
 def test_without_deviations_all_rotors_and_axes_are_alike():

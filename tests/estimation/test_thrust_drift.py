@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gcs_sysid.estimation.thrust_drift import ThrustDrift
+from gcs_sysid.estimation.thrust_drift import Drift, ThrustDrift, hindsight
 from gcs_sysid.model.parameters import GRAVITY
 
 DT, SECONDS = 0.01, 60.0
@@ -32,7 +32,7 @@ def whole(commands, force, block=6000):
     drift = ThrustDrift(DT)
     return np.concatenate(
         [
-            drift.update(commands[i : i + block], force[i : i + block])
+            drift.update(commands[i : i + block], force[i : i + block]).factors
             for i in range(0, len(force), block)
         ]
     )
@@ -95,7 +95,7 @@ def told(voltage, drift=None, curve=1.0, effect=1.0, block=6000, **others):
     commands, force = hover(drift, curve, **others)
     follower = ThrustDrift(DT)
     factors = [
-        follower.update(*(x[i : i + block] for x in (commands, force, voltage)))
+        follower.update(*(x[i : i + block] for x in (commands, force, voltage))).factors
         for i in range(0, len(force), block)
     ]
     return np.concatenate(factors), follower
@@ -112,6 +112,22 @@ def test_thrust_is_that_at_the_voltage_of_the_beginning(effect):
     assert factors[-1] == pytest.approx(expected, rel=0.005)
 
 
+def test_hindsight_corrects_what_was_flown_before_the_drift_stood_out():
+    commands, force = hover(1.0 - (SAGGING / SAGGING[0]) ** 2, 1.0, noise=0.1)
+    drift = ThrustDrift(DT).update(commands, force, SAGGING)
+    in_proportion = (SAGGING[-1] / SAGGING[0]) ** (T / SECONDS)
+    early = slice(round(5.0 / DT), round(10.0 / DT))
+    assert (drift.factors[early] == 1.0).all()  # not believed yet
+    again = drift.factors * hindsight(drift, drift.applied[-1], drift.fallen[-1])
+    # V_0 is that of the first seconds: the same factor all along.
+    assert np.ptp(again / in_proportion) < 0.004 < np.ptp(drift.factors / in_proportion)
+
+
+def test_hindsight_needs_a_voltage_that_fell():
+    drift = Drift(np.linspace(0.0, 0.05, 10), np.zeros(10))
+    np.testing.assert_array_equal(hindsight(drift, 0.05, 0.0), np.ones(10))
+
+
 def test_a_fresh_battery_is_no_lighter_vehicle():
     """Landed at 13.6 V, off again at 16.4 V: thrust stays that of the first flight's voltage."""
     empty = 16.0 * (1.0 - 0.15 * T / SECONDS)
@@ -119,7 +135,7 @@ def test_a_fresh_battery_is_no_lighter_vehicle():
     fresh = 16.4 * (1.0 - 0.02 * T / SECONDS)
     later = ThrustDrift(DT)
     later.go_on_from(first, landed=True)
-    found = later.update(*hover(1.0 - (fresh / empty[0]) ** 2, 1.0, noise=0.1), fresh)
+    found = later.update(*hover(1.0 - (fresh / empty[0]) ** 2, 1.0, noise=0.1), fresh).factors
     assert later.voltage == first.voltage
     after = round(5.0 / DT)
     assert found[after] == pytest.approx(fresh[after] / first.voltage, rel=0.02)
@@ -132,7 +148,8 @@ def test_a_voltage_that_says_nothing_changes_nothing():
     for nothing in (np.full(len(T), np.nan), np.zeros(len(T))):
         follower = ThrustDrift(DT)
         np.testing.assert_array_equal(
-            follower.update(commands, force, nothing), ThrustDrift(DT).update(commands, force)
+            follower.update(commands, force, nothing).factors,
+            ThrustDrift(DT).update(commands, force).factors,
         )
         assert follower.voltage is None
 
@@ -152,7 +169,7 @@ def test_a_mass_taken_on_is_weighed_by_the_thrust_that_is_left():
     follower.update(commands, force)
     later = ThrustDrift(DT)
     later.go_on_from(follower, landed=False)
-    heavier = later.update(1.08 * commands[-1000:], force[-1000:])
+    heavier = later.update(1.08 * commands[-1000:], force[-1000:]).factors
     assert heavier[0] == pytest.approx(np.exp(-follower.drift), rel=1e-6)
     assert heavier[-1] == pytest.approx(heavier[0], rel=0.02)
 

@@ -19,6 +19,7 @@ from gcs_sysid.estimation.motor_linearization import LocalDynamics, MeanThrust, 
 from gcs_sysid.estimation.priors import DELAY, LAG, N_UNKNOWNS
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.estimation.search import residual_maker
+from gcs_sysid.estimation.thrust_drift import Drift, hindsight
 from gcs_sysid.estimation.whitened_fit import WhitenedFit, fit_whitened
 from gcs_sysid.estimation.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.whitening import bank_for_commands
@@ -45,7 +46,8 @@ _AT_ONCE = 1000
 """Samples made into rows at a time."""
 
 _TIMING = np.array([DELAY, LAG])
-_Samples = tuple[Array, Array, Array]
+_Samples = tuple[Array, Array, Array, Array, Array]
+"""Commands, gyro and rates; D and w, as of `thrust_drift.Drift`."""
 
 
 @dataclass(frozen=True)
@@ -121,13 +123,21 @@ class CommandRecord:
         """Whether the motors are to be looked for now."""
         return self._kept is not None and self._samples * self._dt >= self._next
 
-    def take(self, inputs: Array, gyro: Array, rates: Array) -> None:
-        """Take (n, rotors) commands, (n, 3) gyro and (n, 3) rates in rad/s."""
+    def take(self, inputs: Array, gyro: Array, rates: Array, drift: Drift) -> None:
+        """Take samples.
+
+        Args:
+            inputs: (n, rotors) commands, corrected for the drift.
+            gyro: (n, 3) rad/s.
+            rates: (n, 3) rad/s.
+            drift: for which the commands were corrected.
+        """
         self._samples += len(inputs)
         if self._kept is not None:
-            self._kept.append((inputs.copy(), gyro.copy(), rates.copy()))
+            parts = inputs, gyro, rates, drift.applied, drift.fallen
+            self._kept.append(tuple(part.copy() for part in parts))  # type: ignore[arg-type]
         if self._now is not None:
-            _add(self._now.maker, self._now.white, (inputs, gyro, rates))
+            _add(self._now.maker, self._now.white, inputs, gyro, rates)
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
@@ -276,14 +286,16 @@ class CommandRecord:
         bank = bank_for_commands(step.time)
         maker = MotorRows(self._geometry, self._dt, basis, hover)
         white = WhitenedRecord(basis, step, bank, self._dt, self._batch_time)
+        latest = next((part for part in reversed(self._kept) if part is not None), None)
         some: list[_Samples] = []
         for samples in (*self._kept, None):
             if samples is not None:
                 some.append(samples)
                 continue
-            if some:
-                joined = tuple(np.concatenate(parts) for parts in zip(*some, strict=True))
-                _add(maker, white, joined)
+            if some and latest is not None:
+                inputs, gyro, rates, applied, fallen = map(np.concatenate, zip(*some, strict=True))
+                factors = hindsight(Drift(applied, fallen), latest[3][-1], latest[4][-1])
+                _add(maker, white, inputs * factors[:, None], gyro, rates)
             maker.restart()
             white.restart()
             some = []
@@ -295,7 +307,7 @@ def _restart(tuned: _Tuned) -> None:
     tuned.white.restart()
 
 
-def _add(maker: MotorRows, white: WhitenedRecord, samples: tuple[Array, ...]) -> None:
+def _add(maker: MotorRows, white: WhitenedRecord, *samples: Array) -> None:
     n = len(samples[0])
     for start in range(0, n, _AT_ONCE):
         some = (part[start : start + _AT_ONCE] for part in samples)

@@ -7,27 +7,34 @@ fit. Where a kind of deviation had no evidence, each has the mean's value.
 import numpy as np
 
 from gcs_sysid.arrays import Array
+from gcs_sysid.estimation.actuator_dynamics import CURVE
 from gcs_sysid.estimation.priors import N_UNKNOWNS
 from gcs_sysid.estimation.rotation import RotationFit
 from gcs_sysid.model import rigid_body as rb
 
 
-def axis_dampings(fit: RotationFit) -> tuple[Array, Array]:
-    """(3,) of roll, pitch and yaw relative to k_T, and their (3,) standard deviations."""
+def axis_dampings(fit: RotationFit, bend: float = 0.0) -> tuple[Array, Array]:
+    """(3,) of roll, pitch and yaw relative to thrust, and their (3,) standard deviations.
+
+    Args:
+        fit: with deviations or none.
+        bend: relative change of thrust with the thrust curve, which the standard deviations are
+            to include.
+    """
     deviating = fit.deviating
     maps = np.zeros((3, N_UNKNOWNS + len(deviating.std)))
     maps[:, rb.DAMPING] = 1.0
     maps[:, N_UNKNOWNS:] = deviating.dampings.T
-    return _linear(fit, maps)
+    return _linear(fit, maps, bend)
 
 
-def mean_damping(fit: RotationFit) -> tuple[float, float]:
-    """Of roll and pitch, relative to k_T, and its standard deviation."""
+def mean_damping(fit: RotationFit, bend: float = 0.0) -> tuple[float, float]:
+    """Of roll and pitch, relative to thrust, and its standard deviation; see `axis_dampings`."""
     deviating = fit.deviating
     maps = np.zeros((1, N_UNKNOWNS + len(deviating.std)))
     maps[:, rb.DAMPING] = 1.0
     maps[:, N_UNKNOWNS:] = deviating.dampings[:, :2].mean(axis=1)
-    value, std = _linear(fit, maps)
+    value, std = _linear(fit, maps, bend)
     return float(value[0]), float(std[0])
 
 
@@ -54,9 +61,12 @@ def rotor_coefficients(fit: RotationFit, rotors: int) -> tuple[Array, Array, Arr
     return 1.0 + k_T, k_T_std, *_linear(fit, ratio)
 
 
-def _linear(fit: RotationFit, maps: Array) -> tuple[Array, Array]:
+def _linear(fit: RotationFit, maps: Array, bend: float = 0.0) -> tuple[Array, Array]:
     """Values of (k, N_UNKNOWNS + m) maps of the unknowns, and standard deviations."""
     unknowns = np.concatenate([fit.unknowns, fit.deviations])
-    covariance = fit.extended_covariance
+    covariance, values = fit.extended_covariance, maps @ unknowns
+    maps = maps.copy()
+    # d (x T) / dc = T (dx / dc + x bend)
+    maps[:, rb.N_THETA + CURVE] += bend * values
     variance = np.einsum("ki,ij,kj->k", maps, covariance, maps)
-    return maps @ unknowns, np.sqrt(np.maximum(variance, 0.0))
+    return values, np.sqrt(np.maximum(variance, 0.0))

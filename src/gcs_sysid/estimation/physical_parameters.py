@@ -121,7 +121,7 @@ def physical_parameters(
         raw |= _rotation_values(rotation, scale, floor, rotor_input, own_bend, doubt, cant)
         for name, shift in _wind_shifts(translation, arm).items():
             raw[name] = raw[name][0], math.hypot(raw[name][1], shift)
-        raw |= _axis_values(rotation, scale)
+        raw |= _axis_values(rotation, scale, own_bend, scaled)
     if translation is not None and scale.mass is not None and math.isfinite(translation.delta):
         if rotor_input == "speed" and rotation is not None:
             lateness += max(-float(rotation.delay), 0.0)  # rotors ahead: the IMU is behind
@@ -240,19 +240,20 @@ def _wind_shifts(translation: TranslationFit | None, arm: float) -> dict[str, fl
     return {name: shift for name, p in PARAMETERS.items() if p.mean_torque}
 
 
-def _axis_values(rotation: RotationFit, scale: Scale) -> Raw:
+def _axis_values(rotation: RotationFit, scale: Scale, bend: float, doubt: float) -> Raw:
     """Damping by axis where the flight shows it to differ, and its mean over roll and pitch."""
     if scale.thrust is None or not rotation.deviating.dampings.any():
         return {}
-    values, stds = axis_dampings(rotation)
-    mean, mean_std = mean_damping(rotation)
+    values, stds = axis_dampings(rotation, bend)
+    mean, mean_std = mean_damping(rotation, bend)
     found = [("rotational_damping", mean, mean_std)]
     if "damping" in rotation.deviating.shown:
         found += zip(AXIS_DAMPINGS, values, stds, strict=True)
     return {
         name: (
             float(value) * scale.thrust,
-            scale.thrust * math.hypot(float(std), float(value) * scale.thrust_share),
+            scale.thrust
+            * math.hypot(float(std), float(value) * math.hypot(scale.thrust_share, doubt)),
         )
         for name, value, std in found
     }

@@ -198,9 +198,12 @@ class FlightRecord:
                 self.input_noise.update(samples.speeds[piece], samples.apart[piece, 0])
                 if self.article:
                     self.article.update(samples.part(piece))
-                if self.commands is not None:
+                if self.commands is not None and made.drift is not None:
                     self.commands.take(
-                        made.inputs[piece], samples.gyro[piece], samples.rates[piece]
+                        made.inputs[piece],
+                        samples.gyro[piece],
+                        samples.rates[piece],
+                        made.drift.part(piece),
                     )
             if rows[0] < rows[1]:
                 self.rotation.add(sections.rotation(*rows))

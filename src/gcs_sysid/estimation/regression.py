@@ -15,7 +15,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask, runs
 from gcs_sysid.estimation.actuator_dynamics import BODY, SIGNALS, ActuatorDynamics
 from gcs_sysid.estimation.rotor_signals import RotorPath
-from gcs_sysid.estimation.thrust_drift import ThrustDrift
+from gcs_sysid.estimation.thrust_drift import Drift, ThrustDrift
 from gcs_sysid.model import attitude, rigid_body
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.one_step import OneStep
@@ -34,6 +34,7 @@ class Rows:
         accelerometer: (n, thrusts + 3).
         one_step: (m, width') of elements, over one step; m = 0 where none are made.
         inputs: (samples, rotors) speeds or commands that the rows were made of.
+        drift: for which commands were corrected; None: no correction.
     """
 
     rotation: Array
@@ -41,6 +42,7 @@ class Rows:
     accelerometer: Array
     one_step: Array
     inputs: Array
+    drift: Drift | None
 
 
 class RowMaker:
@@ -95,10 +97,10 @@ class RowMaker:
 
     def update(self, samples: Samples) -> Rows:
         """The rows that these samples complete."""
-        inputs = samples.speeds
+        inputs, drift = samples.speeds, None
         if self._drift is not None:
-            thrust = self._drift.update(inputs, samples.force[:, 2], samples.voltage[:, 0])
-            inputs = inputs * thrust[:, None]
+            drift = self._drift.update(inputs, samples.force[:, 2], samples.voltage[:, 0])
+            inputs = inputs * drift.factors[:, None]
         signals = self._signals(samples, inputs)
         rows = self._smoother.update(signals, self._late)
         n, thrusts = len(rows.average), self._thrusts
@@ -121,7 +123,7 @@ class RowMaker:
         accelerometer[:, -3] = 0.0
         accelerometer[:, -1] = rows.average[:, -1]
         rotation = self._of_elements(rows, self._basis)[None]
-        return Rows(rotation, momentum, accelerometer, one_step, inputs)
+        return Rows(rotation, momentum, accelerometer, one_step, inputs, drift)
 
     def _of_elements(self, rows: Smoothed, basis: ActuatorDynamics) -> Array:
         """(n, width) rows of elements."""

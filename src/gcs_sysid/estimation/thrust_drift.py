@@ -79,12 +79,52 @@ _SAG, _SAGS = 0.05, 0.02
 counts: on five flights of the emulator whose battery drops by 3 % under hover power, curves were
 off by 0.003 to 0.067, the drift being known exactly."""
 _D, _RATE, _EFFECT = 3, 4, 5
+_LEAST_FALLEN = 5e-3
+"""Of w, from which the voltage's fall is more than its errors."""
 _LEAST_VOLTAGE = 1.0
 """V, below which there is no battery or no measurement."""
 _UNMEASURED_BATTERY = 0.05
 """Standard deviation of D between flights without a voltage reported: 4.2 to 3.6 V a cell under
 load are 0.15."""
 _MOST_EFFECT = 2.0
+
+
+@dataclass(frozen=True)
+class Drift:
+    """What is corrected in samples.
+
+    Attributes:
+        applied: (n,) D.
+        fallen: (n,) w = ln(V_0 / V); 0 where no voltage is reported.
+    """
+
+    applied: Array
+    fallen: Array
+
+    @property
+    def factors(self) -> Array:
+        """(n,) on the commands."""
+        return np.exp(-self.applied)
+
+    def part(self, piece: slice) -> "Drift":
+        """Of some of the samples."""
+        return Drift(self.applied[piece], self.fallen[piece])
+
+
+def hindsight(before: Drift, applied: float, fallen: float) -> Array:
+    """(n,) factors on commands already corrected, by what is known of the drift since.
+
+    Until the drift stands out of its uncertainty commands are not corrected. Where the voltage
+    is reported, D has been in proportion to w since V_0.
+
+    Args:
+        before: of those samples.
+        applied: D of the latest sample.
+        fallen: w of the latest sample.
+    """
+    if fallen < _LEAST_FALLEN:
+        return np.ones(len(before.applied))
+    return np.exp(before.applied - applied / fallen * before.fallen)
 
 
 class ThrustDrift:
@@ -116,6 +156,7 @@ class ThrustDrift:
         self._step = np.eye(6)
         self._step[_D, _RATE] = self._time
         self._target = self._now = 0.0
+        self._fallen_before = 0.0  # w of the average before
 
     @property
     def drift(self) -> float:
@@ -145,7 +186,7 @@ class ThrustDrift:
         """
         measured = before.voltage is not None
         self.voltage, self._measured = before.voltage, before._measured
-        self._fallen = before._fallen
+        self._fallen = self._fallen_before = before._fallen
         self._mean, self._covariance = before._mean.copy(), before._covariance.copy()
         self._set(0, 10.0)
         self._noise, self._worth = before._noise, before._worth
@@ -155,7 +196,7 @@ class ThrustDrift:
         elif not landed or measured:
             self._target = self._now = before._target
 
-    def update(self, commands: Array, force: Array, voltage: Array | None = None) -> Array:
+    def update(self, commands: Array, force: Array, voltage: Array | None = None) -> Drift:
         """Take samples.
 
         Args:
@@ -164,9 +205,9 @@ class ThrustDrift:
             voltage: (n,) V; NaN where not reported.
 
         Returns:
-            (n,) factors on the commands.
+            D and w of each sample.
         """
-        out = np.empty(len(commands))
+        out, fallen = np.empty(len(commands)), np.empty(len(commands))
         whole = complete_rows(commands) & np.isfinite(force)
         kept, up = np.where(whole[:, None], commands, 0.0), np.where(whole, -force, 0.0)
         terms = np.column_stack([whole, kept.mean(axis=1), (kept * kept).mean(axis=1), up, up * up])
@@ -182,6 +223,7 @@ class ThrustDrift:
             part = terms[start:stop]
             done = np.minimum(self._sums[0] + np.cumsum(part[:, 0]), self._count) / self._count
             out[start:stop] = self._now + (self._target - self._now) * done
+            fallen[start:stop] = self._fallen_before + (self._fallen - self._fallen_before) * done
             self._sums += part.sum(axis=0)
             self._volts += volts[start:stop].sum(axis=0)
             if self._sums[0] >= self._count:
@@ -189,11 +231,11 @@ class ThrustDrift:
                 self._sums[:] = self._volts[:] = 0.0
                 counted = counted - self._count
             start = stop
-        return np.exp(-out)
+        return Drift(out, fallen)
 
     def _take(self, means: Array) -> None:
         """Take averages of u, u^2, F and F^2; later factors go on to the drift that they show."""
-        self._now = self._target
+        self._now, self._fallen_before = self._target, self._fallen
         self._take_voltage()
         u, square, force, power = means.tolist()
         t = self._tuning

@@ -130,7 +130,8 @@ class Learner:
         if self._options.tuning.method != "forward" or self.tracker is None:
             return Evidence()
         filtered = self.cutoffs[0] is not None
-        return evidence_of(fit, self.rotor_input, self.tracker.dt, filtered=filtered)
+        rotors = len(self._airframe.rotors)
+        return evidence_of(fit, self.rotor_input, self.tracker.dt, filtered=filtered, rotors=rotors)
 
     def reset(self) -> None:
         """Forget the estimate; go on with the next samples."""
