@@ -23,7 +23,8 @@ LEAST_RATE = 0.1
 """rad/s rms of roll and pitch, below which the layout is not observable: a hover has noise and
 vibration alone."""
 _CONVINCING = 0.15
-"""By how much of the motion another layout must explain more, on the worse of roll and pitch."""
+"""By how much of the motion another layout must explain more, on the worse of roll and pitch; and
+at most less, on yaw."""
 _WHITENERS = ("leak 0.3 s", "torque noise to 18 Hz", "moment to 4 Hz", "moment to 11 Hz")
 
 
@@ -58,13 +59,20 @@ def find_other_layout(
         noise=data.noise[few],
         whiteners=tuple(data.whiteners[i] for i in few),
     )
+    # Of the same rows: by those that `given` is of, gusts count for less or for more.
+    own = explained_by(small, basis)
+    least_yaw = -np.inf
+    if own is not None:
+        given, least_yaw = max(given, float(min(own[:2]))), float(own[2]) - _CONVINCING
     best = OtherLayout("", given + _CONVINCING)
     for says, other in _mistakes(geometry):
         between = np.linalg.pinv(rb.mixer(other)) @ rb.mixer(geometry)
         if np.linalg.cond(between) > 1e6:
             continue
         explained = explained_by(_seen_as(small, basis, np.linalg.inv(between).T), basis)
-        if explained is not None and min(explained[:2]) > best.explained:
+        if explained is None or explained[2] < least_yaw:
+            continue
+        if min(explained[:2]) > best.explained:
             best = OtherLayout(says, float(min(explained[:2])))
     return best if best.says else None
 
