@@ -186,9 +186,7 @@ def as_given(airframe: Airframe, random: np.random.Generator) -> Airframe:
     return replace(airframe, rotors=rotors, mass=mass)
 
 
-def covariance(
-    wanted: range, most: int, keep: Path | None, air: Physics, *, exact: bool
-) -> None:
+def covariance(wanted: range, most: int, keep: Path | None, air: Physics, *, exact: bool) -> None:
     """Normalized error squared of the parameter vector over emulated flights, by their numbers."""
     done: dict[int, dict[str, Any]] = {}
     if keep is not None and keep.exists():
@@ -273,7 +271,9 @@ def main() -> int:
     parser.add_argument("what", choices=("flights", "logs", "covariance"))
     parser.add_argument("paths", nargs="*", type=Path)
     parser.add_argument("--count", type=int, default=12)
-    parser.add_argument("--first", type=int, default=0, help="covariance: number of the first flight")
+    parser.add_argument(
+        "--first", type=int, default=0, help="covariance: number of the first flight"
+    )
     parser.add_argument("--still", action="store_true", help="covariance: without any air")
     parser.add_argument("--drawn", action="store_true", help="covariance: givens err, too")
     parser.add_argument("--most", type=int, default=1000, help="flights flown in this run")
