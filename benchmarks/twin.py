@@ -2,7 +2,8 @@
 
     python -m benchmarks.twin flights [--count N] [--scenario NAME]
     python -m benchmarks.twin logs PATH...
-    python -m benchmarks.twin covariance [--count N] [--still] [--drawn] [--keep FILE]
+    python -m benchmarks.twin covariance [--first N] [--count N] [--still] [--drawn]
+        [--keep FILE]
 
 `flights` flies vehicles drawn at random (0.25 to 15 kg, four to eight rotors, MEMS at 250 Hz) on
 the emulator, fits the first 60 % of each flight and flies the rest with the fit; `logs` does so
@@ -185,12 +186,12 @@ def as_given(airframe: Airframe, random: np.random.Generator) -> Airframe:
     return replace(airframe, rotors=rotors, mass=mass)
 
 
-def covariance(count: int, most: int, keep: Path | None, air: Physics, *, exact: bool) -> None:
-    """Normalized error squared of the parameter vector over emulated flights."""
+def covariance(wanted: range, most: int, keep: Path | None, air: Physics, *, exact: bool) -> None:
+    """Normalized error squared of the parameter vector over emulated flights, by their numbers."""
     done: dict[int, dict[str, Any]] = {}
     if keep is not None and keep.exists():
         done = {entry["flight"]: entry for entry in map(json.loads, keep.read_text().splitlines())}
-    for number in [n for n in range(count) if n not in done][:most]:
+    for number in [n for n in wanted if n not in done][:most]:
         done[number] = _errors_of(number, air, exact=exact)
         if keep is not None:
             with keep.open("a") as file:
@@ -198,7 +199,7 @@ def covariance(count: int, most: int, keep: Path | None, air: Physics, *, exact:
     where = f"{'still' if air is IDEAL else 'light'} air, what is given " + (
         "exact" if exact else "drawn"
     )
-    _show_errors([done[n] for n in sorted(done) if n < count], where)
+    _show_errors([done[n] for n in wanted if n in done], where)
 
 
 def _errors_of(number: int, air: Physics, *, exact: bool) -> dict[str, Any]:
@@ -270,6 +271,9 @@ def main() -> int:
     parser.add_argument("what", choices=("flights", "logs", "covariance"))
     parser.add_argument("paths", nargs="*", type=Path)
     parser.add_argument("--count", type=int, default=12)
+    parser.add_argument(
+        "--first", type=int, default=0, help="covariance: number of the first flight"
+    )
     parser.add_argument("--still", action="store_true", help="covariance: without any air")
     parser.add_argument("--drawn", action="store_true", help="covariance: givens err, too")
     parser.add_argument("--most", type=int, default=1000, help="flights flown in this run")
@@ -284,7 +288,8 @@ def main() -> int:
         flights(options.count, next(s for s in SCENARIOS if s.name == options.scenario))
     else:
         air = IDEAL if options.still else LIGHT_AIR
-        covariance(options.count, options.most, options.keep, air, exact=not options.drawn)
+        wanted = range(options.first, options.first + options.count)
+        covariance(wanted, options.most, options.keep, air, exact=not options.drawn)
     return 0
 
 

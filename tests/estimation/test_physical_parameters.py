@@ -248,15 +248,40 @@ def test_a_motors_form_is_doubted_the_more_the_slower_it_is():
     assert usual[0] == pytest.approx(0.0015, rel=0.01)
 
 
+def cg_std(wind, seconds=60.0):
+    fits = ROTATION, replace(TRANSLATION, wind=wind)
+    found = physical_parameters(ScaleReference("mass", MASS), *fits, ARM, seconds=seconds)
+    return found["cg_x"].std, found["moment_ratio"].std
+
+
 def test_wind_seems_to_move_the_cg():
-    anchor = ScaleReference("mass", MASS)
-    calm, windy = (
-        physical_parameters(anchor, ROTATION, replace(TRANSLATION, wind=wind), ARM)
-        for wind in (0.08, 0.1 + 0.981)
-    )
-    still = physical_parameters(anchor, ROTATION, TRANSLATION, ARM)
-    assert calm["cg_x"].std == still["cg_x"].std
+    still, calm, windy = (cg_std(wind) for wind in (0.0, 0.08, 0.1 + 0.981))
     # A tenth of the weight pushes at rotors that are 0.15 arms above the CG.
     shift = 0.15 * ARM * 0.981 / 9.80665
-    assert windy["cg_x"].std == pytest.approx(np.hypot(still["cg_x"].std, shift))
-    assert windy["moment_ratio"].std == still["moment_ratio"].std
+    assert windy[0] == pytest.approx(np.hypot(still[0], shift), rel=1e-3)
+    assert calm[0] == pytest.approx(still[0], rel=1e-3)
+    assert windy[1] == calm[1] == still[1]
+
+
+def test_a_gyros_bias_seems_to_move_the_cg():
+    # Tilt by what the complementary filter has yet to find looks like a push of g b / k_p on each
+    # axis; damping of that rate looks like a moment of the weight.
+    bias, wind = 0.005, np.sqrt(2.0) * 9.80665 * 0.005 / 0.7
+    shift = TRUE["rotational_damping"] * bias / (MASS * 9.80665)
+    sure = replace(ROTATION, covariance=1e-12 * COVARIANCE)
+    rounding = physical_parameters(ScaleReference("mass", MASS), sure, TRANSLATION, ARM)["cg_x"].std
+    for source in ("momentum", "accelerometer"):
+        translation = replace(TRANSLATION, wind=wind, source=source)
+        found = physical_parameters(
+            ScaleReference("mass", MASS), sure, translation, ARM, seconds=23.05
+        )
+        # Without a velocity it is what 0.01 rad/s fades to by 14 s / 23.05 s (1 - e^(-23.05 / 14)).
+        known = bias if source == "momentum" else 0.01 * 14 / 23.05 * (1 - np.exp(-23.05 / 14))
+        moved = np.sqrt(found["cg_x"].std ** 2 - rounding**2)
+        assert moved == pytest.approx(shift * known / bias, rel=0.01)
+
+
+def test_a_short_flights_tilt_is_no_wind():
+    # 21 s read up to 0.14 m/s^2 with a bias of 0.01 rad/s; a minute reads 0.08.
+    assert cg_std(0.14, 21.0)[0] == pytest.approx(cg_std(0.0, 21.0)[0], rel=1e-3)
+    assert cg_std(0.14, 60.0)[0] > 1.1 * cg_std(0.0, 60.0)[0]

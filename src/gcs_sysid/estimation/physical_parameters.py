@@ -32,6 +32,7 @@ from gcs_sysid.model.parameters import (
     grouped,
 )
 from gcs_sysid.model.scale_reference import Known, ScaleReference
+from gcs_sysid.signals.complementary import DEFAULT_K_I, DEFAULT_K_P
 
 Raw = dict[str, tuple[float, float]]
 """Values and standard deviations by name, not yet judged."""
@@ -46,11 +47,13 @@ class ModelErrors:
 
     cg_floor: float = 6e-6
     """Of the arm (a micrometer or two), least standard deviation of the CG by commands."""
-    rounded: float = 0.2
+    rounded: float = 0.05
     """Of what speeds rounded to whole rpm would shift the CG by if the rounding stayed the same all
-    flight. In perfectly still air it is slow: errors beyond the fit's own were 0.3 of it at 1300 to
-    18 000 rpm (33 emulated flights of 30 s). The lightest air, 0.03 m/s^2 rms, makes it white (62
-    flights): this is between."""
+    flight. Speeds that are steadier than a rotor's would need more; three emulated octocopters
+    moved by 0.01 to 0.04 of it when their speeds were dithered."""
+    gyro_bias: float = 0.01
+    """rad/s, bias that an autopilot's calibration leaves, before the complementary filter finds
+    it."""
     curve_shape: float = 1e-3
     """Of the CG's offset, with commands: thrust curves are not quite of the form fitted (measured:
     0.13 % where the lag is the speed's, not the command's; see `_slowness`)."""
@@ -70,7 +73,11 @@ class ModelErrors:
     """Of the arm, rotors over the CG: where they are, wind pushes a hovering vehicle, whose CG then
     seems to be elsewhere."""
     still_air: float = 0.1
-    """m/s^2, of wind's push: flights without wind read 0.001 to 0.08."""
+    """m/s^2, of wind's push: flights of a minute without wind read 0.001 to 0.08, as tilt by the
+    gyro's bias looks like a push. Of 21 s they read 0.09 to 0.14."""
+    tilted: float = 1.5
+    """Times the push that `gyro_bias` on two axes looks like, which is still air in short
+    flights."""
     not_rigid: float = 0.005
     """Relative error of the remaining parameters where the rigid-body test contradicts the
     model."""
@@ -89,6 +96,7 @@ def physical_parameters(
     rigid_body_test: RigidBodyTest | None = None,
     lateness: float = 0.0,
     cant: float = 0.0,
+    seconds: float = math.inf,
 ) -> dict[str, Value]:
     """Physical parameters of the fits, at the anchor's scale.
 
@@ -105,6 +113,7 @@ def physical_parameters(
         rigid_body_test: whether the vehicle moves like a rigid body.
         lateness: s, known delay of the gyro, and so of the attitude.
         cant: m, what canted rotors add to the moment ratio.
+        seconds: flight time of the fits.
     """
     scale = resolve_scale(anchor, translation, known or {})
     # Relative effect of a wrong thrust curve on thrust over mass.
@@ -119,7 +128,10 @@ def physical_parameters(
         own_bend = 0.0 if anchor.kind == THRUST_OF[rotor_input] else bend
         floor = _cg_floor(translation, arm, rotor_input)
         raw |= _rotation_values(rotation, scale, floor, rotor_input, own_bend, doubt, cant)
-        for name, shift in _wind_shifts(translation, arm).items():
+        shift = math.hypot(
+            _wind_shift(translation, arm, seconds), _bias_shift(translation, rotation, seconds)
+        )
+        for name in (n for n, p in PARAMETERS.items() if p.mean_torque):
             raw[name] = raw[name][0], math.hypot(raw[name][1], shift)
         raw |= _axis_values(rotation, scale, own_bend, scaled)
     if translation is not None and scale.mass is not None and math.isfinite(translation.delta):
@@ -231,13 +243,39 @@ def _cg_floor(translation: TranslationFit | None, arm: float, rotor_input: Rotor
     return float(ERRORS.rounded * math.sqrt(2.0) * arm * ROUNDING_STD / hover)
 
 
-def _wind_shifts(translation: TranslationFit | None, arm: float) -> dict[str, float]:
-    """m, by which a steady wind may shift the CG, known from the mean torque."""
-    push = 0.0 if translation is None else translation.wind - ERRORS.still_air
-    if push <= 0.0:
-        return {}
-    shift = ERRORS.rotor_height * arm * push / GRAVITY
-    return {name: shift for name, p in PARAMETERS.items() if p.mean_torque}
+def _wind_shift(translation: TranslationFit | None, arm: float, seconds: float) -> float:
+    """m, by which a steady wind may shift what rests on the mean torque."""
+    if translation is None:
+        return 0.0
+    tilt = math.sqrt(2.0) * _unsettled_bias(seconds) / DEFAULT_K_P
+    still = max(ERRORS.still_air, ERRORS.tilted * GRAVITY * tilt)
+    return ERRORS.rotor_height * arm * max(translation.wind - still, 0.0) / GRAVITY
+
+
+def _bias_shift(translation: TranslationFit | None, rotation: RotationFit, seconds: float) -> float:
+    """m, by which a gyro's bias that was not known yet shifts what rests on the mean torque.
+
+    A bias b left in the rates makes damping d take d b for torque, against m g of thrust; with d
+    and thrust relative to k_T, that is d b kappa / g. In the attitude b / k_p stands meanwhile,
+    which turns gravity: where there is a velocity, the push g b / k_p on both horizontal axes gives
+    b.
+    """
+    if translation is None or not translation.kappa > 0.0:
+        return 0.0
+    bias = _unsettled_bias(seconds)
+    if translation.source == "momentum":
+        bias = DEFAULT_K_P * translation.wind / GRAVITY / math.sqrt(2.0)
+    return abs(float(rotation.theta[rb.DAMPING])) * bias * translation.kappa / GRAVITY
+
+
+def _unsettled_bias(seconds: float) -> float:
+    """rad/s, mean over a flight of the gyro's bias that the complementary filter has yet to find.
+
+    It finds it with a time constant of k_p / k_i, from the start of the flight at worst.
+    """
+    settling = DEFAULT_K_P / DEFAULT_K_I
+    flown = max(seconds, 1e-3) / settling
+    return ERRORS.gyro_bias * -math.expm1(-flown) / flown
 
 
 def _axis_values(rotation: RotationFit, scale: Scale, bend: float, doubt: float) -> Raw:

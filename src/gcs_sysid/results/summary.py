@@ -61,7 +61,16 @@ def values_of(
     rotation = None if early else fit.rotation
     test = fit.rigid_body_test
     return physical_parameters(
-        anchor, rotation, fit.translation, arm, known, rotor_input, test, lateness, cant
+        anchor,
+        rotation,
+        fit.translation,
+        arm,
+        known,
+        rotor_input,
+        test,
+        lateness,
+        cant,
+        fit.seconds,
     )
 
 
