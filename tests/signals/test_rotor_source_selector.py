@@ -158,6 +158,15 @@ def test_motionless_hover_is_no_reason_to_refuse():
     assert judged(commands(u, t), speeds(still, t)).choice.kind == "speed"
 
 
+def test_coaxial_rotors_measured_a_few_millimeters_apart_are_no_small_ones():
+    t, _u, v = signals()
+    under = tuple(replace(rotor, x=rotor.x + 0.004, spin=-rotor.spin) for rotor in PAPER.rotors)
+    coaxial = replace(PAPER, rotors=PAPER.rotors + under)
+    both = np.hstack([v, v]) / np.sqrt(2.0)
+    assert judged(speeds(both, t), airframe=coaxial).choice.scale == 1.0
+    assert judged(speeds(RPM * both, t), airframe=coaxial).choice.scale == pytest.approx(1.0 / RPM)
+
+
 def test_rad_per_second_in_a_field_of_rpm_shows_by_the_thrust():
     t, _u, v = signals()
     right, wrong = judged(speeds(v, t)), judged(speeds(RPM * v, t))

@@ -40,6 +40,8 @@ _SAME = 0.02
 _RPM = 2.0 * math.pi / 60.0
 _AIR = 1.225
 """kg/m^3"""
+_COAXIAL = 0.2
+"""Of the arm, below which rotors stand over each other."""
 _MOST_THRUST_COEFFICIENT = 0.15
 """C_T of T = C_T rho n^2 D^4; that of propellers is 0.05 to 0.13."""
 _BEYOND = 3.0
@@ -334,7 +336,8 @@ class RotorSourceSelector:
             return False
         x, y, _ = self._airframe.geometry
         apart = np.hypot(x[:, None] - x, y[:, None] - y)
-        diameter = apart[apart > 1e-3].min()
+        # Coaxial rotors, whose measured places differ by millimeters, bound no diameter.
+        diameter = apart[apart > _COAXIAL * self._airframe.arm].min()
         power = sum(float(np.mean(v * v)) for _, v in stretch.rotors(len(x)))
         k_T = _MOST_THRUST_COEFFICIENT * _AIR * diameter**4 / (2.0 * math.pi) ** 2
         return self.anchor.value * GRAVITY > _BEYOND * float(k_T) * power
