@@ -339,13 +339,18 @@ def share_std(shares: Array) -> Array:
 def specific_thrust(windows: Windows, thrust: Array) -> tuple[float, float]:
     """Thrust over mass per unit of the sum of thrust, and its standard deviation.
 
+    Drag and inflow of climbs are regressed out where a vertical speed is logged: they are most of
+    what is left of the balance, and last as long as a climb.
+
     Args:
         windows: of hover.
         thrust: (n, rotors), in any unit.
     """
     lift = lift_of(windows)
     total = thrust.sum(axis=1)
-    fit = robust_fit(total[:, None] / total.mean(), lift)
+    sink = np.nan_to_num(windows.sink)
+    columns = np.column_stack([total / total.mean(), sink])
+    fit = robust_fit(columns, lift, np.array([np.inf, TUNING.climb_drag]))
     value = float(fit.value[0] / total.mean())
     std = math.sqrt(float(fit.covariance[0, 0])) / total.mean()
     floor = TUNING.lift_std

@@ -41,6 +41,8 @@ class Tuning:
         least_throttle_motion: standard deviation of the mean command, from which the curve is
             estimated.
         lift_std: relative, of gravity's balance: attitude, own acceleration.
+        climb_drag: 1/s, prior standard deviation of thrust over mass that 1 m/s of climb costs:
+            body drag makes 0.1 to 0.3, inflow into lightly loaded rotors more.
         accelerometer_std: m/s^2, bias of an accelerometer where no attitude is logged.
         unseen_climb: m/s, vertical speed where none is logged.
         turning_share: of a rotor's load, change for 1 rad/s^2 of turning: prior deviation.
@@ -128,6 +130,7 @@ class Tuning:
     curve_std: float = 0.35
     least_throttle_motion: float = 0.003
     lift_std: float = 0.001
+    climb_drag: float = 1.0
     accelerometer_std: float = 0.07
     unseen_climb: float = 0.5
     turning_share: float = 0.05
