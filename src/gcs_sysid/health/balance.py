@@ -340,7 +340,8 @@ def specific_thrust(windows: Windows, thrust: Array) -> tuple[float, float]:
     """Thrust over mass per unit of the sum of thrust, and its standard deviation.
 
     Drag and inflow of climbs are regressed out where a vertical speed is logged: they are most of
-    what is left of the balance, and last as long as a climb.
+    what is left of the balance, and last as long as a climb. What the mean climb costs stays in, as
+    thermals and a vertical speed that drifts look like one, and widens the interval.
 
     Args:
         windows: of hover.
@@ -349,10 +350,12 @@ def specific_thrust(windows: Windows, thrust: Array) -> tuple[float, float]:
     lift = lift_of(windows)
     total = thrust.sum(axis=1)
     sink = np.nan_to_num(windows.sink)
-    columns = np.column_stack([total / total.mean(), sink])
+    mean = float(sink.mean())
+    columns = np.column_stack([total / total.mean(), sink - mean])
     fit = robust_fit(columns, lift, np.array([np.inf, TUNING.climb_drag]))
     value = float(fit.value[0] / total.mean())
-    std = math.sqrt(float(fit.covariance[0, 0])) / total.mean()
+    by_climb = TUNING.wind_share * float(fit.value[1]) * mean
+    std = math.hypot(math.sqrt(float(fit.covariance[0, 0])), by_climb) / total.mean()
     floor = TUNING.lift_std
     if not np.isfinite(windows.lift).any():
         floor = TUNING.accelerometer_std / GRAVITY
