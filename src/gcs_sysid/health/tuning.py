@@ -94,6 +94,9 @@ class Tuning:
         instrument_lags: windows before, of the commands that are instruments: beyond the windows'
             overlap and the memory of gusts (0.3 s).
         curve_floor: standard deviation of c that no flight goes below (motor's lag, battery).
+        curve_floor_by_lift: the same where thrust is known by the accelerometer alone: what gusts
+            that the autopilot answers leave of their bias (mean -0.02 over fifty flights of
+            `benchmarks.health`).
         drag_lever: arms, prior standard deviation of the height that drag acts at.
         wind_share: of what wind seems to move the center of thrust by, that may be real: the rest
             is an accelerometer off level.
@@ -168,6 +171,7 @@ class Tuning:
     least_shaking: float = 1.0
     instrument_lags: tuple[int, ...] = (2, 3, 4, 5, 6)
     curve_floor: float = 0.004
+    curve_floor_by_lift: float = 0.02
     drag_lever: float = 1.0
     wind_share: float = 0.5
     told_by_instruments: float = 0.05
