@@ -276,10 +276,11 @@ def _balances(
         slope = (ends[1] - ends[0]) / (high - low) * curve.c.std
         by_curve, shares_by_curve = slope[:2], slope[2:-2]
         yaw_by_curve, scale_by_curve = float(slope[-2]), float(slope[-1] * total.mean())
-    flown = np.sqrt(np.diag(center.covariance) + by_curve**2)
+    # Wind is another one in the next flight: its part is the flight's, not the airframe's.
+    by_wind = TUNING.wind_share * center.by_wind
+    flown = np.sqrt(np.diag(center.covariance) + by_curve**2 + by_wind**2)
     assumed = np.sqrt(np.diag(balance.scatter_of_cg(airframe, shares, cg)))
     assumed = np.hypot(assumed, guess.arm_std * np.abs(cg))
-    assumed = np.hypot(assumed, TUNING.wind_share * center.by_wind)
     places = tuple(
         Quantity(float(v), float(math.hypot(f, a)), "m", float(a))
         for v, f, a in zip(cg, flown, assumed, strict=True)
@@ -317,6 +318,7 @@ def _balances(
         airframe=airframe,
         cg=(places[0], places[1]),
         by_wind=(float(center.by_wind[0]), float(center.by_wind[1])),
+        center=center,
         rotors=rotors,
         yaw_imbalance=Quantity(yaw_value, yaw_std, "1"),
         scale=scale,

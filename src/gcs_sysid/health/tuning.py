@@ -93,7 +93,8 @@ class Tuning:
         least_shaking: m/s^2, amplitude below which nobody minds.
         instrument_lags: windows before, of the commands that are instruments: beyond the windows'
             overlap and the memory of gusts (0.3 s).
-        curve_floor: standard deviation of c that no flight goes below (motor's lag, battery).
+        curve_floor: standard deviation of c that no flight goes below: motor lag, battery. Of
+            seventy flights of `benchmarks.health` 94 % held; at 0.004, 91 %.
         curve_floor_by_lift: the same where thrust is known by the accelerometer alone: what gusts
             that the autopilot answers leave of their bias (mean -0.02 over fifty flights of
             `benchmarks.health`).
@@ -170,7 +171,7 @@ class Tuning:
     shaking: float = 3.0
     least_shaking: float = 1.0
     instrument_lags: tuple[int, ...] = (2, 3, 4, 5, 6)
-    curve_floor: float = 0.004
+    curve_floor: float = 0.006
     curve_floor_by_lift: float = 0.02
     drag_lever: float = 1.0
     wind_share: float = 0.5
