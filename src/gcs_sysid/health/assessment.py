@@ -391,6 +391,7 @@ def _assumptions(guess: GuessedAirframe, curve: Curve | None) -> tuple[str, ...]
         f"placed to {100.0 * TUNING.position_std:g} % of the arm",
         f"airframe: {guess.origin}",
     ]
-    if curve is not None:
-        out.append(f"thrust curve: {curve.origin}")
+    if curve is not None and "assumed" in curve.origin:
+        usual = "near 0.5, as of most propellers"
+        out.append(f"thrust curve: {usual if curve.origin == 'assumed' else curve.origin}")
     return tuple(out)

@@ -49,12 +49,15 @@ def curve_of(
         # Half of the fleet never touched it: it says little more than the usual.
         guess, origin = own, f"{autopilot_name} of the vehicle, assumed to be near"
     told = _by_speeds(windows) if np.isfinite(windows.speeds).any() else _by_lift(windows)
-    if told is None:
+    if told is None or not -TUNING.sure * told[1] < told[0] < 1.0 + TUNING.sure * told[1]:
+        # None, or none of a propeller: something else moves thrust and commands.
         return Curve(Quantity(guess, sigma, "1", sigma), origin)
     c, std, by = told
     gain = sigma**2 / (sigma**2 + std**2)
-    merged = float(np.clip(guess + gain * (c - guess), 0.0, 1.0))
-    return Curve(Quantity(merged, math.sqrt(gain) * std, "1"), by if gain > 0.5 else origin)
+    merged = guess + gain * (c - guess)
+    clipped = float(np.clip(merged, 0.0, 1.0))
+    whole = math.hypot(math.sqrt(gain) * std, merged - clipped)
+    return Curve(Quantity(clipped, whole, "1"), by if gain > 0.5 else origin)
 
 
 def _ratio(fit: Fit) -> tuple[float, float]:

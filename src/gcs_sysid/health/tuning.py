@@ -89,6 +89,8 @@ class Tuning:
         sure: standard deviations beyond that.
         least_thrust_to_weight: usual advice of the autopilots' manuals is 2.
         much_saturated: share of the flight at full command.
+        much_yaw: share of the load, of a yaw imbalance that is worth a look at the motors: rotors
+            whose torque scatters by 3 % make 1.5 % on a quad, sound ones of given logs up to 3.5 %.
         shaking: times the others' vibration.
         least_shaking: m/s^2, amplitude below which nobody minds.
         instrument_lags: windows before, of the commands that are instruments: beyond the windows'
@@ -168,6 +170,7 @@ class Tuning:
     sure: float = 3.0
     least_thrust_to_weight: float = 1.7
     much_saturated: float = 0.005
+    much_yaw: float = 0.05
     shaking: float = 3.0
     least_shaking: float = 1.0
     instrument_lags: tuple[int, ...] = (2, 3, 4, 5, 6)
