@@ -147,7 +147,8 @@ def _by_one_lift(windows: Windows, lift: Array) -> tuple[float, float, float] | 
     values, weights = np.array([(c, 1.0 / std**2) for c, std in answers]).T
     merged = float(values @ weights / weights.sum())
     # The same flight twice: the better one alone could be as good.
-    std = math.hypot(1.0 / math.sqrt(float(weights.max())), TUNING.curve_floor_by_lift)
+    std = TUNING.gusts_beside / math.sqrt(float(weights.max()))
+    std = math.hypot(std, TUNING.curve_floor)
     return residual, merged, std
 
 
