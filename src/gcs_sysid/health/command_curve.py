@@ -48,7 +48,8 @@ def curve_of(
     if own is not None and 0.0 < own <= 1.0:
         # Half of the fleet never touched it: it says little more than the usual.
         guess, origin = own, f"{autopilot_name} of the vehicle, assumed to be near"
-    told = _by_speeds(windows) if np.isfinite(windows.speeds).any() else _by_lift(windows)
+    by_speeds = bool(np.isfinite(windows.speeds).any())
+    told = _by_speeds(windows) if by_speeds else _by_lift(windows)
     if told is None or not -TUNING.sure * told[1] < told[0] < 1.0 + TUNING.sure * told[1]:
         # None, or none of a propeller: something else moves thrust and commands.
         return Curve(Quantity(guess, sigma, "1", sigma), origin)
@@ -56,7 +57,8 @@ def curve_of(
     gain = sigma**2 / (sigma**2 + std**2)
     merged = guess + gain * (c - guess)
     clipped = float(np.clip(merged, 0.0, 1.0))
-    whole = math.hypot(math.sqrt(gain) * std, merged - clipped)
+    widened = (1.0 if by_speeds else TUNING.gusts_beside) * math.sqrt(gain) * std
+    whole = math.hypot(min(widened, sigma), merged - clipped)
     return Curve(Quantity(clipped, whole, "1"), by if gain > 0.5 else origin)
 
 
@@ -147,8 +149,7 @@ def _by_one_lift(windows: Windows, lift: Array) -> tuple[float, float, float] | 
     values, weights = np.array([(c, 1.0 / std**2) for c, std in answers]).T
     merged = float(values @ weights / weights.sum())
     # The same flight twice: the better one alone could be as good.
-    std = TUNING.gusts_beside / math.sqrt(float(weights.max()))
-    std = math.hypot(std, TUNING.curve_floor)
+    std = math.hypot(1.0 / math.sqrt(float(weights.max())), TUNING.curve_floor)
     return residual, merged, std
 
 
