@@ -118,7 +118,7 @@ def _in_one_wind(flights: Sequence[Health]) -> list[tuple[Quantity, ...]]:
     flown (`benchmarks.health_logs --part repeated`).
     """
     centers = [h.center for h in flights]
-    places = [h.cg or () for h in flights]
+    places: list[tuple[Quantity, ...]] = [h.cg or () for h in flights]
     known = [center for center in centers if center is not None]
     if len(known) < max(len(flights), 2):
         return places

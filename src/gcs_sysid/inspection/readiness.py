@@ -224,9 +224,9 @@ def _turned_by_rotors(found: Inspection) -> Iterator[Finding]:
     elif _is_rough(found):
         yield Finding(
             "limits",
-            f"the rotors explain {100.0 * found.explained:.0f} % of roll or pitch: gusts, "
-            "propeller wash or aerodynamics move the vehicle too, so that inertia stays rough",
-            "fly doublets from hover, in calm air",
+            f"the rotors explain {100.0 * found.explained:.0f} % of roll or pitch: what else moves "
+            "the vehicle (propeller wash, gusts, the ground) may leave the inertia rough",
+            "fly doublets from hover, in calm air, for half a minute",
         )
 
 
@@ -236,9 +236,15 @@ def _is_flown(found: Inspection) -> bool:
 
 
 def _is_rough(found: Inspection) -> bool:
-    """Whether much else than measured rotors turns the vehicle; behind commands motors lag."""
+    """Whether much else than measured rotors turns the vehicle.
+
+    Commands do not tell, as motors lag behind them, nor do slow data.
+    """
     chosen, share = found.rotor_input.chosen, found.explained
-    if chosen is None or chosen.kind == "command" or share is None:
+    imu = found.stream(Stream.IMU)
+    if chosen is None or chosen.kind == "command" or imu is None or share is None:
+        return False
+    if min(chosen.rate or 0.0, imu.rate or 0.0) < LIMITS.nearly * LIMITS.imu_rate:
         return False
     return _is_flown(found) and share < LIMITS.explained_well
 

@@ -27,8 +27,9 @@ class Thresholds:
             two that `analyze` refuses (`benchmarks.health_logs`).
         explained_well: the same by measured speeds, below which inertia comes out rough: of
             recordings longer than `short`, `analyze` identified Ixx, Iyy and the CG in all twelve
-            with 0.89 to 0.99, and in none of the nine with 0.57 to 0.80. Commands explain 0.62 of
-            a flight that is identified, as motors lag.
+            with 0.89 to 0.99, and in none of the nine with 0.57 to 0.80. No proof: an emulated
+            flight of half a minute with 0.74 is identified. Commands explain 0.62 of a flight that
+            is identified, as motors lag.
         hover_imu: Hz from which averages over hover can be had, of the IMU.
         hover_rotors: the same of speeds or commands.
         slow_gyro_filter: Hz; a filter below it delays the gyro by more than 5 ms.
